@@ -14,8 +14,8 @@ from taichi_bearings_cli.progress import Display
     help="Width of the bins; with a scan 1, 2, 4, 5, 10 or 20.",
 )  # fmt: skip
 @click.option(
-    "--normalise", type=Choice(["none", "unit", "mean"]), default="none", show_default=True,
-    help="Count power in F_n R omega_T (unit), or in the mean power of the contacts of each sample (mean).",
+    "--normalise", type=Choice(["none", "mean"]), default="none", show_default=True,
+    help="Count power in the mean power of the contacts of each sample.",
 )  # fmt: skip
 @click.option(
     "--by", metavar="KEY", default=None, help="Overlay the histograms of each value of this column or setting."
@@ -39,7 +39,7 @@ def command(
     \b
     Examples:
       bearings histogram outputs/a outputs/b --bins-per-decade 10 --out outputs --force
-      bearings histogram outputs/my-scan --by spin_bottom --normalise unit
+      bearings histogram outputs/my-scan --by spin_bottom --normalise mean
     """
     from taichi_bearings.scans.histogram import histogram
 

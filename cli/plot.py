@@ -25,11 +25,6 @@ PLOT_KINDS = ("spins", "power", "history", "energy", *STRUCTURE_KINDS, "scan")
 @click.option("--x", metavar="COLUMN", default=None, help="scan: what it is drawn against.")
 @click.option("--by", metavar="COLUMN", multiple=True, help="scan: a curve for each value. May be repeated.")
 @click.option("--where", metavar="KEY=VALUE", multiple=True, help="scan: only these samples. May be repeated.")
-@click.option(
-    "--bars", type=Choice(["standard-error", "bootstrap"]), default=None,
-    help="scan: mean and standard error, or mean and 95 % interval. "
-    "[default: standard-error; for a ratio bootstrap]",
-)  # fmt: skip
 @click.option("--log", type=Choice(["x", "y", "xy"]), default=None, help="scan: logarithmic axes.")
 @click.option(
     "--width", metavar="CM", default=None, help="Printed width: single (8.6 cm), double (17.8 cm) or a number of cm."
@@ -130,5 +125,5 @@ def _plot_scan(
         raise InputError(
             f"--{'plane' if page.planes else 'view'} belongs to figures of runs, not to `bearings plot scan`"
         )
-    request = Request(y, x, rest["by"], rest["where"], rest["bars"], rest["log"] or "")
+    request = Request(y, x, rest["by"], rest["where"], rest["log"] or "")
     click.echo("\n".join(map(str, plot_scan(scan, request, out, force, click.echo, page))))

@@ -8,19 +8,20 @@ import sys
 import textwrap
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
 from typing import Any
 
 import numpy as np
 from taichi_bearings_cli import STARTED
-from taichi_bearings_cli.time_left import TimeLeft
 
 from taichi_bearings.stages import Stage, Watch, watched
 from taichi_bearings.words import counted
 
 QUIET_SECONDS = 0.4  # seconds until the line appears: what takes no longer needs none
 REFRESH = 8  # times a second that the line is written anew
+WINDOW = 3.0  # the pace is that since this part of the time
+FARTHEST = 5.0  # times as long as what has been seen is foretold at most
 LEAST_TOLD = 0.05  # seconds that are worth a word in the sum of times
 
 
@@ -107,12 +108,18 @@ class Display(Watch):
             return ""
         words, forecast = [stage.name], self._forecasts.get(id(stage))
         words[0] += f" {stage.number:,} of {stage.total:,}" if stage.total > 1 else ""
-        left = time_of_parts_left(stage, now)
+        left = self._of_parts_left(stage, now)
         if forecast is not None and innermost:
             left = forecast.left(now)
         if not left and innermost and now - stage.began >= 1:
             left = f"{duration(now - stage.began)} so far"
         return ", ".join(filter(None, [*words, left, forecast.standing if forecast is not None and innermost else ""]))
+
+    @staticmethod
+    def _of_parts_left(stage: Stage, now: float) -> str:
+        """Of a stage in parts, of which the first may compile."""
+        left = seconds_left(stage.done[1:]) - (now - stage.began - stage.done[-1][0]) if stage.done else math.inf
+        return f"{duration(left)} left" if 0 < left < math.inf else ""
 
     def times(self) -> str:
         """All the time since the process began, and its parts."""
@@ -122,38 +129,58 @@ class Display(Watch):
 
 
 class Forecast:
-    """Where a solve stands, and what is foretold of its end at its last report."""
+    """Where a solve stands, and when it ends at the pace of the last two thirds of its time."""
 
     def __init__(self) -> None:
-        self.time_left, self.told_at = TimeLeft(), 0.0
-        self.end: tuple[float, str] | None = None
+        self.points: list[tuple[float, float]] = []  # (seconds, share done) at each report
+        self.told_at, self.left_then, self.until = 0.0, math.inf, ""
         self.standing = ""
-        self.most = math.inf
 
     def look(self, report: Any) -> None:
-        progress, stop = report.progress, report.stop
-        self.end, self.told_at = self.time_left.look(report), time.perf_counter()
-        self.most = stop.seconds - report.seconds
+        """Hear a report of a solve (solvers.drive.Report)."""
+        progress, seconds = report.progress, report.seconds
+        share, until = share_of(report)
+        self.points.append((seconds, share))
+        left = seconds_left([point for point in self.points if point[0] >= seconds / WINDOW])
+        if left > FARTHEST * seconds:
+            left = math.inf
+        limit = report.stop.seconds - seconds
+        self.left_then, self.until = (left, until) if left < limit else (limit, "the time limit")
+        self.told_at = time.perf_counter()
         words = [counted(progress.iteration, "iteration")]
         words += [f"t = {progress.time:.3g}"] if progress.time is not None else []
         words += [f"P = {float(np.mean(report.objective)):.8g}", f"gap {float(np.max(report.gap)):.1e}"]
         self.standing = ", ".join(words)
 
     def left(self, now: float) -> str:
-        """Time left and until what, where that is known; the time limit where it comes first."""
-        since = now - self.told_at
-        if self.end is not None and since < self.end[0] < self.most:
-            return f"{duration(self.end[0] - since)} left to {self.end[1]}"
-        return f"{duration(self.most - since)} left to the time limit" if math.isfinite(self.most) else ""
+        """Time left and until what, where that is known and not over."""
+        left = self.left_then - (now - self.told_at)
+        return f"{duration(left)} left to {self.until}" if 0 < left < math.inf else ""
 
 
-def time_of_parts_left(stage: Stage, now: float) -> str:
-    """Time left of a stage in parts, from the time that the parts before have taken; the first one may compile."""
-    if len(stage.done) < 3:
-        return ""
-    (began, before), (seconds, share) = stage.done[1], stage.done[-1]
-    left = (1 - share) * (seconds - began) / (share - before) - (now - stage.began - seconds)
-    return f"{duration(left)} left" if left > 0 else ""
+def share_of(report: Any) -> tuple[float, str]:
+    """How much of a solve is done, and what ends it; not-a-number where that says nothing of the time.
+
+    The gap of some methods falls by like factors in like times; that of others, and of a dynamics, when it will.
+    """
+    progress, stop = report.progress, report.stop
+    if progress.time is not None:
+        return progress.time / stop.duration, f"t = {stop.duration:g}"
+    if progress.needed is not None:
+        return progress.iteration / max(progress.needed, 1), "the end"
+    gap, aim = float(np.max(report.gap)), stop.tolerance
+    if progress.settles_at is not None and progress.settles_more:
+        aim = min(aim, progress.settles_at)
+    known = progress.geometric and 0 < aim < gap < 1
+    return (math.log(gap) / math.log(aim) if known else math.nan), f"gap {aim:.0e}"
+
+
+def seconds_left(points: Sequence[tuple[float, float]]) -> float:
+    """Time left from (seconds, share of the work that was done then) on, at their pace; infinite if it is not known."""
+    if len(points) < 3:
+        return math.inf
+    (began, before), (seconds, share) = points[0], points[-1]
+    return (1 - share) * (seconds - began) / (share - before) if share > before else math.inf
 
 
 def duration(seconds: float) -> str:
@@ -182,23 +209,18 @@ HEARTBEAT = 30.0  # seconds between two lines in a log file
 
 
 class ScanDisplay(TerminalLine):
-    """A monitor for scan(): a live line if stderr is a terminal, one line now and then if it is a log file.
+    """A monitor for scan(): a live line if stderr is a terminal, one line now and then if it is a log file."""
 
-    heartbeat : seconds between two lines, wherever stderr goes; 0 for none. Default: 30 in a file, none in a pipe.
-    """
-
-    def __init__(self, heartbeat: float | None = None) -> None:
+    def __init__(self) -> None:
         self.progress: Any = None
         super().__init__(lambda: "reading" if self.progress is None else describe_scan(self.progress, samples=True))
-        usual = 0.0
+        self.is_logged, self.told = False, time.monotonic()
         with suppress(OSError, ValueError, AttributeError):  # the log of a batch queue is a regular file
-            usual = HEARTBEAT if stat.S_ISREG(os.fstat(sys.stderr.fileno()).st_mode) else 0.0
-        self.every = usual if heartbeat is None else heartbeat
-        self.told = time.monotonic()
+            self.is_logged = stat.S_ISREG(os.fstat(sys.stderr.fileno()).st_mode)
 
     def __call__(self, progress: Any) -> None:
         self.progress = progress
-        if self.every and time.monotonic() - self.told >= self.every:
+        if self.is_logged and time.monotonic() - self.told >= HEARTBEAT:
             self.told = time.monotonic()
             stamp = time.strftime("%Y-%m-%d %H:%M:%S")
             print(f"{stamp}  {describe_scan(progress)}", file=sys.stderr, flush=True)

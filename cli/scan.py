@@ -38,10 +38,6 @@ from taichi_bearings.words import counted
 )  # fmt: skip
 @click.option("--dry-run", is_flag=True, help="Only print the number of samples, and the time and memory to expect.")
 @click.option(
-    "--heartbeat", type=click.FloatRange(0), default=None, metavar="SECONDS",
-    help="Time between two lines of progress on stderr, 0 for none. [default: 30 in a file, none in a pipe]",
-)  # fmt: skip
-@click.option(
     "--out", metavar="DIR", type=FILE_PATH,
     help="Folder of the scan; one that is there is completed. [default: outputs/<time>-scan-<id>]",
 )  # fmt: skip
@@ -101,7 +97,7 @@ def command(context: click.Context, scan: Path, dry_run: bool, as_json: bool, **
         report = study.merge(plan, folder)
     else:
         folder = folder or default_run_path("scan")
-        with ScanDisplay(asked["heartbeat"]) as display, connected(asked["scheduler"]) as client:
+        with ScanDisplay() as display, connected(asked["scheduler"]) as client:
             report = study.scan(plan, folder, workers, display, client=client, part=part)
     answer(report, as_json, lambda: describe(report))
     done = report["reached"] == report["samples"] and not report["lacking"]
@@ -121,31 +117,28 @@ def describe_estimate(expected: dict[str, Any]) -> str:
 
 def describe(report: dict[str, Any]) -> str:
     """The report for people."""
-    now = f"{report['solved_now']:,} of them now, " if report["solved_now"] < report["done"] else ""
-    lines = [f"{report['done']:,} of {report['samples']:,} samples have a result, {now}in {report['seconds']:.1f} s"]
-    short = report["done"] - report["reached"]
-    lines += [f"{short:,} samples stopped short of what was asked for: see the column status"] if short else []
-    lines += [f"{report['failed']:,} samples failed:"] if report["failed"] else []
-    lines += [printable(f"  {item['sample']}: {item['error']}") for item in report["failures"][:10]]
-    lines += [f"  ... and {report['failed'] - 10:,} more: see the column error"] if report["failed"] > 10 else []
-    if report["warned"]:
-        have = "has" if report["warned"] == 1 else "have"
-        lines.append(f"{counted(report['warned'], 'sample')} {have} warnings: see the column `warnings`")
-    incomplete = report.get("incomplete_parts", [])
-    lines += [f"part {item['part']} lacks {item['missing']:,} samples" for item in incomplete[:20]]
-    lines += [f"... and {len(incomplete) - 20:,} more parts"] if len(incomplete) > 20 else []
-    if report["missing"]:
-        lines.append(f"{report['missing']:,} samples are missing")
-    if report["lacking"]:
-        lines.append(f"{report['lacking']:,} samples lack the analysis or the full state that was asked for")
-    if report["unanalysed"] and not report["lacking"]:
-        lines.append(
-            f"{counted(report['unanalysed'], 'sample')} without the numbers of --analyse that the others have; "
-            f"bearings scan {report['scan']} --analyse adds them"
-        )
-    if report["failed"] or report["missing"] or report["lacking"]:
-        lines.append(f"bearings scan {report['scan']} does what is missing or has failed")
-    if report["removed"]:
-        names = ", ".join(Path(name).name for name in report["removed"])
-        lines.append(f"removed, for they showed the scan as it was before: {names}")
-    return "\n".join([*lines, *report["files"]])
+    done, failed, missing, lacking = (report[name] for name in ("done", "failed", "missing", "lacking"))
+    again, incomplete = f"bearings scan {report['scan']}", report.get("incomplete_parts", [])
+    now = f"{report['solved_now']:,} of them now, " if report["solved_now"] < done else ""
+    have = "has" if report["warned"] == 1 else "have"
+    unanalysed = 0 if lacking else report["unanalysed"]
+    removed = ", ".join(Path(name).name for name in report["removed"])
+    lines = {  # a line, and what makes it worth saying
+        f"{done:,} of {report['samples']:,} samples have a result, {now}in {report['seconds']:.1f} s": True,
+        f"{done - report['reached']:,} samples stopped short of what was asked for: see the column status": (
+            done > report["reached"]
+        ),
+        f"{failed:,} samples failed:": failed,
+        **{printable(f"  {item['sample']}: {item['error']}"): True for item in report["failures"][:10]},
+        f"  ... and {failed - 10:,} more: see the column error": failed > 10,
+        f"{counted(report['warned'], 'sample')} {have} warnings: see the column `warnings`": report["warned"],
+        **{f"part {item['part']} lacks {item['missing']:,} samples": True for item in incomplete[:20]},
+        f"... and {len(incomplete) - 20:,} more parts": len(incomplete) > 20,
+        f"{missing:,} samples are missing": missing,
+        f"{lacking:,} samples lack the analysis or the full state that was asked for": lacking,
+        f"{counted(unanalysed, 'sample')} without the numbers of --analyse that the others have; "
+        f"{again} --analyse adds them": unanalysed,
+        f"{again} does what is missing or has failed": failed or missing or lacking,
+        f"removed, for they showed the scan as it was before: {removed}": removed,
+    }
+    return "\n".join([*(line for line, is_worth in lines.items() if is_worth), *report["files"]])

@@ -7,9 +7,11 @@ from typing import Any
 import click
 from taichi_bearings_cli.options import answer, json_option, run_argument
 from taichi_bearings_cli.progress import Display, in_lines
+from taichi_bearings_cli.report import ends
 
 from taichi_bearings.errors import printable
 from taichi_bearings.scene.law import LAWS
+from taichi_bearings.words import listed
 
 
 @click.command()
@@ -44,12 +46,11 @@ def describe(report: dict[str, Any], times: str = "") -> str:
     """The verdict for people. times : where the time went."""
     law = LAWS[report["law"]]
     shape = "x".join(map(str, report["shape"])) if report["shape"] else f"packing of {report['spheres']:,} spheres,"
-    status = report["status"] if isinstance(report["status"], str) else ", ".join(sorted(set(report["status"])))
     origin = "those of the seed" if report["coefficients"] == "drawn" else "as the file gives them"
-    lines = [f"{shape} {report['law']}, {status}; coefficients {origin}"]
+    lines = [f"{shape} {report['law']}, {ends(report)}; coefficients {origin}"]
     keys = ("upper_bound", "lower_bound", "gap", "states_proven", "minimum_is_unique", "unproven_because")
-    seeds = report["seed"] if isinstance(report["gap"], list) else [report["seed"]]
-    columns = [report[n] if isinstance(report["gap"], list) else [report[n]] for n in keys]
+    seeds = listed(report["seed"])
+    columns = [listed(report[name]) for name in keys]
     names = [f"seed {seed}" if report["coefficients"] == "drawn" else f"sample {n}" for n, seed in enumerate(seeds)]
     rows = list(zip(names, *columns, strict=True))
     for sample, power, bound, gap, states, unique, reason in rows[:10]:

@@ -68,18 +68,26 @@ def awaited() -> Iterator[threading.Event]:
 
 @contextmanager
 def unheard_by_children() -> Iterator[None]:
-    """Processes that are started inside never hear of Ctrl-C and SIGTERM: this one ends them."""
+    """Processes that are started inside never hear of Ctrl-C and SIGTERM: this one ends them.
+
+    This one hears of them afterwards, also where another thread was told: a start that is cut short leaves a process
+    that waits for what to do, finds nothing and prints a traceback.
+    """
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
     from multiprocessing import resource_tracker  # which --help does not need
 
-    resource_tracker.ensure_running()  # whose start, before that of the first process, would undo this
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    heard: list[int] = []
+    with handled(lambda number, _: heard.append(number)):
+        resource_tracker.ensure_running()  # whose start, before that of the first process, would undo the mask
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+        try:
+            yield
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    for number in set(heard):
+        signal.raise_signal(number)
 
 
 def is_loading(frame: FrameType | None) -> bool:

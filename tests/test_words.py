@@ -110,7 +110,7 @@ def test_a_mistyped_word_of_any_kind_is_refused_with_what_was_meant(refuse, mean
     ("line", "meant"),
     [
         ("analyze x", "analyse"), ("rnu", "run"), ("lits", "list"), ("plot spin x", "spins"),
-        ("plot net-work x", "network"), ("plot scan x --bars bootstrp", "bootstrap"),
+        ("plot net-work x", "network"),
         ("benchmark acuracy", "accuracy"),
         ("histogram x --normalise men", "mean"), ("run --shpae 3,3", "--shape"),
         ("run --methd auto", "--method"), ("plot spins x --palne x=1", "--plane"), ("run --law coulom", "coulomb"),

@@ -1,13 +1,13 @@
 """Distribution of the power over the slipping contacts, in logarithmic bins, pooled over samples, with its errors."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from taichi_bearings.analysis.statistics import Census
 from taichi_bearings.errors import InputError
-from taichi_bearings.proof.contact_state import ContactState
+from taichi_bearings.proof.contact_state import ContactState, counts
 
 ENERGY_PER_TIME = "energy/time"
 
@@ -16,21 +16,24 @@ ENERGY_PER_TIME = "energy/time"
 class SampleCounts:
     """Slipping contacts of S samples in B bins.
 
-    first, bins_per_decade, anchor : bin b is [10^((first + b) / bins_per_decade), ... of the next) / anchor.
-    count : (S, B). slipless, undecided : (S,) contacts that are in no bin.
+    first, bins_per_decade : bin b is [10^((first + b) / bins_per_decade), that of the next).
+    count : (S, B). contacts : (S, 3) slipless, slipping and undecided ones, as ContactState numbers them.
     """
 
     first: int
     bins_per_decade: int
-    anchor: float
     count: np.ndarray
-    slipless: np.ndarray
-    undecided: np.ndarray
+    contacts: np.ndarray
+
+    @property
+    def edges(self) -> np.ndarray:
+        """(B + 1,) power; none where there is no bin."""
+        bins = self.count.shape[1]
+        return 10.0 ** ((self.first + np.arange(bins + 1 if bins else 0)) / self.bins_per_decade)
 
     def of(self, samples: np.ndarray) -> "SampleCounts":
         """Some of the samples, by number, in the same bins."""
-        parts = (self.count[samples], self.slipless[samples], self.undecided[samples])
-        return SampleCounts(self.first, self.bins_per_decade, self.anchor, *parts)
+        return replace(self, count=self.count[samples], contacts=self.contacts[samples])
 
 
 @dataclass(frozen=True)
@@ -80,39 +83,33 @@ def count_powers(
     state: np.ndarray,
     bins_per_decade: int = 5,
     unit: np.ndarray | None = None,
-    anchor: float = 1.0,
 ) -> SampleCounts:
     """Contacts of R replicas in bins. power, state : (R, E).
 
-    unit : (R,) power that counts as 1 in each replica, default 1. anchor : as in SampleCounts.
+    unit : (R,) power that counts as 1 in each replica, default 1.
     """
     replica, contact = np.nonzero((state == ContactState.SLIPPING) & (power > 0))
     scale = np.ones(len(power)) if unit is None else unit
-    number = np.floor(
-        bins_per_decade * np.log10(power[replica, contact] / scale[replica] * anchor)  # 1/1*x is x to the last bit
-    ).astype(int)
+    number = np.floor(bins_per_decade * np.log10(power[replica, contact] / scale[replica])).astype(int)
     first, bins = (int(number.min()), int(np.ptp(number)) + 1) if len(number) else (0, 0)
     count = np.bincount(replica * bins + number - first, minlength=len(power) * bins).reshape(len(power), bins)
-    outside = ((state == which).sum(axis=1) for which in (ContactState.SLIPLESS, ContactState.UNDECIDED))
-    return SampleCounts(first, bins_per_decade, anchor, count, *outside)
+    return SampleCounts(first, bins_per_decade, count, counts(state)[:, : ContactState.DRIVEN])
 
 
 MOST_POWER_BINS = 100_000  # more than numbers of any size need
 
 
-def rebinned(fine: SampleCounts, bins_per_decade: int, unit: np.ndarray, anchor: float = 1.0) -> SampleCounts:
+def rebinned(fine: SampleCounts, bins_per_decade: int, unit: np.ndarray) -> SampleCounts:
     """Counts whose powers are lost, in other bins: powers in multiples of `unit`, (S,), and fewer bins a decade.
 
     Every sample's bins move by whole bins, to the nearest: by half a fine bin too much or too little at worst, by
-    nothing where unit = anchor. InputError is up to the caller: `bins_per_decade` must divide that of `fine`.
+    nothing where the unit is 1. InputError is up to the caller: `bins_per_decade` must divide that of `fine`.
     """
     merged = fine.bins_per_decade // bins_per_decade
-    move = np.rint(fine.bins_per_decade * np.log10(anchor / (unit * fine.anchor))).astype(int)
+    move = np.rint(fine.bins_per_decade * np.log10(1 / unit)).astype(int)
     number = (fine.first + move[:, None] + np.arange(fine.count.shape[1])) // merged
     if not fine.count.any():
-        return SampleCounts(
-            0, bins_per_decade, anchor, np.zeros((len(fine.count), 0), dtype=int), fine.slipless, fine.undecided
-        )
+        return SampleCounts(0, bins_per_decade, np.zeros((len(fine.count), 0), dtype=int), fine.contacts)
     used = number[fine.count > 0]
     first, bins = int(used.min()), int(np.ptp(used)) + 1
     if bins > MOST_POWER_BINS:
@@ -120,11 +117,11 @@ def rebinned(fine: SampleCounts, bins_per_decade: int, unit: np.ndarray, anchor:
     count = np.zeros((len(fine.count), bins), dtype=int)
     sample, column = np.nonzero(fine.count)
     np.add.at(count, (sample, number[sample, column] - first), fine.count[sample, column])
-    return SampleCounts(first, bins_per_decade, anchor, count, fine.slipless, fine.undecided)
+    return SampleCounts(first, bins_per_decade, count, fine.contacts)
 
 
 def together(parts: Sequence[SampleCounts]) -> SampleCounts:
-    """Samples of several sources, of equal `bins_per_decade` and `anchor`, in bins that hold them all."""
+    """Samples of several sources, of equal `bins_per_decade`, in bins that hold them all."""
     filled = [part for part in parts if part.count.shape[1]]
     first = min((part.first for part in filled), default=0)
     bins = max((part.first + part.count.shape[1] for part in filled), default=0) - first
@@ -132,12 +129,12 @@ def together(parts: Sequence[SampleCounts]) -> SampleCounts:
     for part in parts:
         before = part.first - first if part.count.shape[1] else 0
         rows.append(np.pad(part.count, ((0, 0), (before, bins - before - part.count.shape[1]))))
-    outside = (np.concatenate([getattr(part, name) for part in parts]) for name in ("slipless", "undecided"))
-    return SampleCounts(first, parts[0].bins_per_decade, parts[0].anchor, np.vstack(rows), *outside)
+    contacts = np.concatenate([part.contacts for part in parts])
+    return SampleCounts(first, parts[0].bins_per_decade, np.vstack(rows), contacts)
 
 
 def pool(
-    counts: SampleCounts,
+    of: SampleCounts,
     slip_threshold: float,
     units: str = ENERGY_PER_TIME,
     disorder: np.ndarray | None = None,
@@ -148,11 +145,8 @@ def pool(
     disorder : (S,) numbers, equal for samples that depend on each other; default: none do. left_out : as in the
     histogram.
     """
-    bins = counts.count.shape[1]
-    own = counts.count if disorder is None else _by_disorder(counts.count, disorder)
-    samples = len(own)
-    edges = 10.0 ** ((counts.first + np.arange(bins + 1)) / counts.bins_per_decade) / counts.anchor
-    count = counts.count.sum(axis=0)
+    own = of.count if disorder is None else _by_disorder(of.count, disorder)
+    samples, count = len(own), of.count.sum(axis=0)
     total = max(int(count.sum()), 1)
     share = count / total
     if samples > 1:
@@ -163,15 +157,15 @@ def pool(
     else:
         error, share_error = np.sqrt(count), np.sqrt(count) / total
     return PowerHistogram(
-        edges=edges if bins else np.zeros(0),
+        edges=of.edges,
         count=count,
         standard_error=error,
-        density=share * counts.bins_per_decade,
-        density_error=share_error * counts.bins_per_decade,
-        slipless=int(counts.slipless.sum()),
-        undecided=int(counts.undecided.sum()),
+        density=share * of.bins_per_decade,
+        density_error=share_error * of.bins_per_decade,
+        slipless=int(of.contacts[:, ContactState.SLIPLESS].sum()),
+        undecided=int(of.contacts[:, ContactState.UNDECIDED].sum()),
         slip_threshold=slip_threshold,
-        samples=len(counts.count),
+        samples=len(of.count),
         units=units,
         left_out=left_out or {},
     )

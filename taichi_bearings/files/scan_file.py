@@ -23,7 +23,8 @@ from typing import Any, NoReturn
 import h5py
 import numpy as np
 
-from taichi_bearings.errors import FileError, printable
+from taichi_bearings.analysis.histogram import SampleCounts
+from taichi_bearings.errors import FileError, InputError, printable
 from taichi_bearings.files.whole_file import attributes_of, put, read_hdf5, write_csv, write_hdf5
 from taichi_bearings.scene.law import LAWS
 from taichi_bearings.scene.solution import CROSSED_BOUND
@@ -33,12 +34,10 @@ SCAN_VERSION = 1
 BINS_PER_DECADE = 20
 FAILED = "failed"  # the status of a sample without a result
 MISSING = "missing"  # the status of a sample that is not computed yet
-HISTOGRAM_SETS = {  # name -> (unit, description)
-    "edges": ("energy/time", "edges of the power bins, 20 a decade, the same in every scan"),
-    "count": ("1", "slipping contacts of each sample in each bin"),
-    "slipping": ("1", "contacts of each sample that slip"),
-    "slipless": ("1", "contacts of each sample that do not slip"),
-    "undecided": ("1", "contacts of each sample that are undecided"),
+CONTACT_SETS = {  # name -> description, as ContactState numbers them
+    "slipless": "contacts of each sample that do not slip",
+    "slipping": "contacts of each sample that slip",
+    "undecided": "contacts of each sample that are undecided",
 }
 
 
@@ -52,30 +51,16 @@ class Column:
     description: str
 
 
-@dataclass(frozen=True)
-class SampleHistograms:
-    """Distributions of power of S samples in the same B bins.
-
-    edges : (B + 1,) energy/time. count : (S, B). slipping, slipless, undecided : (S,) contacts.
-    """
-
-    edges: np.ndarray
-    count: np.ndarray
-    slipping: np.ndarray
-    slipless: np.ndarray
-    undecided: np.ndarray
-
-
 def bin_of(power: np.ndarray) -> np.ndarray:
     """Whole number i of the bin [10^(i/20), 10^((i + 1)/20)) of each positive power."""
     return np.floor(BINS_PER_DECADE * np.log10(power)).astype(np.int64)
 
 
-def dense_histograms(bins: Sequence[Mapping[int, int]], contacts: Mapping[str, Sequence[int]]) -> SampleHistograms:
+def dense_histograms(bins: Sequence[Mapping[int, int]], contacts: Mapping[str, Sequence[int]]) -> SampleCounts:
     """Bins over the range that the samples meet.
 
     bins : of each sample, the number of the bin (:func:`bin_of`) -> slipping contacts.
-    contacts : by the names slipping, slipless and undecided, one number a sample.
+    contacts : by the names of CONTACT_SETS, one number a sample.
     """
     met = [number for sample in bins for number in sample]
     low, high = (min(met), max(met) + 1) if met else (0, 0)
@@ -83,10 +68,8 @@ def dense_histograms(bins: Sequence[Mapping[int, int]], contacts: Mapping[str, S
     for row, sample in enumerate(bins):
         for number, slipping in sample.items():
             count[row, number - low] = slipping
-    edges = 10.0 ** (np.arange(low, high + 1) / BINS_PER_DECADE) if met else np.zeros(0)
-    return SampleHistograms(
-        edges, count, *(np.array(contacts[name], dtype=np.int64) for name in ("slipping", "slipless", "undecided"))
-    )
+    of_states = np.array([contacts[name] for name in CONTACT_SETS], dtype=np.int64).T
+    return SampleCounts(low, BINS_PER_DECADE, count, of_states)
 
 
 def column(name: str, values: Sequence[Any], units: str, description: str) -> Column:
@@ -101,9 +84,7 @@ def column(name: str, values: Sequence[Any], units: str, description: str) -> Co
     return Column(name, array, units, description)
 
 
-def write_scan(
-    path: Path, columns: Sequence[Column], histograms: SampleHistograms, attributes: Mapping[str, Any]
-) -> None:
+def write_scan(path: Path, columns: Sequence[Column], histograms: SampleCounts, attributes: Mapping[str, Any]) -> None:
     """Write scan.h5 in full or not at all. attributes : `scan`, `scanned`, versions and whatever else."""
 
     def fill(file: h5py.File) -> None:
@@ -113,8 +94,13 @@ def write_scan(
             kind = h5py.string_dtype() if item.values.dtype == object else item.values.dtype
             put(table, item.name, item.values, item.units, item.description, dtype=kind)
         group = file.create_group("histogram")
-        for name, (units, text) in HISTOGRAM_SETS.items():
-            values = getattr(histograms, name)
+        sets = {
+            "edges": (histograms.edges, "energy/time", "edges of the power bins, 20 a decade, the same in every scan"),
+            "count": (histograms.count, "1", "slipping contacts of each sample in each bin"),
+        }
+        of_states = zip(histograms.contacts.T, CONTACT_SETS.items(), strict=True)
+        sets |= {name: (values, "1", text) for values, (name, text) in of_states}
+        for name, (values, units, text) in sets.items():
             packed = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if values.size > 1000 else {}
             put(group, name, values, units, text, dtype=values.dtype, **packed)
 
@@ -149,7 +135,7 @@ class StoredScan:
     attributes: dict[str, Any]
     scanned: tuple[str, ...]
     table: dict[str, np.ndarray]
-    histograms: SampleHistograms
+    histograms: SampleCounts
 
     def __post_init__(self) -> None:
         """FileError for tables that no scan leaves, where what reads them would fail."""
@@ -169,18 +155,14 @@ class StoredScan:
             texts = values.ravel().tolist() if values.dtype.kind == "O" else []
             if values.dtype.kind not in "biufO" or not all(isinstance(t, str) and t.isprintable() for t in texts):
                 refuse(f"its column {name} holds something else")
-        if "status" not in table or counts.count.ndim != 2 or counts.edges.ndim != 1:
+        whole = (counts.count, counts.contacts)
+        if "status" not in table or any(values.ndim != 2 for values in whole):
             refuse("it lacks statuses or histograms")
         lengths = {len(values) if values.ndim == 1 else -1 for values in table.values()}
-        lengths |= {len(values) for values in (counts.count, counts.slipping, counts.slipless, counts.undecided)}
-        bins = max(len(counts.edges) - 1, 0)
-        if len(lengths) > 1 or counts.count.shape[1] != bins:
+        if len(lengths | {len(values) for values in whole}) > 1:
             refuse("its columns differ in length")
-        whole = (counts.count, counts.slipping, counts.slipless, counts.undecided)
         if any(values.dtype.kind not in "iu" or (values < 0).any() for values in whole):
             refuse("its histograms count in something else than numbers")
-        if counts.edges.dtype.kind != "f" or not ((counts.edges > 0) & (counts.edges < np.inf)).all():
-            refuse("the edges of its histograms are no powers")
 
     @property
     def samples(self) -> int:
@@ -201,14 +183,6 @@ class StoredScan:
         """True if there is a row for each sample that the scan asks for."""
         return bool(self.attributes.get("asked") == self.samples)
 
-    @staticmethod
-    def of_columns(
-        path: Path, columns: Sequence[Column], histograms: SampleHistograms, attributes: Mapping[str, Any]
-    ) -> "StoredScan":
-        """What would be read back from a file with these columns."""
-        table = {item.name: item.values for item in columns}
-        return StoredScan(path, dict(attributes), tuple(attributes["scanned"]), table, histograms)
-
 
 def read_scan(scan: Path) -> StoredScan:
     """Read the directory of a scan or its scan.h5; FileError if it is missing, damaged or of an unknown version."""
@@ -218,12 +192,26 @@ def read_scan(scan: Path) -> StoredScan:
     with read_hdf5(path, SCAN_SCHEMA, SCAN_VERSION, "a scan") as file:
         group = file["table"]
         table = {str(name): _values(group[str(name)]) for name in group.attrs["columns"]}
-        histograms = SampleHistograms(**{name: file[f"histogram/{name}"][()] for name in HISTOGRAM_SETS})
-        found = StoredScan(path, attributes_of(file), tuple(map(str, file.attrs["scanned"])), table, histograms)
+        edges, count, *of_states = (file[f"histogram/{name}"][()] for name in ("edges", "count", *CONTACT_SETS))
+        counts = SampleCounts(_first_bin(edges), BINS_PER_DECADE, count, np.stack(of_states, axis=1))
+        if count.shape[1:] != (max(len(edges) - 1, 0),):
+            raise InputError("its histograms have other bins than edges")
+        found = StoredScan(path, attributes_of(file), tuple(map(str, file.attrs["scanned"])), table, counts)
     gap = found.table.get("gap", np.zeros(0))
     if gap.dtype.kind == "f" and (gap < -CROSSED_BOUND).any():
         raise FileError(f"{path} has a lower bound above its power; it is damaged or was changed")
     return found
+
+
+def _first_bin(edges: np.ndarray) -> int:
+    """Number of the first of the bins with these edges, as :func:`bin_of` counts; InputError if they are of none."""
+    if edges.shape == (0,):
+        return 0
+    if edges.dtype.kind == "f" and edges.ndim == 1 and ((edges > 0) & (edges < np.inf)).all():
+        first = round(BINS_PER_DECADE * float(np.log10(edges[0])))
+        if np.allclose(BINS_PER_DECADE * np.log10(edges), first + np.arange(len(edges)), rtol=0, atol=1e-6):
+            return first
+    raise InputError("the edges of its histograms are no powers of its bins")
 
 
 def _values(stored: h5py.Dataset) -> np.ndarray:

@@ -16,7 +16,6 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from scipy.optimize import brentq
 
 from taichi_bearings.errors import InputError
 from taichi_bearings.runs.settings import RunSettings
@@ -109,6 +108,8 @@ def _strength(scene: Scene, torque: float, least: float, solve: Solve) -> float:
     least : a strength that is too small. P(a) / a is at most P_f + 2 a Q, with P_f the least power of friction and Q
     what viscosity adds in that motion: the potential is convex and no larger than a P_f + a^2 Q / 2.
     """
+    from scipy.optimize import brentq  # a third of a second that other runs do not need
+
     short = False
 
     def excess(strength: float) -> float:

@@ -194,11 +194,11 @@ class LocalEngine:
         context = multiprocessing.get_context("spawn")
         ours, theirs = context.Pipe()
         process = context.Process(target=serve, args=(theirs, self.work), daemon=True, name="bearings-worker")
-        with _main_left_out(), unheard_by_children():
-            process.start()
-        theirs.close()
         worker = _Worker(process, ours, device)
-        self._pool.append(worker)
+        with unheard_by_children(), _main_left_out():
+            process.start()
+            theirs.close()
+            self._pool.append(worker)
         return worker
 
     def collect(self, seconds: float) -> list[Outcome]:

@@ -28,10 +28,6 @@ from taichi_bearings.scans.stored_scans import CENSUS_COLUMNS, OF_A_SPANNING_NET
 from taichi_bearings.scans.systems import disorder_of, numbered
 from taichi_bearings.words import meant
 
-BARS = {  # name -> what the title says of points and bars
-    "standard-error": "means with standard errors",
-    "bootstrap": "means with 95 % intervals",
-}
 SIZE = "L"
 MOST_CURVES = 24
 Plotted = tuple[float, float, float, float]
@@ -42,8 +38,7 @@ class Request:
     """What a figure of a scan shows.
 
     y : a column, or A/B for the mean of A over the mean of B. x : a column. by : columns whose values part the curves.
-    where : conditions KEY=VALUE on the samples. bars : a key of BARS; default standard-error, for A/B bootstrap.
-    log : "", "x", "y" or "xy".
+    where : conditions KEY=VALUE on the samples. log : "", "x", "y" or "xy".
 
     L, where the scan has no column of that name, is the height of the lattice: the last number of its shape.
     """
@@ -52,16 +47,7 @@ class Request:
     x: str
     by: tuple[str, ...] = ()
     where: tuple[str, ...] = ()
-    bars: str | None = None
     log: str = ""
-
-    @property
-    def is_ratio(self) -> bool:
-        return "/" in self.y
-
-    @property
-    def bars_shown(self) -> str:
-        return self.bars or ("bootstrap" if self.is_ratio else "standard-error")
 
     @property
     def stem(self) -> str:
@@ -171,7 +157,7 @@ def points_of(columns: Mapping[str, np.ndarray], request: Request) -> list[Point
         own = [independent(values[used], disorder[used]) for values in terms]
         statistics = _statistics(own)
         at = float(x) if isinstance(x, (int, float)) else place[x]
-        plot: Plotted = (at, *_shown(statistics, len(own[0]), request))
+        plot: Plotted = (at, *_shown(statistics, len(own[0])))
         points.append(Point(tuple(part), x, len(own[0]), statistics, plot, Census.of(reasons[rows].tolist())))
     _check_log(points, request.log)
     return points
@@ -219,14 +205,13 @@ def _statistics(terms: Sequence[np.ndarray]) -> dict[str, float]:
     return {"mean": mean.value, "standard_error": error, "low": mean.low, "high": mean.high}
 
 
-def _shown(statistics: Mapping[str, float], number: int, request: Request) -> tuple[float, float, float]:
-    """The point and the ends of its bar, if it has enough samples for one."""
-    bars = request.bars_shown
-    if request.is_ratio and bars != "bootstrap":
-        raise InputError(f"bars is {bars!r}; a ratio of means has bootstrap intervals alone")
-    value, low, high = statistics["ratio" if request.is_ratio else "mean"], statistics["low"], statistics["high"]
-    if bars == "standard-error":
-        low, high = value - statistics["standard_error"], value + statistics["standard_error"]
+def _shown(statistics: Mapping[str, float], number: int) -> tuple[float, float, float]:
+    """The point and the ends of its bar, if it has enough samples for one: of a mean its standard error."""
+    if "ratio" in statistics:
+        value, low, high = statistics["ratio"], statistics["low"], statistics["high"]
+    else:
+        value, error = statistics["mean"], statistics["standard_error"]
+        low, high = value - error, value + error
     return (value, low, high) if number >= LEAST_SAMPLES else (value, math.nan, math.nan)
 
 
@@ -264,7 +249,7 @@ def look_of(scan: StoredScan, columns: Mapping[str, np.ndarray], points: Sequenc
     number = sum(point.number for point in points)
     alike = f", {number:,} independent" if number < census.used else ""
     left_out = f"\nleft out: {census.reasons}" if census.left_out else ""
-    bars = ("ratios of " if request.is_ratio else "") + BARS[request.bars_shown]
+    bars = "ratios of means with 95 % intervals" if "/" in request.y else "means with standard errors"
     numbers = all(isinstance(point.x, (int, float)) for point in points)
     return Look(
         x_label=column_label(request.x),

@@ -2,8 +2,9 @@
 
 import hashlib
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -31,21 +32,31 @@ from taichi_bearings.runs.run_file import StoredRun, read_run_file
 from taichi_bearings.runs.settings import RunSettings, parse_toml
 from taichi_bearings.scans.stored_scans import is_scan, open_scan
 from taichi_bearings.scans.systems import disorder_of, numbered
-from taichi_bearings.scene.law import COULOMB
 from taichi_bearings.stages import each, stage
 from taichi_bearings.words import meant
 
-POWER_UNITS = {"none": ENERGY_PER_TIME, "unit": "F_n R omega_T", "mean": "the mean power of a contact of the sample"}
+POWER_UNITS = {"none": ENERGY_PER_TIME, "mean": "the mean power of a contact of the sample"}
 """What the power of a contact is counted in, by `--normalise`."""
 MOST_GROUPS = 24
 
 
 @dataclass(frozen=True)
 class Source:
-    """A run or a scan as arrays with one entry a sample (S): power in `counts`, and what its unit and groups need."""
+    """The samples of a run or a scan.
 
-    stored: StoredRun | StoredScan
-    reasons: np.ndarray  # (asked,) why each sample has no result; empty texts for those that have
+    path : of its file. reasons : (asked,) why each sample has no result; empty texts for the S that have one.
+    whole_column : values (asked,) of a scalar by its name, or InputError. contacts : (S,) not between driven spheres.
+    counts : of their power, given bins a decade and the unit (S,). disorder : (S,) names, equal for samples
+    of one disorder in one system. is_scan : powers are known by their bins alone.
+    """
+
+    path: Path
+    reasons: np.ndarray
+    whole_column: Callable[[str], np.ndarray]
+    contacts: np.ndarray
+    counts: Callable[[int, np.ndarray], SampleCounts]
+    disorder: Callable[[], list[Any]]
+    is_scan: bool
 
     @property
     def samples(self) -> np.ndarray:
@@ -60,114 +71,73 @@ class Source:
         """Values (S,) of a scalar that is a number; FileError if it is none."""
         values = self.column(name)
         if values.dtype.kind not in "biuf":
-            raise FileError(f"{self.stored.path} is damaged or was changed: its {name} is no number")
+            raise FileError(f"{self.path} is damaged or was changed: its {name} is no number")
         return values.astype(float)
-
-    def whole_column(self, name: str) -> np.ndarray:
-        """Values (asked,) of a scalar, where samples have no result too."""
-        if isinstance(self.stored, StoredScan):
-            table = self.stored.table
-            if name not in table:
-                raise InputError(
-                    f"{self.stored.path} has no column {name!r}; it has {', '.join(table)}{meant(name, table)}"
-                )
-            return table[name]
-        value = _scalar_of_run(self.stored, name)
-        listed = value if isinstance(value, list) else [value] * len(self.reasons)
-        listed = [printable(item) if isinstance(item, str) else item for item in listed]
-        return np.array(listed, dtype=object if any(isinstance(item, str) for item in listed) else None)
-
-    def disorder(self) -> list[Any]:
-        """(S,) names, equal for samples of one disorder in one system."""
-        if isinstance(self.stored, StoredScan):
-            table = {name: values[self.samples] for name, values in self.stored.table.items()}
-            return disorder_of(table, _settings_of_scan(self.stored))
-        return _disorders_of_run(self.stored)
-
-    def mean_power(self) -> np.ndarray:
-        """Power of a sample over its contacts, those between driven spheres apart."""
-        if isinstance(self.stored, StoredScan):
-            found = self.stored.histograms
-            contacts = (found.slipping + found.slipless + found.undecided)[self.samples]
-        else:
-            contacts = (self.stored.solution.state != ContactState.DRIVEN).sum(axis=1)
-        return self.numbers("power") / np.maximum(contacts, 1)
 
     def unit(self, normalise: str) -> np.ndarray:
         """Power that counts as 1, (S,)."""
         if normalise == "none":
             return np.ones(len(self.samples))
-        if normalise == "mean":
-            mean = self.mean_power()
-            return np.where(mean > 0, mean, 1.0)  # nothing slips where there is no power
-        if flowing := sorted(set(self.column("law").tolist()) - {COULOMB.name}):
-            raise InputError(
-                f"normalise is 'unit', F_n R omega_T, which measures powers of the law {COULOMB.name} alone, not of "
-                f"{' or '.join(map(str, flowing))}; use 'mean'"
-            )
-        if (
-            isinstance(self.stored, StoredScan)
-            and not {"normal_force", "radius", "spin_top"} <= self.stored.table.keys()
-        ):
-            raise InputError("normalise is 'unit', F_n R omega_T, which packings out of files lack; use 'mean'")
-        with np.errstate(over="ignore"):
-            unit = self.numbers("normal_force") * self.numbers("radius") * np.abs(self.numbers("spin_top"))
-        if not ((unit > 0) & (unit < np.inf)).all():
-            raise InputError("normalise is 'unit', F_n R omega_T, but a top has spin 0 or no finite one; use 'mean'")
-        return unit
-
-    def counts(self, bins_per_decade: int, unit: np.ndarray, anchor: float) -> SampleCounts:
-        if isinstance(self.stored, StoredRun):
-            solution = self.stored.solution
-            return count_powers(solution.power_per_contact, solution.state, bins_per_decade, unit, anchor)
-        found = self.stored.histograms
-        first = round(BINS_PER_DECADE * float(np.log10(found.edges[0]))) if len(found.edges) else 0
-        fine = SampleCounts(first, BINS_PER_DECADE, 1.0, found.count, found.slipless, found.undecided)
-        return rebinned(fine.of(self.samples), bins_per_decade, unit, anchor)
+        mean = self.numbers("power") / np.maximum(self.contacts, 1)
+        return np.where(mean > 0, mean, 1.0)  # nothing slips where there is no power
 
 
 def read_source(path: Path) -> Source:
     """A run directory, the directory of a scan, or their HDF5 files; FileError if it is none of them."""
-    if is_scan(path):
-        scan = open_scan(path)
-        reasons = np.full(scan.samples, "", dtype=object)
-        reasons[scan.failed], reasons[scan.missing] = "failed", "not computed yet"
-        return Source(scan, reasons)
-    run = read_run_file(path)
-    return Source(run, np.full(run.solution.scene.replicas, "", dtype=object))
+    return _of_scan(open_scan(path)) if is_scan(path) else _of_run(read_run_file(path))
 
 
-def _scalar_of_run(run: StoredRun, name: str) -> Any:
-    """An attribute or setting of a run: one value, 10x10 for a list, or a list with a value for each replica."""
-    replicas = run.solution.scene.replicas
-    settings = settings_of(run)
-    if name in ("shape", "direction"):
-        return "x".join(map(str, getattr(settings, name)))
-    if name in run.attributes:
-        value = run.attributes[name]
-        listed = np.atleast_1d(value).tolist()
-        return listed if replicas > 1 and len(listed) == replicas else listed[0]
-    if name in RunSettings.keys():
-        value = getattr(settings, name)
-        return "" if value is None else value
-    known = sorted({*run.attributes, *RunSettings.keys()} - {"scene", "command"})
-    raise InputError(f"{run.path} has no {name!r}; it has {', '.join(known)}{meant(name, known)}")
+def _of_scan(scan: StoredScan) -> Source:
+    table, reasons = scan.table, np.full(scan.samples, "", dtype=object)
+    reasons[scan.failed], reasons[scan.missing] = "failed", "not computed yet"
+    own = np.flatnonzero(reasons == "")
+
+    def column(name: str) -> np.ndarray:
+        if name not in table:
+            raise InputError(f"{scan.path} has no column {name!r}; it has {', '.join(table)}{meant(name, table)}")
+        return table[name]
+
+    def disorder() -> list[Any]:
+        document = parse_toml(str(scan.attributes["scan"]))  # what it says of all samples alike
+        alike = RunSettings(**{key: value for key, value in document.items() if key in RunSettings.keys()})
+        return disorder_of({name: values[own] for name, values in table.items()}, alike)
+
+    fine = scan.histograms.of(own)
+    contacts = fine.contacts.sum(axis=1)
+    return Source(scan.path, reasons, column, contacts, partial(rebinned, fine), disorder, is_scan=True)
 
 
-def _settings_of_scan(scan: StoredScan) -> RunSettings:
-    """What a scan says of all samples alike."""
-    document = parse_toml(str(scan.attributes["scan"]))
-    return RunSettings(**{key: value for key, value in document.items() if key in RunSettings.keys()})
+def _of_run(run: StoredRun) -> Source:
+    settings, solution = settings_of(run), run.solution
+    replicas = solution.scene.replicas
+    known = {*run.attributes, *RunSettings.keys()} - {"scene", "command"}
 
+    def column(name: str) -> np.ndarray:
+        """An attribute or setting: of the run, or of each replica."""
+        if name not in known:
+            raise InputError(f"{run.path} has no {name!r}; it has {', '.join(sorted(known))}{meant(name, known)}")
+        if name in ("shape", "direction"):
+            value = "x".join(map(str, getattr(settings, name)))
+        elif name in run.attributes:
+            value = np.atleast_1d(run.attributes[name]).tolist()
+            value = value if replicas > 1 and len(value) == replicas else value[0]
+        elif (value := getattr(settings, name)) is None:
+            value = ""
+        values = value if isinstance(value, list) else [value] * replicas
+        values = [printable(item) if isinstance(item, str) else item for item in values]
+        return np.array(values, dtype=object if any(isinstance(item, str) for item in values) else None)
 
-def _disorders_of_run(run: StoredRun) -> list[Any]:
-    """Names of the disorder of each replica: by its seed, or by its coefficients where they were given."""
-    settings, replicas = settings_of(run), run.solution.scene.replicas
-    table = {"seed": settings.seed + np.arange(replicas), "method": np.full(replicas, run.solution.method)}
-    if run.attributes.get("coefficients"):
-        digests = [hashlib.sha256(values.tobytes()).hexdigest() for values in run.solution.scene.coefficient]
-        table["seed"] = np.array(digests, dtype=object)
-    return disorder_of(table, settings)
+    def disorder() -> list[Any]:
+        """By the seed, or by the coefficients where they were given."""
+        table = {"seed": settings.seed + np.arange(replicas), "method": np.full(replicas, solution.method)}
+        if run.attributes.get("coefficients"):
+            digests = [hashlib.sha256(values.tobytes()).hexdigest() for values in solution.scene.coefficient]
+            table["seed"] = np.array(digests, dtype=object)
+        return disorder_of(table, settings)
+
+    contacts = (solution.state != ContactState.DRIVEN).sum(axis=1)
+    counts = partial(count_powers, solution.power_per_contact, solution.state)
+    return Source(run.path, np.full(replicas, "", dtype=object), column, contacts, counts, disorder, is_scan=False)
 
 
 def pooled(
@@ -178,8 +148,7 @@ def pooled(
     normalise : a key of POWER_UNITS. Powers of a run are binned anew. Those of a scan are known by the bin, 20 a
         decade: `bins_per_decade` must divide 20, and where samples have different units each moves by whole such bins.
     """
-    scans = [source for source in sources if isinstance(source.stored, StoredScan)]
-    if scans and BINS_PER_DECADE % bins_per_decade:
+    if any(source.is_scan for source in sources) and BINS_PER_DECADE % bins_per_decade:
         raise InputError(f"bins_per_decade is {bins_per_decade}; for a scan it must be 1, 2, 4, 5, 10 or 20")
     if not any(len(source.samples) for source in sources):
         census = Census.of(reason for source in sources for reason in source.reasons)
@@ -187,12 +156,7 @@ def pooled(
     laws = sorted({str(law) for source in sources for law in source.column("law")})
     if len(laws) > 1 and by != "law":
         raise InputError(f"the runs have different laws ({', '.join(laws)}); pool runs of one law, or add --by law")
-    units = [source.unit(normalise) for source in sources]
-    inside = [unit for source, unit in zip(sources, units, strict=True) if source in scans and len(unit)]
-    anchor = float(inside[0][0]) if inside and normalise == "unit" else 1.0
-    counts = together(
-        [source.counts(bins_per_decade, unit, anchor) for source, unit in zip(sources, units, strict=True)]
-    )
+    counts = together([source.counts(bins_per_decade, source.unit(normalise)) for source in sources])
     threshold = np.concatenate([source.numbers("slip_threshold") for source in sources])
     disorder = numbered(name for source in sources for name in source.disorder())
     reasons = np.concatenate([source.reasons for source in sources])
@@ -225,7 +189,7 @@ def histogram(
     Raises InputError or FileError before anything is written.
     """
     sources = [read_source(path) for path in each(paths, "reading")]
-    if len({source.stored.path.resolve() for source in sources}) < len(sources):
+    if len({source.path.resolve() for source in sources}) < len(sources):
         raise InputError(f"the runs {', '.join(map(str, paths))} name the same run twice")
     folder = out or default_run_path("histogram")
     table, arrays, figure = (folder / f"power_histogram.{ending}" for ending in ("csv", "h5", "png"))

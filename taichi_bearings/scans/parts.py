@@ -11,6 +11,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from taichi_bearings.errors import InputError
 from taichi_bearings.files.scan_file import FAILED
 from taichi_bearings.files.scan_journal import JOURNAL_NAME, is_sample, read_journal
@@ -44,10 +46,6 @@ class Part:
     def name(self) -> str:
         return f"part-{self.number}-of-{self.of}"
 
-    @property
-    def journal(self) -> str:
-        return f"{self.name}.jsonl"
-
 
 def part_numbers(plan: ScanPlan, of: int) -> dict[str, int]:
     """Which part in `of` parts each sample belongs to, by its key.
@@ -59,12 +57,9 @@ def part_numbers(plan: ScanPlan, of: int) -> dict[str, int]:
     groups = sorted(groups_of(plan.samples), key=lambda group: (-spheres_of(group[0].settings), group[0].key))
     numbers: dict[str, int] = {}
     for group in groups:
-        each, left = divmod(len(group), of)
-        sizes = [each + (turn < left) for turn in range(min(of, len(group)))]
-        first, start = len(numbers), 0
-        for turn, size in enumerate(sizes):
-            numbers.update((sample.key, (first + turn) % of + 1) for sample in group[start : start + size])
-            start += size
+        first = len(numbers)
+        for turn, indices in enumerate(np.array_split(np.arange(len(group)), min(of, len(group)))):
+            numbers.update((group[index].key, (first + turn) % of + 1) for index in indices)
     return numbers
 
 

@@ -3,7 +3,7 @@
 import hashlib
 import itertools
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -118,37 +118,42 @@ def read_plan(path: Path, overrides: Sequence[str] = (), wishes: Mapping[str, An
     wishes : some of WISHES; they win over the file and the overrides.
     Raises InputError in one sentence.
     """
-    document, single, tables = _read(path, overrides)
-    return _plan(path, document | dict(wishes), single, tables)
+    document, axes = _read(path, overrides)
+    return _plan(path, document | dict(wishes), axes)
 
 
-Tables = tuple[dict[str, Any], dict[str, Any], list[dict[str, Any]]]
+Axis = dict[str, Any]  # keys that advance together, with what is given for each
 
 
-def _read(path: Path, overrides: Sequence[str] = ()) -> Tables:
-    """Keys for all samples; those that vary alone; those of each table that advance together."""
+def _read(path: Path, overrides: Sequence[str] = ()) -> tuple[dict[str, Any], list[Axis]]:
+    """Keys for all samples; and the axes of the grid, those of single keys first."""
     refuse_run(path)
     if path.suffix in (".h5", ".hdf5"):
         raise FileError(f"{path} holds results and describes no scan; `bearings scan {path.parent}` goes on with one")
     document = read_toml(path)
     scan = document.pop("scan", {})
-    if not isinstance(scan, Mapping):
+    if not isinstance(scan, dict):
         raise InputError(f"scan in {path} is {scan!r}; it must be a table [scan] of lists and ranges")
-    zipped = scan.get("zip", [])
+    zipped = scan.pop("zip", [])
     if not isinstance(zipped, list) or not all(isinstance(table, Mapping) for table in zipped):
         raise InputError(f"zip in [scan] of {path} must be tables, each headed [[scan.zip]]")
-    single = {key: _located(key, values, path.parent) for key, values in scan.items() if key != "zip"}
-    tables = [{key: _located(key, values, path.parent) for key, values in table.items()} for table in zipped]
+    single, *zipped = (
+        {key: _located(key, given, path.parent) for key, given in table.items()} for table in (scan, *zipped)
+    )
     for text in overrides:
-        _override(text, document, single, tables)
-    return document, single, [table for table in tables if table]
+        key, value = parse_assignment(text, "--set", "key=value or scan.key=list or range")
+        name = key.removeprefix("scan.")
+        for table in (document, single, *zipped):
+            table.pop(name, None)
+        (single if key.startswith("scan.") else document)[name] = value
+    axes = [{key: given} for key, given in single.items()] + [table for table in zipped if table]
+    return document, axes
 
 
 def count_samples(path: Path) -> tuple[int, tuple[str, ...], dict[str, Any]]:
     """How many samples a scan file asks for, over which keys, and the keys that all have alike; no sample is built."""
-    document, single, tables = _read(path)
-    axes = _axes(single, tables)
-    return math.prod(len(values) for _, values in axes), tuple(key for keys, _ in axes for key in keys), document
+    document, axes = _read(path)
+    return math.prod(map(len, _points(axes))), tuple(key for axis in axes for key in axis), document
 
 
 def _located(key: str, values: Any, folder: Path) -> Any:
@@ -158,20 +163,9 @@ def _located(key: str, values: Any, folder: Path) -> Any:
     return [str(folder / v) if isinstance(v, str) and (folder / v).is_file() else v for v in values]
 
 
-def _override(text: str, document: dict[str, Any], single: dict[str, Any], tables: list[dict[str, Any]]) -> None:
-    """Change the scan as ``--set key=value`` says."""
-    key, value = parse_assignment(text, "--set", "key=value or scan.key=list or range")
-    name = key.removeprefix("scan.")
-    document.pop(name, None)
-    for table in (single, *tables):
-        table.pop(name, None)
-    (single if key.startswith("scan.") else document)[name] = value
-
-
-def _plan(path: Path, document: dict[str, Any], single: dict[str, Any], tables: list[dict[str, Any]]) -> ScanPlan:
+def _plan(path: Path, document: dict[str, Any], axes: Sequence[Axis]) -> ScanPlan:
     wishes, table = _wishes_in(document), settings_table()
-    axes = _axes(single, tables)
-    scanned = tuple(key for keys, _ in axes for key in keys)
+    points, scanned = _points(axes), tuple(key for axis in axes for key in axis)
     for key in scanned:
         if key in table and table[key].not_scanned:
             raise InputError(f"{key} cannot be scanned: {table[key].not_scanned}")
@@ -180,25 +174,12 @@ def _plan(path: Path, document: dict[str, Any], single: dict[str, Any], tables: 
     for key in ("replicas", "checkpoint_every"):
         if key in document:
             raise InputError(f"{key} is {document[key]!r} in a scan; leave it out: {table[key].not_scanned}")
-    text = _text(document, single, tables)
+    text = _text(document, axes)
     if len(text) > MOST_SETTINGS_TEXT - 1000:  # which wishes may take
         raise InputError(
             f"{path} takes {len(text):,} bytes written in full, and at most {MOST_SETTINGS_TEXT:,} are read; use ranges"
         )
-    samples = tuple(_samples(path, document, scanned, [values for _, values in axes]))
-    return ScanPlan(scanned, samples, text, wishes)
-
-
-def _axes(
-    single: Mapping[str, Any], tables: Sequence[Mapping[str, Any]]
-) -> list[tuple[tuple[str, ...], list[tuple[Any, ...]]]]:
-    """The keys of each axis of the grid, and their values at its points; not too many in all."""
-    axes: list[tuple[tuple[str, ...], list[tuple[Any, ...]]]] = []
-    number = 1
-    for part in [*({key: given} for key, given in single.items()), *tables]:
-        axes.append(_zip(part, MOST_SAMPLES // number))
-        number *= len(axes[-1][1])
-    return axes
+    return ScanPlan(scanned, tuple(_samples(path, document, scanned, points)), text, wishes)
 
 
 def _samples(
@@ -221,67 +202,57 @@ def _samples(
         yield Sample(key, settings, point)
 
 
-def _zip(table: Mapping[str, Any], most: int) -> tuple[tuple[str, ...], list[tuple[Any, ...]]]:
-    """Keys that advance together, as one axis: their names, and their values at each of its points, `most` of them."""
-    columns = {key: _values(key, given, most) for key, given in table.items()}
-    lengths = {key: len(values) for key, values in columns.items()}
-    if len(set(lengths.values())) > 1:
-        words = ", ".join(f"{key} has {length}" for key, length in lengths.items())
-        raise InputError(f"keys of one [[scan.zip]] need equally many values, but {words}")
-    return tuple(columns), list(zip(*columns.values(), strict=True))
+def _points(axes: Sequence[Axis]) -> list[list[tuple[Any, ...]]]:
+    """The values of the keys of each axis at its points; not too many in all."""
+    points: list[list[tuple[Any, ...]]] = []
+    for axis in axes:
+        most = MOST_SAMPLES // math.prod(map(len, points))
+        columns = {key: _values(key, given, most) for key, given in axis.items()}
+        if len(set(map(len, columns.values()))) > 1:
+            words = ", ".join(f"{key} has {len(values)}" for key, values in columns.items())
+            raise InputError(f"keys of one [[scan.zip]] need equally many values, but {words}")
+        points.append(list(zip(*columns.values(), strict=True)))
+    return points
 
 
 def _values(key: str, given: Any, most: int) -> list[Any]:
-    """The values of one scanned key."""
-    values = _range(key, given, most) if isinstance(given, Mapping) else given
-    if isinstance(values, list) and len(values) > most:
-        raise _too_many(key, len(values))
-    if not isinstance(values, list) or not values:
+    """The values of one scanned key; no list of more than `most` is made."""
+    if isinstance(given, Mapping):
+        count, value = _range(key, given)
+    elif isinstance(given, list) and given:
+        count, value = len(given), given.__getitem__
+    else:
         raise InputError(f"{key} in [scan] is {given!r}; it must be a list with at least one value, or {RANGES}")
-    return values
+    if count > most:
+        raise InputError(
+            f"{key} in [scan] has {count:,} values and the scan too many samples; at most {MOST_SAMPLES:,} are allowed"
+        )
+    return [value(number) for number in range(int(count))]
 
 
-def _range(key: str, table: Mapping[str, Any], most: int) -> list[Any]:
-    """A range written as a table. Whole numbers stay whole. No list of more than `most` is made."""
-    form = {"start", "stop", "number", "spacing"} if "number" in table else {"start", "stop", "step"}
-    bad = InputError(f"{key} in [scan] is {toml_value(table)}; a range is {RANGES}")
-    if not {"start", "stop"} <= set(table) <= form:
-        raise bad
-    start, stop, step = table["start"], table["stop"], table.get("step", 1)
-    if any(isinstance(v, bool) or not isinstance(v, (int, float)) or not math.isfinite(v) for v in (start, stop, step)):
-        raise bad
-    if "number" in table:
-        return _spaced(key, table, bad, most)
+def _range(key: str, table: Mapping[str, Any]) -> tuple[float, Callable[[int], Any]]:
+    """How many values a range has, and each by its number from 0. Whole numbers stay whole."""
+    get: Any = table.get
+    is_spaced = "number" in table
+    form = {"start", "stop", "number", "spacing"} if is_spaced else {"start", "stop", "step"}
+    start, stop, step = get("start"), get("stop"), get("step", 1)
+    number, spacing = get("number", 2), get("spacing", "linear")
+    if (
+        not {"start", "stop"} <= set(table) <= form
+        or any(type(v) not in (int, float) or not math.isfinite(v) for v in (start, stop, step))
+        or (type(number) is not int or number < 2 or spacing not in ("linear", "log"))
+        or (is_spaced and (start == stop or (spacing == "log" and min(start, stop) <= 0)))
+    ):
+        raise InputError(f"{key} in [scan] is {toml_value(table)}; a range is {RANGES}")
+    if is_spaced:  # in themselves or in their logarithm, both ends as they are given
+        inner = {"linear": lambda share: start + (stop - start) * share, "log": lambda s: start * (stop / start) ** s}
+        ends = {0: start, number - 1: stop}
+        return number, lambda i: ends[i] if i in ends else inner[spacing](i / (number - 1))
     steps = (stop - start) / step if step else 0.0
     count = math.ceil(steps - 1e-9) if abs(steps) < math.inf else math.inf
     if count < 1 or not steps > 0:
         raise InputError(f"{key} in [scan] is {toml_value(table)}, which is empty; stop is excluded")
-    if count > most:
-        raise _too_many(key, count)
-    return [start + i * step for i in range(int(count))]
-
-
-def _spaced(key: str, table: Mapping[str, Any], bad: InputError, most: int) -> list[Any]:
-    """``number`` values from start to stop, both included, evenly spaced in themselves or in their logarithm."""
-    start, stop, number, spacing = table["start"], table["stop"], table["number"], table.get("spacing", "linear")
-    if isinstance(number, bool) or not isinstance(number, int) or number < 2:
-        raise bad
-    if number > most:
-        raise _too_many(key, number)
-    if spacing not in ("linear", "log") or (spacing == "log" and min(start, stop) <= 0) or start == stop:
-        raise bad
-    shares = [i / (number - 1) for i in range(number)]
-    if spacing == "linear":
-        between = [start + (stop - start) * share for share in shares]
-    else:
-        between = [start * (stop / start) ** share for share in shares]
-    return [start, *between[1:-1], stop]
-
-
-def _too_many(key: str, count: float) -> InputError:
-    return InputError(
-        f"{key} in [scan] has {count:,} values and the scan too many samples; at most {MOST_SAMPLES:,} are allowed"
-    )
+    return count, lambda i: start + i * step
 
 
 def sample_key(settings: RunSettings) -> str:
@@ -333,11 +304,12 @@ def _spheres(name: str, _: str) -> int:
     return len(Packing.read(name)["center"])
 
 
-def _text(document: Mapping[str, Any], single: Mapping[str, Any], tables: Sequence[Mapping[str, Any]]) -> str:
+def _text(document: Mapping[str, Any], axes: Sequence[Axis]) -> str:
     """The scan as TOML, with what --set has changed."""
     lines = [f"{key} = {toml_value(value)}" for key, value in document.items()]
-    if single:
-        lines += ["[scan]", *(f"{key} = {toml_value(value)}" for key, value in single.items())]
-    for table in tables:
-        lines += ["[[scan.zip]]", *(f"{key} = {toml_value(value)}" for key, value in table.items())]
+    is_zipped = False
+    for number, axis in enumerate(axes):
+        is_zipped |= len(axis) > 1
+        lines += ["[[scan.zip]]"] if is_zipped else ["[scan]"] if number == 0 else []
+        lines += [f"{key} = {toml_value(value)}" for key, value in axis.items()]
     return "\n".join(lines) + "\n"

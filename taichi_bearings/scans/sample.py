@@ -90,54 +90,50 @@ def _solve_block(block: Sequence[Sample], analyse: bool, states: Path | None) ->
     files = [file for name in NAMED_FILES if (file := getattr(first, name)) not in (None, *STARTS)]
     if files and sample_key(first) != block[0].key:
         raise InputError(f"{' or '.join(files)} has changed since the scan began; the same scan again would do it anew")
-    if first.is_packing:
-        return [_packing_record(sample, analyse, states) for sample in block]
-    settings = replace(first, replicas=len(block), threads=first.threads or 1)
-    job = prepare(settings, strict=False)
-    solution = solve_job(job)
-    if solution.interrupted:
-        raise Interrupted
-    found = [Run(sample.settings, solution.sample(number)) for number, sample in enumerate(block)]
-    if states is not None:
-        make_folder(states)
-        for sample, run in zip(block, found, strict=True):
+    runs = _solved(block)
+    for sample, run in zip(block, runs, strict=True):
+        if states is not None:
+            make_folder(states)
             path = state_path(states, sample.key)
-            write_state(path, replace(run, path=path, command="bearings scan"), sample.settings)
-    return [_record(sample, run, analyse) for sample, run in zip(block, found, strict=True)]
+            stored = run.self_contained(states, path.name) if first.is_packing else sample.settings
+            write_state(path, replace(run, path=path, command="bearings scan"), stored)
+    return [_record(sample.key, run, analyse) for sample, run in zip(block, runs, strict=True)]
 
 
-def _packing_record(sample: Sample, analyse: bool, states: Path | None) -> dict[str, Any]:
-    from taichi_bearings.scans.packings import scalars_of, solve_packing_sample
+def _solved(block: Sequence[Sample]) -> list[Any]:
+    """A Run of each sample, or the PackingRun of one."""
+    first, runs = block[0].settings, list[Any]()
+    settings = replace(first, replicas=len(block), threads=first.threads or 1)
+    if settings.is_packing:
+        from taichi_bearings.scans.packings import solve_packing_sample
 
-    run = solve_packing_sample(replace(sample.settings, threads=sample.settings.threads or 1))
-    if run.interrupted:
+        packing_run = solve_packing_sample(settings)
+        runs, interrupted = [packing_run], packing_run.interrupted
+    else:
+        solution = solve_job(prepare(settings, strict=False))
+        runs = [Run(sample.settings, solution.sample(number)) for number, sample in enumerate(block)]
+        interrupted = solution.interrupted
+    if interrupted:
         raise Interrupted
-    if states is not None:
-        make_folder(states)
-        path = state_path(states, sample.key)
-        stored = run.self_contained(states, path.name)
-        write_state(path, replace(run, path=path, command="bearings scan"), stored)
-    return _with_bins(sample, scalars_of(run, analyse), run.result.power_per_contact, run.result.state)
+    return runs
 
 
-def _record(sample: Sample, run: Run, analyse: bool) -> dict[str, Any]:
-    solution = run.solution
-    scalars = summarise(run) | {"slip_threshold": solution.slip_threshold}
-    if analyse:
-        from taichi_bearings.analysis.structure import structure_of
-        from taichi_bearings.runs.structure_report import numbers_of
+def _record(key: str, run: Any, analyse: bool) -> dict[str, Any]:
+    if run.settings.is_packing:
+        from taichi_bearings.scans.packings import scalars_of
 
-        scalars |= numbers_of(structure_of(solution))
-    return _with_bins(sample, scalars, solution.power_per_contact, solution.state)
+        answer, scalars = run.result, scalars_of(run, analyse)
+    else:
+        answer, scalars = run.solution, summarise(run) | {"slip_threshold": run.solution.slip_threshold}
+        if analyse:
+            from taichi_bearings.analysis.structure import structure_of
+            from taichi_bearings.runs.structure_report import numbers_of
 
-
-def _with_bins(sample: Sample, scalars: Mapping[str, Any], power: np.ndarray, state: np.ndarray) -> dict[str, Any]:
-    bins, count = np.unique(bin_of(power[(state == ContactState.SLIPPING) & (power > 0)]), return_counts=True)
-    return {
-        "key": sample.key,
-        "scalars": _scalars(scalars),
-        "bins": {str(number): int(many) for number, many in zip(bins, count, strict=True)},
-    }
+            scalars |= numbers_of(structure_of(answer))
+    power = answer.power_per_contact
+    bins, count = np.unique(bin_of(power[(answer.state == ContactState.SLIPPING) & (power > 0)]), return_counts=True)
+    found = {str(number): int(many) for number, many in zip(bins, count, strict=True)}
+    return {"key": key, "scalars": _scalars(scalars), "bins": found}
 
 
 def _scalars(numbers: Mapping[str, Any]) -> dict[str, Any]:

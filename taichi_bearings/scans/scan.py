@@ -3,7 +3,6 @@
 import logging
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
@@ -53,20 +52,11 @@ class ScanProgress:
     running: list[Sample] = field(default_factory=list)
     seconds: float = 0.0
     seconds_left: float | None = None
-    _recent: deque[tuple[float, int]] = field(default_factory=lambda: deque(maxlen=400))
-
-    def note(self, seconds: float) -> None:
-        """Remember when how many were done, for the rate."""
-        self.seconds = seconds
-        self._recent.append((seconds, self.done + self.failed))
 
     @property
     def rate(self) -> float:
-        """Samples a second of late."""
-        if len(self._recent) < 2:
-            return 0.0
-        (first, before), (last, now) = self._recent[0], self._recent[-1]
-        return (now - before) / max(last - first, 1e-9)
+        """Samples a second of this call."""
+        return (self.done + self.failed - self.before) / max(self.seconds, 1e-9)
 
 
 Monitor = Callable[[ScanProgress], None]
@@ -252,7 +242,7 @@ class _Course:
     ) -> None:
         self.began = self.written = time.monotonic()
         self.plan, self.folder, self.monitor = parts.part_of(plan, part), folder, monitor
-        self.journal = folder / (JOURNAL if part is None else part.journal)
+        self.journal = folder / (JOURNAL if part is None else f"{part.name}.jsonl")
         self.files = [folder / name for name in ("scan.h5", "scan.csv")] if part is None else []  # else by the merge
         self.others = (parts.journal_bytes(folder) or 0) - self._own_bytes()
         missing, self.records = missing_samples(plan, folder, part)
@@ -301,7 +291,7 @@ class _Course:
             else:
                 self.progress.done += 1
                 self.open.discard(sample.key)
-        self.progress.note(time.monotonic() - self.began)
+        self.progress.seconds = time.monotonic() - self.began
 
     def _look(self, work: cost.WorkLeft, engine: Engine) -> None:
         """Tell where the scan stands, and write its files now and then."""

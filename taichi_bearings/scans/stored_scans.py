@@ -2,16 +2,17 @@
 killed or complete. Commands read scans in no other way."""
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from taichi_bearings.analysis.histogram import SampleCounts
 from taichi_bearings.errors import BearingsError, FileError
 from taichi_bearings.files.scan_file import (
+    CONTACT_SETS,
     MISSING,
     SCAN_SCHEMA,
     Column,
-    SampleHistograms,
     StoredScan,
     column,
     dense_histograms,
@@ -75,7 +76,8 @@ def open_scan(path: Path) -> StoredScan:
         logging.getLogger(__name__).warning("bearings: %s %s, which cannot be used: %s", file, why, error)
         return stored
     attributes = attributes_of(plan, journals)
-    return StoredScan.of_columns(file, columns_of(plan, records), histograms_of(plan, records), attributes)
+    table = {item.name: item.values for item in columns_of(plan, records)}
+    return StoredScan(file, attributes, plan.scanned, table, histograms_of(plan, records))
 
 
 def _is_of(stored: StoredScan, scan: Path, journals: int) -> bool:
@@ -144,9 +146,8 @@ def _scalars(sample: Sample, record: Mapping[str, Any]) -> dict[str, Any]:
     return found | {name: written(getattr(settings, name)) for name in OF_SETTINGS if name in known}
 
 
-def histograms_of(plan: ScanPlan, records: Mapping[str, Mapping[str, Any]]) -> SampleHistograms:
+def histograms_of(plan: ScanPlan, records: Mapping[str, Mapping[str, Any]]) -> SampleCounts:
     """Distributions of power, one row a sample as in :func:`columns_of`."""
     chosen = [records[sample.key] for sample in plan.samples if sample.key in records]
     bins = [{int(number): many for number, many in record["bins"].items()} for record in chosen]
-    names: Sequence[str] = ("slipping", "slipless", "undecided")
-    return dense_histograms(bins, {name: [r["scalars"].get(name) or 0 for r in chosen] for name in names})
+    return dense_histograms(bins, {name: [r["scalars"].get(name) or 0 for r in chosen] for name in CONTACT_SETS})

@@ -153,6 +153,9 @@ def test_its_structure_is_that_of_the_same_lattice(seed, tmp_path):
     shares = [[link["share"] for link in of["most_loaded"]] for of in (report, expected)]
     assert shares[0] == pytest.approx(shares[1])
     assert report["spanning_fraction"] == pytest.approx(expected["spanning_fraction"])
+    told = bearings("analyse", tmp_path / "run", "--no-figures").stdout
+    assert told.startswith("216 spheres, coulomb")
+    assert f"slipless contacts join bottom and top: {'yes' if expected['spans'] else 'no'}" in told
     with h5py.File(tmp_path / "run" / "run.h5") as file:
         assert np.array_equal(file["analysis/on_cut"], tb.analyse(found).interface.contacts)
         assert file["analysis/betweenness"][:].max() == pytest.approx(report["busiest_link_share"] or 0)

@@ -71,10 +71,7 @@ def test_the_line_of_a_scan_fits_its_terminal(tmp_path, columns):
 
 
 def test_a_time_left_that_is_not_known_is_not_shown():
-    progress = ScanProgress(50, 0)
-    for seconds, done in ((9.5, 1), (12.1, 4)):
-        progress.done = done
-        progress.note(seconds)
+    progress = ScanProgress(50, before=1, done=4, seconds=2.6)
     assert describe_scan(progress) == "4 of 50 samples  1.15/s"
     progress.seconds_left = 40.2
     assert describe_scan(progress) == "4 of 50 samples  1.15/s  40 s left"

@@ -14,17 +14,9 @@ import pytest
 import taichi_bearings as tb
 from tests.cli.commands import bearings
 
-SCENE = ("--shape", "3,3,4", "--method", "cundall-strack", "--initial", "random", "--threads", "1")
-COURSE = (
-    "--duration",
-    "30",
-    "--record",
-    "linear:0,30,31",
-    "--snapshots",
-    "0,1,30",
-    "--checkpoint-every",
-    "0.001",
-)  # one a row
+DRAWN = ("--shape", "3,3,4", "--method", "cundall-strack", "--initial", "random", "--threads", "1")
+SCENE = (*DRAWN, "--figures", "none")
+COURSE = ("--duration", "20", "--record", "linear:0,20,31", "--snapshots", "0,1,20", "--checkpoint-every", "0.001")
 
 
 def arrays_of(run):
@@ -116,7 +108,7 @@ def test_steps_that_end_a_run_late_leave_it_resumable_as_it_is(tmp_path):
 
 
 def test_what_was_drawn_of_the_answer_before_goes_and_nothing_else(tmp_path):
-    stopped = (*SCENE, "--duration", "1", "--checkpoint-every", "100", "--out", tmp_path / "run")
+    stopped = (*DRAWN, "--duration", "1", "--checkpoint-every", "100", "--out", tmp_path / "run")
     assert bearings("run", *stopped).returncode == 0
     written = {file.name for file in (tmp_path / "run").iterdir()}
     resume = ("run", "--resume", tmp_path / "run", "--duration")
@@ -176,7 +168,7 @@ def test_coefficients_and_spins_from_files_are_kept_for_the_resumed_run(tmp_path
     source = bearings("run", *SCENE, "--iterations", "500", "--out", tmp_path / "source")
     assert source.returncode == 1
     files = ("--coefficients", tmp_path / "source/run.h5", "--initial", tmp_path / "source/run.h5")
-    common = ("--shape", "3,3,4", "--method", "cundall-strack", *files, "--duration", "0.5")
+    common = ("--shape", "3,3,4", "--method", "cundall-strack", "--figures", "none", *files, "--duration", "0.5")
     assert bearings("run", *common, "--out", tmp_path / "a").returncode == 0
     assert bearings(
         "run", *common, "--iterations", "700", "--checkpoint-every", "9", "--out", tmp_path / "b"

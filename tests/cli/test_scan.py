@@ -12,10 +12,11 @@ import time
 
 import numpy as np
 import pytest
+from taichi_bearings_cli.progress import ScanDisplay
 
 from taichi_bearings.files.scan_journal import read_journal
 from taichi_bearings.scans.plan import read_plan
-from taichi_bearings.scans.scan import scan
+from taichi_bearings.scans.scan import ScanProgress, scan
 from tests.cli.commands import bearings
 from tests.scans.scan_faults import Here, asking
 from tests.scans.test_scan import assert_same_but_for_the_clock
@@ -118,7 +119,7 @@ def test_kills_lose_nothing_and_double_nothing(scan_file, tmp_path):
     """Killed at random moments, workers left alone or killed too; then done once more: as if nothing had happened."""
     file, folder, draw = scan_file(SLOW), tmp_path / "s", random.Random(3)
     for _ in range(2):
-        process = subprocess.Popen([*COMMAND, file, "--out", folder, "--workers", "2"], stderr=subprocess.DEVNULL,
+        process = subprocess.Popen([*COMMAND, file, "--out", folder, "--workers", "1"], stderr=subprocess.DEVNULL,
                                    stdout=subprocess.DEVNULL, start_new_session=True)  # fmt: skip
         before = journalled(folder)
         if draw.random() < 0.7:  # else at the start, before any sample
@@ -188,16 +189,21 @@ def test_a_full_disk_is_told_and_loses_nothing(scan_file, tmp_path):
     assert len(read_journal(folder / "samples.jsonl")) == kept > 0
 
 
-def test_progress_is_quiet_in_a_pipe_and_a_line_now_and_then_in_a_log(scan_file, tmp_path):
-    file = scan_file(SLOW)
-    began = time.monotonic()
-    with (tmp_path / "log").open("w") as log:
-        words = [*COMMAND, file, "--out", tmp_path / "s", "--heartbeat", "0.3"]
-        assert subprocess.run(words, stdout=subprocess.DEVNULL, stderr=log).returncode == 0
+def test_progress_is_quiet_in_a_pipe_and_a_line_now_and_then_in_a_log(tmp_path, monkeypatch):
+    looks = [ScanProgress(500, 0, done=done, seconds=done / 50) for done in range(0, 500, 50)]
+    reader, writer = os.pipe()
+    for stream in (os.fdopen(writer, "w"), (tmp_path / "log").open("w")):
+        with stream, monkeypatch.context() as patch:
+            patch.setattr(sys, "stderr", stream)
+            display = ScanDisplay()
+            began = display.told
+            for number, look in enumerate(looks):
+                patch.setattr(time, "monotonic", lambda now=began + 10 * number: now)
+                display(look)
+    assert os.read(reader, 1) == b""
+    os.close(reader)
     lines = (tmp_path / "log").read_text().splitlines()
-    assert 2 <= len(lines) <= 2 + (time.monotonic() - began) / 0.3
-    assert all(" of 500 samples" in line for line in lines)
-    assert any("/s " in line for line in lines)
+    assert [line.split("  ")[1:] for line in lines] == [[f"{n} of 500 samples", "50/s"] for n in (150, 300, 450)]
 
 
 def test_samples_without_the_analysis_of_the_others_are_told(tmp_path):

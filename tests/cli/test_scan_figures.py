@@ -30,7 +30,7 @@ def test_a_histogram_of_a_scan_by_a_parameter(scan, tmp_path):
 def test_a_figure_of_a_scan(scan, tmp_path):
     done = bearings(
         "plot", "scan", scan.path, "--y", "power", "--x", "spin_bottom", "--by", "law",
-        "--where", "spin_top=1", "--bars", "bootstrap", "--log", "y", "--out", tmp_path / "f.svg",
+        "--where", "spin_top=1", "--log", "y", "--out", tmp_path / "f.svg",
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines() == ["all 24 samples", str(tmp_path / "f.svg"), str(tmp_path / "f.csv")]

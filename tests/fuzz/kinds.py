@@ -98,7 +98,7 @@ def options(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
             "--set",
             f"{draw.choice(['', 'scan.'])}{draw.choice(KEYS)}={draw.choice(WORDS)}",
         ]
-        words += [draw.choice(["--part", "--sample-timeout", "--workers", "--out", "--heartbeat"]), draw.choice(WORDS)]
+        words += [draw.choice(["--part", "--sample-timeout", "--workers", "--out"]), draw.choice(WORDS)]
     with unsolved():
         return answer_to(*words)
 
@@ -126,7 +126,7 @@ def other_options(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
     )
     given = {
         "histogram": ["--bins-per-decade", "--normalise"],
-        "plot": ["--by", "--where", "--bars", "--log"],
+        "plot": ["--by", "--where", "--log"],
     }
     if words[0] in given and draw.random() < 0.7:
         words += [
@@ -281,7 +281,7 @@ def _as_scan(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
                 folder,
                 "--out",
                 folder / "out",
-                *draw.choice([[], ["--by", "seed"], ["--normalise", "unit"], ["--normalise", "mean"]]),
+                *draw.choice([[], ["--by", "seed"], ["--normalise", "mean"]]),
             )
         return answer_to(
             "plot",
@@ -291,7 +291,7 @@ def _as_scan(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
             draw.choice(["power", "gap", "power/slipping"]),
             "--x",
             draw.choice(["seed", "spin_bottom", "L"]),
-            *draw.choice([[], ["--by", "spin_bottom"], ["--bars", "quartiles"]]),
+            *draw.choice([[], ["--by", "spin_bottom"]]),
         )
 
 

@@ -51,12 +51,6 @@ def test_overlays_part_the_samples_and_share_their_bins(scan):
         pooled([read_source(scan.path)], by="colour")
 
 
-def test_power_is_counted_in_the_power_of_the_drive(scan):
-    raw, unit = (pooled([read_source(scan.path)], normalise=name)[None] for name in ("none", "unit"))
-    assert (raw.count == unit.count).all()
-    assert unit.edges == pytest.approx(raw.edges / 25)
-
-
 def test_power_is_counted_in_the_mean_of_each_sample(scan):
     found = pooled([read_source(scan.path)], 20, "mean")[None]
     own = [
@@ -82,8 +76,8 @@ def test_runs_and_scans_pool_together(scan, block):
     assert list(pooled([one], by="initial")) == ["linear"]
     power, state = stored.power_per_contact, stored.state
     values = power[state == 1]
-    unit = pooled([one], 3, "unit")[None]
-    assert (unit.count == np.histogram(values / 25, unit.edges)[0]).all()
+    raw = pooled([one], 3)[None]
+    assert (raw.count == np.histogram(values, raw.edges)[0]).all()
     mean = pooled([one], 3, "mean")[None]
     own = [power[r, state[r] == 1] / (stored.power[r] / (state[r] != 3).sum()) for r in range(3)]
     assert (mean.count == np.histogram(np.concatenate(own), mean.edges)[0]).all()
@@ -103,14 +97,10 @@ def test_given_coefficients_are_one_disorder_where_all_of_them_are_the_same(tmp_
     assert first == same != other
 
 
-def test_units_that_make_no_sense_are_refused(tmp_path):
+def test_laws_are_pooled_apart(tmp_path):
     viscous = read_source(stored_scan(tmp_path / "v", sides=(4,), seeds=2, law="viscous").path)
-    with pytest.raises(InputError, match="viscous"):
-        pooled([viscous], normalise="unit")
     assert pooled([viscous], normalise="mean")[None].slipping
     still = read_source(stored_scan(tmp_path / "s", sides=(4,), seeds=2, bottoms=(0.1,), tops=(0.0, 1.0)).path)
-    with pytest.raises(InputError, match="spin 0"):
-        pooled([still], normalise="unit")
     with pytest.raises(InputError, match="different laws"):
         pooled([viscous, still])
     assert list(pooled([viscous, still], by="law")) == ["coulomb", "viscous"]

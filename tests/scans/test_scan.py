@@ -42,7 +42,7 @@ def assert_same_but_for_the_clock(a, b):
         x, y = first.table[name], second.table[name]
         assert x.dtype == y.dtype
         assert np.array_equal(x, y, equal_nan=x.dtype == np.float64), name
-    for name in ("edges", "count", "slipping", "slipless", "undecided"):
+    for name in ("edges", "count", "contacts"):
         assert np.array_equal(getattr(first.histograms, name), getattr(second.histograms, name)), name
     assert stripped(first.attributes["scan"]) == stripped(second.attributes["scan"])
     assert len(set(first.table["sample"])) == first.samples
@@ -79,7 +79,7 @@ def test_a_sample_is_what_run_makes_of_it_to_the_last_bit(plan_of, tmp_path, nee
         first = round(20 * np.log10(edges[0]))
         expected = np.bincount(bin_of(power[(state == 1) & (power > 0)]) - first, minlength=len(edges) - 1)
         assert np.array_equal(stored.histograms.count[row], expected)
-        assert stored.histograms.slipping[row] == (state == 1).sum()
+        assert stored.histograms.contacts[row].tolist() == [(state == code).sum() for code in range(3)]
 
 
 @pytest.mark.parametrize("shape", [(6, 7), (5, 4, 5)])
@@ -106,7 +106,8 @@ def test_structure_and_states_are_kept_on_demand(plan_of, tmp_path, caplog):
     plan = plan_of("shape = [4, 4, 4]\n[scan]\nseed = [1, 2, 3]\n")
     scan(plan, tmp_path / "scan", engine=Here())
     assert "spans" not in read_scan(tmp_path / "scan").table
-    report = scan(asking(plan, analyse=True, keep_states=True), tmp_path / "scan")
+    states = tmp_path / "scan" / "states"
+    report = scan(asking(plan, analyse=True, keep_states=True), tmp_path / "scan", engine=Here(True, states))
     assert report["solved_now"] == 3
     stored = read_scan(tmp_path / "scan")
     for row, sample in enumerate(plan.samples):
@@ -133,7 +134,7 @@ def test_structure_and_states_are_kept_on_demand(plan_of, tmp_path, caplog):
     ):
         caplog.clear()
         damaged.write_bytes(content)
-        assert scan(plan, tmp_path / "scan", engine=Here(True, tmp_path / "scan" / "states"))["solved_now"] == 1
+        assert scan(plan, tmp_path / "scan", engine=Here(True, states))["solved_now"] == 1
         assert f"a kept state counts as missing: {damaged} " in caplog.text
         read_run_file(damaged)
     assert scan(plan, tmp_path / "scan")["solved_now"] == 0
@@ -170,7 +171,7 @@ def test_bad_wishes_are_named(plan_of, line):
 def test_a_sample_that_fails_when_it_is_brought_up_keeps_its_result(plan_of, tmp_path, caplog):
     plan, folder = plan_of("shape = [5, 5]\n[scan]\nseed = [2]\n"), tmp_path / "scan"
     scan(plan, folder, engine=Here())
-    report = scan(asking(plan, analyse=True), folder, engine=LocalEngine(scan_faults.lack_memory, 1))
+    report = scan(asking(plan, analyse=True), folder, engine=scan_faults.NoRoom())
     assert (report["done"], report["failed"], report["lacking"]) == (1, 0, 1)
     assert caplog.text.count("failed: MemoryError: no room") == 1
     assert np.isfinite(read_scan(folder).table["power"]).all()

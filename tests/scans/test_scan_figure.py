@@ -46,9 +46,10 @@ def test_a_point_is_the_mean_of_its_samples_and_failed_ones_are_missing(scan):
 def test_bars_are_what_was_asked_for(scan):
     values = power(scan, "8x8", 0.1)
     only = {"where": ("spin_bottom=0.1", "shape=8x8")}
-    (point,) = points(scan, "power", "L", bars="bootstrap", **only)
-    assert point.plot[1] == pytest.approx(values.mean())
-    assert values.min() < point.plot[2] < point.plot[1] < point.plot[3] < values.max()
+    (point,) = points(scan, "power", "L", **only)
+    low, mean, high = (point.statistics[name] for name in ("low", "mean", "high"))  # of the interval
+    assert mean == pytest.approx(values.mean())
+    assert values.min() < low < point.plot[2] < mean < point.plot[3] < high < values.max()
     (point,) = points(scan, "power/power_minimum_cut", "L", **only)
     assert point.plot == pytest.approx((8, 0.8, 0.8, 0.8))
     (alone,) = points(scan, "power", "L", where=("seed=4", *only["where"]))
@@ -58,8 +59,8 @@ def test_bars_are_what_was_asked_for(scan):
 
 def test_two_samples_have_no_bar(tmp_path):
     two, three = (stored_scan(tmp_path / str(n), sides=(4,), bottoms=(0.0,), seeds=n) for n in (2, 3))
-    for bars in ("standard-error", "bootstrap"):
-        ends = [points(known, "power", "L", bars=bars)[0].plot[2:] for known in (two, three)]
+    for y in ("power", "power/power_minimum_cut"):
+        ends = [points(known, y, "L")[0].plot[2:] for known in (two, three)]
         assert np.isnan(ends).tolist() == [[True, True], [False, False]]
 
 
@@ -100,7 +101,6 @@ def test_figure_and_table_hold_the_same_points(scan, tmp_path):
         (("power", "L"), {"by": ("colour",)}, "no column 'colour'"),
         (("law", "L"), {}, "texts"),
         (("power/slipping/slipless", "L"), {}, "one over another"),
-        (("power/slipping", "L"), {"bars": "standard-error"}, "bootstrap"),
         (("power", "L"), {"where": ("spin_bottom",)}, "KEY=VALUE"),
         (("power", "L"), {"where": ("spin_bottom=x",)}, "has numbers"),
         (("power", "L"), {"where": ("spin_bottom=0.5",)}, r"one of 0.0, 0.1"),

@@ -10,11 +10,10 @@ import pytest
 
 from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.files.scan_file import read_scan
-from taichi_bearings.scans.engine import LocalEngine
 from taichi_bearings.scans.parts import Part, part_numbers, part_of
 from taichi_bearings.scans.scan import merge, scan
 from tests.cli.commands import bearings
-from tests.scans.scan_faults import Here, die
+from tests.scans.scan_faults import Here, NoRoom
 from tests.scans.test_scan import MIXED, assert_same_but_for_the_clock
 
 
@@ -78,7 +77,7 @@ def test_the_scan_itself_does_what_parts_have_left(plan_of, tmp_path, caplog):
 
 def test_a_result_stands_before_a_failure_in_another_journal(plan_of, tmp_path):
     plan = plan_of("shape = [5, 5]\n[scan]\nseed = [1, 2]\n")
-    assert scan(plan, tmp_path / "scan", part=Part(1, 1), engine=LocalEngine(die, 1))["failed"] == 2
+    assert scan(plan, tmp_path / "scan", part=Part(1, 1), engine=NoRoom())["failed"] == 2
     assert [part["missing"] for part in merge(plan, tmp_path / "scan")["incomplete_parts"]] == [2]
     assert scan(plan, tmp_path / "scan", engine=Here())["solved_now"] == 2
     report = merge(plan, tmp_path / "scan")

@@ -122,6 +122,7 @@ BAD = {
     "twice in zips": ("[scan]\nseed = [1]\n[[scan.zip]]\nseed = [1]\n", "more than once"),
     "unequal zip": ("[[scan.zip]]\nseed = [1, 2]\nmass = [1.0]\n", "seed has 2, mass has 1"),
     "zip of lists": ("[scan]\nzip = [1]\n", "[[scan.zip]]"),
+    "zip in a zip": ("[[scan.zip]]\nseed = [1]\nzip = [2]\n", "'zip'"),
     "scan of lists": ("scan = [1]\n", "must be a table"),
     "equal samples": ("[scan]\nseed = [1, 2, 1]\n", "the same"),
     "replicas": ("replicas = 4\n", "give seed a range"),
