@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 import click
-from taichi_bearings_cli.options import answer, json_option, out_options, run_argument
+from taichi_bearings_cli.options import answer, json_option, out_options, run_argument, title_option
 from taichi_bearings_cli.progress import Display
 
 REPORTED = ("power", "slipless", "slipping", "undecided", "critical", "tied_contacts", "minimum_is_unique")
@@ -19,10 +19,18 @@ REPORTED = ("power", "slipless", "slipping", "undecided", "critical", "tied_cont
 )  # fmt: skip
 @click.option("--replica", type=click.IntRange(0), default=0, help="Which replica of a block of seeds is drawn.")
 @click.option("--figures/--no-figures", default=True, help="Draw the figures. [default: on]")
+@title_option
 @out_options("Folder for analysis.h5 and figures. [default: into the run]", force="Replace existing files in --out.")
 @json_option
 def command(
-    run: Path, threshold: float | None, replica: int, figures: bool, out: Path | None, force: bool, as_json: bool
+    run: Path,
+    threshold: float | None,
+    replica: int,
+    figures: bool,
+    title: bool,
+    out: Path | None,
+    force: bool,
+    as_json: bool,
 ) -> None:
     """Structure of RUN, a run directory or its run.h5: what slips, what does not, and how that hangs together.
 
@@ -43,7 +51,7 @@ def command(
     from taichi_bearings.runs.analysis import analyse
 
     with Display() as display:
-        report = analyse(run, out, force, replica, threshold, figures)
+        report = analyse(run, out, force, replica, threshold, figures, title)
     told = _describe_packing if report["shape"] is None else describe
     answer(report, as_json, lambda: told(report, display.times()))
 

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import click
-from taichi_bearings_cli.options import FILE_PATH, Choice, answer, json_option, out_options
+from taichi_bearings_cli.options import FILE_PATH, Choice, answer, json_option, out_options, title_option
 from taichi_bearings_cli.progress import Display
 
 
@@ -20,6 +20,7 @@ from taichi_bearings_cli.progress import Display
 @click.option(
     "--by", metavar="KEY", default=None, help="Overlay the histograms of each value of this column or setting."
 )
+@title_option
 @out_options("Folder for the files. [default: outputs/<time>-histogram-<id>]")
 @json_option
 def command(
@@ -27,6 +28,7 @@ def command(
     bins_per_decade: int,
     normalise: str,
     by: str | None,
+    title: bool,
     out: Path | None,
     force: bool,
     as_json: bool,
@@ -44,7 +46,7 @@ def command(
     from taichi_bearings.scans.histogram import histogram
 
     with Display():
-        report = histogram(runs, out, force, bins_per_decade, normalise, by)
+        report = histogram(runs, out, force, bins_per_decade, normalise, by, title)
     lines = []
     for part in report.get("groups", [report]):
         name = f"{by} {part[by]}: " if by else ""

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection, PatchCollection
-from matplotlib.colors import Normalize
+from matplotlib.colors import LogNorm, Normalize
 from matplotlib.patches import Circle, Rectangle
 
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.plots.page import AXES, BELOW, VIEW, View
-from taichi_bearings.plots.style import GREEN
+from taichi_bearings.plots.style import GREEN, label_in_plain_text
 from taichi_bearings.plots.symbols import larger_spin
 
 SPIN_COLOURS = "coolwarm"
@@ -49,7 +49,9 @@ def draw_speed_bar(
 
 def colour_bar(figure: Any, axes: Any, label: str, norm: Normalize, colours: str, **look: Any) -> None:
     """What the colours of a map say."""
-    figure.colorbar(ScalarMappable(norm, colours), ax=axes, label=label, **{"shrink": 0.8, "pad": 0.02, **look})
+    bar = figure.colorbar(ScalarMappable(norm, colours), ax=axes, label=label, **{"shrink": 0.8, "pad": 0.02, **look})
+    if isinstance(norm, LogNorm):
+        label_in_plain_text(bar.ax.xaxis if bar.orientation == "horizontal" else bar.ax.yaxis)
 
 
 def name_cut(axes: Any, axis: int, index: int, before: str = "", after: str = "") -> None:

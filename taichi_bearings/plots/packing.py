@@ -13,7 +13,7 @@ from taichi_bearings.packing import Packing, PackingSolution
 from taichi_bearings.plots.lattice import MOST_LINES, SPIN_COLOURS, colour_bar
 from taichi_bearings.plots.page import PAGE, VIEW, Page
 from taichi_bearings.plots.power import POWER_COLOURS
-from taichi_bearings.plots.style import GREY, in_our_style, new_figure
+from taichi_bearings.plots.style import GREY, in_our_style, new_figure, put_title
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.words import meant
 
@@ -38,7 +38,7 @@ def draw_packing(result: PackingSolution, kind: str = "spins", page: Page = PAGE
     low, high = (seen[:, :2] - radius[:, None]).min(axis=0), (seen[:, :2] + radius[:, None]).max(axis=0)
     width = page.inches("single")
     height = (width - PACKING_BAR) * float(np.clip((high - low)[1] / (high - low)[0], 0.3, 2.0))
-    figure = new_figure(width, height + 0.5, page.dpi)
+    figure = new_figure(width, height + 0.1, page.dpi)
     axes = figure.add_subplot(aspect="equal", xticks=[], yticks=[], xlim=(low[0], high[0]), ylim=(low[1], high[1]))
     axes.set_axis_off()
     site = 72 * (width - PACKING_BAR) / float((high - low)[0]) * float(np.median(radius))
@@ -50,20 +50,20 @@ def draw_packing(result: PackingSolution, kind: str = "spins", page: Page = PAGE
         if flat and chosen.sum() <= MOST_LINES:
             _lines(axes, _walls(packing, chosen), site, colors="black")
         colour_bar(figure, axes, r"$R\,|\omega|$ over the largest imposed", Normalize(0, 1), SPIN_COLOURS)
-        axes.set_title(f"{_named(packing)}\n{words}slip" + (", in black" if flat else ""))
+        put_title(figure, f"{_named(packing)}\n{words}slip" + (", in black" if flat else ""), page)
         return figure
     _spheres(axes, packing, seen, np.array([[0.93, 0.93, 0.93, 1.0 if flat else 0.25]]), flat)
     lines = _along(packing, seen, normal, chosen)
     if kind == "network":
         _lines(axes, lines, site, colors=GREY)
-        axes.set_title(f"{_named(packing)}\n{words}do not slip")
+        put_title(figure, f"{_named(packing)}\n{words}do not slip", page)
         return figure
     power = result.power_per_contact[chosen]
     some = power[power > 0]
     norm = LogNorm(float(np.quantile(some, 0.02)), float(some.max())) if len(some) else LogNorm(0.1, 1.0)
     _lines(axes, lines, 2 * site, colors=np.tile(colormaps[POWER_COLOURS](norm(power)), (2, 1)))
     colour_bar(figure, axes, "power of a contact (energy / time)", norm, POWER_COLOURS, extend="min")
-    axes.set_title(f"{_named(packing)}\n{words}slip")
+    put_title(figure, f"{_named(packing)}\n{words}slip", page)
     return figure
 
 

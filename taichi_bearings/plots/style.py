@@ -2,6 +2,8 @@
 
 import io
 import math
+import re
+import textwrap
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
 
 from taichi_bearings.files.whole_file import replace_file
-from taichi_bearings.plots.page import BROAD, PAGE, Page, columns_on, grid
+from taichi_bearings.plots.page import BROAD, PAGE, Page, columns_on, grid, rows_on
 
 RC: dict[Any, Any] = {
     # points on paper; nothing is smaller than 7 but indices
@@ -27,6 +29,8 @@ RC: dict[Any, Any] = {
     **{"pdf.fonttype": 42, "ps.fonttype": 42, "svg.fonttype": "none"},
 }
 BLUE, ORANGE, GREEN, GREY = "#2060a8", "#d0702a", "#3a8f4c", "#8a8a8a"
+LETTERS_AN_INCH, TITLE_LINE = 16, 0.14  # of a title, and inches of a line of it
+IN_DOLLARS = re.compile(r"(?<!\\)\$.*?(?<!\\)\$")
 in_our_style = rc_context(RC)  # decorates what makes a figure
 
 
@@ -68,15 +72,31 @@ def panels(
     """
     columns = columns_on(page, number, least)
     width = min(page.inches("double") / columns, page.inches(widest))
-    figure = new_figure(columns * width, -(-number // columns) * (row[0] * width + row[1]) + more, page.dpi)
+    rows = rows_on(page, number, least)
+    figure = new_figure(columns * width, sum(rows) * row[0] * width + len(rows) * row[1] + more, page.dpi)
     return figure, grid(figure, page, number, least), width
 
 
 def plain_figure(width: float = SINGLE, height: float = 2.5, dpi: float = PAGE.dpi) -> Figure:
     """An empty figure for plain axes, in inches: with margins that are known, so that nothing is laid out anew."""
     figure = NotebookFigure(figsize=(width, height), dpi=dpi)
-    figure.subplots_adjust(left=0.6 / width, right=1 - 0.08 / width, bottom=0.40 / height, top=1 - 0.42 / height)
+    figure.subplots_adjust(left=0.6 / width, right=1 - 0.08 / width, bottom=0.40 / height, top=1 - 0.08 / height)
     return figure
+
+
+def put_title(figure: Figure, words: str, page: Page = PAGE) -> None:
+    """Words above a figure, if its page has a title: broken where they are too long, but never inside mathematics or
+    before a per cent sign. The paper grows by their lines."""
+    if not page.title:
+        return
+    joined = IN_DOLLARS.sub(lambda found: found[0].replace(" ", "\0"), words.replace(" %", "\u00a0%"))
+    width, height = figure.get_size_inches()
+    lines = [line for part in joined.split("\n") for line in textwrap.wrap(part, int(LETTERS_AN_INCH * width))]
+    margins, taller = figure.subplotpars, height + TITLE_LINE * (len(lines) + 0.5)
+    figure.set_figheight(taller)
+    if figure.get_layout_engine() is None:
+        figure.subplots_adjust(bottom=margins.bottom * height / taller, top=margins.top * height / taller)
+    figure.suptitle("\n".join(lines).replace("\0", " "))
 
 
 SUPERSCRIPTS = str.maketrans("-0123456789", "\u207b\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079")

@@ -118,14 +118,16 @@ def analyse(
     replica: int = 0,
     threshold: float | None = None,
     figures: bool = True,
+    title: bool = True,
 ) -> dict[str, Any]:
     """Analyse every sample of a stored run, write /analysis and the figures, and return the report.
 
     path : a run directory or its run.h5. out : folder for analysis.h5 and the figures; default: into the run itself,
     where an earlier analysis is replaced. replica : the sample that is drawn alone. threshold : as of
-    :class:`Analysis`.
+    :class:`Analysis`. title : whether words stand above the figures.
     Raises InputError or FileError before anything is computed.
     """
+    from taichi_bearings.plots.page import Page
     from taichi_bearings.plots.style import save
     from taichi_bearings.runs.figures import FIGURES
 
@@ -146,5 +148,5 @@ def analyse(
         with stage("writing"):
             write_analysis(target, arrays, report, into_run=out is None)
         for picture in each(pictures if figures else [], "drawing figure"):
-            save(draw(picture.stem), picture)
+            save(draw(picture.stem, page=Page(title=title)), picture)
     return report | {"run": str(path), "files": [str(target), *(map(str, pictures) if figures else ())]}

@@ -13,7 +13,7 @@ from taichi_bearings.plots.network import draw_network
 from taichi_bearings.plots.page import PAGE, Page, check_planes
 from taichi_bearings.plots.power import draw_power
 from taichi_bearings.plots.spins import draw_spins
-from taichi_bearings.plots.symbols import describe, driving
+from taichi_bearings.plots.symbols import describe, driving, mathematics
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene import Scene, Solution
 from taichi_bearings.words import meant
@@ -93,11 +93,15 @@ def draw_snapshot(
     slips = np.where(slips_of(scene, spin) > threshold, ContactState.SLIPPING, ContactState.SLIPLESS)
     state = scene.lattice.by_axis(np.where(scene.lattice.between_driven, ContactState.DRIVEN, slips))
     unit, symbol = driving(scene)
-    when = f"$t = {kept[nearest]:.6g}$" + ("" if unit == 1 else rf", ${symbol}\,t = {unit * kept[nearest]:.6g}$")
-    note = f"black: contacts that slip faster than {threshold:.1e}"
-    if scene.jump:
-        note += rf" $= {threshold / (scene.lattice.radius * scene.jump):.1g}\,R\,|\Delta\omega|$"
-    return draw_spins(scene, spin, state, page, f"{describe(scene)}, {when}", note)
+    when = f"$t = {mathematics(kept[nearest])}$"
+    when += "" if unit == 1 else rf", ${symbol}\,t = {mathematics(unit * kept[nearest])}$"
+    note = f"black: contacts that slip faster than ${mathematics(threshold, 2)}"
+    note += (
+        rf" = {mathematics(threshold / (scene.lattice.radius * scene.jump), 1)}\,R\,|\Delta\omega|"
+        if scene.jump
+        else ""
+    )
+    return draw_spins(scene, spin, state, page, f"{describe(scene)}, {when}", f"{note}$")
 
 
 def snapshot_threshold(solution: Solution, slip_threshold: float | None) -> float:

@@ -266,7 +266,7 @@ def _of_structure(structure: PackingStructure) -> tuple[dict[str, Finding], dict
 
 def analysed(
     found: PackingRun, threshold: float | None = None
-) -> tuple[dict[str, Any], list[dict[str, Finding]], Callable[[str], Any]]:
+) -> tuple[dict[str, Any], list[dict[str, Finding]], Callable[..., Any]]:
     """Report, arrays and what draws the figures of the structure. threshold : as of runs.analysis.Analysis."""
     from taichi_bearings.plots.packing import draw_packing
 

@@ -219,8 +219,11 @@ def histogram(
     bins_per_decade: int = 5,
     normalise: str = "none",
     by: str | None = None,
+    title: bool = True,
 ) -> dict[str, Any]:
     """Pool the histograms of runs and scans, write power_histogram.csv, .h5 and .png into `out`; returns the report.
+
+    title : whether words stand above the figure.
 
     Raises InputError or FileError before anything is written.
     """
@@ -235,9 +238,10 @@ def histogram(
     with writable_folder(folder):
         with stage("drawing"):
             from taichi_bearings.plots.histogram import draw_histograms  # loads matplotlib
+            from taichi_bearings.plots.page import Page
             from taichi_bearings.plots.style import save
 
-            drawn = draw_histograms(found, by)
+            drawn = draw_histograms(found, by, Page(title=title))
         with stage("writing"), awaited():  # all three or none
             write_table(table, found, by)
             write_arrays(arrays, found, by)
