@@ -39,7 +39,7 @@ def browser():
 class Page:
     """A page in the browser, what it complained of and what it asked for."""
 
-    def __init__(self, browser, path, part="", viewport=(1100, 320)):
+    def __init__(self, browser, path, part="", viewport=(1100, 390)):
         self.complaints, self.requests = [], []
         self.tab = browser.new_page(viewport=dict(zip(("width", "height"), viewport, strict=True)))
         self.tab.on("console", lambda said: self.complaints.append(f"{said.type}: {said.text}"))
