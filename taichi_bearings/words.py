@@ -1,11 +1,13 @@
 """Numbers and mistyped words in sentences for people."""
 
 import difflib
-from collections.abc import Iterable, Mapping
+import html
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 LIKE_LETTERS = 0.6  # share of the letters that a mistyped word has in common with what was meant
 MOST_SHOWN, LEAST_SHOWN = 100, 8  # letters of a value in a sentence: at most, and at its end if it is longer
+MOST_ROWS = 20  # of a table in a notebook
 LEAST_LETTERS = 3  # of a word that is taken for the beginning of another
 
 
@@ -45,6 +47,27 @@ def meant(word: object, known: Iterable[str]) -> str:
     near = difflib.get_close_matches(text, names, n=1, cutoff=LIKE_LETTERS)
     near = near or [name for name in names if len(text) >= LEAST_LETTERS and name.startswith(text)]
     return f"; did you mean {names[near[0]]!r}?" if near else ""
+
+
+def html_table(title: str, rows: Sequence[Sequence[object]], head: Sequence[str] = ()) -> str:
+    """A title, such as a `repr`, and a table below it for notebooks; without a head each row is a name and a value.
+
+    >>> html_table("<Scene>", [("law", "<b>")])
+    '<p>Scene</p><table><tr><th>law</th><td>&lt;b&gt;</td></tr></table>'
+    """
+
+    def cells(kind: str, values: Sequence[object]) -> str:
+        texts = (format(value, ".10g") if isinstance(value, float) else str(value) for value in values)
+        return "".join(f"<{kind}>{html.escape(text)}</{kind}>" for text in texts)
+
+    lines = [cells("th", [name.replace("_", " ") for name in head])] if head else []
+    for first, *others in rows[:MOST_ROWS]:
+        name = cells("td", [first]) if head else cells("th", [str(first).replace("_", " ")])
+        lines.append(name + cells("td", others))
+    more = f"<br>and {len(rows) - MOST_ROWS:,} more" if len(rows) > MOST_ROWS else ""
+    body = "".join(f"<tr>{line}</tr>" for line in lines)
+    named = html.escape(title.strip("<>"))
+    return f"<p>{named}</p><table>{body}</table>{more}"
 
 
 def _folded(word: object) -> str:

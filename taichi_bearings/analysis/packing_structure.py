@@ -17,6 +17,7 @@ from taichi_bearings.numerics.minimum_cut import TIED_WEIGHTS, largest_flow, wit
 from taichi_bearings.packing import PackingSolution
 from taichi_bearings.packing.system import odd_parts
 from taichi_bearings.proof.contact_state import ContactState
+from taichi_bearings.words import html_table
 
 MOST_BODIES = 50  # between which paths are looked for
 SAME_STATE = 1e-9  # of the largest R omega, by which spins may miss a bearing state, or each other in a domain
@@ -143,6 +144,11 @@ class PackingStructure:
             "domains": int(self.domain.max()) + 1,
             "largest_domain": int(np.bincount(self.domain[free]).max()) if free.any() else 0,
         }
+
+    def _repr_html_(self) -> str:
+        """For notebooks."""
+        told = [row for row in self.numbers.items() if isinstance(row[1], (str, int, float))]
+        return html_table(f"structure of {self.result.packing!r}", told)
 
     @property
     def columns(self) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:

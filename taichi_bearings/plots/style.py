@@ -29,6 +29,7 @@ RC: dict[Any, Any] = {
     **{"pdf.fonttype": 42, "ps.fonttype": 42, "svg.fonttype": "none"},
 }
 BLUE, ORANGE, GREEN, GREY = "#2060a8", "#d0702a", "#3a8f4c", "#8a8a8a"
+SCREEN_DPI = 100  # dots an inch of the figures in notebooks
 LETTERS_AN_INCH, TITLE_LINE = 16, 0.14  # of a title, and inches of a line of it
 IN_DOLLARS = re.compile(r"(?<!\\)\$.*?(?<!\\)\$")
 in_our_style = rc_context(RC)  # decorates what makes a figure
@@ -37,8 +38,14 @@ in_our_style = rc_context(RC)  # decorates what makes a figure
 class NotebookFigure(Figure):
     """A figure that notebooks show, whether or not pyplot is there."""
 
-    def _repr_png_(self) -> bytes:
-        return _drawn(self, "png")
+    def _repr_png_(self) -> tuple[bytes, dict[str, int]]:
+        """Of the resolution of a screen, and fine on one with twice as many dots."""
+        printed, self.dpi = self.dpi, 2 * SCREEN_DPI
+        try:
+            width, height = (int(SCREEN_DPI * inches) for inches in self.get_size_inches())
+            return _drawn(self, "png"), {"width": width, "height": height}
+        finally:
+            self.dpi = printed
 
     def draw(self, renderer: Any) -> None:
         """Lay out twice: titles above axes of a fixed aspect know their place only then."""

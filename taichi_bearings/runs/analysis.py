@@ -20,7 +20,7 @@ from taichi_bearings.runs.run_file import file_of
 from taichi_bearings.runs.structure_report import findings_of, numbers_of
 from taichi_bearings.scene import Solution
 from taichi_bearings.stages import alike, each, stage
-from taichi_bearings.words import meant
+from taichi_bearings.words import html_table, meant
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -91,6 +91,13 @@ class Analysis:
         names = ("power_over_cut", "slipless_fraction", "spans", "domains") if len(self.arrays) == 1 else ()
         words = ", ".join(f"{name} = {self.report[name]}" for name in names) or f"{len(self.arrays)} samples"
         return f"<Analysis of {'x'.join(map(str, self.report['shape']))} {self.report['law']}: {words}>"
+
+    def _repr_html_(self) -> str:
+        """For notebooks: the numbers of a sample, or some of each of several."""
+        if len(self.arrays) == 1:
+            return html_table(repr(self), [row for row in self.report.items() if isinstance(row[1], (str, int, float))])
+        names = ("seed", "power", "power_over_cut", "slipless_fraction", "spans", "domains")
+        return html_table(repr(self), list(zip(*(self.report[name] for name in names), strict=True)), names)
 
     @property
     def figures(self) -> list[str]:

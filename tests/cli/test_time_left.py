@@ -5,7 +5,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from taichi_bearings_cli.time_left import TimeLeft
+
+from taichi_bearings.time_left import TimeLeft
 
 UNLIMITED = 2**62
 
