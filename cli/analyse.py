@@ -22,16 +22,7 @@ REPORTED = ("power", "slipless", "slipping", "undecided", "critical", "tied_cont
 @title_option
 @out_options("Folder for analysis.h5 and figures. [default: into the run]", force="Replace existing files in --out.")
 @json_option
-def command(
-    run: Path,
-    threshold: float | None,
-    replica: int,
-    figures: bool,
-    title: bool,
-    out: Path | None,
-    force: bool,
-    as_json: bool,
-) -> None:
+def command(run: Path, as_json: bool, **asked: Any) -> None:
     """Structure of RUN, a run directory or its run.h5: what slips, what does not, and how that hangs together.
 
     \b
@@ -51,7 +42,7 @@ def command(
     from taichi_bearings.runs.analysis import analyse
 
     with Display() as display:
-        report = analyse(run, out, force, replica, threshold, figures, title)
+        report = analyse(run, **asked)
     told = _describe_packing if report["shape"] is None else describe
     answer(report, as_json, lambda: told(report, display.times()))
 

@@ -7,6 +7,7 @@ import sys
 import textwrap
 import time
 from contextlib import suppress
+from functools import partial
 from typing import Any
 
 from taichi_bearings_cli import STARTED
@@ -14,12 +15,7 @@ from taichi_bearings_cli import STARTED
 from taichi_bearings import progress
 from taichi_bearings.progress import TerminalLine, duration
 
-
-class Display(progress.Display):
-    """Its times are those of the process."""
-
-    def __init__(self) -> None:
-        super().__init__(STARTED)
+Display = partial(progress.Display, STARTED)  # whose times are those of the process
 
 
 def in_lines(text: str, err: bool = False) -> str:

@@ -32,26 +32,23 @@ def is_seen() -> bool:
     return in_notebook() or (sys.stderr is not None and sys.stderr.isatty())
 
 
-class NotebookLine:
-    """A line below the cell that runs, written anew by a thread of its own until it ends; then it is empty."""
+class NotebookLine(threading.Thread):
+    """A line below the cell that runs, written anew until it is stopped; then it is empty."""
 
     def __init__(self, line: Callable[[], str]) -> None:
-        self.line, self._ended = line, threading.Event()
-        self._thread = threading.Thread(target=self._follow, daemon=True)
+        super().__init__(daemon=True)
+        self.line, self.over = line, threading.Event()
 
-    def start(self) -> None:
+    def run(self) -> None:
         display = import_module("IPython.display").display
-        self._handle = display({"text/plain": self.line()}, raw=True, display_id=True)
-        self._thread.start()
-
-    def _follow(self) -> None:
-        while not self._ended.wait(1 / REFRESH_NOTEBOOK):
-            self._handle.update({"text/plain": self.line()}, raw=True)
+        handle = display({"text/plain": self.line()}, raw=True, display_id=True)
+        while not self.over.wait(1 / REFRESH_NOTEBOOK):
+            handle.update({"text/plain": self.line()}, raw=True)
+        handle.update({"text/plain": ""}, raw=True)
 
     def stop(self) -> None:
-        self._ended.set()
-        self._thread.join()
-        self._handle.update({"text/plain": ""}, raw=True)
+        self.over.set()
+        self.join()
 
 
 class TerminalLine:

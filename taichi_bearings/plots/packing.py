@@ -44,32 +44,27 @@ def draw_packing(result: PackingSolution, kind: str = "spins", page: Page = PAGE
     site = 72 * (width - PACKING_BAR) / float((high - low)[0]) * float(np.median(radius))
     chosen = result.state == (ContactState.SLIPLESS if kind == "network" else ContactState.SLIPPING)
     words = f"{int(chosen.sum()):,} of {int((result.state != ContactState.DRIVEN).sum()):,} contacts "
+    words += "do not slip" if kind == "network" else "slip, in black" if kind == "spins" and flat else "slip"
     if kind == "spins":
         speed, fastest = _speed(result)
         _spheres(axes, packing, seen, colormaps[SPIN_COLOURS](speed / fastest), flat)
         if flat and chosen.sum() <= MOST_LINES:
             _lines(axes, _walls(packing, chosen), site, colors="black")
         colour_bar(figure, axes, r"$R\,|\omega|$ over the largest imposed", Normalize(0, 1), SPIN_COLOURS)
-        put_title(figure, f"{_named(packing)}\n{words}slip" + (", in black" if flat else ""), page)
-        return figure
-    _spheres(axes, packing, seen, np.array([[0.93, 0.93, 0.93, 1.0 if flat else 0.25]]), flat)
-    lines = _along(packing, seen, normal, chosen)
+    else:
+        _spheres(axes, packing, seen, np.array([[0.93, 0.93, 0.93, 1.0 if flat else 0.25]]), flat)
+        lines = _along(packing, seen, normal, chosen)
     if kind == "network":
         _lines(axes, lines, site, colors=GREY)
-        put_title(figure, f"{_named(packing)}\n{words}do not slip", page)
-        return figure
-    power = result.power_per_contact[chosen]
-    some = power[power > 0]
-    norm = LogNorm(float(np.quantile(some, 0.02)), float(some.max())) if len(some) else LogNorm(0.1, 1.0)
-    _lines(axes, lines, 2 * site, colors=np.tile(colormaps[POWER_COLOURS](norm(power)), (2, 1)))
-    colour_bar(figure, axes, "power of a contact (energy / time)", norm, POWER_COLOURS, extend="min")
-    put_title(figure, f"{_named(packing)}\n{words}slip", page)
+    if kind == "power":
+        power = result.power_per_contact[chosen]
+        some = power[power > 0]
+        norm = LogNorm(float(np.quantile(some, 0.02)), float(some.max())) if len(some) else LogNorm(0.1, 1.0)
+        _lines(axes, lines, 2 * site, colors=np.tile(colormaps[POWER_COLOURS](norm(power)), (2, 1)))
+        colour_bar(figure, axes, "power of a contact (energy / time)", norm, POWER_COLOURS, extend="min")
+    what = "discs" if flat else "spheres"
+    put_title(figure, f"{packing.spheres:,} {what}, {str(packing.law).replace('coulomb', 'Coulomb')}\n{words}", page)
     return figure
-
-
-def _named(packing: Packing) -> str:
-    what = "discs" if packing.dimension == 2 else "spheres"
-    return f"{packing.spheres:,} {what}, {str(packing.law).replace('coulomb', 'Coulomb')}"
 
 
 def _speed(result: PackingSolution) -> tuple[np.ndarray, float]:

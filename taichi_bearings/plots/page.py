@@ -15,7 +15,6 @@ NARROWEST_PAGE, WIDEST_PAGE = 4.0, 60.0  # cm
 AXES = "xyz"
 MOST_PLANES = 12
 BROAD, NARROW = 1.9, 1.6  # inches of a panel with a long title, and of one with a short
-TALLER = 1.5  # height of a panel over several columns, of that of the others
 BELOW: dict[str, Any] = {"location": "bottom", "aspect": 30}  # a colour bar below the panels
 
 
@@ -135,18 +134,3 @@ def check_planes(planes: Planes, shape: tuple[int, ...]) -> None:
 def columns_on(page: Page, number: int, least: float = BROAD) -> int:
     """How many of some panels stand beside each other on a page of two columns, each at least so many inches wide."""
     return max(1, min(number, int(page.inches("double") / least)))
-
-
-def rows_on(page: Page, number: int, least: float = BROAD) -> list[float]:
-    """Heights of the rows of some panels; the first is taller where its first panel has more than one column."""
-    columns = columns_on(page, number, least)
-    return [TALLER if number % columns else 1.0, *[1.0] * (-(-number // columns) - 1)]
-
-
-def grid(figure: Any, page: Page, number: int, least: float = BROAD) -> list[Any]:
-    """Axes of so many panels, in rows without a gap: the first panel takes the columns that would stay empty."""
-    columns, heights = columns_on(page, number, least), rows_on(page, number, least)
-    wide = 1 - number % -columns
-    cells = figure.add_gridspec(len(heights), columns, height_ratios=heights)
-    others = [cells[divmod(place, columns)] for place in range(wide, columns * len(heights))]
-    return [figure.add_subplot(place) for place in (cells[0, :wide], *others)]

@@ -8,16 +8,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
+from taichi_bearings.plots import style
 from taichi_bearings.plots.page import PAGE, Page
-from taichi_bearings.plots.style import (
-    BLUE,
-    LETTERS_AN_INCH,
-    in_our_style,
-    label_in_plain_text,
-    new_figure,
-    put_title,
-    shades,
-)
 from taichi_bearings.plots.symbols import as_text
 
 MARKERS = "osD^vP*X"
@@ -48,19 +40,19 @@ class Look:
     ticks: Sequence[str] = ()
 
 
-@in_our_style
+@style.in_our_style
 def draw_scan(curves: Sequence[Curve], look: Look, page: Page = PAGE) -> Figure:
     """Points with bars, joined along each curve where x has numbers."""
     width = page.inches("single")
     entries = len(curves) if len(curves) > 1 else 0
     longest = max(len(curve.label) for curve in curves)
-    across = max(1, min(entries, int(LETTERS_AN_INCH * width / (longest + 6))))
+    across = max(1, min(entries, int(style.LETTERS_AN_INCH * width / (longest + 6))))
     rows = -(-entries // across) + (entries > 0)
-    figure = new_figure(width, 0.68 * min(width, 5.0) + 0.15 * rows, page.dpi)
+    figure = style.new_figure(width, 0.68 * min(width, 5.0) + 0.15 * rows, page.dpi)
     axes = figure.add_subplot()
     for name in look.log:
         axes.set(**{f"{name}scale": "log"})
-    colours = shades(len(curves)) if len(curves) > 1 else [BLUE]
+    colours = style.shades(len(curves)) if len(curves) > 1 else [style.BLUE]
     beside = BESIDE * (np.arange(len(curves)) / len(curves) - 0.5 + 0.5 / len(curves)) * bool(look.ticks)
     for number, (curve, colour) in enumerate(zip(curves, colours, strict=True)):
         bars = np.nan_to_num([curve.y - curve.low, curve.high - curve.y])
@@ -72,7 +64,7 @@ def draw_scan(curves: Sequence[Curve], look: Look, page: Page = PAGE) -> Figure:
     axes.set(xlabel=look.x_label, ylabel=look.y_label)
     values = np.unique(np.concatenate([curve.x for curve in curves]))
     if look.ticks:
-        long = sum(map(len, look.ticks)) + 2 * len(look.ticks) > LETTERS_AN_INCH * (width - 0.8)
+        long = sum(map(len, look.ticks)) + 2 * len(look.ticks) > style.LETTERS_AN_INCH * (width - 0.8)
         turned: dict[str, Any] = {"rotation": 30, "ha": "right", "rotation_mode": "anchor"} if long else {}
         axes.set_xticks(range(len(look.ticks)), [as_text(tick) for tick in look.ticks], **turned)
         axes.set_xlim(-0.5, len(look.ticks) - 0.5)
@@ -80,10 +72,10 @@ def draw_scan(curves: Sequence[Curve], look: Look, page: Page = PAGE) -> Figure:
         axes.set_xticks(values, [f"{value:g}" for value in values])
         axes.xaxis.set_minor_locator(NullLocator())
     elif "x" in look.log:
-        label_in_plain_text(axes.xaxis)
+        style.label_in_plain_text(axes.xaxis)
     if "y" in look.log:
-        label_in_plain_text(axes.yaxis)
+        style.label_in_plain_text(axes.yaxis)
     if entries:
         figure.legend(title=as_text(look.legend) or None, loc="outside lower center", ncols=across)
-    put_title(figure, as_text(look.title), page)
+    style.put_title(figure, as_text(look.title), page)
     return figure

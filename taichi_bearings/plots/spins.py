@@ -60,7 +60,7 @@ def _draw_discs(colour: np.ndarray, slips: tuple[np.ndarray, ...], page: Page) -
 def _paint(axes: Any, colour: np.ndarray, slips: tuple[np.ndarray, ...], site: float) -> None:
     """Discs of one plane and the slipping contacts between them."""
     lattice.paint_plane(axes, colour)
-    lattice.draw_walls(axes, slips, colors="black", lw=lattice.line_on_site(site, 0.15))
+    lattice.draw_contacts(axes, slips, across=True, colors="black", lw=lattice.line_on_site(site, 0.15))
 
 
 def _draw_spheres(colour: np.ndarray, slips: tuple[np.ndarray, ...], page: Page) -> Figure:

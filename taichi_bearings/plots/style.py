@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
 
 from taichi_bearings.files.whole_file import replace_file
-from taichi_bearings.plots.page import BROAD, PAGE, Page, columns_on, grid, rows_on
+from taichi_bearings.plots.page import BROAD, PAGE, Page, columns_on
 
 RC: dict[Any, Any] = {
     # points on paper; nothing is smaller than 7 but indices
@@ -29,6 +29,7 @@ RC: dict[Any, Any] = {
     **{"pdf.fonttype": 42, "ps.fonttype": 42, "svg.fonttype": "none"},
 }
 BLUE, ORANGE, GREEN, GREY = "#2060a8", "#d0702a", "#3a8f4c", "#8a8a8a"
+TALLER = 1.5  # height of a panel over several columns, of that of the others
 SCREEN_DPI = 100  # dots an inch of the figures in notebooks
 LETTERS_AN_INCH, TITLE_LINE = 16, 0.14  # of a title, and inches of a line of it
 IN_DOLLARS = re.compile(r"(?<!\\)\$.*?(?<!\\)\$")
@@ -72,16 +73,20 @@ def new_figure(width: float = SINGLE, height: float = 2.5, dpi: float = PAGE.dpi
 def panels(
     page: Page, number: int, row: tuple[float, float], more: float = 0.0, least: float = BROAD, widest: str = "double"
 ) -> tuple[Figure, list[Any], float]:
-    """A figure of so many panels in rows, their axes, and the width that each has, in inches.
+    """A figure of so many panels in rows, their axes, and the width that each has, in inches. The first panel takes the
+    columns that would stay empty.
 
     row : height of a row, as a share of the width of a panel, and inches to add. more : inches beside the rows.
     least : inches that a panel needs. widest : column of the page that no panel exceeds.
     """
     columns = columns_on(page, number, least)
+    wide = 1 - number % -columns
     width = min(page.inches("double") / columns, page.inches(widest))
-    rows = rows_on(page, number, least)
-    figure = new_figure(columns * width, sum(rows) * row[0] * width + len(rows) * row[1] + more, page.dpi)
-    return figure, grid(figure, page, number, least), width
+    heights = [TALLER if wide > 1 else 1.0, *[1.0] * (-(-number // columns) - 1)]
+    figure = new_figure(columns * width, sum(heights) * row[0] * width + len(heights) * row[1] + more, page.dpi)
+    cells = figure.add_gridspec(len(heights), columns, height_ratios=heights)
+    others = [cells[divmod(place, columns)] for place in range(wide, columns * len(heights))]
+    return figure, [figure.add_subplot(place) for place in (cells[0, :wide], *others)], width
 
 
 def plain_figure(width: float = SINGLE, height: float = 2.5, dpi: float = PAGE.dpi) -> Figure:

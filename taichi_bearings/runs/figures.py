@@ -24,7 +24,19 @@ FIGURES: dict[str, Callable[[Structure, Page], Figure]] = {
 }
 """How each figure of the structure of a sample is drawn."""
 
-FIGURE_KINDS = ("spins", "power", "history", "energy", *FIGURES)
+
+def _draw_spins(solution: Solution, sample: int, page: Page) -> Figure:
+    one = solution.sample(sample)
+    return draw_spins(one.scene, one.spin[0], one.scene.lattice.by_axis(one.state[0]), page)
+
+
+OF_ANSWERS: dict[str, Callable[[Solution, int, Page], Figure]] = {
+    "spins": _draw_spins,
+    "power": draw_power,
+    "history": lambda solution, _, page: draw_history(solution, page),
+    "energy": draw_energy,
+}
+FIGURE_KINDS = (*OF_ANSWERS, *FIGURES)
 STRETCHED_SLIP = 1e-3  # of R times the imposed jump: slower contacts may only stretch their springs
 WITH_PLANES = ("spins", "power", "domains")
 WITH_VIEW = ("spins", "domains", "network")
@@ -57,18 +69,11 @@ def draw_figure(
     if page.view and len(shape) == 2:
         raise InputError("view is given, but the lattice is flat; only cubic ones are turned")
     check_planes(page.planes, shape)
-    if kind == "spins":
-        if time is not None:
-            return draw_snapshot(solution, sample, time, slip_threshold, page)
-        one = solution.sample(sample)
-        return draw_spins(one.scene, one.spin[0], one.scene.lattice.by_axis(one.state[0]), page)
-    if kind == "power":
-        return draw_power(solution, sample, page)
-    if kind == "history":
-        return draw_history(solution, page)
-    if kind == "energy":
-        return draw_energy(solution, sample, page)
-    return FIGURES[kind](structure_of(solution, sample), page)
+    if time is not None:
+        return draw_snapshot(solution, sample, time, slip_threshold, page)
+    if kind in FIGURES:
+        return FIGURES[kind](structure_of(solution, sample), page)
+    return OF_ANSWERS[kind](solution, sample, page)
 
 
 def draw_snapshot(
