@@ -185,7 +185,7 @@ class Result:
         """A table for notebooks, a row a sample."""
         names = ("seed", "status", "power", "lower_bound", "gap", "slipping", "slipless", "undecided")
         columns = [np.atleast_1d(self.summary[name]).tolist() for name in names]
-        return html_table(repr(self), list(zip(*columns, strict=True)), names)
+        return html_table(repr(self), zip(*columns, strict=True), names)
 
     def plot(
         self, kind: str = "spins", sample: int = 0, time: float | None = None, page: "Page | None" = None

@@ -49,25 +49,24 @@ def meant(word: object, known: Iterable[str]) -> str:
     return f"; did you mean {names[near[0]]!r}?" if near else ""
 
 
-def html_table(title: str, rows: Sequence[Sequence[object]], head: Sequence[str] = ()) -> str:
-    """A title, such as a `repr`, and a table below it for notebooks; without a head each row is a name and a value.
+def html_table(title: str, rows: Iterable[Sequence[object]], head: Sequence[str] = ()) -> str:
+    """A title, such as a `repr`, and a table for notebooks; without a head its rows are a name and a value, if short.
 
     >>> html_table("<Scene>", [("law", "<b>")])
     '<p>Scene</p><table><tr><th>law</th><td>&lt;b&gt;</td></tr></table>'
     """
 
-    def cells(kind: str, values: Sequence[object]) -> str:
-        texts = (format(value, ".10g") if isinstance(value, float) else str(value) for value in values)
-        return "".join(f"<{kind}>{html.escape(text)}</{kind}>" for text in texts)
+    def cell(value: object, kind: str = "td") -> str:
+        text = format(value, ".10g") if isinstance(value, float) else str(value)
+        return f"<{kind}>{html.escape(text.replace('_', ' ') if kind == 'th' else text)}</{kind}>"
 
-    lines = [cells("th", [name.replace("_", " ") for name in head])] if head else []
-    for first, *others in rows[:MOST_ROWS]:
-        name = cells("td", [first]) if head else cells("th", [str(first).replace("_", " ")])
-        lines.append(name + cells("td", others))
-    more = f"<br>and {len(rows) - MOST_ROWS:,} more" if len(rows) > MOST_ROWS else ""
+    lines = ["".join(cell(name, "th") for name in head)] if head else []
+    chosen = [row for row in rows if head or isinstance(row[1], (str, int, float, tuple))]
+    for first, *others in chosen[:MOST_ROWS]:
+        lines.append(cell(first, "td" if head else "th") + "".join(map(cell, others)))
+    more = f"<br>and {len(chosen) - MOST_ROWS:,} more" if len(chosen) > MOST_ROWS else ""
     body = "".join(f"<tr>{line}</tr>" for line in lines)
-    named = html.escape(title.strip("<>"))
-    return f"<p>{named}</p><table>{body}</table>{more}"
+    return f"<p>{html.escape(title.strip('<>'))}</p><table>{body}</table>{more}"
 
 
 def _folded(word: object) -> str:

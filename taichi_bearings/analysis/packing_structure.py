@@ -147,8 +147,7 @@ class PackingStructure:
 
     def _repr_html_(self) -> str:
         """For notebooks."""
-        told = [row for row in self.numbers.items() if isinstance(row[1], (str, int, float))]
-        return html_table(f"structure of {self.result.packing!r}", told)
+        return html_table(f"structure of {self.result.packing!r}", self.numbers.items())
 
     @property
     def columns(self) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:

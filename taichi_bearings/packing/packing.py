@@ -132,9 +132,10 @@ class Packing:
     def _repr_html_(self) -> str:
         """For notebooks."""
         bodies = len(np.unique(self.driven[self.driven >= 0]))
-        values = {name: getattr(self, name) for name in ("radius", "friction", "viscosity", "normal_force")}
-        some = {name: np.asarray(given) for name, given in values.items() if np.size(given) and given is not None}
-        ranges = [(name, f"{given.min():g} to {given.max():g}") for name, given in some.items()]
+        given = {name: getattr(self, name) for name in ("radius", "friction", "viscosity", "normal_force")}
+        ranges = [
+            (name, f"{np.min(v):g} to {np.max(v):g}") for name, v in given.items() if v is not None and np.size(v)
+        ]
         return html_table(repr(self), [("driven_bodies", bodies), *ranges])
 
     @classmethod

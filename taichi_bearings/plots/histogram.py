@@ -19,14 +19,6 @@ MATHEMATICS = {
 }
 
 
-def draw_histograms(histograms: Mapping[Any, PowerHistogram], by: str | None = None, page: Page = PAGE) -> Figure:
-    """One histogram as counts, or those of several values of a parameter as densities over each other, without a
-    title."""
-    if by is None:
-        return draw_histogram(next(iter(histograms.values())), page)
-    return draw_overlay(histograms, by)
-
-
 @in_our_style
 def draw_histogram(histogram: PowerHistogram, page: Page = PAGE) -> Figure:
     """Number of slipping contacts against their power, logarithmic, with standard errors; no empty bins."""

@@ -52,6 +52,7 @@ def draw_scan(curves: Sequence[Curve], look: Look, page: Page = PAGE) -> Figure:
     axes = figure.add_subplot()
     for name in look.log:
         axes.set(**{f"{name}scale": "log"})
+        style.label_in_plain_text(getattr(axes, f"{name}axis"))
     colours = style.shades(len(curves)) if len(curves) > 1 else [style.BLUE]
     beside = BESIDE * (np.arange(len(curves)) / len(curves) - 0.5 + 0.5 / len(curves)) * bool(look.ticks)
     for number, (curve, colour) in enumerate(zip(curves, colours, strict=True)):
@@ -71,10 +72,6 @@ def draw_scan(curves: Sequence[Curve], look: Look, page: Page = PAGE) -> Figure:
     elif "x" in look.log and len(values) <= MOST_NAMED_TICKS:
         axes.set_xticks(values, [f"{value:g}" for value in values])
         axes.xaxis.set_minor_locator(NullLocator())
-    elif "x" in look.log:
-        style.label_in_plain_text(axes.xaxis)
-    if "y" in look.log:
-        style.label_in_plain_text(axes.yaxis)
     if entries:
         figure.legend(title=as_text(look.legend) or None, loc="outside lower center", ncols=across)
     style.put_title(figure, as_text(look.title), page)

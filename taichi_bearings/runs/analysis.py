@@ -95,9 +95,9 @@ class Analysis:
     def _repr_html_(self) -> str:
         """For notebooks: the numbers of a sample, or some of each of several."""
         if len(self.arrays) == 1:
-            return html_table(repr(self), [row for row in self.report.items() if isinstance(row[1], (str, int, float))])
+            return html_table(repr(self), self.report.items())
         names = ("seed", "power", "power_over_cut", "slipless_fraction", "spans", "domains")
-        return html_table(repr(self), list(zip(*(self.report[name] for name in names), strict=True)), names)
+        return html_table(repr(self), zip(*(self.report[name] for name in names), strict=True), names)
 
     @property
     def figures(self) -> list[str]:

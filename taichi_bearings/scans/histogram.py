@@ -237,11 +237,11 @@ def histogram(
         found = pooled(sources, bins_per_decade, normalise, by)
     with writable_folder(folder):
         with stage("drawing"):
-            from taichi_bearings.plots.histogram import draw_histograms  # loads matplotlib
+            from taichi_bearings.plots.histogram import draw_histogram, draw_overlay  # loads matplotlib
             from taichi_bearings.plots.page import Page
             from taichi_bearings.plots.style import save
 
-            drawn = draw_histograms(found, by, Page(title=title))
+            drawn = draw_overlay(found, by) if by else draw_histogram(found[None], Page(title=title))
         with stage("writing"), awaited():  # all three or none
             write_table(table, found, by)
             write_arrays(arrays, found, by)
