@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 import click
-from taichi_bearings_cli.options import answer, json_option, out_options, run_argument
+from taichi_bearings_cli.options import answer, json_option, out_options, run_argument, title_option
 from taichi_bearings_cli.progress import Display
 from taichi_bearings_cli.report import rows_told, solved
 
@@ -21,11 +21,10 @@ IDLE = ("status", "method", "law", "shape", "version", "seconds")  # columns tha
 )  # fmt: skip
 @click.option("--replica", type=click.IntRange(0), default=0, help="Which replica of a block of seeds is drawn.")
 @click.option("--figures/--no-figures", default=True, help="Draw the figures. [default: on]")
+@title_option
 @out_options("Folder for analysis.h5 and figures. [default: into the run]", force="Replace existing files in --out.")
 @json_option
-def command(
-    run: Path, threshold: float | None, replica: int, figures: bool, out: Path | None, force: bool, as_json: bool
-) -> None:
+def command(run: Path, as_json: bool, **asked: Any) -> None:
     """Structure of RUN, a run directory or its run.h5: what slips, what does not, and how that hangs together.
 
     \b
@@ -45,7 +44,7 @@ def command(
     from taichi_bearings.runs.analysis import analyse
 
     with Display() as display:
-        report = analyse(run, out, force, replica, threshold, figures)
+        report = analyse(run, **asked)
     answer(report, as_json, lambda: describe(report, display.times()))
 
 

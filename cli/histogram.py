@@ -1,9 +1,10 @@
 """bearings histogram"""
 
 from pathlib import Path
+from typing import Any
 
 import click
-from taichi_bearings_cli.options import FILE_PATH, Choice, answer, json_option, out_options
+from taichi_bearings_cli.options import FILE_PATH, Choice, answer, json_option, out_options, title_option
 from taichi_bearings_cli.progress import Display
 
 
@@ -20,17 +21,10 @@ from taichi_bearings_cli.progress import Display
 @click.option(
     "--by", metavar="KEY", default=None, help="Overlay the histograms of each value of this column or setting."
 )
+@title_option
 @out_options("Folder for the files. [default: outputs/<time>-histogram-<id>]")
 @json_option
-def command(
-    runs: tuple[Path, ...],
-    bins_per_decade: int,
-    normalise: str,
-    by: str | None,
-    out: Path | None,
-    force: bool,
-    as_json: bool,
-) -> None:
+def command(runs: tuple[Path, ...], normalise: str, by: str | None, as_json: bool, **asked: Any) -> None:
     """Distribution of the power per contact, pooled over all samples of runs and scans, as CSV, HDF5 and PNG.
 
     Only slipping contacts are binned; slipless and undecided ones are counted in the header. Errors are standard errors
@@ -44,7 +38,7 @@ def command(
     from taichi_bearings.scans.histogram import histogram
 
     with Display():
-        report = histogram(runs, out, force, bins_per_decade, normalise, by)
+        report = histogram(runs, normalise=normalise, by=by, **asked)
     lines = []
     for part in report.get("groups", [report]):
         name = f"{by} {part[by]}: " if by else ""

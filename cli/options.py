@@ -117,6 +117,9 @@ replica_option = click.option("--replica", type=click.IntRange(0), default=0, he
 json_option = click.option("--json", "as_json", is_flag=True, help="Print exactly one JSON object on stdout.")
 
 
+title_option = click.option("--title/--no-title", default=True, help="Words above figures. [default: on]")
+
+
 def out_options(
     out: str, metavar: str = "DIR", force: str = "Replace existing files.", kind: click.ParamType = FILE_PATH
 ) -> Callable[[Any], Any]:

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-from taichi_bearings_cli.options import Choice, out_options, replica_option, run_argument
+from taichi_bearings_cli.options import Choice, out_options, replica_option, run_argument, title_option
 
 if TYPE_CHECKING:
     from taichi_bearings.plots.page import Page
@@ -33,6 +33,7 @@ PLOT_KINDS = ("spins", "power", "history", "energy", *STRUCTURE_KINDS, "scan")
     "--dpi", type=click.IntRange(30, 2400), default=300, show_default=True,
     help="Dots an inch of PNG, and of pictures in others.",
 )  # fmt: skip
+@title_option
 @click.option("--plane", "planes", metavar="AXIS=N", multiple=True, help="3D: a cut to show, as y=5. May be repeated.")
 @click.option("--view", metavar="ELEVATION,AZIMUTH", default=None, help="3D: from where, in degrees, as 22,-55.")
 @out_options(
@@ -70,12 +71,13 @@ def command(kind: str, run: Path, replica: int, time: float | None, out: Path | 
     """
     from taichi_bearings.plots.page import Page, read_plane, read_view, read_width
 
-    width, dpi, planes, seen = (more.pop(name) for name in ("width", "dpi", "planes", "view"))
+    width, dpi, planes, seen, title = (more.pop(name) for name in ("width", "dpi", "planes", "view", "title"))
     page = Page(
         None if width is None else read_width(width),
         dpi,
         tuple(dict.fromkeys(map(read_plane, planes))),
         None if seen is None else read_view(seen),
+        title,
     )
     if kind == "scan":
         _plot_scan(run, out, force, page, **more)

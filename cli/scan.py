@@ -5,9 +5,10 @@ from typing import Any
 
 import click
 from taichi_bearings_cli.options import FILE_PATH, answer, json_option
-from taichi_bearings_cli.progress import ScanDisplay, duration
+from taichi_bearings_cli.progress import ScanDisplay
 
 from taichi_bearings.errors import InputError, printable
+from taichi_bearings.progress import duration
 from taichi_bearings.words import counted
 
 

@@ -6,7 +6,6 @@ scene = tb.Scene.random((10, 10, 10), seed=3, spin_bottom=0.1)
 best = tb.solve(scene, tolerance=1e-9)
 """
 
-import html
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -21,6 +20,7 @@ from taichi_bearings.errors import InputError
 from taichi_bearings.lattice.grid import friction_by_axis
 from taichi_bearings.options import SEED, options_of
 from taichi_bearings.packing import Packing, PackingSolution
+from taichi_bearings.progress import displayed
 from taichi_bearings.quantities import CONTACTS, SAMPLES, SPHERES, Quantity
 from taichi_bearings.runs import run as runs
 from taichi_bearings.runs.analysis import Analysis
@@ -34,7 +34,7 @@ from taichi_bearings.scene.given import finite_number
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import MethodOptions
 from taichi_bearings.solvers.drive import Report
-from taichi_bearings.words import meant, shown
+from taichi_bearings.words import html_table, meant, shown
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -184,13 +184,7 @@ class Result:
         """A table for notebooks, a row a sample."""
         names = ("seed", "status", "power", "lower_bound", "gap", "slipping", "slipless", "undecided")
         columns = [np.atleast_1d(self.summary[name]).tolist() for name in names]
-        rows = list(zip(*columns, strict=True))[:MOST_ROWS]
-        short = lambda value: format(value, ".10g") if isinstance(value, float) else str(value)  # noqa: E731
-        cells = ("".join(f"<td>{html.escape(short(value))}</td>" for value in row) for row in rows)
-        body = "".join(f"<tr>{row}</tr>" for row in cells)
-        head = "".join(f"<th>{name.replace('_', ' ')}</th>" for name in names)
-        more = f"<br>and {len(self) - MOST_ROWS} more samples" if len(self) > MOST_ROWS else ""
-        return f"<p>{html.escape(repr(self)[1:-1])}</p><table><tr>{head}</tr>{body}</table>{more}"
+        return html_table(repr(self), zip(*columns, strict=True), names)
 
     def plot(
         self, kind: str = "spins", sample: int = 0, time: float | None = None, page: "Page | None" = None
@@ -246,11 +240,13 @@ for _name, _row in SPHERES.items():  # of each sphere: N, or (*N, 3); zeros, too
 for _name, _row in CONTACTS.items():
     setattr(Result, "power_per_contact" if _name == "power" else _name, _of_contacts(_row))
 
-MOST_ROWS = 20  # of a table in a notebook
-
 
 class PackingResult(PackingSolution):
     __doc__ = PackingSolution.__doc__
+
+    def _repr_html_(self) -> str:
+        names = ("status", "proof", "power", "lower_bound", "gap", "driven_power", "critical", "slipless_motions")
+        return html_table(repr(self), [[name, getattr(self, name)] for name in names])
 
     def save(self, path: str | Path, force: bool = False) -> Path:
         """Write what `bearings run` writes into a new directory, which is returned; :func:`load` reads it.
@@ -285,6 +281,8 @@ def solve(
     tolerance: float = 1e-8,
     start: str | np.ndarray = "linear",
     callback: Callable[[Check], bool | None] | None = None,
+    *,
+    progress: bool = True,
     **options: Any,
 ) -> Result: ...
 
@@ -295,6 +293,8 @@ def solve(
     method: str | MethodOptions = "auto",
     tolerance: float = 1e-8,
     start: str | np.ndarray = "linear",
+    *,
+    progress: bool = True,
     **options: Any,
 ) -> PackingResult: ...
 
@@ -305,6 +305,8 @@ def solve(
     tolerance: float = 1e-8,
     start: str | np.ndarray = "linear",
     callback: Callable[[Check], bool | None] | None = None,
+    *,
+    progress: bool = True,
     **options: Any,
 ) -> Result | PackingResult:
     """Solve a scene, or a packing, which with "auto" takes `tolerance` alone; no file is read or written.
@@ -315,6 +317,7 @@ def solve(
     start : spins to start from: "linear", "random", "zero", "minimum-cut", the name of a file, or an array like
         `Result.spin`.
     callback : hears of each :class:`Check`; where it returns True the solve ends with what was reached, as by Ctrl-C.
+    progress : show on a terminal or below the cell of a notebook how far it is, while it takes longer than a moment.
     options : `torque` on the top instead of its spin, force*length, of springs in time "start:stop:step" too; adds
         `yields`, `yield_torque`, `yield_torque_lower_bound` and `amplitude` to `findings`; `iterations` at most;
         `time_limit`, s; of a dynamics `duration`, the simulated time to go on for, and the simulated times `record` of
@@ -324,21 +327,22 @@ def solve(
 
     Ctrl-C ends the solve with what was reached. Raises InputError for what cannot be.
     """
-    if isinstance(scene, Packing):
-        if callback is not None:
-            raise InputError("callback is given; a packing takes none")
-        density = {"density": options.pop("density")} if "density" in options else {}
-        asked = _asked(method, {"tolerance": tolerance, **options}, start)
-        settings = RunSettings(packing="run.h5", law=str(scene.law), **asked)
-        refuse_unused(settings)
-        job = PackingJob(settings, (scene,), None if isinstance(start, str) else start)
-        return PackingResult(**vars(job.solve(**density).result))
-    if callback is not None and not callable(callback):
-        raise InputError(f"callback is {shown(callback)}; it must be a function that takes a Check")
-    monitors = [] if callback is None else [_monitor(scene, callback)]
-    settings, spin = _settings(scene, method, {"tolerance": tolerance, **options}, start)
-    solution = runs.solve_job(runs.job_of(settings, scene, spin), monitors)
-    return Result(runs.Run(settings, solution, spin, command="taichi_bearings.solve"))
+    with displayed(progress):
+        if isinstance(scene, Packing):
+            if callback is not None:
+                raise InputError("callback is given; a packing takes none")
+            density = {"density": options.pop("density")} if "density" in options else {}
+            asked = _asked(method, {"tolerance": tolerance, **options}, start)
+            settings = RunSettings(packing="run.h5", law=str(scene.law), **asked)
+            refuse_unused(settings)
+            job = PackingJob(settings, (scene,), None if isinstance(start, str) else start)
+            return PackingResult(**vars(job.solve(**density).result))
+        if callback is not None and not callable(callback):
+            raise InputError(f"callback is {shown(callback)}; it must be a function that takes a Check")
+        monitors = [] if callback is None else [_monitor(scene, callback)]
+        settings, spin = _settings(scene, method, {"tolerance": tolerance, **options}, start)
+        solution = runs.solve_job(runs.job_of(settings, scene, spin), monitors)
+        return Result(runs.Run(settings, solution, spin, command="taichi_bearings.solve"))
 
 
 def solve_many(

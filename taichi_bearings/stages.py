@@ -73,6 +73,11 @@ class Watch:
 _watch: ContextVar[Watch | None] = ContextVar("watch", default=None)
 
 
+def is_watched() -> bool:
+    """Whether somebody listens."""
+    return _watch.get() is not None
+
+
 @contextmanager
 def watched(watch: Watch) -> Iterator[Watch]:
     """Let `watch` hear of all stages inside."""

@@ -1,11 +1,13 @@
 """Numbers and mistyped words in sentences for people."""
 
 import difflib
-from collections.abc import Iterable, Mapping
+import html
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 LIKE_LETTERS = 0.6  # share of the letters that a mistyped word has in common with what was meant
 MOST_SHOWN, LEAST_SHOWN = 100, 8  # letters of a value in a sentence: at most, and at its end if it is longer
+MOST_ROWS = 20  # of a table in a notebook
 LEAST_LETTERS = 3  # of a word that is taken for the beginning of another
 
 
@@ -45,6 +47,26 @@ def meant(word: object, known: Iterable[str]) -> str:
     near = difflib.get_close_matches(text, names, n=1, cutoff=LIKE_LETTERS)
     near = near or [name for name in names if len(text) >= LEAST_LETTERS and name.startswith(text)]
     return f"; did you mean {names[near[0]]!r}?" if near else ""
+
+
+def html_table(title: str, rows: Iterable[Sequence[object]], head: Sequence[str] = ()) -> str:
+    """A title, such as a `repr`, and a table for notebooks; without a head its rows are a name and a value, if short.
+
+    >>> html_table("<Scene>", [("law", "<b>")])
+    '<p>Scene</p><table><tr><th>law</th><td>&lt;b&gt;</td></tr></table>'
+    """
+
+    def cell(value: object, kind: str = "td") -> str:
+        text = format(value, ".10g") if isinstance(value, float) else str(value)
+        return f"<{kind}>{html.escape(text.replace('_', ' ') if kind == 'th' else text)}</{kind}>"
+
+    lines = ["".join(cell(name, "th") for name in head)] if head else []
+    chosen = [row for row in rows if head or isinstance(row[1], (str, int, float, tuple))]
+    for first, *others in chosen[:MOST_ROWS]:
+        lines.append(cell(first, "td" if head else "th") + "".join(map(cell, others)))
+    more = f"<br>and {len(chosen) - MOST_ROWS:,} more" if len(chosen) > MOST_ROWS else ""
+    body = "".join(f"<tr>{line}</tr>" for line in lines)
+    return f"<p>{html.escape(title.strip('<>'))}</p><table>{body}</table>{more}"
 
 
 def _folded(word: object) -> str:

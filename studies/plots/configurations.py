@@ -9,7 +9,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
-from taichi_bearings.plots.lattice import SPIN_COLOURS, box_driven_rows, draw_walls, paint_plane
+from taichi_bearings.plots.lattice import SPIN_COLOURS, box_driven_rows, draw_contacts, paint_plane
 from taichi_bearings.plots.style import BLUE, DOUBLE, GREY, ORANGE, in_our_style, new_figure
 
 
@@ -37,7 +37,7 @@ def draw_configurations(
         paint_plane(axes, colormaps[SPIN_COLOURS](speed))
         box_driven_rows(axes, speed.shape)
         axes.set_title(name)
-    draw_walls(panels[1], tuple(cut), colors="black", lw=1.0)
+    draw_contacts(panels[1], tuple(cut), across=True, colors="black", lw=1.0)
     parts[0].colorbar(
         ScalarMappable(Normalize(0, 1), SPIN_COLOURS), ax=panels, label=r"$|\omega|\,/\,\omega_T$", shrink=0.8
     )

@@ -21,6 +21,7 @@ from taichi_bearings.packing import Packing, PackingSolution
 from taichi_bearings.packing.system import odd_parts
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.quantities import STRUCTURE, plain
+from taichi_bearings.words import html_table
 
 MOST_BODIES = 50  # between which paths are looked for
 SAME_STATE = 1e-9  # of the largest R omega, by which spins may miss a bearing state, or each other in a domain
@@ -133,6 +134,10 @@ class PackingStructure:
             "largest_domain": int(np.bincount(self.domain[free]).max()) if free.any() else 0,
             **{row.name: plain(row.of(self)) for row in STRUCTURE["bottlenecks"] if self.bodies == 2},
         }
+
+    def _repr_html_(self) -> str:
+        """For notebooks."""
+        return html_table(f"structure of {self.result.packing!r}", self.numbers.items())
 
     @property
     def columns(self) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:

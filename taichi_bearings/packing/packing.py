@@ -22,7 +22,7 @@ from taichi_bearings.scene.array_files import read_arrays
 from taichi_bearings.scene.disorder import Distribution, Draw
 from taichi_bearings.scene.given import finite_number, own_array
 from taichi_bearings.scene.law import Coefficients, Law, law_named
-from taichi_bearings.words import meant, shown
+from taichi_bearings.words import html_table, meant, shown
 
 NEEDED, OPTIONAL = (
     ("center", "contact", "driven", "spin"),
@@ -134,6 +134,15 @@ class Packing:
         what = "discs" if self.dimension == 2 else "spheres"
         held = int((self.driven >= 0).sum())
         return f"<Packing of {self.spheres:,} {what}, {self.contacts:,} contacts, {held:,} driven, {self.law}>"
+
+    def _repr_html_(self) -> str:
+        """For notebooks."""
+        bodies = len(np.unique(self.driven[self.driven >= 0]))
+        given = {name: getattr(self, name) for name in ("radius", "friction", "viscosity", "normal_force")}
+        ranges = [
+            (name, f"{np.min(v):g} to {np.max(v):g}") for name, v in given.items() if v is not None and np.size(v)
+        ]
+        return html_table(repr(self), [("driven_bodies", bodies), *ranges])
 
     @classmethod
     def lattice(cls, kind: str, cells: Any, periodic: Any = (), seed: int = 0, **others: Any) -> "Packing":

@@ -5,42 +5,38 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedFormatter, FixedLocator, NullLocator
+from matplotlib.ticker import NullLocator
 
 from taichi_bearings.errors import InputError
+from taichi_bearings.plots import style
 from taichi_bearings.plots.page import PAGE, Page
-from taichi_bearings.plots.style import (
-    BLUE,
-    GREEN,
-    GREY,
-    ORANGE,
-    in_our_style,
-    label_in_plain_text,
-    new_figure,
-    plain_figure,
-)  # fmt: skip
 from taichi_bearings.plots.symbols import describe, driving, energy_unit, over, power_unit
 from taichi_bearings.scene import Solution
+from taichi_bearings.words import counted
 
 ACCOUNTS = {
-    "injected": (BLUE, "-"),
-    "dissipated": (ORANGE, "-"),
-    "kinetic": (GREEN, "--"),
-    "spring": (GREY, (0, (4, 1, 1, 1))),
+    "injected": (style.BLUE, "-"),
+    "dissipated": (style.ORANGE, "-"),
+    "kinetic": (style.GREEN, "--"),
+    "spring": (style.GREY, (0, (4, 1, 1, 1))),
 }
 MOST_DECADES = 6  # on each side of zero
 MOST_TICKS = 9
+LEAST_DECADES = 30.0  # from the first to the last step, for a logarithmic axis
 
 
-@in_our_style
+@style.in_our_style
 def draw_history(solution: Solution, page: Page = PAGE) -> Figure:
     """Power and lower bound, and below it their relative gap, against iterations (or time, for a dynamics); where a
-    torque turns the top, how fast it does."""
+    torque turns the top, how fast it does. InputError for a method without steps."""
     history, scene = solution.history, solution.scene
+    if not has_course(solution):
+        kept = counted(int((history["iteration"] > 0).sum()), "step")
+        raise InputError(f"the run kept {kept} of {solution.method}; a history is drawn of 2 or more")
     if "torque" in history:
         return _draw_turning(solution, page)
     width = page.inches("single")
-    figure = plain_figure(width, 0.85 * width + 0.4, page.dpi)
+    figure = style.plain_figure(width, 0.85 * width, page.dpi)
     top, bottom = figure.subplots(2, 1, sharex=True)
     spin, spin_symbol = driving(scene)
     unit, symbol = power_unit(scene)
@@ -49,22 +45,25 @@ def draw_history(solution: Solution, page: Page = PAGE) -> Figure:
         x, name = history["time"] * spin, rf"time, ${spin_symbol}\,t$"
     power, bound = history["power"], history["lower_bound"]
     started = x > 0
-    top.plot(x[started], power[started] / unit, color=BLUE)
-    top.plot(x[started], bound[started] / unit, "--", color=ORANGE)
-    top.plot([], [], color=BLUE, label="power")
-    top.plot([], [], "--", color=ORANGE, label="proven lower bound")
-    title = f"{describe(scene, None)}\n{solution.method}"
-    top.set(ylabel=over("P", symbol, "energy / time"), title=title)
-    top.legend(frameon=True, framealpha=0.85, edgecolor="none")
+    above, *_ = top.plot(x[started], power[started] / unit, color=style.BLUE)
+    below, *_ = top.plot(x[started], bound[started] / unit, "--", color=style.ORANGE)
+    top.set(ylabel=over("P", symbol, "energy / time"))
+    top.legend([above, below], ["power", "proven lower bound"], frameon=True, framealpha=0.85, edgecolor="none")
     gap = (np.minimum.accumulate(power) - bound) / np.where(power > 0, power, 1.0)
     shown = started & (gap > 0).any(axis=1)
-    bottom.plot(x[shown], np.where(gap > 0, gap, np.nan)[shown], color=GREY)
+    bottom.plot(x[shown], np.where(gap > 0, gap, np.nan)[shown], color=style.GREY)
     scale = "log" if shown.any() else "linear"
-    bottom.set(xscale=scale, yscale=scale, xlabel=name, ylabel=r"gap, $(P - P_\mathrm{low})\,/\,P$")
-    if scale == "log":
-        label_in_plain_text(bottom.xaxis, bottom.yaxis)
+    x_scale = "log" if x[-1] > LEAST_DECADES * x[started][0] else "linear"
+    bottom.set(xscale=x_scale, yscale=scale, xlabel=name, ylabel=r"gap, $(P - P_\mathrm{low})\,/\,P$")
+    style.label_in_plain_text(*[axis for axis in (bottom.xaxis, bottom.yaxis) if axis.get_scale() == "log"])
     figure.align_ylabels()
+    style.put_title(figure, f"{describe(scene, None)}\n{solution.method}", page)
     return figure
+
+
+def has_course(solution: Solution) -> bool:
+    """Whether a run has more to show than a start and an answer."""
+    return bool((solution.history["iteration"] > 0).sum() > 1)
 
 
 def _draw_turning(solution: Solution, page: Page) -> Figure:
@@ -72,28 +71,28 @@ def _draw_turning(solution: Solution, page: Page) -> Figure:
     it in motion, or else against time; and the moment at which it begins to turn."""
     history, found = solution.history, solution.findings
     torque, strength = history["torque"], np.abs(history["amplitude"])
-    x, name, marks = history["time"], "time", [("time_at_yield", "begins to turn", ":", GREY)]
+    x, name, marks = history["time"], "time", [("time_at_yield", "begins to turn", ":", style.GREY)]
     if np.ptp(torque) > 0:
-        x, name, marks = torque, "torque (force · length)", [("torque_at_yield", "begins to turn", ":", GREY)]
-        marks += [("yield_torque_lower_bound", "proven to be held", "--", ORANGE)]
-        marks += [("yield_torque", "proven not to be held", "-", ORANGE)]
+        x, name, marks = torque, "torque (force · length)", [("torque_at_yield", "begins to turn", ":", style.GREY)]
+        marks += [("yield_torque_lower_bound", "proven to be held", "--", style.ORANGE)]
+        marks += [("yield_torque", "proven not to be held", "-", style.ORANGE)]
     width = page.inches("single")
-    figure = plain_figure(width, 0.75 * width, page.dpi)
+    figure = style.plain_figure(width, 0.65 * width, page.dpi)
     axes = figure.subplots()
-    axes.plot(x, np.where(strength > 0, strength, np.nan), color=BLUE)
+    axes.plot(x, np.where(strength > 0, strength, np.nan), color=style.BLUE)
     for key, label, dashes, colour in marks:
         values = np.copysign(found[key], x[-1])[np.isfinite(found[key])]
         for n, value in enumerate(values):
             axes.axvline(value, color=colour, ls=dashes, label="_" * n + label)
-    title = f"{describe(solution.scene, None)}\n{solution.method}"
-    axes.set(yscale="log", xlabel=name, ylabel="strength $|a|$ of the motion of the top", title=title)
+    axes.set(yscale="log", xlabel=name, ylabel="strength $|a|$ of the motion of the top")
     if axes.get_legend_handles_labels()[1]:
         axes.legend(frameon=True, framealpha=0.85, edgecolor="none")
-    label_in_plain_text(axes.yaxis)
+    style.label_in_plain_text(axes.yaxis)
+    style.put_title(figure, f"{describe(solution.scene, None)}\n{solution.method}", page)
     return figure
 
 
-@in_our_style
+@style.in_our_style
 def draw_energy(solution: Solution, replica: int = 0, page: Page = PAGE) -> Figure:
     """The four accounts, and below them what they leave unexplained, against time.
 
@@ -104,7 +103,7 @@ def draw_energy(solution: Solution, replica: int = 0, page: Page = PAGE) -> Figu
     if "energy_residual" not in history:
         raise InputError("the run keeps no energy balance; run a dynamics with --energy")
     width = page.inches("single")
-    figure = new_figure(width, 1.0 * width + 0.2, page.dpi)
+    figure = style.new_figure(width, 0.95 * width, page.dpi)
     top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(2.2, 1))
     unit, symbol = energy_unit(scene)
     spin, spin_symbol = driving(scene)
@@ -117,7 +116,7 @@ def draw_energy(solution: Solution, replica: int = 0, page: Page = PAGE) -> Figu
         top.set_xscale("log")
         _scale(top, np.concatenate(list(accounts.values())))
     top.set(ylabel=over("E", symbol, "energy"))
-    top.set_title(f"{describe(scene, replica)}\n{solution.method}")
+    style.put_title(figure, f"{describe(scene, replica)}\n{solution.method}", page)
     figure.legend(*top.get_legend_handles_labels(), ncols=4, loc="outside lower center", columnspacing=1.0)
     missing = np.abs(history["energy_residual"][later, replica])
     if (missing > 0).any():
@@ -138,13 +137,7 @@ def _scale(axes: Any, energy: np.ndarray) -> None:
     most, least = math.ceil(math.log10(size.max())), math.floor(math.log10(-energy.min())) - 1
     least = max(least, most - MOST_DECADES)
     axes.set_yscale("symlog", linthresh=10.0**least, linscale=0.5)
-    below = range(least, math.ceil(math.log10(-energy.min())) + 1)
-    every = 1 + (most - least + len(below)) // MOST_TICKS
-    up, down = list(range(least, most + 1))[::every], list(below)[::every]
-    ticks = [*(-(10.0**k) for k in reversed(down)), 0.0, *(10.0**k for k in up)]
-    names = [*(f"$-10^{{{k}}}$" for k in reversed(down)), "0", *(f"$10^{{{k}}}$" for k in up)]
-    axes.yaxis.set_major_locator(FixedLocator(ticks))
-    axes.yaxis.set_major_formatter(FixedFormatter(names))
+    axes.yaxis.get_major_locator().set_params(numticks=MOST_TICKS)
     axes.yaxis.set_minor_locator(NullLocator())
     axes.axhline(0.0, color="black", lw=0.6)
     axes.set_ylim(1.6 * energy.min(), 1.6 * energy.max())

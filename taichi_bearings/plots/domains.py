@@ -15,12 +15,13 @@ from matplotlib.figure import Figure
 
 from taichi_bearings.analysis.domains import LOCKS, RigidDomains
 from taichi_bearings.plots import lattice
-from taichi_bearings.plots.page import AXES, NARROW, PAGE, VIEW, Page, columns_on, grid, middle_planes
-from taichi_bearings.plots.style import in_our_style, new_figure
+from taichi_bearings.plots.page import AXES, PAGE, VIEW, Page, middle_planes
+from taichi_bearings.plots.style import in_our_style, label_in_plain_text, panels
 
 FIRST_AHEAD, SECOND_AHEAD = to_rgb("#e8b400"), to_rgb("#0d8a6f")  # one component has followed the top, the other not
 LOCK_COLOURS = {"bottom": colormaps[lattice.SPIN_COLOURS](0.0), "top": colormaps[lattice.SPIN_COLOURS](1.0)}
 MARKS = dict(zip(LOCKS, "v^Dsdo", strict=True))
+OF_A_KEY = 2.2  # inches that the values need
 DOMAIN_LETTERS = "bcdefghijklmnopqrstuvwxyz"
 
 
@@ -31,34 +32,23 @@ def draw_domains(domains: RigidDomains, page: Page = PAGE) -> Figure:
     Black lines are boundaries of rigid domains. Black dots mark spheres that are locked in some components only.
     """
     colour = colour_of_turn(domains.turn)[domains.domain]
-    shape = colour.shape[:-1]
-    flat, walls = len(shape) == 2, lattice.walls_between(domains.domain, domains.lattice)
-    planes = () if flat else page.planes or middle_planes(shape)
-    maps = 1 + len(planes)
-    columns, wide = columns_on(page, maps, NARROW), columns_on(page, 2)
-    width = page.inches("double") / (columns if not flat else wide)
-    rows, tall = -(-maps // columns), float(np.clip(shape[-1] / max(shape[:-1]), 0.4, 2.0))
-    heights = (rows * (0.85 * width * tall + 0.3), (2.7 if wide > 1 else 3.4))
-    figure = new_figure(page.inches("double"), sum(heights), page.dpi)
-    parts: Any = figure.subfigures(2, 1, height_ratios=heights)
-    above, below = parts
-    if flat:
-        plane = above.add_subplot()
-        _paint(plane, colour, domains.domain, walls, domains, lattice.site_on_paper(0.85 * width, shape))
-        lattice.box_driven_rows(plane, domains.domain.shape)
-        plane.set_title("(a) rigid domains, their boundaries in black")
-    else:
-        block, *cuts = grid(above, page, maps, NARROW)
+    shape, walls = domains.domain.shape, lattice.walls_between(domains.domain, domains.lattice)
+    planes = () if len(shape) == 2 else page.planes or middle_planes(shape)
+    tall = float(np.clip(shape[-1] / max(shape[:-1]), 0.8, 1.5))
+    figure, (block, *cuts, values), width = panels(page, 2 + len(planes), (0.85 * tall, 0.6), least=OF_A_KEY)
+    block.set_title("(a) rigid domains" + ("" if planes else ", their boundaries in black"))
+    if planes:
         lattice.paint_block(block, colour, page.view or VIEW)
-        block.set_title("(a) rigid domains")
-        for letter, axes, (axis, index) in zip(DOMAIN_LETTERS, cuts, planes, strict=False):
-            plane, labels = (np.take(values, index, axis) for values in (colour, domains.domain))
-            inside = lattice.contacts_in_plane(walls, axis, index)
-            _paint(axes, plane, labels, inside, domains, lattice.site_on_paper(0.85 * width, labels.shape))
-            lattice.name_cut(axes, axis, index, f"({letter}) ")
-    values = below.add_subplot()
-    _draw_values(values, domains, wide > 1)
-    values.set_title(f"({DOMAIN_LETTERS[maps - 1]}) how they turn: the key to the colours")
+    else:
+        _paint(block, colour, domains.domain, walls, domains, lattice.site_on_paper(0.85 * width, shape))
+        lattice.box_driven_rows(block, shape)
+    for letter, axes, (axis, index) in zip(DOMAIN_LETTERS, cuts, planes, strict=False):
+        plane, labels = (np.take(every, index, axis) for every in (colour, domains.domain))
+        inside = lattice.contacts_in_plane(walls, axis, index)
+        _paint(axes, plane, labels, inside, domains, lattice.site_on_paper(0.85 * width, labels.shape))
+        lattice.name_cut(axes, axis, index, f"({letter}) ")
+    _draw_values(values, domains)
+    values.set_title(f"({DOMAIN_LETTERS[len(planes)]}) turn: the key to the colours")
     return figure
 
 
@@ -78,12 +68,12 @@ def _paint(
     axes: Any, colour: np.ndarray, domain: np.ndarray, walls: Sequence[np.ndarray], domains: RigidDomains, site: float
 ) -> None:
     lattice.paint_plane(axes, colour)
-    lattice.draw_walls(axes, walls, colors="black", lw=lattice.line_on_site(site, 0.1, 0.25, 1.0))
+    lattice.draw_contacts(axes, walls, across=True, colors="black", lw=lattice.line_on_site(site, 0.1, 0.25, 1.0))
     partly = np.argwhere(domains.kind[domain] == LOCKS.index("partly"))
     axes.plot(*partly.T, ".", color="black", ms=max(0.35 * site, 0.8), mew=0)
 
 
-def _draw_values(axes: Any, domains: RigidDomains, beside: bool) -> None:
+def _draw_values(axes: Any, domains: RigidDomains) -> None:
     """Every domain at its turn: two components against each other, or one against the number of spheres."""
     turn, margin = domains.turn, 0.04
     along = np.linspace(-margin, 1 + margin, 200)
@@ -91,7 +81,8 @@ def _draw_values(axes: Any, domains: RigidDomains, beside: bool) -> None:
     if plane:
         low, high, height, key = -margin, 1 + margin, turn[:, 1], np.stack(np.meshgrid(along, along), axis=-1)
     else:
-        low, high, height, key = 0, 1.15 * domains.spheres[0], domains.spheres, along[None, :, None]
+        low, high, height, key = 0.7, 1.5 * domains.spheres.max(), domains.spheres, along[None, :, None]
+        axes.set_yscale("log")
     axes.imshow(colour_of_turn(key), extent=(-margin, 1 + margin, low, high), origin="lower", aspect="auto")
     sphere = 4.0 if domains.number < 2000 else 0.5  # area of one, points squared
     spheres = domains.spheres_of_kind(np.ones(domains.domain.shape, dtype=bool))
@@ -110,10 +101,10 @@ def _draw_values(axes: Any, domains: RigidDomains, beside: bool) -> None:
     labels = [rf"$(\Omega_{n} - \Omega_{{B{n}}})\,/\,(\Omega_{{T{n}}} - \Omega_{{B{n}}})$" for n in names]
     axes.set(xlabel=labels[0], ylabel=labels[1] if plane else "spheres of the domain")
     axes.set(xlim=(-margin, 1 + margin), ylim=(low, high), box_aspect=1)
-    where: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0)}
-    if not beside:
-        where = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.16), "ncols": 2}
-    legend = axes.legend(labelspacing=0.8, title="locked to", **where)
+    if not plane:
+        label_in_plain_text(axes.yaxis)
+    look: dict[str, Any] = {"ncols": 2, "labelspacing": 0.8, "title": "locked to"}
+    legend = axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), **look)
     for handle in legend.legend_handles:  # of one size, however small the domains are
-        handle.set_sizes([25.0])
+        handle.set_sizes([40.0])
         handle.set_alpha(1.0)

@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 
 from taichi_bearings.analysis.histogram import ENERGY_PER_TIME, PowerHistogram
 from taichi_bearings.plots import style
+from taichi_bearings.plots.page import PAGE, Page
 from taichi_bearings.plots.style import BLUE, in_our_style, new_figure
 from taichi_bearings.plots.symbols import as_text, over
 
@@ -18,17 +19,10 @@ MATHEMATICS = {
 }
 
 
-def draw_histograms(histograms: Mapping[Any, PowerHistogram], by: str | None = None) -> Figure:
-    """One histogram as counts, or those of several values of a parameter as densities over each other."""
-    if by is None:
-        return draw_histogram(next(iter(histograms.values())))
-    return draw_overlay(histograms, by)
-
-
 @in_our_style
-def draw_histogram(histogram: PowerHistogram) -> Figure:
+def draw_histogram(histogram: PowerHistogram, page: Page = PAGE) -> Figure:
     """Number of slipping contacts against their power, logarithmic, with standard errors; no empty bins."""
-    figure = style.plain_figure()
+    figure = style.plain_figure(height=2.2)
     axes = figure.add_subplot()
     axes.set(xscale="log", yscale="log", xlabel=_label(histogram), ylabel="slipping contacts per bin")
     style.label_in_plain_text(axes.xaxis, axes.yaxis)
@@ -44,7 +38,7 @@ def draw_histogram(histogram: PowerHistogram) -> Figure:
     whose = f" in {histogram.census}\n" if histogram.census.asked > 1 else " "
     threshold = f"; threshold {histogram.slip_threshold:.1e}" if histogram.slip_threshold > 0 else ""
     outside = f"({_outside(histogram)}{threshold})"
-    axes.set_title(f"{histogram.slipping:,} slipping contacts{whose}{outside}")
+    style.put_title(figure, f"{histogram.slipping:,} slipping contacts{whose}{outside}", page)
     return figure
 
 
@@ -57,8 +51,8 @@ def draw_overlay(histograms: Mapping[Any, PowerHistogram], by: str) -> Figure:
     first = next(iter(histograms.values()))
     axes.set(xscale="log", yscale="log", xlabel=_label(first), ylabel="share of slipping contacts a decade")
     for (value, found), colour in zip(histograms.items(), style.shades(len(histograms)), strict=True):
-        filled = found.count > 0
-        centre, density, error = (v[filled] for v in (_centre(found), found.density, found.density_error))
+        empty, centre, error = found.count == 0, _centre(found), found.density_error
+        density = np.where(empty, np.nan, found.density)  # no line leads over empty bins
         label = f"{as_text(value)}: {found.slipping:,} slipping, {_outside(found)}; {found.census}"
         axes.plot(centre, density, "o-", ms=2.5, lw=1.2, color=colour, label=label)
         low = np.maximum(density - error, 0.1 * density)  # a band that reaches zero has no end on this scale

@@ -3,18 +3,18 @@
 A plane has its first index to the right and its second one up. Lines are as wide as a site on paper asks for.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection, PatchCollection
-from matplotlib.colors import Normalize
+from matplotlib.colors import LogNorm, Normalize
 from matplotlib.patches import Circle, Rectangle
 
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.plots.page import AXES, BELOW, VIEW, View
-from taichi_bearings.plots.style import GREEN
+from taichi_bearings.plots.style import GREEN, label_in_plain_text
 from taichi_bearings.plots.symbols import larger_spin
 
 SPIN_COLOURS = "coolwarm"
@@ -49,7 +49,9 @@ def draw_speed_bar(
 
 def colour_bar(figure: Any, axes: Any, label: str, norm: Normalize, colours: str, **look: Any) -> None:
     """What the colours of a map say."""
-    figure.colorbar(ScalarMappable(norm, colours), ax=axes, label=label, **{"shrink": 0.8, "pad": 0.02, **look})
+    bar = figure.colorbar(ScalarMappable(norm, colours), ax=axes, label=label, **{"shrink": 0.8, "pad": 0.02, **look})
+    if isinstance(norm, LogNorm):
+        label_in_plain_text(bar.ax.xaxis if bar.orientation == "horizontal" else bar.ax.yaxis)
 
 
 def name_cut(axes: Any, axis: int, index: int, before: str = "", after: str = "") -> None:
@@ -123,24 +125,14 @@ def box_driven_rows(axes: Any, shape: tuple[int, ...]) -> None:
         axes.add_patch(Rectangle((-0.55, y - 0.55), shape[0] + 0.1, 1.1, fill=False, lw=0.8 if shape[1] <= 50 else 0.4))
 
 
-def draw_walls(axes: Any, walls: Sequence[np.ndarray], **look: Any) -> LineCollection:
-    """A line across each contact of a plane where `walls` is True, between its two discs; `look` as of _draw_lines."""
-
-    def across(low: np.ndarray, high: np.ndarray) -> list[np.ndarray]:
-        return [(low + high + sign * (high - low)[:, ::-1]) / 2 for sign in (-1, 1)]
-
-    return _draw_lines(axes, walls, across, look)
-
-
-def draw_contacts(axes: Any, contacts: Sequence[np.ndarray], **look: Any) -> LineCollection:
-    """A line along each contact of a plane where `contacts` is True, between the two centres; `look` as above."""
-    return _draw_lines(axes, contacts, lambda low, high: [low, high], look)
-
-
-def _draw_lines(axes: Any, contacts: Sequence[np.ndarray], points: Callable[..., Any], look: dict[str, Any]) -> Any:
-    """One line a contact, through some points of its two ends. look : arrays have an entry a contact."""
+def draw_contacts(axes: Any, contacts: Sequence[np.ndarray], across: bool = False, **look: Any) -> LineCollection:
+    """A line along each contact of a plane where `contacts` is True, between the two centres; or across it, between the
+    two discs. look : arrays have an entry a contact."""
     ends, which = ends_of(contacts)
-    every = up_to_the_sides(np.stack(points(*ends.swapaxes(0, 1)), axis=1), sides_of(contacts))
+    if across:
+        half = (ends[:, 1] - ends[:, 0])[:, None, ::-1] / 2
+        ends = ends.mean(axis=1, keepdims=True) + half * [[-1], [1]]
+    every = up_to_the_sides(ends, sides_of(contacts))
     look = {name: value[which] if isinstance(value, np.ndarray) else value for name, value in look.items()}
     return axes.add_collection(LineCollection(list(every), rasterized=len(every) > MOST_LINES, **look))
 

@@ -7,13 +7,15 @@ from matplotlib import colormaps
 from matplotlib.collections import LineCollection
 from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from taichi_bearings.analysis.network import SliplessNetwork
 from taichi_bearings.plots import lattice
 from taichi_bearings.plots.page import PAGE, VIEW, Page, View, columns_on
-from taichi_bearings.plots.style import GREEN, GREY, in_our_style, panels
+from taichi_bearings.plots.style import GREEN, GREY, in_our_style, panels, put_title
 
-NO_PATH = "they do not join the planes"
+NO_PATH = "no path from bottom to top"
+PANELS = {"spheres": "from outside", "contacts": "slipless contacts", "path": "spheres of the path, their spins"}
 REACHED_COLOURS = {"bottom": colormaps[lattice.SPIN_COLOURS](0.05), "top": colormaps[lattice.SPIN_COLOURS](0.95)}
 
 
@@ -29,23 +31,26 @@ def draw_network(
     joined to the bottom are blue, those joined to the top red.
     """
     path, speed = network.shortest_path, lattice.speed_of(spin, spin_top, spin_bottom)
-    drawn = ["spheres"] * (spin.ndim == 4) + ["contacts"] + ["path"] * (len(path) > 0)
+    flat, some = spin.ndim == 2, len(network.ends.T) > 0
+    drawn = ["spheres"] * (not flat) + ["contacts"] * (flat or some) + ["path"] * (len(path) > 0)
     below, view = columns_on(page, len(drawn)) == 1, page.view or VIEW
-    figure, each, width = panels(page, len(drawn), (0.9, 0.5), 0.4 if below else 0.0, widest="single")
-    for number, (panel, axes) in enumerate(zip(drawn, each, strict=True)):
-        letter = f"({'abc'[number]}) " if len(drawn) > 1 else ""
+    figure, each, width = panels(page, len(drawn), (0.9, 0.3), 0.4 if below else 0.0, widest="single")
+    words = f"{network.ends.shape[1]:,} slipless contacts, {f'a path of {len(path) - 1}' if len(path) else NO_PATH}"
+    for letter, panel, axes in zip("abc", drawn, each, strict=False):
+        axes.set_title(f"({letter}) {PANELS[panel]}" if len(drawn) > 1 else "")
         if panel == "spheres":
             lattice.paint_block(axes, colormaps[lattice.SPIN_COLOURS](speed), view)
-            axes.set_title(letter + "from outside")
         elif panel == "contacts":
-            shown = _draw_contacts(axes, network, view, 0.85 * width)
-            joined = f"path of {len(path) - 1}" if len(path) else NO_PATH
-            axes.set_title(f"{letter}{network.ends.shape[1]:,} slipless contacts,\n{joined}{shown}")
+            words += _draw_contacts(axes, network, view, 0.85 * width)
         else:
             _draw_turning(axes, network, spin / (max(abs(spin_top), abs(spin_bottom)) or 1.0), speed, view)
-            axes.set_title(letter + "spheres of the path, their spins")
-    if len(drawn) > 1:
+    if not flat or len(path):
         lattice.draw_speed_bar(figure, each, spin_top, spin_bottom, below, shrink=0.6)
+    if some and not network.spans:
+        colours: dict[str, Any] = {**REACHED_COLOURS, "neither": GREY}
+        marks = [Line2D([], [], color=colour, label=end) for end, colour in colours.items()]
+        figure.legend(handles=marks, title="joined to", loc="outside lower center", ncols=3)
+    put_title(figure, words, page)
     return figure
 
 
@@ -90,6 +95,8 @@ def _draw_contacts(axes: Any, network: SliplessNetwork, view: View, width: float
         line = lattice.line_on_site(72 * width / max(shape) / 1.6, 0.12, 0.3, 1.0)
         colour[:, 3] = 0.2 + 0.6 * near if not words else 0.7
         trace = view.seen(trace)[:, :2]
+    if not len(lines):
+        axes.text(0.5, 0.5, "every contact slips", transform=axes.transAxes, ha="center", va="center")
     many = len(lines) > lattice.MOST_LINES
     axes.add_collection(LineCollection(list(lines), colors=colour, lw=line, rasterized=many, label="slipless contacts"))
     lattice.draw_path(axes, trace, max(shape))

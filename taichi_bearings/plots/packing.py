@@ -13,7 +13,7 @@ from taichi_bearings.packing import Packing, PackingSolution
 from taichi_bearings.plots.lattice import MOST_LINES, SPIN_COLOURS, colour_bar
 from taichi_bearings.plots.page import PAGE, VIEW, Page
 from taichi_bearings.plots.power import POWER_COLOURS
-from taichi_bearings.plots.style import GREY, in_our_style, new_figure
+from taichi_bearings.plots.style import GREY, in_our_style, new_figure, put_title
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.words import meant
 
@@ -26,7 +26,7 @@ SHADE = 0.55  # of the colour of spheres that lie farthest behind
 def draw_packing(result: PackingSolution, kind: str = "spins", page: Page = PAGE, note: str = "") -> Figure:
     """kind : "spins", the surface speed of every sphere and, of discs, slipping contacts in black; "power", of slipping
     contacts; "network", the slipless contacts. Spheres are drawn from the back to the front, driven ones with a rim.
-    note : more of the title of "spins"."""
+    note : more of the title."""
     if kind not in PACKING_FIGURES:
         allowed = ", ".join(PACKING_FIGURES)
         raise InputError(f"the figure is {kind!r}; of a packing there are {allowed}{meant(kind, PACKING_FIGURES)}")
@@ -39,38 +39,34 @@ def draw_packing(result: PackingSolution, kind: str = "spins", page: Page = PAGE
     low, high = (seen[:, :2] - radius[:, None]).min(axis=0), (seen[:, :2] + radius[:, None]).max(axis=0)
     width = page.inches("single")
     height = (width - PACKING_BAR) * float(np.clip((high - low)[1] / (high - low)[0], 0.3, 2.0))
-    figure = new_figure(width, height + 0.5, page.dpi)
+    figure = new_figure(width, height + 0.1, page.dpi)
     axes = figure.add_subplot(aspect="equal", xticks=[], yticks=[], xlim=(low[0], high[0]), ylim=(low[1], high[1]))
     axes.set_axis_off()
     site = 72 * (width - PACKING_BAR) / float((high - low)[0]) * float(np.median(radius))
     chosen = result.state == (ContactState.SLIPLESS if kind == "network" else ContactState.SLIPPING)
     words = f"{int(chosen.sum()):,} of {int((result.state != ContactState.DRIVEN).sum()):,} contacts "
+    words += "do not slip" if kind == "network" else "slip, in black" if kind == "spins" and flat else "slip"
     if kind == "spins":
         speed, fastest = _speed(result)
         _spheres(axes, packing, seen, colormaps[SPIN_COLOURS](speed / fastest), flat)
         if flat and chosen.sum() <= MOST_LINES:
             _lines(axes, _walls(packing, chosen), site, colors="black")
         colour_bar(figure, axes, r"$R\,|\omega|$ over the largest imposed", Normalize(0, 1), SPIN_COLOURS)
-        axes.set_title(f"{_named(packing)}{note}\n{words}slip" + (", in black" if flat else ""))
-        return figure
-    _spheres(axes, packing, seen, np.array([[0.93, 0.93, 0.93, 1.0 if flat else 0.25]]), flat)
-    lines = _along(packing, seen, normal, chosen)
+    else:
+        _spheres(axes, packing, seen, np.array([[0.93, 0.93, 0.93, 1.0 if flat else 0.25]]), flat)
+        lines = _along(packing, seen, normal, chosen)
     if kind == "network":
         _lines(axes, lines, site, colors=GREY)
-        axes.set_title(f"{_named(packing)}\n{words}do not slip")
-        return figure
-    power = result.power_per_contact[chosen]
-    some = power[power > 0]
-    norm = LogNorm(float(np.quantile(some, 0.02)), float(some.max())) if len(some) else LogNorm(0.1, 1.0)
-    _lines(axes, lines, 2 * site, colors=np.tile(colormaps[POWER_COLOURS](norm(power)), (2, 1)))
-    colour_bar(figure, axes, "power of a contact (energy / time)", norm, POWER_COLOURS, extend="min")
-    axes.set_title(f"{_named(packing)}\n{words}slip")
+    if kind == "power":
+        power = result.power_per_contact[chosen]
+        some = power[power > 0]
+        norm = LogNorm(float(np.quantile(some, 0.02)), float(some.max())) if len(some) else LogNorm(0.1, 1.0)
+        _lines(axes, lines, 2 * site, colors=np.tile(colormaps[POWER_COLOURS](norm(power)), (2, 1)))
+        colour_bar(figure, axes, "power of a contact (energy / time)", norm, POWER_COLOURS, extend="min")
+    what = "discs" if flat else "spheres"
+    law = str(packing.law).replace("coulomb", "Coulomb")
+    put_title(figure, f"{packing.spheres:,} {what}, {law}{note}\n{words}", page)
     return figure
-
-
-def _named(packing: Packing) -> str:
-    what = "discs" if packing.dimension == 2 else "spheres"
-    return f"{packing.spheres:,} {what}, {str(packing.law).replace('coulomb', 'Coulomb')}"
 
 
 def _speed(result: PackingSolution) -> tuple[np.ndarray, float]:

@@ -56,12 +56,14 @@ class Page:
 
     width : cm; None for the column that suits the figure. dpi : dots an inch of all that is not lines and letters.
     planes : (axis, index) of the cuts to show of a cubic lattice, view : from where; none for what suits the figure.
+    title : whether words stand above it.
     """
 
     width: float | None = None
     dpi: int = 300
     planes: Planes = ()
     view: View | None = None
+    title: bool = True
 
     def inches(self, column: str) -> float:
         """Width of the figure, of the column of this name unless another is asked for."""
@@ -132,12 +134,3 @@ def check_planes(planes: Planes, shape: tuple[int, ...]) -> None:
 def columns_on(page: Page, number: int, least: float = BROAD) -> int:
     """How many of some panels stand beside each other on a page of two columns, each at least so many inches wide."""
     return max(1, min(number, int(page.inches("double") / least)))
-
-
-def grid(figure: Any, page: Page, number: int, least: float = BROAD) -> list[Any]:
-    """Axes of so many panels, in rows."""
-    columns = columns_on(page, number, least)
-    axes = figure.subplots(-(-number // columns), columns, squeeze=False).ravel()
-    for unused in axes[number:]:
-        unused.remove()
-    return list(axes[:number])

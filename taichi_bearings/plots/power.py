@@ -10,13 +10,14 @@ from matplotlib.figure import Figure
 from taichi_bearings.lattice.incidence import weights
 from taichi_bearings.plots import lattice
 from taichi_bearings.plots.page import BELOW, PAGE, Page, columns_on, middle_planes
-from taichi_bearings.plots.style import BLUE, ORANGE, in_our_style, new_figure, panels
+from taichi_bearings.plots.style import BLUE, ORANGE, in_our_style, new_figure, panels, put_title
 from taichi_bearings.plots.symbols import describe, over, power_unit
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene import Solution
 
 POWER_COLOURS = "viridis_r"  # what dissipates most stands out on paper
 IDLE_GREY = "0.75"
+LEAST_HEIGHT = 0.6  # of a plane, of its width, beside which a colour bar has room for its labels
 FAINT_SHARE = 0.02  # share of the contacts that are below the range of the colours
 Arrays = Sequence[np.ndarray]
 
@@ -35,25 +36,26 @@ def draw_power(solution: Solution, replica: int = 0, page: Page = PAGE) -> Figur
     power = scene.lattice.by_axis(every)
     lines = sum(int((p > 0).sum()) for p in power) <= lattice.MOST_LINES or len(shape) == 3
     label = over("P_{ij}" if lines else "P_i", symbol, "energy / time")
-    title = describe(scene, replica)
     if len(shape) == 2:
         shown = power if lines else weights(every[None] / 2, scene.lattice, scene.lattice.all_spin_axes)[0]
         norm = _norm(shown)
-        width = page.inches("single")
-        height = (width - 0.8) * float(np.clip(shape[1] / shape[0], 0.4, 2.0))
-        figure = new_figure(width, height + 0.3, page.dpi)
-        axes = figure.add_subplot(title=title)
+        width, flat_bar = page.inches("single"), shape[1] < LEAST_HEIGHT * shape[0]
+        height = (width - 0.8 * (not flat_bar)) * float(np.clip(shape[1] / shape[0], 0.2, 2.0))
+        figure = new_figure(width, height + (0.5 if flat_bar else 0.1), page.dpi)
+        axes = figure.add_subplot()
         if lines:
-            _draw_plane(axes, power, shape, norm, lattice.site_on_paper(width - 0.8, shape, height))
+            _draw_plane(axes, power, shape, norm, lattice.site_on_paper(width, shape, height))
         else:
             image = np.where(shown[0] > 0, shown[0], np.nan).T
             axes.imshow(image, origin="lower", cmap=POWER_COLOURS, norm=norm, interpolation="nearest")
             lattice.frame_plane(axes, shape)
-        lattice.colour_bar(figure, axes, label, norm, POWER_COLOURS, shrink=0.9, extend="min")
+        look = BELOW if flat_bar else {"shrink": 0.9}
+        lattice.colour_bar(figure, axes, label, norm, POWER_COLOURS, extend="min", **look)
+        put_title(figure, describe(scene, replica), page)
         return figure
     figure = _draw_cuts(power, shape, _norm(power), label, page)
     figure.axes[len(page.planes) or 2].set_xlabel(over("P_z", symbol, "energy / time"))
-    figure.suptitle(title)
+    put_title(figure, describe(scene, replica), page)
     return figure
 
 
@@ -69,7 +71,7 @@ def _draw_cuts(power: Arrays, shape: tuple[int, ...], norm: LogNorm, label: str,
     """Planes of a cubic lattice, and the power of the contacts in each layer and to the next one."""
     planes, nz = page.planes or middle_planes(shape), shape[-1]
     tall = float(np.clip(nz / max(shape[:2]), 0.5, 2.0))
-    figure, (*cuts, layers), width = panels(page, 1 + len(planes), (0.85 * tall, 0.35), 0.2)
+    figure, (*cuts, layers), width = panels(page, 1 + len(planes), (0.85 * tall, 0.35))
     for cut, (axis, index) in zip(cuts, planes, strict=True):
         size = tuple(n for a, n in enumerate(shape) if a != axis)
         _draw_plane(

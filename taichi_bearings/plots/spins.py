@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from taichi_bearings.plots import lattice
 from taichi_bearings.plots.page import NARROW, PAGE, VIEW, Page, columns_on, middle_planes
-from taichi_bearings.plots.style import in_our_style, new_figure, panels
+from taichi_bearings.plots.style import in_our_style, new_figure, panels, put_title
 from taichi_bearings.plots.symbols import describe
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene import Scene
@@ -40,7 +40,7 @@ def draw_spins(
         note = f"{slipping:,} of {movable:,} contacts slip"
         slips = tuple(np.zeros_like(values) for values in slips)
     figure = _draw_discs(colour, slips, page) if speed.ndim == 2 else _draw_spheres(colour, slips, page)
-    figure.suptitle(f"{title or describe(scene)}\n{note}")
+    put_title(figure, f"{title or describe(scene)}\n{note}", page)
     below = speed.ndim == 3 and columns_on(page, len(figure.axes), NARROW) < 3
     lattice.draw_speed_bar(figure, figure.axes, *scene.imposed, below)
     return figure
@@ -50,7 +50,7 @@ def _draw_discs(colour: np.ndarray, slips: tuple[np.ndarray, ...], page: Page) -
     nx, ny = colour.shape[:2]
     width = page.inches("single")
     height = (width - BAR) * min(2.0, max(0.4, ny / nx))
-    figure = new_figure(width, height + 0.45, page.dpi)
+    figure = new_figure(width, height + 0.1, page.dpi)
     axes = figure.add_subplot()
     _paint(axes, colour, slips, lattice.site_on_paper(width - BAR, (nx, ny), height))
     lattice.box_driven_rows(axes, (nx, ny))
@@ -60,7 +60,7 @@ def _draw_discs(colour: np.ndarray, slips: tuple[np.ndarray, ...], page: Page) -
 def _paint(axes: Any, colour: np.ndarray, slips: tuple[np.ndarray, ...], site: float) -> None:
     """Discs of one plane and the slipping contacts between them."""
     lattice.paint_plane(axes, colour)
-    lattice.draw_walls(axes, slips, colors="black", lw=lattice.line_on_site(site, 0.15))
+    lattice.draw_contacts(axes, slips, across=True, colors="black", lw=lattice.line_on_site(site, 0.15))
 
 
 def _draw_spheres(colour: np.ndarray, slips: tuple[np.ndarray, ...], page: Page) -> Figure:
@@ -68,7 +68,7 @@ def _draw_spheres(colour: np.ndarray, slips: tuple[np.ndarray, ...], page: Page)
     shape = colour.shape[:3]
     planes = page.planes or middle_planes(shape)
     tall = float(np.clip(shape[2] / max(shape[:2]), 0.5, 2.0))
-    figure, (block, *cuts), width = panels(page, 1 + len(planes), (0.85 * tall, 0.25), 0.4, NARROW)
+    figure, (block, *cuts), width = panels(page, 1 + len(planes), (0.85 * tall, 0.25), 0.1, NARROW)
     lattice.paint_block(block, colour, page.view or VIEW)
     block.set_title("from outside")
     for axes, (axis, index) in zip(cuts, planes, strict=True):

@@ -2,6 +2,8 @@
 
 import io
 import math
+import re
+import textwrap
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
 
 from taichi_bearings.files.whole_file import replace_file
-from taichi_bearings.plots.page import BROAD, PAGE, Page, columns_on, grid
+from taichi_bearings.plots.page import BROAD, PAGE, Page, columns_on
 
 RC: dict[Any, Any] = {
     # points on paper; nothing is smaller than 7 but indices
@@ -27,14 +29,24 @@ RC: dict[Any, Any] = {
     **{"pdf.fonttype": 42, "ps.fonttype": 42, "svg.fonttype": "none"},
 }
 BLUE, ORANGE, GREEN, GREY = "#2060a8", "#d0702a", "#3a8f4c", "#8a8a8a"
+TALLER = 1.5  # height of a panel over several columns, of that of the others
+SCREEN_DPI = 100  # dots an inch of the figures in notebooks
+LETTERS_AN_INCH, TITLE_LINE = 16, 0.14  # of a title, and inches of a line of it
+IN_DOLLARS = re.compile(r"(?<!\\)\$.*?(?<!\\)\$")
 in_our_style = rc_context(RC)  # decorates what makes a figure
 
 
 class NotebookFigure(Figure):
     """A figure that notebooks show, whether or not pyplot is there."""
 
-    def _repr_png_(self) -> bytes:
-        return _drawn(self, "png")
+    def _repr_png_(self) -> tuple[bytes, dict[str, int]]:
+        """Of the resolution of a screen, and fine on one with twice as many dots."""
+        printed, self.dpi = self.dpi, 2 * SCREEN_DPI
+        try:
+            width, height = (int(SCREEN_DPI * inches) for inches in self.get_size_inches())
+            return _drawn(self, "png"), {"width": width, "height": height}
+        finally:
+            self.dpi = printed
 
     def draw(self, renderer: Any) -> None:
         """Lay out twice: titles above axes of a fixed aspect know their place only then."""
@@ -61,22 +73,42 @@ def new_figure(width: float = SINGLE, height: float = 2.5, dpi: float = PAGE.dpi
 def panels(
     page: Page, number: int, row: tuple[float, float], more: float = 0.0, least: float = BROAD, widest: str = "double"
 ) -> tuple[Figure, list[Any], float]:
-    """A figure of so many panels in rows, their axes, and the width that each has, in inches.
+    """A figure of so many panels in rows, their axes, and the width that each has, in inches. The first panel takes the
+    columns that would stay empty.
 
     row : height of a row, as a share of the width of a panel, and inches to add. more : inches beside the rows.
     least : inches that a panel needs. widest : column of the page that no panel exceeds.
     """
     columns = columns_on(page, number, least)
+    wide = 1 - number % -columns
     width = min(page.inches("double") / columns, page.inches(widest))
-    figure = new_figure(columns * width, -(-number // columns) * (row[0] * width + row[1]) + more, page.dpi)
-    return figure, grid(figure, page, number, least), width
+    heights = [TALLER if wide > 1 else 1.0, *[1.0] * (-(-number // columns) - 1)]
+    figure = new_figure(columns * width, sum(heights) * row[0] * width + len(heights) * row[1] + more, page.dpi)
+    cells = figure.add_gridspec(len(heights), columns, height_ratios=heights)
+    others = [cells[divmod(place, columns)] for place in range(wide, columns * len(heights))]
+    return figure, [figure.add_subplot(place) for place in (cells[0, :wide], *others)], width
 
 
 def plain_figure(width: float = SINGLE, height: float = 2.5, dpi: float = PAGE.dpi) -> Figure:
     """An empty figure for plain axes, in inches: with margins that are known, so that nothing is laid out anew."""
     figure = NotebookFigure(figsize=(width, height), dpi=dpi)
-    figure.subplots_adjust(left=0.6 / width, right=1 - 0.08 / width, bottom=0.40 / height, top=1 - 0.42 / height)
+    figure.subplots_adjust(left=0.6 / width, right=1 - 0.08 / width, bottom=0.40 / height, top=1 - 0.08 / height)
     return figure
+
+
+def put_title(figure: Figure, words: str, page: Page = PAGE) -> None:
+    """Words above a figure, if its page has a title: broken where they are too long, but never inside mathematics or
+    before a per cent sign. The paper grows by their lines."""
+    if not page.title:
+        return
+    joined = IN_DOLLARS.sub(lambda found: found[0].replace(" ", "\0"), words.replace(" %", "\u00a0%"))
+    width, height = figure.get_size_inches()
+    lines = [line for part in joined.split("\n") for line in textwrap.wrap(part, int(LETTERS_AN_INCH * width))]
+    margins, taller = figure.subplotpars, height + TITLE_LINE * (len(lines) + 0.5)
+    figure.set_figheight(taller)
+    if figure.get_layout_engine() is None:
+        figure.subplots_adjust(bottom=margins.bottom * height / taller, top=margins.top * height / taller)
+    figure.suptitle("\n".join(lines).replace("\0", " "))
 
 
 SUPERSCRIPTS = str.maketrans("-0123456789", "\u207b\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079")

@@ -20,6 +20,12 @@ def describe(scene: Scene, sample: int | None = 0) -> str:
     return f"${shape}$ {str(scene.law).replace('coulomb', 'Coulomb')}{scene.closed}, {seed}"
 
 
+def mathematics(value: float, digits: int = 6) -> str:
+    """A number to so many digits within mathematics, 5e-12 as a power of ten."""
+    mantissa, power, exponent = f"{value:.{digits}g}".partition("e")
+    return mantissa + (rf"\times10^{{{int(exponent)}}}" if power else "")
+
+
 def larger_spin(spin_top: float, spin_bottom: float) -> str:
     """Symbol of the larger imposed spin."""
     return SPEED_OF[abs(spin_top) >= abs(spin_bottom)]

@@ -20,7 +20,7 @@ from taichi_bearings.runs.run_file import file_of
 from taichi_bearings.runs.structure_report import findings_of, numbers_of
 from taichi_bearings.scene import Solution
 from taichi_bearings.stages import alike, each, stage
-from taichi_bearings.words import meant
+from taichi_bearings.words import html_table, meant
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -92,6 +92,13 @@ class Analysis:
         words = ", ".join(f"{name} = {self.report[name]}" for name in names) or f"{len(self.arrays)} samples"
         return f"<Analysis of {'x'.join(map(str, self.report['shape']))} {self.report['law']}: {words}>"
 
+    def _repr_html_(self) -> str:
+        """For notebooks: the numbers of a sample, or some of each of several."""
+        if len(self.arrays) == 1:
+            return html_table(repr(self), self.report.items())
+        names = ("seed", "power", "power_over_cut", "slipless_fraction", "spans", "domains")
+        return html_table(repr(self), zip(*(self.report[name] for name in names), strict=True), names)
+
     @property
     def figures(self) -> list[str]:
         """Names of the figures that :meth:`plot` draws."""
@@ -118,14 +125,16 @@ def analyse(
     replica: int = 0,
     threshold: float | None = None,
     figures: bool = True,
+    title: bool = True,
 ) -> dict[str, Any]:
     """Analyse every sample of a stored run, write /analysis and the figures, and return the report.
 
     path : a run directory or its run.h5. out : folder for analysis.h5 and the figures; default: into the run itself,
     where an earlier analysis is replaced. replica : the sample that is drawn alone. threshold : as of
-    :class:`Analysis`.
+    :class:`Analysis`. title : whether words stand above the figures.
     Raises InputError or FileError before anything is computed.
     """
+    from taichi_bearings.plots.page import Page
     from taichi_bearings.plots.style import save
     from taichi_bearings.runs.figures import FIGURES
 
@@ -146,5 +155,5 @@ def analyse(
         with stage("writing"):
             write_analysis(target, arrays, report, into_run=out is None)
         for picture in each(pictures if figures else [], "drawing figure"):
-            save(draw(picture.stem), picture)
+            save(draw(picture.stem, page=Page(title=title)), picture)
     return report | {"run": str(path), "files": [str(target), *(map(str, pictures) if figures else ())]}

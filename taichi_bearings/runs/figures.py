@@ -16,7 +16,7 @@ from taichi_bearings.plots.packing import draw_packing
 from taichi_bearings.plots.page import PAGE, Page, check_planes
 from taichi_bearings.plots.power import draw_power
 from taichi_bearings.plots.spins import draw_spins
-from taichi_bearings.plots.symbols import describe, driving
+from taichi_bearings.plots.symbols import describe, driving, mathematics
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene import Scene, Solution
 from taichi_bearings.words import meant
@@ -27,7 +27,19 @@ FIGURES: dict[str, Callable[[Structure, Page], Figure]] = {
 }
 """How each figure of the structure of a sample is drawn."""
 
-FIGURE_KINDS = ("spins", "power", "history", "energy", *FIGURES)
+
+def _draw_spins(solution: Solution, sample: int, page: Page) -> Figure:
+    one = solution.sample(sample)
+    return draw_spins(one.scene, one.spin[0], one.scene.lattice.by_axis(one.state[0]), page)
+
+
+OF_ANSWERS: dict[str, Callable[[Solution, int, Page], Figure]] = {
+    "spins": _draw_spins,
+    "power": draw_power,
+    "history": lambda solution, _, page: draw_history(solution, page),
+    "energy": draw_energy,
+}
+FIGURE_KINDS = (*OF_ANSWERS, *FIGURES)
 STRETCHED_SLIP = 1e-3  # of R times the imposed jump: slower contacts may only stretch their springs
 WITH_PLANES = ("spins", "power", "domains")
 WITH_VIEW = ("spins", "domains", "network")
@@ -60,18 +72,11 @@ def draw_figure(
     if page.view and len(shape) == 2:
         raise InputError("view is given, but the lattice is flat; only cubic ones are turned")
     check_planes(page.planes, shape)
-    if kind == "spins":
-        if time is not None:
-            return draw_snapshot(solution, sample, time, slip_threshold, page)
-        one = solution.sample(sample)
-        return draw_spins(one.scene, one.spin[0], one.scene.lattice.by_axis(one.state[0]), page)
-    if kind == "power":
-        return draw_power(solution, sample, page)
-    if kind == "history":
-        return draw_history(solution, page)
-    if kind == "energy":
-        return draw_energy(solution, sample, page)
-    return FIGURES[kind](structure_of(solution, sample), page)
+    if time is not None:
+        return draw_snapshot(solution, sample, time, slip_threshold, page)
+    if kind in FIGURES:
+        return FIGURES[kind](structure_of(solution, sample), page)
+    return OF_ANSWERS[kind](solution, sample, page)
 
 
 def draw_snapshot(
@@ -88,11 +93,14 @@ def draw_snapshot(
     slips = np.where(slips_of(scene, spin) > threshold, ContactState.SLIPPING, ContactState.SLIPLESS)
     state = scene.lattice.by_axis(np.where(scene.lattice.between_driven, ContactState.DRIVEN, slips))
     unit, symbol = driving(scene)
-    when = f"$t = {at:.6g}$" + ("" if unit == 1 else rf", ${symbol}\,t = {unit * at:.6g}$")
-    note = f"black: contacts that slip faster than {threshold:.1e}"
-    if scene.jump:
-        note += rf" $= {threshold / (scene.lattice.radius * scene.jump):.1g}\,R\,|\Delta\omega|$"
-    return draw_spins(scene, spin, state, page, f"{describe(scene)}, {when}", note)
+    when = f"$t = {mathematics(at)}$" + ("" if unit == 1 else rf", ${symbol}\,t = {mathematics(unit * at)}$")
+    note = f"black: contacts that slip faster than ${mathematics(threshold, 2)}"
+    note += (
+        rf" = {mathematics(threshold / (scene.lattice.radius * scene.jump), 1)}\,R\,|\Delta\omega|"
+        if scene.jump
+        else ""
+    )
+    return draw_spins(scene, spin, state, page, f"{describe(scene)}, {when}", f"{note}$")
 
 
 def _nearest(solution: Solution | PackingSolution, time: float) -> tuple[float, np.ndarray]:
@@ -125,7 +133,7 @@ def draw_figure_of_packing(
     least = STRETCHED_SLIP * float(np.linalg.norm(packing.imposed, axis=1).max(initial=0.0))
     told = np.where(slip > least, ContactState.SLIPPING, ContactState.SLIPLESS)
     state = np.where(result.state == ContactState.DRIVEN, ContactState.DRIVEN, told).astype(np.uint8)
-    return draw_packing(replace(result, spin=spin, slip=slip, state=state), "spins", page, f", $t = {at:.6g}$")
+    return draw_packing(replace(result, spin=spin, slip=slip, state=state), "spins", page, f", $t = {mathematics(at)}$")
 
 
 def snapshot_threshold(solution: Solution, slip_threshold: float | None) -> float:

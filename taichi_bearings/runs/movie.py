@@ -60,15 +60,17 @@ def movie(
     times = np.sort(solution.snapshots.time).tolist()
     with claimed(path, force or out is None):
         moments = each(times, "drawing snapshot", alike)
-        frames = (_picture(draw(time)) for time in moments)
+        height = draw(times[0]).get_figheight()  # titles differ in length
+        frames = (_picture(draw(time), height) for time in moments)
         film = _mp4(str(encoder), frames, frames_per_second) if ending == ".mp4" else _gif(frames, frames_per_second)
         replace_file(path, film)
     return {"file": str(path), "bytes": path.stat().st_size, "frames": len(times), "fps": frames_per_second}
 
 
 @in_our_style
-def _picture(figure: Any) -> np.ndarray:
-    """(height, width, 3) of bytes, of even sides."""
+def _picture(figure: Any, inches: float) -> np.ndarray:
+    """(height, width, 3) of bytes, of even sides; so many inches high."""
+    figure.set_figheight(inches)
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
     pixels = np.asarray(canvas.buffer_rgba())[..., :3]

@@ -408,7 +408,7 @@ def _of_structure(structure: PackingStructure) -> tuple[dict[str, Finding], dict
 
 def analysed(
     found: PackingRun, threshold: float | None = None, replica: int = 0
-) -> tuple[dict[str, Any], list[dict[str, Finding]], Callable[[str], Any]]:
+) -> tuple[dict[str, Any], list[dict[str, Finding]], Callable[..., Any]]:
     """Report, arrays of each replica and what draws the figures of one. threshold : as of runs.analysis.Analysis."""
     from taichi_bearings.plots.packing import draw_packing
 

@@ -526,13 +526,13 @@ def draw_figures(found: "Run | PackingRun") -> None:
 
 
 def _draw(found: "Run | PackingRun") -> None:
-    from taichi_bearings.plots.course import draw_history
+    from taichi_bearings.plots.course import draw_history, has_course
     from taichi_bearings.plots.histogram import draw_histogram
     from taichi_bearings.plots.style import save
 
     assert found.path is not None
     save(draw_histogram(found.histogram), found.path / "power_histogram.png")
-    if isinstance(found, Run) and len(found.solution.history["power"]) > 2:  # a start and an answer are no course
+    if isinstance(found, Run) and has_course(found.solution):
         save(draw_history(found.solution), found.path / "history.png")
 
 

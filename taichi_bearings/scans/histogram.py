@@ -183,8 +183,11 @@ def histogram(
     bins_per_decade: int = 5,
     normalise: str = "none",
     by: str | None = None,
+    title: bool = True,
 ) -> dict[str, Any]:
     """Pool the histograms of runs and scans, write power_histogram.csv, .h5 and .png into `out`; returns the report.
+
+    title : whether words stand above the figure.
 
     Raises InputError or FileError before anything is written.
     """
@@ -198,10 +201,11 @@ def histogram(
         found = pooled(sources, bins_per_decade, normalise, by)
     with writable_folder(folder):
         with stage("drawing"):
-            from taichi_bearings.plots.histogram import draw_histograms  # loads matplotlib
+            from taichi_bearings.plots.histogram import draw_histogram, draw_overlay  # loads matplotlib
+            from taichi_bearings.plots.page import Page
             from taichi_bearings.plots.style import save
 
-            drawn = draw_histograms(found, by)
+            drawn = draw_overlay(found, by) if by else draw_histogram(found[None], Page(title=title))
         with stage("writing"), awaited():  # all three or none
             write_table(table, found, by)
             write_arrays(arrays, found, by)

@@ -19,7 +19,7 @@ from taichi_bearings.scene.disorder import Distribution, Draw, draw_coefficients
 from taichi_bearings.scene.driving import Driving
 from taichi_bearings.scene.given import finite_number, own_array
 from taichi_bearings.scene.law import COULOMB, LAWS, Coefficients, Law, law_named
-from taichi_bearings.words import shown
+from taichi_bearings.words import html_table, shown
 
 LEAST_DIRECTION = 1e-100  # least part of a direction that counts
 LEAST_COEFFICIENT, MOST_COEFFICIENT = 1e-15, 1e15
@@ -197,6 +197,14 @@ class Scene:
         seeds = f"{self.replicas} samples" if self.replicas > 1 else seeds if self.drawn else "coefficients given"
         top, bottom = (f"{spin:g}" for spin in self.imposed) if self.top is None else (self.top, self.bottom)
         return f"<Scene {shape} {self.law}, {seeds}, top {top}, bottom {bottom}{self.closed}>"
+
+    def _repr_html_(self) -> str:
+        """For notebooks."""
+        names = [name for name in self.PARAMETERS if self.top is None or name not in self.BY_SPINS]
+        given = [(name, value) for name in names if (value := getattr(self, name)) not in (None, ())]
+        counts = [("spheres", self.lattice.sites), ("contacts", self.lattice.all_contacts)]
+        drawn = [(name, words) for name, words in self.drawn.items() if name != "viscosity" or self.viscosity]
+        return html_table(repr(self), [*counts, *drawn, *given])
 
     @property
     def closed(self) -> str:

@@ -11,6 +11,7 @@ import pytest
 
 import taichi_bearings as tb
 from taichi_bearings.lattice import Lattice
+from taichi_bearings.plots.style import SCREEN_DPI
 from taichi_bearings.runs.verify import verify
 
 ROOT = Path(__file__).parents[2]
@@ -245,7 +246,10 @@ def test_figures_need_no_file(needs_f64):
     found = tb.solve(tb.Scene.random((4, 4, 5), seed=1, spin_bottom=0.1), "gradient-descent", 1e-3, threads=1)
     for kind in ("spins", "power", "history", "domains", "network"):
         assert found.plot(kind).axes
-        assert found.plot(kind)._repr_png_().startswith(b"\x89PNG")
+        drawn, size = (figure := found.plot(kind))._repr_png_()
+        assert drawn.startswith(b"\x89PNG")
+        assert size["width"] == int(SCREEN_DPI * figure.get_figwidth())
+        assert figure.dpi == 300  # as it is saved
 
 
 def test_many_scenes_come_as_they_are_solved_in_processes_of_their_own():

@@ -5,7 +5,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from taichi_bearings_cli.progress import Forecast
+
+from taichi_bearings.progress import Forecast
 
 
 def reports(seconds, gap=(), time=None, needed=None, geometric=False, tolerance=1e-8, duration=math.inf):

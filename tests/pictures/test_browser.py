@@ -39,14 +39,14 @@ def browser():
 class Page:
     """A page in the browser, what it complained of and what it asked for."""
 
-    def __init__(self, browser, path):
+    def __init__(self, browser, path, part="", viewport=(1100, 390)):
         self.complaints, self.requests = [], []
-        self.tab = browser.new_page(viewport={"width": 1100, "height": 320})
+        self.tab = browser.new_page(viewport=dict(zip(("width", "height"), viewport, strict=True)))
         self.tab.on("console", lambda said: self.complaints.append(f"{said.type}: {said.text}"))
         self.tab.on("pageerror", lambda error: self.complaints.append(str(error)))
         self.tab.on("request", lambda request: self.requests.append(request.url))
         began = time.perf_counter()
-        self.tab.goto(path.as_uri())
+        self.tab.goto(path.as_uri() + part)
         self.tab.wait_for_function("window.bearings || document.getElementById('message').textContent[0] === 'N'")
         self.seconds = time.perf_counter() - began
 
@@ -84,9 +84,9 @@ def opened(browser, tmp_path):
     """A function that makes the page of a run and opens it."""
     pages = []
 
-    def show(run):
+    def show(run, *look):
         view(run, tmp_path / "page.html", force=True)
-        pages.append(Page(browser, tmp_path / "page.html"))
+        pages.append(Page(browser, tmp_path / "page.html", *look))
         return pages[-1]
 
     yield show
@@ -303,6 +303,56 @@ def test_keys_turn_the_picture(minimum, opened):
     assert (page.pixels() == before).mean() > 0.999
 
 
+def test_what_is_known_of_the_end_alone_is_not_drawn_of_a_snapshot(dynamics, opened):
+    page = opened(dynamics)
+    page.tab.locator("#colour").select_option("domain")
+    page.tab.get_by_text("domain boundaries", exact=False).first.click()
+    drawn = "bearings.picture.layers.walls.count"
+    assert page.ask(drawn) > 0
+    page.move("time", 1)
+    assert page.ask(drawn) == 0
+    assert page.tab.locator("#colour").input_value() == "spin"
+    assert page.tab.locator("#colour option[value=domain]").is_disabled()
+    assert "shortest path" not in page.tab.locator("#legend").inner_text()
+    page.move("time", 4)
+    assert page.ask(drawn) > 0
+    assert page.tab.locator("#colour").input_value() == "domain"
+
+
+def test_the_address_keeps_the_view_and_a_wrong_one_does_no_harm(minimum, opened):
+    page = opened(minimum)
+    page.press("Network")
+    page.move("slice-y-from", 2)
+    page.move("threshold", 114)
+    page.tab.locator("#canvas").press("ArrowLeft")
+    page.tab.wait_for_function("location.hash.includes('low=0,2,0') && location.hash.includes('threshold=114')")
+    page.tab.wait_for_timeout(400)  # of the last key
+    chosen = "(({ preset, ...others }) => JSON.stringify(others, Object.keys(others).sort()))(bearings.choices)"
+    kept, again = page.ask("location.hash"), opened(minimum, page.ask("location.hash"))
+    assert again.ask(chosen) == page.ask(chosen)
+    assert (np.abs(again.pixels().astype(int) - page.pixels()) > 8).any(axis=2).mean() < 0.01
+    assert page.is_quiet(), (page.complaints, page.requests)
+    wrong = "#camera=0,NaN,1&low=9,-4,x&high=99,1,1&layers=none,cut&colour=constructor&power=1e9&time=4e9&kinds=2"
+    page = opened(minimum, wrong)
+    assert page.ask("[bearings.choices.power, bearings.choices.time, bearings.choices.colour]") == [100, 0, "spin"]
+    assert page.ask("[bearings.choices.low, bearings.choices.high]") == [[0, 0, 0], [4, 1, 1]]
+    assert page.is_quiet(), (page.complaints, page.requests)
+    assert kept != wrong
+
+
+def test_on_a_phone_words_stand_above_the_picture_and_axes_are_named(minimum, opened):
+    page = opened(minimum, "", (390, 844))
+    words, picture = (page.tab.locator(which).bounding_box() for which in ("header", "#canvas"))
+    assert words["y"] + words["height"] <= picture["y"]
+    assert picture["height"] > 200
+    names = page.tab.locator("#axes span").all()
+    assert [name.inner_text() for name in names] == ["x = 4", "y = 4", "z = 4", "0, 0, 0"]
+    for name in names:
+        box = name.bounding_box()
+        assert picture["x"] <= box["x"] < box["x"] + box["width"] <= picture["x"] + picture["width"]
+        assert picture["y"] <= box["y"] < box["y"] + box["height"] <= picture["y"] + picture["height"]
+
+
 @pytest.mark.slow
 def test_a_large_lattice_turns(solved, opened, record_property):
     page = opened(solved(shape=(32, 32, 32), method="gradient-descent", iterations=5))
@@ -312,5 +362,10 @@ def test_a_large_lattice_turns(solved, opened, record_property):
     record_property("frame_milliseconds", milliseconds)
     print(f"32x32x32: loaded in {page.seconds:.1f} s; a frame takes", milliseconds)
     assert page.ask("bearings.picture.layers.network.count") > 10_000
+    opacity = "bearings.picture.layers.network.mesh.material.uniforms.opacity.value"
+    assert page.ask(opacity) < 1
+    for end in ("from", "to"):
+        page.move(f"slice-y-{end}", 16)
+    assert page.ask(opacity) == 1
     assert 0 < max(milliseconds.values()) < SLOWEST
     assert page.is_quiet(), (page.complaints, page.requests)

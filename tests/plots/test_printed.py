@@ -170,8 +170,9 @@ def test_lines_on_large_lattices_leave_the_spins_to_be_seen():
 def test_of_a_dense_network_the_contacts_behind_the_path_are_drawn():
     case = Case((20, 20, 20), levels=(0.0, 1.0))
     assert case.network.ends.shape[1] > MOST_LINES
-    axes = draw_network(case.network, case.spin, *case.driving).axes[1]
-    assert "behind" in axes.get_title()
+    figure = draw_network(case.network, case.spin, *case.driving)
+    axes = figure.axes[1]
+    assert "behind" in figure.get_suptitle()
     assert beyond(draw_network(case.network, case.spin, *case.driving, Page(view=View(30.0, 30.0)))) < 0.01
     (grey,) = [c for c in axes.collections if c.get_label() == "slipless contacts"]
     points = np.stack(np.unravel_index(case.network.ends, (20,) * 3), axis=-1).swapaxes(0, 1)
@@ -229,3 +230,21 @@ def test_figures_of_the_paper_and_of_benchmarks_fit_on_two_columns(draw):
     assert figure.get_figwidth() * INCH == pytest.approx(17.8)
     assert beyond(figure) < 0.01
     assert min(text.get_fontsize() for text in figure.findobj(Text) if text.get_text().strip()) >= 7
+
+
+def test_one_step_is_no_history_and_few_are_drawn_on_a_plain_axis(solved):
+    first = {name: values[:1] for name, values in solved.history.items()}
+    one = replace(solved, history=first | {"iteration": np.array([1])})
+    with pytest.raises(InputError, match="the run kept 1 step of gradient-descent; a history is drawn of 2 or more"):
+        draw_figure("history", one)
+    few = {name: values[1:] for name, values in solved.history.items()} | {"time": np.array([0.5, 1.0])}
+    assert draw_figure("history", replace(solved, history=few)).axes[1].get_xscale() == "linear"
+    assert draw_figure("history", solved).axes[1].get_xscale() == "log"
+
+
+def test_an_odd_panel_takes_the_room_that_would_stay_empty(solved):
+    figure = draw_figure("spins", solved, page=Page(width=read_width("single")))
+    block, left, right, _ = figure.axes
+    spans = [axes.get_subplotspec() for axes in (block, left, right)]
+    assert [list(spec.colspan) for spec in spans] == [[0, 1], [0], [1]]
+    assert [list(spec.rowspan) for spec in spans] == [[0], [1], [1]]

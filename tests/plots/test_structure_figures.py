@@ -155,7 +155,11 @@ def test_the_network_figure_has_a_segment_for_each_slipless_contact_and_the_path
 def test_without_a_path_the_figures_say_so_and_the_pieces_have_colours():
     case = Case((3, 4, 6), parted=True)
     figure = draw_network(case.network, case.spin, *case.driving)
-    assert "do not join" in titles(figure)
+    assert "no path from bottom to top" in figure.get_suptitle()
+    (legend,) = figure.legends
+    named = dict(zip(("bottom", "top", "neither"), legend.get_lines(), strict=True))
+    assert [text.get_text() for text in legend.get_texts()] == list(named)
+    assert all(np.allclose(named[end].get_color(), colour) for end, colour in REACHED_COLOURS.items())
     assert len(figure.axes) == 3  # the spheres, the contacts, a colour bar
     assert "no path" in titles(draw_plane_cuts(case.network, case.spin, *case.driving))
     height = case.network.contact[:, 2]

@@ -26,7 +26,7 @@ def test_a_snapshot_shows_its_time_and_its_own_slipping_contacts(stored, time, n
     figure = draw_snapshot(stored, 1, time)
     (lines,) = (c for c in figure.axes[0].collections if type(c).__name__ == "LineCollection")
     assert len(lines.get_segments()) == slipping
-    when, what = figure.get_suptitle().split("\n")
+    when, what = figure.get_suptitle().split("\n", 1)
     assert f"$t = {stored.snapshots.time[nearest]:.6g}$" in when
     assert what.startswith("black: ")
 

@@ -8,6 +8,8 @@ class Controls {
     this.listen();
     this.usePreset(0);
     this.judge();
+    element("subtitle").style.minHeight = `${element("subtitle").getBoundingClientRect().height}px`;  // snapshots say less: nothing jumps
+    this.followLink();
   }
   tick(parent, text, colour, on, act) {
     const label = document.createElement("label"), box = document.createElement("input"), count = document.createElement("span");
@@ -35,7 +37,7 @@ class Controls {
     });
     for (const [key, text] of LAYERS)
       this.switches[key] = this.tick("layers", text, LOOK[key], false, (on) => { choices.layers[key] = on; choices.preset = null; this.changed(); });
-    for (const [key, text, needed] of COLOURS) element("colour").append(Object.assign(new Option(key === "spin" ? `spin ${sample.facts.spin_name}` : text, key), { disabled: !sample.has(needed) }));
+    for (const [key, text] of COLOURS) element("colour").append(new Option(key === "spin" ? `spin ${sample.facts.spin_name}` : text, key));
     element("kinds").hidden = !sample.has("kind");
     const members = KINDS.map(() => 0);
     for (const kind of sample.kind) members[kind]++;
@@ -85,10 +87,11 @@ class Controls {
     element("play").addEventListener("click", () => this.play(!this.playing));
     element("reset").addEventListener("click", () => picture.firstView());
     element("picture").addEventListener("click", () => {
-      picture.draw();
-      const link = Object.assign(document.createElement("a"), { download: "bearing.png", href: picture.canvas.toDataURL("image/png") });
+      const link = Object.assign(document.createElement("a"), { download: "bearing.png", href: picture.copy() });
       link.click();
     });
+    picture.controls.addEventListener("change", () => this.keepLink());
+    window.addEventListener("hashchange", () => this.followLink());
     element("controls").addEventListener("submit", (event) => event.preventDefault());
   }
   play(on) {
@@ -141,26 +144,34 @@ class Controls {
   changed() {
     this.picture.refresh();
     this.show();
+    this.keepLink();
+  }
+  /** True if what this colouring tells is known now. */
+  canColour(colour) {
+    const { sample } = this;
+    return sample.has(COLOURS.find(([key]) => key === colour)?.[2]) && (sample.isEnd || !OF_THE_END.colours.includes(colour));
   }
   show() {
     const { sample, choices } = this, { facts, counts } = sample;
     for (const [key] of LAYERS) {
       const { box, label } = this.switches[key];
-      box.checked = choices.layers[key];
-      box.disabled = this.available[key] === 0;
+      box.checked = sample.draws(key, choices);
+      box.disabled = this.available[key] === 0 || !(sample.isEnd || !OF_THE_END.layers.includes(key));
       label.classList.toggle("off", box.disabled);
     }
     const number = { ...this.available, network: counts.slipless, slipping: counts.slipping, undecided: counts.undecided };
     for (const [key] of LAYERS) this.switches[key].count.textContent = number[key] ? grouped(number[key]) : "none";
     this.kinds.forEach(({ box }, kind) => { box.checked = choices.kinds[kind]; });
     [...element("presets").children].forEach((button, n) => button.setAttribute("aria-pressed", String(n === choices.preset)));
-    for (const key of ["colour", "size", "power", "threshold", "time"]) element(key).value = choices[key];
+    for (const key of SLIDERS) element(key).value = choices[key];
+    element("colour").value = sample.colouring(choices);
+    for (const option of element("colour").options) option.disabled = !this.canColour(option.value);
     const own = sample.isEnd ? `those of the run (${facts.proven ? "proven" : "not proven"})` : `those up to |v| = ${six(facts.snapshot_threshold)}`;
     element("threshold-text").textContent = choices.slip === null ? own : `those up to ${(choices.slip / facts.jump_speed).toExponential(1)} ${facts.jump_name}`;
     element("threshold").setAttribute("aria-valuetext", element("threshold-text").textContent);
     const open = counts.undecided ? `, ${facts.open}` : "";
     element("states").textContent = `${grouped(counts.slipless)} slipless, ${grouped(counts.slipping)} slipping${open}. They ${counts.spans ? "join" : "do not join"} ${facts.joined} and touch ${six(100 * counts.reached)} % of the free spheres.`
-      + (choices.slip === null && sample.isEnd ? "" : " Domains, path and bottlenecks stay those of the end state of the run.");
+      + (!sample.isEnd ? " Domains, path and bottlenecks are known of the end state alone." : choices.slip === null ? "" : " Domains, path and bottlenecks stay those of the run.");
     const what = sample.isEnd ? "P" : "|v|";
     element("power-text").textContent = choices.power === 0 ? "all" : `${what} ≥ ${weakest(choices).toExponential(2)}`;
     element("power").setAttribute("aria-valuetext", element("power-text").textContent);
@@ -172,6 +183,47 @@ class Controls {
     });
     this.showTime();
     drawLegend(sample, choices);
+  }
+  /** Write what is shown and from where behind the # of the address: there the page shows the same again. */
+  keepLink() {
+    clearTimeout(this.linking);
+    const { choices, picture: { camera, controls } } = this, camera_at = [camera.position, controls.target].flatMap((place) => place.toArray());
+    this.linking = setTimeout(() => {
+      const kept = { camera: camera_at.map((x) => Number(x.toPrecision(6))), colour: choices.colour, kinds: choices.kinds.map(Number), low: choices.low, high: choices.high };
+      kept.layers = LAYERS.map(([key]) => key).filter((key) => choices.layers[key]);
+      for (const key of SLIDERS) kept[key] = choices[key];
+      try {
+        history.replaceState(null, "", "#" + Object.entries(kept).map(([key, value]) => `${key}=${value}`).join("&"));
+      } catch { /* a page within another may have no address */ }
+    }, 200);
+  }
+  /** Show what an address says, as far as this sample has it. */
+  followLink() {
+    const { sample, choices, picture: { camera, controls } } = this, said = new URLSearchParams(location.hash.slice(1));
+    if (!said.has("camera")) return;
+    const numbers = (key, length) => {
+      const found = (said.get(key) ?? "").split(",").map(Number);
+      return found.length === length && found.every(Number.isFinite) ? found : null;
+    };
+    const within = (value, least, most) => Math.min(most, Math.max(least, value));
+    const place = numbers("camera", 6), kinds = numbers("kinds", KINDS.length), layers = (said.get("layers") ?? "").split(",");
+    for (const key of SLIDERS) {
+      const value = numbers(key, 1), { min, max } = element(key);
+      if (value) choices[key] = within(value[0], Number(min), Number(max));
+    }
+    choices.time = Math.round(choices.time);
+    for (const key of ["low", "high"])
+      choices[key] = numbers(key, sample.dimension)?.map((value, k) => within(Math.round(value), 0, sample.slices[k].steps)) ?? choices[key];
+    for (const [key] of LAYERS) choices.layers[key] = layers.includes(key) && this.available[key] > 0;
+    if (kinds) choices.kinds = kinds.map(Boolean);
+    if (sample.has(COLOURS.find(([key]) => key === said.get("colour"))?.[2])) choices.colour = said.get("colour");
+    choices.preset = null;
+    if (place) {
+      camera.position.fromArray(place);
+      controls.target.fromArray(place, 3);
+      controls.update();
+    }
+    this.judge();
   }
   showTime() {
     const { facts, isEnd } = this.sample, { time } = this.choices;

@@ -24,14 +24,14 @@ function drawLegend(sample, choices) {
       legend.append(entry);
     }
   };
-  const { layers } = choices, shares = ["≤ 0.01 %", "0.1 %", "1 %", "10 %", "100 %"];
+  const colour = sample.colouring(choices), layers = Object.fromEntries(LAYERS.map(([key]) => [key, sample.draws(key, choices)])), shares = ["≤ 0.01 %", "0.1 %", "1 %", "10 %", "100 %"];
   if (layers.spheres) {
-    const listed = sample.listed(choices.colour);
-    if (choices.colour === "spin") bar(`spheres: ${facts.spin_name}`, sample.map_spin, ["0", "0.5", facts.beyond ? "≥ 1" : "1"]);
-    if (choices.colour === "turn") bar(`spheres: how their domain turns${sample.dimension === 3 ? " (yellow, green: by component)" : ""}`, sample.map_spin, ["as the bottom", "as the top"]);
-    if (choices.colour === "betweenness") bar("spheres: share of shortest paths", sample.map_share, shares);
-    if (choices.colour === "domain") list([["rigid domains of several spheres, largest first", `linear-gradient(90deg, ${TELLING.join()})`], ["single spheres", LOOK.plain]]);
-    if (choices.colour === "body") list([...sample.bodies.slice(0, TELLING.length).map((body) => [facts.shape ? ["driven with the bottom", "driven with the top"][body] : `driven body ${body}`, TELLING[body % TELLING.length]]), ["free", LOOK.plain]]);
+    const listed = sample.listed(colour);
+    if (colour === "spin") bar(`spheres: ${facts.spin_name}`, sample.map_spin, ["0", "0.5", facts.beyond ? "≥ 1" : "1"]);
+    if (colour === "turn") bar(`spheres: how their domain turns${sample.dimension === 3 ? " (yellow, green: by component)" : ""}`, sample.map_spin, ["as the bottom", "as the top"]);
+    if (colour === "betweenness") bar("spheres: share of shortest paths", sample.map_share, shares);
+    if (colour === "domain") list([["rigid domains of several spheres, largest first", `linear-gradient(90deg, ${TELLING.join()})`], ["single spheres", LOOK.plain]]);
+    if (colour === "body") list([...sample.bodies.slice(0, TELLING.length).map((body) => [facts.shape ? ["driven with the bottom", "driven with the top"][body] : `driven body ${body}`, TELLING[body % TELLING.length]]), ["free", LOOK.plain]]);
     if (listed) list(listed.table.filter((_, n) => listed.value.includes(n)));
   }
   if (sample.dimension === 3 && facts.shape) list([["top plane, driven", LOOK.top], ["bottom plane, driven", LOOK.bottom]]);
@@ -44,5 +44,5 @@ function drawLegend(sample, choices) {
   if (layers.cut) list([["minimum cut", LOOK.cut]]);
   if (layers.walls) list([["boundaries of rigid domains", LOOK.walls]]);
   if (layers.path) list([[sample.dimension === 3 ? "a shortest path; arrows: its spins" : "a shortest path", LOOK.path]]);
-  if (layers.bottlenecks && !(layers.spheres && choices.colour === "betweenness")) bar("bottlenecks: share of shortest paths", sample.map_share, shares);
+  if (layers.bottlenecks && !(layers.spheres && colour === "betweenness")) bar("bottlenecks: share of shortest paths", sample.map_share, shares);
 }

@@ -28,6 +28,7 @@ class Picture {
     this.arrows = new THREE.Object3D();
     this.scene.add(this.arrows);
     if (sample.dimension === 3) this.frame();
+    this.nameAxes();
     this.firstView();
   }
   firstView() {
@@ -40,8 +41,8 @@ class Picture {
     this.draw();
   }
   /** The squares of a layer, made when it is first shown. */
-  squares(name, shaders, most = this.sample.lines, opacity = 1) {
-    const made = this.layers[name] ??= new Squares(this.scene, shaders, this.uniforms, most, opacity);
+  squares(name, shaders, most = this.sample.lines) {
+    const made = this.layers[name] ??= new Squares(this.scene, shaders, this.uniforms, most);
     if (this.sample.dimension === 2 && shaders === ROD) Object.assign(made.mesh, { renderOrder: this.isAcross(name) ? 1 : 2 }).material.depthTest = false;
     if (OVER.includes(name)) Object.assign(made.mesh, { renderOrder: 2 }).material.transparent = true;
     return made;
@@ -64,13 +65,13 @@ class Picture {
   /** The colour of a sphere, as a function. */
   colourOf() {
     const { sample, choices } = this, { turn, spinNow: w, sphere_betweenness: share, size, domain, domain_size: members, body } = sample, { spin_max } = sample.facts;
-    const listed = sample.listed(choices.colour);
+    const chosen = sample.colouring(choices), listed = sample.listed(chosen);
     if (listed) {
       const { table, value } = listed, colours = table.map(([, hex]) => rgb(hex));
       return (s) => colours[value[s]];
     }
     const grey = rgb(LOOK.plain), telling = TELLING.map(rgb);
-    if (choices.colour === "domain") {  // in the order of their sizes
+    if (chosen === "domain") {  // in the order of their sizes
       const place = new Int32Array(members.length);
       [...members.keys()].sort((a, b) => members[b] - members[a]).forEach((label, n) => { place[label] = n; });
       return (s) => members[domain[s]] > 1 ? telling[place[domain[s]] % telling.length] : grey;
@@ -81,13 +82,13 @@ class Picture {
       turn: (s) => [turn[3 * s] / 255, turn[3 * s + 1] / 255, turn[3 * s + 2] / 255],
       betweenness: (s) => shade(sample.map_share, 1 - Math.log10(Math.max(1e-30, share[s])) / SHARES),
       plain: () => grey,
-    }[choices.colour];
+    }[chosen];
   }
   fillSpheres() {
     const { sample, choices, shown } = this, { spheres, place } = sample, balls = this.squares("spheres", SPHERE, spheres);
     balls.begin();
     if (choices.layers.spheres) {
-      const drawn = shown.map((is, s) => is && choices.kinds[sample.kind[s]]), colour = this.colourOf();
+      const drawn = shown.map((is, s) => is && (!sample.isEnd || choices.kinds[sample.kind[s]])), colour = this.colourOf();
       const hidden = choices.size >= 0.95 && sample.facts.enclosing ? this.inner(this.inner(drawn)) : null;
       for (let s = 0; s < spheres; s++)
         if (drawn[s] && !hidden?.[s]) balls.put(s, place[3 * s], place[3 * s + 1], place[3 * s + 2], 0, 0, 0, choices.size * sample.size[s], colour(s));
@@ -125,10 +126,11 @@ class Picture {
    * lines lie on the discs, and what is across a contact is a line, too. */
   fill(name, radius, colour, radiusOf = null) {
     const { sample, choices, shown } = this, { place, way, size, over, first, second } = sample, flat = sample.dimension === 2, across = this.isAcross(name);
-    if (!choices.layers[name] && !this.layers[name]) return;
-    const squares = this.squares(name, across && !flat ? PLATE : ROD, sample.lines, name === "network" && !flat && sample.contacts > 4 * MANY ? 0.16 : 1);
+    const drawn = sample.draws(name, choices);
+    if (!drawn && !this.layers[name]) return;
+    const squares = this.squares(name, across && !flat ? PLATE : ROD);
     squares.begin();
-    if (choices.layers[name])
+    if (drawn)
       for (let c = 0; c < sample.contacts; c++) {
         const a = first[c], b = second[c], paint = (across ? shown[a] || shown[b] : shown[a] && shown[b]) ? colour(c) : null;
         if (!paint) continue;
@@ -141,6 +143,7 @@ class Picture {
         }
       }
     squares.end();
+    if (name === "network" && !flat) squares.see(Math.max(FAINTEST, Math.min(1, 2 * MANY / squares.count)));
   }
   /** The edges of the block, those of driven planes in their colours. */
   frame() {
@@ -157,11 +160,39 @@ class Picture {
           }
     squares.end();
   }
+  /** The first corner of the block, and the ends of its edges along the axes, by their coordinates. */
+  nameAxes() {
+    const { slices, sides, dimension } = this.sample, along = dimension === 2 ? [0, 2] : [0, 1, 2];
+    const corner = new THREE.Vector3(), name = (place, textContent) => {
+      const text = Object.assign(document.createElement("span"), { textContent });
+      element("axes").append(text);
+      return { place, text };
+    };
+    along.forEach((axis, k) => corner.setComponent(axis, -sides[k] / 2));
+    const start = (k) => k === 1 && dimension === 3 ? corner.clone().setX(sides[0] / 2) : corner.clone();
+    this.names = along.map((axis, k) => name(start(k).setComponent(axis, sides[k] / 2 + 0.03 * this.extent), `${"xyz"[k]} = ${slices[k].at(slices[k].steps)}`));
+    this.names.push(name(corner.clone().multiplyScalar(1 + 0.04 * this.extent / corner.length()), slices.map(({ at }) => at(0)).join(", ")));
+  }
+  /** Where a place of the world is on the canvas, in pixels from its upper left corner. */
+  seen(place) {
+    const { x, y } = place.clone().project(this.camera), { clientWidth: width, clientHeight: height } = this.canvas;
+    return [(x + 1) / 2 * width, (1 - y) / 2 * height];
+  }
+  /** The picture as it is seen, with the names of its axes. */
+  copy() {
+    this.draw();
+    const { canvas, names } = this, copy = Object.assign(document.createElement("canvas"), { width: canvas.width, height: canvas.height }), paper = copy.getContext("2d");
+    const ratio = canvas.width / canvas.clientWidth;
+    paper.drawImage(canvas, 0, 0);
+    Object.assign(paper, { font: `${11 * ratio}px sans-serif`, fillStyle: "#566372", textAlign: "center", textBaseline: "middle" });
+    for (const { place, text } of names) paper.fillText(text.textContent, ...this.seen(place).map((x) => x * ratio));
+    return copy.toDataURL("image/png");
+  }
   /** The spins of the spheres of the path, as arrows. */
   fillArrows() {
     const { sample, choices } = this, { path, place } = sample;
     for (const part of [...this.arrows.children]) { this.arrows.remove(part); part.dispose(); }
-    if (!choices.layers.path || sample.dimension === 2) return;
+    if (!sample.draws("path", choices) || sample.dimension === 2) return;
     const chosen = Array.from(path).filter((s) => this.shown[s]);
     if (!chosen.length) return;
     const material = this.arrowMaterial ??= new THREE.MeshLambertMaterial({ color: "#1d2733", transparent: true }), way = new THREE.Object3D();
@@ -198,6 +229,10 @@ class Picture {
     this.uniforms.fade.value.set(this.scene.fog.near, this.scene.fog.far);
     this.uniforms.pixel.value = 2 * Math.tan(this.camera.fov * Math.PI / 360) / (height * ratio);
     this.renderer.render(this.scene, this.camera);
+    for (const { place, text } of this.names) {
+      const [x, y] = this.seen(place);
+      text.style.transform = `translate(-50%, -50%) translate(${x.toFixed(1)}px, ${y.toFixed(1)}px)`;
+    }
   }
   turn(left, up) {
     const { camera, controls } = this, offset = camera.position.clone().sub(controls.target);

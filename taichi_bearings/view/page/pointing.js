@@ -15,7 +15,7 @@ function listenToCanvas(sample, picture) {
     }
     panel.replaceChildren(Object.assign(document.createElement("b"), { textContent: title }), table);
     panel.style.left = `${Math.min(x + 16, canvas.clientWidth - panel.offsetWidth - 8)}px`;
-    panel.style.top = `${Math.max(8, Math.min(y + 16, canvas.clientHeight - panel.offsetHeight - 8))}px`;
+    panel.style.top = `${canvas.parentElement.offsetTop + Math.max(8, Math.min(y + 16, canvas.clientHeight - panel.offsetHeight - 8))}px`;
   };
   const keep = (found, x, y) => { kept = found !== null; panel.classList.toggle("kept", kept); tell(found, x, y); };
   canvas.addEventListener("pointermove", (event) => {

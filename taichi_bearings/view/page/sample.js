@@ -42,6 +42,9 @@ class Sample {
     this.spinNow = kept ? this.snapshot_spin.subarray(3 * this.spheres * moment, 3 * this.spheres * (moment + 1)) : this.spin;
     this.slipNow = kept ? this.snapshot_slip.subarray(this.contacts * moment, this.contacts * (moment + 1)) : this.slip;
   }
+  /** What is drawn now of what was chosen: what is known of the end alone is not drawn of a snapshot. */
+  draws(layer, { layers }) { return layers[layer] && (this.isEnd || !OF_THE_END.layers.includes(layer)); }
+  colouring({ colour }) { return this.isEnd || !OF_THE_END.colours.includes(colour) ? colour : "spin"; }
   /** What colours slipping contacts: their power, or the slip where power is not kept. */
   get valuesNow() { return this.isEnd ? this.power : this.slipNow; }
   /** Names and colours that a colouring tells apart, and which each sphere has; undefined if it has no such list. */

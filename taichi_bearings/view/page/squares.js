@@ -96,7 +96,7 @@ const PLATE = {
 
 /** One layer of squares. */
 class Squares {
-  constructor(scene, shaders, uniforms, most, opacity) {
+  constructor(scene, shaders, uniforms, most) {
     const shape = this.shape = new THREE.BufferGeometry(), index = new Uint32Array(6 * most);
     this.shaders = shaders;
     for (let n = 0; n < most; n++) index.set([4 * n, 4 * n + 1, 4 * n + 2, 4 * n + 2, 4 * n + 1, 4 * n + 3], 6 * n);
@@ -110,15 +110,20 @@ class Squares {
     shape.setAttribute("paint", new THREE.BufferAttribute(this.paint, 4, true));
     shape.setAttribute("wide", new THREE.BufferAttribute(this.wide, 1));
     this.mesh = new THREE.Mesh(shape, new THREE.ShaderMaterial({
-      ...shaders, uniforms: { ...uniforms, opacity: { value: opacity } }, side: THREE.DoubleSide, transparent: opacity < 1, depthWrite: opacity === 1,
+      ...shaders, uniforms: { ...uniforms, opacity: { value: 1 } }, side: THREE.DoubleSide,
     }));
-    this.mesh.renderOrder = opacity < 1 ? 1 : 0;
     this.mesh.frustumCulled = false;
     this.ids = new Int32Array(most);
     this.begin();
     scene.add(this.mesh);
   }
   begin() { this.count = 0; }
+  /** How much of what is behind is hidden, 1 for all. */
+  see(opacity) {
+    this.mesh.renderOrder = opacity < 1 ? 1 : 0;
+    this.mesh.material.uniforms.opacity.value = opacity;
+    Object.assign(this.mesh.material, { transparent: opacity < 1, depthWrite: opacity === 1 });
+  }
   /** One of them, for the sphere or contact `id`, its middle at (x, y, z). u, v, w : half a rod, or across a plate.
    * wide : diameter of a sphere, side of a plate, radius of a rod. */
   put(id, x, y, z, u, v, w, wide, colour) {

@@ -10,6 +10,7 @@ const TELLING = ["#0072b2", "#d55e00", "#009e73", "#e69f00", "#cc79a7", "#56b4e9
 const LOOK = { network: "#4b5a6b", cut: "#e69f00", walls: "#3c4653", path: "#009e73", undecided: "#cc79a7", plain: "#d5dae1",
   frame: "#c5ccd5", bottom: "#3b4cc0", top: "#b40426" };
 const ACROSS = ["cut", "walls"], FLAT = { cut: 0.13, walls: 0.08, slipping: 0.13 };  // radii of lines across contacts in 2D
+const SLIDERS = ["size", "power", "threshold", "time"];
 const LAYERS = [["spheres", "spheres"], ["network", "slipless contacts"], ["slipping", "slipping contacts"],
   ["undecided", "undecided contacts"], ["cut", "minimum cut"], ["walls", "domain boundaries"], ["path", "shortest path, its spins"],
   ["bottlenecks", "bottlenecks"]];
@@ -27,7 +28,8 @@ const PRESETS = [  // name, layers, colour of the spheres, their size in 3D, kin
   ["Bottlenecks", ["bottlenecks", "path"], "betweenness", 0.25, [], "bottlenecks"],
 ];
 const OVER = ["path", "bottlenecks"];  // drawn after what one sees through
-const MANY = 5000;  // contacts beyond which a layer hides what is behind it, if nothing is done about that
+const OF_THE_END = { layers: ["walls", "path", "bottlenecks"], colours: ["turn", "domain", "kind", "betweenness"] };  // unknown of snapshots
+const MANY = 5000, FAINTEST = 0.16;  // contacts beyond which a layer hides what is behind it, if nothing is done about that
 const SHARES = -4;  // decades of the betweenness that colours tell apart
 
 const element = (id) => document.getElementById(id);

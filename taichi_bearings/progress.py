@@ -1,0 +1,228 @@
+"""What is being done, how far it is and how long it will take, on one line: of a terminal, or below the cell of a
+notebook. Silent in a pipe."""
+
+import math
+import sys
+import threading
+import time
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, ExitStack, nullcontext
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+
+from taichi_bearings.stages import Stage, Watch, is_watched, watched
+from taichi_bearings.words import counted
+
+QUIET_SECONDS = 0.4  # seconds until the line appears: what takes no longer needs none
+REFRESH, REFRESH_NOTEBOOK = 8, 3  # times a second that the line is written anew
+WINDOW = 3.0  # the pace is that since this part of the time
+FARTHEST = 5.0  # times as long as what has been seen is foretold at most
+LEAST_TOLD = 0.05  # seconds that are worth a word in the sum of times
+
+
+def in_notebook() -> bool:
+    """Whether a kernel of Jupyter runs this, and shows what it displays."""
+    shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
+    return hasattr(shell, "kernel")
+
+
+def is_seen() -> bool:
+    """Whether there is a notebook or a terminal that shows a line."""
+    return in_notebook() or (sys.stderr is not None and sys.stderr.isatty())
+
+
+class NotebookLine(threading.Thread):
+    """A line below the cell that runs, written anew until it is stopped; then it is empty."""
+
+    def __init__(self, line: Callable[[], str]) -> None:
+        super().__init__(daemon=True)
+        self.line, self.over = line, threading.Event()
+
+    def run(self) -> None:
+        display = import_module("IPython.display").display
+        handle = display({"text/plain": self.line()}, raw=True, display_id=True)
+        while not self.over.wait(1 / REFRESH_NOTEBOOK):
+            handle.update({"text/plain": self.line()}, raw=True)
+        handle.update({"text/plain": ""}, raw=True)
+
+    def stop(self) -> None:
+        self.over.set()
+        self.join()
+
+
+class TerminalLine:
+    """One line on stderr, no longer than the terminal is wide, that is written anew until the end; if it is a terminal.
+    In a notebook a line below the cell.
+
+    line : what it says, asked for at each writing.
+    """
+
+    def __init__(self, line: Callable[[], str]) -> None:
+        self.line = line
+        self.shown = is_seen()
+        self._live: Any = None
+        self._ended, self._lock = False, threading.Lock()
+        self._timer = threading.Timer(QUIET_SECONDS, self._start)
+
+    def __enter__(self) -> Any:
+        if self.shown:
+            self._timer.daemon = True
+            self._timer.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._timer.cancel()
+        with self._lock:
+            self._ended = True
+            if self._live is not None:
+                self._live.stop()
+
+    def _start(self) -> None:
+        with self._lock:
+            if not self._ended:
+                self._live = NotebookLine(self.line) if in_notebook() else self._in_terminal()
+                self._live.start()
+
+    def _in_terminal(self) -> Any:
+        from rich.console import Console
+        from rich.live import Live
+        from rich.spinner import Spinner
+        from rich.table import Table
+        from rich.text import Text
+
+        spinner = Spinner("dots")
+
+        def whole() -> Table:
+            row = Table.grid(padding=(0, 1, 0, 0))
+            row.add_row(spinner, Text(self.line(), no_wrap=True, overflow="ellipsis"))
+            return row
+
+        console = Console(stderr=True)
+        return Live(console=console, get_renderable=whole, refresh_per_second=REFRESH, transient=True)
+
+
+class Display(Watch):
+    """Listens to the stages of some work: a line says what is under way; `times` says where the time went."""
+
+    def __init__(self, since: float | None = None) -> None:
+        """since : when the time begins, by time.perf_counter()."""
+        super().__init__(since=since)
+        self._forecasts: dict[int, Forecast] = {}  # of the solves under way, by their stage
+        self._context = ExitStack()
+
+    def __enter__(self) -> "Display":
+        self._context.enter_context(TerminalLine(self.line))
+        self._context.enter_context(watched(self))
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._context.close()
+
+    def hear(self, stage: Stage) -> None:
+        if stage.report is not None:
+            self._forecasts.setdefault(id(stage), Forecast()).look(stage.report)
+
+    def end(self, old: Stage) -> None:
+        super().end(old)
+        self._forecasts.pop(id(old), None)
+
+    def line(self) -> str:
+        """Stages under way, outermost first, with what is known of them; the innermost one is always timed."""
+        now, stages = time.perf_counter(), list(self.stages)
+        words = [self._words(stage, now, stage is stages[-1]) for stage in stages]
+        return " · ".join(filter(None, words)) or self.between
+
+    def _words(self, stage: Stage, now: float, innermost: bool) -> str:
+        if stage.total == 1 and not innermost:
+            return ""
+        words, forecast = [stage.name], self._forecasts.get(id(stage))
+        words[0] += f" {stage.number:,} of {stage.total:,}" if stage.total > 1 else ""
+        left = self._of_parts_left(stage, now)
+        if forecast is not None and innermost:
+            left = forecast.left(now)
+        if not left and innermost and now - stage.began >= 1:
+            left = f"{duration(now - stage.began)} so far"
+        return ", ".join(filter(None, [*words, left, forecast.standing if forecast is not None and innermost else ""]))
+
+    @staticmethod
+    def _of_parts_left(stage: Stage, now: float) -> str:
+        """Of a stage in parts, of which the first may compile."""
+        left = seconds_left(stage.done[1:]) - (now - stage.began - stage.done[-1][0]) if stage.done else math.inf
+        return f"{duration(left)} left" if 0 < left < math.inf else ""
+
+    def times(self) -> str:
+        """All the time since it began, and its parts."""
+        self.book()
+        parts = [f"{name} {seconds:.1f}" for name, seconds in self.seconds.items() if seconds >= LEAST_TOLD]
+        return f"{sum(self.seconds.values()):.1f} s: {', '.join(parts)}"
+
+
+def displayed(wanted: bool = True) -> AbstractContextManager[Any]:
+    """Shows how far the work inside is, if that is wanted and seen, and nobody does so already."""
+    return Display() if wanted and is_seen() and not is_watched() else nullcontext()
+
+
+class Forecast:
+    """Where a solve stands, and when it ends at the pace of the last two thirds of its time."""
+
+    def __init__(self) -> None:
+        self.points: list[tuple[float, float]] = []  # (seconds, share done) at each report
+        self.told_at, self.left_then, self.until = 0.0, math.inf, ""
+        self.standing = ""
+
+    def look(self, report: Any) -> None:
+        """Hear a report of a solve (solvers.drive.Report)."""
+        progress, seconds = report.progress, report.seconds
+        share, until = share_of(report)
+        self.points.append((seconds, share))
+        left = seconds_left([point for point in self.points if point[0] >= seconds / WINDOW])
+        if left > FARTHEST * seconds:
+            left = math.inf
+        limit = report.stop.seconds - seconds
+        self.left_then, self.until = (left, until) if left < limit else (limit, "the time limit")
+        self.told_at = time.perf_counter()
+        words = [counted(progress.iteration, "iteration")]
+        words += [f"t = {progress.time:.3g}"] if progress.time is not None else []
+        words += [f"P = {float(np.mean(report.objective)):.8g}", f"gap {float(np.max(report.gap)):.1e}"]
+        self.standing = ", ".join(words)
+
+    def left(self, now: float) -> str:
+        """Time left and until what, where that is known and not over."""
+        left = self.left_then - (now - self.told_at)
+        return f"{duration(left)} left to {self.until}" if 0 < left < math.inf else ""
+
+
+def share_of(report: Any) -> tuple[float, str]:
+    """How much of a solve is done, and what ends it; not-a-number where that says nothing of the time.
+
+    The gap of some methods falls by like factors in like times; that of others, and of a dynamics, when it will.
+    """
+    progress, stop = report.progress, report.stop
+    if progress.time is not None:
+        return progress.time / stop.duration, f"t = {stop.duration:g}"
+    if progress.needed is not None:
+        return progress.iteration / max(progress.needed, 1), "the end"
+    gap, aim = float(np.max(report.gap)), stop.tolerance
+    if progress.settles_at is not None and progress.settles_more:
+        aim = min(aim, progress.settles_at)
+    known = progress.geometric and 0 < aim < gap < 1
+    return (math.log(gap) / math.log(aim) if known else math.nan), f"gap {aim:.0e}"
+
+
+def seconds_left(points: Sequence[tuple[float, float]]) -> float:
+    """Time left from (seconds, share of the work that was done then) on, at their pace; infinite if it is not known."""
+    if len(points) < 3:
+        return math.inf
+    (began, before), (seconds, share) = points[0], points[-1]
+    return (1 - share) * (seconds - began) / (share - before) if share > before else math.inf
+
+
+def duration(seconds: float) -> str:
+    """Seconds for people."""
+    if seconds < 100:
+        return f"{max(seconds, 0):.0f} s"
+    if seconds < 6000:
+        return f"{seconds / 60:.0f} min"
+    return f"{seconds / 3600:.1f} h"
