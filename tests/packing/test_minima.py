@@ -9,7 +9,7 @@ from scipy.optimize import linprog
 
 import taichi_bearings as tb
 from taichi_bearings.conic import descent
-from taichi_bearings.packing import answer
+from taichi_bearings.packing import path
 from tests.packing.twins import clarabel_least, random_packing
 
 LAWS = ("coulomb", "coulomb-viscous", "viscous")
@@ -201,7 +201,7 @@ def test_networks_along_the_axes_have_the_minimum_of_any_other(seed, unsettled, 
     if unsettled:
         monkeypatch.setattr(descent, "resolve", lambda iterates, *_: [None] * len(iterates))
     own = tb.solve(packing)
-    monkeypatch.setattr(answer, "followed_along_axes", lambda *_: None)
+    monkeypatch.setattr(path, "signed", lambda *_: None)
     other = tb.solve(packing)
     assert own.status == "certified"
     assert own.gap < 1e-12
