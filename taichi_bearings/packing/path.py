@@ -113,8 +113,8 @@ def followed(system: System, friction: np.ndarray, viscosity: np.ndarray) -> Fol
     spins = np.zeros(contacts.unknowns)
     with suppress(NotPositiveDefinite):
         spins = flowing(contacts, strength + viscous, matrix, spins)
-    slips = np.concatenate([*contacts.differences(spins).length()])
-    start = Iterate.start(contacts, spins, strength, SLACK * float(slips.mean()), viscous if flows else None)
+    slack = SLACK * float(np.concatenate([*contacts.differences(spins).length()]).mean())
+    start = Iterate.start(contacts, spins, strength, slack, viscous if flows else None)
     start = start if (friction > 0).all() else replace(start, smooth=strength == 0)
     settles, spheres = along is not None and not flows, len(np.unique(system.sphere))
     small = settles and spheres < SMALL_SPHERES
@@ -132,8 +132,8 @@ def followed(system: System, friction: np.ndarray, viscosity: np.ndarray) -> Fol
         ties = settled.ties | settled.critical
     force = _across(system, contacts, sign, -unit * dual)
     spins = spins if sign is None else sign[system.moved >= 0] * spins
-    masks = (None if of is None else _everywhere(contacts, of, len(friction)) for of in (slipping, ties))
-    return Followed(spins, force, *masks, sample.steps)
+    slips, tie = (None if of is None else _everywhere(contacts, of, len(friction)) for of in (slipping, ties))
+    return Followed(spins, force, slips, tie, sample.steps)
 
 
 @np.errstate(all="ignore")
