@@ -23,7 +23,6 @@ from taichi_bearings.conic.grouped import Arrays, Grouped, where
 from taichi_bearings.conic.iterate import Iterate
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.conic.resolution import Surroundings
-from taichi_bearings.conic.rows import compile_passes
 from taichi_bearings.interrupts import look_up
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
@@ -106,8 +105,6 @@ def followed(system: System, friction: np.ndarray, viscosity: np.ndarray) -> Fol
     contacts, sign = along or (oblique(system), None)
     order = elimination(system)
     matrix = NewtonMatrix(contacts, order)
-    compile_passes()
-    matrix.compile()
     unit = float(np.exp2(np.round(np.log2((friction + viscosity).mean()))))  # as of lattices
     strength, viscous = contacts.gather(friction[None] / unit, 0), contacts.gather(viscosity[None] / unit, 0)
     spins = np.zeros(contacts.unknowns)
