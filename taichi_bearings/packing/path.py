@@ -142,6 +142,7 @@ def _settled(system: System, point: Iterate, matrix: NewtonMatrix) -> tuple[np.n
         groups = zip(contacts.groups, _slips(system, contacts, spins), strict=True)
         here = ContactSystem(contacts.unknowns, tuple(replace(group, offset=slip) for group, slip in groups))
         stage = FrictionStage(here, matrix, 1.0, np.zeros((0, 0), dtype=np.int64), SMALL_SPINS, 1.0)
+        stage.reuses = False  # as stiffnesses of many decades would keep gradients from an end
         with one_thread():
             end = stage.solve(Friction(point.friction, hold * firm, 0.0, point.viscosity), rest, held, rest)
         if end is None:
