@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, reduce
 from itertools import combinations_with_replacement
+from typing import Any
 
 import numpy as np
 from scipy import sparse
@@ -57,6 +58,12 @@ class ContactGroup:
     def transposed(self) -> sparse.csr_matrix:
         return self.operator.T.tocsr()
 
+    def pairs(self, i: int, j: int) -> list[tuple[np.ndarray, np.ndarray, float]]:
+        """Unknowns (n,) that the stiffness between slips i <= j couples, each pair once, and its factor."""
+        below, above = self.below, self.above
+        found = [(below[i], below[j], 1.0), (above[i], above[j], 1.0), (below[i], above[j], -1.0)]
+        return found + ([(below[j], above[i], -1.0)] if i != j else [])
+
     def copies(self, count: int) -> "ContactGroup":
         """The same contacts so many times, each time over spins of their own."""
         shift = self.unknowns * np.arange(count)[:, None]
@@ -78,6 +85,32 @@ class ContactGroup:
 
 
 @dataclass(frozen=True)
+class ObliqueGroup:
+    """n contacts whose slips are any sums of the m unknowns at their ends.
+
+    operator : (d*n, unknowns), slips of the spins, also by unknown : (n, m), -1 where the spin is imposed, and factor :
+    (d, n, m), 0 there. offset : as of ContactGroup.
+    """
+
+    operator: sparse.csr_array
+    unknown: np.ndarray
+    factor: np.ndarray
+    offset: np.ndarray
+
+    @cached_property
+    def transposed(self) -> sparse.csr_array:
+        return self.operator.T.tocsr()
+
+    def pairs(self, i: int, j: int) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """As of ContactGroup; factors (n,)."""
+        found, f = [], self.factor
+        for a, b in combinations_with_replacement(range(self.unknown.shape[1]), 2):
+            factor = f[i, :, a] * f[j, :, b] + (f[j, :, a] * f[i, :, b] if i != j else 0.0)
+            found.append((self.unknown[:, a], self.unknown[:, b], factor))
+        return found
+
+
+@dataclass(frozen=True)
 class Places:
     """Where the n contacts of a group are in flat arrays.
 
@@ -90,14 +123,14 @@ class Places:
 
 @dataclass(frozen=True)
 class ContactSystem:
-    """Groups of contacts over a common vector of unknown spins.
+    """Groups of contacts, all of them ContactGroup or ObliqueGroup, over a common vector of unknown spins.
 
     places : where they are on a lattice, a group each; place : (D, unknowns), where the spins are. None of a system
     that is not that of a whole lattice.
     """
 
     unknowns: int
-    groups: tuple[ContactGroup, ...]
+    groups: tuple[Any, ...]
     places: tuple[Places, ...] = ()
     place: np.ndarray | None = None
 
@@ -193,20 +226,17 @@ class ContactSystem:
         return self.terms()[:2]
 
     def terms(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """All terms of the Laplacian, each pair once: first and second unknown, place in `stacked` stiffness, sign."""
+        """All terms of the Laplacian, each pair once: first, second unknown, place in `stacked` stiffness, factor."""
         found, start = [], 0
         for group in self.groups:
-            below, above, count = group.below, group.above, group.below.shape[1]
-            for i, j in combinations_with_replacement(range(len(below)), 2):
-                source = start + np.arange(count)
+            d, count = group.offset.shape
+            for i, j in combinations_with_replacement(range(d), 2):
+                for first, second, factor in group.pairs(i, j):
+                    free = np.flatnonzero((first >= 0) & (second >= 0) & (factor != 0))
+                    found.append((first[free], second[free], start + free, np.broadcast_to(factor, count)[free]))
                 start += count
-                pairs = [(below[i], below[j], 1.0), (above[i], above[j], 1.0), (below[i], above[j], -1.0)]
-                pairs += [(below[j], above[i], -1.0)] if i != j else []
-                for first, second, sign in pairs:
-                    free = (first >= 0) & (second >= 0)
-                    found.append((first[free], second[free], source[free], np.full(free.sum(), sign)))
-        first, second, source, signs = (np.concatenate(parts) for parts in zip(*found, strict=True))
-        return first, second, source, signs
+        first, second, source, factor = (np.concatenate(parts) for parts in zip(*found, strict=True))
+        return first, second, source, factor
 
 
 def joined(first: np.ndarray, second: np.ndarray, nodes: int) -> tuple[int, np.ndarray]:

@@ -105,7 +105,7 @@ class FrictionStage:
     ) -> None:
         self.system, self.matrix, self.radius, self.conserved = system, matrix, radius, conserved
         self.spin_scale, self.force_scale = spin_scale, force_scale
-        self.factorisations = 0
+        self.factorisations, self.reuses = 0, True  # old factorisations, where few contacts have changed
         self._factorised: tuple[float, Arrays] | None = None  # inertia and stiffness
         self._of_this_step = False
 
@@ -168,7 +168,7 @@ class FrictionStage:
             changed = each(_changed, self._stiffness, self._factorised[1])
             if (changed == 0).all():
                 return True
-            if self._of_this_step and (~(changed <= CHANGED_SHARE)).sum() <= MOST_CHANGED:
+            if self.reuses and self._of_this_step and (~(changed <= CHANGED_SHARE)).sum() <= MOST_CHANGED:
                 self._precondition = self.matrix.solve
                 return True
         self._factorised = None

@@ -127,7 +127,7 @@ class Iterate:
     @property
     def price_of_torques(self) -> float:
         """What the torques left on the spheres take from the lower bound, at most, relative to the cost."""
-        return float(np.abs(self.system.torques(self.whole_dual)).sum()) / self.cost
+        return float(np.abs(self.system.torques(self.whole_dual)).sum()) / max(self.cost, TINY)
 
     @property
     def excess(self) -> float:
@@ -141,7 +141,7 @@ class Iterate:
     @property
     def gap(self) -> float:
         """(cost - lower bound) / cost for balanced forces."""
-        return self.excess / self.cost
+        return self.excess / max(self.cost, TINY)
 
 
 def _central(friction: Arrays, difference: Arrays, product: float) -> tuple[Arrays, Arrays]:

@@ -54,7 +54,7 @@ class NewtonMatrix:
             self._choleskys.append(cholesky)
             self._entries.append(slice(end, end + cholesky.pattern.entries))
             end += cholesky.pattern.entries
-        columns = sum(len(g.below) * (len(g.below) + 1) // 2 * g.below.shape[1] for g in system.groups)
+        columns = sum((len(g.offset) + 1) * g.offset.size // 2 for g in system.groups)
         self._map = sparse.csr_matrix((sign, (places, source)), shape=(end, columns))  # from `stacked` stiffnesses
         self._kept = dict[int, ContactRows]()
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from functools import lru_cache
+from typing import TypeAlias
 
 import numpy as np
 from scipy import sparse
@@ -14,7 +15,8 @@ from taichi_bearings.memory import aligned_zeros
 # padding contacts: finite in every formula, with negligible power
 PADDING = {kernels.FRICTION_ROW: 1e-300, kernels.BOUND: 1.0, kernels.SLIP: 1.0, kernels.SMOOTH: 1.0}
 MOST_CONSTANTS = 5  # that a law is told of each sample, at most
-Sums = tuple[np.ndarray, np.ndarray]  # what numbers to add up or take off, for kernels.add_up
+# what numbers to add up or take off, for kernels.add_up; or with which factors
+Sums: TypeAlias = tuple[np.ndarray, np.ndarray] | sparse.csr_array
 
 
 class ContactRows:
@@ -60,11 +62,11 @@ class ContactRows:
         of_all = sparse.vstack(operators).tocoo()
         rows = self._places(components)
         ends = rows[of_all.row], self.place[of_all.col], of_all.data
-        self._changes = _sums(*ends, 2 * contacts)
-        self._torques = _sums(ends[1], ends[0], ends[2], len(spins))
+        self._changes = _sums(*ends, (2 * contacts, len(spins)))
+        self._torques = _sums(ends[1], ends[0], ends[2], (len(spins), 2 * contacts))
         if laplacian is not None:
             terms, stiffness = laplacian.tocoo(), self._places([d * (d + 1) // 2 for d in components])
-            self._stiffnesses = _sums(terms.row, stiffness[terms.col], terms.data, terms.shape[0])
+            self._stiffnesses = _sums(terms.row, stiffness[terms.col], terms.data, (terms.shape[0], 3 * contacts))
         self._starts: dict[tuple, Callable[[], None]] = {}
 
     def _places(self, counts: Sequence[int]) -> np.ndarray:
@@ -112,9 +114,12 @@ class ContactRows:
         self._add_up(self._stiffnesses, self._flat, entries, kernels.STIFFNESS * self._contacts, 0)
 
     def _add_up(self, sums: Sums, values: np.ndarray, found: np.ndarray, first: int, to: int) -> None:
-        key = (id(sums), first, to)
+        key, shape = (id(sums), first, to), (-1,) if self.samples == 1 else (-1, self.samples)
+        if isinstance(sums, sparse.csr_array):
+            rows, columns = sums.shape
+            found.reshape(shape)[to : to + rows] = sums @ values.reshape(shape)[first : first + columns]
+            return
         if key not in self._starts:
-            shape = (-1,) if self.samples == 1 else (-1, self.samples)
             kernel = kernels.add_up_alone if self.samples == 1 else kernels.add_up
             self._starts[key] = prepared(kernel, *sums, values.reshape(shape), found.reshape(shape), first, to)
         self._starts[key]()
@@ -148,9 +153,12 @@ def compile_passes() -> None:
     rows.torques(kernels.FORCE)
 
 
-def _sums(row: np.ndarray, column: np.ndarray, sign: np.ndarray, rows: int) -> Sums:
-    """Tables for kernels.add_up of a matrix with these entries, 1 or -1: terms in the order of columns."""
+def _sums(row: np.ndarray, column: np.ndarray, sign: np.ndarray, shape: tuple[int, int]) -> Sums:
+    """Tables for kernels.add_up of a matrix with these entries, 1 or -1: terms in the order of columns. Of other
+    entries the matrix."""
+    if (np.abs(sign) != 1).any():
+        return sparse.csr_array((sign, (row, column)), shape=shape)
     order = np.lexsort((column, row))
-    begins = np.concatenate([[0], np.cumsum(np.bincount(row, minlength=rows))])
+    begins = np.concatenate([[0], np.cumsum(np.bincount(row, minlength=shape[0]))])
     places = np.where(sign[order] > 0, column[order], ~column[order])
     return begins.astype(np.int32), places.astype(np.int32)

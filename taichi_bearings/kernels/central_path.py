@@ -17,6 +17,7 @@ from taichi_bearings.kernels.elimination import LANES, NUMBERS, TABLES, VECTORS
 from taichi_bearings.kernels.memory import BLOCKS, fill, places
 
 BLOCK = 16  # contacts that are worked on together
+LEAST_DIVISOR = 1e-140  # of a slip that its size divides
 ENDLESS_STEP = 1e30  # length of a step that never leaves its cone
 
 # Rows of the iterate, and of what `prepare` makes of it: scaling W = weight * rotation by (head, tail), the scaled
@@ -152,7 +153,7 @@ def prepared(values: ti.template(), at: ti.template(), numbers: ti.template(), m
     diagonal = strength * core
     off = [-2.0 * strength * by * by_tail[k] for k in axes]
     # the slip of a contact in no cone gives its direction; of one in a cone whose tail vanishes any will do
-    slip_size, turn = size(slip), size(by_tail)
+    slip_size, turn = ti.max(size(slip), LEAST_DIVISOR), size(by_tail)
     known = (turn > 0.0) | smooth
     length = ti.select(known, ti.select(smooth, slip_size, turn), 1.0)
     unit = [ti.select(smooth, slip[k], ti.select(known, by_tail[k], 1.0 - k)) / length for k in axes]
@@ -273,7 +274,10 @@ def taken(values: ti.template(), at: ti.template(), numbers: ti.template(), m):
     dual_step = vector(values, step, DUAL_STEP, like, m)
     after = [slip[k] + along * change[k] for k in axes]
     length = size(after)
-    dual_after = [ti.select(smooth, -friction * after[k] / length, dual[k] + dual_along * dual_step[k]) for k in axes]
+    dual_after = [
+        ti.select(smooth, -friction * after[k] / ti.max(length, LEAST_DIVISOR), dual[k] + dual_along * dual_step[k])
+        for k in axes
+    ]
     bound_after = ti.select(smooth, length, bound + along * values[step[BOUND_STEP] + m])
     power = friction * length
     return [bound_after] + after + dual_after + [bound] + slip + dual + [power, power + dot(after, dual_after)]

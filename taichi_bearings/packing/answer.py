@@ -10,11 +10,8 @@ from taichi_bearings import runtime
 from taichi_bearings.errors import InputError
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.packing import planar
-from taichi_bearings.packing.axes import followed_along_axes
-from taichi_bearings.packing.central_path import Point, balanced, followed, viscous_spins
-from taichi_bearings.packing.newton import NewtonMatrix
 from taichi_bearings.packing.packing import Packing
-from taichi_bearings.packing.polish import polished
+from taichi_bearings.packing.path import followed, viscous_spins
 from taichi_bearings.packing.system import System
 from taichi_bearings.packing.ties import tied
 from taichi_bearings.scene.solution import Snapshots, Status
@@ -23,7 +20,6 @@ from taichi_bearings.verifier.packing_verdict import PackingJudgement
 from taichi_bearings.verifier.samples import UNPROVEN
 from taichi_bearings.words import shown
 
-CLOSEST = 1e-13  # relative gap at which the central path ends: states come apart where the gap is small
 SURE_MARGIN, SURE_SLIP = 1e-6, 1e-11  # at exact minima, slips in units of the largest imposed one
 
 SLIPLESS, SLIPPING, UNDECIDED, DRIVEN = range(4)
@@ -138,33 +134,14 @@ def _found(system: System) -> Found:
     )
     fastest = float(np.abs(system.offset).max())
     if not held.any():
-        matrix = NewtonMatrix(system)
-        spins = viscous_spins(system, matrix, viscosity)
-        return Found(spins, viscosity * system.difference(spins), "linear-solver", steps=matrix.factorisations)
+        spins = viscous_spins(system, viscosity)
+        return Found(spins, viscosity * system.difference(spins), "linear-solver", steps=1)
     largest = float(max(held.max(), viscosity.max() * fastest))
     units = np.exp2(np.round(np.log2([fastest, largest])))  # dividing by them rounds nothing
     fastest, largest = units.tolist()
     scaled = replace(system, offset=system.offset / fastest, known=system.known / fastest)
-    point, slips, ties, steps = _at_minimum(scaled, held / largest, viscosity * fastest / largest)
-    return Found(point.spins * fastest, point.force * largest, "interior-point", slips, ties, steps)
-
-
-def _at_minimum(
-    system: System, friction: np.ndarray, viscosity: np.ndarray
-) -> tuple[Point, np.ndarray | None, np.ndarray | None, int]:
-    """Spins and forces; the contacts that slip, (A,), if the states are settled, and those that tie, if known; steps.
-
-    friction, viscosity : (A,).
-    """
-    found = None if viscosity.any() else followed_along_axes(system, friction)
-    if found is not None and found[1] is not None:
-        return found
-    matrix = NewtonMatrix(system)
-    point, steps = (found[0], found[3]) if found else (followed(system, matrix, friction, viscosity, CLOSEST), 0)
-    exact = polished(point, system, matrix)
-    slips = None if exact is None else exact[1]
-    point = balanced(point, system, matrix) if exact is None else exact[0]
-    return point, slips, None, steps + matrix.factorisations
+    end = followed(scaled, held / largest, viscosity * fastest / largest)
+    return Found(end.spins * fastest, end.force * largest, "interior-point", end.slips, end.ties, end.steps)
 
 
 def spins_of(packing: Packing, u: np.ndarray) -> np.ndarray:

@@ -11,9 +11,9 @@ import numpy as np
 from scipy import sparse
 
 from taichi_bearings.conic.grouped import Arrays, Grouped
-from taichi_bearings.numerics.cholesky import NotPositiveDefinite
+from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.packing.motions import order_of
-from taichi_bearings.packing.newton import NewtonMatrix
+from taichi_bearings.packing.path import elimination, oblique
 from taichi_bearings.packing.system import System, slips_of
 from taichi_bearings.solvers.dynamics import RestWatch
 from taichi_bearings.solvers.implicit_cundall_strack import ImplicitCundallStrackMethod
@@ -72,13 +72,10 @@ class StageMatrix:
     """S K^T stiffness K S + inertia, factorised as K^T stiffness K + inertia S^-2."""
 
     def __init__(self, stages: Stages) -> None:
-        self.newton, self.scale = NewtonMatrix(stages.system), stages.scale
+        self.newton, self.scale = NewtonMatrix(oblique(stages.system), elimination(stages.system)), stages.scale
 
     def factorise(self, stiffness: Arrays, inertia: float) -> None:
-        values, pattern = self.newton.entries(stiffness.parts[0]), self.newton.cholesky.pattern
-        values[pattern.diagonal] += (inertia / self.scale**2)[pattern.order]
-        if not self.newton.factorise_entries(values):
-            raise NotPositiveDefinite
+        self.newton.factorise(stiffness, inertia / self.scale**2)
 
     def solve(self, right: np.ndarray) -> np.ndarray:
         return self.newton.solve(right / self.scale) / self.scale

@@ -12,14 +12,15 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
+from taichi_bearings.conic.grouped import Grouped, isotropic
+from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.errors import InputError
 from taichi_bearings.fields.lists import Lists
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.packing.answer import forces_of, spins_of
-from taichi_bearings.packing.central_path import viscous_spins
 from taichi_bearings.packing.checks import sizes
-from taichi_bearings.packing.newton import NewtonMatrix, isotropic
 from taichi_bearings.packing.packing import Packing
+from taichi_bearings.packing.path import elimination, oblique, viscous_spins
 from taichi_bearings.packing.system import System, acting, along_axes, odd_parts, slips_of, tangents
 from taichi_bearings.scene import Progress
 from taichi_bearings.scene.given import own_array
@@ -78,7 +79,7 @@ class Network:
     def proof(self) -> tuple[System, NewtonMatrix]:
         """What bounds follow from."""
         system = System.of(self.packing)
-        return system, NewtonMatrix(system)
+        return system, NewtonMatrix(oblique(system), elimination(system))
 
     @cached_property
     def of_system(self) -> np.ndarray:
@@ -129,8 +130,8 @@ class Network:
                 raise InputError(f"start has shape {given.shape}; it must be {shape} and finite")
         spins = (given.reshape(packing.spheres, -1) * packing.radius[:, None]).T[:, None].copy()
         if isinstance(start, str) and start == "linear":
-            system, matrix = self.proof
-            spins = system.all_spins(viscous_spins(system, matrix, np.ones(len(system.contact)))).T[:, None].copy()
+            system, _ = self.proof
+            spins = system.all_spins(viscous_spins(system, np.ones(len(system.contact)))).T[:, None].copy()
         self.impose_driving(spins)
         self.jump = self.jump or float(np.abs(spins).max(initial=0.0))
         return spins
@@ -208,7 +209,8 @@ class Network:
         system, matrix = self.proof
         held = self.law.holding_force(system.coefficients)
         try:
-            balanced = matrix.balanced(force, isotropic(system.coefficients[0], len(force)))
+            stiffness = isotropic(Grouped([force]), Grouped([system.coefficients[0]]))
+            balanced = matrix.balanced(Grouped([force]), stiffness).parts[0]
         except NotPositiveDefinite:
             return []
         if held is None or self.law.flows:

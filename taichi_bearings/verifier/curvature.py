@@ -307,12 +307,15 @@ def _conditions(contacts: Slipping, changes: list[sparse.csr_array]) -> tuple[sp
     return found, doubt[0] + doubt[1]
 
 
-def proven_floor(rows: sparse.csr_array, doubt: sparse.csr_array, elimination: Elimination) -> float | None:
+def proven_floor(
+    rows: sparse.csr_array, doubt: sparse.csr_array, elimination: Elimination, sharp: bool = False
+) -> float | None:
     """A tau with A^T A >= tau for all rows A that differ from the given ones by `doubt` at most; None if none is found.
-    elimination : of A^T A. The first guess saves a factorisation where it will do."""
+    elimination : of A^T A. The first guess saves a factorisation where it will do, and `sharp` need not be."""
     terms = int(np.bincount(rows.indices).max(initial=0)) + 4
     sizes = _with(rows, np.abs(rows.data)) + doubt
-    for guess, steps in ((lambda: CURVATURE_SHARE, 1), (lambda: _least_eigenvalue(elimination) / 2, POWER_ITERATIONS)):
+    guesses = (lambda: CURVATURE_SHARE, 1), (lambda: _least_eigenvalue(elimination) / 2, POWER_ITERATIONS)
+    for guess, steps in guesses[sharp:]:
         most, off = (_largest_eigenvalue(part, steps) for part in (sizes, doubt))
         tau, error = guess(), 2 * np.sqrt(most * off) + (terms + 1) * EPS * most + EPS
         missed = elimination.distance_from_positive(tau)

@@ -10,9 +10,10 @@ spins over what the friction proves. So
   differences of signed spins; on its double cover, each sphere with either sign, where loops are odd;
 * where normals lie along the axes and loops are even, contacts with signed spins are those of a lattice: the nearest
   minimum of what slips (curvature.py), and friction of the others inside all discs in balance (states.py, 1 to 3);
-* on others a slip y* that is b across its friction has mu F_n b^2 / (2 |y*|) <= mu F_n |y*| - F . y*, and one with the
-  room m has m |y*|: a quadratic form of y* that is at most E, and of the given slips as well. Its floor, by an
-  elimination, says how far minima are. Motions that change no slip play no part.
+* on others the minimum is enclosed (oblique.py). Where that fails, a slip y* that is b across its friction has
+  mu F_n b^2 / (2 |y*|) <= mu F_n |y*| - F . y*, and one with the room m has m |y*|: a quadratic form of y* that is at
+  most E, and of the given slips as well. Its floor, by an elimination, says how far minima are. Motions that change no
+  slip play no part.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from taichi_bearings.verifier.enclosure import UP, Enclosure, joined
 from taichi_bearings.verifier.motion import length
 from taichi_bearings.verifier.network import Network
 from taichi_bearings.verifier.network_bounds import PROVEN, Bounds, Springs, slip_rows
+from taichi_bearings.verifier.oblique import enclosed_minimum
 from taichi_bearings.verifier.samples import SLIPLESS, SLIPPING, UNPROVEN
 from taichi_bearings.verifier.states import reached
 
@@ -98,6 +100,10 @@ def _by_law(bounds: Bounds, states: np.ndarray, bound: np.ndarray) -> tuple[np.n
         if len(needed) == 1:
             return _by_cuts(bounds, needed[0], bound), "cuts (nearly) tie"
         return _by_curvature(bounds, needed, states, bound)
+    if (found := enclosed_minimum(bounds)) is not None:
+        slides, far = found
+        bound[network.counts] = np.fmin(bound, np.where(slides, network.slip.most + far, 0.0))[network.counts]
+        return np.where(network.counts, np.where(slides, SLIPPING, SLIPLESS), states), ""
     return _apart(network, states, bound, _by_cones(bounds)), "minima are not known closely enough"
 
 

@@ -9,7 +9,11 @@ from scipy.optimize import linprog
 
 import taichi_bearings as tb
 from taichi_bearings.conic import descent
-from taichi_bearings.packing import answer
+from taichi_bearings.conic.grouped import Grouped
+from taichi_bearings.conic.newton_matrix import NewtonMatrix
+from taichi_bearings.packing import path
+from taichi_bearings.packing.path import elimination, oblique
+from taichi_bearings.packing.system import System
 from tests.packing.twins import clarabel_least, random_packing
 
 LAWS = ("coulomb", "coulomb-viscous", "viscous")
@@ -201,7 +205,7 @@ def test_networks_along_the_axes_have_the_minimum_of_any_other(seed, unsettled, 
     if unsettled:
         monkeypatch.setattr(descent, "resolve", lambda iterates, *_: [None] * len(iterates))
     own = tb.solve(packing)
-    monkeypatch.setattr(answer, "followed_along_axes", lambda *_: None)
+    monkeypatch.setattr(path, "signed", lambda *_: None)
     other = tb.solve(packing)
     assert own.status == "certified"
     assert own.gap < 1e-12
@@ -279,3 +283,41 @@ def test_normals_that_nearly_agree_prove_nothing_false(angle):
     if angle > 1e-6:
         assert found.power == pytest.approx(0, abs=1e-8)
         assert found.status == "certified"
+
+
+@pytest.mark.parametrize(
+    "packing",
+    [
+        tb.Packing.lattice("bcc", (6, 5, 7), seed=2),
+        tb.Packing.lattice("fcc", (3, 4, 3), seed=1),
+        tb.Packing.random(120, seed=4),
+    ],
+    ids=["bcc", "fcc", "random"],
+)
+def test_oblique_contacts_are_settled(packing):
+    """Those that rest are still and below their friction, the others bear it along their slip: to the last digits."""
+    found = tb.solve(packing)
+    assert found.gap < 1e-13
+    assert not (found.state == 2).any()
+    limit, unit = packing.friction * packing.normal_force, np.abs(packing.imposed).max()
+    rests, slips = found.state == 0, found.state == 1
+    assert found.slip[rests].max() < 1e-13 * unit
+    assert (found.force[rests] < (1 - 1e-6) * limit[rests]).all()
+    u = found.spin * packing.radius[:, None]
+    slip = -np.cross(u[packing.contact].sum(axis=1), packing.normal)
+    along = -limit[:, None] * slip / np.maximum(found.slip, 1e-300)[:, None]
+    error = np.linalg.norm(found.friction - along, axis=1)
+    assert (error < 1e-14 * unit * limit / np.maximum(found.slip, 1e-300) + 1e-11 * limit.max())[slips].all()
+
+
+@pytest.mark.parametrize("kind", ["bcc", "fcc"])
+def test_the_matrix_of_oblique_contacts_is_that_of_their_slips(kind):
+    system = System.of(tb.Packing.lattice(kind, (2, 2, 3), seed=3))
+    draw = np.random.default_rng(5)
+    root = draw.normal(size=(2, 2, len(system.contact)))
+    stiffness = np.einsum("ike,jke->ije", root, root)
+    matrix = NewtonMatrix(oblique(system), elimination(system))
+    matrix.factorise(Grouped([stiffness]))
+    spins = draw.normal(size=system.unknowns)
+    torques = system.torques(np.einsum("ije,je->ie", stiffness, system.change(spins)))
+    assert np.abs(matrix.solve(torques) - spins).max() < 1e-9

@@ -106,6 +106,37 @@ def test_oblique_lattices_have_proven_slips():
     assert found.slip_bound[found.state == 0].max() < 1e-9
 
 
+OBLIQUE = {
+    "fcc": tb.Packing.lattice("fcc", (2, 3, 2), seed=1),
+    "random": tb.Packing.random(60, seed=2),
+}
+
+
+@pytest.mark.parametrize("kind", OBLIQUE)
+def test_all_states_of_oblique_contacts_are_proven_and_no_false_ones(kind):
+    """Of the minimum; and of spins and friction beside it no other states, and none if a contact bears too much."""
+    packing, rng = OBLIQUE[kind], np.random.default_rng(3)
+    found = tb.solve(packing)
+    assert not (found.proven == 2).any()
+    assert (found.slip_bound[found.proven == 0] == 0).all()
+    free = packing.driven < 0
+    proofs = 0
+    for size in 10.0 ** np.arange(-13, 0):
+        spin = found.spin + size * free[:, None] * rng.standard_normal(found.spin.shape)
+        friction = found.friction * (1 + size * rng.standard_normal(len(found.slip)))[:, None]
+        proven = PackingJudgement.of("coulomb", packing.arrays(), spin, friction).states.proven
+        acts = found.state != 3
+        assert ((proven == found.proven) | (proven == 2))[acts].all()
+        proofs += not (proven[acts] == 2).any()
+    assert proofs < 13
+    rests = np.flatnonzero((found.state == 0) & (found.force > 0.1))
+    weak = packing.friction.copy()
+    weak[rests[0]] = 0.99 * found.force[rests[0]] / np.broadcast_to(packing.normal_force, weak.shape)[rests[0]]
+    arrays = packing.arrays() | {"friction": weak}
+    proven = PackingJudgement.of("coulomb", arrays, found.spin, found.friction).states.proven
+    assert proven[rests[0]] == 2
+
+
 def test_spheres_that_can_only_roll_prove_that_they_do():
     """A loop of four hangs on one contact of a driven pair; nothing in it slips, whatever rounding does to normals."""
     center = np.array([[0, 0, 0], [1, 0, 0], [0.5, 0.7, 0.51], [1.2, 1.1, 1.3], [0.1, 1.6, 0.9], [0.7, 2.0, 1.8]])

@@ -1,0 +1,182 @@
+"""Packings on the central path of lattices, to where their contacts are settled.
+
+A contact along an axis feels the two other components alone. Where they have no odd loop, signs by which neighbours
+differ, those of each component its own, make of their sums the differences of a lattice: its settling of contact states
+and its ties serve any such network.
+
+Any other one is settled by multipliers (Hestenes 1969; for friction Alart & Curnier 1991): each contact has a stiff
+spring that slips where it would bear more than friction does, and begins with the force that the last minimum left in
+it. A contact that rests slips the less each time; those beyond their friction slip along it.
+"""
+
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import reduce
+
+import numpy as np
+
+from taichi_bearings.conic.central_path import flowing
+from taichi_bearings.conic.contact_system import ContactGroup, ContactSystem, ObliqueGroup, Places
+from taichi_bearings.conic.descent import Descent, Sample
+from taichi_bearings.conic.friction_stage import Friction, FrictionStage
+from taichi_bearings.conic.grouped import Arrays, Grouped, where
+from taichi_bearings.conic.iterate import Iterate
+from taichi_bearings.conic.newton_matrix import NewtonMatrix
+from taichi_bearings.conic.resolution import Surroundings
+from taichi_bearings.interrupts import look_up
+from taichi_bearings.numerics.blas import one_thread
+from taichi_bearings.numerics.cholesky import NotPositiveDefinite
+from taichi_bearings.numerics.double_double import add, scaled, two_sum
+from taichi_bearings.packing.motions import unknowns_of
+from taichi_bearings.packing.system import System, along_axes, odd_parts
+
+SMALL_SPHERES = 5_000  # up to which states are settled as those of small lattices
+HOLDS = (1e6, 1e8, 1e10, 1e10)  # stiffnesses of the springs, over friction
+SETTLED_FORCE = 1e-11  # change of a force, of the mean friction, at which they are settled
+LEAST_SLIP = 1e-13  # of the largest imposed one, that is none of rounding
+SMALL_SPINS = 1e-8  # of what is left to settle
+MOST_STEPS, SLACK = 80, 0.3  # of the path; of the bounds at its start, in mean slips
+
+
+@dataclass(frozen=True)
+class Followed:
+    """spins (unknowns,), force (d, A). slips : (A,), if contacts are settled; ties : those that tie or bear all their
+    friction at rest, (A,), if that is known. steps : factorisations."""
+
+    spins: np.ndarray
+    force: np.ndarray
+    slips: np.ndarray | None
+    ties: np.ndarray | None
+    steps: int
+
+
+def oblique(system: System) -> ContactSystem:
+    """Contacts over the spins as they are."""
+    unknown = system.moved[system.packing.contact[system.contact]].reshape(len(system.contact), -1)
+    factor = np.where(unknown >= 0, np.tile(system.across, 2), 0.0)
+    places = Places(np.arange(len(unknown)), np.broadcast_to(np.arange(len(factor))[:, None], factor.shape[:2]))
+    group = ObliqueGroup(system.matrix, unknown, factor, system.offset)
+    return ContactSystem(system.unknowns, (group,), (places,), system.packing.center[system.sphere].T)
+
+
+def signed(system: System) -> tuple[ContactSystem, np.ndarray] | None:
+    """Contacts over signed spins U = s u, numbered as those of the system, and s (N, C); None where there are none.
+
+    The difference U_j - U_i of a contact is s_j (u_i + u_j).
+    """
+    packing, needed = system.packing, np.flatnonzero((system.moved >= 0).any(axis=0))
+    if not along_axes(packing, system.contact):
+        return None
+    felt, contact = np.any(system.across, axis=0), packing.contact[system.contact]
+    sign = np.ones(system.known.shape)
+    for k in needed:
+        ends = contact[felt[:, k]]
+        odd, sign[:, k] = odd_parts(packing.spheres, *ends.T)
+        if odd[ends].any():
+            return None
+    known, felt, groups, places = sign * system.known, felt[:, needed], [], []
+    for count in range(1, len(needed) + 1):
+        own = np.flatnonzero(felt.sum(axis=1) == count)
+        if len(own):
+            slot = needed[np.nonzero(felt[own])[1].reshape(-1, count).T]
+            first, second = contact[own].T
+            offset = known[second, slot] - known[first, slot]
+            groups.append(ContactGroup(system.moved[first, slot], system.moved[second, slot], offset, system.unknowns))
+            places.append(Places(own, slot))
+    place = packing.center[system.sphere].T
+    return ContactSystem(system.unknowns, tuple(groups), tuple(places), place), sign
+
+
+def elimination(system: System) -> np.ndarray:
+    """Order of the unknowns, from the centres."""
+    return np.concatenate(unknowns_of(system.sphere, system.parts()))
+
+
+def viscous_spins(system: System, viscosity: np.ndarray) -> np.ndarray:
+    """Spins (unknowns,) at which viscous forces are in balance. viscosity : (A,)."""
+    contacts = oblique(system)
+    matrix = NewtonMatrix(contacts, elimination(system))
+    return flowing(contacts, Grouped([viscosity]), matrix, np.zeros(system.unknowns))
+
+
+def followed(system: System, friction: np.ndarray, viscosity: np.ndarray) -> Followed:
+    """Where the central path and the settling of states lead. friction, viscosity : (A,)."""
+    along, flows = signed(system), bool(viscosity.any())
+    contacts, sign = along or (oblique(system), None)
+    order = elimination(system)
+    matrix = NewtonMatrix(contacts, order)
+    unit = float(np.exp2(np.round(np.log2((friction + viscosity).mean()))))  # as of lattices
+    strength, viscous = contacts.gather(friction[None] / unit, 0), contacts.gather(viscosity[None] / unit, 0)
+    spins = np.zeros(contacts.unknowns)
+    with suppress(NotPositiveDefinite):
+        spins = flowing(contacts, strength + viscous, matrix, spins)
+    slack = SLACK * float(np.concatenate([*contacts.differences(spins).length()]).mean())
+    start = Iterate.start(contacts, spins, strength, slack, viscous if flows else None)
+    start = start if (friction > 0).all() else replace(start, smooth=strength == 0)
+    settles, spheres = along is not None and not flows, len(np.unique(system.sphere))
+    small = settles and spheres < SMALL_SPHERES
+    descent = Descent(Surroundings(contacts, order, matrix, None), spheres, small, settles)
+    sample = Sample(start, unit)
+    descent.samples = [sample]
+    while not sample.done and sample.steps < MOST_STEPS:
+        look_up()
+        descent.advance(MOST_STEPS - sample.steps if settles else 1)
+    settled, ties = sample.resolved, None
+    if settled is None:
+        spins, dual, slipping = _settled(system, sample.iterate, matrix)
+    else:
+        spins, dual, slipping = settled.spins, settled.dual, settled.slipping
+        ties = settled.ties | settled.critical
+    force = _across(system, contacts, sign, -unit * dual)
+    spins = spins if sign is None else sign[system.moved >= 0] * spins
+    slips, tie = (None if of is None else _everywhere(contacts, of, len(friction)) for of in (slipping, ties))
+    return Followed(spins, force, slips, tie, sample.steps)
+
+
+@np.errstate(all="ignore")
+def _settled(system: System, point: Iterate, matrix: NewtonMatrix) -> tuple[np.ndarray, Arrays, Arrays | None]:
+    """Spins, minus the forces, and which contacts slip, (n,) masks a group; None where they are not settled."""
+    contacts, spins, held, whole, slipping = point.system, point.spins, -point.dual, point.whole_dual, None
+    firm, rest = where(point.friction > 0, point.friction, 1.0), np.zeros(contacts.unknowns)
+    for hold in HOLDS:
+        groups = zip(contacts.groups, _slips(system, contacts, spins), strict=True)
+        here = ContactSystem(contacts.unknowns, tuple(replace(group, offset=slip) for group, slip in groups))
+        stage = FrictionStage(here, matrix, 1.0, np.zeros((0, 0), dtype=np.int64), SMALL_SPINS, 1.0)
+        stage.reuses = False  # as stiffnesses of many decades would keep gradients from an end
+        with one_thread():
+            end = stage.solve(Friction(point.friction, hold * firm, 0.0, point.viscosity), rest, held, rest)
+        if end is None:
+            break
+        change, slip = (end.held - held).length().max(), here.differences(end.spins).length()
+        spins, held, whole = spins + end.spins, end.held, -end.force
+        slipping = end.slips if where(end.slips, 0.0, slip).max() < LEAST_SLIP else None
+        if slipping is not None and change < SETTLED_FORCE:
+            break
+    return spins, whole, slipping
+
+
+def _slips(system: System, contacts: ContactSystem, spins: np.ndarray) -> Arrays:
+    """Of spins (unknowns,), (d, n) a group, to all digits."""
+    if isinstance(contacts.groups[0], ContactGroup):
+        return contacts.differences(spins)
+    ends = system.all_spins(spins)[system.packing.contact[system.contact]]
+    high, low = two_sum(ends[:, 0], ends[:, 1])
+    parts = [scaled(system.across[..., k], (high[:, k], low[:, k])) for k in range(high.shape[1])]
+    return Grouped([reduce(add, parts)[0]])
+
+
+def _across(system: System, contacts: ContactSystem, sign: np.ndarray | None, vectors: Arrays) -> np.ndarray:
+    """(d, A), along the tangents."""
+    if sign is None:
+        return vectors.parts[0]
+    second = sign[system.packing.contact[system.contact, 1]]
+    whole = np.zeros((second.shape[1], 1, len(second)))
+    contacts.scatter_vectors(vectors, whole, 0)
+    return np.einsum("tek,ek,ke->te", system.across, second, whole[:, 0])
+
+
+def _everywhere(contacts: ContactSystem, of: Arrays, count: int) -> np.ndarray:
+    """(A,), False for contacts that feel no component which moves."""
+    whole = np.zeros((1, count), dtype=of.parts[0].dtype)
+    contacts.scatter(of, whole, 0)
+    return whole[0]
