@@ -19,7 +19,7 @@ from taichi_bearings.packing.system import System
 from taichi_bearings.packing.ties import tied
 from taichi_bearings.scene.solution import Status
 from taichi_bearings.verifier.network_states import AT_REST
-from taichi_bearings.verifier.packing_verdict import PackingJudgement
+from taichi_bearings.verifier.packing_judgement import PackingJudgement
 from taichi_bearings.verifier.samples import UNPROVEN
 from taichi_bearings.words import shown
 
@@ -184,15 +184,15 @@ def judged(system: System, found: Found, tolerance: float, begun: float) -> Pack
         raise InputError(
             "the spins imposed are too small or too large to be judged; the largest must be above 1e-100 length/time"
         )
-    bounds, proven = judgement.bounds, judgement.states.proven
-    acts = judgement.network.acts
+    bounds, proven = judgement.bounds, judgement.states[0].proven
+    acts, slip = judgement.acts[0], judgement.slip[0]
     state = np.where(acts, np.where(proven == UNPROVEN, _states(system, found, judgement), proven), DRIVEN)
     return PackingSolution(
         packing, bounds.power, bounds.objective, bounds.lower_bound, bounds.gap, bounds.proof,
         (Status.CERTIFIED if bounds.gap <= tolerance else Status.STALLED).value, found.method, spin,
-        judgement.slip, force, friction, law.power(packing.coefficients, judgement.slip), state.astype(np.uint8),
-        judgement.driven_power, system.motions, judgement.largest_torque,
-        perf_counter() - begun, np.where(acts, proven, DRIVEN).astype(np.uint8), judgement.slip_bound,
+        slip, force, friction, law.power(packing.coefficients, slip), state.astype(np.uint8),
+        judgement.driven_power, system.motions, float(judgement.largest_torque[0]),
+        perf_counter() - begun, np.where(acts, proven, DRIVEN).astype(np.uint8), judgement.slip_bound[0],
         found.steps,
     )  # fmt: skip
 
@@ -213,8 +213,8 @@ def _states(system: System, found: Found, judgement: PackingJudgement) -> np.nda
     """States (E,), as slips and margins tell them, of contacts of which nothing is proven."""
     packing, law = system.packing, system.packing.kind
     fastest = float(np.abs(packing.imposed).max(initial=0.0))
-    held, slip = law.holding_force(system.coefficients), judgement.slip
-    state = np.where(judgement.slip_bound <= AT_REST * fastest, SLIPLESS, UNDECIDED)
+    held, slip = law.holding_force(system.coefficients), judgement.slip[0]
+    state = np.where(judgement.slip_bound[0] <= AT_REST * fastest, SLIPLESS, UNDECIDED)
     if held is None or not held.any():
         return np.where(slip > 1e-12 * fastest, SLIPPING, SLIPLESS)
     if found.slips is None:
@@ -222,7 +222,7 @@ def _states(system: System, found: Found, judgement: PackingJudgement) -> np.nda
     margin = 1 - np.linalg.norm(found.force, axis=0) / np.where(held > 0, held, 1.0)
     slips = found.slips & (slip[system.contact] > SURE_SLIP * float(np.abs(system.offset).max()))
     own = np.where(~found.slips & (margin > SURE_MARGIN), SLIPLESS, np.where(slips, SLIPPING, UNDECIDED))
-    unproven = judgement.states.proven[system.contact] == UNPROVEN
+    unproven = judgement.states[0].proven[system.contact] == UNPROVEN
     if not law.flows and (unproven & (own == SLIPPING)).any():
         own[tied(system, found.force, own) if found.ties is None else found.ties] = UNDECIDED
     state[system.contact] = own

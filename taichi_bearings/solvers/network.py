@@ -25,7 +25,7 @@ from taichi_bearings.scene import Progress
 from taichi_bearings.scene.given import own_array
 from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.solvers.method import OnLattice
-from taichi_bearings.verifier.packing_verdict import PackingJudgement
+from taichi_bearings.verifier.packing_judgement import PackingJudgement
 from taichi_bearings.words import meant, shown
 
 NEXT_TO_NO_POWER = 1e-10  # of the natural power, below which a relative gap says nothing

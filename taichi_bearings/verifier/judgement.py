@@ -10,15 +10,63 @@ import numpy as np
 from taichi_bearings.verifier.bounds import Work, lower_bound, slip_bounds, work_of
 from taichi_bearings.verifier.enclosure import Enclosure
 from taichi_bearings.verifier.motion import Motion
-from taichi_bearings.verifier.samples import Samples
+from taichi_bearings.verifier.packing_judgement import PackingJudgement
+from taichi_bearings.verifier.samples import OfLaw, Samples
 from taichi_bearings.verifier.states import States, proven_states
+from taichi_bearings.verifier.stored_run import StoredPacking
+
+EPS = np.finfo(np.float64).eps
+
+
+def judgement_of(samples: Samples | StoredPacking) -> Judgement | PackingJudgement | None:
+    """None for numbers that no arithmetic can judge."""
+    if isinstance(samples, Samples):
+        return Judgement(samples) if samples.can_be_judged else None
+    return PackingJudgement.of(samples.law, samples.arrays, samples.spin, samples.friction)
 
 
 @dataclass(frozen=True)
-class Judgement:
+class Judgement(OfLaw):
     """Of the spins and the friction of samples, energy/time. Bounds are rounded outwards."""
 
     samples: Samples
+    proof = "proven"
+
+    @property
+    def law(self) -> str:  # type: ignore[override]
+        return self.samples.law
+
+    @property
+    def acts(self) -> np.ndarray:
+        """(R, E) mask of the contacts that take part."""
+        return ~self.samples.flat(map(self.samples.idle, range(self.samples.dimension)))
+
+    @property
+    def limit(self) -> np.ndarray:
+        """(R, E), friction that a contact bears, or without friction its damping."""
+        return self.samples.flat(self.samples.coefficient) * (self.samples.normal_force if self.holds else 1.0)
+
+    @property
+    def damping(self) -> np.ndarray | None:
+        """(R, E), beside friction."""
+        return self.samples.flat(self.samples.viscosity) if self.samples.viscosity else None
+
+    @property
+    def force_unit(self) -> float:
+        return self.samples.force_unit
+
+    @property
+    def friction_size(self) -> np.ndarray:
+        """(R, E), of the friction as stored, but of absent contacts."""
+        sizes = (np.sqrt(sum(part**2 for part in turning.values())) for turning in self.samples.turning)
+        return self.samples.flat(sizes) * self.force_unit
+
+    @property
+    def friction_along(self) -> np.ndarray:
+        """(R, E) mask of the contacts along which friction acts."""
+        samples = self.samples
+        along = (f[..., axis] if samples.dimension == 3 else 0 * f for axis, f in enumerate(samples.friction))
+        return samples.flat(along) != 0
 
     def one(self, number: int) -> Judgement:
         """Of one of the samples alone."""
@@ -51,21 +99,26 @@ class Judgement:
         return self.samples.radius * self.samples.spin_unit
 
     @cached_property
-    def slip(self) -> tuple[np.ndarray, ...]:
-        """Speeds (R, *contacts) an axis of the slips of these spins, to the nearest doubles."""
-        found = tuple(np.zeros(still.shape) for still in self.motion.still)
+    def slip(self) -> np.ndarray:
+        """(R, E), speeds of the slips of these spins, to the nearest doubles."""
+        found = [np.zeros(still.shape) for still in self.motion.still]
         for of_axes in (zip(self.motion.slips, self.motion.size, strict=True), self.motion.loose):
             for values, (slips, size) in zip(found, of_axes, strict=False):
                 values.put(slips.own, size.value * self._speed)
-        return found
+        return self.samples.flat(found)
 
     @cached_property
-    def slip_bound(self) -> tuple[np.ndarray, ...]:
-        """Speeds (R, *contacts) an axis that no slip of any minimum exceeds, of contacts with friction; else empty."""
+    def slip_bound(self) -> np.ndarray | None:
+        """(R, E), speeds that no slip of any minimum exceeds, of contacts with friction."""
         if not self.samples.holds:
-            return ()
+            return None
         bounds = slip_bounds(self.samples, self.work, self._objective.upper())
-        return tuple(bound * self._speed * (1 + 2.0**-50) for bound in bounds)
+        return self.samples.flat(bounds) * self._speed * (1 + 2.0**-50)
+
+    @property
+    def saturation(self) -> np.ndarray:
+        """(R,), largest |F| / (mu F_n), rounded up; 0 without hard contacts."""
+        return self.work.saturation
 
     @property
     def largest_torque(self) -> np.ndarray:

@@ -25,6 +25,23 @@ LEAST_SPEED = 1e-100  # of the fastest surface that is imposed
 
 
 @dataclass(frozen=True)
+class StoredPacking(OfLaw):
+    """arrays by name: center (N, D), contact (E, 2), driven (N,), spin (N, 3) or (N,), radius (N,), normal (E, D),
+    friction, normal_force (E,) and, with the law coulomb-viscous, viscosity (E,). spin : of all spheres.
+    friction : (E, 3) or (E,)."""
+
+    law: str
+    arrays: dict[str, np.ndarray]
+    spin: np.ndarray
+    friction: np.ndarray
+    count = 1
+
+    @property
+    def is_finite(self) -> bool:
+        return bool(np.isfinite(self.spin).all() and np.isfinite(self.friction).all())
+
+
+@dataclass(frozen=True)
 class Network(OfLaw):
     """N spheres, E contacts; D = 2 or 3, and C = 1 or 3 components. Speeds and forces are in units of powers of two.
 
@@ -48,15 +65,9 @@ class Network(OfLaw):
     rolling: np.ndarray | None = None
 
     @classmethod
-    def of(
-        cls,
-        law: str,
-        packing: dict[str, np.ndarray],
-        spin: np.ndarray,
-        friction: np.ndarray,
-    ) -> Network | None:
-        """packing : arrays by name, as in a file. spin : (N, C) or (N,), of free spheres; friction : (E, C) or (E,).
-        None for numbers that are not finite, or of scales for which no arithmetic here is made."""
+    def of(cls, stored: StoredPacking) -> Network | None:
+        """None for numbers that are not finite, or of scales for which no arithmetic here is made."""
+        law, packing, spin, friction = stored.law, stored.arrays, stored.spin, stored.friction
         free, radius = packing["driven"] < 0, packing["radius"]
         count, contacts = len(free), len(packing["contact"])
         parts = spin.size // count

@@ -31,7 +31,7 @@ from taichi_bearings.verifier.motion import length
 from taichi_bearings.verifier.network import Network
 from taichi_bearings.verifier.network_bounds import PROVEN, Bounds, Springs, slip_rows
 from taichi_bearings.verifier.samples import SLIPLESS, SLIPPING, UNPROVEN
-from taichi_bearings.verifier.states import reached
+from taichi_bearings.verifier.states import States, reached
 
 MOST_LEVELS = 100  # steps of imposed values that are looked at, the largest
 STILL = 1e-12  # of the fastest imposed component, below which slips may be none
@@ -41,18 +41,8 @@ STIFFEST = 1e4  # stiffness of what rests, over that of what slips
 PASSES = 2
 
 
-@dataclass(frozen=True)
-class NetworkStates:
-    """proven : (E,) UNPROVEN, SLIPLESS or SLIPPING, at every minimum. slip_bound : (E,), that no slip of any minimum
-    exceeds, in units of speed; infinite where unknown. reason : why not all is proven, or ""."""
-
-    proven: np.ndarray
-    slip_bound: np.ndarray
-    reason: str
-
-
 @np.errstate(all="ignore")  # what is not finite proves nothing
-def network_states(bounds: Bounds) -> NetworkStates:
+def network_states(bounds: Bounds) -> States:
     network = bounds.network
     states = np.full(len(network.contact), UNPROVEN)
     bound = np.where(network.acts, _most(bounds), np.inf)
@@ -69,7 +59,7 @@ def network_states(bounds: Bounds) -> NetworkStates:
     unknown = open_ & (states == UNPROVEN)
     slow = int((bound[unknown] <= AT_REST * network.box.max(initial=0.0)).sum())
     reason += f"; {slow:,} of these slip by no more than {AT_REST:.0e} of the fastest imposed" if slow else ""
-    return NetworkStates(np.where(network.acts, states, UNPROVEN), bound, reason if unknown.any() else "")
+    return States(np.where(network.acts, states, UNPROVEN), None, reason if unknown.any() else "", bound)
 
 
 def _most(bounds: Bounds) -> np.ndarray:

@@ -12,6 +12,8 @@ another: what is said of a component is said layer by layer.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from decimal import Decimal, localcontext
 from functools import cached_property
@@ -25,6 +27,7 @@ DIGITS = 300
 LEAST_SCALE, MOST_SCALE = 1e-60, 1e60  # scales of a sample
 LEAST_JUMP = 1e-140  # component of the jump, of the whole
 SLIPLESS, SLIPPING, UNPROVEN, TIED, CRITICAL = 0, 1, 2, 4, 5  # what can be proven of a contact (states.py)
+DRIVEN_STATE = 3  # of a contact that takes no part, in files
 Index = tuple[Any, ...]
 LAWS = {"coulomb": (True, False), "viscous": (False, True), "coulomb-viscous": (True, True)}
 """Law -> does a contact bear a force without slipping, and does its force grow with the slip."""
@@ -34,6 +37,7 @@ class OfLaw:
     """What follows from a law, a key of LAWS."""
 
     law: str
+    is_lattice = False
 
     @property
     def holds(self) -> bool:
@@ -80,6 +84,7 @@ class Samples(OfLaw):
     top: tuple[float, ...] | None = None
     bottom: tuple[float, ...] | None = None
     periodic: tuple[int, ...] = ()
+    is_lattice = True
 
     @property
     def count(self) -> int:
@@ -330,6 +335,25 @@ class Samples(OfLaw):
     def lacks(self) -> bool:
         """True if any contact is absent."""
         return any(bool(absent.any()) for absent in self.absent)
+
+    @property
+    def driven_contacts(self) -> np.ndarray:
+        """Mask (E,) of those that join two driven spheres."""
+        return self.flat([self.between_driven(axis) for axis in range(self.dimension)])[0]
+
+    def flat(self, of_axes: Iterable[np.ndarray]) -> np.ndarray:
+        """(R, E) from arrays (R, *contacts) an axis: all contacts along x, then y, then z."""
+        return np.concatenate([values.reshape(self.count, -1) for values in of_axes], axis=1)
+
+    def by_axis(self, values: np.ndarray) -> list[np.ndarray]:
+        """Of (..., E) an array (..., *contacts) an axis."""
+        shapes = [of.shape[1:] for of in self.coefficient]
+        ends = np.cumsum([math.prod(shape) for shape in shapes])[:-1]
+        return [of.reshape(*values.shape[:-1], *n) for of, n in zip(np.split(values, ends, -1), shapes, strict=True)]
+
+    @property
+    def is_finite(self) -> bool:
+        return all(np.isfinite(values).all() for values in (self.spin, self.spin_rounding, *self.friction))
 
     def idle(self, axis: int) -> np.ndarray:
         """Those between driven spheres, and those that are absent."""

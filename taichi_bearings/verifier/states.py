@@ -20,6 +20,7 @@ are on one side of every lightest cut. That decides contacts one by one, ties or
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,7 +31,7 @@ from taichi_bearings.verifier.balance import bearable
 from taichi_bearings.verifier.curvature import Slipping, nearest_minimum
 from taichi_bearings.verifier.enclosure import UP, Enclosure, joined
 from taichi_bearings.verifier.motion import Motion, whole_planes
-from taichi_bearings.verifier.samples import SLIPLESS, SLIPPING, UNPROVEN, Samples
+from taichi_bearings.verifier.samples import DRIVEN_STATE, SLIPLESS, SLIPPING, UNPROVEN, Samples
 from taichi_bearings.verifier.ties import MISSED_LIMIT, tied_states
 
 PROVEN_AT_ONCE = 200_000  # spheres of the samples that are proven at once, at most
@@ -38,20 +39,25 @@ PROVEN_AT_ONCE = 200_000  # spheres of the samples that are proven at once, at m
 
 @dataclass(frozen=True)
 class States:
-    """Of one sample. proven : one array (*contacts,) an axis of UNPROVEN, SLIPLESS, SLIPPING, CRITICAL (slips at no
-    minimum, at the limit of this friction) or TIED (slips at some minima, rests at others). unique : is there only
-    one minimum? None if that is not known. reason : why not all is proven, or "".
+    """Of one sample. proven : (E,) of UNPROVEN, SLIPLESS, SLIPPING, CRITICAL (slips at no minimum, at the limit of this
+    friction) or TIED (slips at some minima, rests at others). unique : is there only one minimum? None if that is not
+    known. reason : why not all is proven, or "". slip_bound : (E,), that no slip of any minimum exceeds, of packings.
     """
 
-    proven: tuple[np.ndarray, ...]
+    proven: np.ndarray
     unique: bool | None
     reason: str = ""
+    slip_bound: np.ndarray | None = None
 
-    def agree(self, claimed: list[np.ndarray]) -> bool:
-        """True if each contact is proven to slip at every minimum or at none, as claimed: states (*contacts,) an axis,
-        0 slipless, 1 slipping, 3 driven."""
-        pairs = zip(self.proven, claimed, strict=True)
-        return all(bool(((p == np.where(c == 3, SLIPLESS, c)) & (p <= SLIPPING)).all()) for p, c in pairs)
+    def agree(self, claimed: np.ndarray) -> bool:
+        """True if each contact is proven to slip at every minimum or at none, as claimed: (E,), 0 slipless, 1 slipping,
+        3 takes no part."""
+        return bool((((self.proven == claimed) & (self.proven <= SLIPPING)) | (claimed == DRIVEN_STATE)).all())
+
+    @classmethod
+    def of_axes(cls, proven: Iterable[np.ndarray], unique: bool | None, reason: str = "") -> States:
+        """From arrays (*contacts,) an axis."""
+        return cls(np.concatenate([of.ravel() for of in proven]), unique, reason)
 
 
 def proven_states(motion: Motion, gap: np.ndarray) -> list[States]:
@@ -61,7 +67,7 @@ def proven_states(motion: Motion, gap: np.ndarray) -> list[States]:
     if samples.flows:
         return _by_distance(motion, gap)
     if not samples.needed:
-        return [States(tuple(np.full(c.shape[1:], SLIPLESS) for c in samples.coefficient), True)] * samples.count
+        return [States.of_axes((np.full(c.shape[1:], SLIPLESS) for c in samples.coefficient), True)] * samples.count
     decided = _by_cuts(motion, gap) if len(samples.needed) == 1 else _by_curvature(motion)
     idle = {k: _rests(motion, k) for k in set(samples.components) - set(samples.needed)}
     found = []
@@ -78,7 +84,7 @@ def proven_states(motion: Motion, gap: np.ndarray) -> list[States]:
 
 
 def _nothing(samples: Samples, reason: str) -> States:
-    return States(tuple(np.full(c.shape[1:], UNPROVEN) for c in samples.coefficient), None, reason)
+    return States.of_axes((np.full(c.shape[1:], UNPROVEN) for c in samples.coefficient), None, reason)
 
 
 def _rests(motion: Motion, component: int) -> np.ndarray:
@@ -103,7 +109,7 @@ def _by_distance(motion: Motion, gap: np.ndarray) -> list[States]:
         costs = half * slope.at(slips.own).least * size.least**2 / UP
         states.put(slips.own, np.where(costs > gap[slips.sample], SLIPPING, UNPROVEN))
         found.append(states)
-    return [States(tuple(states[r] for states in found), True) for r in range(motion.samples.count)]
+    return [States.of_axes((states[r] for states in found), True) for r in range(motion.samples.count)]
 
 
 def _by_cuts(motion: Motion, gap: np.ndarray) -> list[States]:
@@ -152,7 +158,9 @@ def _by_cuts(motion: Motion, gap: np.ndarray) -> list[States]:
         found.append(states if k in samples.felt(axis) else np.full(coefficient.shape, SLIPLESS))
     done = ~np.any([(states == UNPROVEN).reshape(samples.count, -1).any(axis=1) for states in found], axis=0)
     return [
-        States(tuple(states[r] for states in found), True if done[r] else None, "" if done[r] else "cuts (nearly) tie")
+        States.of_axes(
+            (states[r] for states in found), True if done[r] else None, "" if done[r] else "cuts (nearly) tie"
+        )
         if not contradicts[r]
         else _nothing(samples, "the friction contradicts itself")
         for r in range(samples.count)
@@ -191,12 +199,12 @@ def _of_one(motion: Motion) -> States:
     if tied is None and not (doubt := _doubt(motion, contacts)):
         return _as_stored(motion, 0)
     tied = tied_states(motion, contacts) if not repeats else tied
-    return _nothing(motion.samples, doubt) if tied is None else States(*tied, _why_open(tied[0]))
+    return _nothing(motion.samples, doubt) if tied is None else States.of_axes(*tied, _why_open(tied[0]))
 
 
 def _as_stored(motion: Motion, number: int) -> States:
     """What slips in the file slips at the only minimum, and nothing else."""
-    return States(tuple(np.where(moving[number], SLIPPING, SLIPLESS) for moving in motion.moving), True)
+    return States.of_axes((np.where(moving[number], SLIPPING, SLIPLESS) for moving in motion.moving), True)
 
 
 def _repeats(motion: Motion) -> bool:

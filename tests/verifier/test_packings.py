@@ -13,7 +13,7 @@ import taichi_bearings as tb
 from taichi_bearings.errors import FileError
 from taichi_bearings.packing import structure_of
 from taichi_bearings.runs.verify import verify
-from taichi_bearings.verifier.packing_verdict import PackingJudgement
+from taichi_bearings.verifier.packing_judgement import PackingJudgement
 from tests.packing.twins import clarabel_least, random_packing
 from tests.verifier.packing_files import KINDS, drawn, write_run
 
@@ -262,8 +262,8 @@ def test_what_poor_answers_prove_is_true_of_a_good_one(seed):
     unit = np.abs(packing.imposed).max()
     assert judged.bounds.lower_bound <= found.potential * (1 + 1e-12)
     assert judged.bounds.upper_bound >= found.lower_bound
-    acts, known = found.state != 3, judged.states.proven
-    assert (found.slip <= judged.slip_bound + 1e-12 * unit)[acts].all()
+    acts, known = found.state != 3, judged.states[0].proven
+    assert (found.slip <= judged.slip_bound[0] + 1e-12 * unit)[acts].all()
     assert (found.slip[acts & (known == 0)] <= 1e-12 * unit).all()
     assert (found.slip[acts & (known == 1)] > 0).all()
     assert not ((known == 1) & (found.proven == 0)).any()
