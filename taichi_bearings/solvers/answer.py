@@ -188,7 +188,8 @@ def _judged(scene: Scene, spin: np.ndarray, spin_rounding: np.ndarray, friction:
         by_axis(scene.named_coefficients["viscosity"]) if scene.viscosity else (), scene.top, scene.bottom,
         scene.lattice.periodic,
     )  # fmt: skip
-    return Judgement(samples) if samples.can_be_judged else None
+    judgement = Judgement(samples)
+    return judgement if judgement.can_be_judged else None
 
 
 def above_noise(answer: Solution) -> np.ndarray:

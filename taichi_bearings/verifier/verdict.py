@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from taichi_bearings.verifier.claims import Claim, agree, ended, not_checked, of_sample, summed_up
-from taichi_bearings.verifier.judgement import EPS, Judgement, judgement_of
-from taichi_bearings.verifier.packing_judgement import PackingJudgement
+from taichi_bearings.verifier.judgement import EPS, Judgement
+from taichi_bearings.verifier.network import StoredPacking
 from taichi_bearings.verifier.samples import CRITICAL, DRIVEN_STATE, SLIPLESS, SLIPPING, TIED, UNPROVEN, Samples
 from taichi_bearings.verifier.states import States
-from taichi_bearings.verifier.stored_run import StoredPacking, StoredRun
+from taichi_bearings.verifier.stored_run import StoredRun
 from taichi_bearings.verifier.ties import MISSED_LIMIT
 
 ARITHMETIC = (
@@ -21,27 +21,27 @@ ARITHMETIC = (
 )
 ROUNDED = 1e-12  # relative difference of numbers that the run has computed in doubles
 PROVING = ("lower_bound", "states_proven", "minimum_is_unique")  # words that say that something is proven
-NUMBERS = ("power", "upper_bound", "lower_bound", "gap", "balanced", "inside_discs", "largest_balance_residual",
+TOLD = ("power", "upper_bound", "lower_bound", "gap", "balanced", "inside_discs", "largest_balance_residual",
            "states_proven", "minimum_is_unique", "unproven_because")  # fmt: skip
 OFF_IN_SINGLE = 1e-5  # relative, that motions in single precision are off
 TORQUE_COST = 1e-12  # of the power, that torques left over may cost where friction counts as balanced
 LOST_SQUARE = 1e-150  # of the largest friction: sizes of vectors below it may be lost where they are squared
 NORMAL_ERROR = 1e-6  # of the length of a normal, and between those of two contacts of the same spheres
-KINDS = {"slipless": SLIPLESS, "slipping": SLIPPING, "critical": CRITICAL, "tied": TIED, "unproven": UNPROVEN}
+STATE_NAMES = {"slipless": SLIPLESS, "slipping": SLIPPING, "critical": CRITICAL, "tied": TIED, "unproven": UNPROVEN}
 
 
 def report_of(run: StoredRun) -> dict[str, Any]:
     """As `--json` of `verify` has it, sample by sample where there are several: power, rigorous bounds of what is least
     at rest, their relative gap, how many contacts are proven to be in which state. contradictions : sentences, empty
     if the file proves what it claims. not_checked : names of what is in the file beside that."""
-    count, judgement = run.samples.count, judgement_of(run.samples)
+    count, judgement = run.samples.count, Judgement(run.samples)
     told: dict[str, Any]
-    if judgement is None:
+    if not judgement.can_be_judged:
         text = "a number is not finite, or the scales of the scene are too far from one for any arithmetic"
         acts = int((run.reported["state"][0] != DRIVEN_STATE).sum())
-        proof, told = None, dict.fromkeys(NUMBERS, [None] * count)
+        proof, told = None, dict.fromkeys(TOLD, [None] * count)
         told |= dict.fromkeys(("balanced", "inside_discs"), [False] * count)
-        told |= {"states_proven": [dict.fromkeys(KINDS, 0) | {"unproven": acts}] * count}
+        told |= {"states_proven": [dict.fromkeys(STATE_NAMES, 0) | {"unproven": acts}] * count}
         told |= {"unproven_because": [text] * count}
         said = [run.claimed(name)[r] for name in PROVING for r in range(count)]
         is_claim = any(said) or (set(run.claimed("status")) != {"not-finite"} and not run.samples.is_finite)
@@ -55,11 +55,11 @@ def report_of(run: StoredRun) -> dict[str, Any]:
             "upper_bound": _finite(judgement.upper_bound),
             "lower_bound": judgement.lower_bound.tolist(),
             "gap": _finite(judgement.gap),
-            "balanced": (judgement.price <= TORQUE_COST).tolist(),
-            "inside_discs": (judgement.saturation <= 1 + ROUNDED * (not run.samples.is_lattice)).tolist(),
+            "balanced": (judgement.bounds.torque_cost <= TORQUE_COST).tolist(),
+            "inside_discs": (judgement.bounds.worst <= 1 + ROUNDED * (not run.samples.is_lattice)).tolist(),
             "largest_balance_residual": judgement.largest_torque.tolist(),
             "states_proven": [
-                {name: int(((s.proven == kind) & acts).sum()) for name, kind in KINDS.items()}
+                {name: int(((s.proven == kind) & acts).sum()) for name, kind in STATE_NAMES.items()}
                 for s, acts in zip(states, judgement.acts, strict=True)
             ],
             "minimum_is_unique": [s.unique for s in states],
@@ -126,7 +126,7 @@ def _packing(packing: StoredPacking) -> Iterator[str]:
         yield f"contacts {twins[0]} and {twins[1]} are of the same two spheres, at the same place"
 
 
-def _arrays(run: StoredRun, judgement: Judgement | PackingJudgement) -> Iterator[str]:
+def _arrays(run: StoredRun, judgement: Judgement) -> Iterator[str]:
     """Slip, power, force and state of every contact follow from spins, friction and coefficients. Forces and states of
     a dynamics are of its own: of viscous contacts they follow from the slips, of Coulomb's they are within the static
     friction, and at the kinetic one where a contact is said to slip."""
@@ -236,7 +236,7 @@ def _is_minimum(run: StoredRun, number: int) -> bool:
     return bool(ended_there) and "slip_threshold" not in run.settings
 
 
-def _claims(run: StoredRun, judgement: Judgement | PackingJudgement, number: int) -> Iterator[Claim]:
+def _claims(run: StoredRun, judgement: Judgement, number: int) -> Iterator[Claim]:
     """What the summary says of a sample is what was computed anew, or what the arrays and the history hold."""
     samples = run.samples
     objective, bound = float(judgement.objective[number]), float(judgement.lower_bound[number])
@@ -257,7 +257,6 @@ def _claims(run: StoredRun, judgement: Judgement | PackingJudgement, number: int
         if rows is not None and len(rows):
             yield Claim(name, _finite(rows[-1:])[0], off=0.0, source="the history")
     if not isinstance(samples, Samples):
-        assert isinstance(judgement, PackingJudgement)
         yield Claim("contacts", int((state != DRIVEN_STATE).sum()), source="the arrays")
         yield Claim("critical", int(full.sum()), source="the arrays")
         yield Claim("largest_balance_residual", float(judgement.largest_torque[0]))
@@ -288,7 +287,7 @@ def _claims(run: StoredRun, judgement: Judgement | PackingJudgement, number: int
     yield from _under_torque(run, judgement, number)
 
 
-def _at_limit(run: StoredRun, judgement: Judgement | PackingJudgement, number: int, full: np.ndarray) -> int:
+def _at_limit(run: StoredRun, judgement: Judgement, number: int, full: np.ndarray) -> int:
     """Of the undecided contacts with all their friction, `full`, those proven to rest, and others unless they may have
     at most 0.01 of their power at the least component of the jump; none of these where more than 1 in 20 contacts have
     so little there that doubles, 1e-8 of the whole power, or the bounds lose it."""
@@ -316,7 +315,7 @@ def _decades(run: StoredRun, kinds: list[np.ndarray], gap: float) -> float | Non
         return _finite(np.log10([slipping.min() / max(slipless.max(), rounding)]))[0]
 
 
-def _under_torque(run: StoredRun, judgement: Judgement | PackingJudgement, number: int) -> Iterator[Claim]:
+def _under_torque(run: StoredRun, judgement: Judgement, number: int) -> Iterator[Claim]:
     """Whether a torque moves the top follows from the bounds on the power of strength 1, but for coulomb-viscous, a
     torque that grows, and a bottom that turns."""
     samples, text = run.samples, isinstance(run.settings.get("torque"), str)
@@ -332,7 +331,7 @@ def _under_torque(run: StoredRun, judgement: Judgement | PackingJudgement, numbe
     yield Claim("amplitude", 0.0 if held else _finite(strength)[0], needed=True)
 
 
-def _history(run: StoredRun, judgement: Judgement | PackingJudgement) -> Iterator[str]:
+def _history(run: StoredRun, judgement: Judgement) -> Iterator[str]:
     """No bound of the history is above the power, no power below the bound."""
     least = "potential" if run.samples.holds and run.samples.flows else "power"
     for number in range(run.samples.count):

@@ -13,7 +13,8 @@ import taichi_bearings as tb
 from taichi_bearings.errors import FileError
 from taichi_bearings.packing import structure_of
 from taichi_bearings.runs.verify import verify
-from taichi_bearings.verifier.packing_judgement import PackingJudgement
+from taichi_bearings.verifier.judgement import Judgement
+from taichi_bearings.verifier.network import StoredPacking
 from tests.packing.twins import clarabel_least, random_packing
 from tests.verifier.packing_files import KINDS, drawn, write_run
 
@@ -237,7 +238,7 @@ def test_friction_out_of_balance_is_paid_for():
     packing = tb.Packing.lattice("fcc", KINDS["fcc"], seed=2)
     found = tb.solve(packing)
     wrong = found.friction * np.random.default_rng(0).uniform(0.9, 1.1, (packing.contacts, 1))
-    bounds = PackingJudgement.of("coulomb", packing.arrays(), found.spin, wrong).bounds
+    bounds = Judgement(StoredPacking("coulomb", packing.arrays(), found.spin, wrong))
     assert 0 <= bounds.lower_bound <= found.power
     assert bounds.gap > 1e-3
 
@@ -251,7 +252,7 @@ def poorer(found, rng):
     if packing.dimension == 3:
         noise -= packing.normal * (noise * packing.normal).sum(axis=1, keepdims=True)
     friction = (scale * (1 - size * rng.integers(0, 2)) + noise).reshape(found.friction.shape)
-    return PackingJudgement.of(packing.law.name, packing.arrays(), spin, friction)
+    return Judgement(StoredPacking(packing.law.name, packing.arrays(), spin, friction))
 
 
 @pytest.mark.parametrize("seed", range(36))
@@ -260,8 +261,8 @@ def test_what_poor_answers_prove_is_true_of_a_good_one(seed):
     found = tb.solve(packing)
     judged = poorer(found, np.random.default_rng(seed))
     unit = np.abs(packing.imposed).max()
-    assert judged.bounds.lower_bound <= found.potential * (1 + 1e-12)
-    assert judged.bounds.upper_bound >= found.lower_bound
+    assert judged.lower_bound <= found.potential * (1 + 1e-12)
+    assert judged.upper_bound >= found.lower_bound
     acts, known = found.state != 3, judged.states[0].proven
     assert (found.slip <= judged.slip_bound[0] + 1e-12 * unit)[acts].all()
     assert (found.slip[acts & (known == 0)] <= 1e-12 * unit).all()

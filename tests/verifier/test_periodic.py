@@ -66,18 +66,18 @@ def changed(samples, of_contacts, of_spheres):
 
 def assert_alike(one, other, moved=lambda axis, values: values):
     """Two samples are judged alike, contact by contact; `moved` leads from a contact of one to that of the other."""
-    by_axis = other.by_axis
+    of_one, of_other = one.by_axis, other.by_axis
     one, other = Judgement(one), Judgement(other)
     for name in ("power", "objective", "lower_bound", "upper_bound"):
         np.testing.assert_allclose(getattr(one, name), getattr(other, name), rtol=1e-15, err_msg=name)
     np.testing.assert_allclose(one.largest_torque, other.largest_torque, rtol=1e-12)  # of what rounding leaves
     assert one.states[0].unique == other.states[0].unique
     assert one.states[0].reason == other.states[0].reason
-    for axis, (a, b) in enumerate(zip(by_axis(one.states[0].proven), by_axis(other.states[0].proven), strict=True)):
+    for axis, (a, b) in enumerate(zip(of_one(one.states[0].proven), of_other(other.states[0].proven), strict=True)):
         np.testing.assert_array_equal(moved(axis, a[None])[0], b)
     if one.slip_bound is None:
         return
-    for axis, (a, b) in enumerate(zip(by_axis(one.slip_bound), by_axis(other.slip_bound), strict=True)):
+    for axis, (a, b) in enumerate(zip(of_one(one.slip_bound), of_other(other.slip_bound), strict=True)):
         np.testing.assert_allclose(moved(axis, a), b, rtol=1e-14)
 
 
