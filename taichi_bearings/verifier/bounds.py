@@ -141,8 +141,8 @@ class Bounds:
 
 
 def rounded_out(values: np.ndarray, unit: float, towards: float) -> np.ndarray:
-    """Values times a unit, rounded that way: by two roundings, which a unit and the product with it have at most. 0 stays
-    as it is, and by a power of two nothing is lost that is not tiny."""
+    """Values times a unit, rounded that way: by two roundings, which a unit and the product with it have at most. 0
+    stays as it is, and by a power of two nothing is lost that is not tiny."""
     found = values * unit
     for _ in range(2):
         inexact = (np.frexp(unit)[0] != 0.5) | (np.abs(found) < np.finfo(float).tiny * 2**60)

@@ -324,7 +324,7 @@ class Network(OfLaw):
 
     def dissipated(self, of_slope: float, some: np.ndarray | None = None) -> Enclosure:
         """(R,), friction times slip plus `of_slope`, a power of two, times damping times its square, of what acts."""
-        own = np.flatnonzero((self.acts if some is None else some) & (self.slip.high != 0))
+        own = np.flatnonzero((self.acts if some is None else some) & (self.slip.most > 0))
         slip = self.slip.at(own)
         parts = [self.holding.at(own) * slip] if self.holds else []
         parts += [(self.slope.at(own) * slip * slip).signed(of_slope)] if self.flows else []

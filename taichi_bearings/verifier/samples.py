@@ -275,7 +275,7 @@ class Samples(OfLaw):
         return mask
 
     def anchor(self, component: int) -> np.ndarray:
-        """(R * N,), the sphere that each one turns as along a component: itself, or the first of its plane in a layer."""
+        """(R * N,), the sphere that each turns as along a component: itself, or the first of its plane and layer."""
         number = np.arange(self.count * self.free.size).reshape(self.count, *self.shape)
         number[..., [0, -1]] = self.first_in_layers(number, component)[..., [0, -1]]
         return number.ravel()
