@@ -144,7 +144,7 @@ def _decided(scene: Scene, judgement: Judgement | None, is_dynamics: bool) -> np
 
     A dynamics has the states of its own motion; where the force grows with the slip these are the same, if proven.
     """
-    if judgement is None or not (judgement.samples.flows or (len(judgement.samples.needed) < 2 and not is_dynamics)):
+    if judgement is None or not (judgement.flows or (len(judgement.network.needed) < 2 and not is_dynamics)):
         return None
     return np.stack([found.proven for found in judgement.states])
 

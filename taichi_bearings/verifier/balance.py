@@ -16,7 +16,7 @@ def bearable(motion: Motion, contacts: Slipping, turn: np.ndarray, unsure: dict[
     component, (n,), how far the friction of others at each sphere may be from what it has to be.
     """
     network, left = motion.network, {}
-    moment, torques = network.own_moment, network.torques(network.own_moment)
+    moment, torques = network.own_moment, network.own_torques
     off, felt = _unsure(motion, contacts, turn), slots(network, contacts.own)
     for k in network.needed:
         residual = np.where(network.free, torques[k].most if unsure is None else torques[k].most + unsure[k], 0.0)
@@ -25,13 +25,13 @@ def bearable(motion: Motion, contacts: Slipping, turn: np.ndarray, unsure: dict[
             for end in network.contact[:, contacts.own[some]]:
                 residual += np.bincount(end, off[slot, some], len(residual))
         residual[~network.free] = 0.0
-        domain = motion.domains[k]
+        domain = motion.domain(k)
         if network.samples is not None:  # those of the planes have the same numbers in all samples
             domain = np.where(domain > 1, domain + 2 * network.count, domain * network.count
                               + np.arange(len(domain)) // (len(domain) // network.count))  # fmt: skip
         left[k] = np.bincount(domain, residual)[domain] * UP
     still = np.flatnonzero(motion.rests & network.counts)
-    feels = {k: network.feels(k)[still] for k in network.needed}
+    feels = {k: network.feels[k][still] for k in network.needed}
     borne = length([moment[k].at(still).where(feels[k]) for k in network.needed])
     room = network.stretched(network.holding.at(still), still) - borne
     first = network.contact[0, still]
@@ -48,9 +48,9 @@ def _unsure(motion: Motion, contacts: Slipping, turn: np.ndarray) -> np.ndarray:
     for slot in range(2):
         said = Enclosure.exact(np.zeros(len(contacts.own)))
         for k in network.needed:
-            some = np.flatnonzero((felt[slot] == k) & network.feels(k)[contacts.own])
+            some = np.flatnonzero((felt[slot] == k) & network.feels[k][contacts.own])
             own = contacts.own[some]
-            said.put(some, network.moment[k].at(own).signed(network.sign(k)[network.contact[1, own]]))
+            said.put(some, network.moment[k].at(own).signed(network.sign[k][network.contact[1, own]]))
         found[slot] = (contacts.pulls[slot] - said).most
         found[slot, contacts.curved] += 2 * turn[contacts.curved] * contacts.strength.at(contacts.curved).most
     return found

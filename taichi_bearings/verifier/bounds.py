@@ -19,7 +19,7 @@ from functools import cached_property
 import numpy as np
 
 from taichi_bearings.verifier.enclosure import UP, Enclosure, length, row_sum
-from taichi_bearings.verifier.network import Motion, Network
+from taichi_bearings.verifier.network import Network
 from taichi_bearings.verifier.springs import Springs, natural, rolling
 
 FASTEST_COMPARED = 1e6  # times the fastest imposed surface, up to which spins are compared
@@ -56,7 +56,7 @@ class Bounds:
         if network.mixes and upper > 0:
             network = replace(network, rolling=rolling(network))
         count, friction, springs, proof = network.count, network.own_friction, None, PROVEN
-        torques, free = network.torques(network.own_moment), network.reached
+        torques, free = network.own_torques, network.reached
         left = np.array([np.where(free, t.most, 0.0).reshape(count, -1).max(axis=1, initial=0.0) for t in torques])
         paid = price = _price(network, torques)
         if network.mixes and upper > 0:
@@ -123,7 +123,7 @@ class Bounds:
     def _known(self, values: np.ndarray) -> np.ndarray:
         return np.where(np.isinf(self.upper), np.inf, values)
 
-    @property
+    @cached_property
     def gap(self) -> np.ndarray:
         """(R,), (upper - lower) / upper, rounded up, or over the natural objective where next to nothing is dissipated;
         NaN without an upper bound. Of no jump or of planes that nothing joins, a part of nothing says nothing."""
@@ -131,8 +131,7 @@ class Bounds:
         if self.network.samples is None:
             unit = np.where(upper > NO_POWER * unit, upper, unit)
         else:
-            joins = Motion(self.network, self.network.acts).torn
-            unit = np.where(joins, upper, np.maximum(upper, unit))
+            unit = np.where(self.network.joins, upper, np.maximum(upper, unit))
         with np.errstate(invalid="ignore"):
             gap = np.divide(upper - lower, unit, out=np.zeros_like(unit), where=unit > 0)
         for _ in range(2):

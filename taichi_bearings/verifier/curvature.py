@@ -57,8 +57,8 @@ class Slipping:
         some = np.flatnonzero(network.counts & ~motion.rests)
         ends, felt = network.contact[:, some], slots(network, some)
         for k in network.needed:
-            own = motion.domains[k] if domain is None else domain[k]
-            joins = own[ends[:, network.feels(k)[some]]]
+            own = motion.domain(k) if domain is None else domain[k]
+            joins = own[ends[:, network.feels[k][some]]]
             free = np.zeros(int(own.max()) + 1, dtype=bool)
             free[joins[:, joins[0] != joins[1]]] = True
             if domain is None:
@@ -72,10 +72,10 @@ class Slipping:
         both = np.ones(len(some), dtype=bool)
         for slot in range(2):
             for k in network.needed:
-                mine = np.flatnonzero((felt[slot] == k) & network.feels(k)[some])
+                mine = np.flatnonzero((felt[slot] == k) & network.feels[k][some])
                 lower[slot, mine], upper[slot, mine] = number[k][ends[:, mine]]
                 difference[slot].put(mine, motion.difference(k, some[mine]))
-            both &= np.any([(felt[slot] == k) & network.feels(k)[some] for k in network.needed], axis=0)
+            both &= np.any([(felt[slot] == k) & network.feels[k][some] for k in network.needed], axis=0)
         strength = network.stretched(network.holding.at(some), some)
         begin, end = network.place[ends]
         place = (begin + (network.normal[some] if network.samples is not None else end - begin) / 2).T

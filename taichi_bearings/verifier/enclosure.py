@@ -208,21 +208,21 @@ def grouped_sum(values: Enclosure, owner: np.ndarray, count: int) -> Enclosure:
 
 
 def length(parts: list[Enclosure]) -> Enclosure:
-    """Length of vectors given by their parts, (n,) each."""
+    """Length of vectors given by their parts, (n,) each; exactly the size of a part where the others are 0."""
     parts = [part for part in parts if part.high.any() or part.error.any()] or parts[:1]  # but those that are exactly 0
-    if len(parts) == 1:
-        return abs(parts[0])
+    there = np.array([(part.high != 0) | (part.error != 0) for part in parts])
+    several = np.flatnonzero(there.sum(axis=0) > 1)
+    root = abs(Enclosure(*(sum(of[1:], of[0]) for of in zip(*(part.parts for part in parts), strict=True))))
+    if not len(several):
+        return root
+    parts = [part.at(several) for part in parts]
     # the squares of faint ones would be lost
     sizes = np.max([part.most for part in parts], axis=0)
     scale = np.ldexp(1.0, -np.where(sizes < LEAST_LENGTH, np.maximum(np.frexp(sizes)[1], -1000), 0))
     squares = [part.signed(scale).squared() for part in parts]
-    root = sum(squares[1:], squares[0]).sqrt().signed(1 / scale)
-    root.error[scale > 1] += LEAST_ROUNDING
-    # along an axis the length is exactly the size of the one part, whose square may be too small a number
-    nothing = np.array([(part.high == 0) & (part.error == 0) for part in parts])
-    for part, one in zip(parts, nothing, strict=True):
-        alone = np.flatnonzero(nothing.sum(axis=0) - one == len(parts) - 1)
-        root.put(alone, abs(part.at(alone)))
+    found = sum(squares[1:], squares[0]).sqrt().signed(1 / scale)
+    found.error[scale > 1] += LEAST_ROUNDING
+    root.put(several, found)
     return root
 
 

@@ -68,11 +68,10 @@ class Judgement(OfLaw):
     @property
     def damping(self) -> np.ndarray | None:
         """(R, E), beside friction."""
+        samples = self.samples
         if not (self.holds and self.flows):
             return None
-        samples = self.samples
-        lattice = isinstance(samples, Samples)
-        return samples.flat(samples.viscosity) if lattice else samples.arrays["viscosity"][None]
+        return samples.flat(samples.viscosity) if isinstance(samples, Samples) else samples.arrays["viscosity"][None]
 
     @property
     def force_unit(self) -> float:
@@ -119,7 +118,7 @@ class Judgement(OfLaw):
         bound = self._slip_bounds if lattice else self._proven[1]
         return self._by_sample(bound * self.network.speed_unit * (1 + 2.0**-50 * lattice))
 
-    @property
+    @cached_property
     @np.errstate(all="ignore")
     def _slip_bounds(self) -> np.ndarray:
         """(m,), by the room that friction leaves; on lattices by the spins between those of the planes, on packings by
@@ -132,13 +131,13 @@ class Judgement(OfLaw):
             most = np.fmin(bounds.upper / network.holding.least, np.sqrt(2 * bounds.upper / network.slope.least)) * UP
             bound = np.where(network.counts & (bounds.proof == PROVEN), np.fmin(bound * UP, most), most)
             return np.where(network.acts, bound, np.inf)
-        felt = [(network.reach[k].most[network.contact[0]] * network.feels(k)) ** 2 for k in network.components]
+        felt = [(network.reach[k].most[network.contact[0]] * network.feels[k]) ** 2 for k in network.components]
         return np.where(network.counts, np.fmin(bound, np.sqrt(sum(felt))) * UP, 0.0)
 
     @cached_property
     def _proven(self) -> tuple[list[States], np.ndarray]:
         """States, and bounds of slips (m,) that come of the same proof."""
-        bound = self._slip_bounds
+        bound = self._slip_bounds.copy()
         return proven_states(self.bounds, bound), bound
 
     @property

@@ -206,13 +206,15 @@ class Network(OfLaw):
     def _along_axes(self) -> bool:
         return self.normal.shape[1] == 2 or bool(((self.normal[self.counts] != 0).sum(axis=1) == 1).all())
 
-    def _slips_with(self, k: int) -> np.ndarray:
-        """(m,) mask of the contacts that slip with component k, where components do not mix."""
-        return self.normal[:, k] == 0 if len(self.spin) == 3 else np.ones(len(self.normal), dtype=bool)
+    @cached_property
+    def slips_with(self) -> np.ndarray:
+        """(C, m) mask of the components that contacts slip with, where components do not mix."""
+        return self.normal.T == 0 if len(self.spin) == 3 else np.ones((1, len(self.normal)), dtype=bool)
 
-    def feels(self, k: int) -> np.ndarray:
+    @cached_property
+    def feels(self) -> np.ndarray:
         """The same of those that count."""
-        return self.counts & self._slips_with(k)
+        return self.counts & self.slips_with
 
     @cached_property
     def stretch(self) -> np.ndarray | None:
@@ -244,7 +246,7 @@ class Network(OfLaw):
             return length(self.slips(self.spin))
         some, parts = np.flatnonzero(~self.still), []
         for k in self.components:
-            own = np.flatnonzero(self._slips_with(k)[some])
+            own = np.flatnonzero(self.slips_with[k][some])
             parts.append(Enclosure.exact(np.zeros(len(some))))
             parts[-1].put(own, self.motion.difference(k, some[own]))
         found = Enclosure.exact(np.zeros(len(self.acts)))
@@ -257,13 +259,18 @@ class Network(OfLaw):
         (first, second), found = self.contact, np.ones(len(self.acts), dtype=bool)
         for k in self.components:
             for part in self.spin[k].parts[:2]:
-                found &= (part[first] == -part[second]) | ~self._slips_with(k)
+                found &= (part[first] == -part[second]) | ~self.slips_with[k]
         return found
 
     @cached_property
     def motion(self) -> Motion:
         """That of the spins of a lattice, in which contacts rest that do not slip at all."""
         return Motion(self, self.still & self.acts)
+
+    @cached_property
+    def own_torques(self) -> list[Enclosure]:
+        """Sums of the following at each sphere, (n,) by component."""
+        return self.torques(self.own_moment)
 
     @cached_property
     def own_moment(self) -> list[Enclosure]:
@@ -283,6 +290,14 @@ class Network(OfLaw):
             return self.moment
         axis, parts = np.argmax(self.normal, axis=1), [part.high for part in self.moment]
         return [Enclosure.exact(np.choose((axis + turn) % 3, parts)) for turn in (1, 2)]
+
+    @property
+    def joins(self) -> np.ndarray:
+        """(R,), True if contacts lead from the bottom of a lattice to its top in a component in which both differ."""
+        assert self.samples is not None
+        if all(c.all() for c in self.samples.coefficient):
+            return np.full(self.count, self.samples.jump_size > 0)
+        return Motion(self, self.acts).torn
 
     def torques(self, moment: list[Enclosure]) -> list[Enclosure]:
         """Their sums at each sphere, (n,) by component."""
@@ -305,14 +320,16 @@ class Network(OfLaw):
     def signs(self, k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Parts that contacts join in component k: label (n,), mask of those with odd loops, and signs s by which
         neighbours differ in the others."""
-        count, (first, second) = len(self.free), self.contact[:, self.feels(k)]
+        count, (first, second) = len(self.free), self.contact[:, self.feels[k]]
         copy = connected(np.append(first, second), np.append(second, first) + count, 2 * count).reshape(2, -1)
         return copy.min(axis=0), copy[0] == copy[1], np.where(copy[0] > copy[1], -1.0, 1.0)
 
-    def sign(self, k: int) -> np.ndarray:
-        """(n,), signs s by which neighbours differ, but in odd loops."""
-        samples = self.samples
-        return self.signs(k)[2] if samples is None else np.tile(samples.sublattice.ravel(), samples.count)
+    @cached_property
+    def sign(self) -> list[np.ndarray]:
+        """(n,) by component, signs s by which neighbours differ, but in odd loops."""
+        if self.samples is not None:
+            return [np.tile(self.samples.sublattice.ravel(), self.count)] * len(self.spin)
+        return [self.signs(k)[2] for k in self.components]
 
     def _is_needed(self, k: int) -> bool:
         """False if component k can be such that nothing slips along it: then that is so at every minimum."""
@@ -324,11 +341,19 @@ class Network(OfLaw):
 
     def dissipated(self, of_slope: float, some: np.ndarray | None = None) -> Enclosure:
         """(R,), friction times slip plus `of_slope`, a power of two, times damping times its square, of what acts."""
-        own = np.flatnonzero((self.acts if some is None else some) & (self.slip.most > 0))
+        held, flows = self._dissipated if some is None else self._sums(some)
+        return held + flows.signed(of_slope)
+
+    @cached_property
+    def _dissipated(self) -> tuple[Enclosure, Enclosure]:
+        return self._sums(self.acts)
+
+    def _sums(self, some: np.ndarray) -> tuple[Enclosure, Enclosure]:
+        """(R,) each, of friction times slip and of damping times its square."""
+        own, nothing = np.flatnonzero(some & (self.slip.most > 0)), Enclosure.exact(np.zeros(self.count))
         slip = self.slip.at(own)
-        parts = [self.holding.at(own) * slip] if self.holds else []
-        parts += [(self.slope.at(own) * slip * slip).signed(of_slope)] if self.flows else []
-        return self.by_sample(parts[0] if len(parts) == 1 else parts[0] + parts[1], own)
+        held = self.by_sample(self.holding.at(own) * slip, own) if self.holds else nothing
+        return held, self.by_sample(self.slope.at(own) * slip * slip, own) if self.flows else nothing
 
 
 def connected(first: np.ndarray, second: np.ndarray, size: int) -> np.ndarray:
@@ -365,14 +390,19 @@ class Motion:
     rests: np.ndarray
 
     @cached_property
-    def domains(self) -> dict[int, np.ndarray]:
-        """(n,) by component that is needed or differs, number of the domain of each sphere; of lattices 0 for all that
-        turns with the bottom, 1 with the top."""
-        return {k: self._domain(k) for k in self.network.components}
+    def _found(self) -> dict[int, np.ndarray]:
+        return {}
+
+    def domain(self, k: int) -> np.ndarray:
+        """(n,), number of the domain of each sphere in component k; of lattices 0 for all that turns with the bottom, 1
+        with the top."""
+        if k not in self._found:
+            self._found[k] = self._domain(k)
+        return self._found[k]
 
     def _domain(self, k: int) -> np.ndarray:
         network, samples = self.network, self.network.samples
-        first, second = network.contact[:, self.rests & network._slips_with(k)]
+        first, second = network.contact[:, self.rests & network.slips_with[k]]
         if samples is None:
             return connected(first, second, len(network.free))
         held, turns_as = np.flatnonzero(~network.free), samples.anchor(samples.components[k])
@@ -387,8 +417,8 @@ class Motion:
         """(R,), True if contacts without slip join driven spheres that turn otherwise: impossible."""
         network, found = self.network, np.zeros(self.network.count, dtype=bool)
         held = np.flatnonzero(~network.free)
-        for k in network.components:
-            own, domain = network.imposed[k].signed(network.sign(k)).at(held), self.domains[k][held]
+        for k in (k for k in network.components if network.imposed[k].high.any()):
+            own, domain = network.imposed[k].signed(network.sign[k]).at(held), self.domain(k)[held]
             model = np.zeros(int(domain.max(initial=0)) + 1, dtype=np.int64)
             model[domain] = np.arange(len(held))
             if network.samples is not None:  # domains of all samples have the numbers 0 and 1
@@ -400,17 +430,24 @@ class Motion:
 
     def difference(self, k: int, some: np.ndarray) -> Enclosure:
         """Of signed spins, of some contacts that feel component k."""
-        network, domain, (first, second) = self.network, self.domains[k], self.network.contact[:, some]
-        own, found = network.spin[k].signed(network.sign(k)), Enclosure.exact(np.zeros(len(some)))
-        if network.samples is None:  # a domain turns as one of its driven spheres does, or as the first of the others
-            held, model = np.flatnonzero(~network.free), np.unique(domain, return_index=True)[1]
-            model[domain[held]] = held
-            own = own.at(model[domain])
-        apart = np.flatnonzero(domain[first] != domain[second])
-        found.put(apart, own.at(second[apart]) - own.at(first[apart]))
-        if network.samples is not None:  # the top turns as it should
-            sign = (domain[second] == 1) * 1.0 - (domain[first] == 1)
+        network, samples, (first, second) = self.network, self.network.samples, self.network.contact[:, some]
+        own, found = network.spin[k].signed(network.sign[k]), Enclosure.exact(np.zeros(len(some)))
+        if samples is not None and not (network.box[k] or samples.shift[samples.components[k]].most.any()):
+            apart = (own.high[first] != own.high[second]) | (own.low[first] != own.low[second])
+            ends = np.zeros((2, len(some)), dtype=np.int8)  # nothing turns with a top that turns as the bottom
+        else:
+            domain = self.domain(k)
+            ends = domain[network.contact[:, some]]
+            apart = ends[0] != ends[1]
+            if samples is None:  # a domain turns as one of its driven spheres does, or as the first of the others
+                held, model = np.flatnonzero(~network.free), np.unique(domain, return_index=True)[1]
+                model[domain[held]] = held
+                own = own.at(model[domain])
+        differ = np.flatnonzero(apart)
+        found.put(differ, own.at(second[differ]) - own.at(first[differ]))
+        if samples is not None:  # the top turns as it should
+            sign = (ends[1] == 1) * 1.0 - (ends[0] == 1)
             at_top = np.flatnonzero(sign)
-            shift = network.samples.shift[network.samples.components[k]].at(first[at_top])
+            shift = samples.shift[samples.components[k]].at(first[at_top])
             found.put(at_top, found.at(at_top) + shift.signed(sign[at_top]))
         return found

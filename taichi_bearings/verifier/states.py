@@ -123,9 +123,9 @@ def _unless_torn(network: Network, found: list[States]) -> list[States]:
     assert network.samples is not None
     varies = {}
     for k in set(network.components) - set(network.needed):
-        first, second = network.contact[:, network.feels(k)]
+        first, second = network.contact[:, network.feels[k]]
         even = np.ones(len(network.acts), dtype=bool)
-        even[network.feels(k)] = np.all([p[first] == -p[second] for p in network.spin[k].parts[:2]], axis=0)
+        even[network.feels[k]] = np.all([p[first] == -p[second] for p in network.spin[k].parts[:2]], axis=0)
         varies["xyz"[network.samples.components[k]]] = ~even.reshape(network.count, -1).all(axis=1)
     checked = []
     for number, states in enumerate(found):
@@ -150,7 +150,7 @@ def _by_cuts(bounds: Bounds, k: int, bound: np.ndarray) -> list[States]:
     """One component: what is on one side of the lightest cuts of all steps, or on two of those of one; part by part,
     sample by sample."""
     network, count = bounds.network, len(bounds.network.free)
-    own = np.flatnonzero(network.feels(k))
+    own = np.flatnonzero(network.feels[k])
     (first, second), sample = network.contact[:, own], network.sample_of(own)
     label, odd, sign = network.signs(k)
     pull = network.moment[k].at(own)
@@ -195,7 +195,7 @@ def _by_cuts(bounds: Bounds, k: int, bound: np.ndarray) -> list[States]:
         slips |= (above[low] & below[high]) | (below[low] & above[high])
         open_ = open_ + np.where(alike, 0.0, most[label[low]])
     slips, open_ = slips[: len(own)], open_[: len(own)]
-    states = np.where(network.acts & network.counts & network.feels(k), UNPROVEN, SLIPLESS)
+    states = np.where(network.acts & network.counts & network.feels[k], UNPROVEN, SLIPLESS)
     states[own] = np.where(slips, SLIPPING, np.where(open_ == 0, SLIPLESS, UNPROVEN))
     if network.samples is None:
         whole = np.zeros(len(states))
@@ -252,7 +252,7 @@ def _of_packing(network: Network, bound: np.ndarray) -> list[States]:
         return _nothing(network, "loops are odd")
     motion = Motion(network, network.counts & (network.slip.value <= STILL * network.box.max()))
     first, second = network.contact
-    within = [(motion.domains[k][first] == motion.domains[k][second]) | ~network.feels(k) for k in network.needed]
+    within = [(motion.domain(k)[first] == motion.domain(k)[second]) | ~network.feels[k] for k in network.needed]
     motion = Motion(network, network.counts & np.all(within, axis=0))
     if motion.torn[0]:
         return _nothing(network, "contacts without slip join driven spheres that turn otherwise")

@@ -299,7 +299,7 @@ class Limit:
         found = {k: np.zeros(len(network.free)) for k in network.needed}
         for slot, k in enumerate(network.needed):
             missing = self.friction(slot).plus(-network.moment[k].high[own]).most
-            missing[~network.feels(k)[own]] = 0.0
+            missing[~network.feels[k][own]] = 0.0
             for end in network.contact[:, own]:
                 found[k] += np.bincount(end, missing, len(found[k]))
         return found
@@ -308,17 +308,17 @@ class Limit:
 def _pulls(motion: Motion, contacts: Slipping, limit: Limit) -> Pulls:
     network, full = motion.network, np.flatnonzero(limit.full)
     own = np.append(contacts.own, full)
-    pull = np.array([np.sign(limit.friction(slot).high) * network.sign(k)[network.contact[1, full]]
+    pull = np.array([np.sign(limit.friction(slot).high) * network.sign[k][network.contact[1, full]]
                      for slot, k in enumerate(network.needed)])  # fmt: skip
     turns = np.array([np.sign(part.high) for part in contacts.difference])
     assert network.samples is not None
     coefficient = network.samples.flat(network.samples.coefficient)[0]
     labels = (
-        np.array([joined_by(slot).domains[k] for slot, k in enumerate(network.needed)])
+        np.array([joined_by(slot).domain(k) for slot, k in enumerate(network.needed)])
         for joined_by in (lambda _: motion, lambda _: limit.others(motion, None), lambda s: limit.others(motion, s))
     )
     return Pulls(
-        own, *network.contact[:, own], np.array([network.feels(k)[own] for k in network.needed]),
+        own, *network.contact[:, own], np.array([network.feels[k][own] for k in network.needed]),
         np.concatenate([turns, pull], axis=1), coefficient[own], np.arange(len(own)) < len(contacts.own), *labels,
     )  # fmt: skip
 

@@ -21,7 +21,7 @@ ARITHMETIC = (
 )
 ROUNDED = 1e-12  # relative difference of numbers that the run has computed in doubles
 PROVING = ("lower_bound", "states_proven", "minimum_is_unique")  # words that say that something is proven
-TOLD = ("power", "upper_bound", "lower_bound", "gap", "balanced", "inside_discs", "largest_balance_residual",
+OF_SAMPLES = ("power", "upper_bound", "lower_bound", "gap", "balanced", "inside_discs", "largest_balance_residual",
            "states_proven", "minimum_is_unique", "unproven_because")  # fmt: skip
 OFF_IN_SINGLE = 1e-5  # relative, that motions in single precision are off
 TORQUE_COST = 1e-12  # of the power, that torques left over may cost where friction counts as balanced
@@ -39,7 +39,7 @@ def report_of(run: StoredRun) -> dict[str, Any]:
     if not judgement.can_be_judged:
         text = "a number is not finite, or the scales of the scene are too far from one for any arithmetic"
         acts = int((run.reported["state"][0] != DRIVEN_STATE).sum())
-        proof, told = None, dict.fromkeys(TOLD, [None] * count)
+        proof, told = None, dict.fromkeys(OF_SAMPLES, [None] * count)
         told |= dict.fromkeys(("balanced", "inside_discs"), [False] * count)
         told |= {"states_proven": [dict.fromkeys(STATE_NAMES, 0) | {"unproven": acts}] * count}
         told |= {"unproven_because": [text] * count}
@@ -207,7 +207,7 @@ def _states(run: StoredRun, states: list[States]) -> Iterator[str]:
             yield f"{tied} contacts{which} are said to differ between minima, and there is only one minimum"
         if unique and not found.unique:
             yield f"the minimum{which} is said to be unique, and that is not proven"
-        exact = run.samples.is_lattice and len(run.samples.needed) == 1  # then the method knows ties exactly
+        exact = isinstance(run.samples, Samples) and len(run.samples.needed) == 1  # then the method knows ties exactly
         if run.samples.is_lattice and ((proven and not unique) or (exact and unique is None and tied)):
             yield f"it is said whether the minimum{which} is unique, and other words say something else"
         if cut not in (None, not tied):
@@ -308,6 +308,7 @@ def _decades(run: StoredRun, kinds: list[np.ndarray], gap: float) -> float | Non
     """Between the slips of the two kinds of contacts, where the gap is within the tolerance; one that rests slips by
     the rounding of the spins at least."""
     samples, slipless, slipping = run.samples, *kinds[:2]
+    assert isinstance(samples, Samples)
     rounding = EPS * samples.radius * max(abs(samples.spin_top), abs(samples.spin_bottom))
     if not (gap <= run.setting("tolerance", 1e-8) and len(slipless) and len(slipping)):
         return None
@@ -319,6 +320,7 @@ def _under_torque(run: StoredRun, judgement: Judgement, number: int) -> Iterator
     """Whether a torque moves the top follows from the bounds on the power of strength 1, but for coulomb-viscous, a
     torque that grows, and a bottom that turns."""
     samples, text = run.samples, isinstance(run.settings.get("torque"), str)
+    assert isinstance(samples, Samples)
     if "yields" not in run.attributes or (samples.holds and samples.flows) or samples.spin_bottom or text:
         return
     torque, power = run.setting("torque", np.nan), float(judgement.power[number])

@@ -117,7 +117,7 @@ def test_samples_proven_together_are_those_proven_alone(spoiled, monkeypatch):
         friction[2][r, 1, 1, 1] = 0.0
     samples = replace(samples, spin=spin, friction=friction)
     looks, look = [], Slipping.of
-    monkeypatch.setattr(Slipping, "of", lambda motion: looks.append(motion.samples.count) or look(motion))
+    monkeypatch.setattr(Slipping, "of", lambda motion: looks.append(motion.network.count) or look(motion))
     together = Judgement(samples).states
     assert (
         looks
