@@ -25,7 +25,6 @@ from taichi_bearings.verifier.springs import Springs, natural, rolling
 FASTEST_COMPARED = 1e6  # times the fastest imposed surface, up to which spins are compared
 PAID = 1e-10  # of the potential, that a proof for all spins may cost
 LEAST_POWER = 1e-3  # of the natural power, for which the springs are made at least
-NO_POWER = 1e-10  # of the natural power, below which a relative gap says nothing
 DOUBLE_ERROR = 1e-12  # more than doubles are off
 PROVEN, WITHIN = "proven", f"proven of all spins up to {FASTEST_COMPARED:.0e} times the fastest imposed"
 
@@ -91,62 +90,6 @@ class Bounds:
     def excess(self) -> np.ndarray:
         """(R,), of the spins over what the friction proves, rounded up; in units of power."""
         return np.maximum((self.upper - self.lower) * UP, 0.0)
-
-    def _reported(self, values: np.ndarray, towards: float) -> np.ndarray:
-        """In units of energy/time."""
-        return rounded_out(values, self.network.power_unit * self.network.share, towards)
-
-    @property
-    def lower_bound(self) -> np.ndarray:
-        """(R,), not above the least objective."""
-        return np.maximum(self._reported(np.minimum(self.lower, self.upper), -np.inf), 0.0)
-
-    @property
-    def upper_bound(self) -> np.ndarray:
-        return self._reported(self.upper, np.inf)
-
-    @property
-    def torque_cost(self) -> np.ndarray:
-        """(R,), what torques left over on free spheres cost, over the potential."""
-        return np.divide(self.price, self.upper, out=np.where(self.price > 0, np.inf, 0.0), where=self.upper > 0)
-
-    @cached_property
-    def power(self) -> np.ndarray:
-        """(R,), what the spins dissipate, to the nearest doubles."""
-        return self._known(self.network.dissipated(1.0).value * self.network.power_unit)
-
-    @cached_property
-    def objective(self) -> np.ndarray:
-        """(R,), what is least at rest: the power, or with friction and viscosity the potential; nearest doubles."""
-        return self._known(self.network.dissipated(0.5).value * self.network.power_unit * self.network.share)
-
-    def _known(self, values: np.ndarray) -> np.ndarray:
-        return np.where(np.isinf(self.upper), np.inf, values)
-
-    @cached_property
-    def gap(self) -> np.ndarray:
-        """(R,), (upper - lower) / upper, rounded up, or over the natural objective where next to nothing is dissipated;
-        NaN without an upper bound. Of no jump or of planes that nothing joins, a part of nothing says nothing."""
-        upper, lower, unit = self.upper_bound, self.lower_bound, self._reported(natural(self.network), np.inf)
-        if self.network.samples is None:
-            unit = np.where(upper > NO_POWER * unit, upper, unit)
-        else:
-            unit = np.where(self.network.joins, upper, np.maximum(upper, unit))
-        with np.errstate(invalid="ignore"):
-            gap = np.divide(upper - lower, unit, out=np.zeros_like(unit), where=unit > 0)
-        for _ in range(2):
-            gap = np.where(gap != 0, np.nextafter(gap, np.inf), gap)
-        return np.where(np.isfinite(upper), gap, np.nan)
-
-
-def rounded_out(values: np.ndarray, unit: float, towards: float) -> np.ndarray:
-    """Values times a unit, rounded that way: by two roundings, which a unit and the product with it have at most. 0
-    stays as it is, and by a power of two nothing is lost that is not tiny."""
-    found = values * unit
-    for _ in range(2):
-        inexact = (np.frexp(unit)[0] != 0.5) | (np.abs(found) < np.finfo(float).tiny * 2**60)
-        found = np.where((found != 0) & inexact, np.nextafter(found, towards), found)
-    return found
 
 
 def _price(network: Network, torques: list[Enclosure]) -> Enclosure:

@@ -7,13 +7,15 @@ from functools import cached_property
 
 import numpy as np
 
-from taichi_bearings.verifier.bounds import PROVEN, Bounds, rounded_out, slip_bound
+from taichi_bearings.verifier.bounds import PROVEN, Bounds, slip_bound
 from taichi_bearings.verifier.enclosure import UP
 from taichi_bearings.verifier.network import Network, StoredPacking
 from taichi_bearings.verifier.samples import OfLaw, Samples
+from taichi_bearings.verifier.springs import natural
 from taichi_bearings.verifier.states import States, proven_states
 
 EPS = np.finfo(np.float64).eps
+NO_POWER = 1e-10  # of the natural power, below which a relative gap of packings says nothing
 NORMAL_ROUNDING = 1e-12  # of the friction, along a normal of a packing
 
 
@@ -145,30 +147,52 @@ class Judgement(OfLaw):
         """Contact states at every minimum, sample by sample."""
         return self._proven[0]
 
-    @property
-    def power(self) -> np.ndarray:
-        """(R,), what these spins dissipate, to the nearest doubles."""
-        return self.bounds.power
-
-    @property
-    def objective(self) -> np.ndarray:
-        """(R,), what is least at rest: the power, or with friction and viscosity the potential; nearest doubles."""
-        return self.bounds.objective
-
-    @property
-    def upper_bound(self) -> np.ndarray:
-        """(R,), not below that, and so not below the least one."""
-        return self.bounds.upper_bound
+    def _reported(self, values: np.ndarray, towards: float) -> np.ndarray:
+        """Bounds of the potential, as what is least at rest in energy/time, rounded that way."""
+        return rounded_out(values, self.network.power_unit * self.share, towards)
 
     @property
     def lower_bound(self) -> np.ndarray:
         """(R,), not above the least objective."""
-        return self.bounds.lower_bound
+        return np.maximum(self._reported(np.minimum(self.bounds.lower, self.bounds.upper), -np.inf), 0.0)
 
     @property
+    def upper_bound(self) -> np.ndarray:
+        """(R,), not below the objective of these spins, and so not below the least one."""
+        return self._reported(self.bounds.upper, np.inf)
+
+    @property
+    def power(self) -> np.ndarray:
+        """(R,), what these spins dissipate, to the nearest doubles."""
+        power = self.network.dissipated(1.0).value * self.network.power_unit
+        return np.where(np.isinf(self.bounds.upper), np.inf, power)
+
+    @property
+    def objective(self) -> np.ndarray:
+        """(R,), what is least at rest: the power, or with friction and viscosity the potential; nearest doubles."""
+        objective = self.network.dissipated(0.5).value * (self.network.power_unit * self.share)
+        return np.where(np.isinf(self.bounds.upper), np.inf, objective)
+
+    @property
+    def price(self) -> np.ndarray:
+        """(R,), what torques left over on free spheres cost, over the objective."""
+        price, upper = self.bounds.price, self.bounds.upper
+        return np.divide(price, upper, out=np.where(price > 0, np.inf, 0.0), where=upper > 0)
+
+    @cached_property
     def gap(self) -> np.ndarray:
-        """(R,), relative, rounded up: `Bounds.gap`."""
-        return self.bounds.gap
+        """(R,), (upper - lower) / upper, rounded up, or over the natural objective where next to nothing is dissipated;
+        NaN without an upper bound. Of no jump or of planes that nothing joins, a part of nothing says nothing."""
+        upper, lower, unit = self.upper_bound, self.lower_bound, self._reported(natural(self.network), np.inf)
+        if self.samples.is_lattice:
+            unit = np.where(self.network.joins, upper, np.maximum(upper, unit))
+        else:
+            unit = np.where(upper > NO_POWER * unit, upper, unit)
+        with np.errstate(invalid="ignore"):
+            gap = np.divide(upper - lower, unit, out=np.zeros_like(unit), where=unit > 0)
+        for _ in range(2):
+            gap = np.where(gap != 0, np.nextafter(gap, np.inf), gap)
+        return np.where(np.isfinite(upper), gap, np.nan)
 
     @property
     def proof(self) -> str:
@@ -186,3 +210,13 @@ class Judgement(OfLaw):
         """What contacts between driven spheres of a packing dissipate."""
         between = ~self.network.free[self.network.contact].any(axis=0)
         return float(self.network.dissipated(1.0, between).value[0] * self.network.power_unit)
+
+
+def rounded_out(values: np.ndarray, unit: float, towards: float) -> np.ndarray:
+    """Values times a unit, rounded that way: by two roundings, which a unit and the product with it have at most. 0
+    stays as it is, and by a power of two nothing is lost that is not tiny."""
+    found = values * unit
+    for _ in range(2):
+        inexact = (np.frexp(unit)[0] != 0.5) | (np.abs(found) < np.finfo(float).tiny * 2**60)
+        found = np.where((found != 0) & inexact, np.nextafter(found, towards), found)
+    return found

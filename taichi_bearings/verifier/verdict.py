@@ -55,7 +55,7 @@ def report_of(run: StoredRun) -> dict[str, Any]:
             "upper_bound": _finite(judgement.upper_bound),
             "lower_bound": judgement.lower_bound.tolist(),
             "gap": _finite(judgement.gap),
-            "balanced": (judgement.bounds.torque_cost <= TORQUE_COST).tolist(),
+            "balanced": (judgement.price <= TORQUE_COST).tolist(),
             "inside_discs": (judgement.bounds.worst <= 1 + ROUNDED * (not run.samples.is_lattice)).tolist(),
             "largest_balance_residual": judgement.largest_torque.tolist(),
             "states_proven": [

@@ -87,7 +87,7 @@ def test_of_any_spins_and_friction(shape, options, method):
     assert Decimal(judgement.lower_bound[0]) <= max(bound, Decimal(0))
     if bound > 0:
         assert float(1 - Decimal(judgement.lower_bound[0]) / bound) < 1e-13
-    assert not judgement.bounds.torque_cost[0] < 1e-6
+    assert not judgement.price[0] < 1e-6
 
 
 def test_samples_in_one_judgement_are_judged_as_alone():
