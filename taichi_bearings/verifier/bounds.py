@@ -95,7 +95,9 @@ class Bounds:
 def _price(network: Network, torques: list[Enclosure]) -> Enclosure:
     """(R,), what torques on free spheres may take from the work at spins within what is imposed."""
     total = Enclosure.exact(np.zeros(network.count))
-    for torque, reach in zip(torques, network.reach, strict=True):
+    for torque, reach, size in zip(torques, network.reach, network.box, strict=True):
+        if not size:
+            continue
         taken = np.where(network.reached, torque.most, 0.0)
         if network.samples is not None:  # none for a spin between 0 and what has the same sign for sure
             taken[np.sign(reach.high) * torque.high >= torque.error + np.abs(torque.low)] = 0.0

@@ -183,11 +183,13 @@ class Judgement(OfLaw):
     def gap(self) -> np.ndarray:
         """(R,), (upper - lower) / upper, rounded up, or over the natural objective where next to nothing is dissipated;
         NaN without an upper bound. Of no jump or of planes that nothing joins, a part of nothing says nothing."""
-        upper, lower, unit = self.upper_bound, self.lower_bound, self._reported(natural(self.network), np.inf)
-        if self.samples.is_lattice:
-            unit = np.where(self.network.joins, upper, np.maximum(upper, unit))
-        else:
-            unit = np.where(upper > NO_POWER * unit, upper, unit)
+        upper, lower = self.upper_bound, self.lower_bound
+        joins = self.network.joins if self.samples.is_lattice else np.zeros(1, dtype=bool)
+        unit = upper
+        if not joins.all():
+            unit = self._reported(natural(self.network), np.inf)
+            larger = unit <= upper if self.samples.is_lattice else NO_POWER * unit < upper
+            unit = np.where(joins | larger, upper, unit)
         with np.errstate(invalid="ignore"):
             gap = np.divide(upper - lower, unit, out=np.zeros_like(unit), where=unit > 0)
         for _ in range(2):

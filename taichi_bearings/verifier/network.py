@@ -93,13 +93,14 @@ class Network(OfLaw):
         unit, speed = power_of_two(strength), samples.radius * (samples.spin_unit / force)
         holding = Enclosure.exact(coefficient / (force / unit)).times(np.array([strength / unit]))
         viscosity = samples.flat(samples.viscosity).ravel() if samples.viscosity else coefficient
-        friction = [np.where(acts, samples.flat([f[..., k] if dimension == 3 else f for f in samples.friction]).ravel()
-                             / force, 0.0) for k in range(dimension if dimension == 3 else 1)]  # fmt: skip
-        moment = friction
-        if dimension == 3:  # n x F, without what acts along n
-            a, b = (axis + 1) % 3, (axis + 2) % 3
-            moment = [np.where(a == k, -np.choose(b, friction), np.where(b == k, np.choose(a, friction), 0.0))
-                      for k in range(3)]  # fmt: skip
+        moment = [[np.zeros(c.shape) for c in samples.coefficient] for _ in samples.components]
+        for a, friction in enumerate(samples.friction):  # n x F
+            turned = {0: friction} if dimension == 2 else {
+                (a + 1) % 3: -friction[..., (a + 2) % 3], (a + 2) % 3: friction[..., (a + 1) % 3]
+            }  # fmt: skip
+            for k, part in turned.items():
+                moment[k][a] = part / force
+        moments_of = [np.where(acts, samples.flat(part).ravel(), 0.0) for part in moment]
         sign = samples.sublattice.ravel()
         on_top = np.zeros(shape)
         on_top[..., -1] = 1.0
@@ -109,7 +110,7 @@ class Network(OfLaw):
         return cls(
             samples.law, count, np.tile(np.indices(shape).reshape(dimension, -1).T, (count, 1)).astype(float), contact,
             np.eye(dimension)[axis], np.tile(samples.free.ravel(), count), samples.radius * samples.spin_unit, force,
-            spin, [Enclosure.exact(part) for part in moment], holding if samples.holds else zero,
+            spin, [Enclosure.exact(part) for part in moments_of], holding if samples.holds else zero,
             Enclosure.exact(viscosity).times(np.array([speed])) if samples.flows else zero,
             [j.signed(samples.sublattice * on_top)[0].reshaped((-1,)).at(number.ravel() % sign.size) for j in jump],
             np.zeros((0, 0)), samples,
@@ -164,6 +165,8 @@ class Network(OfLaw):
     @cached_property
     def reached(self) -> np.ndarray:
         """(n,) mask of free spheres in parts that touch driven spheres."""
+        if self._is_whole:
+            return self.free
         first, second = self.contact[:, self._holding]
         inner, count = self.free[first] & self.free[second], len(self.free)
         label = connected(first[inner], second[inner], count)
@@ -291,11 +294,16 @@ class Network(OfLaw):
         axis, parts = np.argmax(self.normal, axis=1), [part.high for part in self.moment]
         return [Enclosure.exact(np.choose((axis + turn) % 3, parts)) for turn in (1, 2)]
 
+    @cached_property
+    def _is_whole(self) -> bool:
+        """True of a lattice without absent contacts."""
+        return self.samples is not None and all(bool(c.all()) for c in self.samples.coefficient)
+
     @property
     def joins(self) -> np.ndarray:
         """(R,), True if contacts lead from the bottom of a lattice to its top in a component in which both differ."""
         assert self.samples is not None
-        if all(c.all() for c in self.samples.coefficient):
+        if self._is_whole:
             return np.full(self.count, self.samples.jump_size > 0)
         return Motion(self, self.acts).torn
 
