@@ -104,8 +104,9 @@ class Network(OfLaw):
         sign = samples.sublattice.ravel()
         on_top = np.zeros(shape)
         on_top[..., -1] = 1.0
-        spin = [Enclosure(*(np.tile(sign, count) * part.ravel() for part in pair), np.zeros(number.size))
-                for pair in samples.signed_spin.values()]  # fmt: skip
+        signs = np.tile(sign, count)
+        pairs = [[signs * part.ravel() for part in pair] for pair in samples.signed_spin.values()]
+        spin = [Enclosure(high, low, np.zeros(number.size)) for high, low in pairs]
         jump = [samples.jump_over(k, dimension) for k in samples.components]
         return cls(
             samples.law, count, np.tile(np.indices(shape).reshape(dimension, -1).T, (count, 1)).astype(float), contact,

@@ -121,12 +121,12 @@ def _nothing(network: Network, reason: str) -> list[States]:
 def _unless_torn(network: Network, found: list[States]) -> list[States]:
     """But nothing is proven of a lattice on which something moves as it does at no minimum."""
     assert network.samples is not None
-    varies = {}
+    varies: dict[str, np.ndarray] = {}
     for k in set(network.components) - set(network.needed):
         first, second = network.contact[:, network.feels[k]]
         even = np.ones(len(network.acts), dtype=bool)
         even[network.feels[k]] = np.all([p[first] == -p[second] for p in network.spin[k].parts[:2]], axis=0)
-        varies["xyz"[network.samples.components[k]]] = ~even.reshape(network.count, -1).all(axis=1)
+        varies["xyz"[network.samples.components[k]]] = np.asarray(~even.reshape(network.count, -1).all(axis=1))
     checked = []
     for number, states in enumerate(found):
         reasons = [

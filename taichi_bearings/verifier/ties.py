@@ -308,18 +308,20 @@ class Limit:
 def _pulls(motion: Motion, contacts: Slipping, limit: Limit) -> Pulls:
     network, full = motion.network, np.flatnonzero(limit.full)
     own = np.append(contacts.own, full)
+    lower, upper = network.contact[:, own]
     pull = np.array([np.sign(limit.friction(slot).high) * network.sign[k][network.contact[1, full]]
                      for slot, k in enumerate(network.needed)])  # fmt: skip
     turns = np.array([np.sign(part.high) for part in contacts.difference])
     assert network.samples is not None
     coefficient = network.samples.flat(network.samples.coefficient)[0]
-    labels = (
+    domain, part, body = (
         np.array([joined_by(slot).domain(k) for slot, k in enumerate(network.needed)])
         for joined_by in (lambda _: motion, lambda _: limit.others(motion, None), lambda s: limit.others(motion, s))
     )
     return Pulls(
-        own, *network.contact[:, own], np.array([network.feels[k][own] for k in network.needed]),
-        np.concatenate([turns, pull], axis=1), coefficient[own], np.arange(len(own)) < len(contacts.own), *labels,
+        own, lower, upper, np.array([network.feels[k][own] for k in network.needed]),
+        np.concatenate([turns, pull], axis=1), coefficient[own], np.arange(len(own)) < len(contacts.own),
+        domain, part, body,
     )  # fmt: skip
 
 
