@@ -32,7 +32,7 @@ PROVEN, WITHIN = "proven", f"proven of all spins up to {FASTEST_COMPARED:.0e} ti
 @dataclass(frozen=True)
 class Bounds:
     """upper, lower : (R,), of the least potential, in units of power; of the spins, and of the friction. proof :
-    PROVEN, or what `lower` is restricted to. friction : F, balanced where components mix. worst : (R,),
+    PROVEN, or what `lower` is restricted to. friction : F in balance, where components mix. worst : (R,),
     1 / s. size : (m,), s |F|. largest_torque, price : (R,), of the friction as it is stored; what its torques may cost
     at spins within the box."""
 
@@ -84,7 +84,8 @@ class Bounds:
             beyond = Enclosure.exact(np.maximum((beyond - network.holding.at(soft)).upper(), 0.0))
         cost = network.by_sample((beyond * beyond / network.slope.at(soft)).signed(0.5), soft)
         lower = (work / Enclosure.exact(worst) - cost).lower()
-        return cls(network, upper, lower, size, worst, proof, left.max(axis=0), price.upper(), springs, friction)
+        return cls(network, upper, lower, size, worst, proof, left.max(axis=0), price.upper(), springs,
+                   friction if network.mixes else [])  # fmt: skip
 
     @cached_property
     def excess(self) -> np.ndarray:

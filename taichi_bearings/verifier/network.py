@@ -279,11 +279,9 @@ class Network(OfLaw):
     @cached_property
     def own_moment(self) -> list[Enclosure]:
         """Of the contacts that count; of lattices in components that differ between the planes: others do no work."""
-        lattice = self.samples is not None
-        return [
-            part.where(self.counts & (size > 0 or not lattice))
-            for part, size in zip(self.moment, self.box, strict=True)
-        ]
+        some = [self.counts & (size > 0 or self.samples is None) for size in self.box]
+        pairs = zip(self.moment, some, strict=True)
+        return [part if self._is_whole and mask.any() else part.where(mask) for part, mask in pairs]
 
     @property
     def own_friction(self) -> list[Enclosure]:
