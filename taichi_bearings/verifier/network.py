@@ -88,7 +88,8 @@ class Network(OfLaw):
         axis = samples.flat([np.full(c.shape, a) for a, c in enumerate(samples.coefficient)]).ravel()
         coefficient = samples.flat(samples.coefficient).ravel()
         acts = ~(np.tile(samples.driven_contacts, count) | (coefficient == 0))
-        zero = Enclosure.exact(np.zeros(len(acts)))
+        nothing = np.broadcast_to(0.0, len(acts))  # takes no memory
+        zero = Enclosure(nothing, nothing, nothing)
         strength, force = samples.normal_force if samples.holds else 1.0, samples.force_unit
         unit, speed = power_of_two(strength), samples.radius * (samples.spin_unit / force)
         holding = Enclosure.exact(coefficient / (force / unit)).times(np.array([strength / unit]))
@@ -110,8 +111,8 @@ class Network(OfLaw):
         jump = [samples.jump_over(k, dimension) for k in samples.components]
         return cls(
             samples.law, count, np.tile(np.indices(shape).reshape(dimension, -1).T, (count, 1)).astype(float), contact,
-            np.eye(dimension)[axis], np.tile(samples.free.ravel(), count), samples.radius * samples.spin_unit, force,
-            spin, [Enclosure.exact(part) for part in moments_of], holding if samples.holds else zero,
+            np.eye(dimension, dtype=np.int8)[axis], np.tile(samples.free.ravel(), count),
+            samples.radius * samples.spin_unit, force, spin, [Enclosure(part, nothing, nothing) for part in moments_of], holding if samples.holds else zero,
             Enclosure.exact(viscosity).times(np.array([speed])) if samples.flows else zero,
             [j.signed(samples.sublattice * on_top)[0].reshaped((-1,)).at(number.ravel() % sign.size) for j in jump],
             np.zeros((0, 0)), samples,
@@ -191,7 +192,7 @@ class Network(OfLaw):
         """(C,), largest size of each component of what is imposed."""
         return np.array([part.most.max(initial=0.0) for part in self.imposed])
 
-    @cached_property
+    @property
     def reach(self) -> list[Enclosure]:
         """By component, (n,): some minimum has u of a free sphere between 0 and this, or that and its negative, where
         components do not mix."""
