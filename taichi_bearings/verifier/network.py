@@ -112,7 +112,8 @@ class Network(OfLaw):
         return cls(
             samples.law, count, np.tile(np.indices(shape).reshape(dimension, -1).T, (count, 1)).astype(float), contact,
             np.eye(dimension, dtype=np.int8)[axis], np.tile(samples.free.ravel(), count),
-            samples.radius * samples.spin_unit, force, spin, [Enclosure(part, nothing, nothing) for part in moments_of], holding if samples.holds else zero,
+            samples.radius * samples.spin_unit, force, spin,
+            [Enclosure(part, nothing, nothing) for part in moments_of], holding if samples.holds else zero,
             Enclosure.exact(viscosity).times(np.array([speed])) if samples.flows else zero,
             [j.signed(samples.sublattice * on_top)[0].reshaped((-1,)).at(number.ravel() % sign.size) for j in jump],
             np.zeros((0, 0)), samples,
