@@ -15,7 +15,7 @@ from taichi_bearings.quantities import COLUMNS
 from taichi_bearings.words import counted, listed, undecided_kinds
 
 OF_A_SAMPLE = ("power", "gap", "proof", "slipping", "slipless", "undecided", "critical", "tied_contacts")
-BESIDE = (
+LAST_TOLD = (
     "driven_power", "slipless_motions", "states_proven", "unproven", "largest_slipless_slip", "smallest_slipping_slip",
     "power_normalised", "yields", "yield_torque_lower_bound", "yield_torque", "amplitude", "torque_at_yield",
     "time_at_yield", "time", "duration",
@@ -138,7 +138,7 @@ def describe(summary: dict[str, Any], times: str) -> str:
         label = "" if len(seeds) == 1 and (is_packing or not drawn) else f"{kind} {name}: "
         lines.append(f"  {label}{_of_a_sample(summary, *found)}")
     lines += [f"  {len(seeds)} samples, mean, least, largest; or how many:"] if len(seeds) > 1 else []
-    lines += [f"  {line}" for line in rows_told(map(COLUMNS.__getitem__, BESIDE), summary)]
+    lines += [f"  {line}" for line in rows_told(map(COLUMNS.__getitem__, LAST_TOLD), summary)]
     device = f" on {summary['arch']}, {summary['precision']}" if "arch" in summary else ""
     lines += [f"  {counted(summary['iterations'], 'iteration')}{device}; {times}", f"  run: {summary['run']}"]
     picture = Path(summary["run"]) / "power_histogram.png"

@@ -23,7 +23,7 @@ from taichi_bearings.solvers import GradientDescent, InteriorPoint
 from taichi_bearings.solvers.stopping import StopRule
 from taichi_bearings.stages import alike, each, stage
 from taichi_bearings.verifier.curvature import Slipping, nearest_minimum
-from taichi_bearings.verifier.motion import Motion
+from taichi_bearings.verifier.network import Network
 from taichi_bearings.verifier.samples import Samples
 
 from ..plots.decades import draw_decades
@@ -144,7 +144,7 @@ def largest_slip_error(solution: Solution) -> float:
         scene.spin_bottom, scene.direction, scene.normal_force, scene.lattice.radius, solution.spin,
         solution.spin_rounding, friction_by_axis(solution.friction, scene.lattice),
     )  # fmt: skip
-    contacts = Slipping.of(Motion(samples))
+    contacts = Slipping.of(Network.of_lattice(samples).motion)
     near = nearest_minimum(contacts)
     if near is None:
         return float("nan")

@@ -15,9 +15,10 @@ from taichi_bearings.packing.path import followed, viscous_spins
 from taichi_bearings.packing.system import System
 from taichi_bearings.packing.ties import tied
 from taichi_bearings.scene.solution import Snapshots, Status
-from taichi_bearings.verifier.network_states import AT_REST
-from taichi_bearings.verifier.packing_verdict import PackingJudgement
+from taichi_bearings.verifier.judgement import Judgement
+from taichi_bearings.verifier.network import StoredPacking
 from taichi_bearings.verifier.samples import UNPROVEN
+from taichi_bearings.verifier.states import AT_REST
 from taichi_bearings.words import shown
 
 SURE_MARGIN, SURE_SLIP = 1e-6, 1e-11  # at exact minima, slips in units of the largest imposed one
@@ -158,20 +159,24 @@ def judged(system: System, found: Found, tolerance: float, begun: float) -> Pack
     u = system.all_spins(found.spins) if found.everywhere is None else found.everywhere
     spin = spins_of(packing, np.nan_to_num(u, posinf=0.0, neginf=0.0))
     force, friction = forces_of(system, np.nan_to_num(found.force, posinf=0.0, neginf=0.0))
-    judgement = PackingJudgement.of(law.name, packing.arrays(), spin, friction)
-    if judgement is None:
+    judgement = Judgement(StoredPacking(law.name, packing.arrays(), spin, friction))
+    if not judgement.can_be_judged:
         raise InputError(
             "the spins imposed are too small or too large to be judged; the largest must be above 1e-100 length/time"
         )
-    bounds, proven = judgement.bounds, judgement.states.proven
-    acts = judgement.network.acts
+    proven, slip_bound = judgement.states[0].proven, judgement.slip_bound
+    (power,), (objective,), (lower_bound,), (gap,) = (
+        v.tolist() for v in (judgement.power, judgement.objective, judgement.lower_bound, judgement.gap)
+    )
+    assert slip_bound is not None
+    acts, slip = judgement.acts[0], judgement.slip[0]
     state = np.where(acts, np.where(proven == UNPROVEN, _states(system, found, judgement), proven), DRIVEN)
     return PackingSolution(
-        packing, bounds.power, bounds.objective, bounds.lower_bound, bounds.gap, bounds.proof,
-        (Status.CERTIFIED if bounds.gap <= tolerance else Status.STALLED).value, found.method, spin,
-        judgement.slip, force, friction, law.power(packing.coefficients, judgement.slip), state.astype(np.uint8),
-        judgement.driven_power, system.motions, judgement.largest_torque,
-        perf_counter() - begun, np.where(acts, proven, DRIVEN).astype(np.uint8), judgement.slip_bound,
+        packing, power, objective, lower_bound, gap, judgement.proof,
+        (Status.CERTIFIED if gap <= tolerance else Status.STALLED).value, found.method, spin,
+        slip, force, friction, law.power(packing.coefficients, slip), state.astype(np.uint8),
+        judgement.driven_power, system.motions, float(judgement.largest_torque[0]),
+        perf_counter() - begun, np.where(acts, proven, DRIVEN).astype(np.uint8), slip_bound[0],
         found.steps,
     )  # fmt: skip
 
@@ -188,12 +193,12 @@ def forces_of(system: System, force: np.ndarray) -> tuple[np.ndarray, np.ndarray
     return size, np.cross(vectors, packing.normal)
 
 
-def _states(system: System, found: Found, judgement: PackingJudgement) -> np.ndarray:
+def _states(system: System, found: Found, judgement: Judgement) -> np.ndarray:
     """States (E,), as slips and margins tell them, of contacts of which nothing is proven."""
     packing, law = system.packing, system.packing.kind
     fastest = float(np.abs(packing.imposed).max(initial=0.0))
-    held, slip = law.holding_force(system.coefficients), judgement.slip
-    state = np.where(judgement.slip_bound <= AT_REST * fastest, SLIPLESS, UNDECIDED)
+    held, slip = law.holding_force(system.coefficients), judgement.slip[0]
+    state = np.where(np.array(judgement.slip_bound)[0] <= AT_REST * fastest, SLIPLESS, UNDECIDED)
     if held is None or not held.any():
         return np.where(slip > 1e-12 * fastest, SLIPPING, SLIPLESS)
     if found.slips is None:
@@ -201,7 +206,7 @@ def _states(system: System, found: Found, judgement: PackingJudgement) -> np.nda
     margin = 1 - np.linalg.norm(found.force, axis=0) / np.where(held > 0, held, 1.0)
     slips = found.slips & (slip[system.contact] > SURE_SLIP * float(np.abs(system.offset).max()))
     own = np.where(~found.slips & (margin > SURE_MARGIN), SLIPLESS, np.where(slips, SLIPPING, UNDECIDED))
-    unproven = judgement.states.proven[system.contact] == UNPROVEN
+    unproven = judgement.states[0].proven[system.contact] == UNPROVEN
     if not law.flows and (unproven & (own == SLIPPING)).any():
         own[tied(system, found.force, own) if found.ties is None else found.ties] = UNDECIDED
     state[system.contact] = own

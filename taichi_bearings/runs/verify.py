@@ -15,10 +15,9 @@ from taichi_bearings.runs.run_file import file_of, refuse_scan
 from taichi_bearings.scene.disorder import Distribution, draw_coefficients, draw_viscosities
 from taichi_bearings.stages import stage
 from taichi_bearings.verifier.claims import is_drawn
-from taichi_bearings.verifier.packing_verdict import packing_report
-from taichi_bearings.verifier.stored_packing import StoredPacking, read_any_run
-from taichi_bearings.verifier.stored_run import StoredRun
-from taichi_bearings.verifier.verdict import as_report, verdict_of
+from taichi_bearings.verifier.samples import Samples
+from taichi_bearings.verifier.stored_run import StoredRun, read_stored_run
+from taichi_bearings.verifier.verdict import report_of
 
 Draw = Callable[[Lattice, Distribution, int], tuple[np.ndarray, ...]]
 
@@ -34,24 +33,24 @@ def verify(path: Path) -> dict[str, Any]:
         refuse_scan(path)
         if file_of(path).is_file():
             look_through(file_of(path))
-        run = read_any_run(path)
+        run = read_stored_run(path)
+    samples, seeds, drawn = run.samples, -1, False
     with stage("proving"), one_thread():
-        if isinstance(run, StoredPacking):
-            report, law, seeds, drawn = packing_report(run), run.law, -1, False
-            size = {"shape": None, "spheres": len(run.spin), "contacts": len(run.packing["contact"])}
-        else:
-            report, law, drawn = as_report(verdict_of(run), run.samples.count), run.samples.law, is_drawn(run)
-            size, seeds = {"shape": list(run.samples.shape)}, np.asarray(run.attributes.get("seed", -1)).tolist()
-    if isinstance(run, StoredRun):
+        report = report_of(run)
+    if isinstance(samples, Samples):
+        size, drawn = {"shape": list(samples.shape)}, is_drawn(run)
+        seeds = np.asarray(run.attributes.get("seed", -1)).tolist()
         with stage("drawing the coefficients again"):
-            report["contradictions"] += _coefficients(run) if drawn else []
+            report["contradictions"] += _coefficients(run, samples) if drawn else []
+    else:
+        size = {"shape": None, "spheres": len(samples.spin), "contacts": len(samples.arrays["contact"])}
     report["contradictions"] += [f"{name} was changed after it was written" for name in run.changed or ()]
     return {
         "verified": not report["contradictions"],
         **report,
         "unchanged": None if run.changed is None else not run.changed,
         "status": np.asarray(run.attributes["status"]).tolist(),
-        "law": law,
+        "law": samples.law,
         **size,
         "seed": seeds,
         "coefficients": "drawn" if drawn else "given",
@@ -60,16 +59,18 @@ def verify(path: Path) -> dict[str, Any]:
     }
 
 
-def _coefficients(run: StoredRun) -> list[str]:
+def _coefficients(run: StoredRun, samples: Samples) -> list[str]:
     """Coefficients that the scene says to be drawn from seeds are those of the seeds."""
-    found = _redrawn(run, "coefficients", "distribution", draw_coefficients, run.samples.coefficient)
-    if run.samples.viscosity:
-        found += _redrawn(run, "viscosities", "viscosity", draw_viscosities, run.samples.viscosity)
+    lattice = Lattice(samples.shape, periodic=samples.periodic)
+    found = _redrawn(run, lattice, "coefficients", "distribution", draw_coefficients, samples.coefficient)
+    if samples.viscosity:
+        found += _redrawn(run, lattice, "viscosities", "viscosity", draw_viscosities, samples.viscosity)
     return found
 
 
-def _redrawn(run: StoredRun, kind: str, key: str, draw: Draw, values: tuple[np.ndarray, ...]) -> list[str]:
-    lattice = Lattice(run.samples.shape, periodic=run.samples.periodic)
+def _redrawn(
+    run: StoredRun, lattice: Lattice, kind: str, key: str, draw: Draw, values: tuple[np.ndarray, ...]
+) -> list[str]:
     try:
         distribution = Distribution.parse(str(run.settings[key]))
         samples = [draw(lattice, distribution, int(seed)) for seed in run.claimed("seed")]

@@ -39,7 +39,7 @@ def answered(
     proof = certifying_forces(scene, forces, final.spin_axes, bound)
     friction = laboratory_forces(proof, scene.lattice, final.spin_axes)
     judgement = _judged(scene, spin, spin_rounding, friction)
-    slip = _slips(scene, final) if judgement is None else scene.lattice.flat(judgement.slip)
+    slip = _slips(scene, final) if judgement is None else judgement.slip
     state, resolves, of_all = _told_apart(
         scene, slip, final, threshold, _decided(scene, judgement, method.options.is_dynamics), proof
     )
@@ -65,7 +65,7 @@ def answered(
         force=_acting(scene, method, final, slip) if method.options.is_dynamics else vector_length(proof),
         friction=friction,
         state=state,
-        slip_bound=None if judgement is None else _slip_bound(scene, judgement),
+        slip_bound=None if judgement is None else judgement.slip_bound,
         proven=nothing_proven(state),
         states_proven=np.zeros(scene.replicas, dtype=bool),
         power=power,
@@ -100,7 +100,7 @@ def with_forces_of(answer: Solution, other: Solution) -> Solution:
         force=picked(other.force, answer.force),
         states_proven=answer.states_proven & ~more,
         proven=picked(nothing_proven(answer.state), answer.proven),
-        slip_bound=_slip_bound(answer.scene, judgement),
+        slip_bound=judgement.slip_bound,
         largest_balance_residual=judgement.largest_torque,
         lower_bound=judgement.lower_bound,
         gap=judgement.gap,
@@ -144,9 +144,9 @@ def _decided(scene: Scene, judgement: Judgement | None, is_dynamics: bool) -> np
 
     A dynamics has the states of its own motion; where the force grows with the slip these are the same, if proven.
     """
-    if judgement is None or not (judgement.samples.flows or (len(judgement.samples.needed) < 2 and not is_dynamics)):
+    if judgement is None or not (judgement.flows or (len(judgement.network.needed) < 2 and not is_dynamics)):
         return None
-    return np.stack([scene.lattice.flat(found.proven) for found in judgement.states])
+    return np.stack([found.proven for found in judgement.states])
 
 
 def _states(scene: Scene, slip: np.ndarray, final: Progress, threshold: float, asked: bool) -> np.ndarray:
@@ -164,10 +164,6 @@ def _states(scene: Scene, slip: np.ndarray, final: Progress, threshold: float, a
 
 def _slips(scene: Scene, final: Progress) -> np.ndarray:
     return scene.slips(final.staggered, final.spin_axes) if final.slip is None else final.slip
-
-
-def _slip_bound(scene: Scene, judgement: Judgement) -> np.ndarray | None:
-    return scene.lattice.flat(judgement.slip_bound) if judgement.slip_bound else None
 
 
 def _acting(scene: Scene, method: Method, final: Progress, slip: np.ndarray) -> np.ndarray:
@@ -192,7 +188,8 @@ def _judged(scene: Scene, spin: np.ndarray, spin_rounding: np.ndarray, friction:
         by_axis(scene.named_coefficients["viscosity"]) if scene.viscosity else (), scene.top, scene.bottom,
         scene.lattice.periodic,
     )  # fmt: skip
-    return Judgement(samples) if samples.can_be_judged else None
+    judgement = Judgement(samples)
+    return judgement if judgement.can_be_judged else None
 
 
 def above_noise(answer: Solution) -> np.ndarray:
@@ -234,9 +231,9 @@ def named(answer: Solution, found: list[States | None], as_proven: bool, at_mini
     """The answer with what is proven of its contacts. as_proven : that is what they are called; a dynamics has states
     of its own motion, and so has an answer for which a threshold was asked for. at_minimum : a motion that is proven
     to have come there leaves those contacts undecided that are proven to be something else than what they do now."""
-    lattice, state = answer.scene.lattice, answer.state
+    state = answer.state
     open_ = np.full(state.shape[1], UNPROVEN)
-    what = np.stack([open_ if states is None else lattice.flat(states.proven) for states in found])
+    what = np.stack([open_ if states is None else states.proven for states in found])
     driven = state == ContactState.DRIVEN
     if as_proven:
         name = np.where(what == CRITICAL, ContactState.UNDECIDED, np.where(what == UNPROVEN, state, what))
@@ -247,7 +244,7 @@ def named(answer: Solution, found: list[States | None], as_proven: bool, at_mini
         state = np.where(passing & ~driven, ContactState.UNDECIDED, state).astype(np.uint8)
     known = np.where(driven, state, np.where(what == CRITICAL, ContactState.SLIPLESS, what)).astype(np.uint8)
     pairs = zip(found, state, strict=True)
-    agree = [of is not None and of.agree(list(lattice.by_axis(said))) for of, said in pairs]
+    agree = [of is not None and of.agree(said) for of, said in pairs]
     return replace(answer, state=state, proven=known, states_proven=np.array(agree))
 
 

@@ -26,7 +26,8 @@ from taichi_bearings.scene import Progress
 from taichi_bearings.scene.given import own_array
 from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.solvers.method import OnLattice
-from taichi_bearings.verifier.packing_verdict import PackingJudgement
+from taichi_bearings.verifier.judgement import Judgement
+from taichi_bearings.verifier.network import StoredPacking
 from taichi_bearings.words import meant, shown
 
 NEXT_TO_NO_POWER = 1e-10  # of the natural power, below which a relative gap says nothing
@@ -201,8 +202,8 @@ class Network:
         """What these forces (d, A) prove, beside spins (C, 1, N); energy/time."""
         packing, friction = self.packing, forces_of(self.proof[0], force)[1]
         spin = spins_of(packing, spins[:, 0].T)
-        judgement = PackingJudgement.of(self.law.name, packing.arrays(), spin, friction)
-        return 0.0 if judgement is None else judgement.bounds.lower_bound
+        judgement = Judgement(StoredPacking(self.law.name, packing.arrays(), spin, friction))
+        return float(judgement.lower_bound[0]) if judgement.can_be_judged else 0.0
 
     def _balanced(self, force: np.ndarray) -> list[np.ndarray]:
         """Forces (d, A) of the system in balance; with friction also shortened all alike to what it bears."""

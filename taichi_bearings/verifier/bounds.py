@@ -1,123 +1,120 @@
-"""Upper and lower bound of the least power, rigorously, from spins and from friction.
+"""Rigorous bounds on the least dissipation of any network, from its spins and its friction.
 
-With g = n x F the torques of a contact are -R g on both its spheres, so what the friction does on any spins that obey
-the driving is R times the sum over contacts of g . (w_i + w_j), and
+For any friction F, of which s F with s <= 1 stays inside the discs of contacts without viscosity, and torques r on free
+spheres that it leaves over,
 
-    least potential >= that least work - sum max(|F| - mu F_n, 0)^2 / (2 eta),
+    least potential >= s (work of the driven spheres + sum r . u*) - sum max(s |F| - mu F_n, 0)^2 / (2 eta)
 
-with no friction but viscous contacts for mu = 0, and for Coulomb friction alone, eta = 0, if no |F| exceeds mu F_n.
-
-The work is that of the driven planes where all free spheres are in balance. Where they are not, some minimum has its
-signed spins between those of the planes, component by component: the least that the torque left over can do there
-counts. A friction that exceeds its limit is made admissible by dividing all by the largest excess.
+at any spins u* at which the potential is least. Where components do not mix (discs; normals along the axes) clipping
+every component to the largest size imposed lengthens no slip, and on lattices to what is between the planes, layer by
+layer: so some u* lies within, and the least that r can do there counts. On other networks springs take r away
+(springs.py).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
-from taichi_bearings.verifier.enclosure import UP, Enclosure, row_sum
-from taichi_bearings.verifier.motion import length, spread
-from taichi_bearings.verifier.samples import Samples
+from taichi_bearings.verifier.enclosure import UP, Enclosure, length, row_sum
+from taichi_bearings.verifier.network import Network
+from taichi_bearings.verifier.springs import Springs, natural, rolling
 
+FASTEST_COMPARED = 1e6  # times the fastest imposed surface, up to which spins are compared
+PAID = 1e-10  # of the potential, that a proof for all spins may cost
+LEAST_POWER = 1e-3  # of the natural power, for which the springs are made at least
 DOUBLE_ERROR = 1e-12  # more than doubles are off
+PROVEN, WITHIN = "proven", f"proven of all spins up to {FASTEST_COMPARED:.0e} times the fastest imposed"
 
 
 @dataclass(frozen=True)
-class Work:
-    """(R,) each: work of the driven planes against the friction; price, what torques left over on free spheres may take
-    from it; cost, the sum over viscous contacts; all in the units of `Motion.power`.
+class Bounds:
+    """upper, lower : (R,), of the least potential, in units of power; of the spins, and of the friction. proof :
+    PROVEN, or what `lower` is restricted to. friction : F in balance, where components mix. worst : (R,),
+    1 / s. size : (m,), s |F|. largest_torque, price : (R,), of the friction as it is stored; what its torques may cost
+    at spins within the box."""
 
-    saturation : (R,), largest |F| / (mu F_n), rounded up (Coulomb alone, else 0).
-    largest_torque : (R,), left over on a free sphere in the components that are driven, over the radius and in units of
-    `force_unit`, rounded up.
-    size : |F| of every contact, (R, *contacts) an axis, in units of `force_unit`.
-    """
-
-    work: Enclosure
-    price: Enclosure
-    cost: Enclosure
-    saturation: np.ndarray
+    network: Network
+    upper: np.ndarray
+    lower: np.ndarray
+    size: Enclosure
+    worst: np.ndarray
+    proof: str
     largest_torque: np.ndarray
-    size: list[Enclosure]
+    price: np.ndarray
+    springs: Springs | None
+    friction: list[Enclosure]
+
+    @classmethod
+    def of(cls, network: Network) -> Bounds:
+        upper, own = network.dissipated(0.5).upper(), network.samples
+        if own is not None:
+            upper = np.where(network.motion.torn, np.inf, upper)
+        if network.mixes and upper > 0:
+            network = replace(network, rolling=rolling(network))
+        count, friction, springs, proof = network.count, network.own_friction, None, PROVEN
+        torques, free = network.own_torques, network.reached
+        left = np.array([np.where(free, t.most, 0.0).reshape(count, -1).max(axis=1, initial=0.0) for t in torques])
+        paid = price = _price(network, torques)
+        if network.mixes and upper > 0:
+            springs = Springs.of(network, max(float(upper[0]), LEAST_POWER * float(natural(network)[0])))
+            fastest, reach = FASTEST_COMPARED * float(network.box.max(initial=0.0)), np.inf
+            if springs is not None:
+                friction, torques = springs.balanced()
+                reach = springs.reach
+            rest = float(np.sum([part.most[network.reached].sum() for part in torques])) * UP
+            proof = PROVEN if reach <= fastest or reach * rest <= PAID * upper[0] else WITHIN
+            paid = Enclosure.exact(np.array([rest * (reach if proof == PROVEN else fastest)]))
+        work = -paid
+        for torque, imposed in zip(torques, network.imposed, strict=True):
+            held = np.flatnonzero(imposed.high)
+            if len(held):
+                work = work + row_sum((torque.at(held) * imposed.at(held)).reshaped((count, -1)))
+        size = length(friction)
+        hard, soft = (
+            np.flatnonzero(network.counts & some) for some in (network.slope.high == 0, network.slope.high > 0)
+        )
+        worst = _worst(network, size, hard)
+        if (worst > 1).any():
+            size = size / Enclosure.exact(np.repeat(worst, len(size.high) // count))
+        beyond = size.at(soft)
+        if network.holds:  # no less than what is beyond the friction
+            beyond = Enclosure.exact(np.maximum((beyond - network.holding.at(soft)).upper(), 0.0))
+        cost = network.by_sample((beyond * beyond / network.slope.at(soft)).signed(0.5), soft)
+        lower = (work / Enclosure.exact(worst) - cost).lower()
+        return cls(network, upper, lower, size, worst, proof, left.max(axis=0), price.upper(), springs,
+                   friction if network.mixes else [])  # fmt: skip
+
+    @cached_property
+    def excess(self) -> np.ndarray:
+        """(R,), of the spins over what the friction proves, rounded up; in units of power."""
+        return np.maximum((self.upper - self.lower) * UP, 0.0)
 
 
-def work_of(samples: Samples) -> Work:
-    """What the friction of the samples proves."""
-    count = samples.count
-    work = price = cost = Enclosure.exact(np.zeros(count))
-    largest, saturation = np.zeros(count), np.zeros(count)
-    for k, torque in samples.torques.items():  # nothing that turns about others does any work
-        signed = torque.signed(samples.sublattice)
-        top, free = signed[..., -1], signed[..., 1:-1]
-        on_top, everywhere = (samples.jump_over(k, axes) for axes in (samples.dimension - 1, samples.dimension))
-        work = work + row_sum((top * on_top).reshaped((count, -1)))
-        largest = np.maximum(largest, free.most.reshape(count, -1).max(axis=1, initial=0.0))
-        # the least of torque * spin for a spin from 0 to the jump: 0 where the two have the same sign for sure
-        taken = np.where(np.sign(everywhere.high) * free.high < free.error + np.abs(free.low), free.most, 0.0)
-        price = price + row_sum((Enclosure.exact(taken) * abs(everywhere)).reshaped((count, -1)))
-    sizes = [length([Enclosure.exact(part) for part in turning.values()]) for turning in samples.turning]
-    for axis, whole in enumerate(sizes):
-        acts = ~samples.idle(axis)
-        if not samples.flows:
-            saturation = np.maximum(saturation, _largest_share(whole, samples.strength[axis], acts))
+def _price(network: Network, torques: list[Enclosure]) -> Enclosure:
+    """(R,), what torques on free spheres may take from the work at spins within what is imposed."""
+    total = Enclosure.exact(np.zeros(network.count))
+    for torque, reach, size in zip(torques, network.reach, network.box, strict=True):
+        if not size:
             continue
-        size = Enclosure(*(np.where(acts, part, 0.0) for part in whole.parts))
-        if samples.holds:  # no less than what is beyond the friction
-            size = Enclosure.exact(np.where(acts, np.maximum((size - samples.strength[axis]).upper(), 0.0), 0.0))
-        cost = cost + row_sum((size * size / _or_one(samples.slope[axis], acts)).signed(0.5).reshaped((count, -1)))
-    if not samples.holds:  # a force is damping * radius * spin
-        speed = spread(Enclosure.exact([samples.radius * samples.spin_unit]), count)
-        work, price, cost = work / speed, price / speed, cost / speed / speed
-    return Work(work, price, cost, saturation, largest, sizes)
+        taken = np.where(network.reached, torque.most, 0.0)
+        if network.samples is not None:  # none for a spin between 0 and what has the same sign for sure
+            taken[np.sign(reach.high) * torque.high >= torque.error + np.abs(torque.low)] = 0.0
+        own = np.flatnonzero(network.free)
+        total = total + row_sum((Enclosure.exact(taken[own]) * abs(reach.at(own))).reshaped((network.count, -1)))
+    return total
 
 
-def _largest_share(size: Enclosure, strength: Enclosure, acts: np.ndarray) -> np.ndarray:
-    """Largest size / strength of the contacts that take part, (R,), rounded up: of those that are about as large."""
-    about = np.divide(size.high, strength.high, out=np.zeros(size.high.shape), where=acts).reshape(len(acts), -1)
-    first = about.max(axis=1, initial=0.0, keepdims=True)
-    large = np.flatnonzero(acts & ~(about < first * (1 - DOUBLE_ERROR)).reshape(acts.shape))
-    found = np.zeros(len(about))
-    np.maximum.at(found, large // about.shape[1], (size.at(large) / strength.at(large)).most)
-    return found
-
-
-def _or_one(values: Enclosure, acts: np.ndarray) -> Enclosure:
-    """The values, and 1 for contacts that take no part."""
-    return Enclosure(*(np.where(acts, part, other) for part, other in zip(values.parts, (1.0, 0.0, 0.0), strict=True)))
-
-
-def lower_bound(samples: Samples, work: Work) -> np.ndarray:
-    """Of the least objective, (R,), in the units of `Motion.power`; not below 0."""
-    return np.maximum(_proven(samples, work).lower(), 0.0)
-
-
-def _proven(samples: Samples, work: Work) -> Enclosure:
-    """The same, and below 0 where the friction proves less than nothing."""
-    left = work.work - work.price
-    if samples.flows:
-        return (left - work.cost).signed(samples.share)
-    return left / Enclosure.exact(np.maximum(work.saturation, 1.0))
-
-
-def slip_bounds(samples: Samples, work: Work, objective: np.ndarray) -> list[np.ndarray]:
-    """No minimum slips faster: (R, *contacts) an axis, over radius * `spin_unit`, rounded up; of laws with friction.
-
-    objective : (R,), of any spins, rounded up. Nor does any slip more than the spins between those of the planes allow.
-    """
-    excess = np.maximum(((objective - _proven(samples, work).lower()) * UP).reshape(-1, *(1,) * samples.dimension), 0.0)
-    worst = np.maximum(work.saturation, 1.0).reshape(excess.shape)  # no disc is exceeded without viscosity
-    found = []
-    for axis, size in enumerate(work.size):
-        if not samples.flows and (worst > 1).any():
-            size = size / Enclosure.exact(np.broadcast_to(worst, size.high.shape))
-        slope = samples.slope[axis].least if samples.flows else np.zeros(1)
-        bound = slip_bound((samples.strength[axis] - size).lower(), slope, excess)
-        box = np.sqrt(sum(samples.jump_over(k, samples.dimension).most ** 2 for k in samples.felt(axis)))
-        bound = np.fmin(bound, box) * UP
-        found.append(np.where(samples.between_driven(axis), 0.0, bound))
+def _worst(network: Network, size: Enclosure, hard: np.ndarray) -> np.ndarray:
+    """(R,), largest size / holding of some contacts, 1 at least, rounded up: of those that are about as large."""
+    found, sample = np.ones(network.count), network.sample_of(hard)
+    about = size.high[hard] / network.holding.high[hard]
+    most = found.copy()
+    np.maximum.at(most, sample, about)
+    large = hard[about >= most[sample] * (1 - DOUBLE_ERROR)]
+    np.maximum.at(found, network.sample_of(large), (size.at(large) / network.holding.at(large)).most)
     return found
 
 

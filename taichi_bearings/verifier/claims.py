@@ -1,29 +1,61 @@
-"""What a file says in words: known ones, that agree with each other and with the numbers; and what nobody can check."""
+"""What a file says in words and numbers: known ones, that agree with each other; and what nobody can check."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from taichi_bearings.verifier.stored_run import StoredRun
+from taichi_bearings.verifier.samples import Samples
+from taichi_bearings.verifier.stored_run import FOLLOWED, StoredRun
 
 DYNAMIC = ("stationary", "finished")  # ends of a dynamics alone
 STATUSES = ("certified", *DYNAMIC, "stalled", "step-limit", "time-limit", "interrupted", "not-finite")
-CHECKED = {
-    "power", "potential", "lower_bound", "gap", "law", "shape", "seed", "contacts", "slipping", "slipless", "undecided",
-    "critical", "states_proven", "unproven", "largest_slipless_slip", "smallest_slipping_slip", "separation_decades",
-    "spin_top", "spin_bottom", "normal_force", "radius", "power_normalised", "minimum_is_unique", "cut_is_unique",
-    "findings", "duration", "coefficients", "scene", "schema", "schema_version", "sha256",
+PACKING_METHODS = ("planar-cut", "interior-point", "linear-solver", *FOLLOWED)
+CHECKED = {"law", "shape", "scene", "schema", "schema_version", "sha256", "states_proven", "unproven"}
+CHECKED_OF_LATTICES = CHECKED | {
+    "seed", "spin_top", "spin_bottom", "normal_force", "radius", "minimum_is_unique", "cut_is_unique", "findings",
+    "duration", "coefficients",
 }  # fmt: skip
-"""Attributes that are recomputed, or that others of the file leave no choice."""
+"""Attributes, beside claims of numbers, that others of the file leave no choice."""
 CHECKED_SETTINGS = {
     "law", "shape", "periodic", "spin_top", "spin_bottom", "top", "bottom", "normal_force", "radius", "seed",
     "replicas",
 }  # fmt: skip
 ON_HOST = {"arch": "cpu", "precision": "f64"}
 DESCRIPTIONS = "units and descriptions"
+
+
+@dataclass(frozen=True)
+class Claim:
+    """What an attribute may say of a sample: this word, or this number, to a share `off` of its size and by so much
+    beside it. needed : it must be said. is_sure : false words are found, whatever else the file says."""
+
+    name: str
+    true: Any
+    source: str = ""
+    off: float = 1e-12
+    beside: float = 0.0
+    needed: bool = False
+    is_sure: bool = True
+
+    def allows(self, said: Any) -> bool:
+        """Whole numbers and truths are of their type already."""
+        if said is None or self.true is None or isinstance(self.true, str):
+            return bool(said == self.true)
+        return said == self.true or bool(abs(said - self.true) <= self.off * abs(self.true) + self.beside)
+
+
+def summed_up(run: StoredRun, claims: list[list[Claim]]) -> Iterator[str]:
+    """What the summary claims and what is not so. claims : of each sample."""
+    for number, of_one in enumerate(claims):
+        for claim in of_one:
+            said = run.claimed(claim.name)[number]
+            if (claim.needed or claim.name in run.attributes) and not claim.allows(said):
+                name, true = f"{claim.name.replace('_', ' ')}{of_sample(run, number)}", repr(claim.true)
+                yield f"the {name} is said to be {said!r}; {f'{claim.source} have' if claim.source else 'it is'} {true}"
 
 
 def of_sample(run: StoredRun, number: int) -> str:
@@ -34,6 +66,11 @@ def of_sample(run: StoredRun, number: int) -> str:
 def agree(run: StoredRun) -> Iterator[str]:
     """The scene in the file, from which it can be run again, is the one whose numbers these are."""
     settings, samples = run.settings, run.samples
+    if not isinstance(samples, Samples):
+        for name, told in (("law", samples.law), ("tolerance", run.attributes.get("tolerance"))):
+            if name in settings and told is not None and settings[name] != told:
+                yield f"the scene has {name} = {settings[name]!r}, and the file {told!r}"
+        return
     seed = run.claimed("seed")
     by_spins = {"spin_top": samples.spin_top, "spin_bottom": samples.spin_bottom} if samples.top is None else {}
     expected = {
@@ -87,15 +124,19 @@ def is_drawn(run: StoredRun) -> bool:
 def ended(run: StoredRun, gap: np.ndarray) -> Iterator[str]:
     """How a run ended is one of the known words, and "certified" where the proven gap (R,) is within the tolerance and
     nowhere else, unless a limit came before the simulated time that was asked for."""
-    tolerance, is_dynamics = run.setting("tolerance", 1e-8), "time" in run.history
+    tolerance, is_dynamics = run.setting("tolerance", run.attributes.get("tolerance", 1e-8)), run.is_dynamics
     if not 0 < tolerance < 1:
         yield f"the tolerance is {tolerance!r}; it must be between 0 and 1"
-    duration = run.settings.get("duration")
+    duration, allowed = run.settings.get("duration"), list(STATUSES)
+    if not run.samples.is_lattice:
+        allowed = allowed if is_dynamics else ["certified", "stalled"]
+        if "method" in run.attributes and (method := run.claimed("method")[0]) not in PACKING_METHODS:
+            yield f"the method is {method!r}; it must be one of {', '.join(PACKING_METHODS)}"
     for number, status in enumerate(run.claimed("status")):
         which, said = of_sample(run, number), run.claimed("gap")[number]
         cut_short = duration is not None and status in ("step-limit", "time-limit")
-        if status not in STATUSES:
-            yield f"the status{which} is {status!r}; it must be one of {', '.join(STATUSES)}"
+        if status not in allowed:
+            yield f"the status{which} is {status!r}; it must be one of {', '.join(allowed)}"
         elif status == "certified" and not (said is not None and max(said, gap[number]) <= tolerance):
             yield f"the run{which} is said to be certified to {tolerance!r}; what is proven leaves {gap[number]!r}"
         elif status != "certified" and said is not None and said <= tolerance and not cut_short:
@@ -107,43 +148,38 @@ def ended(run: StoredRun, gap: np.ndarray) -> Iterator[str]:
 
 
 def _is_over(run: StoredRun, duration: Any) -> bool:
+    if "time" not in run.history:
+        return True
     times = run.history["time"].reshape(-1)
     return isinstance(duration, (int, float)) and len(times) > 0 and bool(times[-1] >= duration * (1 - 1e-9))
 
 
-def not_checked(run: StoredRun, judged: bool) -> list[str]:
+def not_checked(run: StoredRun, claimed: set[str]) -> list[str]:
     """Names of what is in the file and that nothing is held against, or too little to find a false word: attributes,
-    `scene.` and a key of the scene, data sets and groups. judged : False for numbers that no arithmetic can judge."""
-    if not judged:
-        return ["everything but the status"]
-    samples, settings, is_dynamics = run.samples, run.settings, "time" in run.history
-    sure, keys = set(CHECKED), set(CHECKED_SETTINGS)
-    if "iteration" in run.history:
-        sure |= {"iterations"}
-    sure |= {name for name in ("time", "energy_residual") if name in run.history}
-    if not ((samples.holds and samples.flows) or samples.spin_bottom or isinstance(settings.get("torque"), str)):
-        sure, keys = sure | {"yields", "yield_torque", "yield_torque_lower_bound", "amplitude"}, keys | {"torque"}
-    if not is_dynamics:
-        sure |= {"largest_balance_residual"}
+    `scene.` and a key of the scene, data sets and groups. claimed : names of attributes that were."""
+    samples, settings, sets = run.samples, run.settings, list(run.others)
     if set(run.claimed("status")) == {"certified"}:
-        sure |= {"status"}
-    if settings.get("method") != "auto":
-        sure |= {"method"}
-    if samples.dimension == 3 and samples.top is None:
-        keys |= {"direction"}
-    if samples.top is not None:
-        keys -= {"spin_top", "spin_bottom"}
-    if "slip_threshold" in settings:
-        sure, keys = sure | {"slip_threshold"}, keys | {"slip_threshold"}
-    if is_dynamics and "duration" in settings:
-        keys |= {"duration"}
-    if is_drawn(run):
-        keys |= {"distribution", *(["viscosity"] if samples.viscosity else [])}
+        claimed = claimed | {"status"}
+    if isinstance(samples, Samples):
+        sure, keys = claimed | CHECKED_OF_LATTICES, set(CHECKED_SETTINGS)
+        if "yields" in claimed:
+            keys |= {"torque"}
+        if settings.get("method") != "auto":
+            sure |= {"method"}
+        if samples.dimension == 3 and samples.top is None:
+            keys |= {"direction"}
+        if samples.top is not None:
+            keys -= {"spin_top", "spin_bottom"}
+        if "slip_threshold" in settings:
+            sure, keys = sure | {"slip_threshold"}, keys | {"slip_threshold"}
+        if run.is_dynamics:
+            keys |= {"duration"}
+            sets += ["contact/*/friction", *(["contact/*/force"] if samples.holds else [])]
+        drawn = {"coefficient": "distribution", **({"viscosity": "viscosity"} if samples.viscosity else {})}
+        keys |= set(drawn.values()) if is_drawn(run) else set()
+        sets += [] if is_drawn(run) else [*drawn]
+    else:
+        sure, keys = claimed | CHECKED | {"tolerance"}, {"law", "tolerance"}
+        sets += [f"packing/{name}" for name in samples.arrays]
     found = [name for name in run.attributes if name not in sure]
-    found += [f"scene.{key}" for key in settings if key not in keys]
-    found += run.others
-    if is_dynamics:
-        found += ["contact/*/friction", *(["contact/*/force"] if samples.holds else [])]
-    if not is_drawn(run):
-        found += ["coefficient", *(["viscosity"] if samples.viscosity else [])]
-    return [*found, DESCRIPTIONS]
+    return [*found, *(f"scene.{key}" for key in settings if key not in keys), *sets, DESCRIPTIONS]

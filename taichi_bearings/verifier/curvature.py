@@ -19,8 +19,8 @@ from scipy import sparse
 from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
 
 from taichi_bearings.verifier.elimination import EPS, Elimination
-from taichi_bearings.verifier.enclosure import UP, Enclosure, grouped_sum, joined
-from taichi_bearings.verifier.motion import Motion, length
+from taichi_bearings.verifier.enclosure import UP, Enclosure, grouped_sum, joined, length
+from taichi_bearings.verifier.network import Motion, Network
 
 MOST_SLIP_TURN = 0.25  # largest share by which a slip may change
 CURVATURE_TRIALS = 4  # each from spins that Newton's method has improved
@@ -32,13 +32,12 @@ TINY = np.finfo(np.float64).tiny
 
 @dataclass(frozen=True)
 class Slipping:
-    """The n contacts of all samples that slip. A driven domain, and a component that is not felt, have the unknown -1.
+    """The n contacts of a network that slip. A driven domain, and a component that is not felt, have the unknown -1.
 
     lower, upper : (2, n), unknown of the domain at either end, component by component. curved : (m,), numbers of those
     that feel both of them; the difference of the others is exactly 0 in one.
-    difference : of signed spins, two enclosures (n,). strength : friction that a contact bears.
-    spheres : (2, n), flat numbers among those of all samples of the lower and the upper sphere. place : (d, n), where a
-    contact is in its sample.
+    difference : of signed spins, two enclosures (n,). strength : friction that a contact bears. own : (n,), their
+    numbers among all contacts. place : (d, n), where a contact is in its sample.
     """
 
     unknowns: int
@@ -47,43 +46,40 @@ class Slipping:
     curved: np.ndarray
     difference: tuple[Enclosure, Enclosure]
     strength: Enclosure
-    spheres: np.ndarray
+    own: np.ndarray
     place: np.ndarray
 
     @classmethod
     def of(cls, motion: Motion, domain: dict[int, np.ndarray] | None = None) -> Slipping:
-        """domain : numbers (R, *N) of the domains of either component, 0 and 1 for what does not move; those of
-        contacts without slip if not given."""
-        samples, domain = motion.samples, domain or motion.domain
-        number, unknowns = [], 0
-        for k in samples.needed:
-            free = _touched(motion, k, domain[k])
-            free[:2] = False
-            number.append(np.where(free, np.cumsum(free) - 1 + unknowns, -1)[domain[k]])
+        """domain : numbers (n,) of the domains of each component, 0 and 1 for what does not move; those of contacts
+        that rest if not given."""
+        network, unknowns, number = motion.network, 0, {}
+        some = np.flatnonzero(network.counts & ~motion.rests)
+        ends, felt = network.contact[:, some], slots(network, some)
+        for k in network.needed:
+            own = motion.domain(k) if domain is None else domain[k]
+            joins = own[ends[:, network.feels[k][some]]]
+            free = np.zeros(int(own.max()) + 1, dtype=bool)
+            free[joins[:, joins[0] != joins[1]]] = True
+            if domain is None:
+                free[own[~network.free]] = False
+            else:
+                free[:2] = False
+            number[k] = np.where(free, unknowns + np.cumsum(free) - 1, -1)[own]
             unknowns += int(free.sum())
-        lower, upper, two, places = [], [], [], []
-        parts: list[list[Enclosure]] = [[], []]
-        for axis, slips in enumerate(motion.slips):
-            felt, nowhere = [k in samples.felt(axis) for k in samples.needed], np.full(len(slips.own), -1)
-            pairs = list(zip(number, felt, strict=True))
-            lower.append([n.take(slips.lower) if f else nowhere for n, f in pairs])
-            upper.append([n.take(slips.upper) if f else nowhere for n, f in pairs])
-            for found, k, f in zip(parts, samples.needed, felt, strict=True):
-                found.append(motion.difference[axis][k] if f else Enclosure.exact(np.zeros(len(slips.own))))
-            two.append(np.full(len(slips.own), all(felt)))
-            place = np.stack(np.unravel_index(slips.lower % samples.sublattice.size, samples.shape)).astype(float)
-            place[axis] += 0.5
-            places.append(place)
-        return cls(
-            unknowns,
-            np.concatenate(lower, axis=1),
-            np.concatenate(upper, axis=1),
-            np.flatnonzero(np.concatenate(two)),
-            (joined(parts[0]), joined(parts[1])),
-            joined(list(motion.strength)),
-            np.concatenate([[slips.lower, slips.upper] for slips in motion.slips], axis=1),
-            np.concatenate(places, axis=1),
-        )
+        lower, upper = np.full((2, len(some)), -1), np.full((2, len(some)), -1)
+        difference = [Enclosure.exact(np.zeros(len(some))) for _ in range(2)]
+        both = np.ones(len(some), dtype=bool)
+        for slot in range(2):
+            for k in network.needed:
+                mine = np.flatnonzero((felt[slot] == k) & network.feels[k][some])
+                lower[slot, mine], upper[slot, mine] = number[k][ends[:, mine]]
+                difference[slot].put(mine, motion.difference(k, some[mine]))
+            both &= np.any([(felt[slot] == k) & network.feels[k][some] for k in network.needed], axis=0)
+        strength = network.stretched(network.holding.at(some), some)
+        begin, end = network.place[ends]
+        place = (begin + (network.normal[some] if network.samples is not None else end - begin) / 2).T
+        return cls(unknowns, lower, upper, np.flatnonzero(both), (difference[0], difference[1]), strength, some, place)
 
     @cached_property
     def size(self) -> Enclosure:
@@ -154,16 +150,13 @@ class Slipping:
         return connected_components(graph, directed=False)[1]
 
 
-def _touched(motion: Motion, component: int, domain: np.ndarray) -> np.ndarray:
-    """Mask of the numbers of domains that have a contact that slips. Where some are absent, others turn freely."""
-    found = np.bincount(domain.ravel()) > 0
-    if motion.samples.lacks:
-        ends = [[domain.take(end) for end in (slips.lower, slips.upper)]
-                for axis, slips in enumerate(motion.slips) if component in motion.samples.felt(axis)]  # fmt: skip
-        lower, upper = np.concatenate(ends, axis=1)
-        found[:] = False
-        found[lower[lower != upper]] = found[upper[lower != upper]] = True
-    return found
+def slots(network: Network, some: np.ndarray) -> np.ndarray:
+    """(2, k), the two components of some contacts that take the places of the first and the second: those that are
+    needed, or, of three, those across each contact."""
+    if len(network.needed) == 2:
+        return np.repeat(np.array(network.needed)[:, None], len(some), axis=1)
+    axis = np.argmax(np.abs(network.normal[some]), axis=1)
+    return np.stack([(axis + 1) % 3, (axis + 2) % 3])
 
 
 @np.errstate(all="ignore")  # what is not finite proves nothing

@@ -16,6 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+LEAST_LENGTH = 2.0**-400  # length below which squares lose digits
+LEAST_ROUNDING = 2.0**-1072  # twice what scaling back into the smallest doubles can round
 PAIR_ROUNDING = 2.0**-100  # relative error of one operation on pairs
 UP = 1 + 2.0**-30  # factor that makes up for the rounding of a bound itself, of up to some million operations
 SLIGHTLY_UP = 1 + 2.0**-51  # the same for two operations
@@ -132,6 +134,10 @@ class Enclosure:
         for part, other in zip(self.parts, others.parts, strict=True):
             part.put(places, other)
 
+    def where(self, some: np.ndarray) -> Enclosure:
+        """0 elsewhere."""
+        return Enclosure(*(np.where(some, part, 0.0) for part in self.parts))
+
     def reshaped(self, shape: tuple[int, ...]) -> Enclosure:
         return Enclosure(*(part.reshape(shape) for part in self.parts))
 
@@ -199,6 +205,25 @@ def grouped_sum(values: Enclosure, owner: np.ndarray, count: int) -> Enclosure:
     for whole, part in zip(total, values.parts, strict=True):
         whole[owner] = part
     return Enclosure(*total)
+
+
+def length(parts: list[Enclosure]) -> Enclosure:
+    """Length of vectors given by their parts, (n,) each; exactly the size of a part where the others are 0."""
+    parts = [part for part in parts if part.high.any() or part.error.any()] or parts[:1]  # but those that are exactly 0
+    there = np.array([(part.high != 0) | (part.error != 0) for part in parts])
+    several = np.flatnonzero(there.sum(axis=0) > 1)
+    root = abs(Enclosure(*(sum(of[1:], of[0]) for of in zip(*(part.parts for part in parts), strict=True))))
+    if not len(several):
+        return root
+    parts = [part.at(several) for part in parts]
+    # the squares of faint ones would be lost
+    sizes = np.max([part.most for part in parts], axis=0)
+    scale = np.ldexp(1.0, -np.where(sizes < LEAST_LENGTH, np.maximum(np.frexp(sizes)[1], -1000), 0))
+    squares = [part.signed(scale).squared() for part in parts]
+    found = sum(squares[1:], squares[0]).sqrt().signed(1 / scale)
+    found.error[scale > 1] += LEAST_ROUNDING
+    root.put(several, found)
+    return root
 
 
 def _rounded(product: np.ndarray, rest: np.ndarray, error: np.ndarray, counts: Callable[[], np.ndarray]) -> Enclosure:

@@ -1,4 +1,4 @@
-"""Power, lower bound and contact states of samples: what is rigorously true of them."""
+"""Power, lower bound and contact states of samples of a lattice, or of a packing: what is rigorously true of them."""
 
 from __future__ import annotations
 
@@ -7,162 +7,218 @@ from functools import cached_property
 
 import numpy as np
 
-from taichi_bearings.verifier.bounds import Work, lower_bound, slip_bounds, work_of
-from taichi_bearings.verifier.enclosure import Enclosure
-from taichi_bearings.verifier.motion import Motion
-from taichi_bearings.verifier.samples import Samples
+from taichi_bearings.verifier.bounds import PROVEN, Bounds, slip_bound
+from taichi_bearings.verifier.enclosure import UP
+from taichi_bearings.verifier.network import Network, StoredPacking
+from taichi_bearings.verifier.samples import OfLaw, Samples
+from taichi_bearings.verifier.springs import natural
 from taichi_bearings.verifier.states import States, proven_states
+
+EPS = np.finfo(np.float64).eps
+NO_POWER = 1e-10  # of the natural power, below which a relative gap of packings says nothing
+NORMAL_ROUNDING = 1e-12  # of the friction, along a normal of a packing
 
 
 @dataclass(frozen=True)
-class Judgement:
-    """Of the spins and the friction of samples, energy/time. Bounds are rounded outwards."""
+class Judgement(OfLaw):
+    """Of the spins and the friction of R samples, energy/time, speeds and forces. Bounds are rounded outwards."""
 
-    samples: Samples
+    samples: Samples | StoredPacking
+
+    @property
+    def law(self) -> str:  # type: ignore[override]
+        return self.samples.law
 
     def one(self, number: int) -> Judgement:
         """Of one of the samples alone."""
-        return Judgement(self.samples.one(number))
-
-    @cached_property
-    def motion(self) -> Motion:
-        return Motion(self.samples)
-
-    @cached_property
-    def work(self) -> Work:
-        return work_of(self.samples)
+        return Judgement(self.samples.one(number)) if isinstance(self.samples, Samples) else self
 
     @property
-    def _unit(self) -> float:
-        """Of power. Powers of two but for the radius; what multiplying by it rounds is seen to in the bounds."""
-        return self.samples.force_unit * (self._speed if self.samples.holds else self._speed**2)
+    def can_be_judged(self) -> bool:
+        """False for numbers that are not finite, or of scales for which no arithmetic here is made."""
+        return self._network is not None
 
     @cached_property
-    def _objective(self) -> Enclosure:
-        return self.motion.objective()
+    def _network(self) -> Network | None:
+        return Network.of(self.samples)
+
+    @property
+    def network(self) -> Network:
+        assert self._network is not None
+        return self._network
 
     @cached_property
-    def _lower_bound(self) -> np.ndarray:
-        return lower_bound(self.samples, self.work)
+    def bounds(self) -> Bounds:
+        return Bounds.of(self.network)
+
+    def _by_sample(self, of_contacts: np.ndarray) -> np.ndarray:
+        return of_contacts.reshape(self.network.count, -1)
 
     @property
-    def _speed(self) -> float:
-        """Of slips."""
-        return self.samples.radius * self.samples.spin_unit
+    def acts(self) -> np.ndarray:
+        """(R, E) mask of the contacts that take part."""
+        return self._by_sample(self.network.acts)
+
+    @property
+    def limit(self) -> np.ndarray:
+        """(R, E), friction that a contact bears, or without friction its damping."""
+        samples = self.samples
+        if isinstance(samples, Samples):
+            return samples.flat(samples.coefficient) * (samples.normal_force if self.holds else 1.0)
+        return (samples.arrays["friction"] * (samples.arrays["normal_force"] if self.holds else 1.0))[None]
+
+    @property
+    def damping(self) -> np.ndarray | None:
+        """(R, E), beside friction."""
+        samples = self.samples
+        if not (self.holds and self.flows):
+            return None
+        return samples.flat(samples.viscosity) if isinstance(samples, Samples) else samples.arrays["viscosity"][None]
+
+    @property
+    def force_unit(self) -> float:
+        return self.network.force_unit
 
     @cached_property
-    def slip(self) -> tuple[np.ndarray, ...]:
-        """Speeds (R, *contacts) an axis of the slips of these spins, to the nearest doubles."""
-        found = tuple(np.zeros(still.shape) for still in self.motion.still)
-        for of_axes in (zip(self.motion.slips, self.motion.size, strict=True), self.motion.loose):
-            for values, (slips, size) in zip(found, of_axes, strict=False):
-                values.put(slips.own, size.value * self._speed)
-        return found
+    def _friction(self) -> np.ndarray:
+        """(R, E, C), as stored but of absent contacts of lattices, in units of force."""
+        samples = self.samples
+        if not isinstance(samples, Samples):
+            return samples.friction.reshape(1, len(self.network.acts), -1) / self.force_unit
+        parts = [f.reshape(samples.count, -1, len(self.network.spin)) for f in samples.friction]
+        there = samples.flat(samples.coefficient) != 0
+        return np.where(there[..., None], np.concatenate(parts, axis=1) / self.force_unit, 0.0)
+
+    @property
+    def friction_along(self) -> np.ndarray:
+        """(R, E) mask of the contacts along which friction acts, on packings by more than rounding."""
+        if self._friction.shape[-1] == 1:
+            return np.zeros(self.acts.shape, dtype=bool)
+        along = np.abs((self._friction * self.network.normal.reshape(self._friction.shape)).sum(axis=-1))
+        rounding = 0.0 if self.samples.is_lattice else NORMAL_ROUNDING
+        return np.asarray(along > rounding * np.linalg.norm(self._friction, axis=-1))
+
+    @property
+    def friction_size(self) -> np.ndarray:
+        """(R, E), of the same friction; on lattices of what acts across the contact."""
+        across = self._friction
+        if self.samples.is_lattice and across.shape[-1] == 3:
+            across = np.where(self.network.normal.reshape(across.shape) != 0, 0.0, across)
+        return np.linalg.norm(across, axis=-1) * self.force_unit
 
     @cached_property
-    def slip_bound(self) -> tuple[np.ndarray, ...]:
-        """Speeds (R, *contacts) an axis that no slip of any minimum exceeds, of contacts with friction; else empty."""
-        if not self.samples.holds:
-            return ()
-        bounds = slip_bounds(self.samples, self.work, self._objective.upper())
-        return tuple(bound * self._speed * (1 + 2.0**-50) for bound in bounds)
+    def slip(self) -> np.ndarray:
+        """(R, E), speeds of the slips of these spins, to the nearest doubles."""
+        return self._by_sample(self.network.slip.value * self.network.speed_unit)
+
+    @cached_property
+    def slip_bound(self) -> np.ndarray | None:
+        """(R, E), speeds that no slip of any minimum exceeds, infinite where unknown; of lattices with friction."""
+        lattice = self.samples.is_lattice
+        if lattice and not self.holds:
+            return None
+        bound = self._slip_bounds if lattice else self._proven[1]
+        return self._by_sample(bound * self.network.speed_unit * (1 + 2.0**-50 * lattice))
+
+    @cached_property
+    @np.errstate(all="ignore")
+    def _slip_bounds(self) -> np.ndarray:
+        """(m,), by the room that friction leaves; on lattices by the spins between those of the planes, on packings by
+        all that there is to dissipate. In units of speed."""
+        network, bounds = self.network, self.bounds
+        sample = network.sample_of(np.arange(len(network.acts)))
+        slope = network.slope.least if self.flows else np.zeros(1)
+        bound = slip_bound((network.holding - bounds.size).lower(), slope, bounds.excess[sample])
+        if network.samples is None:
+            most = np.fmin(bounds.upper / network.holding.least, np.sqrt(2 * bounds.upper / network.slope.least)) * UP
+            bound = np.where(network.counts & (bounds.proof == PROVEN), np.fmin(bound * UP, most), most)
+            return np.where(network.acts, bound, np.inf)
+        felt = [(network.reach[k].most[network.contact[0]] * network.feels[k]) ** 2 for k in network.components]
+        return np.where(network.counts, np.fmin(bound, np.sqrt(sum(felt))) * UP, 0.0)
+
+    @cached_property
+    def _proven(self) -> tuple[list[States], np.ndarray]:
+        """States, and bounds of slips (m,) that come of the same proof."""
+        bound = self._slip_bounds.copy()
+        return proven_states(self.bounds, bound), bound
 
     @property
-    def largest_torque(self) -> np.ndarray:
-        """(R,), that the friction leaves on a free sphere, force * length, rounded up."""
-        return _in_units(self.work.largest_torque, self.samples.force_unit * self.samples.radius, np.inf)
+    def states(self) -> list[States]:
+        """Contact states at every minimum, sample by sample."""
+        return self._proven[0]
 
-    @property
-    def power(self) -> np.ndarray:
-        """(R,), what these spins dissipate, to the nearest doubles."""
-        power = self.motion.power() if self.samples.holds and self.samples.flows else self._objective
-        return np.asarray(power.value * self._unit)
-
-    @property
-    def objective(self) -> np.ndarray:
-        """(R,), what is least at rest: the power, or with friction and viscosity the potential; nearest doubles."""
-        return np.asarray(self._objective.value * self._unit)
-
-    @property
-    def upper_bound(self) -> np.ndarray:
-        """(R,), not below that, and so not below the least one."""
-        return _in_units(self._objective.upper(), self._unit, np.inf)
+    def _reported(self, values: np.ndarray, towards: float) -> np.ndarray:
+        """Bounds of the potential, as what is least at rest in energy/time, rounded that way."""
+        return rounded_out(values, self.network.power_unit * self.share, towards)
 
     @property
     def lower_bound(self) -> np.ndarray:
         """(R,), not above the least objective."""
-        return np.maximum(_in_units(self._lower_bound, self._unit, -np.inf), 0.0)
+        return np.maximum(self._reported(np.minimum(self.bounds.lower, self.bounds.upper), -np.inf), 0.0)
 
-    @cached_property
-    def gap(self) -> np.ndarray:
-        """(R,), (upper bound - lower bound) / upper bound, rounded up; NaN without an upper bound.
+    @property
+    def upper_bound(self) -> np.ndarray:
+        """(R,), not below the objective of these spins, and so not below the least one."""
+        return self._reported(self.bounds.upper, np.inf)
 
-        Where the least objective is 0, of no jump or of planes that nothing joins, a part of nothing says nothing: then
-        it is a part of the natural power, if that is larger.
-        """
-        upper, lower = self.upper_bound, self.lower_bound
-        unit = np.maximum(upper, natural_power(self.samples))
-        with np.errstate(invalid="ignore"):
-            gap = np.divide(upper - lower, unit, out=np.zeros_like(unit), where=unit > 0)
-        return np.where(np.isfinite(upper), _outwards(gap, np.inf), np.nan)
+    @property
+    def power(self) -> np.ndarray:
+        """(R,), what these spins dissipate, to the nearest doubles."""
+        power = self.network.dissipated(1.0).value * self.network.power_unit
+        return np.where(np.isinf(self.bounds.upper), np.inf, power)
+
+    @property
+    def objective(self) -> np.ndarray:
+        """(R,), what is least at rest: the power, or with friction and viscosity the potential; nearest doubles."""
+        objective = self.network.dissipated(0.5).value * (self.network.power_unit * self.share)
+        return np.where(np.isinf(self.bounds.upper), np.inf, objective)
 
     @property
     def price(self) -> np.ndarray:
-        """(R,), what torques left over on free spheres take from the lower bound, over the objective."""
-        price, objective = self.work.price.upper(), self._objective.value
-        return np.divide(price, objective, out=np.zeros_like(price), where=objective > 0)
+        """(R,), what torques left over on free spheres cost, over the objective."""
+        price, upper = self.bounds.price, self.bounds.upper
+        return np.divide(price, upper, out=np.where(price > 0, np.inf, 0.0), where=upper > 0)
 
     @cached_property
-    def states(self) -> list[States]:
-        """Contact states at every minimum, sample by sample."""
-        proven = self._lower_bound
-        if not self.samples.flows:  # what the friction does as it is: below 0, and beyond its discs, if need be
-            proven = (self.work.work - self.work.price).lower()
-        return proven_states(self.motion, (self._objective.upper() - proven) * (1 + 2.0**-50))
+    def gap(self) -> np.ndarray:
+        """(R,), (upper - lower) / upper, rounded up, or over the natural objective where next to nothing is dissipated;
+        NaN without an upper bound. Of no jump or of planes that nothing joins, a part of nothing says nothing."""
+        upper, lower = self.upper_bound, self.lower_bound
+        joins = self.network.joins if self.samples.is_lattice else np.zeros(1, dtype=bool)
+        unit = upper
+        if not joins.all():
+            unit = self._reported(natural(self.network), np.inf)
+            larger = unit <= upper if self.samples.is_lattice else NO_POWER * unit < upper
+            unit = np.where(joins | larger, upper, unit)
+        with np.errstate(invalid="ignore"):
+            gap = np.divide(upper - lower, unit, out=np.zeros_like(unit), where=unit > 0)
+        for _ in range(2):
+            gap = np.where(gap != 0, np.nextafter(gap, np.inf), gap)
+        return np.where(np.isfinite(upper), gap, np.nan)
+
+    @property
+    def proof(self) -> str:
+        """What spins the lower bound is proven of."""
+        return self.bounds.proof
+
+    @property
+    def largest_torque(self) -> np.ndarray:
+        """(R,), left over on a free sphere, rounded up; force * length, of packings over the radius."""
+        radius = self.samples.radius if isinstance(self.samples, Samples) else 1.0
+        return rounded_out(self.bounds.largest_torque, self.force_unit * radius, np.inf)
+
+    @property
+    def driven_power(self) -> float:
+        """What contacts between driven spheres of a packing dissipate."""
+        between = ~self.network.free[self.network.contact].any(axis=0)
+        return float(self.network.dissipated(1.0, between).value[0] * self.network.power_unit)
 
 
-def _in_units(values: np.ndarray, unit: float, towards: float) -> np.ndarray:
-    """Values times a unit, rounded that way: nothing is lost by a power of two."""
-    return values * unit if np.frexp(unit)[0] == 0.5 else _outwards(values * unit, towards)
-
-
-def _outwards(values: np.ndarray, towards: float) -> np.ndarray:
-    """By two roundings, which a unit and the product with it have at most; 0 stays as it is."""
+def rounded_out(values: np.ndarray, unit: float, towards: float) -> np.ndarray:
+    """Values times a unit, rounded that way: by two roundings, which a unit and the product with it have at most. 0
+    stays as it is, and by a power of two nothing is lost that is not tiny."""
+    found = values * unit
     for _ in range(2):
-        values = np.where(values != 0, np.nextafter(values, towards), values)
-    return values
-
-
-def natural_power(samples: Samples) -> np.ndarray:
-    """(R,), of all contacts with the imposed jump for slip, where nothing joins bottom and top; with the imposed spin
-    where there is no jump; else 0."""
-    speed = samples.radius * (samples.jump_size or abs(samples.spin_top))
-    unit = samples.normal_force * speed if samples.holds else speed**2
-    total = np.zeros(samples.count)
-    for coefficients, weight in ((samples.coefficient, unit), (samples.viscosity, speed**2 / 2)):
-        for axis, values in enumerate(coefficients):
-            acting = np.where(samples.between_driven(axis), 0.0, values)
-            total += weight * acting.reshape(samples.count, -1).sum(axis=1)
-    return np.where(_cut_off(samples) | (samples.jump_size == 0), total, 0.0)
-
-
-def _cut_off(samples: Samples) -> np.ndarray:
-    """(R,), True where absent contacts leave bottom and top unconnected in every component in which they differ."""
-    if all((values > 0).all() for values in samples.coefficient):
-        return np.zeros(samples.count, dtype=bool)
-    return np.array([not any(_joined(samples, number, k) for k in samples.needed) for number in range(samples.count)])
-
-
-def _joined(samples: Samples, number: int, component: int) -> bool:
-    """True if contacts that feel a component lead from the bottom of a sample to its top, in a layer with a jump."""
-    reached, before = np.zeros(samples.shape, dtype=bool), -1
-    reached[..., 0] = samples.jump_over(component, samples.dimension - 1).most[0] > 0
-    while int(reached.sum()) > before:
-        before = int(reached.sum())
-        for axis in range(samples.dimension):
-            if component in samples.felt(axis):
-                low, high = (end[1:] for end in samples.ends(axis))
-                there = samples.coefficient[axis][number] > 0
-                reached[low] |= there & reached[high]
-                reached[high] |= there & reached[low]
-    return bool(reached[..., -1].any())
+        inexact = (np.frexp(unit)[0] != 0.5) | (np.abs(found) < np.finfo(float).tiny * 2**60)
+        found = np.where((found != 0) & inexact, np.nextafter(found, towards), found)
+    return found

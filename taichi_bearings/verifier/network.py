@@ -1,11 +1,14 @@
-"""Any network of touching spheres or discs, its spins and its friction, as they are to be judged.
+"""Contact networks of any kind, their spins and their friction, as they are to be judged: samples of a lattice side by
+side, or a packing.
 
 With u = R omega the surface of the second sphere of a contact slips past the first with v = -(u_i + u_j) x n, friction
-F on the second one turns both with n x F, and what it takes from the motion is (u_i + u_j) . (n x F) = -F . v, at most
-|F| |v|. A disc has one component, u and v about z, F along z x n. Normals are taken bit by bit as they are stored: they
-say what slips, also where their length is not quite 1.
+F on the second one turns both with n x F, its moment, and what it takes from the motion is (u_i + u_j) . (n x F) =
+-F . v, at most |F| |v|. A disc has one component, u and v about z, F along z x n. Normals of packings are taken bit by
+bit as they are stored: they say what slips, also where their length is not quite 1.
 
-A part is what contacts between free spheres join. Where it touches nothing that is driven, it rests at some minimum.
+On a lattice u = s U, with the sign s of the sublattice, and U is measured from the state of the bottom, which slips
+nowhere. A part is what contacts between free spheres join. Where it touches nothing that is driven, it rests at some
+minimum.
 """
 
 from __future__ import annotations
@@ -17,24 +20,43 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from taichi_bearings.verifier.enclosure import Enclosure, grouped_sum, joined, row_sum
-from taichi_bearings.verifier.motion import length
-from taichi_bearings.verifier.samples import LAWS, LEAST_SCALE, MOST_SCALE, OfLaw, power_of_two
+from taichi_bearings.verifier.enclosure import Enclosure, grouped_sum, joined, length, row_sum
+from taichi_bearings.verifier.samples import LAWS, LEAST_SCALE, MOST_SCALE, OfLaw, Samples, power_of_two
 
 LEAST_SPEED = 1e-100  # of the fastest surface that is imposed
 
 
 @dataclass(frozen=True)
-class Network(OfLaw):
-    """N spheres, E contacts; D = 2 or 3, and C = 1 or 3 components. Speeds and forces are in units of powers of two.
+class StoredPacking(OfLaw):
+    """arrays by name: center (N, D), contact (E, 2), driven (N,), spin (N, 3) or (N,), radius (N,), normal (E, D),
+    friction, normal_force (E,) and, with the law coulomb-viscous, viscosity (E,). spin : of all spheres.
+    friction : (E, 3) or (E,)."""
 
-    law : a key of LAWS. place : (N, D). contact : (E, 2). normal : (E, D). free : (N,). speed_unit, force_unit.
-    spin : u by component, C enclosures (N,). friction : F on the second sphere, (E, C), 0 where nothing acts.
-    holding : mu F_n; slope : eta, (E,) enclosures, 0 where there is none. rolling : (N,) mask of free spheres whose
-    contacts can all roll, whatever the others do; None if nobody has looked for them.
+    law: str
+    arrays: dict[str, np.ndarray]
+    spin: np.ndarray
+    friction: np.ndarray
+    count = 1
+
+    @property
+    def is_finite(self) -> bool:
+        return bool(np.isfinite(self.spin).all() and np.isfinite(self.friction).all())
+
+
+@dataclass(frozen=True)
+class Network(OfLaw):
+    """R samples of N spheres and E contacts each, n = R N and m = R E in all; D = 2 or 3, and C = 1 or 3 components.
+
+    law : a key of LAWS. place : (n, D). contact : (2, m), numbers of the first and the second sphere. normal : (m, D).
+    free : (n,). speed_unit, force_unit : a power of two, but for the radius in the speeds of lattices.
+    spin : u by component, C enclosures (n,). moment : n x F by component, C enclosures (m,), 0 where nothing acts.
+    holding : mu F_n; slope : eta, (m,) enclosures, 0 where there is none. imposed : u of driven spheres by component,
+    0 for free ones, and on lattices measured from the bottom. friction : F on the second sphere, (m, C), of packings.
+    samples : of a lattice. rolling : (n,) mask of free spheres whose contacts can all roll, whatever the others do.
     """
 
     law: str
+    count: int
     place: np.ndarray
     contact: np.ndarray
     normal: np.ndarray
@@ -42,21 +64,64 @@ class Network(OfLaw):
     speed_unit: float
     force_unit: float
     spin: list[Enclosure]
-    friction: np.ndarray
+    moment: list[Enclosure]
     holding: Enclosure
     slope: Enclosure
+    imposed: list[Enclosure]
+    friction: np.ndarray
+    samples: Samples | None = None
     rolling: np.ndarray | None = None
 
     @classmethod
-    def of(
-        cls,
-        law: str,
-        packing: dict[str, np.ndarray],
-        spin: np.ndarray,
-        friction: np.ndarray,
-    ) -> Network | None:
-        """packing : arrays by name, as in a file. spin : (N, C) or (N,), of free spheres; friction : (E, C) or (E,).
-        None for numbers that are not finite, or of scales for which no arithmetic here is made."""
+    def of(cls, stored: Samples | StoredPacking) -> Network | None:
+        """None for numbers that are not finite, or of scales for which no arithmetic here is made."""
+        if isinstance(stored, StoredPacking):
+            return cls._of_packing(stored)
+        return cls.of_lattice(stored) if stored.can_be_judged else None
+
+    @classmethod
+    def of_lattice(cls, samples: Samples) -> Network:
+        count, shape, dimension = samples.count, samples.shape, samples.dimension
+        number = np.arange(count * samples.sublattice.size).reshape(count, *shape)
+        ends = [samples.ends(axis) for axis in range(dimension)]
+        contact = np.stack([samples.flat([number[e[side]] for e in ends]).ravel() for side in range(2)])
+        axis = samples.flat([np.full(c.shape, a) for a, c in enumerate(samples.coefficient)]).ravel()
+        coefficient = samples.flat(samples.coefficient).ravel()
+        acts = ~(np.tile(samples.driven_contacts, count) | (coefficient == 0))
+        nothing = np.broadcast_to(0.0, len(acts))  # takes no memory
+        zero = Enclosure(nothing, nothing, nothing)
+        strength, force = samples.normal_force if samples.holds else 1.0, samples.force_unit
+        unit, speed = power_of_two(strength), samples.radius * (samples.spin_unit / force)
+        holding = Enclosure.exact(coefficient / (force / unit)).times(np.array([strength / unit]))
+        viscosity = samples.flat(samples.viscosity).ravel() if samples.viscosity else coefficient
+        moment = [[np.zeros(c.shape) for c in samples.coefficient] for _ in samples.components]
+        for a, friction in enumerate(samples.friction):  # n x F
+            turned = {0: friction} if dimension == 2 else {
+                (a + 1) % 3: -friction[..., (a + 2) % 3], (a + 2) % 3: friction[..., (a + 1) % 3]
+            }  # fmt: skip
+            for k, part in turned.items():
+                moment[k][a] = part / force
+        moments_of = [np.where(acts, samples.flat(part).ravel(), 0.0) for part in moment]
+        sign = samples.sublattice.ravel()
+        on_top = np.zeros(shape)
+        on_top[..., -1] = 1.0
+        signs = np.tile(sign, count)
+        pairs = [[signs * part.ravel() for part in pair] for pair in samples.signed_spin.values()]
+        spin = [Enclosure(high, low, np.zeros(number.size)) for high, low in pairs]
+        jump = [samples.jump_over(k, dimension) for k in samples.components]
+        return cls(
+            samples.law, count, np.tile(np.indices(shape).reshape(dimension, -1).T, (count, 1)).astype(float), contact,
+            np.eye(dimension, dtype=np.int8)[axis], np.tile(samples.free.ravel(), count),
+            samples.radius * samples.spin_unit, force, spin,
+            [Enclosure(part, nothing, nothing) for part in moments_of], holding if samples.holds else zero,
+            Enclosure.exact(viscosity).times(np.array([speed])) if samples.flows else zero,
+            [j.signed(samples.sublattice * on_top)[0].reshaped((-1,)).at(number.ravel() % sign.size) for j in jump],
+            np.zeros((0, 0)), samples,
+        )  # fmt: skip
+
+    @classmethod
+    def _of_packing(cls, stored: StoredPacking) -> Network | None:
+        law, packing, spin, friction = stored.law, stored.arrays, stored.spin, stored.friction
         free, radius = packing["driven"] < 0, packing["radius"]
         count, contacts = len(free), len(packing["contact"])
         parts = spin.size // count
@@ -78,29 +143,36 @@ class Network(OfLaw):
         if not all((np.abs(values) < MOST_SCALE).all() for values in (spin, spin * radius[:, None], friction)):
             return None
         zero = Enclosure.exact(np.zeros(contacts))
+        moving = [Enclosure.exact(part).times(radius) for part in spin.T]
+        moment = moments([Enclosure.exact(part) for part in friction.T], packing["normal"])
         return cls(
-            law, packing["center"], packing["contact"], packing["normal"], free, speed, force,
-            [Enclosure.exact(part).times(radius) for part in spin.T], friction,
+            law, 1, packing["center"], packing["contact"].T, packing["normal"], free, speed, force, moving, moment,
             Enclosure.exact(packing["friction"] / force).times(packing["normal_force"]) if holds else zero,
             Enclosure.exact(slope * (speed / force)) if flows else zero,
+            [part.where(~free) for part in moving], friction,
         )  # fmt: skip
 
     @property
     def power_unit(self) -> float:
         return self.speed_unit * self.force_unit
 
+    @property
+    def components(self) -> range:
+        return range(len(self.spin))
+
     @cached_property
     def acts(self) -> np.ndarray:
-        """(E,) mask of contacts with a coefficient and a free end."""
-        return ((self.holding.high > 0) | (self.slope.high > 0)) & self.free[self.contact].any(axis=1)
+        """(m,) mask of contacts with a coefficient and a free end."""
+        return ((self.holding.high > 0) | (self.slope.high > 0)) & self.free[self.contact].any(axis=0)
 
     @cached_property
     def reached(self) -> np.ndarray:
-        """(N,) mask of free spheres in parts that touch driven spheres."""
-        first, second = self.contact[self._holding].T
+        """(n,) mask of free spheres in parts that touch driven spheres."""
+        if self._is_whole:
+            return self.free
+        first, second = self.contact[:, self._holding]
         inner, count = self.free[first] & self.free[second], len(self.free)
-        graph = sparse.csr_array((np.ones(inner.sum()), (first[inner], second[inner])), shape=(count, count))
-        label = connected_components(graph, directed=False)[1]
+        label = connected(first[inner], second[inner], count)
         touched = np.zeros(count, dtype=bool)
         for end, other in ((first, second), (second, first)):
             touched[label[end[self.free[end] & ~self.free[other]]]] = True
@@ -108,59 +180,283 @@ class Network(OfLaw):
 
     @cached_property
     def counts(self) -> np.ndarray:
-        """(E,) mask of the contacts that act there: others dissipate nothing at any minimum."""
-        return self._holding & self.reached[self.contact].any(axis=1)
+        """(m,) mask of the contacts that act there: others dissipate nothing at any minimum."""
+        return self._holding & self.reached[self.contact].any(axis=0)
 
     @cached_property
     def _holding(self) -> np.ndarray:
-        """(E,) mask of those that act and do not belong to rolling spheres."""
-        return self.acts if self.rolling is None else self.acts & ~self.rolling[self.contact].any(axis=1)
+        """(m,) mask of those that act and do not belong to rolling spheres."""
+        return self.acts if self.rolling is None else self.acts & ~self.rolling[self.contact].any(axis=0)
 
     @cached_property
     def box(self) -> np.ndarray:
         """(C,), largest size of each component of what is imposed."""
-        return np.array([part.most[~self.free].max(initial=0.0) for part in self.spin])
+        return np.array([part.most.max(initial=0.0) for part in self.imposed])
+
+    @property
+    def reach(self) -> list[Enclosure]:
+        """By component, (n,): some minimum has u of a free sphere between 0 and this, or that and its negative, where
+        components do not mix."""
+        if self.samples is None:
+            return [Enclosure.exact(np.full(len(self.free), size)) for size in self.box]
+        sign, whole = self.samples.sublattice, (self.count, *self.samples.shape)
+        jumps = [self.samples.jump_over(k, self.samples.dimension) for k in self.samples.components]
+        return [Enclosure(*(np.broadcast_to(p, whole).ravel() for p in j.signed(sign).parts)) for j in jumps]
 
     @cached_property
     def mixes(self) -> bool:
         """False where components do not mix: of discs, and of normals along the axes at all contacts that count."""
-        return self.normal.shape[1] == 3 and not ((self.normal[self.counts] != 0).sum(axis=1) == 1).all()
+        return self.samples is None and not self._along_axes
+
+    @property
+    def _along_axes(self) -> bool:
+        return self.normal.shape[1] == 2 or bool(((self.normal[self.counts] != 0).sum(axis=1) == 1).all())
+
+    @cached_property
+    def slips_with(self) -> np.ndarray:
+        """(C, m) mask of the components that contacts slip with, where components do not mix."""
+        return self.normal.T == 0 if len(self.spin) == 3 else np.ones((1, len(self.normal)), dtype=bool)
+
+    @cached_property
+    def feels(self) -> np.ndarray:
+        """The same of those that count."""
+        return self.counts & self.slips_with
+
+    @cached_property
+    def stretch(self) -> np.ndarray | None:
+        """(m,), length of the normals that are along axes; None where it is 1."""
+        sizes = np.abs(self.normal).max(axis=1) if len(self.spin) == 3 and self.samples is None else np.ones(1)
+        return None if (sizes == 1).all() else sizes
+
+    def stretched(self, values: Enclosure, some: np.ndarray) -> Enclosure:
+        return values if self.stretch is None else values.times(self.stretch[some])
+
+    def sample_of(self, contacts: np.ndarray) -> np.ndarray:
+        return contacts // (len(self.acts) // self.count)
+
+    def by_sample(self, values: Enclosure, contacts: np.ndarray) -> Enclosure:
+        """(R,), sums over some contacts."""
+        whole = Enclosure.exact(np.zeros(len(self.acts)))
+        whole.put(contacts, values)
+        return row_sum(whole.reshaped((self.count, -1)))
 
     def slips(self, spin: list[Enclosure]) -> list[Enclosure]:
-        """(u_i + u_j) x n by component, (E,) each."""
-        first, second = self.contact.T
-        return self._across([part.at(first) + part.at(second) for part in spin])
-
-    def _across(self, vectors: list[Enclosure]) -> list[Enclosure]:
-        """Vectors (E,) x n; those of discs as they are."""
-        if len(vectors) == 1:
-            return vectors
-        n = self.normal.T
-        turned = [(k + 1) % 3 for k in range(3)], [(k + 2) % 3 for k in range(3)]
-        return [vectors[a].times(n[b]) - vectors[b].times(n[a]) for a, b in zip(*turned, strict=True)]
-
-    def moments(self, friction: list[Enclosure]) -> list[Enclosure]:
-        """n x F by component, (E,) each: what turns both spheres of a contact."""
-        return [-part for part in self._across(friction)] if len(friction) == 3 else friction
-
-    def torques(self, friction: list[Enclosure]) -> list[Enclosure]:
-        """Their sums at each sphere, (N,) by component."""
-        ends = self.contact.T.ravel()
-        return [grouped_sum(joined([part, part]), ends, len(self.free)) for part in self.moments(friction)]
+        """(u_i + u_j) x n by component, (m,) each."""
+        first, second = self.contact
+        return across([part.at(first) + part.at(second) for part in spin], self.normal)
 
     @cached_property
     def slip(self) -> Enclosure:
-        """(E,), its size."""
-        return length(self.slips(self.spin))
+        """(m,), its size."""
+        if self.samples is None:
+            return length(self.slips(self.spin))
+        some, parts = np.flatnonzero(~self.still), []
+        for k in self.components:
+            own = np.flatnonzero(self.slips_with[k][some])
+            parts.append(Enclosure.exact(np.zeros(len(some))))
+            parts[-1].put(own, self.motion.difference(k, some[own]))
+        found = Enclosure.exact(np.zeros(len(self.acts)))
+        found.put(some, length(parts))
+        return found
 
     @cached_property
+    def still(self) -> np.ndarray:
+        """(m,) mask: no slip at all, exactly."""
+        (first, second), found = self.contact, np.ones(len(self.acts), dtype=bool)
+        for k in self.components:
+            for part in self.spin[k].parts[:2]:
+                found &= (part[first] == -part[second]) | ~self.slips_with[k]
+        return found
+
+    @cached_property
+    def motion(self) -> Motion:
+        """That of the spins of a lattice, in which contacts rest that do not slip at all."""
+        return Motion(self, self.still & self.acts)
+
+    @cached_property
+    def own_torques(self) -> list[Enclosure]:
+        """Sums of the following at each sphere, (n,) by component."""
+        return self.torques(self.own_moment)
+
+    @cached_property
+    def own_moment(self) -> list[Enclosure]:
+        """Of the contacts that count; of lattices in components that differ between the planes: others do no work."""
+        some = [self.counts & (size > 0 or self.samples is None) for size in self.box]
+        pairs = zip(self.moment, some, strict=True)
+        return [part if self._is_whole and mask.any() else part.where(mask) for part, mask in pairs]
+
+    @property
     def own_friction(self) -> list[Enclosure]:
-        """Of the contacts that count."""
-        return [Enclosure.exact(np.where(self.counts, part, 0.0)) for part in self.friction.T]
+        """The same by components of F; of lattices in space by the two across each contact."""
+        if self.samples is None:
+            return [Enclosure.exact(np.where(self.counts, part, 0.0)) for part in self.friction.T]
+        if len(self.moment) == 1:
+            return self.moment
+        axis, parts = np.argmax(self.normal, axis=1), [part.high for part in self.moment]
+        return [Enclosure.exact(np.choose((axis + turn) % 3, parts)) for turn in (1, 2)]
+
+    @cached_property
+    def _is_whole(self) -> bool:
+        """True of a lattice without absent contacts."""
+        return self.samples is not None and all(bool(c.all()) for c in self.samples.coefficient)
+
+    @property
+    def joins(self) -> np.ndarray:
+        """(R,), True if contacts lead from the bottom of a lattice to its top in a component in which both differ."""
+        assert self.samples is not None
+        if self._is_whole:
+            return np.full(self.count, self.samples.jump_size > 0)
+        return Motion(self, self.acts).torn
+
+    def torques(self, moment: list[Enclosure]) -> list[Enclosure]:
+        """Their sums at each sphere, (n,) by component."""
+        if self.samples is None:
+            return [grouped_sum(joined([part, part]), self.contact.ravel(), len(self.free)) for part in moment]
+        axis, found = np.argmax(self.normal, axis=1), [Enclosure.exact(np.zeros(len(self.free))) for _ in moment]
+        for own in (np.flatnonzero(axis == a) for a in range(self.normal.shape[1])):
+            for total, part in zip(found, moment, strict=True):
+                for end in self.contact[:, own] if part.high[own].any() else ():  # no sphere twice in either end
+                    total.put(end, total.at(end).plus(part.high[own]))
+        return found
+
+    @cached_property
+    def needed(self) -> list[int]:
+        """Components that some minimum needs: along the others nothing slips at any minimum."""
+        if self.samples is not None:
+            return [self.samples.components.index(k) for k in self.samples.needed]
+        return [k for k in self.components if self._is_needed(k)]
+
+    def signs(self, k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Parts that contacts join in component k: label (n,), mask of those with odd loops, and signs s by which
+        neighbours differ in the others."""
+        count, (first, second) = len(self.free), self.contact[:, self.feels[k]]
+        copy = connected(np.append(first, second), np.append(second, first) + count, 2 * count).reshape(2, -1)
+        return copy.min(axis=0), copy[0] == copy[1], np.where(copy[0] > copy[1], -1.0, 1.0)
+
+    @cached_property
+    def sign(self) -> list[np.ndarray]:
+        """(n,) by component, signs s by which neighbours differ, but in odd loops."""
+        if self.samples is not None:
+            return [np.tile(self.samples.sublattice.ravel(), self.count)] * len(self.spin)
+        return [self.signs(k)[2] for k in self.components]
+
+    def _is_needed(self, k: int) -> bool:
+        """False if component k can be such that nothing slips along it: then that is so at every minimum."""
+        label, odd, sign = self.signs(k)
+        own, held = self.imposed[k].signed(sign), ~self.free
+        values = np.stack([label, own.high, own.low])[:, held]
+        several = len(np.unique(values, axis=1).T) > len(np.unique(label[held]))
+        return bool(several or (odd[held] & (own.high[held] != 0)).any())
 
     def dissipated(self, of_slope: float, some: np.ndarray | None = None) -> Enclosure:
-        """(1,), friction times slip plus `of_slope`, a power of two, times damping times its square, of what acts."""
-        own = np.flatnonzero(self.acts if some is None else some)
+        """(R,), friction times slip plus `of_slope`, a power of two, times damping times its square, of what acts."""
+        held, flows = self._dissipated if some is None else self._sums(some)
+        return held + flows.signed(of_slope)
+
+    @cached_property
+    def _dissipated(self) -> tuple[Enclosure, Enclosure]:
+        return self._sums(self.acts)
+
+    def _sums(self, some: np.ndarray) -> tuple[Enclosure, Enclosure]:
+        """(R,) each, of friction times slip and of damping times its square."""
+        own, nothing = np.flatnonzero(some & (self.slip.most > 0)), Enclosure.exact(np.zeros(self.count))
         slip = self.slip.at(own)
-        parts = self.holding.at(own) * slip + (self.slope.at(own) * slip * slip).signed(of_slope)
-        return row_sum(parts.reshaped((1, -1)))
+        held = self.by_sample(self.holding.at(own) * slip, own) if self.holds else nothing
+        return held, self.by_sample(self.slope.at(own) * slip * slip, own) if self.flows else nothing
+
+
+def connected(first: np.ndarray, second: np.ndarray, size: int) -> np.ndarray:
+    """(size,), number of the connected part of each node."""
+    graph = sparse.csr_array((np.ones(len(first), dtype=np.int8), (first, second)), shape=(size, size))
+    return connected_components(graph, directed=False)[1]
+
+
+def across(vectors: list[Enclosure], normal: np.ndarray) -> list[Enclosure]:
+    """Vectors (m,) x n; those of discs as they are."""
+    if len(vectors) == 1:
+        return vectors
+    n = normal.T
+    turned = [(k + 1) % 3 for k in range(3)], [(k + 2) % 3 for k in range(3)]
+    return [vectors[a].times(n[b]) - vectors[b].times(n[a]) for a, b in zip(*turned, strict=True)]
+
+
+def moments(friction: list[Enclosure], normal: np.ndarray) -> list[Enclosure]:
+    """n x F by component, (m,) each."""
+    return friction if len(friction) == 1 else [-part for part in across(friction, normal)]
+
+
+@dataclass(frozen=True)
+class Motion:
+    """The spins of a network whose components do not mix, as unknowns: spheres that contacts without slip join are a
+    domain of a component. rests : (m,) mask of these contacts.
+
+    On a lattice driven spheres of one plane and layer are of one domain. There stored spins are exact, and what is
+    imposed on the top is not quite what is stored: it is far below the rounding of the spins and yet not of the
+    smallest slips.
+    """
+
+    network: Network
+    rests: np.ndarray
+
+    @cached_property
+    def _found(self) -> dict[int, np.ndarray]:
+        return {}
+
+    def domain(self, k: int) -> np.ndarray:
+        """(n,), number of the domain of each sphere in component k; of lattices 0 for all that turns with the bottom, 1
+        with the top."""
+        if k not in self._found:
+            self._found[k] = self._domain(k)
+        return self._found[k]
+
+    def _domain(self, k: int) -> np.ndarray:
+        network, samples = self.network, self.network.samples
+        first, second = network.contact[:, self.rests & network.slips_with[k]]
+        if samples is None:
+            return connected(first, second, len(network.free))
+        held, turns_as = np.flatnonzero(~network.free), samples.anchor(samples.components[k])
+        label = connected(np.append(first, held), np.append(second, turns_as[held]), len(network.free))
+        whole = label.reshape(samples.count, *samples.shape)
+        planes = samples.first_in_layers(whole, samples.components[k])
+        found = np.where(whole == planes[..., :1], 0, np.where(whole == planes[..., -1:], 1, whole + 2))
+        return found.ravel()
+
+    @cached_property
+    def torn(self) -> np.ndarray:
+        """(R,), True if contacts without slip join driven spheres that turn otherwise: impossible."""
+        network, found = self.network, np.zeros(self.network.count, dtype=bool)
+        held = np.flatnonzero(~network.free)
+        for k in (k for k in network.components if network.imposed[k].high.any()):
+            own, domain = network.imposed[k].signed(network.sign[k]).at(held), self.domain(k)[held]
+            model = np.zeros(int(domain.max(initial=0)) + 1, dtype=np.int64)
+            model[domain] = np.arange(len(held))
+            if network.samples is not None:  # domains of all samples have the numbers 0 and 1
+                differs = (domain == 0) & (own.high != 0)
+            else:
+                differs = np.any([part != part[model[domain]] for part in own.parts[:2]], axis=0)
+            found[held[differs] // (len(network.free) // network.count)] = True
+        return found
+
+    def difference(self, k: int, some: np.ndarray) -> Enclosure:
+        """Of signed spins, of some contacts that feel component k."""
+        network, samples, (first, second) = self.network, self.network.samples, self.network.contact[:, some]
+        own, found = network.spin[k].signed(network.sign[k]), Enclosure.exact(np.zeros(len(some)))
+        if samples is not None and not (network.box[k] or samples.shift[samples.components[k]].most.any()):
+            apart = (own.high[first] != own.high[second]) | (own.low[first] != own.low[second])
+            ends = np.zeros((2, len(some)), dtype=np.int8)  # nothing turns with a top that turns as the bottom
+        else:
+            domain = self.domain(k)
+            ends = domain[network.contact[:, some]]
+            apart = ends[0] != ends[1]
+            if samples is None:  # a domain turns as one of its driven spheres does, or as the first of the others
+                held, model = np.flatnonzero(~network.free), np.unique(domain, return_index=True)[1]
+                model[domain[held]] = held
+                own = own.at(model[domain])
+        differ = np.flatnonzero(apart)
+        found.put(differ, own.at(second[differ]) - own.at(first[differ]))
+        if samples is not None:  # the top turns as it should
+            sign = (ends[1] == 1) * 1.0 - (ends[0] == 1)
+            at_top = np.flatnonzero(sign)
+            shift = samples.shift[samples.components[k]].at(first[at_top])
+            found.put(at_top, found.at(at_top) + shift.signed(sign[at_top]))
+        return found

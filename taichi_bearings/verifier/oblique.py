@@ -21,12 +21,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
+from taichi_bearings.verifier.bounds import Bounds
 from taichi_bearings.verifier.curvature import proven_floor
 from taichi_bearings.verifier.elimination import EPS, Elimination
-from taichi_bearings.verifier.enclosure import UP, Enclosure
-from taichi_bearings.verifier.motion import length
-from taichi_bearings.verifier.network import Network
-from taichi_bearings.verifier.network_bounds import Bounds, slip_rows
+from taichi_bearings.verifier.enclosure import UP, Enclosure, length
+from taichi_bearings.verifier.network import Network, moments
+from taichi_bearings.verifier.springs import slip_rows
 
 MOVING = 1e-10  # of the fastest imposed component, above which a contact is taken to slip
 NEARLY = 1e-11  # of it, up to which a spin may be the one that it is taken to be
@@ -68,7 +68,7 @@ class _Held:
     @classmethod
     def of(cls, network: Network, number: np.ndarray, rests: np.ndarray) -> _Held | None:
         taken, pinned = _as_taken(network, rests)
-        first, second = network.contact.T
+        first, second = network.contact
         stiff = np.inf
         for _ in range(MOST_ROUNDS):
             spin = [Enclosure(*(np.where(pinned, a, b) for a, b in zip(t.parts, p.parts, strict=True)))
@@ -104,10 +104,10 @@ def _numbered(mask: np.ndarray) -> np.ndarray:
 def _still(network: Network, spin: list[Enclosure]) -> np.ndarray:
     """(E,) True where (u_i + u_j) x n is exactly 0: where the sum is, or is of doubles whose products with the normal
     are equal bit by bit. u = R omega is exactly a sum of two doubles."""
-    still, nothing = np.ones((2, len(network.contact)), dtype=bool)
+    still, nothing = np.ones((2, network.contact.shape[1]), dtype=bool)
     sums, n = [], network.normal.T
     for part in spin:
-        one, two = (part.at(end) for end in network.contact.T)
+        one, two = (part.at(end) for end in network.contact)
         nothing &= (one.high == -two.high) & (one.low == -two.low) & _clear(one.high)
         sums.append(one + two)
         still &= (one.low == 0) & (two.low == 0) & (sums[-1].low == 0)
@@ -129,7 +129,8 @@ def _as_taken(network: Network, rests: np.ndarray) -> tuple[list[Enclosure], np.
     spin, near = np.stack([part.value for part in network.spin], axis=1), NEARLY * network.box.max()
     pinned = network.reached & (np.abs(spin) <= near).all(axis=1)
     high, low = (np.stack([np.where(pinned, 0.0, getattr(p, name)) for p in network.spin]) for name in ("high", "low"))
-    known, pairs = pinned | ~network.free, np.concatenate([network.contact[rests], network.contact[rests][:, ::-1]])
+    ends = network.contact[:, rests]
+    known, pairs = pinned | ~network.free, np.append(ends, ends[::-1], axis=1).T
     pairs = pairs[(np.abs(spin[pairs].sum(axis=1)) <= near).all(axis=1)]
     while (passed := known[pairs[:, 0]] & ~known[pairs[:, 1]]).any():
         source, to = pairs[passed].T
@@ -174,7 +175,7 @@ def _floor_of_slips(network: Network, number: np.ndarray, contacts: np.ndarray) 
     columns.eliminate_zeros()
     if columns.shape[1] > columns.shape[0] or (np.bincount(columns.indices, minlength=columns.shape[1]) == 0).any():
         return None
-    place = network.place[network.contact[chosen % count, 0]].T
+    place = network.place[network.contact[0, chosen % count]].T
     return proven_floor(columns, _doubt(columns), Elimination.of((columns.T @ columns).tocsc(), place), True)
 
 
@@ -226,13 +227,13 @@ def _nearby(bounds: Bounds, held: _Held, slides: np.ndarray) -> tuple[np.ndarray
     size, strength = length(slips).at(own), network.holding.at(own)
     if not (size.least > 0).all():
         return None
-    ends, there = network.contact[own], number >= 0
+    ends, there = network.contact[:, own].T, number >= 0
     missed = np.sqrt(sum((part.most[held.rests & ~held.among] ** 2).sum() for part in slips))
     off = missed / held.loose * UP if missed else 0.0  # of spins in V from the given ones
     wrong = length(
         [f.at(own) - strength * (s.at(own) / size) for f, s in zip(bounds.friction, slips, strict=True)]
     ).most
-    left = np.stack([part.most for part in network.torques(bounds.friction)], axis=1)
+    left = np.stack([part.most for part in network.torques(moments(bounds.friction, network.normal))], axis=1)
 
     def unbalanced(turn: np.ndarray) -> np.ndarray:
         """Sizes (unknowns,) of torques, where slips (S,) turn by such a share."""
@@ -264,7 +265,7 @@ def _nearby(bounds: Bounds, held: _Held, slides: np.ndarray) -> tuple[np.ndarray
     # step 3
     torque = unbalanced(turn)
     by_left = float(np.linalg.norm(torque[held.left])) / held.loose * UP if np.isfinite(held.loose) else 0.0
-    most = np.sqrt(2 * np.bincount(network.contact[network.counts].ravel()).max())
+    most = np.sqrt(2 * np.bincount(network.contact[:, network.counts].ravel()).max())
     by_pinned = (float(np.linalg.norm(torque[held.pinned])) + most * by_left) / held.stiff * UP**2
     room = (network.holding - length(bounds.friction)).lower()[still]
     if not (room > np.where(held.among[still], by_pinned, by_left) * UP).all():

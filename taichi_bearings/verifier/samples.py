@@ -12,6 +12,8 @@ another: what is said of a component is said layer by layer.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from decimal import Decimal, localcontext
 from functools import cached_property
@@ -25,6 +27,7 @@ DIGITS = 300
 LEAST_SCALE, MOST_SCALE = 1e-60, 1e60  # scales of a sample
 LEAST_JUMP = 1e-140  # component of the jump, of the whole
 SLIPLESS, SLIPPING, UNPROVEN, TIED, CRITICAL = 0, 1, 2, 4, 5  # what can be proven of a contact (states.py)
+DRIVEN_STATE = 3  # of a contact that takes no part, in files
 Index = tuple[Any, ...]
 LAWS = {"coulomb": (True, False), "viscous": (False, True), "coulomb-viscous": (True, True)}
 """Law -> does a contact bear a force without slipping, and does its force grow with the slip."""
@@ -34,6 +37,7 @@ class OfLaw:
     """What follows from a law, a key of LAWS."""
 
     law: str
+    is_lattice = False
 
     @property
     def holds(self) -> bool:
@@ -80,6 +84,7 @@ class Samples(OfLaw):
     top: tuple[float, ...] | None = None
     bottom: tuple[float, ...] | None = None
     periodic: tuple[int, ...] = ()
+    is_lattice = True
 
     @property
     def count(self) -> int:
@@ -229,12 +234,9 @@ class Samples(OfLaw):
 
     @cached_property
     def force_unit(self) -> float:
-        """A power of two near the largest coefficient, times the normal force for friction."""
-        return power_of_two(max(float(c.max()) for c in self.coefficient) * self._strength)
-
-    @property
-    def _strength(self) -> float:
-        return self.normal_force if self.holds else 1.0
+        """A power of two near the largest friction, or without friction near the force of damping at `spin_unit`."""
+        strength = self.normal_force if self.holds else power_of_two(self.radius * self.spin_unit)
+        return power_of_two(max(float(c.max()) for c in self.coefficient) * strength)
 
     @cached_property
     def sublattice(self) -> np.ndarray:
@@ -266,53 +268,38 @@ class Samples(OfLaw):
         return np.asarray(values[where])
 
     @cached_property
-    def strength(self) -> tuple[Enclosure, ...]:
-        """Friction that a contact can bear, or its damping, in units of `force_unit`; (R, *contacts) an axis."""
-        unit = power_of_two(self._strength)
-        factor, scale = np.array([self._strength / unit]), self.force_unit / unit
-        return tuple(Enclosure.exact(values / scale).times(factor) for values in self.coefficient)
+    def free(self) -> np.ndarray:
+        """(*N,) mask."""
+        mask = np.ones(self.shape, dtype=bool)
+        mask[..., [0, -1]] = False
+        return mask
+
+    def anchor(self, component: int) -> np.ndarray:
+        """(R * N,), the sphere that each turns as along a component: itself, or the first of its plane and layer."""
+        number = np.arange(self.count * self.free.size).reshape(self.count, *self.shape)
+        number[..., [0, -1]] = self.first_in_layers(number, component)[..., [0, -1]]
+        return number.ravel()
 
     @cached_property
-    def slope(self) -> tuple[Enclosure, ...]:
-        """Force of a viscous contact over the difference of its signed spins, in units of force and spin, of laws that
-        have it; (R, *contacts) an axis. Without friction the unit of force is that of damping times radius * spin."""
-        if not self.holds:
-            return self.strength
-        factor = np.array([self.radius * (self.spin_unit / self.force_unit)])
-        return tuple(Enclosure.exact(values).times(factor) for values in self.viscosity)
-
-    @cached_property
-    def turning(self) -> tuple[dict[int, np.ndarray], ...]:
-        """n x F of every contact by component, in units of `force_unit`: both its spheres feel -R times that."""
-        found = []
-        for axis, values in enumerate(self.friction):
-            absent = self.coefficient[axis] == 0  # these bear no force, whatever is stored
-            values = np.where(absent if self.dimension == 2 else absent[..., None], 0.0, values / self.force_unit)
-            if self.dimension == 2:
-                found.append({2: values})
-                continue
-            first, second = (axis + 1) % 3, (axis + 2) % 3
-            found.append({first: -values[..., second], second: values[..., first]})
-        return tuple(found)
-
-    @cached_property
-    def torques(self) -> dict[int, Enclosure]:
-        """Sum of that over the contacts of each sphere but those between driven ones, (R, *N) by component: of those
-        that differ between the planes."""
-        return {k: self._torques(k) for k in self.components if self.jumps(k)}
-
-    def _torques(self, component: int) -> Enclosure:
-        total = Enclosure.exact(np.zeros((self.count, *self.shape)))
-        for axis, turning in enumerate(self.turning):
-            if component in turning:
-                pull = turning[component]
-                if axis != self.dimension - 1:
-                    pull = pull.copy()
-                    pull[..., [0, -1]] = 0.0
-                for end in self.ends(axis):
-                    for whole, part in zip(total.parts, total[end].plus(pull).parts, strict=True):
-                        whole[end] = part
-        return total
+    def shift(self) -> dict[int, Enclosure]:
+        """(R * N,) by component, what the signed spin of the top in the layer of each sphere, as stored, lacks of the
+        imposed one, measured from the bottom."""
+        found, places = {}, np.indices(self.shape)
+        with localcontext() as context:
+            context.prec = DIGITS
+            for k, stored in self.signed_spin.items():
+                jump = self.exact_jump[k]
+                first = [self.first_in_layers(part, k).reshape(self.count, -1, part.shape[-1]) for part in stored]
+                corners = np.stack([part[:, : len(jump), end] for part in first for end in (0, -1)], axis=-1)
+                missing = [
+                    jump[layer] - sum(sign * Decimal(float(v)) for sign, v in zip((-1, 1, -1, 1), of_one, strict=True))
+                    for of_sample in corners
+                    for layer, of_one in enumerate(of_sample)
+                ]
+                of_layers = Enclosure.of_decimals(missing)
+                place = np.arange(self.count)[:, None] * len(jump) + (places[k].ravel() if len(jump) > 1 else 0)
+                found[k] = of_layers.at(np.broadcast_to(place, (self.count, self.free.size)).ravel())
+        return found
 
     def between_driven(self, axis: int) -> np.ndarray:
         """Mask (R, *contacts) of those that join two driven spheres."""
@@ -321,19 +308,24 @@ class Samples(OfLaw):
             mask[..., [0, -1]] = True
         return mask
 
-    @cached_property
-    def absent(self) -> tuple[np.ndarray, ...]:
-        """Masks (R, *contacts) an axis of contacts with a coefficient of 0."""
-        return tuple(values == 0 for values in self.coefficient)
+    @property
+    def driven_contacts(self) -> np.ndarray:
+        """Mask (E,) of those that join two driven spheres."""
+        return self.flat([self.between_driven(axis) for axis in range(self.dimension)])[0]
+
+    def flat(self, of_axes: Iterable[np.ndarray]) -> np.ndarray:
+        """(R, E) from arrays (R, *contacts) an axis: all contacts along x, then y, then z."""
+        return np.concatenate([values.reshape(self.count, -1) for values in of_axes], axis=1)
+
+    def by_axis(self, values: np.ndarray) -> list[np.ndarray]:
+        """Of (..., E) an array (..., *contacts) an axis."""
+        shapes = [of.shape[1:] for of in self.coefficient]
+        ends = np.cumsum([math.prod(shape) for shape in shapes])[:-1]
+        return [of.reshape(*values.shape[:-1], *n) for of, n in zip(np.split(values, ends, -1), shapes, strict=True)]
 
     @property
-    def lacks(self) -> bool:
-        """True if any contact is absent."""
-        return any(bool(absent.any()) for absent in self.absent)
-
-    def idle(self, axis: int) -> np.ndarray:
-        """Those between driven spheres, and those that are absent."""
-        return self.between_driven(axis) | self.absent[axis]
+    def is_finite(self) -> bool:
+        return all(np.isfinite(values).all() for values in (self.spin, self.spin_rounding, *self.friction))
 
     def ends(self, axis: int) -> tuple[Index, Index]:
         """Selections of the lower and of the upper spheres of the contacts along `axis`, no sphere twice in either.

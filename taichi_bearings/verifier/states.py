@@ -16,147 +16,200 @@ With one component (all of 2D, and cubic lattices driven about x or y) step 1 ha
 mixtures of lightest cuts, and friction in balance leaves room on them for no more than the gap G between the bounds: a
 cut that crosses from u to v has mu F_n - f <= G there. Spheres from which and to which one can go with more room than G
 are on one side of every lightest cut. That decides contacts one by one, ties or not.
+
+Any network. At any minimum all contacts together have sum phi(y) + phi*(F) - F . y <= E, the excess of the potential of
+the given spins over what the friction proves. So with damping eta no slip is further than (2 E / eta)^1/2 from the
+given one. One component alone may have many imposed values (then each step between them has its cuts) and odd loops
+(then the cuts are those of the double cover, each sphere with either sign). Where components mix the minimum is
+enclosed (oblique.py). Where that fails, a slip y* that is b
+across its friction has mu F_n b^2 / (2 |y*|) <= mu F_n |y*| - F . y*, and one with the room m has m |y*|: a quadratic
+form of y* that is at most E, and of the given slips as well. Its floor, by an elimination, says how far minima are.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import breadth_first_order, connected_components
 
 from taichi_bearings.verifier.balance import bearable
+from taichi_bearings.verifier.bounds import PROVEN, Bounds
 from taichi_bearings.verifier.curvature import Slipping, nearest_minimum
+from taichi_bearings.verifier.elimination import EPS
 from taichi_bearings.verifier.enclosure import UP, Enclosure, joined
-from taichi_bearings.verifier.motion import Motion, whole_planes
-from taichi_bearings.verifier.samples import SLIPLESS, SLIPPING, UNPROVEN, Samples
+from taichi_bearings.verifier.network import Motion, Network, connected, moments
+from taichi_bearings.verifier.oblique import enclosed_minimum
+from taichi_bearings.verifier.samples import DRIVEN_STATE, SLIPLESS, SLIPPING, UNPROVEN
+from taichi_bearings.verifier.springs import Springs, slip_rows
 from taichi_bearings.verifier.ties import MISSED_LIMIT, tied_states
 
 PROVEN_AT_ONCE = 200_000  # spheres of the samples that are proven at once, at most
+MOST_LEVELS = 100  # steps of imposed values of a part that are looked at, the largest
+STILL = 1e-12  # of the fastest imposed component, below which slips of packings may be none
+AT_REST = 1e-9  # of the fastest imposed component, up to which a slip may well be none
+CLEAR_ROOM = 1e-3  # of its friction, from which a contact may well rest
+STIFFEST = 1e4  # stiffness of what rests, over that of what slips
+PASSES = 2
 
 
 @dataclass(frozen=True)
 class States:
-    """Of one sample. proven : one array (*contacts,) an axis of UNPROVEN, SLIPLESS, SLIPPING, CRITICAL (slips at no
-    minimum, at the limit of this friction) or TIED (slips at some minima, rests at others). unique : is there only
-    one minimum? None if that is not known. reason : why not all is proven, or "".
+    """Of one sample. proven : (E,) of UNPROVEN, SLIPLESS, SLIPPING, CRITICAL (slips at no minimum, at the limit of this
+    friction) or TIED (slips at some minima, rests at others). unique : is there only one minimum? None if that is not
+    known. reason : why not all is proven, or "".
     """
 
-    proven: tuple[np.ndarray, ...]
+    proven: np.ndarray
     unique: bool | None
     reason: str = ""
 
-    def agree(self, claimed: list[np.ndarray]) -> bool:
-        """True if each contact is proven to slip at every minimum or at none, as claimed: states (*contacts,) an axis,
-        0 slipless, 1 slipping, 3 driven."""
-        pairs = zip(self.proven, claimed, strict=True)
-        return all(bool(((p == np.where(c == 3, SLIPLESS, c)) & (p <= SLIPPING)).all()) for p, c in pairs)
+    def agree(self, claimed: np.ndarray) -> bool:
+        """True if each contact is proven to slip at every minimum or at none, as claimed: (E,), 0 slipless, 1 slipping,
+        3 takes no part."""
+        return bool((((self.proven == claimed) & (self.proven <= SLIPPING)) | (claimed == DRIVEN_STATE)).all())
 
 
-def proven_states(motion: Motion, gap: np.ndarray) -> list[States]:
-    """gap : (R,), objective of the spins less the work of the friction, price of its torques paid (Coulomb), or less
-    the lower bound (viscous contacts); rounded up, in the units of `Motion.power`."""
-    samples = motion.samples
-    if samples.flows:
-        return _by_distance(motion, gap)
-    if not samples.needed:
-        return [States(tuple(np.full(c.shape[1:], SLIPLESS) for c in samples.coefficient), True)] * samples.count
-    decided = _by_cuts(motion, gap) if len(samples.needed) == 1 else _by_curvature(motion)
-    idle = {k: _rests(motion, k) for k in set(samples.components) - set(samples.needed)}
-    found = []
-    for number, states in enumerate(decided):
-        varies = [k for k, rests in idle.items() if not rests[number]]
-        if motion.torn[number]:
-            states = _nothing(samples, "contacts without slip join the two driven planes")
-        elif varies:
-            states = _nothing(
-                samples, f"the spin component about {'xyz'[varies[0]]} varies, which it does at no minimum"
-            )
-        found.append(states)
-    return found
+@np.errstate(all="ignore")  # what is not finite proves nothing
+def proven_states(bounds: Bounds, slip_bound: np.ndarray) -> list[States]:
+    """slip_bound : (m,), that no slip of any minimum exceeds, in units of speed; of packings improved in place."""
+    network, lattice = bounds.network, bounds.network.samples is not None
+    rests = ~network.counts | (bounds.upper == 0)[network.sample_of(np.arange(len(network.acts)))]
+    if bounds.proof != PROVEN:
+        found = _nothing(network, "the bound is proven of some spins alone")
+    elif network.flows:
+        far = np.sqrt(2 * bounds.excess[network.sample_of(np.arange(len(rests)))] / network.slope.least) * UP
+        known = _apart(network, slip_bound, far)
+        found = _samples(network, known, "slips are small, or nothing is known of what bears no viscosity", True)
+    elif network.mixes and (near := enclosed_minimum(bounds)) is not None:
+        slides, far = near
+        most = np.where(slides, network.slip.most + far, 0.0)
+        slip_bound[network.counts] = np.fmin(slip_bound, most)[network.counts]
+        found = _samples(network, np.where(slides & network.counts, SLIPPING, SLIPLESS), "", None)
+    elif network.mixes:
+        known = _apart(network, slip_bound, _by_cones(bounds))
+        found = _samples(network, known, "minima are not known closely enough", None)
+    elif not network.needed:
+        slip_bound[network.counts] = 0.0
+        found = _samples(network, np.full(len(rests), SLIPLESS), "", True)
+    else:
+        found = (
+            _by_cuts(bounds, network.needed[0], slip_bound)
+            if len(network.needed) == 1
+            else _by_curvature(network, slip_bound)
+        )
+        found = _unless_torn(network, found) if lattice else found
+    told = []
+    for states, rest, acts, bound in zip(
+        found, *(v.reshape(network.count, -1) for v in (rests, network.acts, slip_bound)), strict=True
+    ):
+        proven, reason = states.proven, states.reason
+        if not lattice:
+            proven = np.where(rest, SLIPLESS, proven)
+            bound[acts & (proven == SLIPLESS)] = 0.0
+            bound[:] = np.where(np.isnan(bound) | ~acts, np.inf, bound) * UP
+            slow = int((bound[acts & (proven == UNPROVEN)] <= AT_REST * network.box.max(initial=0.0)).sum())
+            reason += f"; {slow:,} of these slip by no more than {AT_REST:.0e} of the fastest imposed" if slow else ""
+        open_ = bool((acts & (proven == UNPROVEN)).any())
+        told.append(States(proven, states.unique if lattice else None, reason if open_ else ""))
+    return told
 
 
-def _nothing(samples: Samples, reason: str) -> States:
-    return States(tuple(np.full(c.shape[1:], UNPROVEN) for c in samples.coefficient), None, reason)
+def _samples(network: Network, states: np.ndarray, reason: str, unique: bool | None) -> list[States]:
+    """States (m,) sample by sample."""
+    return [States(own, unique, reason) for own in states.reshape(network.count, -1)]
 
 
-def _rests(motion: Motion, component: int) -> np.ndarray:
-    """(R,), True if a component that the driving does not need is equal at both ends of every contact that feels it."""
-    samples, rests = motion.samples, np.ones(motion.samples.count, dtype=bool)
-    for axis in range(samples.dimension):
-        if component in samples.felt(axis):
-            low, high = samples.ends(axis)
-            for part in samples.signed_spin[component]:
-                even = (part[low] == part[high]) | samples.absent[axis]
-                rests &= even.reshape(samples.count, -1).all(axis=1)
-    return rests
+def _nothing(network: Network, reason: str) -> list[States]:
+    return _samples(network, np.full(len(network.acts), UNPROVEN), reason, None)
 
 
-def _by_distance(motion: Motion, gap: np.ndarray) -> list[States]:
-    """Viscous: the objective exceeds the least one by share / 2 times the sum of eta |z - z*|^2, whatever friction
-    there is: slips that would cost more do not end."""
-    found = []
-    half = motion.samples.share / 2
-    for axis, (slips, size, slope) in enumerate(zip(motion.slips, motion.size, motion.samples.slope, strict=True)):
-        states = np.where(motion.samples.idle(axis), SLIPLESS, UNPROVEN)
-        costs = half * slope.at(slips.own).least * size.least**2 / UP
-        states.put(slips.own, np.where(costs > gap[slips.sample], SLIPPING, UNPROVEN))
-        found.append(states)
-    return [States(tuple(states[r] for states in found), True) for r in range(motion.samples.count)]
+def _unless_torn(network: Network, found: list[States]) -> list[States]:
+    """But nothing is proven of a lattice on which something moves as it does at no minimum."""
+    assert network.samples is not None
+    varies: dict[str, np.ndarray] = {}
+    for k in set(network.components) - set(network.needed):
+        first, second = network.contact[:, network.feels[k]]
+        even = np.ones(len(network.acts), dtype=bool)
+        even[network.feels[k]] = np.all([p[first] == -p[second] for p in network.spin[k].parts[:2]], axis=0)
+        varies["xyz"[network.samples.components[k]]] = np.asarray(~even.reshape(network.count, -1).all(axis=1))
+    checked = []
+    for number, states in enumerate(found):
+        reasons = [
+            f"the spin component about {k} varies, which it does at no minimum" for k, v in varies.items() if v[number]
+        ]
+        if network.motion.torn[number]:
+            reasons = ["contacts without slip join the two driven planes"]
+        checked.append(States(np.full_like(states.proven, UNPROVEN), None, reasons[0]) if reasons else states)
+    return checked
 
 
-def _by_cuts(motion: Motion, gap: np.ndarray) -> list[States]:
-    """One component: what is on the same side, or on opposite sides, of all lightest cuts."""
-    samples = motion.samples
-    (k,) = samples.needed
-    place, jump = whole_planes(samples, k), samples.jump_over(k, samples.dimension)
-    sign = samples.sublattice[None] * np.where(jump.high > 0, 1.0, -1.0)
-    flat = np.broadcast_to(jump.most == 0, place.shape)  # layers without a jump: nothing slips there at any minimum
-    least = np.broadcast_to(jump.least, place.shape)
-    below, above, up, down, owner, drop = [], [], [], [], [], []
-    for axis in range(samples.dimension):
-        if k in samples.felt(axis):
-            low, high = samples.ends(axis)
-            bears = Enclosure.exact(sign[high] * samples.turning[axis][k])
-            up.append((samples.strength[axis] - bears).reshaped((-1,)))
-            down.append((samples.strength[axis] + bears).reshaped((-1,)))
-            below.append(place[low].ravel())
-            above.append(place[high].ravel())
-            owner.append(np.repeat(np.arange(samples.count), bears.high[0].size))
-            drop.append(least[low].ravel())
-    lower, upper, of_sample, of_layer = (np.concatenate(parts) for parts in (below, above, owner, drop))
-    slack = joined(up), joined(down)
-    beyond = sum(np.maximum(s.error - s.high - s.low, 0.0) for s in slack)
-    excess = np.bincount(of_sample, beyond, samples.count)
-    left = np.maximum(gap, 0.0) + (jump.most.max() * excess * UP if samples.is_layered else 0.0)  # of other layers
-    with np.errstate(divide="ignore", invalid="ignore"):  # nothing holds where there is no jump
-        room = (left[of_sample] / of_layer + excess[of_sample]) * UP
-    # with more room than all have together: if the first sphere is above a lightest cut, so is the second
-    held = [s.least * (s.high > 0) > room for s in slack]
-    first = np.concatenate([upper[held[0]], lower[held[1]]])
-    second = np.concatenate([lower[held[0]], upper[held[1]]])
-    size = place.size
-    follows = sparse.csr_array((np.ones(len(first), dtype=np.int8), (first, second)), shape=(size, size))
-    together = connected_components(follows, directed=True, connection="strong")[1]
-    bottom, top = (np.unique(place[..., end][~flat[..., end]]) for end in (0, -1))
-    is_above, is_below = reached(follows, top), reached(follows.T.tocsr(), bottom)
-    contradicts = np.bincount(bottom // samples.sublattice.size, is_above[bottom], samples.count) > 0
-    found = []
-    for axis, coefficient in enumerate(samples.coefficient):
-        a, b = (place[end] for end in samples.ends(axis))
-        alike = (together[a] == together[b]) | (is_above[a] & is_above[b]) | (is_below[a] & is_below[b])
-        alike |= flat[samples.ends(axis)[0]]
-        apart = (is_above[a] & is_below[b]) | (is_below[a] & is_above[b])
-        states = np.where(alike | samples.absent[axis], SLIPLESS, np.where(apart, SLIPPING, UNPROVEN))
-        found.append(states if k in samples.felt(axis) else np.full(coefficient.shape, SLIPLESS))
-    done = ~np.any([(states == UNPROVEN).reshape(samples.count, -1).any(axis=1) for states in found], axis=0)
-    return [
-        States(tuple(states[r] for states in found), True if done[r] else None, "" if done[r] else "cuts (nearly) tie")
-        if not contradicts[r]
-        else _nothing(samples, "the friction contradicts itself")
-        for r in range(samples.count)
-    ]
+def _apart(network: Network, bound: np.ndarray, far: np.ndarray) -> np.ndarray:
+    """far : (m,), that slips of minima differ by at most from the given ones."""
+    if network.samples is None:
+        bound[network.counts] = np.fmin(bound, network.slip.most + far)[network.counts]
+    slips = network.counts & (network.slip.least > far)
+    return np.where(slips, SLIPPING, np.where(network.acts, UNPROVEN, SLIPLESS))
+
+
+def _by_cuts(bounds: Bounds, k: int, bound: np.ndarray) -> list[States]:
+    """One component: what is on one side of the lightest cuts of all steps, or on two of those of one; part by part,
+    sample by sample."""
+    network, count = bounds.network, len(bounds.network.free)
+    own = np.flatnonzero(network.feels[k])
+    (first, second), sample = network.contact[:, own], network.sample_of(own)
+    label, odd, sign = network.signs(k)
+    pull = network.moment[k].at(own)
+    if (bounds.worst > 1).any():
+        pull = pull / Enclosure.exact(bounds.worst[sample])
+    strength = network.stretched(network.holding.at(own), own)
+    held = np.unique(network.contact[:, own])
+    held = held[~network.free[held]]
+    is_double = bool(odd[first].any())
+    if is_double:  # u_i + u_j is high less low, in either copy
+        low, high = np.append(second + count, first + count), np.append(first, second)
+        pull, strength = joined([pull, pull]), joined([strength, strength])
+        label = connected(low, high, 2 * count)
+        node, value = np.append(held, held + count), joined([network.imposed[k].at(held), -network.imposed[k].at(held)])
+    else:
+        low, high, pull = first, second, pull.signed(sign[second])
+        node, value = held, network.imposed[k].signed(sign).at(held)
+    up, down = (strength - pull).lower(), (strength + pull).lower()
+    size, alike, slips = len(label), np.ones(len(low), dtype=bool), np.zeros(len(low), dtype=bool)
+    order = np.lexsort((value.low, value.high, label[node]))
+    node, value, part = node[order], value[order], label[node[order]]
+    step = value[1:] - value[:-1]
+    differs = (value.high[1:] != value.high[:-1]) | (value.low[1:] != value.low[:-1])
+    steps = np.flatnonzero(differs & (part[1:] == part[:-1]))
+    steps = steps[np.lexsort((-step.high[steps], part[steps]))]
+    rank = np.arange(len(steps)) - np.searchsorted(part[steps], part[steps])  # by size, in each part
+    open_ = np.bincount(part[steps], np.where(rank < MOST_LEVELS, 0.0, step.most[steps]), size)[label[low]]
+    for number in range(min(int(rank.max(initial=-1)) + 1, MOST_LEVELS)):
+        mine = steps[rank == number]
+        begin, most, least = np.full(size, len(node)), np.zeros(size), np.zeros(size)
+        begin[part[mine]], most[part[mine]], least[part[mine]] = mine, step.most[mine], step[mine].lower()
+        # with more room than all have together: if the one is above the cut, so is the other
+        room = (1 + is_double) * np.tile(bounds.excess[sample], 1 + is_double) / np.maximum(least[label[low]], 0.0) * UP
+        rises, falls = up > room, down > room
+        tail, head = np.append(high[rises], low[falls]), np.append(low[rises], high[falls])
+        follows = sparse.csr_array((np.ones(len(tail), dtype=np.int8), (tail, head)), shape=(size, size))
+        together = connected_components(follows, directed=True, connection="strong")[1]
+        place, known = np.arange(len(node)), begin[part] < len(node)
+        above = reached(follows, node[known & (place > begin[part])])
+        below = reached(follows.T.tocsr(), node[known & (place <= begin[part])])
+        alike = (together[low] == together[high]) | (above[low] & above[high]) | (below[low] & below[high])
+        slips |= (above[low] & below[high]) | (below[low] & above[high])
+        open_ = open_ + np.where(alike, 0.0, most[label[low]])
+    slips, open_ = slips[: len(own)], open_[: len(own)]
+    states = np.where(network.acts & network.counts & network.feels[k], UNPROVEN, SLIPLESS)
+    states[own] = np.where(slips, SLIPPING, np.where(open_ == 0, SLIPLESS, UNPROVEN))
+    if network.samples is None:
+        whole = np.zeros(len(states))
+        whole[own] = open_ * UP
+        bound[network.counts] = np.fmin(bound, whole)[network.counts]
+    found = _samples(network, states, "cuts (nearly) tie", True)
+    return [s if (s.proven != UNPROVEN).all() else replace(s, unique=None) for s in found]
 
 
 def reached(follows: sparse.csr_array, starts: np.ndarray) -> np.ndarray:
@@ -170,69 +223,122 @@ def reached(follows: sparse.csr_array, starts: np.ndarray) -> np.ndarray:
     return reached[:-1]
 
 
-def _by_curvature(motion: Motion) -> list[States]:
-    """Two components: steps 1 to 3 of the module docstring, of all samples at once, or else of each half of them; of
-    each alone where friction is repeated, so that there may be ties."""
-    samples, count = motion.samples, motion.samples.count
+def _by_curvature(network: Network, bound: np.ndarray) -> list[States]:
+    """Two components, or more along the axes: steps 1 to 3 of the module docstring, of all samples at once, or else of
+    each half of them; of each alone where friction is repeated, so that there may be ties."""
+    samples, count = network.samples, network.count
+    if samples is None:
+        return _of_packing(network, bound)
     if count == 1:
-        return [_of_one(motion)]
-    if _repeats(motion):
-        return [_of_one(Motion(samples.one(number))) for number in range(count)]
-    if count * samples.sublattice.size <= PROVEN_AT_ONCE and not _doubt(motion, Slipping.of(motion)):
-        return [_as_stored(motion, number) for number in range(count)]
-    halves = samples.some(slice(None, count // 2)), samples.some(slice(count // 2, None))
-    return [states for half in halves for states in _by_curvature(Motion(half))]
+        return [_of_lattice(network)]
+    if _repeats(network):
+        parts = [samples.one(number) for number in range(count)]
+    else:
+        if len(network.free) <= PROVEN_AT_ONCE and isinstance(
+            _near(network.motion, Slipping.of(network.motion)), tuple
+        ):
+            return _samples(network, _as_stored(network.motion), "", True)
+        parts = [samples.some(slice(None, count // 2)), samples.some(slice(count // 2, None))]
+    return [states for part in parts for states in _by_curvature(Network.of_lattice(part), bound)]
 
 
-def _of_one(motion: Motion) -> States:
-    """The same of one sample, with ties: first where friction is repeated."""
-    contacts, repeats = Slipping.of(motion), _repeats(motion)
-    tied = tied_states(motion, contacts) if repeats else None
-    if tied is None and not (doubt := _doubt(motion, contacts)):
-        return _as_stored(motion, 0)
-    tied = tied_states(motion, contacts) if not repeats else tied
-    return _nothing(motion.samples, doubt) if tied is None else States(*tied, _why_open(tied[0]))
+def _of_lattice(network: Network) -> States:
+    """Of one sample, with ties: first where friction is repeated."""
+    contacts, repeats = Slipping.of(network.motion), _repeats(network)
+    tied = tied_states(network.motion, contacts) if repeats else None
+    if tied is None and isinstance(doubt := _near(network.motion, contacts), tuple):
+        return States(_as_stored(network.motion), True)
+    tied = tied_states(network.motion, contacts) if not repeats else tied
+    if tied is None:
+        return _nothing(network, str(doubt))[0]
+    return States(*tied, "minima tie in ways that are not known closely enough")
 
 
-def _as_stored(motion: Motion, number: int) -> States:
-    """What slips in the file slips at the only minimum, and nothing else."""
-    return States(tuple(np.where(moving[number], SLIPPING, SLIPLESS) for moving in motion.moving), True)
+def _of_packing(network: Network, bound: np.ndarray) -> list[States]:
+    if any(network.signs(k)[1][network.contact[:, network.counts]].any() for k in network.needed):
+        return _nothing(network, "loops are odd")
+    motion = Motion(network, network.counts & (network.slip.value <= STILL * network.box.max()))
+    first, second = network.contact
+    within = [(motion.domain(k)[first] == motion.domain(k)[second]) | ~network.feels[k] for k in network.needed]
+    motion = Motion(network, network.counts & np.all(within, axis=0))
+    if motion.torn[0]:
+        return _nothing(network, "contacts without slip join driven spheres that turn otherwise")
+    near = _near(motion, Slipping.of(motion))
+    if isinstance(near, str):
+        return _nothing(network, near)
+    contacts, turn = near
+    size = contacts.size.most * (1 + turn)
+    bound[contacts.own] = np.fmin(
+        bound[contacts.own], (size if network.stretch is None else size * network.stretch[contacts.own]) * UP
+    )
+    return _samples(network, _as_stored(motion), "", None)
 
 
-def _repeats(motion: Motion) -> bool:
+def _as_stored(motion: Motion) -> np.ndarray:
+    """(m,): what slips in the file slips at the only minimum, and nothing else."""
+    return np.where(motion.network.counts & ~motion.rests, SLIPPING, SLIPLESS)
+
+
+def _repeats(network: Network) -> bool:
     """Have two slipping contacts of some sample the same friction?"""
-    pairs = list(zip(motion.samples.coefficient, motion.slips, strict=True))
-    values, sample = (np.concatenate(of) for of in zip(*((c.take(s.own), s.sample) for c, s in pairs), strict=True))
+    own = np.flatnonzero(network.counts & ~network.motion.rests)
+    values, sample = network.holding.high[own], network.sample_of(own)
     order = np.lexsort((values, sample))
     return bool(((np.diff(values[order]) == 0) & (np.diff(sample[order]) == 0)).any())
 
 
-def _why_open(states: tuple[np.ndarray, ...]) -> str:
-    """Why some of these states, found one by one, are not proven."""
-    return "minima tie in ways that are not known closely enough" if any((s == UNPROVEN).any() for s in states) else ""
-
-
-@np.errstate(all="ignore")  # what is not finite proves nothing
-def _doubt(motion: Motion, contacts: Slipping) -> str:
-    """What is missing in the proof; "" if nothing is. Samples are like parts of one that no contact joins."""
-    if not _saturated(motion):
+def _near(motion: Motion, contacts: Slipping) -> tuple[Slipping, np.ndarray] | str:
+    """Contacts near the minimum, and the share (n,) by which each slip differs there at most; or what is missing in the
+    proof. Samples are like parts of one that no contact joins."""
+    if not _saturated(motion.network, contacts):
         return "contacts slip whose friction is not at its limit"
     if not (contacts.size.least > 0).all():
         return "slips are lost in the rounding of the spins"
     near = nearest_minimum(contacts)
-    if near is None:
-        return "the power is not known to rise in all directions"
-    if not bearable(motion, *near):  # perhaps the directions of slip are not known closely enough
+    if near is not None and not bearable(motion, *near):  # perhaps the directions of slip are not known closely enough
         near = nearest_minimum(near[0].improved())
-        if near is None or not bearable(motion, *near):
+        if near is not None and not bearable(motion, *near):
             return "slipless contacts are not known to bear what the others leave to them"
-    return ""
+    return "the power is not known to rise in all directions" if near is None else near
 
 
-def _saturated(motion: Motion) -> bool:
-    """True if the friction of all slipping contacts is about at its limit, as it is near a minimum."""
-    for turning, slips, strength in zip(motion.samples.turning, motion.slips, motion.strength, strict=True):
-        size = np.sqrt(sum(part.take(slips.own) ** 2 for part in turning.values()))
-        if not (size >= (1 - MISSED_LIMIT) * strength.value).all():
-            return False
-    return True
+def _saturated(network: Network, contacts: Slipping) -> bool:
+    """True if the friction of all slipping contacts of a lattice is about at its limit, as it is near a minimum."""
+    if network.samples is None:
+        return True
+    parts = [part.high[contacts.own] for part in network.moment]
+    return bool((np.sqrt(sum(p**2 for p in parts)) >= (1 - MISSED_LIMIT) * contacts.strength.value).all())
+
+
+def _by_cones(bounds: Bounds) -> np.ndarray:
+    """(E,), how far slips of minima are from the given ones at most, of a Coulomb network whose components mix."""
+    network, springs = bounds.network, bounds.springs
+    if springs is None:
+        return np.full(len(network.acts), np.inf)
+    holding, slip = np.where(network.counts, network.holding.value, 0.0), network.slip.most
+    room = np.maximum((network.holding - bounds.size).lower(), 0.0)
+    moment = np.stack([part.value for part in moments(bounds.friction, network.normal)], axis=1)
+    across = moment / np.linalg.norm(moment, axis=1)[:, None]
+    slides = network.counts & (room <= CLEAR_ROOM * holding) & np.isfinite(across).all(axis=1)
+    count, own = len(holding), np.flatnonzero(slides)
+    at = np.tile(own, 3), np.concatenate([k * count + own for k in range(3)])
+    kept = np.flatnonzero(np.tile(network.counts & ~slides, 3))
+    pick = sparse.csr_array((np.append(across[own].T.ravel(), np.ones(len(kept))),
+                             (np.append(at[0], kept), np.append(at[1], kept))), shape=(3 * count,) * 2)  # fmt: skip
+    rows = sparse.csr_array(pick @ slip_rows(network, springs.number))
+    excess, far, most = float(bounds.excess[0]), np.full(count, np.inf), bounds.upper / holding * UP
+    for _ in range(PASSES):
+        fastest = np.maximum(np.fmin(most, slip + far), slip)
+        weight = np.where(network.counts, holding / (2 * fastest), 0.0)
+        stiff = np.minimum(room**2 / excess, STIFFEST * weight)
+        weight = np.where(slides, weight, np.where(network.counts, stiff, 0.0))
+        form = Springs.made(network, rows, weight, springs.number)
+        if form is None or form.floor is None:
+            break
+        rounded = 16 * EPS * np.sqrt((weight * fastest**2)[slides].sum())
+        radius = 2 * (np.sqrt(excess) + rounded) / np.sqrt(form.floor) * UP**2
+        scale = np.zeros(springs.number.shape)
+        scale[springs.number >= 0] = form.scale
+        largest = scale.max(axis=1)[network.contact].max(axis=0)
+        far = np.fmin(far, np.sqrt(2) * largest * radius * np.linalg.norm(network.normal, axis=1) * UP**2)
+    return far

@@ -1,53 +1,43 @@
-"""run.h5 as its own reader sees it: the numbers to be judged, and what the file claims of them."""
+"""run.h5 of a lattice or a packing as its own reader sees it: the numbers to be judged, and what it claims of them."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import re
-from collections.abc import Callable
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import h5py
 import numpy as np
 
 from taichi_bearings.errors import FileError
+from taichi_bearings.verifier.network import StoredPacking
 from taichi_bearings.verifier.samples import LAWS, Samples
 
 AXES = "xyz"
-T = TypeVar("T")
+Table = dict[str, Any]
+Groups = dict[str, tuple[int, ...]]
+"""Group of the file -> shape of its arrays without the axis of samples."""
 LAYOUT = 1  # version that is read
-NEEDED_ATTRIBUTES = (
-    "law",
-    "shape",
-    "spin_top",
-    "spin_bottom",
-    "normal_force",
-    "radius",
-    "scene",
-    "power",
-    "lower_bound",
-    "status",
-)
-TEXT_ATTRIBUTES = ("status", "coefficients", "method", "arch", "precision")  # attributes that are no numbers
+NEEDED_ATTRIBUTES = ("law", "scene", "power", "lower_bound", "status")
+OF_LATTICES = ("shape", "spin_top", "spin_bottom", "normal_force", "radius")
+TEXT_ATTRIBUTES = ("status", "coefficients", "method", "arch", "precision", "proof")  # attributes that are no numbers
 WHOLE_ATTRIBUTES = (
-    "seed",
-    "contacts",
-    "slipping",
-    "slipless",
-    "undecided",
-    "critical",
-    "unproven",
-    "iterations",
-    "tied_contacts",
-)
+    "seed", "contacts", "slipping", "slipless", "undecided", "critical", "unproven", "iterations", "tied_contacts",
+    "spheres", "driven_spheres",
+)  # fmt: skip
 NEVER_OPEN = ("states_proven",)
 TRUTHS = ("states_proven", "minimum_is_unique", "cut_is_unique", "yields")  # in a list with gaps they are numbers
 WHOLE_DATA = ("/state", "/proven", "/contact", "/driven")  # that hold whole numbers
-REPORTED_SETS = ("slip", "power", "force", "state")
+REPORTED_SETS, OPTIONAL_SETS = ("slip", "power", "force", "state"), ("slip_bound", "proven")
+OF_SPHERES = ("center", "driven", "spin", "radius")  # arrays of packings
+STORED_SIZES = ("radius", "friction", "viscosity", "normal_force")
+LEAST_STORED, MOST_STORED = 1e-15, 1e15  # of these, and most of places and spins
+FOLLOWED = ("cundall-strack", "implicit-cundall-strack", "gradient-descent")  # methods of packings that end in a motion
 MOST_SCENE_TEXT, MOST_SUMS = 2**22, 200_000  # letters of the scene and of the checksums, tables and lists in the latter
 A_LINE = re.compile(r"""\s*([\w-]+\s*=\s*("|[^"{]*\Z|\[["xyz, ]*\]\Z)|#|\Z)""")
 """A key without dots and its value, which is no table: keys of many dots take memory like their length squared. Words
@@ -56,21 +46,27 @@ in a list are axes."""
 
 @dataclass(frozen=True)
 class StoredRun:
-    """attributes : of the file. settings : its scene. reported : by name, one array (R, *contacts) an axis.
-
-    history : columns (checks,) or (R, checks). others : names of what else is in the file. changed : names of what is
-    not as it was written, by the checksums in the file (taichi_bearings.checksums says how they are made); None where
-    it has none.
+    """attributes : of the file. settings : its scene. reported : by name, (R, E), of lattices all contacts along x,
+    then y, then z. history : columns (checks,) or (R, checks). others : names of what else is in the file. changed :
+    names of what is not as it was written, by the checksums in the file (taichi_bearings.checksums says how they are
+    made); None where it has none.
     """
 
     path: Path
-    samples: Samples
+    samples: Samples | StoredPacking
     attributes: dict[str, Any]
     settings: dict[str, Any]
-    reported: dict[str, tuple[np.ndarray, ...]]
+    reported: dict[str, np.ndarray]
     history: dict[str, np.ndarray]
     others: list[str]
     changed: tuple[str, ...] | None
+
+    @property
+    def is_dynamics(self) -> bool:
+        """True if forces and states are those of a motion."""
+        if isinstance(self.samples, Samples):
+            return "time" in self.history
+        return self.attributes.get("method") in FOLLOWED
 
     def claimed(self, name: str) -> list[Any]:
         """An attribute, sample by sample; None where the file leaves it open."""
@@ -105,24 +101,47 @@ class StoredRun:
 
 def read_stored_run(run: Path) -> StoredRun:
     """A run directory or its run.h5; FileError in one sentence where it cannot be read."""
-    return read_with(run, read_lattice)
-
-
-def read_with(run: Path, read: Callable[[Path, h5py.File], T]) -> T:
-    """What `read` makes of it."""
     path = run / "run.h5" if run.is_dir() else run
     if not path.is_file():
         raise FileError(f"{run} is not a run: there is no {path}")
     try:
         with h5py.File(path, "r") as file:
-            return read(path, file)
+            return _read(path, file)
     except FileError:
         raise
     except (OSError, KeyError, ValueError, TypeError, AttributeError, IndexError, RuntimeError) as error:
         raise FileError(f"{path} cannot be read as a run: {str(error).strip(chr(39))}") from None
 
 
-def attributes_of(path: Path, file: h5py.File, needed: tuple[str, ...]) -> dict[str, Any]:
+def _read(path: Path, file: h5py.File) -> StoredRun:
+    is_lattice = "packing" not in file
+    attributes = _attributes(path, file, NEEDED_ATTRIBUTES + OF_LATTICES * is_lattice)
+    law = attributes["law"]
+    if not isinstance(law, str) or law not in LAWS:
+        raise FileError(f"{path} has the law {law!r}; {', '.join(LAWS)} can be verified")
+    settings = _settings(path, str(attributes["scene"]))
+    samples, groups, known = (_lattice if is_lattice else _packing)(path, file, attributes, settings)
+    names = [*REPORTED_SETS, *(name for name in OPTIONAL_SETS if f"{[*groups][-1]}/{name}" in file)]
+    reported = {}
+    for name in names:
+        parts = [_array(path, file, samples.count, f"{group}/{name}", shape) for group, shape in groups.items()]
+        reported[name] = np.concatenate([part.reshape(samples.count, -1) for part in parts], axis=1)
+    known |= {f"{group}/{name}" for group in groups for name in (*names, "friction")}
+    history = {name: _column(path, name, values, samples.count) for name, values in file.get("history", {}).items()}
+    others = [*_unread(file, "", known)]
+    return StoredRun(path, samples, attributes, settings, reported, history, others, _changed(path, file))
+
+
+def _unread(group: h5py.Group, inside: str, known: set[str]) -> Iterator[str]:
+    """Names of what is in the group and not known, nor holds anything that is."""
+    for name in (inside + part for part in group):
+        if any(one.startswith(f"{name}/") for one in known):
+            yield from _unread(group.file[name], f"{name}/", known)
+        elif name not in known:
+            yield name
+
+
+def _attributes(path: Path, file: h5py.File, needed: tuple[str, ...]) -> dict[str, Any]:
     """Those of a run of a known version, with the needed ones among them."""
     attributes = {key: value.item() if isinstance(value, np.generic) else value for key, value in file.attrs.items()}
     if attributes.get("schema") != "taichi_bearings.run":
@@ -136,39 +155,29 @@ def attributes_of(path: Path, file: h5py.File, needed: tuple[str, ...]) -> dict[
     return attributes
 
 
-def read_lattice(path: Path, file: h5py.File) -> StoredRun:
+def _lattice(path: Path, file: h5py.File, attributes: Table, settings: Table) -> tuple[Samples, Groups, set[str]]:
     """What is in the open file of a run of a lattice."""
-    attributes = attributes_of(path, file, NEEDED_ATTRIBUTES)
     shape = _shape(path, attributes["shape"])
     axes = AXES[: len(shape)]
     count = 1 if file["coefficient/x"].ndim == len(shape) else len(file["coefficient/x"])
     if count < 1:
         raise FileError(f"{path} holds no sample")
     parts = () if len(shape) == 2 else (3,)
-    settings = settings_of(path, str(attributes["scene"]))
     periodic = _periodic(path, settings.get("periodic", []), shape)
-    shorter = [int(axis not in periodic) for axis in range(len(shape))]
-    contacts = [tuple(n - (a == axis) * shorter[axis] for a, n in enumerate(shape)) for axis in range(len(shape))]
-
-    get = partial(array_of, path, file, count)
-    number = partial(_number, path, attributes)
+    contacts = {name: tuple(n - (a == axis and axis not in periodic) for a, n in enumerate(shape))
+                for axis, name in enumerate(axes)}  # fmt: skip
+    get = partial(_array, path, file, count)
 
     def by_axis(name: str, parts: tuple[int, ...] = ()) -> tuple[np.ndarray, ...]:
-        return tuple(get(name.format(axis), (*n, *parts)) for axis, n in zip(axes, contacts, strict=True))
+        return tuple(get(name.format(axis), (*n, *parts)) for axis, n in contacts.items())
 
-    spin = get("spin", (*shape, *parts))
-    law = attributes["law"]
-    if not isinstance(law, str) or law not in LAWS:
-        raise FileError(f"{path} has the law {law!r}; {', '.join(LAWS)} can be verified")
+    spin, law = get("spin", (*shape, *parts)), attributes["law"]
     samples = Samples(
         shape=shape,
         law=law,
         coefficient=by_axis("coefficient/{}"),
-        spin_top=number("spin_top"),
-        spin_bottom=number("spin_bottom"),
+        **{name: _number(path, attributes, name) for name in ("spin_top", "spin_bottom", "normal_force", "radius")},
         direction=_direction(path, settings.get("direction", [1.0, 1.0, 0.0])),
-        normal_force=number("normal_force"),
-        radius=number("radius"),
         spin=spin,
         spin_rounding=get("spin_rounding", (*shape, *parts)) if "spin_rounding" in file else np.zeros_like(spin),
         friction=by_axis("contact/{}/friction", parts),
@@ -177,15 +186,48 @@ def read_lattice(path: Path, file: h5py.File) -> StoredRun:
         bottom=_state(path, settings, "bottom", len(shape)),
         periodic=periodic,
     )
-    last = f"contact/{axes[-1]}"
-    names = [*REPORTED_SETS, *(name for name in ("slip_bound", "proven") if f"{last}/{name}" in file)]
-    reported = {name: by_axis(f"contact/{{}}/{name}") for name in names}
-    history = {name: _column(path, name, values, count) for name, values in file.get("history", {}).items()}
-    known = {"coefficient", "contact", "spin", *(["viscosity"] if samples.viscosity else [])}
-    others = [name for name in file if name not in known]
-    for axis in axes:
-        others += [f"contact/{axis}/{name}" for name in file[f"contact/{axis}"] if name not in (*names, "friction")]
-    return StoredRun(path, samples, attributes, settings, reported, history, others, changed_sets(path, file))
+    known = {"coefficient", "spin", *(["viscosity"] if samples.viscosity else [])}
+    return samples, {f"contact/{axis}": n for axis, n in contacts.items()}, known
+
+
+def _packing(path: Path, file: h5py.File, attributes: Table, _: Table) -> tuple[StoredPacking, Groups, set[str]]:
+    """What is in the open file of a run of a packing, within the limits that any packing has."""
+    places, pairs = (np.shape(file[f"packing/{name}"]) for name in ("center", "contact"))
+    if len(places) != 2 or places[1] not in (2, 3) or not places[0] or len(pairs) != 2:
+        raise FileError(f"{path} has centres of shape {places} and contacts of shape {pairs}; (N, 2 or 3) and (E, 2)")
+    (count, dimension), contacts = places, pairs[0]
+    parts = (3,) if dimension == 3 else ()
+    get, law = partial(_array, path, file, 1), attributes["law"]
+    shapes: Groups = {
+        "center": places, "contact": (contacts, 2), "driven": (count,), "spin": (count, *parts), "radius": (count,),
+        "normal": (contacts, dimension), "friction": (contacts,), "normal_force": (contacts,),
+        **({"viscosity": (contacts,)} if all(LAWS[law]) else {}),
+    }  # fmt: skip
+    arrays = {name: get(f"packing/{name}", shape)[0] for name, shape in shapes.items()}
+    contact, is_free = arrays["contact"], arrays["driven"] < 0
+    arrays["spin"][is_free] = 0.0
+    fine = {
+        "contact": (contact >= 0) & (contact < count) & (contact[:, :1] != contact[:, 1:]),
+        "driven": (arrays["driven"] >= -1) & (arrays["driven"] < count),
+    }
+    for name, values in arrays.items():
+        if name in STORED_SIZES:
+            absent = (values == 0) & (name in ("friction", "viscosity"))
+            fine[name] = (values >= LEAST_STORED) & (values <= MOST_STORED) | absent
+        all_fine = fine.get(name, np.abs(values) <= MOST_STORED).reshape(len(values), -1).all(axis=1)
+        if not all_fine.all():
+            first, what = int(np.argmin(all_fine)), "sphere" if name in OF_SPHERES else "contact"
+            raise FileError(
+                f"{path} has {values[first].tolist()!r} for packing/{name} of {what} {first}; that cannot be"
+            )
+    for name in ("contact", "driven"):
+        arrays[name] = arrays[name].astype(np.int64)
+    spin, friction = get("spin", (count, *parts))[0], get("contact/friction", (contacts, *parts))[0]
+    return (
+        StoredPacking(law, arrays, spin, friction),
+        {"contact": (contacts,)},
+        {"spin", *(f"packing/{n}" for n in arrays)},
+    )
 
 
 def _shape(path: Path, stored: Any) -> tuple[int, ...]:
@@ -217,7 +259,7 @@ def _number(path: Path, attributes: dict[str, Any], name: str) -> float:
     return float(attributes[name])
 
 
-def array_of(path: Path, file: h5py.File, count: int, name: str, expected: tuple[int, ...]) -> np.ndarray:
+def _array(path: Path, file: h5py.File, count: int, name: str, expected: tuple[int, ...]) -> np.ndarray:
     """A data set (count, *expected), in which a single sample has no axis of samples; of what it must be."""
     if name not in file:
         raise FileError(f"{path} lacks the data set {name}, without which nothing can be verified")
@@ -257,7 +299,7 @@ def _column(path: Path, name: str, stored: h5py.Dataset, count: int) -> np.ndarr
     return np.asarray(stored[()])
 
 
-def changed_sets(path: Path, file: h5py.File) -> tuple[str, ...] | None:
+def _changed(path: Path, file: h5py.File) -> tuple[str, ...] | None:
     """By checksums alone: what is missing is seen by those who need it."""
     if "sha256" not in file.attrs:
         return None
@@ -285,7 +327,7 @@ def _differs(file: h5py.File, name: str, digest: str) -> bool:
     return hashlib.sha256(content).hexdigest() != digest
 
 
-def settings_of(path: Path, text: str) -> dict[str, Any]:
+def _settings(path: Path, text: str) -> dict[str, Any]:
     import sys
 
     if sys.version_info >= (3, 11):

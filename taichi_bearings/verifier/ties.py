@@ -35,7 +35,7 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 from taichi_bearings.verifier.balance import bearable
 from taichi_bearings.verifier.curvature import Slipping, nearest_minimum, rises
 from taichi_bearings.verifier.enclosure import UP, Enclosure
-from taichi_bearings.verifier.motion import Motion, numbers_of
+from taichi_bearings.verifier.network import Motion, Network
 from taichi_bearings.verifier.samples import CRITICAL, SLIPLESS, SLIPPING, TIED, UNPROVEN
 
 MISSED_LIMIT = 1e-6  # share of the friction by which a contact at its limit may miss it
@@ -48,11 +48,13 @@ PATH_ROUNDING = 1 + 1e-12  # factor that makes up for the rounding of sums along
 class Pulls:
     """The n contacts of S, then those of C, of one sample.
 
-    lower, upper : (n,) flat numbers of their spheres. felt : (2, n), which of the needed components they feel.
-    sign : (2, n), of the difference of signed spins, or on C of the friction that would go with it. coefficient : (n,).
+    own : (n,), their numbers among all contacts. lower, upper : (n,) numbers of their spheres. felt : (2, n), which of
+    the needed components they feel. sign : (2, n), of the difference of signed spins, or on C of the friction that
+    would go with it. coefficient : (n,).
     slips : (n,) mask of S. domain, part, body : (2, spheres), 0 and 1 for what turns with the planes.
     """
 
+    own: np.ndarray
     lower: np.ndarray
     upper: np.ndarray
     felt: np.ndarray
@@ -240,15 +242,15 @@ def _touching(label: np.ndarray, pulls: Pulls, some: np.ndarray) -> dict[int, se
     return found
 
 
-def tied_states(motion: Motion, contacts: Slipping) -> tuple[tuple[np.ndarray, ...], bool | None] | None:
-    """Of one sample with two components: states of its contacts, one array (*contacts,) an axis, and whether there is
-    only one minimum. None if nothing is proven. contacts : those that slip."""
+def tied_states(motion: Motion, contacts: Slipping) -> tuple[np.ndarray, bool | None] | None:
+    """Of one sample of a lattice with two components: states (E,) of its contacts, and whether there is only one
+    minimum. None if nothing is proven. contacts : those that slip."""
     limit = Limit.of(motion)
     if limit is None or not (contacts.size.least > 0).all():
         return None
     pulls = _pulls(motion, contacts, limit)
     between = Between.of(pulls, contacts)
-    held, held_bodies = (_held(motion, pulls, label, between) for label in (pulls.domain, pulls.body))
+    held, held_bodies = (_held(pulls, label, between) for label in (pulls.domain, pulls.body))
     if held is None or held_bodies is None or not (held.any() or not pulls.slips.all()):
         return None
     near = _balanced(motion, pulls, between, held, limit)
@@ -256,97 +258,74 @@ def tied_states(motion: Motion, contacts: Slipping) -> tuple[tuple[np.ndarray, .
         return None
     found, turn = near
     if not pulls.slips.all():
-        of_bodies = replace(
-            Slipping.of(motion, _still_labels(motion, pulls.body, held_bodies)), difference=found.difference
-        )
-        if not rises(of_bodies, turn):
+        of_bodies = Slipping.of(motion, _still_labels(motion, pulls.body, held_bodies))
+        if not rises(replace(of_bodies, difference=found.difference), turn):
             return None
-    return _named(motion, pulls, between, found, turn, bool(held_bodies.any()), limit)
+    return _named(pulls, between, found, turn, bool(held_bodies.any()), len(motion.rests))
 
 
 @dataclass(frozen=True)
 class Limit:
-    """Contacts C of one sample, an entry an axis each. full : masks (R, *contacts). along : (R, *contacts), along which
-    of the needed components they bear all their friction; they bear none along the other one."""
+    """Contacts C of one sample. full : (E,) mask. along : (E,), along which of the needed components they bear all
+    their friction; they bear none along the other one."""
 
-    full: tuple[np.ndarray, ...]
-    along: tuple[np.ndarray, ...]
+    network: Network
+    full: np.ndarray
+    along: np.ndarray
 
     @classmethod
     def of(cls, motion: Motion) -> Limit | None:
         """None if contacts bear all their friction along both components."""
-        samples, masks, components = motion.samples, [], []
-        for axis, still in enumerate(motion.still):
-            parts = np.array([np.abs(samples.turning[axis].get(k, np.zeros(still.shape))) for k in samples.needed])
-            strength = samples.strength[axis].value
-            full = still & (np.hypot(*parts) >= (1 - MISSED_LIMIT) * strength) & ~samples.idle(axis)
-            if (parts.min(axis=0)[full] > MISSED_DIRECTION * strength[full]).any():
-                return None
-            masks.append(full)
-            components.append(np.argmax(parts, axis=0))
-        return cls(tuple(masks), tuple(components))
+        network, strength = motion.network, motion.network.holding.value
+        parts = np.abs([network.moment[k].high for k in network.needed])
+        full = motion.rests & (np.hypot(*parts) >= (1 - MISSED_LIMIT) * strength) & network.counts
+        if (parts.min(axis=0)[full] > MISSED_DIRECTION * strength[full]).any():
+            return None
+        return cls(network, full, np.argmax(parts, axis=0))
 
-    def friction(self, motion: Motion, axis: int, slot: int) -> Enclosure:
-        """Exactly what they have to bear, (n,), with its sign in `turning`."""
-        samples, full = motion.samples, self.full[axis]
-        said = samples.turning[axis].get(samples.needed[slot], np.zeros(full.shape))[full]
-        return samples.strength[axis][full].signed(np.sign(said) * (self.along[axis][full] == slot))
+    def friction(self, slot: int) -> Enclosure:
+        """Exactly what they have to bear, (n,), with its sign in the moment."""
+        own = np.flatnonzero(self.full)
+        said = np.sign(self.network.moment[self.network.needed[slot]].high[own])
+        return self.network.holding.at(own).signed(said * (self.along[own] == slot))
 
-    def others(self, motion: Motion, slot: int | None) -> tuple[np.ndarray, ...]:
-        """Masks (R, *contacts) an axis of T; with those of C that bear nothing along a component, if it is given."""
-        return tuple(
-            still & ~(full if slot is None else full & (along == slot))
-            for still, full, along in zip(motion.still, self.full, self.along, strict=True)
-        )
+    def others(self, motion: Motion, slot: int | None) -> Motion:
+        """Where only T rests; and those of C that bear nothing along a component, if it is given."""
+        return Motion(self.network, motion.rests & ~(self.full if slot is None else self.full & (self.along == slot)))
 
-    def unsure(self, motion: Motion) -> dict[int, np.ndarray]:
-        """By component, (R, *N): how far that is from what the file says, summed at each sphere."""
-        samples = motion.samples
-        found = {k: np.zeros((samples.count, *samples.shape)) for k in samples.needed}
-        for axis, full in enumerate(self.full):
-            for slot, k in enumerate(samples.needed):
-                if k in samples.felt(axis):
-                    missing = np.zeros(full.shape)
-                    missing[full] = self.friction(motion, axis, slot).plus(-samples.turning[axis][k][full]).most
-                    for end in samples.ends(axis):
-                        found[k][end] += missing
+    def unsure(self) -> dict[int, np.ndarray]:
+        """By component, (n,): how far that is from what the file says, summed at each sphere."""
+        own, network = np.flatnonzero(self.full), self.network
+        found = {k: np.zeros(len(network.free)) for k in network.needed}
+        for slot, k in enumerate(network.needed):
+            missing = self.friction(slot).plus(-network.moment[k].high[own]).most
+            missing[~network.feels[k][own]] = 0.0
+            for end in network.contact[:, own]:
+                found[k] += np.bincount(end, missing, len(found[k]))
         return found
 
 
 def _pulls(motion: Motion, contacts: Slipping, limit: Limit) -> Pulls:
-    samples, number = motion.samples, numbers_of(motion.samples)
-    lower, upper = [contacts.spheres[0]], [contacts.spheres[1]]
-    sign, felt, coefficient = [np.array([np.sign(part.high) for part in contacts.difference])], [], []
-    for axis, slips in enumerate(motion.slips):
-        felt.append(np.array([np.full(len(slips.own), k in samples.felt(axis)) for k in samples.needed]))
-        coefficient.append(samples.coefficient[axis].take(slips.own))
-    for axis, full in enumerate(limit.full):
-        low, high = (number[end][full] for end in samples.ends(axis))
-        lower.append(low)
-        upper.append(high)
-        felt.append(np.array([np.full(len(low), k in samples.felt(axis)) for k in samples.needed]))
-        coefficient.append(samples.coefficient[axis][full])
-        pull = np.array([np.sign(limit.friction(motion, axis, slot).high) for slot in range(2)])
-        sign.append(pull * samples.sublattice.ravel()[high])
-    return Pulls(
-        np.concatenate(lower),
-        np.concatenate(upper),
-        np.concatenate(felt, axis=1),
-        np.concatenate(sign, axis=1),
-        np.concatenate(coefficient),
-        np.arange(sum(map(len, lower))) < len(lower[0]),
-        *(
-            np.array([motion.domains(k, joined_by(slot)).ravel() for slot, k in enumerate(samples.needed)])
-            for joined_by in (
-                lambda _: motion.still,
-                lambda _: limit.others(motion, None),
-                lambda s: limit.others(motion, s),
-            )
-        ),
+    network, full = motion.network, np.flatnonzero(limit.full)
+    own = np.append(contacts.own, full)
+    lower, upper = network.contact[:, own]
+    pull = np.array([np.sign(limit.friction(slot).high) * network.sign[k][network.contact[1, full]]
+                     for slot, k in enumerate(network.needed)])  # fmt: skip
+    turns = np.array([np.sign(part.high) for part in contacts.difference])
+    assert network.samples is not None
+    coefficient = network.samples.flat(network.samples.coefficient)[0]
+    domain, part, body = (
+        np.array([joined_by(slot).domain(k) for slot, k in enumerate(network.needed)])
+        for joined_by in (lambda _: motion, lambda _: limit.others(motion, None), lambda s: limit.others(motion, s))
     )
+    return Pulls(
+        own, lower, upper, np.array([network.feels[k][own] for k in network.needed]),
+        np.concatenate([turns, pull], axis=1), coefficient[own], np.arange(len(own)) < len(contacts.own),
+        domain, part, body,
+    )  # fmt: skip
 
 
-def _held(motion: Motion, pulls: Pulls, label: np.ndarray, between: Between) -> np.ndarray | None:
+def _held(pulls: Pulls, label: np.ndarray, between: Between) -> np.ndarray | None:
     """(2, spheres) mask of the domains or parts that are held: one of each cluster, and those between two sets. None if
     a cluster has none but these."""
     held = np.zeros(label.shape, dtype=bool)
@@ -363,10 +342,8 @@ def _held(motion: Motion, pulls: Pulls, label: np.ndarray, between: Between) -> 
 
 
 def _still_labels(motion: Motion, label: np.ndarray, held: np.ndarray) -> dict[int, np.ndarray]:
-    """The labels (R, *N), component by component, 0 for what is held."""
-    samples = motion.samples
-    shape = (samples.count, *samples.shape)
-    return {k: np.where(h, 0, own).reshape(shape) for k, own, h in zip(samples.needed, label, held, strict=True)}
+    """The labels (n,), component by component, 0 for what is held."""
+    return {k: np.where(h, 0, own) for k, own, h in zip(motion.network.needed, label, held, strict=True)}
 
 
 def _balanced(
@@ -378,7 +355,7 @@ def _balanced(
 ) -> tuple[Slipping, np.ndarray] | None:
     """Steps 1 to 3 of the module docstring: contacts of S near the minimum u*, and the share (n,) by which each slip
     differs there at most; None if it is not known to be one."""
-    rests, unsure = limit.others(motion, None), limit.unsure(motion)
+    rests, unsure = limit.others(motion, None), limit.unsure()
     near = nearest_minimum(Slipping.of(motion, _still_labels(motion, pulls.domain, held)))
     for _ in range(2):
         if near is None:
@@ -389,7 +366,7 @@ def _balanced(
         same = (signs == pulls.sign[:, : len(turn)]) | ~known[:, : len(turn)]
         if not (same.all() and _cancel(pulls) and between.lie_between(found, turn)):
             return None
-        if bearable(motion, found, turn, rests, unsure):
+        if bearable(rests, found, turn, unsure):
             return near
         near = nearest_minimum(found.improved())
     return None
@@ -416,14 +393,8 @@ def _cancel(pulls: Pulls) -> bool:
 
 
 def _named(
-    motion: Motion,
-    pulls: Pulls,
-    between: Between,
-    contacts: Slipping,
-    turn: np.ndarray,
-    moves: bool,
-    limit: Limit,
-) -> tuple[tuple[np.ndarray, ...], bool | None]:
+    pulls: Pulls, between: Between, contacts: Slipping, turn: np.ndarray, moves: bool, count: int
+) -> tuple[np.ndarray, bool | None]:
     """Step 4."""
     rest = len(pulls.slips) - len(turn)
     least = np.append(contacts.size.least * (1 - turn) / PATH_ROUNDING, np.zeros(rest))
@@ -435,17 +406,10 @@ def _named(
         known = np.where(rests & some, TIED, np.where(always, SLIPPING, np.where(rests, CRITICAL, UNPROVEN)))
         coupled = line.with_others(between.coupled[line.own])
         state[line.own] = np.where(coupled & ((known != TIED) | line.is_between), UNPROVEN, known)
-    found, begin = [], 0
-    for slips, still in zip(motion.slips, motion.still, strict=True):
-        found.append(np.full(still.shape, SLIPLESS))
-        found[-1].put(slips.own, state[begin : begin + len(slips.own)])
-        begin += len(slips.own)
-    for whole, full in zip(found, limit.full, strict=True):
-        whole[full] = state[begin : begin + int(full.sum())]
-        begin += int(full.sum())
-    tied, unproven = (any(bool((of == what).any()) for of in found) for what in (TIED, UNPROVEN))
-    unique = False if tied else True if not moves or not unproven else None
-    return tuple(of[0] for of in found), unique
+    found = np.full(count, SLIPLESS)
+    found[pulls.own] = state
+    tied, unproven = (found == TIED).any(), (found == UNPROVEN).any()
+    return found, False if tied else True if not moves or not unproven else None
 
 
 def _lines(pulls: Pulls, between: Between, contacts: Slipping, turn: np.ndarray) -> list[Line]:

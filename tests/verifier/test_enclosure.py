@@ -6,8 +6,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from taichi_bearings.verifier.enclosure import Enclosure, grouped_sum
-from taichi_bearings.verifier.motion import length
+from taichi_bearings.verifier.enclosure import Enclosure, grouped_sum, length
 
 CASES = 400
 

@@ -13,7 +13,8 @@ import taichi_bearings as tb
 from taichi_bearings.errors import FileError
 from taichi_bearings.packing import structure_of
 from taichi_bearings.runs.verify import verify
-from taichi_bearings.verifier.packing_verdict import PackingJudgement
+from taichi_bearings.verifier.judgement import Judgement
+from taichi_bearings.verifier.network import StoredPacking
 from tests.packing.twins import clarabel_least, random_packing
 from tests.verifier.packing_files import KINDS, drawn, write_run
 
@@ -124,7 +125,7 @@ def test_all_states_of_oblique_contacts_are_proven_and_no_false_ones(kind):
     for size in 10.0 ** np.arange(-13, 0):
         spin = found.spin + size * free[:, None] * rng.standard_normal(found.spin.shape)
         friction = found.friction * (1 + size * rng.standard_normal(len(found.slip)))[:, None]
-        proven = PackingJudgement.of("coulomb", packing.arrays(), spin, friction).states.proven
+        proven = Judgement(StoredPacking("coulomb", packing.arrays(), spin, friction)).states[0].proven
         acts = found.state != 3
         assert ((proven == found.proven) | (proven == 2))[acts].all()
         proofs += not (proven[acts] == 2).any()
@@ -133,7 +134,7 @@ def test_all_states_of_oblique_contacts_are_proven_and_no_false_ones(kind):
     weak = packing.friction.copy()
     weak[rests[0]] = 0.99 * found.force[rests[0]] / np.broadcast_to(packing.normal_force, weak.shape)[rests[0]]
     arrays = packing.arrays() | {"friction": weak}
-    proven = PackingJudgement.of("coulomb", arrays, found.spin, found.friction).states.proven
+    proven = Judgement(StoredPacking("coulomb", arrays, found.spin, found.friction)).states[0].proven
     assert proven[rests[0]] == 2
 
 
@@ -268,7 +269,7 @@ def test_friction_out_of_balance_is_paid_for():
     packing = tb.Packing.lattice("fcc", KINDS["fcc"], seed=2)
     found = tb.solve(packing)
     wrong = found.friction * np.random.default_rng(0).uniform(0.9, 1.1, (packing.contacts, 1))
-    bounds = PackingJudgement.of("coulomb", packing.arrays(), found.spin, wrong).bounds
+    bounds = Judgement(StoredPacking("coulomb", packing.arrays(), found.spin, wrong))
     assert 0 <= bounds.lower_bound <= found.power
     assert bounds.gap > 1e-3
 
@@ -282,7 +283,7 @@ def poorer(found, rng):
     if packing.dimension == 3:
         noise -= packing.normal * (noise * packing.normal).sum(axis=1, keepdims=True)
     friction = (scale * (1 - size * rng.integers(0, 2)) + noise).reshape(found.friction.shape)
-    return PackingJudgement.of(packing.law.name, packing.arrays(), spin, friction)
+    return Judgement(StoredPacking(packing.law.name, packing.arrays(), spin, friction))
 
 
 @pytest.mark.parametrize("seed", range(36))
@@ -291,10 +292,10 @@ def test_what_poor_answers_prove_is_true_of_a_good_one(seed):
     found = tb.solve(packing)
     judged = poorer(found, np.random.default_rng(seed))
     unit = np.abs(packing.imposed).max()
-    assert judged.bounds.lower_bound <= found.potential * (1 + 1e-12)
-    assert judged.bounds.upper_bound >= found.lower_bound
-    acts, known = found.state != 3, judged.states.proven
-    assert (found.slip <= judged.slip_bound + 1e-12 * unit)[acts].all()
+    assert judged.lower_bound <= found.potential * (1 + 1e-12)
+    assert judged.upper_bound >= found.lower_bound
+    acts, known = found.state != 3, judged.states[0].proven
+    assert (found.slip <= judged.slip_bound[0] + 1e-12 * unit)[acts].all()
     assert (found.slip[acts & (known == 0)] <= 1e-12 * unit).all()
     assert (found.slip[acts & (known == 1)] > 0).all()
     assert not ((known == 1) & (found.proven == 0)).any()

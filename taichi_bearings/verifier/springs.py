@@ -1,0 +1,188 @@
+"""Springs that take torques away where components mix, and the largest spins that some minimum can have.
+
+No box of imposed spins holds there. Springs q take the torques r away, F - q (K z) with K^T q K z = r, until some 1e-30
+of them are left: these are paid for at the largest spins that some u* can have. With Phi the potential of any spins,
+each contact has q |y*|^2 <= phi(y*) / Phi for q = w w_min / Phi^2 with w = mu F_n, or eta / (2 Phi). So the norm of
+q^1/2 y* is at most 1, and
+
+    |D^-1 u*| <= (1 + |q^1/2 b|) / sigma,    sigma^2 <= least eigenvalue of D K^T q K D,
+
+a floor that an elimination proves. Spheres whose contacts all have one direction can turn about it without any slip:
+the largest component of that is held at 0. Spheres whose contacts bear nothing, and whose spins make any slips of these
+contacts whatever (their rows of K are independent, by a floor of K K^T), let them roll at every minimum and are left
+out, with all that is loose among them. If other motions slip by no more than rounding no floor is found, and the bound
+is one on spins up to so many times the fastest imposed one alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy import sparse
+
+from taichi_bearings.verifier.curvature import proven_floor
+from taichi_bearings.verifier.elimination import EPS, Elimination
+from taichi_bearings.verifier.enclosure import UP, Enclosure
+from taichi_bearings.verifier.network import Network, connected, moments
+
+ROUNDS, SHIFT = 2, -1e-13  # of the springs, and what keeps slipless motions from being divided by 0
+UNSTRESSED = 1e-6  # of its friction, or of the largest force, below which a contact may bear nothing
+
+
+def natural(network: Network) -> np.ndarray:
+    """(R,), potential of all contacts that act if they slipped by the imposed jump, or the largest imposed spin; of
+    packings by the largest imposed component."""
+    fastest = float(network.box.max(initial=0.0))
+    if network.samples is not None:
+        speed = network.samples.jump_size or abs(network.samples.spin_top)
+        fastest = network.samples.radius * speed / network.speed_unit
+    own = np.flatnonzero(network.acts)
+    holding, slope = (network.by_sample(values.at(own), own).value for values in (network.holding, network.slope))
+    return np.asarray(holding * fastest + slope * fastest**2 / 2)
+
+
+@dataclass(frozen=True)
+class Springs:
+    """rows : q^1/2 K D, (3 E, n). weight : q, (E,). scale : D, (n,). number : (N, 3) of each unknown, or -1.
+
+    elimination : of D K^T q K D.
+    """
+
+    network: Network
+    rows: sparse.csr_array
+    weight: np.ndarray
+    scale: np.ndarray
+    number: np.ndarray
+    elimination: Elimination
+
+    @classmethod
+    def of(cls, network: Network, potential: float) -> Springs | None:
+        """None where some unknown slips nowhere."""
+        holding, slope = (np.where(network.counts, v.value, 0.0) for v in (network.holding, network.slope))
+        least = holding[holding > 0].min(initial=np.inf)
+        with np.errstate(all="ignore"):
+            weight = np.maximum(
+                holding * (least / potential) / potential if least < np.inf else 0.0, slope / potential / 2
+            )
+        number = np.full((len(network.free), 3), -1)
+        there = network.reached[:, None] & ~_turning_freely(network)
+        number[there] = np.arange(there.sum())
+        return cls.made(network, slip_rows(network, number), weight, number)
+
+    @classmethod
+    def made(cls, network: Network, rows: sparse.csr_array, weight: np.ndarray, number: np.ndarray) -> Springs | None:
+        rows = sparse.csr_array(sparse.diags_array(np.sqrt(np.tile(weight, 3))) @ rows)
+        rows.eliminate_zeros()
+        squares = np.bincount(rows.indices, rows.data**2, rows.shape[1])
+        if not ((squares > 0) & (squares < np.inf)).all():
+            return None
+        scale = 1 / np.sqrt(squares)
+        rows = sparse.csr_array(rows @ sparse.diags_array(scale))
+        place = network.place[np.nonzero(number >= 0)[0]].T
+        return cls(network, rows, weight, scale, number, Elimination.of((rows.T @ rows).tocsc(), place))
+
+    def balanced(self) -> tuple[list[Enclosure], list[Enclosure]]:
+        """The friction less what springs take from it, and torques that are left."""
+        network, factor = self.network, self.elimination.factorised(SHIFT)
+        torques, there, fine = network.torques(network.own_moment), self.number >= 0, network.own_friction
+        if factor is None:
+            return fine, torques
+        taken = np.zeros_like(network.friction)
+        for _ in range(ROUNDS):
+            left = np.stack([part.value for part in torques], axis=1)[there]
+            root = np.sqrt(np.tile(self.weight, 3))
+            taken += (root * (self.rows @ factor.solve(left * self.scale))).reshape(3, -1).T
+            fine = [Enclosure.exact(f.high, -x) for f, x in zip(network.own_friction, taken.T, strict=True)]
+            torques = network.torques(moments(fine, network.normal))
+        return fine, torques
+
+    @cached_property
+    def floor(self) -> float | None:
+        """Of the eigenvalues of D K^T q K D, proven."""
+        doubt = sparse.csr_array(
+            (16 * EPS * np.abs(self.rows.data), self.rows.indices, self.rows.indptr), shape=self.rows.shape
+        )
+        with np.errstate(all="ignore"):
+            return proven_floor(self.rows, doubt, self.elimination)
+
+    @property
+    def reach(self) -> float:
+        """No component of a free spin of some minimum is larger."""
+        if self.floor is None:
+            return np.inf
+        slips = self.network.slips(self.network.imposed)
+        start = np.sqrt(sum((self.weight * part.most**2).sum() for part in slips))
+        return float(self.scale.max(initial=0.0) * (1 + start) / np.sqrt(self.floor) * UP**2)
+
+
+def rolling(network: Network) -> np.ndarray:
+    """(N,) mask of free spheres that let all their contacts roll, whatever the others do."""
+    size = np.sqrt((network.friction**2).sum(axis=1))
+    small = UNSTRESSED * np.where(network.holding.high > 0, network.holding.high, size.max(initial=0.0))
+    ends = network.contact[:, network.counts & (size > small)]
+    some = network.reached.copy()
+    some[ends.ravel()] = False
+    first, second = network.contact[:, network.counts]
+    inner = some[first] & some[second]
+    label = connected(first[inner], second[inner], len(some))
+    if _independent(network, some):
+        return some
+    for part in np.unique(label[some]):
+        own = some & (label == part)
+        if not _independent(network, own):
+            some &= ~own
+    return some
+
+
+def _independent(network: Network, some: np.ndarray) -> bool:
+    """True if the spins of some spheres (N,) can make any slips whatever of all their contacts that count."""
+    number = np.full((len(some), 3), -1)
+    number[some] = np.arange(3 * some.sum()).reshape(-1, 3)
+    touched = np.flatnonzero(network.counts & some[network.contact].any(axis=0))
+    # of the three components of a slip across n two are enough
+    count = len(network.normal)
+    kept = np.ones((3, count), dtype=bool)
+    kept[np.argmax(np.abs(network.normal), axis=1), np.arange(count)] = False
+    own = np.concatenate([k * count + touched[kept[k, touched]] for k in range(3)])
+    columns = sparse.csr_array(slip_rows(network, number)[own].T)
+    if columns.shape[1] > columns.shape[0]:
+        return False
+    if not columns.shape[1]:
+        return True
+    columns.eliminate_zeros()
+    place = network.place[network.contact[0, own % count]].T
+    doubt = sparse.csr_array((EPS * np.abs(columns.data), columns.indices, columns.indptr), shape=columns.shape)
+    with np.errstate(all="ignore"):
+        return proven_floor(columns, doubt, Elimination.of((columns.T @ columns).tocsc(), place)) is not None
+
+
+def slip_rows(network: Network, number: np.ndarray) -> sparse.csr_array:
+    """K (3 E, n), exactly: component by component of (u_i + u_j) x n."""
+    count, turned = len(network.normal), [(1, 2), (2, 0), (0, 1)]
+    rows, columns, values = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)], [np.zeros(0)]
+    for end in network.contact:
+        for k, (a, b) in enumerate(turned):
+            for own, value in ((number[end, a], network.normal[:, b]), (number[end, b], -network.normal[:, a])):
+                there = (own >= 0) & network.counts
+                rows.append(k * count + np.flatnonzero(there))
+                columns.append(own[there])
+                values.append(value[there])
+    at = np.concatenate(rows), np.concatenate(columns)
+    return sparse.csr_array((np.concatenate(values), at), shape=(3 * count, int(number.max(initial=-1)) + 1))
+
+
+def _turning_freely(network: Network) -> np.ndarray:
+    """(N, 3) mask of the largest component of the one direction that all contacts of a sphere have, bit by bit."""
+    normal = network.normal[network.counts]
+    large = np.argmax(np.abs(normal), axis=1)
+    turned = normal * np.sign(normal[np.arange(len(normal)), large])[:, None]
+    low, high = np.full((len(network.free), 3), np.inf), np.full((len(network.free), 3), -np.inf)
+    for end in network.contact[:, network.counts]:
+        np.minimum.at(low, end, turned)
+        np.maximum.at(high, end, turned)
+    found = np.zeros(low.shape, dtype=bool)
+    alike = np.flatnonzero((low == high).all(axis=1))
+    found[alike, np.argmax(np.abs(low[alike]), axis=1)] = True
+    return found
