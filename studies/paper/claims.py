@@ -1,7 +1,9 @@
 """A claim of the paper, what was found, and the verdict. Sentences, limits and rules of a figure: claims/FIGURE.toml.
 
 A claim there has `claim`, `finding`, `paper`, `ours`, `uncertainty` and `after_data`, sentences with named numbers;
-`limits`; and rules, expressions in the same names: `holds`, `refined`, `samples` and `needed`.
+`limits`; and expressions in what the study names: `let`, more names, each in those before; `numbers`, what the report
+keeps for programs, names too; the rules `holds`, `refined`, `samples` and `needed`; `when`, whether it can be told at
+all; `cases`, the names of each case of which it is told.
 """
 
 import math
@@ -262,27 +264,58 @@ def sentences(figure: str) -> dict[str, dict[str, Any]]:
     return dict(tomllib.loads(path.read_text(encoding="utf-8")))
 
 
-def judge(claim: str, numbers: Mapping[str, Any], /, **others: Any) -> Claim:
-    """The claim FIGURE.NAME with its verdict. numbers : what the report keeps for programs. others : what else its
-    sentences and rules name."""
+def claims_of(figure: str, named: Mapping[str, Any]) -> list[Claim]:
+    """The claims of a figure with their verdicts: those that its numbers can say something about, in their order."""
+    return [claim for name in sentences(figure) for claim in judged(f"{figure}.{name}", **named)]
+
+
+def judge(claim: str, /, **named: Any) -> Claim:
+    """The claim FIGURE.NAME with its verdict, of what is named."""
+    (found,) = judged(claim, **named)
+    return found
+
+
+def judged(claim: str, /, **named: Any) -> list[Claim]:
+    """The same, none where the numbers say nothing of it, several where it is told of each of several cases."""
     figure, _, name = claim.partition(".")
     told = sentences(figure)[name]
-    named = {**told.get("limits", {}), **numbers, **others}
-    written = _Sentences(told.get("phrases", {}), named)
+    scope = {"np": np, "Share": Share, "span": span, **told.get("limits", {}), **named}
 
-    def rule(key: str, default: Any) -> Any:
+    def rule(key: str, default: Any = None) -> Any:
         found = told.get(key, default)
-        return eval(found, {"np": np, **named}) if isinstance(found, str) else found
+        return eval(found, scope) if isinstance(found, str) else found
 
-    words = {key: written.fill(told.get(key, "")) for key in ("finding", "paper", "ours", "uncertainty")}
-    return Claim(
-        text=written.fill(told["claim"]),
-        confirmed=bool(rule("holds", None)),
-        refined=bool(rule("refined", False)),
-        numbers=numbers,
-        samples=int(rule("samples", None)),
-        needed=int(rule("needed", 1)),
-        kind=told.get("kind", "samples"),
-        after_data=written.fill(told.get("after_data", "")) if rule("chosen", True) else "",
-        **words,
-    )
+    if not rule("when", True):
+        return []
+    found = []
+    for case in rule("cases", [{}]):
+        scope |= case
+        for key, expression in told.get("let", {}).items():
+            scope[key] = eval(expression, scope)
+        numbers = rule("numbers", {})
+        scope |= numbers
+        written = _Sentences(told.get("phrases", {}), scope)
+        words = {key: written.fill(told.get(key, "")) for key in ("finding", "paper", "ours", "uncertainty")}
+        found.append(
+            Claim(
+                text=written.fill(told["claim"]),
+                confirmed=bool(rule("holds")),
+                refined=bool(rule("refined", False)),
+                numbers=_plain(numbers),
+                samples=int(rule("samples")),
+                needed=int(rule("needed", 1)),
+                kind=told.get("kind", "samples"),
+                after_data=written.fill(told.get("after_data", "")) if rule("chosen", True) else "",
+                **words,
+            )
+        )
+    return found
+
+
+def _plain(value: Any) -> Any:
+    """Of numbers in arrays, lists and by names what JSON can hold."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(part) for key, part in value.items()}
+    if isinstance(value, list | tuple | np.ndarray):
+        return [_plain(part) for part in (value.tolist() if isinstance(value, np.ndarray) else value)]
+    return value.item() if isinstance(value, np.generic) else value

@@ -11,19 +11,12 @@ from taichi_bearings.plots.style import BLUE, GREY, ORANGE, in_our_style, new_fi
 
 @in_our_style
 def draw_exponents(
-    weight: Mapping[int, np.ndarray],
-    middle: Mapping[int, np.ndarray],
-    theta: Any,
-    zeta: Any,
-    held: Mapping[int, tuple[float, float]],
-    free: Mapping[int, tuple[float, float]],
-    length: int,
+    weight: Mapping[int, np.ndarray], middle: Mapping[int, np.ndarray], theta: Any, zeta: Any, held: Any, free: Any
 ) -> Figure:
     """(a) standard deviations of the weight and of the height in the middle of held cuts against their length, with the
     fitted laws; (b) skewness of the weight, held ends against the length and free ends against the height.
 
-    weight, middle : length -> (samples,). theta, zeta : Exponent. held, free : skewness and its error, by length and by
-    height. length : of the free cuts.
+    weight, middle : length -> (samples,). theta, zeta : Exponent. held, free : the points of paper.exponents.
     """
     figure = new_figure(7.1, 2.8)
     left, right = figure.subplots(1, 2)
@@ -39,19 +32,16 @@ def draw_exponents(
         law = np.sqrt(np.maximum(fit.amplitude * sizes[fitted] ** (2 * fit.value) + fit.offset, 0.0))
         left.plot(sizes[fitted], law, color=color, lw=1, label=f"{text} = {fit.value:.3f} ± {fit.total:.3f}")
     left.set(xscale="log", yscale="log", xlabel="length of the cut, discs", ylabel="standard deviation")
-    left.set_xticks(
-        sizes[:: max(1, len(sizes) // 5)], [str(size) for size in sizes[:: max(1, len(sizes) // 5)]], minor=False
-    )
+    few = sizes[:: max(1, len(sizes) // 5)]
+    left.set_xticks(few, few.astype(str))
     left.minorticks_off()
     left.set_title("(a) held ends")
     left.legend(loc="upper left")
-    for skewed, color, text in (
-        (held, BLUE, "held ends, against the length"),
-        (free, ORANGE, f"free ends, length {length}, against the height"),
+    for table, x, color, text in (
+        (held, held.length, BLUE, "held ends, against the length"),
+        (free, free.height, ORANGE, f"free ends, length {free.length[0]}, against the height"),
     ):
-        x = sorted(skewed)
-        value, error = np.array([skewed[L] for L in x]).T
-        right.errorbar(x, value, error, fmt="o-", ms=3, lw=0.8, color=color, label=text)
+        right.errorbar(x, table.skewness, table.its_error, fmt="o-", ms=3, lw=0.8, color=color, label=text)
     for value, text in ((-0.2241, "Tracy–Widom"), (-1.1395, "Gumbel")):
         right.axhline(value, color=GREY, lw=0.8)
         right.annotate(

@@ -9,28 +9,26 @@ from matplotlib.figure import Figure
 
 from taichi_bearings.plots.style import BLUE, GREY, in_our_style, new_figure
 
+from .sizes import mean_and_error
+
 
 @in_our_style
 def draw_odd_loops(
-    rolling: Mapping[int, Mapping[int, np.ndarray]],
-    none: Mapping[int, np.ndarray],
-    ruled: Any,
-    resting: Mapping[float, np.ndarray],
+    rolling: Mapping[int, Mapping[int, np.ndarray]], ruled: Any, resting: Mapping[float, np.ndarray]
 ) -> Figure:
     """(a) share of the discs that roll with the top against the number n of odd contacts, (b) against n / L^a, with the
     exponent a at which the sizes lie closest together; (c) share of the discs that rest, against the bottom's speed.
 
-    rolling : L -> n -> (samples,). none : L -> (samples,), without odd contacts. ruled : Collapse. resting : omega_B /
-    omega_T -> (samples,), with as many odd contacts as are drawn in (a) at most.
+    rolling : L -> n -> (samples,). ruled : Collapse. resting : omega_B / omega_T -> (samples,), with as many odd
+    contacts as are drawn in (a) at most.
     """
     figure = new_figure(7.1, 2.5)
     panels: Any = figure.subplots(1, 3)
     colors = colormaps["viridis"](np.linspace(0.0, 0.85, len(rolling)))
     for (L, of), color in zip(rolling.items(), colors, strict=True):
-        n = np.array(list(of))
-        mean = np.array([values.mean() for values in of.values()])
-        error = np.array([values.std(ddof=1) / len(values) ** 0.5 for values in of.values()])
-        panels[0].axhline(none[L].mean(), color=color, lw=0.6, ls=":")
+        n = np.array([odd for odd in of if odd])
+        mean, error = mean_and_error([of[odd] for odd in n])
+        panels[0].axhline(of[0].mean(), color=color, lw=0.6, ls=":")
         for axes, x in ((panels[0], n), (panels[1], n / L**ruled.value)):
             axes.errorbar(x, mean, error, fmt="o-", ms=3, lw=0.8, color=color, label=f"L = {L}")
     panels[0].set(xscale="log", xlabel="odd contacts n", ylabel="share of discs that roll", ylim=(0, 0.85))

@@ -40,13 +40,10 @@ def test_json_is_one_object_and_the_files_are_there(reproduced):
         "fig2.png",
         "report.html",
         "report.json",
-        "report.md",
     ]
     del report["interrupted"]
     assert json.loads((folder / "report.json").read_text(encoding="utf-8")) == report
-    text = (folder / "report.md").read_text(encoding="utf-8")
-    assert text.count("**confirmed**") == report["confirmed"] == 5
-    assert text.count("**too few samples**") == report["too_few_samples"] == 4
+    assert (report["confirmed"], report["too_few_samples"]) == (5, 4)
 
 
 def test_nothing_of_other_options_is_overwritten(reproduced):
@@ -81,10 +78,6 @@ def test_a_refuted_claim_is_exit_code_1(tmp_path, monkeypatch):
     assert "fig2: 1 refuted, 1 confirmed" in done.stderr
     report = json.loads((tmp_path / "a" / "report.json").read_text(encoding="utf-8"))
     assert (report["confirmed"], report["refuted"]) == (1, 1)
-    assert (
-        "| Water runs uphill. | **refuted** | samples |  |  | 1 |  | It runs downhill. |"
-        in (tmp_path / "a" / "report.md").read_text()
-    )
 
 
 @pytest.mark.parametrize(
@@ -137,9 +130,9 @@ def test_what_is_done_before_ctrl_c_is_kept_and_the_same_command_goes_on(figures
     assert (code, report["interrupted"], report["missing"]) == (130, True, ALL[2:])
     stored = json.loads((folder / "report.json").read_text(encoding="utf-8"))
     assert list(stored["figures"]) == ["fig1", "fig2"] == figures.computed
-    text = (folder / "report.md").read_text(encoding="utf-8")
+    text = (folder / "report.html").read_text(encoding="utf-8")
     assert f"Not done yet: {', '.join(ALL[2:])}." in text
-    assert "| fig2 is right. | **confirmed** |" in text
+    assert "fig2 is right." in text
     figures.interrupted_at = None
     code, report = ask(folder)
     assert (code, report["interrupted"], report["missing"], report["confirmed"]) == (0, False, [], len(ALL))
@@ -207,7 +200,7 @@ def test_the_page_has_every_claim_of_the_report(figures, tmp_path):
 def test_force_throws_away_what_was_kept(figures, tmp_path):
     folder = tmp_path / "a"
     ask(folder, "supplement", "network")
-    kept = [folder / name for name in ("supplement-descent-10000.kept.h5", "network.jsonl", "own-notes.jsonl")]
+    kept = [folder / name for name in ("supplement.jsonl", "network.jsonl", "own-notes.jsonl")]
     for path in kept:
         path.write_text("from another seed")
     ask(folder, "supplement", "network", "--force", "--seed", "4")
