@@ -213,7 +213,7 @@ REDUCED: dict[str, Callable[[Any], Any]] = {"max": np.max, "min": np.min, "mean"
                                             "sum": np.sum, "len": len}  # fmt: skip
 WRITTEN: dict[str, Callable[[Any], str]] = {
     "interval": interval_of, "every": every, "error": mean, "span": span,
-    "hits": lambda values: f"{int(np.sum(values))} of {len(values)}",
+    "share": lambda values: str(Share.of(values)), "hits": lambda values: f"{int(np.sum(values))} of {len(values)}",
     "percent": lambda value: share(value, 0), "percent1": share,
 }  # fmt: skip
 
@@ -222,8 +222,8 @@ class _Sentences(string.Formatter):
     """Sentences of a claim: a number is {name}, or {name:way format}.
 
     ways : those of REDUCED and then a format, those of WRITTEN; count WORD, 3 words; list, its parts in the format that
-    follows; by, of numbers by name or by the side of cubes, in the format that follows; each PHRASE, of numbers by name
-    the sentence of that name among the phrases of the claim.
+    follows; by, of numbers by name or by the side of cubes, in the format that follows; by COLUMN, of that of a table;
+    each PHRASE, of numbers by name the sentence of that name among the phrases of the claim, there `it` or by names.
     """
 
     def __init__(self, phrases: Mapping[str, str], named: Mapping[str, Any]) -> None:
@@ -235,13 +235,16 @@ class _Sentences(string.Formatter):
     def format_field(self, value: Any, format_spec: str) -> str:
         way, _, rest = format_spec.partition(" ")
         if way in REDUCED:
-            return self.format_field(REDUCED[way](value), rest)
+            return self.format_field(REDUCED[way](value) if len(value) or way in ("sum", "len") else math.nan, rest)
         if way in WRITTEN:
             return WRITTEN[way](value)
         if way == "count":
             return counted(int(value), rest)
         if way == "list":
             return ", ".join(self.format_field(part, rest) for part in value) or "none"
+        if way == "by" and not isinstance(value, Mapping):
+            column, _, rest = rest.partition(" ")
+            value = value.by(column)
         if way == "by":
             parts = [(key, self.format_field(part, rest)) for key, part in value.items()]
             if all(isinstance(key, int) for key in value):
@@ -249,7 +252,8 @@ class _Sentences(string.Formatter):
                 return ", ".join(f"{text} at {side}^3{number.get(side, '')}" for side, text in parts)
             return "; ".join(f"{name}{':' if 'interval' in rest else ''} {text}" for name, text in parts)
         if way == "each":
-            return "; ".join(self.fill(self.phrases[rest], name=name, **of) for name, of in value.items())
+            named = ((name, of if isinstance(of, dict) else {"it": of}) for name, of in value.items())
+            return "; ".join(self.fill(self.phrases[rest], name=name, **of) for name, of in named)
         return str(super().format_field(value, format_spec))
 
 
