@@ -16,7 +16,7 @@ from taichi_bearings.analysis.structure import Structure
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.runs.settings import RunSettings
 
-from ..plots.distributions import draw_distributions
+from ..plots.minima import draw_distributions
 from .claims import Effort, Share
 from .network import BULK, PRACTICALLY_ALL
 from .samples import Found, Table, joined, measured, told

@@ -18,7 +18,7 @@ import numpy as np
 from taichi_bearings.analysis.structure import Structure
 from taichi_bearings.runs.settings import RunSettings
 
-from ..plots.drivings import draw_drivings
+from ..plots.minima import draw_drivings
 from .claims import Effort
 from .network import BULK
 from .samples import Found, Table, joined, measured, told

@@ -16,7 +16,7 @@ import numpy as np
 
 from taichi_bearings.numerics.planar import minimum_cuts
 
-from ..plots.exponents import draw_exponents
+from ..plots.questions import draw_exponents
 from .claims import Effort
 from .fits import exponent, skewness
 from .samples import Found, Table, drawn

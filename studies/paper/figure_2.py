@@ -3,7 +3,7 @@
 Followed by the paper's Cundall-Strack dynamics and, with the same inertia, under rigid friction without springs.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from taichi_bearings.words import counted
 
 from ..plots.relaxation import draw_relaxation
 from .claims import Effort
-from .samples import SAME, Found, Run, Table, joined, minima_of, relax, relax_rigidly
+from .samples import SAME, Found, Run, Table, curves, joined, minima_of, relax, relax_rigidly
 
 SHAPE, LARGER = (3, 3, 3), (6, 6, 6)
 STARTS = {"random": "random spins", "minimum-cut": "the minimum cut"}
@@ -42,11 +42,14 @@ def study(folder: Path, effort: Effort) -> Found:
     named = names_of(runs, stiffer, rigid, minima, larger) | {"intermediate": spheres, "seeds": scene.seeds}
     named |= {"free_spheres": int((~scene.lattice.is_driven).sum()), "apart": apart(*runs) / scene.jump}
     dynamics = {"cundall-strack": runs, "rigid-limit": rigid}
-    curves = joined({name: curves_of(both, scene.seeds, minima) for name, both in dynamics.items()}, "dynamics")
+    courses = {
+        name: joined({run.start: course_of(run, scene.seeds, minima) for run in both}, "start")
+        for name, both in dynamics.items()
+    }
     shown = named["place"]
     ends = [[shown_spins(spin, shown) / scene.fastest for spin in (run.first, run.last)] for run in runs]
     figure = partial(draw_relaxation, tuple(STARTS.values()), runs, rigid, ends, minima, shown)
-    return Found({".csv": curves}, figure, named)
+    return Found({".csv": joined(courses, "dynamics")}, figure, named)
 
 
 def names_of(
@@ -80,21 +83,11 @@ def distance_of_power(run: Run, rigid: Run) -> np.ndarray:
     return np.array([np.abs(np.interp(rigid.time[both], run.time, p) - q[both]).max() / q[0] for p, q in pairs])
 
 
-def curves_of(runs: Sequence[Run], seeds: Sequence[int], minima: Table) -> Table:
+def course_of(run: Run, seeds: Sequence[int], minima: Table) -> Table:
     """The power against time, a row a sample and time."""
-
-    def rows(run: Run, n: int) -> Mapping[str, Any]:
-        power = run.power[:, n]
-        over = {"power_over_initial": power / power[0], "power_over_minimum": power / minima.power[n]}
-        return {
-            "start": [run.start] * len(power),
-            "seed": [seeds[n]] * len(power),
-            "time": run.time,
-            "power": power,
-        } | over
-
-    parts = [rows(run, n) for run in runs for n in range(run.power.shape[1])]
-    return Table({name: np.concatenate([part[name] for part in parts]) for name in parts[0]})
+    samples, over = run.power.shape[1], {"power_over_initial": run.power / run.power[0]}
+    over["power_over_minimum"] = run.power / minima.power[:samples]
+    return curves(seeds[:samples], time=run.time, power=run.power, **over)
 
 
 def without_idle_spin(staggered: np.ndarray) -> np.ndarray:

@@ -16,7 +16,7 @@ from taichi_bearings.lattice import Lattice
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.runs.settings import RunSettings
 
-from ..plots.sizes import THRESHOLDS, draw_sizes
+from ..plots.minima import THRESHOLDS, draw_sizes
 from .claims import Effort
 from .samples import Found, Table, measured, told
 

@@ -18,7 +18,7 @@ from taichi_bearings.packing import Packing
 from taichi_bearings.packing.planar import least_power
 from taichi_bearings.packing.system import System
 
-from ..plots.odd_loops import draw_odd_loops
+from ..plots.questions import draw_odd_loops
 from .claims import Effort
 from .fits import collapse
 from .samples import Found, Table, drawn
@@ -83,7 +83,7 @@ def study(folder: Path, effort: Effort) -> Found:
     resting = {bottom: found[turned, max(numbers), bottom]["resting"] for bottom in BOTTOMS}
     ruled = collapse({size: {odd: values for odd, values in of.items() if odd} for size, of in rolling.items()})
     named = {
-        "rolling": rolling, "resting": resting, "ruled": ruled, "few": min(odd for odd in numbers if odd >= 8),
+        "rolling": rolling, "rest": resting, "ruled": ruled, "few": min(odd for odd in numbers if odd >= 8),
         "most_odd": max(numbers), "size": turned, "drawn_samples": sum(wanted.values()),
         "landscape": LANDSCAPE, "density": DENSITY,
     }  # fmt: skip

@@ -20,9 +20,9 @@ from taichi_bearings.solvers import CundallStrack, InteriorPoint
 from taichi_bearings.solvers.stopping import StopRule
 from taichi_bearings.stages import each, stage
 
-from ..plots.parameters import draw_parameters
+from ..plots.relaxation import draw_parameters
 from .claims import Effort
-from .samples import TIMES, Found, Run, Table, joined, relax, solved
+from .samples import TIMES, Found, Run, curves, joined, relax, solved
 
 SHAPE, START = (3, 3, 3), "random"
 RUNS = 8
@@ -73,19 +73,6 @@ class Course:
         after = np.where(late.any(axis=0), np.minimum(last + 1, len(late) - 1), 0)
         return np.asarray(self.scaled[after])
 
-    def table(self, seed: int) -> Table:
-        """One row a sample and time."""
-        samples, times = self.power.shape[1], len(self.time)
-        return Table(
-            {
-                "seed": np.repeat(seed + np.arange(samples), times),
-                "time": np.tile(self.time, samples),
-                "scaled_time": np.tile(self.scaled, samples),
-                "power_over_initial": self.power.T.ravel(),
-                "excess_over_minimum": self.excess.T.ravel(),
-            }
-        )
-
 
 def study(folder: Path, effort: Effort) -> Found:
     """The samples under all variants, and their minima under all normal forces."""
@@ -103,9 +90,15 @@ def study(folder: Path, effort: Effort) -> Found:
     courses = {
         name: Course.of(run, force := VARIANTS[name][2], minima[force].lower_bound) for name, run in runs.items()
     }
-    table = joined({name: course.table(effort.seed) for name, course in courses.items()}, "variant")
+    rows = {
+        name: curves(
+            scenes[FORCE].seeds, time=of.time, scaled_time=of.scaled, power_over_initial=of.power,
+            excess_over_minimum=of.excess,
+        )
+        for name, of in courses.items()
+    }  # fmt: skip
     named = of_courses(courses) | of_minima(minima) | {"stretch": scenes[FORCE].coefficient * (FORCE / STIFFNESS)}
-    return Found({".csv": table}, partial(draw_parameters, courses, effort.seed), named)
+    return Found({".csv": joined(rows, "variant")}, partial(draw_parameters, courses, effort.seed), named)
 
 
 def of_courses(courses: Mapping[str, Course]) -> dict[str, Any]:

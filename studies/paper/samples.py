@@ -96,6 +96,13 @@ def joined(tables: Mapping[str, Table], key: str) -> Table:
     return Table({key: names} | {of: np.concatenate([t.columns[of] for t in tables.values()]) for of in columns})
 
 
+def curves(seeds: Sequence[int], **columns: np.ndarray) -> Table:
+    """Courses of samples below one another, a row a time. columns : (T,) or (T, R), R samples of these seeds."""
+    shape = (len(seeds), len(columns["time"]))
+    rows = {name: np.broadcast_to(values.T, shape).ravel() for name, values in columns.items()}
+    return Table({"seed": np.repeat(seeds, shape[1])} | rows)
+
+
 @dataclass(frozen=True)
 class Found:
     """What a study has found: the tables to write, by the ends of their file names; the figure; and by their names the

@@ -139,6 +139,10 @@ def test_what_is_done_before_ctrl_c_is_kept_and_the_same_command_goes_on(figures
     assert figures.computed == ALL
     assert ask(folder) == (0, report)  # nothing is missing, nothing is computed
     assert len(figures.computed) == len(ALL)
+    text = (folder / "report.html").read_text(encoding="utf-8")
+    assert str(folder / "report.html") in report["files"]
+    assert all(f"{name} is right." in text and f'id="{name}-1"' in text for name in ALL)
+    assert text.count("data:image/png;base64,") == len(ALL)
 
 
 def test_what_was_asked_for_first_is_not_forgotten_by_another_command(figures, tmp_path):
@@ -149,12 +153,6 @@ def test_what_was_asked_for_first_is_not_forgotten_by_another_command(figures, t
     assert (code, list(report["figures"]), report["missing"]) == (0, ["fig1"], ["fig2", "fig3"])
     code, report = ask(folder, "fig2", "fig3")
     assert (code, report["missing"], figures.computed) == (0, [], ["fig1", "fig2", "fig3"])
-
-
-def test_nothing_is_computed_twice(figures, tmp_path):
-    code, report = ask(tmp_path / "a")
-    assert ask(tmp_path / "a") == (code, report) == (0, report)
-    assert len(figures.computed) == len(ALL)
 
 
 def test_the_report_stands_after_each_figure(figures, tmp_path, monkeypatch):
@@ -185,16 +183,6 @@ def test_the_short_form_is_one_of_its_own(figures, tmp_path):
     assert "already exists and has samples 20 instead of 200, quick True instead of False" in other
     assert ask(tmp_path / "b", "fig1", "--quick", "--samples", "7")[1]["samples"] == 7
     assert Effort(0, 7, True) in figures.efforts
-
-
-def test_the_page_has_every_claim_of_the_report(figures, tmp_path):
-    _, report = ask(tmp_path / "a")
-    text = (tmp_path / "a" / "report.html").read_text(encoding="utf-8")
-    assert str(tmp_path / "a" / "report.html") in report["files"]
-    for name in ALL:
-        assert f"{name} is right." in text
-        assert f'id="{name}-1"' in text
-    assert text.count("data:image/png;base64,") == len(ALL)
 
 
 def test_force_throws_away_what_was_kept(figures, tmp_path):

@@ -13,8 +13,8 @@ from taichi_bearings_studies.paper.samples import Run, Table
 from taichi_bearings_studies.plots.accuracy import Curve as MethodCurve
 from taichi_bearings_studies.plots.accuracy import Panel, draw_accuracy
 from taichi_bearings_studies.plots.configurations import draw_configurations
+from taichi_bearings_studies.plots.minima import THRESHOLDS, draw_sizes
 from taichi_bearings_studies.plots.relaxation import draw_relaxation
-from taichi_bearings_studies.plots.sizes import THRESHOLDS, draw_sizes
 
 import taichi_bearings as tb
 from taichi_bearings.errors import InputError

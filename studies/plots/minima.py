@@ -1,4 +1,5 @@
-"""How the structure of minima depends on the size of the sample, and on the threshold by which slips are judged."""
+"""How minima depend on the size of the sample, on the threshold by which slips are judged, on the distribution of the
+friction and on the driving: networks, domains and the least power."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
@@ -83,3 +84,62 @@ def _by_threshold(axes: Any, side: int, seen: Mapping[str, np.ndarray]) -> None:
     axes.set(xlabel=THRESHOLD, ylabel="number")
     axes.set_title(f"$L = {side}$; dashed: certified")
     axes.legend()
+
+
+@in_our_style
+def draw_distributions(tables: Mapping[str, Any], spans: Mapping[str, Any]) -> Figure:
+    """P_min / P_cut, samples that span, slipless contacts and decades of power, a row a distribution.
+
+    tables, spans : the samples of paper.distributions and the shares of them that join bottom and top, by distribution.
+    """
+    figure = new_figure(7.1, 2.5)
+    panels: Any = figure.subplots(1, 4, sharey=True)
+    rows = range(len(tables), 0, -1)
+    for row, (name, table) in zip(rows, tables.items(), strict=True):
+        colour = BLUE if 2 * table.states_proven.sum() > len(table) else GREY
+        for axes, column in zip(panels[[0, 2, 3]], ("power_over_cut", "slipless_fraction", "decades"), strict=True):
+            values = getattr(table, column)
+            if np.isfinite(values).any():
+                place = row + np.linspace(-0.22, 0.22, len(values))
+                axes.plot(values, place, ".", color=colour, ms=4, alpha=0.5, mew=0)
+                axes.plot([np.nanmean(values)] * 2, [row - 0.32, row + 0.32], color=colour, lw=1.6)
+        share, ends = table.spans.mean(), np.array([[spans[name].least], [spans[name].most]])
+        panels[1].errorbar(share, row, xerr=np.abs(ends - share), fmt="o", color=colour, ms=4, capsize=2)
+    panels[0].set_yticks(rows, list(tables))
+    panels[0].set_xlabel(r"$P_\mathrm{min} / P_\mathrm{cut}$")
+    panels[1].set(xlabel="samples that span", xlim=(-0.04, 1.04))
+    panels[2].set_xlabel("slipless contacts")
+    panels[3].set_xlabel("decades of power")
+    figure.suptitle("blue: contact states proven; grey: minima tie")
+    return figure
+
+
+@in_our_style
+def draw_drivings(axes_of: Sequence[Any], rates: Mapping[float, Any]) -> Figure:
+    """(a) share of the slipless contacts that two axes have in common, (b) P_min / P_cut; both against the angle, and
+    (c) that share with and without C, against C: dots are samples, the line is their mean.
+
+    axes_of : the samples of paper.drivings for each axis, by its angle with x. rates : by C, over A_x over the lattice
+    spacing, rising.
+    """
+    figure = new_figure(7.1, 2.5)
+    panels: Any = figure.subplots(1, 3)
+    angle = [table.angle[0] for table in axes_of]
+    for axes, x, tables, column in (
+        (panels[0], angle, axes_of, "overlap"),
+        (panels[1], angle, axes_of, "power_over_cut"),
+        (panels[2], list(rates), list(rates.values()), "overlap"),
+    ):
+        values = np.array([getattr(table, column) for table in tables])
+        axes.plot(x, values, ".", color=BLUE, ms=4, alpha=0.35, mew=0)
+        axes.plot(x, values.mean(axis=1), "o-", color=BLUE, ms=4, lw=1.2)
+        axes.axhline(1.0, color=GREY, lw=0.8)
+        axes.set(xlabel="axis of the spins, degrees from x", ylabel="slipless in both / in either")
+    for axes in panels[:2]:
+        axes.set_xticks(range(0, 91, 30))
+    panels[1].set_ylabel(r"$P_\mathrm{min} / P_\mathrm{cut}$")
+    panels[2].set(xlabel=r"$2 R C / A_x$", xscale="log")
+    panels[0].set_title("(a) network beside that at 45°")
+    panels[1].set_title("(b) least power")
+    panels[2].set_title("(c) network beside that at C = 0")
+    return figure
