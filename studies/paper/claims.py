@@ -66,52 +66,42 @@ def with_error(value: float, error: float) -> str:
 
 @dataclass(frozen=True)
 class Claim:
-    """text : what the paper says. finding : what came out, and by which criterion. numbers : the same for programs.
+    """claim : what the paper says. finding : what came out, and by which criterion. numbers : the same for programs.
 
     confirmed : it holds. refined : it holds with a condition or a correction, which the finding states.
-    samples : how many it was judged by. needed : fewer say nothing. kind : what the verdict rests on, one of KINDS.
-    paper, ours : the number of the paper and the one found, in a few words. uncertainty : of ours.
-    after_data : limits and choices of the criterion that were made with results in view, if any.
+    samples : how many it was judged by. samples_needed : fewer say nothing. kind : what the verdict rests on, one of
+    KINDS. paper, ours : the number of the paper and the one found, in a few words. uncertainty : of ours.
+    chosen_after_the_data : limits and choices of the criterion that were made with results in view, if any.
     """
 
-    text: str
+    claim: str
     finding: str
     confirmed: bool
     numbers: Mapping[str, Any] = field(default_factory=dict)
     refined: bool = False
     samples: int = 1
-    needed: int = 1
+    samples_needed: int = 1
     kind: Literal["samples", "theorem"] = "samples"
     paper: str = ""
     ours: str = ""
     uncertainty: str = ""
-    after_data: str = ""
+    chosen_after_the_data: str = ""
 
     @property
     def verdict(self) -> str:
-        if self.samples < self.needed:
+        if self.samples < self.samples_needed:
             return "too few samples"
         if not self.confirmed:
             return "refuted"
         return "refined" if self.refined else "confirmed"
 
     def as_dict(self) -> dict[str, Any]:
-        finding = self.finding
+        """As the report has it."""
+        found = {name: value for name, value in vars(self).items() if name not in ("confirmed", "refined")}
         if self.verdict == "too few samples":
-            finding += f" No verdict: this needs {counted(self.needed, 'such sample')} and has {self.samples:,}."
-        return {
-            "claim": self.text,
-            "verdict": self.verdict,
-            "kind": self.kind,
-            "paper": self.paper,
-            "ours": self.ours,
-            "uncertainty": self.uncertainty,
-            "chosen_after_the_data": self.after_data,
-            "samples": self.samples,
-            "samples_needed": self.needed,
-            "finding": finding,
-            "numbers": dict(self.numbers),
-        }
+            needed = counted(self.samples_needed, "such sample")
+            found["finding"] += f" No verdict: this needs {needed} and has {self.samples:,}."
+        return found | {"verdict": self.verdict}
 
 
 def is_claim(found: Any) -> bool:
@@ -299,18 +289,17 @@ def judged(claim: str, /, **named: Any) -> list[Claim]:
         numbers = rule("numbers", {})
         scope |= numbers
         written = _Sentences(told.get("phrases", {}), scope)
-        words = {key: written.fill(told.get(key, "")) for key in ("finding", "paper", "ours", "uncertainty")}
+        words = {key: written.fill(told.get(key, "")) for key in ("claim", "finding", "paper", "ours", "uncertainty")}
         found.append(
             Claim(
-                text=written.fill(told["claim"]),
+                **words,
                 confirmed=bool(rule("holds")),
                 refined=bool(rule("refined", False)),
                 numbers=_plain(numbers),
                 samples=int(rule("samples")),
-                needed=int(rule("needed", 1)),
+                samples_needed=int(rule("needed", 1)),
                 kind=told.get("kind", "samples"),
-                after_data=written.fill(told.get("after_data", "")) if rule("chosen", True) else "",
-                **words,
+                chosen_after_the_data=written.fill(told.get("after_data", "")) if rule("chosen", True) else "",
             )
         )
     return found

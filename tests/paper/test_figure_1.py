@@ -130,7 +130,7 @@ def test_two_boundaries_are_the_lightest_two_cuts(cuts, exact):
     def verdict(slips, table=table):
         ended = replace(minimum, slip=slips * scene.jump)
         claim = judge("fig1.two_boundaries", boundaries=figure_1.two_boundaries(table, cut, ended))
-        return claim.verdict, claim.samples, claim.needed
+        return claim.verdict, claim.samples, claim.samples_needed
 
     assert verdict(first | other)[0] == "confirmed"
     assert verdict(np.ones_like(first))[0] == verdict(first)[0] == "refuted"
@@ -171,7 +171,7 @@ def test_files_and_claims_of_a_small_effort(tmp_path, monkeypatch, needs_f64):
     monkeypatch.setattr(reproduce.runtime, "start", lambda *_: None)  # the tests' own is running
     claims = reproduce.FIGURES["fig1"].reproduce(tmp_path, Effort(seed=0, samples=2))
     assert len(claims) == 8
-    verdicts = {claim.text.split(":")[0]: claim.verdict for claim in claims}
+    verdicts = {claim.claim.split(":")[0]: claim.verdict for claim in claims}
     assert "refuted" not in verdicts.values()
     assert all((claim.verdict == "confirmed") == (claim.kind == "theorem") for claim in claims)
     assert verdicts["Viscous"] == "too few samples"

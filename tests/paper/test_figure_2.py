@@ -58,7 +58,7 @@ def test_what_most_samples_do_takes_samples_to_judge(name, samples):
     lower, equal = (claim(name, minima=minima_like(power, 1.1, samples), samples=samples) for power in (1.0, 1.1))
     wanted = ("confirmed", "refuted") if samples == 5 else ("too few samples",) * 2
     assert (lower.verdict, equal.verdict) == wanted
-    assert lower.needed == 5
+    assert lower.samples_needed == 5
 
 
 def falling(run, stiff, hard, samples=5):

@@ -165,5 +165,5 @@ def test_figures_3_and_4_show_a_sample_that_spans(small, tmp_path):
 def test_without_a_sample_that_spans_there_is_no_path_to_judge(small, tmp_path):
     claims = reproduce.FIGURES["fig3"].reproduce(tmp_path, Effort(seed=0, samples=1))
     assert [claim.verdict for claim in claims] == ["too few samples"] * 2
-    assert claims[1].needed == 29
+    assert claims[1].samples_needed == 29
     assert reproduce.FIGURES["fig4"].reproduce(tmp_path, Effort(0, 1)) == []
