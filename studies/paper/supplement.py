@@ -6,6 +6,8 @@ the contacts in each decade of the descent really slip. The range of the minimum
 enclosed (verifier/curvature.py), so the smallest and the largest power are.
 """
 
+import zlib
+from base64 import b64decode, b64encode
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -71,7 +73,8 @@ def study(folder: Path, effort: Effort) -> Found:
     seeds = range(effort.seed, effort.seed + max(1, int(SHARE_OF_SAMPLES * effort.samples)))
     parts += [Part(f"minimum-{seed}", minimum, (seed,)) for seed in seeds]
     found = computed(parts, folder / "supplement.jsonl", "descent or minimum", workers=1)
-    endings = [Ending(**of | {name: np.array(of[name]) for name in ("power", "slips")}) for of in found]
+    kinds = {"power": float, "slips": bool}
+    endings = [Ending(**of | {name: unpacked(of[name], kind) for name, kind in kinds.items()}) for of in found]
     descents, minima = endings[: len(lengths)], endings[len(lengths) :]
     decades = [by_decade(descent, minima[0]) for descent in descents]
     table = joined({f"{of.iterations}": table for of, table in zip(descents, decades, strict=True)}, "iterations")
@@ -116,8 +119,17 @@ def _ending(
     unit = scene.normal_force * scene.lattice.radius * abs(scene.spin_top)
     total, bound = float(solution.power[0]), float(solution.lower_bound[0])
     numbers = {"total": total / unit, "excess": total / bound - 1, "iterations": solution.iterations}
-    contacts = {"power": (power / unit).tolist(), "slips": slips(power, state).tolist()}
+    contacts = {"power": packed(power / unit), "slips": packed(slips(power, state))}
     return contacts | numbers | {"slip_error": slip_error}
+
+
+def packed(values: np.ndarray) -> str:
+    """Numbers as a text: as digits those of 32x32x32 spheres would be too long for a line of a journal."""
+    return b64encode(zlib.compress(values.tobytes())).decode()
+
+
+def unpacked(text: str, kind: type) -> np.ndarray:
+    return np.frombuffer(zlib.decompress(b64decode(text)), kind)
 
 
 def largest_slip_error(solution: Solution) -> float | None:
