@@ -50,8 +50,8 @@ def command(
     exponents, odd-loops
           questions beyond the paper: how interfaces of discs fluctuate, and how many odd contacts stop a bearing
 
-    Writes FIGURE.png, FIGURE.pdf, FIGURE.csv, and the report as report.html (one file, figures inside), report.json and
-    report.md, anew after each figure. The same command with the same --out goes on with the figures that are missing,
+    Writes FIGURE.png, FIGURE.pdf, FIGURE.csv, and the report as report.html (one file, figures inside) and report.json,
+    anew after each figure. The same command with the same --out goes on with the figures that are missing,
     and adds others. A claim is confirmed, refined (it holds with a condition or a correction), refuted, or has too few
     samples for a verdict; of each the report has the sample size, the uncertainty, what it rests on, and what was
     chosen after looking. All of it takes half an hour on two cores, with --quick five minutes.

@@ -1,7 +1,9 @@
 """A claim of the paper, what was found, and the verdict. Sentences, limits and rules of a figure: claims/FIGURE.toml.
 
 A claim there has `claim`, `finding`, `paper`, `ours`, `uncertainty` and `after_data`, sentences with named numbers;
-`limits`; and rules, expressions in the same names: `holds`, `refined`, `samples` and `needed`.
+`limits`; and expressions in what the study names: `let`, more names, each in those before; `numbers`, what the report
+keeps for programs, names too; the rules `holds`, `refined`, `samples` and `needed`; `when`, whether it can be told at
+all; `cases`, the names of each case of which it is told.
 """
 
 import math
@@ -64,52 +66,42 @@ def with_error(value: float, error: float) -> str:
 
 @dataclass(frozen=True)
 class Claim:
-    """text : what the paper says. finding : what came out, and by which criterion. numbers : the same for programs.
+    """claim : what the paper says. finding : what came out, and by which criterion. numbers : the same for programs.
 
     confirmed : it holds. refined : it holds with a condition or a correction, which the finding states.
-    samples : how many it was judged by. needed : fewer say nothing. kind : what the verdict rests on, one of KINDS.
-    paper, ours : the number of the paper and the one found, in a few words. uncertainty : of ours.
-    after_data : limits and choices of the criterion that were made with results in view, if any.
+    samples : how many it was judged by. samples_needed : fewer say nothing. kind : what the verdict rests on, one of
+    KINDS. paper, ours : the number of the paper and the one found, in a few words. uncertainty : of ours.
+    chosen_after_the_data : limits and choices of the criterion that were made with results in view, if any.
     """
 
-    text: str
+    claim: str
     finding: str
     confirmed: bool
     numbers: Mapping[str, Any] = field(default_factory=dict)
     refined: bool = False
     samples: int = 1
-    needed: int = 1
+    samples_needed: int = 1
     kind: Literal["samples", "theorem"] = "samples"
     paper: str = ""
     ours: str = ""
     uncertainty: str = ""
-    after_data: str = ""
+    chosen_after_the_data: str = ""
 
     @property
     def verdict(self) -> str:
-        if self.samples < self.needed:
+        if self.samples < self.samples_needed:
             return "too few samples"
         if not self.confirmed:
             return "refuted"
         return "refined" if self.refined else "confirmed"
 
     def as_dict(self) -> dict[str, Any]:
-        finding = self.finding
+        """As the report has it."""
+        found = {name: value for name, value in vars(self).items() if name not in ("confirmed", "refined")}
         if self.verdict == "too few samples":
-            finding += f" No verdict: this needs {counted(self.needed, 'such sample')} and has {self.samples:,}."
-        return {
-            "claim": self.text,
-            "verdict": self.verdict,
-            "kind": self.kind,
-            "paper": self.paper,
-            "ours": self.ours,
-            "uncertainty": self.uncertainty,
-            "chosen_after_the_data": self.after_data,
-            "samples": self.samples,
-            "samples_needed": self.needed,
-            "finding": finding,
-            "numbers": dict(self.numbers),
-        }
+            needed = counted(self.samples_needed, "such sample")
+            found["finding"] += f" No verdict: this needs {needed} and has {self.samples:,}."
+        return found | {"verdict": self.verdict}
 
 
 def is_claim(found: Any) -> bool:
@@ -211,7 +203,7 @@ REDUCED: dict[str, Callable[[Any], Any]] = {"max": np.max, "min": np.min, "mean"
                                             "sum": np.sum, "len": len}  # fmt: skip
 WRITTEN: dict[str, Callable[[Any], str]] = {
     "interval": interval_of, "every": every, "error": mean, "span": span,
-    "hits": lambda values: f"{int(np.sum(values))} of {len(values)}",
+    "share": lambda values: str(Share.of(values)), "hits": lambda values: f"{int(np.sum(values))} of {len(values)}",
     "percent": lambda value: share(value, 0), "percent1": share,
 }  # fmt: skip
 
@@ -220,8 +212,8 @@ class _Sentences(string.Formatter):
     """Sentences of a claim: a number is {name}, or {name:way format}.
 
     ways : those of REDUCED and then a format, those of WRITTEN; count WORD, 3 words; list, its parts in the format that
-    follows; by, of numbers by name or by the side of cubes, in the format that follows; each PHRASE, of numbers by name
-    the sentence of that name among the phrases of the claim.
+    follows; by, of numbers by name or by the side of cubes, in the format that follows; by COLUMN, of that of a table;
+    each PHRASE, of numbers by name the sentence of that name among the phrases of the claim, there `it` or by names.
     """
 
     def __init__(self, phrases: Mapping[str, str], named: Mapping[str, Any]) -> None:
@@ -233,13 +225,16 @@ class _Sentences(string.Formatter):
     def format_field(self, value: Any, format_spec: str) -> str:
         way, _, rest = format_spec.partition(" ")
         if way in REDUCED:
-            return self.format_field(REDUCED[way](value), rest)
+            return self.format_field(REDUCED[way](value) if len(value) or way in ("sum", "len") else math.nan, rest)
         if way in WRITTEN:
             return WRITTEN[way](value)
         if way == "count":
             return counted(int(value), rest)
         if way == "list":
             return ", ".join(self.format_field(part, rest) for part in value) or "none"
+        if way == "by" and not isinstance(value, Mapping):
+            column, _, rest = rest.partition(" ")
+            value = value.by(column)
         if way == "by":
             parts = [(key, self.format_field(part, rest)) for key, part in value.items()]
             if all(isinstance(key, int) for key in value):
@@ -247,7 +242,8 @@ class _Sentences(string.Formatter):
                 return ", ".join(f"{text} at {side}^3{number.get(side, '')}" for side, text in parts)
             return "; ".join(f"{name}{':' if 'interval' in rest else ''} {text}" for name, text in parts)
         if way == "each":
-            return "; ".join(self.fill(self.phrases[rest], name=name, **of) for name, of in value.items())
+            named = ((name, of if isinstance(of, dict) else {"it": of}) for name, of in value.items())
+            return "; ".join(self.fill(self.phrases[rest], name=name, **of) for name, of in named)
         return str(super().format_field(value, format_spec))
 
 
@@ -262,27 +258,57 @@ def sentences(figure: str) -> dict[str, dict[str, Any]]:
     return dict(tomllib.loads(path.read_text(encoding="utf-8")))
 
 
-def judge(claim: str, numbers: Mapping[str, Any], /, **others: Any) -> Claim:
-    """The claim FIGURE.NAME with its verdict. numbers : what the report keeps for programs. others : what else its
-    sentences and rules name."""
+def claims_of(figure: str, named: Mapping[str, Any]) -> list[Claim]:
+    """The claims of a figure with their verdicts: those that its numbers can say something about, in their order."""
+    return [claim for name in sentences(figure) for claim in judged(f"{figure}.{name}", **named)]
+
+
+def judge(claim: str, /, **named: Any) -> Claim:
+    """The claim FIGURE.NAME with its verdict, of what is named."""
+    (found,) = judged(claim, **named)
+    return found
+
+
+def judged(claim: str, /, **named: Any) -> list[Claim]:
+    """The same, none where the numbers say nothing of it, several where it is told of each of several cases."""
     figure, _, name = claim.partition(".")
     told = sentences(figure)[name]
-    named = {**told.get("limits", {}), **numbers, **others}
-    written = _Sentences(told.get("phrases", {}), named)
+    scope = {"np": np, "Share": Share, "span": span, **told.get("limits", {}), **named}
 
-    def rule(key: str, default: Any) -> Any:
+    def rule(key: str, default: Any = None) -> Any:
         found = told.get(key, default)
-        return eval(found, {"np": np, **named}) if isinstance(found, str) else found
+        return eval(found, scope) if isinstance(found, str) else found
 
-    words = {key: written.fill(told.get(key, "")) for key in ("finding", "paper", "ours", "uncertainty")}
-    return Claim(
-        text=written.fill(told["claim"]),
-        confirmed=bool(rule("holds", None)),
-        refined=bool(rule("refined", False)),
-        numbers=numbers,
-        samples=int(rule("samples", None)),
-        needed=int(rule("needed", 1)),
-        kind=told.get("kind", "samples"),
-        after_data=written.fill(told.get("after_data", "")) if rule("chosen", True) else "",
-        **words,
-    )
+    if not rule("when", True):
+        return []
+    found = []
+    for case in rule("cases", [{}]):
+        scope |= case
+        for key, expression in told.get("let", {}).items():
+            scope[key] = eval(expression, scope)
+        numbers = rule("numbers", {})
+        scope |= numbers
+        written = _Sentences(told.get("phrases", {}), scope)
+        words = {key: written.fill(told.get(key, "")) for key in ("claim", "finding", "paper", "ours", "uncertainty")}
+        found.append(
+            Claim(
+                **words,
+                confirmed=bool(rule("holds")),
+                refined=bool(rule("refined", False)),
+                numbers=_plain(numbers),
+                samples=int(rule("samples")),
+                samples_needed=int(rule("needed", 1)),
+                kind=told.get("kind", "samples"),
+                chosen_after_the_data=written.fill(told.get("after_data", "")) if rule("chosen", True) else "",
+            )
+        )
+    return found
+
+
+def _plain(value: Any) -> Any:
+    """Of numbers in arrays, lists and by names what JSON can hold."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(part) for key, part in value.items()}
+    if isinstance(value, list | tuple | np.ndarray):
+        return [_plain(part) for part in (value.tolist() if isinstance(value, np.ndarray) else value)]
+    return value.item() if isinstance(value, np.generic) else value

@@ -7,24 +7,21 @@ left is |d_x| : |d_y|, one angle from 0 to 90 degrees. Bearing states A + C x ha
 both planes differs, the jump varies over the plane.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from taichi_bearings import runtime
 from taichi_bearings.analysis.structure import Structure
-from taichi_bearings.files.whole_file import write_csv
 from taichi_bearings.runs.settings import RunSettings
-from taichi_bearings.stages import stage
 
-from ..plots.drivings import draw_drivings
-from .claims import Claim, Effort, Share, judge
+from ..plots.minima import draw_drivings
+from .claims import Effort
 from .network import BULK
-from .samples import measured, save_both
+from .samples import Found, Table, joined, measured, told
 
 MOST_SAMPLES = 10
 REFERENCE = "axis (1, 1, 0), omega_B = 0"
@@ -37,138 +34,62 @@ SAME: dict[str, dict[str, Any]] = {  # the same problem, rescaled, shifted or mi
     "A_z = 2 above, -1 below": {"top": (1.0, 1.0, 2.0, 0.0), "bottom": (0.0, 0.0, -1.0, 0.0)},
     "A and C of both raised": {"top": (1.5, 1.25, 0.25, 0.5), "bottom": (0.5, 0.25, 0.25, 0.5)},
 }
-RATES = [0.001, 0.01, 0.1, 0.3, 1.0, 10.0, 1000.0]  # C of the top beside A = (1, 1, 0), for the lattice spacing 1
-OTHER = [(1.0, 0.0, 0.0), (4.0, 1.0, 0.0), (2.0, 1.0, 0.0), (10.0, 9.0, 0.0), (1.0, 2.0, 0.0), (1.0, 4.0, 0.0),
-         (0.0, 1.0, 0.0)]  # fmt: skip
-HEIGHT = (0.0, 0.0, 1.0)
+AXES = [(1, 0, 0), (4, 1, 0), (2, 1, 0), (10, 9, 0), (1, 2, 0), (1, 4, 0), (0, 1, 0)]
+OTHER = {f"axis ({x}, {y}, {z})": {"direction": (float(x), float(y), float(z))} for x, y, z in AXES}
+ALONG = ("axis (1, 0, 0)", "axis (0, 1, 0)")
+HEIGHT = {"axis (0, 0, 1)": {"direction": (0.0, 0.0, 1.0)}}
+RATES = {  # C of the top beside A = (1, 1, 0), for the lattice spacing 1
+    f"A = (1, 1, 0), C = {rate:g}": {"top": (1.0, 1.0, 0.0, rate), "bottom": (0.0, 0.0, 0.0, 0.0)}
+    for rate in (0.001, 0.01, 0.1, 0.3, 1.0, 10.0, 1000.0)
+}
+DRIVINGS: dict[str, dict[str, Any]] = {REFERENCE: {}} | SAME | OTHER | HEIGHT | RATES
 
 
-@dataclass(frozen=True)
-class Driven:
-    """A certified sample under one driving.
-
-    slipless : mask of the contacts. power : over F_n R times the jump across the height (times the jump itself where it
-    has no such part). over_cut : P_min / P_cut, 1 where both are 0. gap : proven, relative.
-    """
-
-    slipless: np.ndarray
-    power: float
-    over_cut: float
-    gap: float
-    angle: float
-
-
-def reproduce(folder: Path, effort: Effort) -> list[Claim]:
-    """Write drivings.png, .pdf and .csv into `folder`; returns the claims with their verdicts."""
-    runtime.start("cpu", "f64")
+def study(folder: Path, effort: Effort) -> Found:
+    """Certified samples under each driving."""
     seeds = range(effort.seed, effort.seed + max(1, min(MOST_SAMPLES, effort.samples // 4)))
-    drivings: dict[str, dict[str, Any]] = (
-        {REFERENCE: {}}
-        | SAME
-        | {axis_name(axis): {"direction": axis} for axis in (*OTHER, HEIGHT)}
-        | {rate_name(rate): {"top": (1.0, 1.0, 0.0, rate), "bottom": (0.0, 0.0, 0.0, 0.0)} for rate in RATES}
-    )
-    points = list(product(drivings, seeds))
-    chosen = [RunSettings(shape=(BULK,) * 3, seed=seed, **drivings[name]) for name, seed in points]
-    found: dict[str, list[Driven]] = {}
-    for (name, _), numbers in zip(points, measured(chosen, numbers_of, folder / "drivings.jsonl"), strict=True):
-        slipless = np.array(numbers.pop("slipless"), dtype=bool)
-        found.setdefault(name, []).append(Driven(slipless, **numbers))
-    write_samples(folder / "drivings.csv", found, seeds)
-    others = [found[axis_name(axis)] for axis in OTHER]
-    with stage("drawing"):
-        shown = sorted([found[REFERENCE], *others], key=lambda samples: samples[0].angle)
-        angles = np.array([samples[0].angle for samples in shown])
-        kept = np.array([overlaps(samples, found[REFERENCE]) for samples in shown])
-        ratio = np.array([[sample.over_cut for sample in samples] for samples in shown])
-        rates = [found[rate_name(rate)] for rate in RATES]
-        kept_at = np.array([overlaps(samples, found[REFERENCE]) for samples in rates])
-        save_both(draw_drivings(angles, kept, ratio, np.array(RATES), kept_at), folder, "drivings")
-    return [
-        _speeds(found, seeds),
-        _axis(found, seeds),
-        _rate(found, seeds),
-        _one_component([found[axis_name(axis)] for axis in OTHER if 0.0 in axis[:2]]),
-        _height(found[axis_name(HEIGHT)]),
+    chosen = [
+        RunSettings(shape=(BULK,) * 3, seed=seed, **driving) for driving, seed in product(DRIVINGS.values(), seeds)
     ]
-
-
-def axis_name(axis: tuple[float, float, float]) -> str:
-    return f"axis ({', '.join(f'{part:g}' for part in axis)})"
-
-
-def rate_name(rate: float) -> str:
-    return f"A = (1, 1, 0), C = {rate:g}"
+    numbers = measured(chosen, numbers_of, folder / "drivings.jsonl")
+    rows = [{"seed": settings.seed} | found for settings, found in zip(chosen, numbers, strict=True)]
+    tables = {name: Table.of(rows[k * len(seeds) : (k + 1) * len(seeds)]) for k, name in enumerate(DRIVINGS)}
+    found = beside_reference(tables)
+    axes = sorted((found[name] for name in (REFERENCE, *OTHER)), key=lambda table: float(table.angle[0]))
+    rates = {DRIVINGS[name]["top"][3]: found[name] for name in RATES}
+    return Found({".csv": joined(found, "driving")}, partial(draw_drivings, axes, rates), names_of(found))
 
 
 def numbers_of(structure: Structure) -> dict[str, Any]:
-    """A Driven as a mapping."""
+    """slipless : 1 for each such contact. power_over_jump : over F_n R times the jump across the height (times the jump
+    itself where it has no such part). angle : of the jump, degrees from x."""
     scene = structure.scene
-    jump, cut = np.abs(scene.driving.jump.spin[0]), structure.interface.power
+    jump = np.abs(scene.driving.jump.spin[0])
     unit = scene.normal_force * scene.lattice.radius * (np.hypot(*jump[:2]) or np.linalg.norm(jump))
-    return {
+    return told(structure) | {
         "slipless": structure.network.slipless.astype(int).tolist(),
-        "power": float(structure.power / unit),
-        "over_cut": float(structure.power / cut) if cut else 1.0,
-        "gap": float((structure.power - structure.lower_bound) / structure.power) if structure.power else 0.0,
+        "power_over_jump": float(structure.power / unit),
         "angle": float(np.degrees(np.arctan2(jump[1], jump[0]))),
     }
 
 
-def overlaps(samples: Sequence[Driven], reference: Sequence[Driven]) -> list[float]:
-    """Contacts slipless under both drivings over those slipless under either, sample by sample."""
-    pairs = [(a.slipless, b.slipless) for a, b in zip(samples, reference, strict=True)]
-    return [float((a & b).sum() / (a | b).sum()) for a, b in pairs]
+def beside_reference(tables: Mapping[str, Table]) -> dict[str, Table]:
+    """With, sample by sample, the contacts that are slipless under one of both drivings alone, this and REFERENCE, and
+    the overlap: those slipless under both over those slipless under either."""
+    reference = tables[REFERENCE].slipless.astype(bool)
+    found = {}
+    for name, table in tables.items():
+        own = table.slipless.astype(bool)
+        both, either = (own & reference).sum(axis=1), (own | reference).sum(axis=1)
+        found[name] = table | {"changed": either - both, "overlap": both / either}
+    return found
 
 
-def changes(samples: Sequence[Driven], reference: Sequence[Driven]) -> list[int]:
-    """Contacts that are slipless under one of both drivings alone."""
-    return [int((a.slipless != b.slipless).sum()) for a, b in zip(samples, reference, strict=True)]
-
-
-def write_samples(path: Path, found: Mapping[str, Sequence[Driven]], seeds: Sequence[int]) -> None:
-    rows = []
-    for name, samples in found.items():
-        numbers = zip(
-            seeds, samples, changes(samples, found[REFERENCE]), overlaps(samples, found[REFERENCE]), strict=True
-        )
-        rows += [[name, s, d.angle, d.power, d.over_cut, d.gap, changed, kept] for s, d, changed, kept in numbers]
-    names = ["driving", "seed", "angle", "power_over_jump", "power_over_cut", "gap", "contacts_that_differ", "overlap"]
-    write_csv(path, names, rows)
-
-
-def _speeds(found: Mapping[str, Sequence[Driven]], seeds: Sequence[int]) -> Claim:
-    reference = found[REFERENCE]
-    changed = {name: changes(found[name], reference) for name in SAME}
-    spread = max(abs(a.power / b.power - 1) for name in SAME for a, b in zip(found[name], reference, strict=True))
-    differ = sum(map(sum, changed.values()))
-    numbers = {"seeds": list(seeds), "contacts_that_differ": changed, "spread": spread}
-    return judge("drivings.speeds", numbers, bulk=BULK, differ=differ, answer="no" if differ else "yes")
-
-
-def _axis(found: Mapping[str, Sequence[Driven]], seeds: Sequence[int]) -> Claim:
-    return _changed("drivings.axis", found, [axis_name(axis) for axis in OTHER], seeds)
-
-
-def _rate(found: Mapping[str, Sequence[Driven]], seeds: Sequence[int]) -> Claim:
-    return _changed("drivings.rate", found, [rate_name(rate) for rate in RATES], seeds)
-
-
-def _changed(key: str, found: Mapping[str, Sequence[Driven]], names: Sequence[str], seeds: Sequence[int]) -> Claim:
-    """Whether any of these drivings changes the network."""
-    changed = {name: changes(found[name], found[REFERENCE]) for name in names}
-    kept = {name: overlaps(found[name], found[REFERENCE]) for name in names}
-    told = {n: {"angle": found[n][0].angle, "changed": changed[n], "kept": kept[n]} for n in names}
-    touched = Share.of([any(column) for column in zip(*changed.values(), strict=True)])
-    numbers = {"seeds": list(seeds), "contacts_that_differ": changed, "overlap": kept}
-    return judge(key, numbers, bulk=BULK, found=told, touched=touched)
-
-
-def _one_component(along: Sequence[Sequence[Driven]]) -> Claim:
-    samples = [sample for of_axis in along for sample in of_axis]
-    apart, gap = max(abs(sample.over_cut - 1) for sample in samples), max(sample.gap for sample in samples)
-    return judge("drivings.one_component", {"apart": apart, "gap": gap}, samples=len(samples))
-
-
-def _height(samples: Sequence[Driven]) -> Claim:
-    return judge("drivings.height", {"power": [sample.power for sample in samples]})
+def names_of(found: Mapping[str, Table]) -> dict[str, Any]:
+    """What the claims name: tables by driving, of those that are the same problem, of other axes, of other C."""
+    (height,) = HEIGHT
+    return {
+        "bulk": BULK, "reference": found[REFERENCE], "seeds": found[REFERENCE].seed, "height": found[height],
+        "same": {name: found[name] for name in SAME}, "other": {name: found[name] for name in OTHER},
+        "rates": {name: found[name] for name in RATES}, "along": joined({name: found[name] for name in ALONG}, "axis"),
+    }  # fmt: skip

@@ -8,20 +8,18 @@ and Henley, Phys. Rev. Lett. 54, 1985). With both ends held, -E follows the Trac
 lightest of many that are nearly independent, and extreme-value statistics take over: Gumbel, skewness -1.1395.
 """
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from taichi_bearings.files.whole_file import write_csv
 from taichi_bearings.numerics.planar import minimum_cuts
-from taichi_bearings.stages import stage
 
-from ..plots.exponents import draw_exponents
-from .blocks import drawn
-from .claims import Claim, Effort, judge
+from ..plots.questions import draw_exponents
+from .claims import Effort
 from .fits import exponent, skewness
-from .samples import save_both
+from .samples import Found, Table, drawn
 
 FRICTION = (0.1, 1.0)  # uniform, the paper's
 HELD = 1e3  # friction that the ends of a path cannot cross
@@ -49,8 +47,8 @@ def draw(kind: str, length: int, height: int, samples: int, seed: int) -> dict[s
     return {"weight": weight, "middle": middle}
 
 
-def reproduce(folder: Path, effort: Effort) -> list[Claim]:
-    """Write exponents.png, .pdf and .csv into `folder`; returns the claims with their verdicts."""
+def study(folder: Path, effort: Effort) -> Found:
+    """Cuts with held ends, by their length, and with free ends, by the height."""
     sizes, tall, long = (QUICK_SIZES, QUICK_TALL, QUICK_LONG) if effort.quick else (SIZES, TALL, LONG)
     points = [("held", size, 2 * int(WIDTH * size ** (2 / 3)) + 3) for size in sizes]
     points += [("free", FREE, height) for height in tall]
@@ -59,48 +57,20 @@ def reproduce(folder: Path, effort: Effort) -> list[Claim]:
         point: max(BLOCK, most if point[1] <= 64 else most // 2 if point[1] <= 128 else most // 4) for point in points
     }
     found = drawn(draw, wanted, BLOCK, effort.seed, folder / "exponents.jsonl")
-    skewed = {point: skewness(of["weight"]) for point, of in found.items()}
-    rows = [[*point, len(of["weight"]), of["weight"].mean(), of["weight"].std(), of["middle"].std(), *skewed[point]]
-            for point, of in found.items()]  # fmt: skip
-    names = ["ends", "length", "height", "samples", "mean_weight", "sd_weight", "sd_middle", "skewness", "its_error"]
-    write_csv(folder / "exponents.csv", names, rows)
+    rows = [row_of(point, of) for point, of in found.items()]
+    held, free = (Table.of([row for row in rows if row["ends"] == kind]) for kind in ("held", "free"))
     weight, middle = ({p[1]: of[name] for p, of in found.items() if p[0] == "held"} for name in ("weight", "middle"))
-    own = {length: of for (kind, length, _), of in skewed.items() if kind == "held"}
-    free = {height: of for (kind, _, height), of in skewed.items() if kind == "free"}
     theta, zeta = exponent(weight), exponent(middle)
-    with stage("drawing"):
-        save_both(draw_exponents(weight, middle, theta, zeta, own, free, FREE), folder, "exponents")
-    count = sum(map(len, weight.values()))
-    together = {length: values for length, values in own.items() if length >= long}
-    share = np.array([1 / error**2 for _, error in together.values()])
-    pinned = float(np.average([value for value, _ in together.values()], weights=share))
-    return [
-        judge("exponents.theta", told(theta), samples=count, exact=1 / 3),
-        judge("exponents.zeta", told(zeta), samples=count, exact=2 / 3),
-        judge(
-            "exponents.relation",
-            {"difference": theta.value - 2 * zeta.value + 1, "error": float(np.hypot(theta.total, 2 * zeta.total))},
-            samples=count,
-        ),
-        judge(
-            "exponents.tracy_widom",
-            {"skewness": pinned, "error": float(share.sum() ** -0.5)},
-            exact=TRACY_WIDOM,
-            least=min(together),
-            samples=sum(len(weight[L]) for L in together),
-        ),
-        judge(
-            "exponents.gumbel",
-            {"skewness": [value for value, _ in free.values()], "error": [error for _, error in free.values()]},
-            heights=list(free),
-            length=FREE,
-            exact=GUMBEL,
-            samples=wanted["free", FREE, tall[-1]],
-        ),
-    ]
+    named = {
+        "theta": theta, "zeta": zeta, "held": held, "free": free, "pinned": held[held.length >= long],
+        "free_length": FREE, "law_of_tracy_and_widom": TRACY_WIDOM, "law_of_gumbel": GUMBEL,
+    }  # fmt: skip
+    draw_all = partial(draw_exponents, weight, middle, theta, zeta, held, free)
+    return Found({".csv": Table.of(rows)}, draw_all, named)
 
 
-def told(found: Any) -> dict[str, Any]:
-    """Of an Exponent, for programs and sentences."""
-    names = ("value", "error", "systematic", "total", "smallest", "goodness", "offset")
-    return {name: getattr(found, name) for name in names} | {"fits": list(found.fits.values())}
+def row_of(point: tuple[Any, ...], found: dict[str, np.ndarray]) -> dict[str, Any]:
+    """A point in numbers: mean and standard deviations, and the skewness of the weight with its error."""
+    numbers = (len(found["weight"]), found["weight"].mean(), found["weight"].std(), found["middle"].std())
+    names = ("ends", "length", "height", "samples", "mean_weight", "sd_weight", "sd_middle", "skewness", "its_error")
+    return dict(zip(names, (*point, *numbers, *skewness(found["weight"])), strict=True))

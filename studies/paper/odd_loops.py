@@ -8,23 +8,20 @@ different heights differ by about L^(1/3). If that rules, n odd contacts act ali
 samples a vanishing density stops the bearing. Every sample is solved exactly, by a cut of the double cover.
 """
 
-from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from taichi_bearings.files.whole_file import write_csv
 from taichi_bearings.packing import Packing
 from taichi_bearings.packing.planar import least_power
 from taichi_bearings.packing.system import System
-from taichi_bearings.stages import stage
 
-from ..plots.odd_loops import draw_odd_loops
-from .blocks import drawn
-from .claims import Claim, Effort, judge
+from ..plots.questions import draw_odd_loops
+from .claims import Effort
 from .fits import collapse
-from .samples import save_both
+from .samples import Found, Table, drawn
 
 FRICTION = (0.1, 1.0)  # uniform, the paper's
 BLOCK = 10  # samples that are drawn together
@@ -54,7 +51,7 @@ def network(size: int, odd: int, bottom: float, seed: int) -> Packing:
 def draw(size: int, odd: int, bottom: float, samples: int, seed: int) -> dict[str, Any]:
     """Share of the free discs that turn faster than half of the top, and of those that rest, at the exact minimum, and
     the least power over that of all free discs at rest; an entry a sample."""
-    found: dict[str, list[float]] = {"rolling": [], "resting": [], "power": []}
+    found: dict[str, list[float]] = {"rolling": [], "resting": [], "power_over_rest": []}
     for number in range(seed, seed + samples):
         packing = network(size, odd, bottom, number)
         system = System.of(packing)
@@ -63,13 +60,13 @@ def draw(size: int, odd: int, bottom: float, samples: int, seed: int) -> dict[st
         found["rolling"].append(float((speed > 0.5).mean()))
         found["resting"].append(float((speed == 0).mean()))
         at_rest = np.abs(system.difference(np.zeros_like(spins)))
-        found["power"].append(float((system.coefficients[0] * np.abs(system.difference(spins))).sum()
+        found["power_over_rest"].append(float((system.coefficients[0] * np.abs(system.difference(spins))).sum()
                                     / (system.coefficients[0] * at_rest).sum()))  # fmt: skip
     return found
 
 
-def reproduce(folder: Path, effort: Effort) -> list[Claim]:
-    """Write odd-loops.png, .pdf and .csv into `folder`; returns the claims with their verdicts."""
+def study(folder: Path, effort: Effort) -> Found:
+    """Bearings by size, number of odd contacts and spin of the bottom."""
     sizes, numbers = (QUICK_SIZES, QUICK_NUMBERS) if effort.quick else (SIZES, NUMBERS)
     turned = max(sizes) if effort.quick else TURNED
     points = [(size, odd, 0.0) for size in sizes for odd in numbers]
@@ -77,33 +74,17 @@ def reproduce(folder: Path, effort: Effort) -> list[Claim]:
     wanted = {point: max(BLOCK, round(effort.samples * sizes.get(point[0], 1.0))) for point in points}
     found = drawn(draw, wanted, BLOCK, effort.seed, folder / "odd-loops.jsonl")
     rows = []
-    for point, of in found.items():
-        told = [number for values in of.values() for number in (values.mean(), values.std(ddof=1) / len(values) ** 0.5)]
-        rows.append([*point, wanted[point], *told])
-    names = [f"{name}{ending}" for name in ("rolling", "resting", "power_over_rest") for ending in ("", "_error")]
-    write_csv(folder / "odd-loops.csv", ["size", "odd", "omega_bottom", "samples", *names], rows)
-    count = sum(wanted.values())
-    rolling = {size: {odd: found[size, odd, 0.0]["rolling"] for odd in numbers if odd} for size in sizes}
-    none = {size: found[size, 0, 0.0]["rolling"] for size in sizes}
-    few = min(odd for odd in numbers if odd >= 8)
-    stopped = {size: found[size, few, 0.0]["rolling"] for size in sizes}
-    ruled = collapse(rolling)
+    for (size, odd, bottom), of in found.items():
+        row = {"size": size, "odd": odd, "omega_bottom": bottom, "samples": len(of["rolling"])}
+        for name, values in of.items():
+            row |= {name: values.mean(), f"{name}_error": values.std(ddof=1) / len(values) ** 0.5}
+        rows.append(row)
+    rolling = {size: {odd: found[size, odd, 0.0]["rolling"] for odd in numbers} for size in sizes}
     resting = {bottom: found[turned, max(numbers), bottom]["resting"] for bottom in BOTTOMS}
-    with stage("drawing"):
-        save_both(draw_odd_loops(rolling, none, ruled, resting), folder, "odd-loops")
-    return [
-        judge("odd-loops.few", {"without": means(none), "stopped": means(stopped)}, few=few,
-              bare={f"L = {L}": {"share": values} for L, values in none.items()},
-              after={f"L = {L}": {"share": values} for L, values in stopped.items()},
-              least=min(means(none).values()), most=max(means(stopped).values()),
-              samples=min(map(len, none.values()))),
-        judge("odd-loops.rule", {"exponent": ruled.value, "error": ruled.error, "misfit": ruled.misfit},
-              landscape=LANDSCAPE, density=DENSITY, samples=count),
-        judge("odd-loops.equal", {"resting": means(resting)}, odd=max(numbers), size=turned,
-              rest={f"omega_B / omega_T = {bottom:g}": {"share": values} for bottom, values in resting.items()},
-              equal=float(resting[1.0].mean()), samples=len(resting[1.0])),
-    ]  # fmt: skip
-
-
-def means(found: Mapping[Any, np.ndarray]) -> dict[str, float]:
-    return {str(name): float(values.mean()) for name, values in found.items()}
+    ruled = collapse({size: {odd: values for odd, values in of.items() if odd} for size, of in rolling.items()})
+    named = {
+        "rolling": rolling, "rest": resting, "ruled": ruled, "few": min(odd for odd in numbers if odd >= 8),
+        "most_odd": max(numbers), "size": turned, "drawn_samples": sum(wanted.values()),
+        "landscape": LANDSCAPE, "density": DENSITY,
+    }  # fmt: skip
+    return Found({".csv": Table.of(rows)}, partial(draw_odd_loops, rolling, ruled, resting), named)

@@ -2,7 +2,7 @@
 
 import base64
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from html import escape
 from typing import Any
 
@@ -12,31 +12,23 @@ from taichi_bearings.words import counted
 from .claims import KINDS
 
 STYLE = """
-body { font: 16px/1.5 Georgia, 'Times New Roman', serif; color: #1a1a1a; }
-body { max-width: 74rem; margin: 2rem auto; padding: 0 1.5rem; }
-h1, h2, h3, th, .verdict, .facts, nav { font-family: 'Helvetica Neue', Arial, sans-serif; }
+body { font: 16px/1.5 Georgia, 'Times New Roman', serif; color: #1a1a1a; max-width: 74rem; margin: 2rem auto; }
+body { padding: 0 1.5rem; } h1, h2, h3, th, .verdict, .facts { font-family: 'Helvetica Neue', Arial, sans-serif; }
 h1 { font-size: 1.7rem; } h2 { font-size: 1.25rem; margin-top: 2.5rem; border-bottom: 1px solid #ccc; }
-h3 { font-size: 1rem; margin: 0 0 .4rem; }
-a { color: inherit; text-decoration: none; } a:hover { text-decoration: underline; }
+h3 { font-size: 1rem; margin: 0 0 .4rem; } a { color: inherit; text-decoration: none; }
 table { border-collapse: collapse; width: 100%; font-size: .85rem; line-height: 1.35; }
 th, td { text-align: left; vertical-align: top; padding: .3rem .6rem .3rem 0; border-bottom: 1px solid #e3e3e3; }
-td.number { white-space: nowrap; } tr.figure { break-after: avoid; }
-tr.figure th { padding-top: 1rem; border-bottom: 1px solid #999; }
+tr.figure th { padding-top: 1rem; border-bottom: 1px solid #999; break-after: avoid; }
 img { max-width: 100%; height: auto; display: block; margin: 1rem auto; }
 article { margin: 1.4rem 0; padding-left: 1rem; border-left: 4px solid #bbb; break-inside: avoid; }
 dl.facts { display: grid; grid-template-columns: max-content 1fr; gap: .1rem 1rem; font-size: .85rem; margin: .4rem 0; }
-dl.facts dt { color: #666; } dl.facts dd { margin: 0; }
+dl.facts dt { color: #666; } dl.facts dd { margin: 0; } .note { color: #555; font-size: .9rem; }
 .verdict { font-size: .78rem; font-weight: bold; white-space: nowrap; }
-article.confirmed { border-color: #1b6e33; } .verdict.confirmed { color: #1b6e33; }
-article.refined { border-color: #c08a00; } .verdict.refined { color: #9a6700; }
-article.refuted { border-color: #b3261e; } .verdict.refuted { color: #b3261e; }
-.verdict.too-few-samples { color: #666; }
-.note { color: #555; font-size: .9rem; }
+.confirmed { border-color: #1b6e33; } .verdict.confirmed { color: #1b6e33; }
+.refined { border-color: #c08a00; } .verdict.refined { color: #9a6700; }
+.refuted { border-color: #b3261e; } .verdict.refuted { color: #b3261e; } .verdict.too-few-samples { color: #666; }
 p.finding { margin: .3rem 0; overflow-wrap: anywhere; }
-@media print {
-  body { font-size: 10pt; margin: 0; max-width: none; } h2 { break-after: avoid; }
-  section.figure { break-before: page; } thead { display: table-header-group; } tr { break-inside: avoid; }
-}
+@media print { body { font-size: 10pt; margin: 0; max-width: none; } section.figure { break-before: page; } }
 """
 SYMBOLS = {"<=": "\u2264", ">=": "\u2265", "+-": "\u00b1", "omega_": "\u03c9_", "Omega_": "\u03a9_"}
 MEANING = {
@@ -51,13 +43,10 @@ def page(report: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str:
     """The whole report. pictures : name of a figure -> PNG."""
     title = "Frustrated bearings: the figures and claims of the paper, computed anew"
     parts = [
-        "<!DOCTYPE html>",
-        '<html lang="en"><head><meta charset="utf-8">',
+        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">',
         '<meta name="viewport" content="width=device-width, initial-scale=1">',
-        f"<title>{title}</title><style>{STYLE}</style></head><body>",
-        f"<h1>{title}</h1>",
+        f"<title>{title}</title><style>{STYLE}</style></head><body><h1>{title}</h1>",
         *_summary(report),
-        *_table(report),
         *(part for name in report["figures"] for part in _section(name, report["figures"][name], pictures.get(name))),
         *_environment(report),
         "</body></html>",
@@ -77,13 +66,18 @@ def _words(text: str) -> str:
     return escape(typeset(text))
 
 
-def _anchor(name: str, number: int) -> str:
-    return f"{name}-{number}"
-
-
 def _verdict(claim: Mapping[str, Any]) -> str:
     name = escape(claim["verdict"])
     return f'<span class="verdict {name.replace(" ", "-")}">{name}</span>'
+
+
+def _row(cells: Iterable[str], kind: str = "td") -> str:
+    return f"<tr>{''.join(f'<{kind}>{cell}</{kind}>' for cell in cells)}</tr>"
+
+
+def _facts(facts: Mapping[str, Any]) -> str:
+    rows = (f"<dt>{escape(key)}</dt><dd>{_words(str(text))}</dd>" for key, text in facts.items() if text != "")
+    return f'<dl class="facts">{"".join(rows)}</dl>'
 
 
 def _summary(report: Mapping[str, Any]) -> Iterator[str]:
@@ -95,24 +89,15 @@ def _summary(report: Mapping[str, Any]) -> Iterator[str]:
     yield f"rests on: {kinds}. Limits that were chosen with results in view are named.</p>"
     if report["missing"]:
         yield f"<p><strong>Not done yet: {', '.join(report['missing'])}.</strong></p>"
-
-
-def _table(report: Mapping[str, Any]) -> Iterator[str]:
-    yield "<h2>All claims</h2><table><thead><tr>"
-    yield "".join(f"<th>{name}</th>" for name in ("claim", "paper", "here", "samples", "rests on", "verdict"))
-    yield "</tr></thead><tbody>"
+    yield "<h2>All claims</h2><table><thead>"
+    yield _row(("claim", "paper", "here", "samples", "rests on", "verdict"), "th") + "</thead><tbody>"
     for name, figure in report["figures"].items():
         head = f'<a href="#{name}">{name}: {_words(figure["title"])}</a>'
         yield f'<tr class="figure"><th colspan="6">{head}</th></tr>'
         for number, claim in enumerate(figure["claims"], start=1):
-            cells = [
-                f'<td><a href="#{_anchor(name, number)}">{_words(claim["claim"])}</a></td>',
-                *(f"<td>{_words(claim[key])}</td>" for key in ("paper", "ours")),
-                f'<td class="number">{claim["samples"]:,}</td>',
-                f"<td>{_words(claim['kind'])}</td>",
-                f"<td>{_verdict(claim)}</td>",
-            ]
-            yield f"<tr>{''.join(cells)}</tr>"
+            words = [_words(claim[key]) for key in ("claim", "paper", "ours")]
+            words[0] = f'<a href="#{name}-{number}">{words[0]}</a>'
+            yield _row((*words, f"{claim['samples']:,}", _words(claim["kind"]), _verdict(claim)))
     yield "</tbody></table>"
 
 
@@ -131,24 +116,17 @@ def _section(name: str, figure: Mapping[str, Any], picture: bytes | None) -> Ite
             "rests on": f"{claim['kind']}: {KINDS[claim['kind']]}",
             "chosen after the data": claim["chosen_after_the_data"],
         }
-        rows = "".join(f"<dt>{key}</dt><dd>{_words(text)}</dd>" for key, text in facts.items() if text)
         style = escape(claim["verdict"]).replace(" ", "-")
-        yield f'<article class="{style}" id="{_anchor(name, number)}"><h3>{_words(claim["claim"])}</h3>'
-        yield f'{_verdict(claim)}<dl class="facts">{rows}</dl>'
-        yield f'<p class="finding">{_words(claim["finding"])}</p></article>'
+        yield f'<article class="{style}" id="{name}-{number}"><h3>{_words(claim["claim"])}</h3>'
+        yield f'{_verdict(claim)}{_facts(facts)}<p class="finding">{_words(claim["finding"])}</p></article>'
     yield "</section>"
 
 
 def _environment(report: Mapping[str, Any]) -> Iterator[str]:
-    yield '<section class="figure" id="environment"><h2>How it was computed</h2><dl class="facts">'
-    facts = {"command": report["command"], "first seed": report["seed"], **report["environment"]}
-    yield "".join(f"<dt>{escape(key)}</dt><dd>{escape(str(value))}</dd>" for key, value in facts.items())
-    yield "</dl><table><thead><tr><th>figure</th><th>wall time, s</th><th>processor time, s</th></tr></thead><tbody>"
-    for name, figure in report["figures"].items():
-        times = "".join(f"<td>{figure[key]:.0f}</td>" for key in ("seconds", "seconds_processor"))
-        yield f"<tr><td>{name}</td>{times}</tr>"
-    total = "".join(
-        f"<th>{sum(figure[key] for figure in report['figures'].values()):.0f}</th>"
-        for key in ("seconds", "seconds_processor")
-    )
-    yield f"<tr><th>together</th>{total}</tr></tbody></table></section>"
+    yield '<section class="figure" id="environment"><h2>How it was computed</h2>'
+    yield _facts({"command": report["command"], "first seed": report["seed"], **report["environment"]})
+    yield f"<table><thead>{_row(('figure', 'wall time, s', 'processor time, s'), 'th')}</thead><tbody>"
+    times = {name: [figure["seconds"], figure["seconds_processor"]] for name, figure in report["figures"].items()}
+    together = {"together": [sum(column) for column in zip(*times.values(), strict=True)]} if times else {}
+    yield from (_row((name, *(f"{time:.0f}" for time in of))) for name, of in (times | together).items())
+    yield "</tbody></table></section>"

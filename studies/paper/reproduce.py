@@ -1,4 +1,8 @@
-"""The figures and claims of the paper, each computed anew and judged: `bearings reproduce`."""
+"""The figures and claims of the paper, each computed anew and judged: `bearings reproduce`.
+
+A study is a module with one function: it makes its samples and returns their tables, the figure and what its claims
+name (:class:`.samples.Found`). The sentences, limits and rules of its claims stand in claims/FIGURE.toml.
+"""
 
 import importlib
 import json
@@ -9,93 +13,78 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from taichi_bearings import runtime
 from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.files.whole_file import refuse_standing, write_text
 from taichi_bearings.plain_files import read_json, read_whole
+from taichi_bearings.plots.style import save
 from taichi_bearings.runs.run_directory import writable_folder
 from taichi_bearings.stages import each, stage
 from taichi_bearings.version import VERSION
-from taichi_bearings.words import counted, meant
+from taichi_bearings.words import meant
 
 from ..report import environment
-from .claims import KINDS, VERDICTS, Claim, Effort, is_claim
+from .claims import VERDICTS, Claim, Effort, claims_of, is_claim
 from .page import page
 
 
 @dataclass(frozen=True)
 class PaperFigure:
-    """title, the module and the function of paper/ that return its claims, and the files that it writes.
+    """title; the module of paper/, whose `study` finds its numbers; the ends of the tables that it writes.
 
     shown : which sample the figure shows, where it shows one. seconds : roughly, in full and in the quick form, on two
     cores. asked : a question beyond the paper, computed only where it is named.
     """
 
+    name: str
     title: str
     module: str
-    files: tuple[str, ...]
-    shown: str
     seconds: tuple[float, float]
-    function: str = "reproduce"
+    shown: str = "All samples."
+    tables: tuple[str, ...] = (".csv",)
     asked: bool = False
 
+    @property
+    def files(self) -> tuple[str, ...]:
+        return tuple(f"{self.name}{ending}" for ending in (".png", ".pdf", *self.tables))
+
     def reproduce(self, folder: Path, effort: Effort) -> list[Claim]:
+        """Write its files into the folder; returns the claims with their verdicts."""
+        runtime.start("cpu", "f64")
         module = importlib.import_module(f".{self.module}", __package__)
-        claims: list[Claim] = getattr(module, self.function)(folder, effort)
-        return claims
+        found = module.study(folder, effort)
+        for ending in self.tables:
+            found.tables[ending].write(folder / f"{self.name}{ending}")
+        with stage("drawing"):
+            figure = found.draw()
+            for ending in (".png", ".pdf"):
+                save(figure, folder / f"{self.name}{ending}")
+        return claims_of(self.name, found.named)
 
 
-def _written(name: str, *more: str) -> tuple[str, ...]:
-    return tuple(f"{name}{ending}" for ending in (".png", ".pdf", *more))
-
-
-ALL = "All samples."
 FIGURES = {
-    "fig1": PaperFigure(
-        "Stationary states of 10x10 discs", "figure_1", _written("fig1", ".csv", "-samples.csv"),
-        "(a, b) the first seed whose cut is not level; (c) all samples.", (24, 8),
-    ),
-    "fig2": PaperFigure(
-        "Relaxation of a 3x3x3 Coulomb bearing", "figure_2", _written("fig2", ".csv"),
-        "Of the samples that are followed the first whose minimum is below its minimum cut.", (40, 35),
-    ),
-    "fig3": PaperFigure(
-        "A 10x10x10 Coulomb bearing, its slipless network and a path", "figure_3", _written("fig3", ".csv"),
-        "The first seed whose slipless contacts join bottom and top.", (16, 10),
-    ),
-    "fig4": PaperFigure(
-        "The planes that its path goes through", "figure_3", _written("fig4"), "The sample of fig3.", (4, 4),
-        "reproduce_planes",
-    ),
-    "supplement": PaperFigure(
-        "Power of the contacts of 32x32x32 spheres: descent and certified minimum", "supplement",
-        _written("supplement", ".csv"), "The first seed.", (600, 60),
-    ),
-    "network": PaperFigure(
-        "Slipless network and P_min / P_cut from 3x3x3 to 32x32x32", "network", _written("network", ".csv"), ALL,
-        (500, 15),
-    ),
-    "distributions": PaperFigure(
-        "Other distributions of the friction coefficients", "distributions", _written("distributions", ".csv"), ALL,
-        (190, 10),
-    ),
-    "drivings": PaperFigure(
-        "Other imposed bearing states", "drivings", _written("drivings", ".csv"), ALL, (40, 20)
-    ),
-    "parameters": PaperFigure(
-        "Stiffness K, damping A and normal force F_n", "parameters", _written("parameters", ".csv"),
-        "The first seed; claims are about all samples.", (60, 50),
-    ),
-    "exponents": PaperFigure(
-        "Minimum cuts of discs as directed polymers", "exponents", _written("exponents", ".csv"), ALL, (900, 60),
-        asked=True,
-    ),
-    "odd-loops": PaperFigure(
-        "How many odd contacts stop a bearing of discs", "odd_loops", _written("odd-loops", ".csv"), ALL, (3000, 60),
-        asked=True,
-    ),
+    figure.name: figure
+    for figure in (
+        PaperFigure("fig1", "Stationary states of 10x10 discs", "figure_1", (24, 8),
+                    "(a, b) the first seed whose cut is not level; (c) all samples.", (".csv", "-samples.csv")),
+        PaperFigure("fig2", "Relaxation of a 3x3x3 Coulomb bearing", "figure_2", (40, 35),
+                    "Of the samples that are followed the first whose minimum is below its minimum cut."),
+        PaperFigure("fig3", "A 10x10x10 Coulomb bearing, its slipless network and a path", "figure_3", (16, 10),
+                    "The first seed whose slipless contacts join bottom and top."),
+        PaperFigure("fig4", "The planes that its path goes through", "figure_4", (4, 4), "The sample of fig3.", ()),
+        PaperFigure("supplement", "Power of the contacts of 32x32x32 spheres: descent and certified minimum",
+                    "supplement", (600, 60), "The first seed."),
+        PaperFigure("network", "Slipless network and P_min / P_cut from 3x3x3 to 32x32x32", "network", (500, 15)),
+        PaperFigure("distributions", "Other distributions of the friction coefficients", "distributions", (190, 10)),
+        PaperFigure("drivings", "Other imposed bearing states", "drivings", (40, 20)),
+        PaperFigure("parameters", "Stiffness K, damping A and normal force F_n", "parameters", (60, 50),
+                    "The first seed; claims are about all samples."),
+        PaperFigure("exponents", "Minimum cuts of discs as directed polymers", "exponents", (900, 60), asked=True),
+        PaperFigure("odd-loops", "How many odd contacts stop a bearing of discs", "odd_loops", (3000, 60), asked=True),
+    )
 }  # fmt: skip
 MOST_PICTURE = 2**26  # bytes of one that the page holds
-REPORTS = ("report.html", "report.json", "report.md")
+REPORTS = ("report.html", "report.json")
 
 
 def choose_figures(names: Sequence[str]) -> list[str]:
@@ -113,8 +102,7 @@ def reproduce(
     force: bool = False,
     tell: Callable[[str], None] = lambda _: None,
 ) -> dict[str, Any]:
-    """Compute the figures, write their files and the report, as HTML, JSON and Markdown, into `folder`; returns the
-    report.
+    """Compute the figures, write their files and the report, as HTML and JSON, into `folder`; returns the report.
 
     It is written anew after each figure. Figures that it has already, of the same effort and version, are not
     computed again; with `force` all are. tell : hears a line about each figure that is done.
@@ -128,13 +116,13 @@ def reproduce(
     missing = [name for name in FIGURES if name in asked and name not in done]
     unknown = [name for name in missing if name not in (*before["figures"], *before["missing"])]
     refuse_standing([path for name in unknown for path in _files(name, folder)], force)  # they are somebody else's
-    interrupted = False
+    expected, interrupted = (lambda name: FIGURES[name].seconds[effort.quick]), False
     with writable_folder(folder):
-        for kept in _kept(folder, chosen) if force else ():
-            kept.unlink()
+        for name in chosen if force else ():
+            (folder / f"{name}.jsonl").unlink(missing_ok=True)  # what an interrupted study has kept
         _write(folder, effort, done, missing)
         try:
-            for name in each([name for name in chosen if name in missing], "figure", lambda n: _seconds(n, effort)):
+            for name in each([name for name in chosen if name in missing], "figure", expected):
                 with stage(name):
                     done[name] = _computed(name, folder, effort)
                 missing.remove(name)
@@ -147,15 +135,6 @@ def reproduce(
 
 def _files(name: str, folder: Path) -> list[Path]:
     return [folder / file for file in FIGURES[name].files]
-
-
-def _kept(folder: Path, names: Sequence[str]) -> list[Path]:
-    """What interrupted studies have kept of their parts."""
-    return [path for name in names for kind in (".jsonl", "-*.kept.h5") for path in folder.glob(f"{name}{kind}")]
-
-
-def _seconds(name: str, effort: Effort) -> float:
-    return FIGURES[name].seconds[effort.quick]
 
 
 def _standing(folder: Path, effort: Effort) -> dict[str, Any]:
@@ -191,7 +170,6 @@ def _is_figure(name: str, found: Any) -> bool:
 def _write(folder: Path, effort: Effort, done: dict[str, Any], missing: Sequence[str]) -> None:
     report = describe(folder, effort, done, missing)
     write_text(folder / "report.json", json.dumps(report, indent=2, allow_nan=False) + "\n")
-    write_text(folder / "report.md", table(report))
     pictures = {name: _files(name, folder)[0] for name in done}
     found = {name: read_whole(path, MOST_PICTURE) for name, path in pictures.items() if path.exists()}
     write_text(folder / "report.html", page(report, found))
@@ -241,25 +219,3 @@ def _command(names: Sequence[str], effort: Effort) -> str:
     return " ".join(
         ["bearings", "reproduce", *asked, *quick, "--seed", str(effort.seed), "--samples", str(effort.samples)]
     )
-
-
-def table(report: dict[str, Any]) -> str:
-    """The report as Markdown: a table of claims for each figure."""
-    parts = [f"# Figures and claims, {counted(report['samples'], 'sample')} from seed {report['seed']}"]
-    parts += [f"Not done yet: {', '.join(report['missing'])}."] if report["missing"] else []
-    parts += [f"What a claim rests on: {'; '.join(f'**{kind}**: {text}' for kind, text in KINDS.items())}."]
-    for name, figure in report["figures"].items():
-        rows = [" | ".join(["", *_cells(claim), ""]).strip() for claim in figure["claims"]]
-        head = "| claim | verdict | rests on | paper | here | samples | uncertainty | finding |\n|" + "---|" * 8
-        image = f"![{name}]({FIGURES[name].files[0]})"
-        caption = f"Shown: {figure['shown']}"
-        parts += [f"## {name}: {figure['title']}", image, caption, "\n".join([head, *rows])]
-    return "\n\n".join(parts) + "\n"
-
-
-def _cells(claim: dict[str, Any]) -> list[str]:
-    """A claim as a row."""
-    after = claim["chosen_after_the_data"]
-    finding = f"{claim['finding']} Chosen after the data: {after}." if after else claim["finding"]
-    facts = [claim[key] for key in ("kind", "paper", "ours")]
-    return [claim["claim"], f"**{claim['verdict']}**", *facts, f"{claim['samples']:,}", claim["uncertainty"], finding]

@@ -1,9 +1,8 @@
-"""Samples of the studies: followed in time, or at their minima, which the workers of scans find."""
+"""Samples of the studies: followed in time, or computed part by part by the workers of scans, and tables of them."""
 
-from collections.abc import Callable, Generator, Sequence
-from contextlib import ExitStack, closing
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,20 +14,20 @@ from taichi_bearings.analysis.structure import Structure, structure_of
 from taichi_bearings.errors import BearingsError
 from taichi_bearings.files.scan_file import FAILED
 from taichi_bearings.files.scan_journal import Journal, read_journal
+from taichi_bearings.files.whole_file import write_csv
 from taichi_bearings.memory import free_bytes
 from taichi_bearings.numerics.blas import one_thread
-from taichi_bearings.plots.style import save
+from taichi_bearings.quantities import ANALYSED, plain
 from taichi_bearings.runs.run import build_scene
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scans.engine import LocalEngine, run_samples
 from taichi_bearings.scans.estimate import bytes_of, paying_workers, seconds_of, units_of
-from taichi_bearings.scans.plan import Sample, sample_key
+from taichi_bearings.scans.plan import sample_key
 from taichi_bearings.scans.sample import failure
 from taichi_bearings.scene import Scene, Solution
 from taichi_bearings.scene.initial_spins import cut_of, initial_spin
 from taichi_bearings.solvers import CundallStrack, InteriorPoint, MethodOptions, RigidLimit
 from taichi_bearings.solvers.drive import solve, uninterrupted
-from taichi_bearings.solvers.method import Method
 from taichi_bearings.solvers.recording import Recording
 from taichi_bearings.solvers.stopping import StopRule
 from taichi_bearings.stages import each
@@ -42,15 +41,151 @@ SPARE = 0.7  # share of the free memory that workers may take
 SAME = 1e-6  # relative difference up to which two powers count as the same
 
 
+ANY = RunSettings(threads=1)
+
+
+class Table:
+    """Samples in columns: arrays (samples, ...) by name, each an attribute too; missing numbers are not-a-number."""
+
+    def __init__(self, columns: Mapping[str, Any]) -> None:
+        self.columns = {
+            name: np.array(values, dtype=float if any(value is None for value in values) else None)
+            for name, values in columns.items()
+        }
+
+    @classmethod
+    def of(cls, rows: Sequence[Mapping[str, Any]]) -> "Table":
+        return cls({name: [row[name] for row in rows] for name in rows[0]} if rows else {})
+
+    def __getattr__(self, name: str) -> np.ndarray:
+        try:
+            found: np.ndarray = self.__dict__["columns"][name]
+        except KeyError:
+            raise AttributeError(name) from None
+        return found
+
+    def __getitem__(self, chosen: Any) -> "Table":
+        """The samples that a mask or a slice picks."""
+        return Table({name: values[chosen] for name, values in self.columns.items()})
+
+    def __or__(self, more: Mapping[str, Any]) -> "Table":
+        return Table({**self.columns, **more})
+
+    def __len__(self) -> int:
+        return len(next(iter(self.columns.values()), ()))
+
+    def by(self, name: str, key: str = "side") -> dict[Any, np.ndarray]:
+        """A column by the values of another one, which rise."""
+        own = self.columns[key]
+        return {value.item(): self.columns[name][own == value] for value in np.unique(own)}
+
+    def only(self, names: str) -> dict[str, list[Any]]:
+        """Some columns as lists of plain numbers. names : with spaces between."""
+        return {name: self.columns[name].tolist() for name in names.split()}
+
+    def write(self, path: Path) -> None:
+        """Its columns of one number a sample, as CSV."""
+        flat = {name: values.tolist() for name, values in self.columns.items() if values.ndim == 1}
+        write_csv(path, list(flat), zip(*flat.values(), strict=True))
+
+
+def joined(tables: Mapping[str, Table], key: str) -> Table:
+    """Tables below one another, the name of each in a column of its own."""
+    columns = next(iter(tables.values())).columns
+    names = [name for name, table in tables.items() for _ in range(len(table))]
+    return Table({key: names} | {of: np.concatenate([t.columns[of] for t in tables.values()]) for of in columns})
+
+
+def curves(seeds: Sequence[int], **columns: np.ndarray) -> Table:
+    """Courses of samples below one another, a row a time. columns : (T,) or (T, R), R samples of these seeds."""
+    shape = (len(seeds), len(columns["time"]))
+    rows = {name: np.broadcast_to(values.T, shape).ravel() for name, values in columns.items()}
+    return Table({"seed": np.repeat(seeds, shape[1])} | rows)
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a study has found: the tables to write, by the ends of their file names; the figure; and by their names the
+    numbers that its claims are about (see :mod:`.claims`)."""
+
+    tables: Mapping[str, Table]
+    draw: Callable[[], Figure]
+    named: Mapping[str, Any]
+
+
 def solved(scene: Scene, method: MethodOptions, rule: StopRule = TIGHT, start: str = "linear") -> Solution:
     """Where a method ends; KeyboardInterrupt if it was stopped before."""
     return uninterrupted(solve(scene, method.build(), initial_spin(scene, start), rule))
 
 
-def save_both(figure: Figure, folder: Path, name: str) -> None:
-    """Write `name`.png and `name`.pdf."""
-    for ending in ("png", "pdf"):
-        save(figure, folder / f"{name}.{ending}")
+@dataclass(frozen=True)
+class Part:
+    """Work that is kept as a whole: `work(*words)` gives valid JSON. work : of a module, so that workers find it.
+    settings : of the sample that it solves, or of none in particular."""
+
+    key: str
+    work: Callable[..., dict[str, Any]]
+    words: tuple[Any, ...]
+    settings: RunSettings = ANY
+
+    @property
+    def label(self) -> str:
+        return self.key
+
+
+def computed(parts: Sequence[Part], journal: Path, name: str, workers: int = 0) -> list[dict[str, Any]]:
+    """What each part gives, by so many worker processes, or here if that is one; 0 for as many as samples pay for.
+
+    journal : keeps what is done where the study is interrupted, until the end; parts that it has are not computed
+    again. name : of a part. Raises BearingsError if one has no result.
+    """
+    known = read_journal(journal)
+    missing = [part for part in parts if part.key not in known]
+    units = [(part,) for part in missing]
+    if workers == 0 and missing:
+        room = SPARE * free_bytes() / max(bytes_of(part.settings) for part in missing)
+        workers = paying_workers(missing, max(1, int(min(runtime.available_threads(), room))), structure=True)  # type: ignore[arg-type]
+        units = units_of(missing, True, workers)  # type: ignore[arg-type, assignment]
+    cost = {part.key: seconds_of(part.settings, structure=True) for part in missing}
+    with Journal(journal) as kept, closing(_records(missing, units, workers)) as records:
+        for _, record in zip(each(missing, name, lambda part: cost[part.key]), records, strict=False):
+            if record["scalars"]["status"] == FAILED:
+                raise BearingsError(f"{name} {record['key']} of the study has no result: {record['scalars']['error']}")
+            kept.append([record])
+            known[record["key"]] = record
+    journal.unlink()
+    return [known[part.key]["numbers"] for part in parts]
+
+
+def _records(
+    parts: Sequence[Part], units: Sequence[tuple[Part, ...]], workers: int
+) -> Generator[dict[str, Any], None, None]:
+    """A record of each part as it comes."""
+    if workers <= 1:
+        yield from map(_record, parts)
+        return
+    with closing(LocalEngine(_by_worker, workers)) as engine:
+        for found in run_samples(units, engine, lambda *_: None, failure):
+            yield from found
+
+
+def _record(part: Part) -> dict[str, Any]:
+    return {"key": part.key, "scalars": {"status": "solved"}, "numbers": part.work(*part.words)}
+
+
+def _by_worker(unit: Sequence[Part]) -> list[dict[str, Any]]:
+    runtime.start("cpu", "f64", 1)
+    records = []
+    with one_thread():
+        for part in unit:
+            try:
+                records.append(_record(part))
+            except Exception as error:
+                records.append(failure(part, error))
+    return records
+
+
+Numbers = Callable[[Structure], dict[str, Any]]
 
 
 def certified(settings: RunSettings) -> Structure:
@@ -58,74 +193,48 @@ def certified(settings: RunSettings) -> Structure:
     return structure_of(solved(build_scene(settings), InteriorPoint(), StopRule(1e-9)))
 
 
-Numbers = Callable[[Structure], dict[str, Any]]  # of a module, so that workers find it; the result is valid JSON
+def measured(chosen: Iterable[RunSettings], numbers: Numbers, journal: Path) -> list[dict[str, Any]]:
+    """`numbers` of the structure of each sample at its certified minimum."""
+    return computed([Part(sample_key(s), _measure, (s, numbers), s) for s in chosen], journal, "sample")
 
 
-def measured(chosen: Sequence[RunSettings], numbers: Numbers, journal: Path) -> list[dict[str, Any]]:
-    """`numbers` of the structure of each sample at its certified minimum.
-
-    journal : keeps what is done where the study is interrupted, until the end; samples that it has are not solved
-    again. Raises BearingsError if a sample has no result.
-    """
-    samples = [Sample(sample_key(settings), settings, {"seed": settings.seed}) for settings in chosen]
-    known = read_journal(journal)
-    missing = [sample for sample in samples if sample.key not in known]
-    costs = {sample.key: seconds_of(sample.settings, structure=True) for sample in missing}
-    known |= kept_in(journal, _records(missing, numbers), missing, "sample", lambda sample: costs[sample.key])
-    return [known[sample.key]["numbers"] for sample in samples]
+def _measure(settings: RunSettings, numbers: Numbers) -> dict[str, Any]:
+    return numbers(certified(settings))
 
 
-def kept_in(
-    journal: Path,
-    records: Generator[dict[str, Any], None, None],
-    missing: Sequence[Any],
-    name: str,
-    work: Callable[[Any], float] | None = None,
-) -> dict[str, Any]:
-    """The records of what is missing by key, each kept in the journal as it comes until all are there.
-
-    name, work : see :func:`taichi_bearings.stages.each`. Raises BearingsError if one has no result.
-    """
-    found = {}
-    with Journal(journal) as kept, closing(records):
-        for _, record in zip(each(missing, name, work), records, strict=False):
-            if record["scalars"]["status"] == FAILED:
-                raise BearingsError(f"sample {record['key']} of the study has no result: {record['scalars']['error']}")
-            kept.append([record])
-            found[record["key"]] = record
-    journal.unlink()
-    return found
+def drawn(
+    draw: Callable[..., dict[str, Any]], wanted: Mapping[tuple[Any, ...], int], block: int, seed: int, journal: Path
+) -> dict[tuple[Any, ...], dict[str, np.ndarray]]:
+    """`draw(*point, samples, seed)` in blocks of small samples, by as many processes as there are cores: its lists put
+    together, as arrays, point by point. wanted : samples of each point, from `seed` on."""
+    parts = [
+        Part("-".join(map(str, (*point, seed + first))), draw, (*point, min(block, count - first), seed + first))
+        for point, count in wanted.items()
+        for first in range(0, count, block)
+    ]
+    found: dict[tuple[Any, ...], list[dict[str, Any]]] = {point: [] for point in wanted}
+    for part, lists in zip(parts, computed(parts, journal, "block", runtime.available_threads()), strict=True):
+        found[part.words[:-2]].append(lists)
+    return {
+        point: {name: np.concatenate([part[name] for part in several]) for name in several[0]}
+        for point, several in found.items()
+    }
 
 
-def _records(samples: Sequence[Sample], numbers: Numbers) -> Generator[dict[str, Any], None, None]:
-    """A record of each as it comes, by as many worker processes as pay, or here if that is one."""
-    room = SPARE * free_bytes() / max((bytes_of(sample.settings) for sample in samples), default=1.0)
-    most = max(1, int(min(runtime.available_threads(), room)))
-    workers = paying_workers(samples, most, structure=True) if samples else 1
-    if workers == 1:
-        for sample in samples:
-            yield _record(sample, numbers)
-        return
-    with ExitStack() as stack:
-        engine = stack.enter_context(closing(LocalEngine(partial(_by_worker, numbers=numbers), workers)))
-        for found in run_samples(units_of(samples, True, workers), engine, lambda *_: None, failure):
-            yield from found
-
-
-def _record(sample: Sample, numbers: Numbers) -> dict[str, Any]:
-    return {"key": sample.key, "scalars": {"status": "solved"}, "numbers": numbers(certified(sample.settings))}
-
-
-def _by_worker(unit: Sequence[Sample], numbers: Numbers) -> list[dict[str, Any]]:
-    runtime.start("cpu", "f64", 1)
-    records = []
-    with one_thread():
-        for sample in unit:
-            try:
-                records.append(_record(sample, numbers))
-            except Exception as error:
-                records.append(failure(sample, error))
-    return records
+def told(structure: Structure, *names: str) -> dict[str, Any]:
+    """Numbers of the minimum that studies share, and rows of `bearings analyse` by their names; fractions are of the
+    free spheres."""
+    network, cut = structure.network, structure.interface
+    numbers = {
+        "gap": (structure.power - structure.lower_bound) / structure.power if structure.power else 0.0,
+        "power_over_cut": structure.power / cut.power if cut.power else 1.0,
+        "below_cut": structure.power < cut.lower_bound * (1 - SAME),
+        "slipless_fraction": len(network.axis) / structure.scene.lattice.contacts,
+        "states_proven": structure.states_proven,
+        "spans": network.spans,
+        "reached_fraction": network.reached_fraction,
+    }
+    return {name: plain(value) for name, value in (numbers | {n: ANALYSED[n].of(structure) for n in names}).items()}
 
 
 @dataclass(frozen=True)
@@ -137,6 +246,11 @@ class Run:
     power: np.ndarray
     first: np.ndarray
     last: np.ndarray
+
+    @property
+    def ends(self) -> np.ndarray:
+        """(R,), the last power over the first."""
+        return np.asarray(self.power[-1] / self.power[0])
 
     @property
     def largest_rise(self) -> np.ndarray:
@@ -154,46 +268,37 @@ def relax(
     Rigid friction is a steepest descent of the power F_n sum mu |v|; these contacts are not: one that holds by its
     spring and damper creeps at up to mu F_n / A_t, so the power can rise by as much as this creep is worth.
     """
-    method = (springs or CundallStrack()).build()
-    return _followed(scene, start, method, StopRule(END, steps), Recording(history=times))
+    return _followed(scene, start, springs or CundallStrack(), StopRule(END, steps), Recording(history=times))
 
 
 def relax_rigidly(scene: Scene, start: str) -> Run:
     """Follow the rigid limit until every sample is certified to RIGID_END; the power is written down at every step."""
-    return _followed(scene, start, RigidLimit().build(), StopRule(RIGID_END), Recording())
+    return _followed(scene, start, RigidLimit(), StopRule(RIGID_END), Recording())
 
 
-def _followed(scene: Scene, start: str, method: Method, rule: StopRule, recording: Recording) -> Run:
+def _followed(scene: Scene, start: str, method: MethodOptions, rule: StopRule, recording: Recording) -> Run:
     axes, spin = scene.lattice.all_spin_axes, initial_spin(scene, start)
-    solution = uninterrupted(solve(scene, method, spin, rule, recording=recording))
+    solution = uninterrupted(solve(scene, method.build(), spin, rule, recording=recording))
     time, power = solution.history["time"], solution.history["power"]
     return Run(start, time, power, scene.staggered_spin(spin, axes), scene.staggered_spin(solution.spin, axes))
 
 
-@dataclass(frozen=True)
-class Minima:
-    """Certified least powers and minimum-cut powers of R samples; all (R,) but the spins (R, *N, 3)."""
+def minima_of(scene: Scene) -> Table:
+    """Least powers with their bounds and spins by the interior-point method, and the powers of the minimum cuts.
 
-    power: np.ndarray
-    lower_bound: np.ndarray
-    cut_power: np.ndarray
-    cut_bound: np.ndarray
-    spin: np.ndarray
-
-    @property
-    def below_cut(self) -> np.ndarray:
-        """True where some spins are proven to dissipate less than any two domains."""
-        return self.power < self.cut_bound * (1 - SAME)
-
-    @property
-    def cut_is_minimum(self) -> np.ndarray:
-        """True where no spins dissipate less than the minimum cut by more than SAME; proven."""
-        return self.cut_power - self.lower_bound <= SAME * self.cut_power
-
-
-def minima_of(scene: Scene) -> Minima:
-    """Certified minima by the interior-point method, and the minimum cuts."""
-    solution = solved(scene, InteriorPoint(settle=False), StopRule(1e-10))
-    cut = cut_of(scene)
+    below_cut : some spins are proven to dissipate less than any two domains. cut_is_minimum : no spins dissipate less
+    than the minimum cut by more than SAME; proven.
+    """
+    solution, cut = solved(scene, InteriorPoint(settle=False), StopRule(1e-10)), cut_of(scene)
     unit = scene.normal_force * scene.lattice.radius * scene.jump
-    return Minima(solution.power, solution.lower_bound, unit * cut.weight, unit * cut.lower_bound, solution.spin)
+    cut_power = unit * cut.weight
+    return Table(
+        {
+            "power": solution.power,
+            "lower_bound": solution.lower_bound,
+            "cut_power": cut_power,
+            "below_cut": solution.power < unit * cut.lower_bound * (1 - SAME),
+            "cut_is_minimum": cut_power - solution.lower_bound <= SAME * cut_power,
+            "spin": solution.spin,
+        }
+    )

@@ -6,38 +6,35 @@ the contacts in each decade of the descent really slip. The range of the minimum
 enclosed (verifier/curvature.py), so the smallest and the largest power are.
 """
 
+import zlib
+from base64 import b64decode, b64encode
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
-import h5py
 import numpy as np
 
-from taichi_bearings import runtime
-from taichi_bearings.files.whole_file import read_hdf5, write_csv, write_hdf5
 from taichi_bearings.lattice.grid import friction_by_axis
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene import Scene, Solution
 from taichi_bearings.solvers import GradientDescent, InteriorPoint
 from taichi_bearings.solvers.stopping import StopRule
-from taichi_bearings.stages import alike, each, stage
 from taichi_bearings.verifier.curvature import Slipping, nearest_minimum
 from taichi_bearings.verifier.network import Network
 from taichi_bearings.verifier.samples import Samples
 
 from ..plots.decades import draw_decades
-from .claims import Claim, Effort, Share, judge
-from .samples import save_both, solved
+from .claims import Effort
+from .samples import Found, Part, Table, computed, joined, solved
 
 SHAPE, SPIN_BOTTOM = (32, 32, 32), 0.1
 SHARE_OF_SAMPLES = 0.04
-PAPER_DECADES, PAPER_ITERATIONS = 11, 1_000_000
+PAPER_ITERATIONS = 1_000_000
 ITERATIONS, QUICK_ITERATIONS = (10_000, 100_000, PAPER_ITERATIONS), (10_000, 100_000)
 BUDGET, QUICK_BUDGET = 1500.0, 90.0  # seconds of a descent
 BINS_PER_DECADE = 5
-SCHEMA = "taichi_bearings.supplement"
-NONE_PROVEN = "no sample with proven slips"
 
 
 @dataclass(frozen=True)
@@ -46,7 +43,7 @@ class Ending:
 
     power : (n,), over F_n R omega_T. slips : (n,), whether it does at the minimum (certified) or moves at all
     (descent). excess : of the total power over the proven bound, relative. iterations : done. slip_error : share by
-    which any slip differs from that of the minimum at most, proven; NaN where that is not known.
+    which any slip differs from that of the minimum at most, proven; None where that is not known.
     """
 
     power: np.ndarray
@@ -54,7 +51,7 @@ class Ending:
     total: float
     excess: float
     iterations: int
-    slip_error: float
+    slip_error: float | None
 
     @property
     def decades(self) -> float:
@@ -69,75 +66,76 @@ class Ending:
         return float(high - low)
 
 
-def reproduce(folder: Path, effort: Effort) -> list[Claim]:
-    """Write supplement.png, supplement.pdf and supplement.csv into `folder`; returns the claims with their verdicts."""
-    runtime.start("cpu", "f64")
-    seeds = range(effort.seed, effort.seed + max(1, int(SHARE_OF_SAMPLES * effort.samples)))
+def study(folder: Path, effort: Effort) -> Found:
+    """Descents of the first sample, and the minima of some."""
     lengths, budget = (QUICK_ITERATIONS, QUICK_BUDGET) if effort.quick else (ITERATIONS, BUDGET)
-    descents = []
-    for length in each(lengths, "descent", float):
-        path = folder / f"supplement-descent-{length}.kept.h5"
-        descents.append(kept(path, partial(descended, scene_of(effort.seed), length, budget)))
-    minima = []
-    for seed in each(seeds, "minimum", alike):
-        minima.append(kept(folder / f"supplement-minimum-{seed}.kept.h5", partial(minimum, scene_of(seed))))
-    decades = by_decade(descents[-1], minima[0])
-    write_decades(folder / "supplement.csv", minima[0], descents)
-    with stage("drawing"):
-        named = {f"descent, {ending.iterations:,}": ending.power for ending in descents}
-        figure = draw_decades(minima[0].power, minima[0].slips, named, BINS_PER_DECADE)
-        save_both(figure, folder, "supplement")
-    for path in folder.glob("supplement-*.kept.h5"):
-        path.unlink()
-    return [_range(minima), _broad(minima), _real(descents, minima[0], decades)]
+    parts = [Part(f"descent-{length}", descended, (effort.seed, length, budget)) for length in lengths]
+    seeds = range(effort.seed, effort.seed + max(1, int(SHARE_OF_SAMPLES * effort.samples)))
+    parts += [Part(f"minimum-{seed}", minimum, (seed,)) for seed in seeds]
+    found = computed(parts, folder / "supplement.jsonl", "descent or minimum", workers=1)
+    kinds = {"power": float, "slips": bool}
+    endings = [Ending(**of | {name: unpacked(of[name], kind) for name, kind in kinds.items()}) for of in found]
+    descents, minima = endings[: len(lengths)], endings[len(lengths) :]
+    decades = [by_decade(descent, minima[0]) for descent in descents]
+    table = joined({f"{of.iterations}": table for of, table in zip(descents, decades, strict=True)}, "iterations")
+    draw = partial(draw_decades, minima[0], descents, BINS_PER_DECADE)
+    return Found({".csv": table}, draw, names_of(descents, minima))
+
+
+def names_of(descents: Sequence[Ending], minima: Sequence[Ending]) -> dict[str, Any]:
+    """What the claims name; proven : minima of which every slip is enclosed. Of others the smallest slips may be the
+    method's."""
+    return {
+        "descents": descents, "descent": descents[-1] if descents else None, "minima": minima, "minimum": minima[0],
+        "decade": by_decade(descents[-1], minima[0]) if descents else None, "paper_iterations": PAPER_ITERATIONS,
+        "proven": [ending for ending in minima if ending.slip_error is not None], "none": "no sample with proven slips",
+    }  # fmt: skip
 
 
 def scene_of(seed: int) -> Scene:
     return Scene.random(SHAPE, seed, spin_bottom=SPIN_BOTTOM)
 
 
-def kept(path: Path, compute: Callable[[], Ending]) -> Ending:
-    """What an interrupted reproduction has kept, else computed and kept."""
-    if path.exists():
-        with read_hdf5(path, SCHEMA, 1, "a kept part of the supplement") as file:
-            found = {item.name: file[item.name][()] for item in fields(Ending)}
-            return Ending(**{name: value if np.ndim(value) else value.item() for name, value in found.items()})
-    ending = compute()
-
-    def fill(file: h5py.File) -> None:
-        file.attrs["schema"], file.attrs["schema_version"] = SCHEMA, 1
-        for item in fields(Ending):
-            file.create_dataset(item.name, data=getattr(ending, item.name))
-
-    write_hdf5(path, fill)
-    return ending
-
-
-def descended(scene: Scene, iterations: int, seconds: float) -> Ending:
+def descended(seed: int, iterations: int, seconds: float) -> dict[str, Any]:
     """The paper's method: descent without momentum, from random spins, for so many iterations or so long."""
-    ended = solved(scene, GradientDescent(momentum=False), StopRule(1e-12, iterations, seconds), "random")
-    return _ending(ended, lambda power, _: power > 0, np.nan)
+    rule = StopRule(1e-12, iterations, seconds)
+    ended = solved(scene_of(seed), GradientDescent(momentum=False), rule, "random")
+    return _ending(ended, lambda power, _: power > 0, None)
 
 
-def minimum(scene: Scene) -> Ending:
+def minimum(seed: int) -> dict[str, Any]:
     """The certified minimum, with the states of its contacts."""
-    solution = solved(scene, InteriorPoint(), StopRule(1e-9))
+    solution = solved(scene_of(seed), InteriorPoint(), StopRule(1e-9))
     return _ending(solution, lambda _, state: state == ContactState.SLIPPING, largest_slip_error(solution))
 
 
-def _ending(solution: Solution, slips: Callable[[np.ndarray, np.ndarray], np.ndarray], slip_error: float) -> Ending:
+def _ending(
+    solution: Solution, slips: Callable[[np.ndarray, np.ndarray], np.ndarray], slip_error: float | None
+) -> dict[str, Any]:
+    """An Ending as plain numbers."""
     scene = solution.scene
     free = ~scene.lattice.between_driven
     power, state = solution.power_per_contact[0, free], solution.state[0, free]
     unit = scene.normal_force * scene.lattice.radius * abs(scene.spin_top)
     total, bound = float(solution.power[0]), float(solution.lower_bound[0])
-    return Ending(power / unit, slips(power, state), total / unit, total / bound - 1, solution.iterations, slip_error)
+    numbers = {"total": total / unit, "excess": total / bound - 1, "iterations": solution.iterations}
+    contacts = {"power": packed(power / unit), "slips": packed(slips(power, state))}
+    return contacts | numbers | {"slip_error": slip_error}
 
 
-def largest_slip_error(solution: Solution) -> float:
-    """Share by which any slip differs from that of every minimum at most; NaN where the states are not proven."""
+def packed(values: np.ndarray) -> str:
+    """Numbers as a text: as digits those of 32x32x32 spheres would be too long for a line of a journal."""
+    return b64encode(zlib.compress(values.tobytes())).decode()
+
+
+def unpacked(text: str, kind: type) -> np.ndarray:
+    return np.frombuffer(zlib.decompress(b64decode(text)), kind)
+
+
+def largest_slip_error(solution: Solution) -> float | None:
+    """Share by which any slip differs from that of every minimum at most; None where the states are not proven."""
     if not solution.states_proven.all():
-        return float("nan")
+        return None
     scene = solution.scene
     samples = Samples(
         scene.lattice.shape, scene.law.name, scene.lattice.by_axis(scene.coefficient), scene.spin_top,
@@ -147,107 +145,28 @@ def largest_slip_error(solution: Solution) -> float:
     contacts = Slipping.of(Network.of_lattice(samples).motion)
     near = nearest_minimum(contacts)
     if near is None:
-        return float("nan")
+        return None
     improved, turn = near
     moved = np.abs(improved.size.value / contacts.size.value - 1)  # by Newton's method, before it was enclosed
     return float((moved + turn * (1 + moved)).max(initial=0.0))
 
 
-@dataclass(frozen=True)
-class Decade:
-    """Contacts of a descent with powers in [10^exponent, 10^(exponent + 1)), and how many of them slip at the minimum;
-    at_minimum : contacts that slip there with such powers."""
-
-    exponent: int
-    contacts: int
-    slipping: int
-    at_minimum: int
-
-    @property
-    def is_real(self) -> bool:
-        """Do most of them slip at the minimum?"""
-        return 2 * self.slipping > self.contacts
-
-
-def by_decade(descent: Ending, minimum: Ending) -> list[Decade]:
-    """From the lowest to the highest decade of the descent."""
-    of_contact, of_minimum = _exponents(descent.power, descent.slips), _exponents(minimum.power, minimum.slips)
+def by_decade(descent: Ending, minimum: Ending) -> Table:
+    """From the lowest to the highest decade of a descent: its contacts with powers in [10^exponent, 10^(exponent + 1)),
+    how many of them slip at the minimum, and the contacts that slip there with such powers."""
+    of_contact, of_minimum = (_exponents(ending.power, ending.slips) for ending in (descent, minimum))
     used = of_contact[descent.slips]
-    return [
-        Decade(
-            exponent,
-            int((of_contact == exponent).sum()),
-            int(((of_contact == exponent) & minimum.slips).sum()),
-            int((of_minimum == exponent).sum()),
-        )
-        for exponent in range(used.min(), used.max() + 1)
-    ]
+    exponent = np.arange(used.min(), used.max() + 1)
+    inside = of_contact == exponent[:, None]
+    columns = {
+        "exponent": exponent,
+        "contacts": inside.sum(axis=1),
+        "slipping": (inside & minimum.slips).sum(axis=1),
+        "at_minimum": (of_minimum == exponent[:, None]).sum(axis=1),
+    }
+    return Table(columns)
 
 
 def _exponents(power: np.ndarray, slips: np.ndarray) -> np.ndarray:
     """Decade of each contact; a number below all others where it does not slip."""
     return np.floor(np.log10(power, out=np.full(len(power), -9999.0), where=slips)).astype(int)
-
-
-def write_decades(path: Path, minimum: Ending, descents: Sequence[Ending]) -> None:
-    """Decade by decade of each descent: contacts, those of them that slip at the minimum, and those that the minimum
-    has in that decade."""
-    rows = [
-        [ending.iterations, 10.0**d.exponent, 10.0 ** (d.exponent + 1), d.contacts, d.slipping, d.at_minimum]
-        for ending in descents
-        for d in by_decade(ending, minimum)
-    ]
-    names = ["iterations", "power_low", "power_high", "contacts", "of_these_slipping_at_minimum", "at_minimum"]
-    write_csv(path, names, rows, ["powers over F_n R omega_T"])
-
-
-def _proven(minima: Sequence[Ending]) -> list[Ending]:
-    """Those of which every slip is enclosed. Of others the smallest slips may be the method's."""
-    return [ending for ending in minima if np.isfinite(ending.slip_error)]
-
-
-def _range(minima: Sequence[Ending]) -> Claim:
-    proven = _proven(minima)
-    decades, errors = [ending.decades for ending in proven], [ending.slip_error for ending in proven]
-    return judge(
-        "supplement.range",
-        {"decades": decades, "slip_error": errors},
-        shown=", ".join(f"{value:.2f}" for value in decades),
-        proven=len(proven),
-        minima=len(minima),
-        worst=max(errors, default=np.nan),
-        wide=Share.of(np.round(decades) >= PAPER_DECADES),
-        resting=", ".join(f"{int((~ending.slips).sum()):,}" for ending in proven),
-        contacts=len(minima[0].power),
-        from_to=f"{min(decades):.1f} to {max(decades):.1f} decades" if proven else NONE_PROVEN,
-    )
-
-
-def _broad(minima: Sequence[Ending]) -> Claim:
-    central = [ending.central_decades for ending in _proven(minima)]
-    in_mean = f"{np.mean(central):.2f} decades for 90 % of them" if central else NONE_PROVEN
-    shown = ", ".join(f"{value:.2f}" for value in central)
-    return judge("supplement.broad", {"central_decades": central}, shown=shown, in_mean=in_mean)
-
-
-def _real(descents: Sequence[Ending], minimum: Ending, decades: Sequence[Decade]) -> Claim:
-    descent = descents[-1]
-    held = [decade for decade in decades if decade.contacts]
-    numbers = {
-        "iterations": descent.iterations,
-        "excess": descent.total / minimum.total - 1,
-        "by_decade": list(map(vars, decades)),
-    }
-    return judge(
-        "supplement.real",
-        numbers,
-        moving=int(descent.slips.sum()),
-        decades=descent.decades,
-        resting=int(descent.slips.sum() - (descent.slips & minimum.slips).sum()),
-        words="; ".join(f"10^{d.exponent}: {d.slipping:,} of {d.contacts:,}" for d in held),
-        real=sum(decade.is_real for decade in held),
-        held=len(held),
-        shown=", ".join(f"{ending.decades:.1f} after {ending.iterations:,} iterations" for ending in descents),
-        whole=descent.iterations >= PAPER_ITERATIONS,
-        known=bool(np.isfinite(minimum.slip_error)),
-    )

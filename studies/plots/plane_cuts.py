@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from taichi_bearings.analysis.network import SliplessNetwork
 from taichi_bearings.plots import lattice
-from taichi_bearings.plots.page import PAGE, Page, columns_on, middle_planes
+from taichi_bearings.plots.page import PAGE, middle_planes
 from taichi_bearings.plots.style import GREEN, in_our_style, panels
 
 PLANES = 3
@@ -17,35 +17,26 @@ TOWARDS_READER = (1, -1, 1)  # along x for planes across x, against y for those 
 
 
 @in_our_style
-def draw_plane_cuts(
-    network: SliplessNetwork, spin: np.ndarray, spin_top: float, spin_bottom: float, page: Page = PAGE
-) -> Figure:
-    """Spheres coloured by |spin|, slipless contacts of the plane in grey, the path in green.
-
-    spin : laboratory frame, N or (*N, 3), 1/time. 3D: the upright planes that together hold most of the path, or the
-    middle ones if there is none. A circle marks where the path leaves the plane: with a dot towards the reader, with a
-    cross away.
+def draw_plane_cuts(network: SliplessNetwork, spin: np.ndarray, spin_top: float, spin_bottom: float) -> Figure:
+    """Spheres coloured by |spin|, slipless contacts of the plane in grey, the path in green, on the upright planes that
+    together hold most of the path, or the middle ones if there is none. A circle marks where the path leaves the plane:
+    with a dot towards the reader, with a cross away. spin : laboratory frame, (*N, 3), 1/time.
     """
     speed = lattice.speed_of(spin, spin_top, spin_bottom)
     path, steps = network.shortest_path, network.path_steps
     slipless = network.lattice.by_axis(network.slipless)
-    if speed.ndim == 2:
-        figure, (axes,), width = _panels([speed], page)
-        joined = np.stack([path[:-1], path[:-1] + steps], axis=1)
-        _draw_plane(axes, speed, slipless, joined, np.empty((0, 3), dtype=int), width)
-        axes.set_title(_title(len(joined), len(joined)))
-    else:
-        cuts = page.planes or (planes_of(path) if len(path) else middle_planes(speed.shape))
-        planes = [np.take(speed, index, axis) for axis, index in cuts]
-        figure, each, width = _panels(planes, page)
-        for axes, plane, (axis, index) in zip(each, planes, cuts, strict=True):
-            joined, leaves = path_in_plane(path, steps, axis, index)
-            _draw_plane(axes, plane, lattice.contacts_in_plane(slipless, axis, index), joined, leaves, width, axis < 2)
-            lattice.name_cut(axes, axis, index, after=": " + _title(len(joined), len(path) - 1))
-        if len(path):
-            figure.supxlabel("the path leaves the plane towards the reader (dot) or away (cross)", fontsize=7)
-    below = columns_on(page, len(figure.axes)) < 2 < speed.ndim
-    lattice.draw_speed_bar(figure, figure.axes, spin_top, spin_bottom, below)
+    cuts = planes_of(path) if len(path) else middle_planes(speed.shape)
+    tall = float(np.clip(speed.shape[2] / min(speed.shape[:2]), 0.4, 2.0))
+    figure, each, width = panels(PAGE, len(cuts), (0.85 * tall, 0.4), 0.25, widest="single")
+    for axes, (axis, index) in zip(each, cuts, strict=True):
+        joined, leaves = path_in_plane(path, steps, axis, index)
+        inside = lattice.contacts_in_plane(slipless, axis, index)
+        _draw_plane(axes, np.take(speed, index, axis), inside, joined, leaves, 0.8 * width)
+        held = f"{len(joined)} of {len(path) - 1} contacts of the path" if len(path) else "no path joins bottom and top"
+        lattice.name_cut(axes, axis, index, after=f": {held}")
+    if len(path):
+        figure.supxlabel("the path leaves the plane towards the reader (dot) or away (cross)", fontsize=7)
+    lattice.draw_speed_bar(figure, figure.axes, spin_top, spin_bottom, len(cuts) < 2)
     return figure
 
 
@@ -85,25 +76,8 @@ def path_in_plane(path: np.ndarray, steps: np.ndarray, axis: int, index: int) ->
     return joined, np.concatenate(leaves)
 
 
-def _title(held: int, length: int) -> str:
-    return f"{held} of {length} contacts of the path" if length > 0 else "no path joins bottom and top"
-
-
-def _panels(planes: list[np.ndarray], page: Page) -> tuple[Figure, list[Any], float]:
-    """A figure, its panels, and how many inches wide a plane in them is."""
-    tall = float(np.clip(max(plane.shape[1] / plane.shape[0] for plane in planes), 0.4, 2.0))
-    figure, each, width = panels(page, len(planes), (0.85 * tall, 0.4), 0.25, widest="single")
-    return figure, each, 0.8 * width
-
-
 def _draw_plane(
-    axes: Any,
-    speed: np.ndarray,
-    slipless: Any,
-    joined: np.ndarray,
-    leaves: np.ndarray,
-    width: float,
-    upright: bool = True,
+    axes: Any, speed: np.ndarray, slipless: Any, joined: np.ndarray, leaves: np.ndarray, width: float
 ) -> None:
     site = lattice.site_on_paper(width, speed.shape)
     lattice.paint_plane(axes, colormaps[lattice.SPIN_COLOURS](speed))
@@ -118,5 +92,4 @@ def _draw_plane(
         chosen = leaves[leaves[:, 2] == side]
         ms = size * (0.3 if side > 0 else 0.5)
         axes.plot(*chosen[:, :2].T, mark, color=GREEN, ms=ms, mew=0.12 * size, zorder=5)
-    if upright:
-        lattice.box_driven_rows(axes, speed.shape)
+    lattice.box_driven_rows(axes, speed.shape)

@@ -7,11 +7,11 @@ from taichi_bearings_studies.paper.claims import Claim, Share
 
 def test_too_few_samples_give_no_verdict_whatever_they_show():
     for confirmed in (True, False):
-        claim = Claim("All swans are white.", "Those seen are.", confirmed, samples=2, needed=5)
+        claim = Claim("All swans are white.", "Those seen are.", confirmed, samples=2, samples_needed=5)
         assert claim.verdict == "too few samples"
         assert claim.as_dict()["finding"] == "Those seen are. No verdict: this needs 5 such samples and has 2."
-    assert Claim("All swans are white.", "They are.", True, samples=5, needed=5).verdict == "confirmed"
-    assert Claim("All swans are white.", "One is black.", False, samples=5, needed=5).verdict == "refuted"
+    assert Claim("All swans are white.", "They are.", True, samples=5, samples_needed=5).verdict == "confirmed"
+    assert Claim("All swans are white.", "One is black.", False, samples=5, samples_needed=5).verdict == "refuted"
 
 
 @pytest.mark.parametrize(("hits", "samples"), [(0, 5), (5, 5), (116, 200), (23, 1000), (1, 1)])
@@ -29,7 +29,7 @@ def test_a_share_is_judged_by_its_errors():
     def verdict(hits, samples, limit=0.5):
         share = Share(hits, samples)
         needed = share.needed_for(limit)
-        return Claim("Most are.", "", share.least > limit, samples=samples, needed=needed).verdict
+        return Claim("Most are.", "", share.least > limit, samples=samples, samples_needed=needed).verdict
 
     assert [verdict(n, n) for n in (1, 4, 5)] == ["too few samples", "too few samples", "confirmed"]
     assert verdict(3, 5) == "too few samples"

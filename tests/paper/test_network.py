@@ -1,25 +1,26 @@
 """The claims about the spanning network: what each verdict is made of, that it can be refuted, and the files."""
 
 import csv
-from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from taichi_bearings_studies.paper import figure_3, network, samples
-from taichi_bearings_studies.paper.claims import Effort, mean
-from taichi_bearings_studies.paper.network import Sample
+from taichi_bearings_studies.paper import figure_3, network, reproduce, samples
+from taichi_bearings_studies.paper.claims import Effort, judged, mean
+from taichi_bearings_studies.paper.samples import Table
+from taichi_bearings_studies.plots.minima import mean_and_error
 
 from taichi_bearings.lattice import Lattice
 
-GOOD = Sample(
-    side=24, seed=0, power=1.0, gap=1e-12, power_over_cut=0.97, below_cut=True, slipless_fraction=0.6,
-    states_proven=True, unique=True, spans=True, reached_fraction=0.999, reached_by_chance=0.98,
-    spanning_fraction=0.999, intermediate=0.9, domains=1000, largest_intermediate=8, shortest_path=60, planes_x=5,
-    planes_y=6, disjoint_paths=2, busiest_link_share=0.8, effective_links=50.0, parting_links=0, plane_spans=False,
-)  # fmt: skip
+GOOD = {
+    "side": 24, "seed": 0, "power": 1.0, "gap": 1e-12, "power_over_cut": 0.97, "below_cut": True,
+    "slipless_fraction": 0.6, "states_proven": True, "unique": True, "spans": True, "reached_fraction": 0.999,
+    "reached_by_chance": 0.98, "spanning_fraction": 0.999, "intermediate": 0.9, "domains": 1000,
+    "largest_intermediate": 8, "shortest_path": 60, "planes_x": 5, "planes_y": 6, "disjoint_paths": 2,
+    "busiest_link_share": 0.8, "effective_links": 50.0, "parting_links": 0, "plane_spans": False,
+}  # fmt: skip
 MANY = [GOOD] * 5
-PARTED = replace(GOOD, side=10, spans=False, spanning_fraction=0.0, shortest_path=0, planes_x=0, planes_y=0)
-CUT = replace(PARTED, side=3, below_cut=False, power_over_cut=1.0)
+PARTED = GOOD | {"side": 10, "spans": False, "spanning_fraction": 0.0, "shortest_path": 0, "planes_x": 0, "planes_y": 0}
+CUT = PARTED | {"side": 3, "below_cut": False, "power_over_cut": 1.0}
 
 
 @pytest.fixture
@@ -27,36 +28,46 @@ def small(taichi_runtime, precision, monkeypatch):
     """Small samples, and the tests' own runtime."""
     if precision != "f64":
         pytest.skip("minima in double precision")
-    monkeypatch.setattr(network.runtime, "start", lambda *_: None)
+    monkeypatch.setattr(reproduce.runtime, "start", lambda *_: None)
     monkeypatch.setattr(network, "SHARE_OF_SAMPLES", {3: 1.0, 5: 1.0})
     monkeypatch.setattr(network, "BULK", 5)
     monkeypatch.setattr(network, "LARGE", 6)
     monkeypatch.setattr(figure_3, "SHAPE", (6, 5, 5))
+    figure_3.minima.cache_clear()
 
 
-def test_verdicts_follow_the_samples():
-    assert network._below_cut([*MANY, PARTED]).verdict == "confirmed"
-    assert network._below_cut([*MANY, PARTED, CUT]).verdict == "refined"
-    assert network._below_cut([*MANY, replace(PARTED, below_cut=False)]).verdict == "refuted"
-    assert network._spans(MANY).verdict == "confirmed"
-    assert network._spans([*MANY, PARTED]).verdict == "refined"
-    assert network._spans([replace(GOOD, spans=False)] * 5).verdict == "refuted"
-    assert network._reaches([*MANY, PARTED]).verdict == "confirmed"
-    assert network._reaches([*MANY, replace(PARTED, reached_fraction=0.97)]).verdict == "refuted"
-    assert network._reaches([replace(GOOD, reached_by_chance=0.999)] * 5).verdict == "refined"
-    assert network._intermediate([*MANY, replace(GOOD, intermediate=0.05)]).verdict == "refuted"
-    assert network._crosses_planes([GOOD, PARTED]).verdict == "confirmed"
-    assert network._crosses_planes([replace(GOOD, plane_spans=True)]).verdict == "refuted"
-    assert network._crosses_planes([replace(GOOD, planes_x=1)]).verdict == "refuted"
-    assert network._few_links([*MANY, PARTED]).verdict == "confirmed"
-    assert network._few_links([*MANY, replace(GOOD, busiest_link_share=0.3)]).verdict == "refuted"
+def verdicts(name, rows, views=None):
+    return [claim.verdict for claim in judged(f"network.{name}", **network.names_of(Table.of(rows), views or {}))]
 
 
-@pytest.mark.parametrize("claim", ["_below_cut", "_spans", "_reaches", "_intermediate", "_few_links"])
-def test_few_samples_are_too_few(claim):
-    found = getattr(network, claim)(MANY[:2])
-    assert found.verdict == "too few samples"
-    assert "No verdict: this needs 5 such samples and has 2." in found.as_dict()["finding"]
+@pytest.mark.parametrize(
+    ("name", "rows", "verdict"),
+    [
+        ("below_cut", [*MANY, PARTED], "confirmed"),
+        ("below_cut", [*MANY, PARTED, CUT], "refined"),
+        ("below_cut", [*MANY, PARTED | {"below_cut": False}], "refuted"),
+        ("spans", MANY, "confirmed"),
+        ("spans", [*MANY, PARTED], "refined"),
+        ("spans", [GOOD | {"spans": False}] * 5, "refuted"),
+        ("reaches", [*MANY, PARTED], "confirmed"),
+        ("reaches", [*MANY, PARTED | {"reached_fraction": 0.97}], "refuted"),
+        ("reaches", [GOOD | {"reached_by_chance": 0.999}] * 5, "refined"),
+        ("intermediate", [*MANY, GOOD | {"intermediate": 0.05}], "refuted"),
+        ("crosses_planes", [GOOD, PARTED], "confirmed"),
+        ("crosses_planes", [GOOD | {"plane_spans": True}], "refuted"),
+        ("crosses_planes", [GOOD | {"planes_x": 1}], "refuted"),
+        ("few_links", [*MANY, PARTED], "confirmed"),
+        ("few_links", [*MANY, GOOD | {"busiest_link_share": 0.3}], "refuted"),
+        *((n, MANY[:2], "too few samples") for n in ("below_cut", "spans", "reaches", "intermediate", "few_links")),
+    ],
+)  # fmt: skip
+def test_verdicts_follow_the_samples(name, rows, verdict):
+    assert verdicts(name, rows) == [verdict]
+
+
+@pytest.mark.parametrize(("name", "rows"), [("below_cut", [CUT]), ("spans", [PARTED]), ("few_links", [PARTED])])
+def test_a_claim_of_which_samples_say_nothing_is_left_out(name, rows):
+    assert verdicts(name, rows) == []
 
 
 def test_chance_touches_spheres_by_their_contacts():
@@ -65,38 +76,37 @@ def test_chance_touches_spheres_by_their_contacts():
     assert network.reached_by_chance(Lattice((3, 3)), 0.25) == pytest.approx(1 - (2 * 0.75**3 + 0.75**4) / 3)
 
 
-def view(**changes):
-    seen = {"slipless": 10, "components": 1, "spans": True, "reached_fraction": 1.0, "spanning_fraction": 1.0}
-    return seen | {"domains": 9, "largest_intermediate": 3} | changes
-
-
 def test_thresholds_matter_where_they_change_what_is_seen():
-    same = [[view()] * (len(network.THRESHOLDS) + 1)] * 5
-    assert network._spans_by_threshold(10, same).verdict == "refuted"
-    assert network._spans_by_threshold(10, same[:4]).verdict == "too few samples"
-    assert network._domains_by_threshold(10, same).verdict == "refuted"
-    merged = [view(domains=4)] + [view(spans=False)] * len(network.THRESHOLDS)
-    assert network._spans_by_threshold(10, [*same[:1], merged]).verdict == "confirmed"
-    assert network._domains_by_threshold(10, [merged] * 5).verdict == "confirmed"
-    assert network._domains_by_threshold(10, [merged]).verdict == "too few samples"
+    view = {"slipless": 10, "spans": True, "reached_fraction": 1.0, "spanning_fraction": 1.0, "domains": 9}
+    view["largest_intermediate"] = 3
+    same = [view] * (len(network.THRESHOLDS) + 1)
+    merged = [view | {"domains": 4}] + [view | {"spans": False}] * len(network.THRESHOLDS)
+
+    def found(views):
+        views = {10: network.by_threshold(views)}
+        return [verdicts(f"{name}_by_threshold", MANY, views)[0] for name in ("spans", "domains")]
+
+    assert found([same] * 5) == ["refuted", "refuted"]
+    assert found([same] * 4) == ["too few samples"] * 2
+    assert found([same, merged]) == ["confirmed", "too few samples"]
+    assert found([merged] * 5) == ["confirmed", "confirmed"]
 
 
 def test_means_come_with_their_standard_errors():
     assert mean([1.0, 2.0, 3.0]) == "2.0 +- 0.6"
     assert [mean(values) for values in ([1.0, 1.0], [100.0, 170.0], [1.0] * 3)] == ["1", "135", "1"]
     assert mean([4.0]) == "4"
-    columns = network.columns_of([GOOD, replace(GOOD, power_over_cut=0.95), CUT])["power_over_cut"]
-    assert columns.side.tolist() == [3, 24]
-    assert columns.mean == pytest.approx([1.0, 0.96])
-    assert columns.standard_error == pytest.approx([0.0, 0.01])
+    found = Table.of([GOOD, GOOD | {"power_over_cut": 0.95}, CUT]).by("power_over_cut")
+    assert list(found) == [3, 24]
+    assert np.array(mean_and_error(found.values())) == pytest.approx(np.array([[1.0, 0.96], [0.0, 0.01]]))
 
 
 def test_the_study_writes_its_table_and_figure(small, tmp_path):
-    claims = network.reproduce(tmp_path, Effort(seed=3, samples=2))
+    claims = reproduce.FIGURES["network"].reproduce(tmp_path, Effort(seed=3, samples=2))
     assert sorted(path.name for path in tmp_path.iterdir()) == ["network.csv", "network.pdf", "network.png"]
     with (tmp_path / "network.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
-    assert list(rows[0]) == [item.name for item in fields(Sample)]
+    assert set(rows[0]) == set(GOOD)
     assert [(row["side"], row["seed"]) for row in rows] == [("3", "3"), ("3", "4"), ("5", "3"), ("5", "4")]
     assert all(float(row["gap"]) < 1e-9 and float(row["power_over_cut"]) <= 1 + 1e-9 for row in rows)
     assert all(row["unique"] == "True" for row in rows)
@@ -136,12 +146,12 @@ def test_workers_find_the_same_numbers_in_the_same_order(small, tmp_path, monkey
 
 
 def test_figures_3_and_4_show_a_sample_that_spans(small, tmp_path):
-    claims = figure_3.reproduce(tmp_path, Effort(seed=0, samples=4)) + figure_3.reproduce_planes(tmp_path, Effort(0, 4))
-    assert {path.name for path in tmp_path.iterdir()} == {
-        "fig3.png", "fig3.pdf", "fig3.csv", "fig4.png", "fig4.pdf"
-    }  # fmt: skip
+    effort = Effort(seed=0, samples=4)
+    claims = [claim for name in ("fig3", "fig4") for claim in reproduce.FIGURES[name].reproduce(tmp_path, effort)]
+    assert {path.name for path in tmp_path.iterdir()} == {"fig3.png", "fig3.pdf", "fig3.csv", "fig4.png", "fig4.pdf"}
+    assert len(claims) == 5
     assert all(claim.finding and claim.numbers for claim in claims)
-    shown = figure_3.minima(tmp_path, Effort(0, 4))[1]
+    shown = figure_3.minima(tmp_path, effort)[1]
     assert shown.scene.seeds == (1,)  # seed 0 does not span
     with (tmp_path / "fig3.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
@@ -153,7 +163,7 @@ def test_figures_3_and_4_show_a_sample_that_spans(small, tmp_path):
 
 
 def test_without_a_sample_that_spans_there_is_no_path_to_judge(small, tmp_path):
-    claims = figure_3.reproduce(tmp_path, Effort(seed=0, samples=1))
+    claims = reproduce.FIGURES["fig3"].reproduce(tmp_path, Effort(seed=0, samples=1))
     assert [claim.verdict for claim in claims] == ["too few samples"] * 2
-    assert claims[1].needed == 29
-    assert figure_3.reproduce_planes(tmp_path, Effort(0, 1)) == []
+    assert claims[1].samples_needed == 29
+    assert reproduce.FIGURES["fig4"].reproduce(tmp_path, Effort(0, 1)) == []

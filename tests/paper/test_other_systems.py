@@ -1,78 +1,91 @@
 """Other distributions, drivings and parameters: what each verdict is made of, and small studies."""
 
 import csv
-from dataclasses import replace
 
 import numpy as np
 import pytest
-from taichi_bearings_studies.paper import distributions, drivings, parameters
-from taichi_bearings_studies.paper.claims import Effort
-from taichi_bearings_studies.paper.distributions import EQUAL, SPREAD, TIED, Sample
-from taichi_bearings_studies.paper.drivings import OTHER, RATES, REFERENCE, SAME, Driven, axis_name, rate_name
-from taichi_bearings_studies.paper.parameters import PAPER, VARIANTS, Courses
-from taichi_bearings_studies.paper.samples import Run
+from taichi_bearings_studies.paper import distributions, drivings, parameters, reproduce
+from taichi_bearings_studies.paper.claims import Effort, judge
+from taichi_bearings_studies.paper.distributions import EQUAL, SPREAD, TIED
+from taichi_bearings_studies.paper.drivings import ALONG, DRIVINGS, OTHER, RATES, REFERENCE, SAME
+from taichi_bearings_studies.paper.parameters import PAPER, VARIANTS, Course
+from taichi_bearings_studies.paper.samples import Run, Table
 
 from taichi_bearings.scene import Scene
 
-LOW = Sample(
-    power_over_cut=0.9, below_cut=True, gap=1e-12, states_proven=True, spans=True, reached_fraction=1.0,
-    slipless_fraction=0.6, decades=5.0,
-)  # fmt: skip
-CUT = replace(LOW, power_over_cut=1.0, below_cut=False, spans=False)
+LOW = {
+    "power_over_cut": 0.9, "below_cut": True, "gap": 1e-12, "states_proven": True, "spans": True,
+    "reached_fraction": 1.0, "slipless_fraction": 0.6, "decades": 5.0,
+}  # fmt: skip
+CUT = LOW | {"power_over_cut": 1.0, "below_cut": False, "spans": False}
 
 
 def drawn(number=5, **changes):
     """Samples of all distributions: below the cut, but as `changes` says of the k-th of SPREAD."""
     found = {name: [LOW] * number for name in (*SPREAD, *TIED)} | {EQUAL: [CUT] * number}
-    return found | {SPREAD[int(k[1:])]: samples for k, samples in changes.items()}
+    found |= {SPREAD[int(k[1:])]: samples for k, samples in changes.items()}
+    return {name: Table.of(rows) for name, rows in found.items()}
+
+
+def of_drawn(name, found):
+    return judge(f"distributions.{name}", **distributions.names_of(found)).verdict
 
 
 def test_a_distribution_that_fails_refines_and_all_others_refute():
-    def verdict(found):
-        return distributions._below_cut(found).verdict
-
-    assert verdict(drawn()) == "confirmed"
-    assert verdict(drawn(_2=[CUT] * 5)) == "refined"
-    assert verdict(drawn(_0=[CUT] * 5)) == "refuted"
-    assert verdict({name: [CUT] * 5 if name != SPREAD[0] else [LOW] * 5 for name in drawn()}) == "refuted"
-    assert verdict(drawn(4)) == "too few samples"
+    others = {f"_{k}": [CUT] * 5 for k in range(1, len(SPREAD))}
+    tied = drawn(**others) | {TIED[0]: Table.of([CUT] * 5)}
+    cases = (drawn(), drawn(_2=[CUT] * 5), drawn(_0=[CUT] * 5), tied, drawn(4))
+    wanted = ["confirmed", "refined", "refuted", "refuted", "too few samples"]
+    assert [of_drawn("below_cut", found) for found in cases] == wanted
 
 
 def test_what_the_network_does_for_other_distributions():
-    parted, unreached = replace(LOW, spans=False), replace(LOW, reached_fraction=0.97)
-    assert distributions._reaches(drawn()).verdict == "confirmed"
-    assert distributions._reaches(drawn(_1=[*[LOW] * 4, unreached])).verdict == "refuted"
-    assert distributions._reaches(drawn(_1=[replace(LOW, states_proven=False)] * 5)).verdict == "too few samples"
-    assert distributions._spans(drawn(_3=[parted] * 5)).verdict == "confirmed"
-    assert distributions._spans(drawn(5)).verdict == "too few samples"
-    assert distributions._equal([CUT]).verdict == "confirmed"
-    assert distributions._equal([replace(CUT, power_over_cut=1 - 1e-6)]).verdict == "refuted"
+    parted, unreached = LOW | {"spans": False}, LOW | {"reached_fraction": 0.97}
+    assert of_drawn("reaches", drawn()) == "confirmed"
+    assert of_drawn("reaches", drawn(_1=[*[LOW] * 4, unreached])) == "refuted"
+    assert of_drawn("reaches", drawn(_1=[LOW | {"states_proven": False}] * 5)) == "too few samples"
+    assert of_drawn("spans", drawn(_3=[parted] * 5)) == "confirmed"
+    assert of_drawn("spans", drawn(5)) == "too few samples"
+    assert of_drawn("equal", drawn()) == "confirmed"
+    near = Table.of([CUT | {"power_over_cut": 1 - 1e-6}])
+    assert of_drawn("equal", drawn() | {EQUAL: near}) == "refuted"
+
+
+DRIVEN = {
+    "seed": 0,
+    "slipless": [1, 1, 0, 1],
+    "power_over_jump": 2.0,
+    "power_over_cut": 0.97,
+    "gap": 1e-12,
+    "angle": 45.0,
+}
+DIFFERENT = DRIVEN | {"slipless": [1, 0, 1, 1]}
+
+
+def of_drivings(claim, number=5, **changes):
+    tables = {name: Table.of([DRIVEN] * number) for name in DRIVINGS}
+    tables |= {name: Table.of(rows) for name, rows in changes.items()}
+    found = drivings.beside_reference(tables)
+    return judge(f"drivings.{claim}", **drivings.names_of(found)).verdict
 
 
 def test_drivings_are_judged_by_their_contacts():
-    own, other = np.array([True, True, False, True]), np.array([True, False, True, True])
-    driven = Driven(own, power=2.0, over_cut=0.97, gap=1e-12, angle=45.0)
-    found = {name: [driven] * 5 for name in (REFERENCE, *SAME, *map(axis_name, OTHER), *map(rate_name, RATES))}
-    assert drivings.overlaps([replace(driven, slipless=other)], [driven]) == [0.5]
-    assert drivings.changes([replace(driven, slipless=other)], [driven]) == [2]
-    assert drivings._speeds(found, range(5)).verdict == "confirmed"
-    assert drivings._axis(found, range(5)).verdict == "confirmed"
-    assert drivings._rate(found, range(5)).verdict == "confirmed"
-    assert drivings._axis({name: of[:2] for name, of in found.items()}, range(2)).verdict == "too few samples"
-    for name, claim in (
-        (next(iter(SAME)), drivings._speeds), (axis_name(OTHER[-1]), drivings._axis), (rate_name(1.0), drivings._rate)
-    ):  # fmt: skip
-        assert claim(found | {name: [*[driven] * 4, replace(driven, slipless=other)]}, range(5)).verdict == "refuted"
-    assert drivings._speeds(found | {next(iter(SAME)): [replace(driven, power=2.1)] * 5}, range(5)).verdict == "refuted"
-    assert drivings._one_component([[driven]]).verdict == "refuted"
-    assert drivings._one_component([[replace(driven, over_cut=1 + 1e-12)]]).verdict == "confirmed"
-    assert drivings._height([driven]).verdict == "refuted"
+    both = drivings.beside_reference({REFERENCE: Table.of([DRIVEN]), "other": Table.of([DIFFERENT])})["other"]
+    assert (both.overlap.tolist(), both.changed.tolist()) == ([0.5], [2])
+    for claim, of in (("speeds", SAME), ("axis", OTHER), ("rate", RATES)):
+        assert of_drivings(claim) == "confirmed"
+        assert of_drivings(claim, **{list(of)[-1]: [*[DRIVEN] * 4, DIFFERENT]}) == "refuted"
+    assert of_drivings("axis", 2) == "too few samples"
+    assert of_drivings("speeds", **{next(iter(SAME)): [DRIVEN | {"power_over_jump": 2.1}] * 5}) == "refuted"
+    assert of_drivings("one_component") == of_drivings("height") == "refuted"
+    along = {name: [DRIVEN | {"power_over_cut": 1 + 1e-12}] * 5 for name in ALONG}
+    assert of_drivings("one_component", **along) == "confirmed"
 
 
 def test_small_cubes_under_all_drivings(tmp_path, monkeypatch, taichi_runtime, needs_f64):
-    monkeypatch.setattr(drivings.runtime, "start", lambda *_: None)
+    monkeypatch.setattr(reproduce.runtime, "start", lambda *_: None)
     monkeypatch.setattr(drivings, "BULK", 4)
-    claims = drivings.reproduce(tmp_path, Effort(0, 4))
+    claims = reproduce.FIGURES["drivings"].reproduce(tmp_path, Effort(0, 4))
     assert {path.name for path in tmp_path.iterdir()} == {"drivings.png", "drivings.pdf", "drivings.csv"}
     assert [claim.verdict for claim in claims] == ["confirmed", "refuted", "refuted", "confirmed", "confirmed"]
     assert all(claim.paper and claim.ours and claim.uncertainty for claim in claims)
@@ -84,57 +97,50 @@ def test_small_cubes_under_all_drivings(tmp_path, monkeypatch, taichi_runtime, n
     assert float(rows["axis (1, 1, 0), omega_B = 0"]["power_over_cut"]) <= 1 + 1e-12
 
 
-def course(*power, time=(0.0, 1.0, 2.0)):
-    power, spins = np.repeat(np.array(power, dtype=float)[:, None], 5, axis=1), np.zeros((3, 5, 3, 3, 3))
-    return Run("random", np.array(time), power, spins, spins)
+def course(force, *power, time=(0.0, 1.0, 2.0)):
+    """Five samples whose power falls to `power` times the normal force, at times that scale; the minimum is 1."""
+    power = force * np.repeat(np.array(power)[:, None], 5, axis=1)
+    time = np.array(time) * parameters.FORCE / force
+    return Course.of(Run("random", time, power, np.zeros(0), np.zeros(0)), force, np.full(5, force))
 
 
-class Minimum:
-    """Stands in for a certified minimum: a power and its bound."""
-
-    def __init__(self, power, states=(0, 1)):
-        self.power = self.lower_bound = np.full(5, power)
-        self.scene = Scene.random((3, 3, 3), 0, replicas=5, normal_force=power)
-        self.state = np.array([states] * 5)
-        self.states_proven = np.ones(5, dtype=bool)
-
-
-def courses(**changes):
-    """Powers that fall from 4 F_n to F_n at times that scale, but as `changes` says of the variants by their number."""
-    names = list(VARIANTS)
-    runs = {}
-    for name, springs in VARIANTS.items():
-        force = springs.force
-        time = np.array([0.0, 1.0, 2.0]) * 50 / force
-        runs[name] = course(4 * force, 2 * force, force, time=tuple(time))
-    runs |= {names[int(key[1:])]: run for key, run in changes.items()}
-    forces = dict.fromkeys(springs.force for springs in VARIANTS.values())
-    return Courses(runs, {force: Minimum(force) for force in forces})
+SCALED = {name: course(force, 4.0, 2.0, 1.0) for name, (*_, force) in VARIANTS.items()}
 
 
 def test_courses_are_compared_at_scaled_times():
-    same = courses()
-    assert all(same.distance(name) == pytest.approx(np.zeros(5)) for name in VARIANTS)
-    assert same.arrival(PAPER) == pytest.approx(np.full(5, 2.0))
-    assert same.arrival("F_n = 500") == pytest.approx(np.full(5, 2.0))
-    late = courses(_2=course(2000, 1400, 500, time=(0.0, 0.1, 0.2)))
-    assert late.distance("F_n = 500") == pytest.approx(np.full(5, 0.2))
+    for same in SCALED.values():
+        assert same.distance(SCALED[PAPER]) == pytest.approx(np.zeros(5))
+        assert same.arrival == pytest.approx(np.full(5, 2.0))
+    assert course(500.0, 4.0, 2.8, 1.0).distance(SCALED[PAPER]) == pytest.approx(np.full(5, 0.2))
+    assert course(50.0, 4.0, 1.0, 1.0).arrival == pytest.approx(np.full(5, 1.0))
 
 
-def test_parameters_refine_and_refute():
-    assert parameters._same_way(courses()).verdict == "confirmed"
-    assert parameters._same_way(courses(_2=course(2000, 1400, 500, time=(0.0, 0.1, 0.2)))).verdict == "refined"
-    assert parameters._same_way(courses(_3=course(200, 140, 50))).verdict == "refuted"
-    assert parameters._same_end(courses()).verdict == "confirmed"
-    assert parameters._same_end(courses(_4=course(200, 100, 50.1))).verdict == "refuted"
-    assert parameters._slower(courses(_3=course(200, 50, 50))).verdict == "confirmed"
-    assert parameters._slower(courses()).verdict == "refuted"
-    assert parameters._same_minimum(courses()).verdict == "confirmed"
-    other = Courses(courses().runs, {50.0: Minimum(50.0), 5.0: Minimum(5.0, (1, 1))})
-    assert parameters._same_minimum(other).verdict == "refuted"
-    scene = Scene.random((3, 3, 3), 0, replicas=5)
-    assert parameters._threshold(scene).verdict == "refined"
-    weak = Scene.random((3, 3, 3), 0, replicas=5, distribution="uniform:0.1,0.2")
-    assert parameters._threshold(weak).verdict == "confirmed"
-    strong = Scene.random((3, 3, 3), 0, replicas=5, distribution="uniform:0.1,3")
-    assert parameters._threshold(strong).verdict == "refuted"
+@pytest.mark.parametrize(
+    ("claim", "variant", "powers", "verdict"),
+    [
+        ("same_way", PAPER, (4.0, 2.0, 1.0), "confirmed"),
+        ("same_way", "F_n = 500", (4.0, 2.8, 1.0), "refined"),
+        ("same_way", "K = 1e6", (4.0, 2.8, 1.0), "refuted"),
+        ("same_end", PAPER, (4.0, 2.0, 1.0), "confirmed"),
+        ("same_end", "A = 1e4", (4.0, 2.0, 1.002), "refuted"),
+        ("slower", "K = 1e6", (4.0, 1.0, 1.0), "confirmed"),
+        ("slower", PAPER, (4.0, 2.0, 1.0), "refuted"),
+    ],
+)
+def test_courses_refine_and_refute(claim, variant, powers, verdict):
+    named = parameters.of_courses(SCALED | {variant: course(VARIANTS[variant][2], *powers)})
+    assert judge(f"parameters.{claim}", **named).verdict == verdict
+
+
+def test_states_and_thresholds_refine_and_refute():
+    per_force = {50.0: np.ones(5), 5.0: np.ones(5)}
+    for other, verdict in (((0, 1), "confirmed"), ((1, 1), "refuted")):
+        states = [np.array([(0, 1)] * 5), np.array([other] * 5)]
+        named = {"per_force": per_force, "states": states, "proven": 5, "slipless": 5}
+        assert judge("parameters.same_minimum", **named).verdict == verdict
+    heavier = named | {"per_force": per_force | {5.0: np.full(5, 1.1)}, "states": states[:1]}
+    assert judge("parameters.same_minimum", **heavier).verdict == "refuted"
+    for friction, verdict in (("0.1,1", "refined"), ("0.1,0.2", "confirmed"), ("0.1,3", "refuted")):
+        scene = Scene.random((3, 3, 3), 0, replicas=5, distribution=f"uniform:{friction}")
+        stretch = scene.coefficient * (parameters.FORCE / parameters.STIFFNESS)
+        assert judge("parameters.threshold", stretch=stretch).verdict == verdict

@@ -42,8 +42,8 @@ class Reader(HTMLParser):
 CLAIMS = [
     Claim("P < P_cut & more.", "So <b>it</b> is.", True, samples=1200, paper="< 1", ours="0.97", uncertainty="0.01"),
     Claim("It is level.", "Nearly.", True, refined=True, kind="theorem"),
-    Claim("Water runs uphill.", "It runs downhill.", False, after_data="what counts as uphill"),
-    Claim("Swans are white.", "Two are.", True, samples=2, needed=5),
+    Claim("Water runs uphill.", "It runs downhill.", False, chosen_after_the_data="what counts as uphill"),
+    Claim("Swans are white.", "Two are.", True, samples=2, samples_needed=5),
 ]
 
 

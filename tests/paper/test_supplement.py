@@ -5,11 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from taichi_bearings_studies.paper import supplement
-from taichi_bearings_studies.paper.claims import Effort
+from taichi_bearings_studies.paper import reproduce, supplement
+from taichi_bearings_studies.paper.claims import Effort, judge
 from taichi_bearings_studies.paper.samples import solved
-from taichi_bearings_studies.paper.supplement import Decade, Ending
+from taichi_bearings_studies.paper.supplement import Ending
 
+from taichi_bearings.files.scan_journal import read_journal
+from taichi_bearings.plain_files import MOST_LINE
 from taichi_bearings.scene import Scene
 from taichi_bearings.solvers import InteriorPoint
 from taichi_bearings.solvers.stopping import StopRule
@@ -20,44 +22,46 @@ def ending(*power):
     return Ending(power, power > 0, total=1.0, excess=1e-3, iterations=10**6, slip_error=1e-12)
 
 
+def judged(name, minima, *descents):
+    return judge(f"supplement.{name}", **supplement.names_of(descents, minima))
+
+
 MINIMUM = ending(3e-1, 2e-1, 5e-3, 0.0, 0.0, 0.0)
 
 
 def test_contacts_are_counted_by_decades():
     descent = ending(4e-1, 2e-2, 3e-2, 5e-2, 2e-4, 1e-4)
-    found = supplement.by_decade(descent, MINIMUM)
-    assert found == [Decade(-4, 2, 0, 0), Decade(-3, 0, 0, 1), Decade(-2, 3, 2, 0), Decade(-1, 1, 1, 2)]
-    assert [decade.is_real for decade in found] == [False, False, True, True]
+    found = supplement.by_decade(descent, MINIMUM).only("exponent contacts slipping at_minimum")
+    assert list(zip(*found.values(), strict=True)) == [(-4, 2, 0, 0), (-3, 0, 0, 1), (-2, 3, 2, 0), (-1, 1, 1, 2)]
     assert descent.decades == pytest.approx(np.log10(4e3))
+    assert "decades, 2 of 3 real" in judged("real", [MINIMUM], descent).ours
 
 
 def test_one_sample_can_refute_that_decades_are_real_and_not_confirm_it():
-    unreal = ending(4e-1, 2e-1, 1e-1, 1e-4, 2e-4, 1e-4)
-    real = ending(4e-1, 2e-1, 3e-3, 1e-1, 2e-1, 1e-1)
-
-    def verdict(descent, minimum=MINIMUM):
-        return supplement._real([descent], minimum, supplement.by_decade(descent, minimum)).verdict
-
-    assert verdict(unreal) == "refuted"
-    assert verdict(replace(unreal, iterations=10**5)) == "too few samples"
-    assert verdict(unreal, replace(MINIMUM, slip_error=np.nan)) == "too few samples"
-    assert verdict(real, ending(*real.power)) == "too few samples"
+    unreal, real = ending(4e-1, 2e-1, 1e-1, 1e-4, 2e-4, 1e-4), ending(4e-1, 2e-1, 3e-3, 1e-1, 2e-1, 1e-1)
+    assert judged("real", [MINIMUM], unreal).verdict == "refuted"
+    for minimum, descent in (
+        (MINIMUM, replace(unreal, iterations=10**5)),
+        (replace(MINIMUM, slip_error=None), unreal),
+        (real, real),
+    ):
+        assert judged("real", [minimum], descent).verdict == "too few samples"
 
 
 def test_the_range_is_judged_over_samples():
     eleven, eight = ending(1.0, 1e-11), ending(1.0, 1e-8)
-    assert supplement._range([eleven] * 5).verdict == "confirmed"
-    assert supplement._range([eight] * 40).verdict == "refuted"
-    assert supplement._range([eight] * 10).verdict == "too few samples"
-    assert supplement._range([eight] * 4 + [eleven] * 4).verdict == "refined"
-    unknown = replace(eleven, slip_error=np.nan)
-    assert supplement._range([*[unknown] * 40, eight]).samples == 1
-    assert supplement._range([unknown]).verdict == supplement._broad([unknown]).verdict == "too few samples"
+    assert judged("range", [eleven] * 5).verdict == "confirmed"
+    assert judged("range", [eight] * 40).verdict == "refuted"
+    assert judged("range", [eight] * 10).verdict == "too few samples"
+    assert judged("range", [eight] * 4 + [eleven] * 4).verdict == "refined"
+    unknown = replace(eleven, slip_error=None)
+    assert judged("range", [*[unknown] * 40, eight]).samples == 1
+    assert judged("range", [unknown]).verdict == judged("broad", [unknown]).verdict == "too few samples"
     spread = ending(*np.geomspace(1e-8, 1, 100))
     assert spread.central_decades == pytest.approx(0.9 * 8)
-    assert supplement._broad([spread] * 5).verdict == "confirmed"
-    assert supplement._broad([spread] * 4 + [ending(*np.linspace(0.5, 1, 100))]).verdict == "refuted"
-    assert supplement._broad([spread] * 4).verdict == "too few samples"
+    assert judged("broad", [spread] * 5).verdict == "confirmed"
+    assert judged("broad", [spread] * 4 + [ending(*np.linspace(0.5, 1, 100))]).verdict == "refuted"
+    assert judged("broad", [spread] * 4).verdict == "too few samples"
 
 
 def test_slips_are_known_as_closely_as_is_said(taichi_runtime, needs_f64):
@@ -71,33 +75,40 @@ def test_slips_are_known_as_closely_as_is_said(taichi_runtime, needs_f64):
     assert 0 < max(errors) < 1e-6
     apart = np.abs(slips[1][moves] / slips[0][moves] - 1).max()
     assert apart <= sum(errors) + 8 * np.finfo(float).eps
-    assert np.isnan(supplement.largest_slip_error(replace(found[0], states_proven=np.array([False]))))
+    assert supplement.largest_slip_error(replace(found[0], states_proven=np.array([False]))) is None
+
+
+def test_what_is_kept_of_a_sample_is_not_too_long_for_a_line_of_a_journal():
+    power = np.random.default_rng(0).random(3 * 32**3 - 3 * 32**2 - 2 * (2 * 31 * 32))  # contacts that can slip
+    texts = [supplement.packed(values) for values in (power, power > 0.5)]
+    assert sum(map(len, texts)) < 0.99 * MOST_LINE
+    assert (supplement.unpacked(texts[0], float) == power).all()
+    assert (supplement.unpacked(texts[1], bool) == (power > 0.5)).all()
 
 
 def test_a_small_study_and_what_it_keeps(tmp_path, monkeypatch, taichi_runtime, needs_f64):
-    monkeypatch.setattr(supplement.runtime, "start", lambda *_: None)
+    monkeypatch.setattr(reproduce.runtime, "start", lambda *_: None)
     monkeypatch.setattr(supplement, "SHAPE", (4, 3, 5))
     monkeypatch.setattr(supplement, "ITERATIONS", (200, 2000))
-    interrupted = supplement.minimum
+    study, interrupted = reproduce.FIGURES["supplement"], supplement.minimum
 
-    def stop(_):
+    def stop(*_):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(supplement, "minimum", stop)
     with pytest.raises(KeyboardInterrupt):
-        supplement.reproduce(tmp_path, Effort(2, 3))
-    assert len(list(tmp_path.glob("*.kept.h5"))) == 2
+        study.reproduce(tmp_path, Effort(2, 3))
+    assert list(read_journal(tmp_path / "supplement.jsonl")) == ["descent-200", "descent-2000"]
     monkeypatch.setattr(supplement, "minimum", interrupted)
     monkeypatch.setattr(supplement, "descended", stop)  # both are kept
-    claims = supplement.reproduce(tmp_path, Effort(2, 3))
+    claims = study.reproduce(tmp_path, Effort(2, 3))
     assert {path.name for path in tmp_path.iterdir()} == {"supplement.png", "supplement.pdf", "supplement.csv"}
     assert all(claim.paper and claim.ours and claim.uncertainty for claim in claims)
     assert {claim.verdict for claim in claims} == {"too few samples"}
     state = solved(supplement.scene_of(2), InteriorPoint(), StopRule(1e-9)).state
-    slipping = int((state == 1).sum())
     with (tmp_path / "supplement.csv").open(encoding="utf-8") as file:
-        rows = list(csv.DictReader(line for line in file if not line.startswith("#")))
+        rows = list(csv.DictReader(file))
     for iterations in ("200", "2000"):
         own = [row for row in rows if row["iterations"] == iterations]
         assert sum(int(row["contacts"]) for row in own) == 45 + 40 + 48 - 2 * (9 + 8)
-        assert sum(int(row["of_these_slipping_at_minimum"]) for row in own) == slipping
+        assert sum(int(row["slipping"]) for row in own) == int((state == 1).sum())

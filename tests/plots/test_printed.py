@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from matplotlib.collections import LineCollection
 from matplotlib.text import Text
+from taichi_bearings_studies.paper.samples import Run, Table
 from taichi_bearings_studies.plots.accuracy import draw_accuracy
 from taichi_bearings_studies.plots.configurations import draw_configurations
-from taichi_bearings_studies.plots.relaxation import Relaxation, draw_relaxation
-from taichi_bearings_studies.plots.sizes import THRESHOLDS, Column, draw_sizes
+from taichi_bearings_studies.plots.minima import THRESHOLDS, draw_sizes
+from taichi_bearings_studies.plots.relaxation import draw_relaxation
 
 import taichi_bearings as tb
 from taichi_bearings.errors import InputError
@@ -199,23 +200,22 @@ NAMES = ("power_over_cut", "reached_fraction", "intermediate", "slipless_fractio
 
 
 def draw_fig2():
-    starts = [
-        Relaxation(name, T, 0.3 + np.exp(-300 * T), T, 0.3 + np.exp(-400 * T), *DRAW.random((2, 2, 2, 3, 3)))
-        for name in ("random spins", "the minimum cut")
-    ]
-    return draw_relaxation(starts, 0.29, 0.31)
+    runs = [Run("", T, 0.3 + np.exp(-rate * T)[:, None], T, T) for rate in (300, 400)]
+    minima = Table({"power": [0.29], "cut_power": [0.31]})
+    names = ("random spins", "the minimum cut")
+    return draw_relaxation(names, runs, runs, DRAW.random((2, 2, 2, 2, 3, 3)), minima, 0)
 
 
 def draw_fig1():
-    cut = [DRAW.random((9, 10)) > 0.5, DRAW.random((10, 9)) > 0.8]
-    return draw_configurations(*DRAW.random((2, 10, 10)), cut, DRAW.random(50) + 1e-5, DRAW.random(50) > 0.5)
+    exact = Table({"distance": DRAW.random(50) + 1e-5, "differs": DRAW.random(50) > 0.5})
+    return draw_configurations(*DRAW.random((2, 10, 10)), DRAW.random((10, 10)) > 0.5, exact)
 
 
 def draw_study():
-    sides = np.array([3, 4, 6])
-    columns = {name: Column(sides, DRAW.random((3, 5))) for name in (*NAMES, "largest_intermediate")}
+    columns = {name: DRAW.random(15) for name in (*NAMES, "largest_intermediate")}
+    table = Table(columns | {"side": np.repeat([3, 4, 6], 5), "spans": DRAW.random(15) > 0.5})
     numbers = {name: DRAW.random((5, len(THRESHOLDS) + 1)) for name in ("spans", "slipless", "domains")}
-    return draw_sizes(columns, {6: numbers | {"largest_intermediate": numbers["domains"]}})
+    return draw_sizes(table, {6: numbers | {"largest_intermediate": numbers["domains"]}})
 
 
 def draw_benchmark():

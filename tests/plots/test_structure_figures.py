@@ -53,11 +53,9 @@ class Case:
         self.driving = (scene.spin_top, scene.spin_bottom)
 
     def figures(self):
-        return [
-            draw_domains(self.domains),
-            draw_network(self.network, self.spin, *self.driving),
-            draw_plane_cuts(self.network, self.spin, *self.driving),
-        ]
+        found = [draw_domains(self.domains), draw_network(self.network, self.spin, *self.driving)]
+        cuts = [draw_plane_cuts(self.network, self.spin, *self.driving)] if self.spin.ndim > 2 else []
+        return [*found, *cuts]
 
 
 def rendered(figure):
