@@ -140,7 +140,10 @@ def describe(summary: dict[str, Any], times: str) -> str:
     lines += [f"  {len(seeds)} samples, mean, least, largest; or how many:"] if len(seeds) > 1 else []
     lines += [f"  {line}" for line in rows_told(map(COLUMNS.__getitem__, LAST_TOLD), summary)]
     device = f" on {summary['arch']}, {summary['precision']}" if "arch" in summary else ""
-    lines += [f"  {counted(summary['iterations'], 'iteration')}{device}; {times}", f"  run: {summary['run']}"]
+    lines += [
+        f"  {counted(sum(listed(summary['iterations'])), 'iteration')}{device}; {times}",
+        f"  run: {summary['run']}",
+    ]
     picture = Path(summary["run"]) / "power_histogram.png"
     return "\n".join([*lines, *([f"  histogram: {picture}"] if picture.exists() else [])])
 

@@ -68,8 +68,11 @@ def describe(report: dict[str, Any], times: str = "") -> str:
         elif unique:
             proven.append("there is only one")
         lines.append(f"    contacts: {'; '.join(proven)}")
-    if (proof := report.get("proof", "proven")) != "proven":
-        lines.append(f"  the lower bound is {proof}")
+    lines += [
+        f"  the lower bound is {proof}"
+        for proof in dict.fromkeys(listed(report["proof"]))
+        if proof not in (None, "proven")
+    ]
     if len(rows) > 10:
         lines.append(f"  ... and {len(rows) - 10} more samples")
     if isinstance(report["gap"], float):

@@ -17,7 +17,7 @@ from taichi_bearings.stages import stage
 from taichi_bearings.verifier.claims import is_drawn
 from taichi_bearings.verifier.samples import Samples
 from taichi_bearings.verifier.stored_run import StoredRun, read_stored_run
-from taichi_bearings.verifier.verdict import report_of
+from taichi_bearings.verifier.verdict import report_of, together
 
 Draw = Callable[[Lattice, Distribution, int], tuple[np.ndarray, ...]]
 
@@ -33,23 +33,26 @@ def verify(path: Path) -> dict[str, Any]:
         refuse_scan(path)
         if file_of(path).is_file():
             look_through(file_of(path))
-        run = read_stored_run(path)
-    samples, seeds, drawn = run.samples, -1, False
+        run, *others = read_stored_run(path)
+    samples, seeds, drawn = run.samples, np.asarray(run.attributes.get("seed", -1)).tolist(), False
     with stage("proving"), one_thread():
         report = report_of(run)
+        if others:
+            report = together([report, *map(report_of, others)])
+            seeds = [int(one.claimed("seed")[0]) for one in (run, *others)]
     if isinstance(samples, Samples):
         size, drawn = {"shape": list(samples.shape)}, is_drawn(run)
-        seeds = np.asarray(run.attributes.get("seed", -1)).tolist()
         with stage("drawing the coefficients again"):
             report["contradictions"] += _coefficients(run, samples) if drawn else []
     else:
         size = {"shape": None, "spheres": len(samples.spin), "contacts": len(samples.arrays["contact"])}
+    status = [word for one in (run, *others) for word in one.claimed("status")]
     report["contradictions"] += [f"{name} was changed after it was written" for name in run.changed or ()]
     return {
         "verified": not report["contradictions"],
         **report,
         "unchanged": None if run.changed is None else not run.changed,
-        "status": np.asarray(run.attributes["status"]).tolist(),
+        "status": status if len(status) > 1 else status[0],
         "law": samples.law,
         **size,
         "seed": seeds,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -99,37 +99,55 @@ class StoredRun:
         return float(value)
 
 
-def read_stored_run(run: Path) -> StoredRun:
-    """A run directory or its run.h5; FileError in one sentence where it cannot be read."""
+def read_stored_run(run: Path) -> list[StoredRun]:
+    """A run directory or its run.h5, of several replicas of a packing one by one; FileError in one sentence where it
+    cannot be read."""
     path = run / "run.h5" if run.is_dir() else run
     if not path.is_file():
         raise FileError(f"{run} is not a run: there is no {path}")
     try:
         with h5py.File(path, "r") as file:
-            return _read(path, file)
+            stored = file["packing/center"] if "packing" in file else None
+            replicas = 1 if stored is None or stored.ndim < 3 else max(len(stored), 1)
+            return [_read(path, file, number, replicas) for number in range(replicas)]
     except FileError:
         raise
     except (OSError, KeyError, ValueError, TypeError, AttributeError, IndexError, RuntimeError) as error:
         raise FileError(f"{path} cannot be read as a run: {str(error).strip(chr(39))}") from None
 
 
-def _read(path: Path, file: h5py.File) -> StoredRun:
+def _read(path: Path, file: h5py.File, number: int, replicas: int) -> StoredRun:
+    """number : of the replicas of a packing, where these are several; lattices have theirs side by side."""
     is_lattice = "packing" not in file
     attributes = _attributes(path, file, NEEDED_ATTRIBUTES + OF_LATTICES * is_lattice)
+    get = partial(_array, path, file)
+    if replicas > 1:
+        attributes = {name: _of_replica(value, number, replicas) for name, value in attributes.items()}
+        get = partial(_array, path, file, number=number, replicas=replicas)
     law = attributes["law"]
     if not isinstance(law, str) or law not in LAWS:
         raise FileError(f"{path} has the law {law!r}; {', '.join(LAWS)} can be verified")
     settings = _settings(path, str(attributes["scene"]))
-    samples, groups, known = (_lattice if is_lattice else _packing)(path, file, attributes, settings)
+    samples, groups, known = (_lattice if is_lattice else _packing)(path, file, get, attributes, settings)
     names = [*REPORTED_SETS, *(name for name in OPTIONAL_SETS if f"{[*groups][-1]}/{name}" in file)]
     reported = {}
     for name in names:
-        parts = [_array(path, file, samples.count, f"{group}/{name}", shape) for group, shape in groups.items()]
+        parts = [get(samples.count, f"{group}/{name}", shape) for group, shape in groups.items()]
         reported[name] = np.concatenate([part.reshape(samples.count, -1) for part in parts], axis=1)
     known |= {f"{group}/{name}" for group in groups for name in (*names, "friction")}
-    history = {name: _column(path, name, values, samples.count) for name, values in file.get("history", {}).items()}
-    others = [*_unread(file, "", known)]
-    return StoredRun(path, samples, attributes, settings, reported, history, others, _changed(path, file))
+    count = max(samples.count, replicas)
+    history = {name: _column(path, name, values, count) for name, values in file.get("history", {}).items()}
+    if replicas > 1:
+        history = {name: column if column.ndim == 1 else column[number] for name, column in history.items()}
+    others, changed = [*_unread(file, "", known)], _changed(path, file) if number == 0 else ()
+    return StoredRun(path, samples, attributes, settings, reported, history, others, changed)
+
+
+def _of_replica(value: Any, number: int, replicas: int) -> Any:
+    """An attribute of one of several replicas: its own, or that of all of them."""
+    if not isinstance(value, np.ndarray) or value.shape != (replicas,):
+        return value
+    return value[number].item() if isinstance(value[number], np.generic) else value[number]
 
 
 def _unread(group: h5py.Group, inside: str, known: set[str]) -> Iterator[str]:
@@ -155,7 +173,9 @@ def _attributes(path: Path, file: h5py.File, needed: tuple[str, ...]) -> dict[st
     return attributes
 
 
-def _lattice(path: Path, file: h5py.File, attributes: Table, settings: Table) -> tuple[Samples, Groups, set[str]]:
+def _lattice(
+    path: Path, file: h5py.File, array: Callable[..., np.ndarray], attributes: Table, settings: Table
+) -> tuple[Samples, Groups, set[str]]:
     """What is in the open file of a run of a lattice."""
     shape = _shape(path, attributes["shape"])
     axes = AXES[: len(shape)]
@@ -166,7 +186,7 @@ def _lattice(path: Path, file: h5py.File, attributes: Table, settings: Table) ->
     periodic = _periodic(path, settings.get("periodic", []), shape)
     contacts = {name: tuple(n - (a == axis and axis not in periodic) for a, n in enumerate(shape))
                 for axis, name in enumerate(axes)}  # fmt: skip
-    get = partial(_array, path, file, count)
+    get = partial(array, count)
 
     def by_axis(name: str, parts: tuple[int, ...] = ()) -> tuple[np.ndarray, ...]:
         return tuple(get(name.format(axis), (*n, *parts)) for axis, n in contacts.items())
@@ -190,14 +210,18 @@ def _lattice(path: Path, file: h5py.File, attributes: Table, settings: Table) ->
     return samples, {f"contact/{axis}": n for axis, n in contacts.items()}, known
 
 
-def _packing(path: Path, file: h5py.File, attributes: Table, _: Table) -> tuple[StoredPacking, Groups, set[str]]:
-    """What is in the open file of a run of a packing, within the limits that any packing has."""
-    places, pairs = (np.shape(file[f"packing/{name}"]) for name in ("center", "contact"))
+def _packing(
+    path: Path, file: h5py.File, array: Callable[..., np.ndarray], attributes: Table, _: Table
+) -> tuple[StoredPacking, Groups, set[str]]:
+    """What is in the open file of a run of a packing, or of one replica, within the limits that any packing has."""
+    places, pairs = (file[f"packing/{name}"].shape for name in ("center", "contact"))
+    if len(places) == 3 and len(pairs) == 3:
+        places, pairs = places[1:], pairs[1:]
     if len(places) != 2 or places[1] not in (2, 3) or not places[0] or len(pairs) != 2:
         raise FileError(f"{path} has centres of shape {places} and contacts of shape {pairs}; (N, 2 or 3) and (E, 2)")
     (count, dimension), contacts = places, pairs[0]
     parts = (3,) if dimension == 3 else ()
-    get, law = partial(_array, path, file, 1), attributes["law"]
+    get, law = partial(array, 1), attributes["law"]
     shapes: Groups = {
         "center": places, "contact": (contacts, 2), "driven": (count,), "spin": (count, *parts), "radius": (count,),
         "normal": (contacts, dimension), "friction": (contacts,), "normal_force": (contacts,),
@@ -259,17 +283,20 @@ def _number(path: Path, attributes: dict[str, Any], name: str) -> float:
     return float(attributes[name])
 
 
-def _array(path: Path, file: h5py.File, count: int, name: str, expected: tuple[int, ...]) -> np.ndarray:
-    """A data set (count, *expected), in which a single sample has no axis of samples; of what it must be."""
+def _array(
+    path: Path, file: h5py.File, count: int, name: str, expected: tuple[int, ...], number: int = 0, replicas: int = 1
+) -> np.ndarray:
+    """A data set (count, *expected), in which a single sample has no axis of samples; of what it must be. Of several
+    replicas of a packing that of one, (1, *expected)."""
     if name not in file:
         raise FileError(f"{path} lacks the data set {name}, without which nothing can be verified")
-    stored, whole = file[name], (count, *expected)
-    if stored.shape != whole and (count > 1 or stored.shape != expected):
+    stored, whole = file[name], (max(count, replicas), *expected)
+    if stored.shape != whole and (whole[0] > 1 or stored.shape != expected):
         raise FileError(f"{path} has {name} of shape {stored.shape}; its lattice or packing needs {expected}")
     kinds, words = ("ui", "whole numbers") if name.endswith(WHOLE_DATA) else ("f", "real numbers")
     if stored.dtype.kind not in kinds:
         raise FileError(f"{path} has {name} of {stored.dtype}; it must hold {words}")
-    return np.asarray(stored[()], dtype=np.float64).reshape(whole)
+    return np.asarray(stored[number if replicas > 1 else ()], dtype=np.float64).reshape(count, *expected)
 
 
 def _state(path: Path, settings: dict[str, Any], name: str, dimension: int) -> tuple[float, ...] | None:

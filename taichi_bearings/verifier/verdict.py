@@ -75,6 +75,14 @@ def report_of(run: StoredRun) -> dict[str, Any]:
     return report | {"proof": proof, "contradictions": found, "not_checked": unseen, "arithmetic": ARITHMETIC}
 
 
+def together(reports: list[dict[str, Any]]) -> dict[str, Any]:
+    """The reports of several replicas of a packing as one, in which contradictions name the replica."""
+    found = {name: [report[name] for report in reports] for name in (*OF_SAMPLES, "proof")}
+    said = [f"sample {n}: {text}" for n, report in enumerate(reports) for text in report["contradictions"]]
+    unseen = dict.fromkeys(name for report in reports for name in report["not_checked"])
+    return reports[0] | found | {"contradictions": said, "not_checked": [*unseen]}
+
+
 def _finite(values: np.ndarray) -> list[float | None]:
     return [value if np.isfinite(value) else None for value in values.tolist()]
 

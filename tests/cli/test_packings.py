@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import taichi_bearings as tb
+from taichi_bearings.checksums import seal
 from taichi_bearings.quantities import STRUCTURE
 from tests.cli.commands import bearings
 
@@ -192,7 +193,6 @@ DAMAGES = {
 
 @pytest.mark.parametrize("name", DAMAGES)
 def test_a_damaged_file_is_one_sentence(folder, tmp_path, name):
-    from taichi_bearings.checksums import seal
 
     file = tmp_path / "run.h5"
     file.write_bytes((folder / "bcc" / "run.h5").read_bytes())
@@ -232,6 +232,16 @@ def test_replicas_are_the_bits_of_single_runs(folder, tmp_path, needs_f64, optio
             assert np.array_equal(found.history["power"], single.history["power"])
     again = bearings("run", tmp_path / "both", "--out", tmp_path / "again", "--json")
     assert json.loads(again.stdout)["power"] == told["power"]
+    verdict = json.loads(bearings("verify", tmp_path / "both", "--json").stdout)
+    assert verdict["verified"]
+    assert (verdict["power"], verdict["lower_bound"], verdict["seed"]) == (told["power"], told["lower_bound"], [5, 6])
+    with h5py.File(tmp_path / "both" / "run.h5", "r+") as file:
+        file["contact/slip"][1, 3] *= 2
+        file["contact/slip"][1, 3] += 1
+        seal(file)
+    verdict = json.loads(bearings("verify", tmp_path / "both", "--json").stdout)
+    assert verdict["contradictions"]
+    assert all(sentence.startswith("sample 1: ") for sentence in verdict["contradictions"])
 
 
 def test_replicas_that_cannot_be_are_refused_in_one_sentence(folder, tmp_path):
