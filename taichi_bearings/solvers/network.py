@@ -181,9 +181,8 @@ class Network:
         if not system.offset.any() or not np.isfinite(force).all() or not np.isfinite(spins).all():
             return 0.0, force
         own = force[:, 0, self.of_system]
-        candidates = [own] if whole or along_axes(self.packing, system.contact) else []
-        if whole:
-            candidates += self._balanced(own)
+        candidates = [own] if along_axes(self.packing, system.contact) else []
+        candidates += [self._balanced(own)] if whole else []
         best, found = 0.0, own
         for candidate in candidates:
             value = self._proven_by(candidate, spins)
@@ -205,18 +204,14 @@ class Network:
         judgement = Judgement(StoredPacking(self.law.name, packing.arrays(), spin, friction))
         return float(judgement.lower_bound[0]) if judgement.can_be_judged else 0.0
 
-    def _balanced(self, force: np.ndarray) -> list[np.ndarray]:
-        """Forces (d, A) of the system in balance; with friction also shortened all alike to what it bears."""
+    def _balanced(self, force: np.ndarray) -> np.ndarray:
+        """Forces (d, A) of the system in balance; as they are where that needs a division by 0."""
         system, matrix = self.proof
-        held = self.law.holding_force(system.coefficients)
         try:
             stiffness = isotropic(Grouped([force]), Grouped([system.coefficients[0]]))
-            balanced = matrix.balanced(Grouped([force]), stiffness).parts[0]
+            return matrix.balanced(Grouped([force]), stiffness).parts[0]
         except NotPositiveDefinite:
-            return []
-        if held is None or self.law.flows:
-            return [balanced]
-        return [balanced, balanced / max(1.0, float((vector_length(balanced) / held).max()) * (1 + 1e-14))]
+            return force
 
 
 class OnNetwork(OnLattice):
