@@ -198,7 +198,7 @@ def _curvature(
     across = np.cross(network.normal[own], y)
     across /= np.linalg.norm(across, axis=1)[:, None]
     root = np.sqrt(strength.value / size.value)
-    firm = np.sqrt(network.holding.value[still] / np.median(size.value))
+    firm = np.sqrt(network.holding.value[still] / (np.median(size.value) if len(own) else 1.0))
     count, rows_of = len(held.rests), slip_rows(network, number)
     at = np.append(
         np.concatenate([k * count + own for k in range(3)]), np.concatenate([k * count + still for k in range(3)])
