@@ -138,6 +138,16 @@ def test_all_states_of_oblique_contacts_are_proven_and_no_false_ones(kind):
     assert proven[rests[0]] == 2
 
 
+@pytest.mark.parametrize("kind", ["bcc", "diamond"])
+def test_a_network_in_which_nothing_has_to_slip_is_at_rest_everywhere(kind):
+    packing = tb.Packing.lattice(kind, (2, 2, 2), seed=0)
+    kept = np.random.default_rng(0).random(packing.contacts) < 0.3
+    arrays = {name: values[kept] if len(values) == len(kept) else values for name, values in packing.arrays().items()}
+    found = tb.solve(tb.Packing(**arrays))
+    assert found.power < 1e-15
+    assert (found.proven[found.state != 3] == 0).all()
+
+
 def test_spheres_that_can_only_roll_prove_that_they_do():
     """A loop of four hangs on one contact of a driven pair; nothing in it slips, whatever rounding does to normals."""
     center = np.array([[0, 0, 0], [1, 0, 0], [0.5, 0.7, 0.51], [1.2, 1.1, 1.3], [0.1, 1.6, 0.9], [0.7, 2.0, 1.8]])
