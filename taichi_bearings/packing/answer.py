@@ -94,7 +94,7 @@ class PackingSolution:
 class Found:
     """spins (unknowns,), force (d, A) in units of force. slips : (A,) sets of an exact minimum, where it was found; and
     there ties : (A,) those that are not the same at all minima, if that is known. steps : factorisations.
-    everywhere : u (N, C) of all spheres, where a method moves all."""
+    everywhere : u (N, C) of all spheres, where a method moves all. open : as of Followed."""
 
     spins: np.ndarray
     force: np.ndarray
@@ -103,6 +103,7 @@ class Found:
     ties: np.ndarray | None = None
     steps: int = 0
     everywhere: np.ndarray | None = None
+    open: np.ndarray | None = None
 
 
 def solve_packing(
@@ -142,7 +143,8 @@ def _found(system: System) -> Found:
     fastest, largest = units.tolist()
     scaled = replace(system, offset=system.offset / fastest, known=system.known / fastest)
     end = followed(scaled, held / largest, viscosity * fastest / largest)
-    return Found(end.spins * fastest, end.force * largest, "interior-point", end.slips, end.ties, end.steps)
+    found = Found(end.spins * fastest, end.force * largest, "interior-point", end.slips, end.ties, end.steps)
+    return replace(found, open=end.open)
 
 
 def spins_of(packing: Packing, u: np.ndarray) -> np.ndarray:
@@ -206,6 +208,7 @@ def _states(system: System, found: Found, judgement: Judgement) -> np.ndarray:
     margin = 1 - np.linalg.norm(found.force, axis=0) / np.where(held > 0, held, 1.0)
     slips = found.slips & (slip[system.contact] > SURE_SLIP * float(np.abs(system.offset).max()))
     own = np.where(~found.slips & (margin > SURE_MARGIN), SLIPLESS, np.where(slips, SLIPPING, UNDECIDED))
+    own[found.open if found.open is not None else np.zeros(len(own), dtype=bool)] = UNDECIDED
     unproven = judgement.states[0].proven[system.contact] == UNPROVEN
     if not law.flows and (unproven & (own == SLIPPING)).any():
         own[tied(system, found.force, own) if found.ties is None else found.ties] = UNDECIDED

@@ -34,18 +34,21 @@ SMALL_SPHERES = 5_000  # up to which states are settled as those of small lattic
 HOLDS = (1e6, 1e8, 1e10, 1e10)  # stiffnesses of the springs, over friction
 SETTLED_FORCE = 1e-11  # change of a force, of the mean friction, at which they are settled
 LEAST_SLIP = 1e-13  # of the largest imposed one, that is none of rounding
+WORSE = 10.0  # times the last change of the forces, by which springs are too stiff
 SMALL_SPINS = 1e-8  # of what is left to settle
 MOST_STEPS, SLACK = 80, 0.3  # of the path; of the bounds at its start, in mean slips
 
 
 @dataclass(frozen=True)
 class Followed:
-    """spins (unknowns,), force (d, A). slips : (A,), if contacts are settled; ties : those that tie or bear all their
-    friction at rest, (A,), if that is known. steps : factorisations."""
+    """spins (unknowns,), force (d, A). slips : (A,), if contacts are settled, but for some that are `open`, (A,), and
+    slip by more than rounding, though less than friction allows; ties : those that tie or bear all their friction at
+    rest, (A,), if that is known. steps : factorisations."""
 
     spins: np.ndarray
     force: np.ndarray
     slips: np.ndarray | None
+    open: np.ndarray | None
     ties: np.ndarray | None
     steps: int
 
@@ -121,22 +124,28 @@ def followed(system: System, friction: np.ndarray, viscosity: np.ndarray) -> Fol
     while not sample.done and sample.steps < MOST_STEPS:
         look_up()
         descent.advance(MOST_STEPS - sample.steps if settles else 1)
-    settled, ties = sample.resolved, None
+    settled, ties, open_ = sample.resolved, None, None
     if settled is None:
-        spins, dual, slipping = _settled(system, sample.iterate, matrix)
+        spins, dual, slipping, open_ = _settled(system, sample.iterate, matrix)
     else:
         spins, dual, slipping = settled.spins, settled.dual, settled.slipping
         ties = settled.ties | settled.critical
     force = _across(system, contacts, sign, -unit * dual)
     spins = spins if sign is None else sign[system.moved >= 0] * spins
-    slips, tie = (None if of is None else _everywhere(contacts, of, len(friction)) for of in (slipping, ties))
-    return Followed(spins, force, slips, tie, sample.steps)
+    slips, opens, tie = (
+        None if of is None else _everywhere(contacts, of, len(friction)) for of in (slipping, open_, ties)
+    )
+    return Followed(spins, force, slips, opens, tie, sample.steps)
 
 
 @np.errstate(all="ignore")
-def _settled(system: System, point: Iterate, matrix: NewtonMatrix) -> tuple[np.ndarray, Arrays, Arrays | None]:
-    """Spins, minus the forces, and which contacts slip, (n,) masks a group; None where they are not settled."""
-    contacts, spins, held, whole, slipping = point.system, point.spins, -point.dual, point.whole_dual, None
+def _settled(
+    system: System, point: Iterate, matrix: NewtonMatrix
+) -> tuple[np.ndarray, Arrays, Arrays | None, Arrays | None]:
+    """Spins, minus the forces, and, (n,) masks a group, which contacts slip and which are open, as of Followed; None
+    where nothing is settled."""
+    contacts, spins, held, whole = point.system, point.spins, -point.dual, point.whole_dual
+    slipping, open_, last = None, None, np.inf
     firm, rest = where(point.friction > 0, point.friction, 1.0), np.zeros(contacts.unknowns)
     for hold in HOLDS:
         groups = zip(contacts.groups, _slips(system, contacts, spins), strict=True)
@@ -149,10 +158,14 @@ def _settled(system: System, point: Iterate, matrix: NewtonMatrix) -> tuple[np.n
             break
         change, slip = (end.held - held).length().max(), here.differences(end.spins).length()
         spins, held, whole = spins + end.spins, end.held, -end.force
-        slipping = end.slips if where(end.slips, 0.0, slip).max() < LEAST_SLIP else None
-        if slipping is not None and change < SETTLED_FORCE:
+        creeps = where(end.slips, 0.0, slip) >= LEAST_SLIP
+        if change < WORSE * last:
+            slipping, open_, last = end.slips, creeps, change
+        else:  # rounding moves such stiff springs: of what they change nothing is known
+            open_ = open_ | creeps | (end.slips != slipping)
+        if change < SETTLED_FORCE and not open_.any():
             break
-    return spins, whole, slipping
+    return spins, whole, slipping, open_
 
 
 def _slips(system: System, contacts: ContactSystem, spins: np.ndarray) -> Arrays:
