@@ -84,6 +84,6 @@ def test_a_page_needs_its_ending(minimum, tmp_path):
 
 
 def test_a_run_of_a_packing_has_one_sample(packed, tmp_path):
-    with pytest.raises(InputError, match="replica is 1; a run of a packing has 1"):
+    with pytest.raises(InputError, match="replica is 1; the run has 1, counted from 0"):
         view(packed, tmp_path / "page.html", replica=1)
     assert not list(tmp_path.iterdir())
