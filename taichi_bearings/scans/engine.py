@@ -195,7 +195,7 @@ class LocalEngine:
         ours, theirs = context.Pipe()
         process = context.Process(target=serve, args=(theirs, self.work), daemon=True, name="bearings-worker")
         worker = _Worker(process, ours, device)
-        with unheard_by_children(), _main_left_out():
+        with _main_left_out(), unheard_by_children():  # the tracker is started without the working folder too
             process.start()
             theirs.close()
             self._pool.append(worker)
