@@ -24,7 +24,7 @@ from taichi_bearings.progress import displayed
 from taichi_bearings.quantities import CONTACTS, SAMPLES, SPHERES, Quantity
 from taichi_bearings.runs import run as runs
 from taichi_bearings.runs.analysis import Analysis
-from taichi_bearings.runs.packing_run import PackingJob, PackingRun, read_run, refuse_unused
+from taichi_bearings.runs.packing_run import PackingJob, PackingRun, read_run, refuse_unused, used
 from taichi_bearings.runs.run_directory import run_directory
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.runtime import available_threads
@@ -334,6 +334,7 @@ def solve(
             density = {"density": options.pop("density")} if "density" in options else {}
             asked = _asked(method, {"tolerance": tolerance, **options}, start)
             settings = RunSettings(packing="run.h5", law=str(scene.law), **asked)
+            settings = settings if isinstance(method, str) else used(settings)  # of its options all are given
             refuse_unused(settings)
             job = PackingJob(settings, (scene,), None if isinstance(start, str) else start)
             return PackingResult(**vars(job.solve(**density).result))

@@ -35,7 +35,7 @@ from taichi_bearings.runs.run_file import (
     read_run_file,
     scene_settings,
 )  # fmt: skip
-from taichi_bearings.runs.settings import OF_DRIVEN, OF_PACKINGS, RunSettings
+from taichi_bearings.runs.settings import OF_DRIVEN, OF_PACKINGS, RunSettings, settings_table
 from taichi_bearings.runs.structure_report import BOTTLENECK_ROWS
 from taichi_bearings.scene import Snapshots, Status
 from taichi_bearings.scene.array_files import read_arrays, read_coefficients
@@ -267,6 +267,12 @@ def refuse_unused(settings: RunSettings) -> None:
         )
     if unused := unused_of_packing(settings):
         raise InputError(next(iter(unused.values())))
+
+
+def used(settings: RunSettings) -> RunSettings:
+    """The settings without what their method or law does not use, as in a scan that compares methods."""
+    table = settings_table()
+    return replace(settings, **{key: table[key].default for key in unused_of_packing(settings)})
 
 
 def packings_of(settings: RunSettings) -> tuple[Packing, ...]:

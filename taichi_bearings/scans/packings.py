@@ -10,18 +10,12 @@ from taichi_bearings.analysis.packing_structure import PackingStructure
 from taichi_bearings.errors import InputError
 from taichi_bearings.packing import Packing
 from taichi_bearings.packing.system import System, acting
-from taichi_bearings.runs.packing_run import PackingRun, packing_of, solved_packing, unused_of_packing
-from taichi_bearings.runs.settings import RunSettings, settings_table
+from taichi_bearings.runs.packing_run import PackingRun, packing_of, solved_packing, used
+from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scans.plan import Sample
 from taichi_bearings.scene import Status
 
 OF_A_NETWORK = ("center", "contact", "driven", "spin", "radius", "normal")
-
-
-def used(settings: RunSettings) -> RunSettings:
-    """The settings without what their method or law does not use, as in a scan that compares methods."""
-    table = settings_table()
-    return replace(settings, **{key: table[key].default for key in unused_of_packing(settings)})
 
 
 def refuse_packing(group: Sequence[Sample]) -> None:
