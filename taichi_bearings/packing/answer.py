@@ -143,8 +143,8 @@ def _found(system: System) -> Found:
     fastest, largest = units.tolist()
     scaled = replace(system, offset=system.offset / fastest, known=system.known / fastest)
     end = followed(scaled, held / largest, viscosity * fastest / largest)
-    found = Found(end.spins * fastest, end.force * largest, "interior-point", end.slips, end.ties, end.steps)
-    return replace(found, open=end.open)
+    spins, force = end.spins * fastest, end.force * largest
+    return Found(spins, force, "interior-point", end.slips, end.ties, end.steps, open=end.open)
 
 
 def spins_of(packing: Packing, u: np.ndarray) -> np.ndarray:
@@ -208,7 +208,8 @@ def _states(system: System, found: Found, judgement: Judgement) -> np.ndarray:
     margin = 1 - np.linalg.norm(found.force, axis=0) / np.where(held > 0, held, 1.0)
     slips = found.slips & (slip[system.contact] > SURE_SLIP * float(np.abs(system.offset).max()))
     own = np.where(~found.slips & (margin > SURE_MARGIN), SLIPLESS, np.where(slips, SLIPPING, UNDECIDED))
-    own[found.open if found.open is not None else np.zeros(len(own), dtype=bool)] = UNDECIDED
+    if found.open is not None:
+        own[found.open] = UNDECIDED
     unproven = judgement.states[0].proven[system.contact] == UNPROVEN
     if not law.flows and (unproven & (own == SLIPPING)).any():
         own[tied(system, found.force, own) if found.ties is None else found.ties] = UNDECIDED

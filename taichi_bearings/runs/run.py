@@ -271,8 +271,8 @@ def solve_job(job: Job, monitors: Sequence[Any] = (), checkpoints: Any = None) -
         recording = replace(recording, history=ramp.looks(stop.duration))
     solution = solve(job.scene, method, job.spin, stop, monitors, settings.slip_threshold, recording, checkpoints)
     stalled = solution.method == "interior-point" and solution.status is Status.STALLED and not solution.interrupted
-    helped = stalled and float(solution.gap.max()) > SPLITTING_HELPS and not OperatorSplitting.refusal(job.scene)
-    if settings.method == "auto" and helped:
+    stalled &= not float(solution.gap.max()) <= SPLITTING_HELPS  # not-a-number is no gap that is small
+    if settings.method == "auto" and stalled and not OperatorSplitting.refusal(job.scene):
         left = StopRule(stop.tolerance, stop.iterations, max(stop.seconds - solution.seconds, 1e-3))
         other = solve(job.scene, OperatorSplitting().build(), solution.spin, left, monitors, settings.slip_threshold)
         solution = _better(solution, other, settings.tolerance)

@@ -26,7 +26,7 @@ from taichi_bearings.verifier.curvature import proven_floor
 from taichi_bearings.verifier.elimination import EPS, Elimination
 from taichi_bearings.verifier.enclosure import UP, Enclosure, length
 from taichi_bearings.verifier.network import Network, moments
-from taichi_bearings.verifier.springs import slip_rows
+from taichi_bearings.verifier.springs import floor_of_slips, rounding_of, slip_rows
 
 MOVING = 1e-10  # of the fastest imposed component, above which a contact is taken to slip
 NEARLY = 1e-11  # of it, up to which a spin may be the one that it is taken to be
@@ -89,7 +89,7 @@ class _Held:
             return None
         kept = rests & ~among
         of_left = _numbered(~pinned[:, None] & (number >= 0))
-        loose = _floor_of_slips(network, of_left, kept)
+        loose = floor_of_slips(network, of_left, kept, sharp=True)
         if loose is None:
             return None
         return cls(rests, spin, number, number[(of_left < 0) & (number >= 0)], number[of_left >= 0], among, stiff,
@@ -147,7 +147,7 @@ def _floor_of_spins(network: Network, number: np.ndarray, contacts: np.ndarray) 
     if not empty.any():
         place = network.place[np.nonzero(number >= 0)[0]].T
         elimination = Elimination.of((rows.T @ rows).tocsc(), place)
-        tau = proven_floor(rows, _doubt(rows), elimination, sharp=True)
+        tau = proven_floor(rows, rounding_of(rows), elimination, sharp=True)
         if tau is not None:
             return tau
         factor = elimination.factorised(-1e-13)
@@ -163,30 +163,10 @@ def _floor_of_spins(network: Network, number: np.ndarray, contacts: np.ndarray) 
     return found if weak.any() else number.max(axis=1) >= 0
 
 
-def _floor_of_slips(network: Network, number: np.ndarray, contacts: np.ndarray) -> float | None:
-    """Of K K^T of these contacts (E,), two components of each; infinite of none; None if there is none."""
-    count = len(contacts)
-    own = np.ones((3, count), dtype=bool) & contacts
-    own[np.argmax(np.abs(network.normal), axis=1), np.arange(count)] = False
-    chosen = np.flatnonzero(own.ravel())
-    if not len(chosen):
-        return np.inf
-    columns = sparse.csr_array(slip_rows(network, number)[chosen].T)
-    columns.eliminate_zeros()
-    if columns.shape[1] > columns.shape[0] or (np.bincount(columns.indices, minlength=columns.shape[1]) == 0).any():
-        return None
-    place = network.place[network.contact[0, chosen % count]].T
-    return proven_floor(columns, _doubt(columns), Elimination.of((columns.T @ columns).tocsc(), place), True)
-
-
 def _rows(network: Network, number: np.ndarray, contacts: np.ndarray) -> sparse.csr_array:
     rows = sparse.csr_array(slip_rows(network, number)[np.flatnonzero(np.tile(contacts, 3))])
     rows.eliminate_zeros()
     return rows
-
-
-def _doubt(rows: sparse.csr_array) -> sparse.csr_array:
-    return sparse.csr_array((EPS * np.abs(rows.data), rows.indices, rows.indptr), shape=rows.shape)
 
 
 def _curvature(

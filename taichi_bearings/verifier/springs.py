@@ -140,22 +140,31 @@ def _independent(network: Network, some: np.ndarray) -> bool:
     """True if the spins of some spheres (N,) can make any slips whatever of all their contacts that count."""
     number = np.full((len(some), 3), -1)
     number[some] = np.arange(3 * some.sum()).reshape(-1, 3)
-    touched = np.flatnonzero(network.counts & some[network.contact].any(axis=0))
-    # of the three components of a slip across n two are enough
-    count = len(network.normal)
-    kept = np.ones((3, count), dtype=bool)
-    kept[np.argmax(np.abs(network.normal), axis=1), np.arange(count)] = False
-    own = np.concatenate([k * count + touched[kept[k, touched]] for k in range(3)])
-    columns = sparse.csr_array(slip_rows(network, number)[own].T)
-    if columns.shape[1] > columns.shape[0]:
-        return False
-    if not columns.shape[1]:
-        return True
+    return floor_of_slips(network, number, network.counts & some[network.contact].any(axis=0)) is not None
+
+
+def floor_of_slips(network: Network, number: np.ndarray, contacts: np.ndarray, sharp: bool = False) -> float | None:
+    """Of K K^T of these contacts (m,) over the unknowns of these numbers (n, 3): two components of each slip, which are
+    enough across n. Infinite of no contact; None if there is no floor. sharp : as of :func:`proven_floor`."""
+    count = len(contacts)
+    own = np.ones((3, count), dtype=bool) & contacts
+    own[np.argmax(np.abs(network.normal), axis=1), np.arange(count)] = False
+    chosen = np.flatnonzero(own.ravel())
+    if not len(chosen):
+        return np.inf
+    columns = sparse.csr_array(slip_rows(network, number)[chosen].T)
     columns.eliminate_zeros()
-    place = network.place[network.contact[0, own % count]].T
-    doubt = sparse.csr_array((EPS * np.abs(columns.data), columns.indices, columns.indptr), shape=columns.shape)
+    if columns.shape[1] > columns.shape[0] or (np.bincount(columns.indices, minlength=columns.shape[1]) == 0).any():
+        return None
+    place = network.place[network.contact[0, chosen % count]].T
+    elimination = Elimination.of((columns.T @ columns).tocsc(), place)
     with np.errstate(all="ignore"):
-        return proven_floor(columns, doubt, Elimination.of((columns.T @ columns).tocsc(), place)) is not None
+        return proven_floor(columns, rounding_of(columns), elimination, sharp)
+
+
+def rounding_of(rows: sparse.csr_array) -> sparse.csr_array:
+    """By how much entries that are rounded once differ from what they stand for."""
+    return sparse.csr_array((EPS * np.abs(rows.data), rows.indices, rows.indptr), shape=rows.shape)
 
 
 def slip_rows(network: Network, number: np.ndarray) -> sparse.csr_array:
