@@ -104,7 +104,7 @@ class Slipping:
         """Friction over slip of the same, (m,)."""
         return self.strength.at(self.curved) / self.size.at(self.curved)
 
-    @cached_property
+    @property
     def pulls(self) -> tuple[Enclosure, Enclosure]:
         """Force along either component, (n,) each."""
         found = [self.strength.signed(np.sign(part.high)) for part in self.difference]
