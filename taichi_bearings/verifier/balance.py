@@ -53,4 +53,6 @@ def _unsure(motion: Motion, contacts: Slipping, turn: np.ndarray) -> np.ndarray:
             said.put(some, network.moment[k].at(own).signed(network.sign[k][network.contact[1, own]]))
         found[slot] = (contacts.pulls[slot] - said).most
         found[slot, contacts.curved] += 2 * turn[contacts.curved] * contacts.strength.at(contacts.curved).most
+        if contacts.damping is not None:
+            found[slot] += turn * (contacts.damping * contacts.size).most
     return found

@@ -6,7 +6,7 @@ changes by w, |w| <= |z| / 4, resists: (n(z + w) - n(z)) . w >= 0.72 b^2 / |z|, 
 part of w across it. So where sum h v^2 = rho^2, with rho > |g| / (0.72 tau) in the norm of 1 / h, the power rises
 outwards if no slip changes by more than a quarter on the way there: all minima are inside. There directions of slip
 differ by little. Two minima would differ by slips along these directions alone, which the curvature excludes: there is
-just one.
+just one. Damping eta adds eta w . w to what resists, whatever the slip.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ class Slipping:
 
     lower, upper : (2, n), unknown of the domain at either end, component by component. curved : (m,), numbers of those
     that feel both of them; the difference of the others is exactly 0 in one.
-    difference : of signed spins, two enclosures (n,). strength : friction that a contact bears. own : (n,), their
-    numbers among all contacts. place : (d, n), where a contact is in its sample.
+    difference : of signed spins, two enclosures (n,). strength : friction that a contact bears. damping : None
+    without. own : (n,), their numbers among all contacts. place : (d, n), where a contact is in its sample.
     """
 
     unknowns: int
@@ -46,6 +46,7 @@ class Slipping:
     curved: np.ndarray
     difference: tuple[Enclosure, Enclosure]
     strength: Enclosure
+    damping: Enclosure | None
     own: np.ndarray
     place: np.ndarray
 
@@ -76,10 +77,13 @@ class Slipping:
                 lower[slot, mine], upper[slot, mine] = number[k][ends[:, mine]]
                 difference[slot].put(mine, motion.difference(k, some[mine]))
             both &= np.any([(felt[slot] == k) & network.feels[k][some] for k in network.needed], axis=0)
-        strength = network.stretched(network.holding.at(some), some)
+        strength, damping = network.stretched(network.holding.at(some), some), None
+        if network.flows:
+            damping = network.stretched(network.stretched(network.slope.at(some), some), some)
         begin, end = network.place[ends]
         place = (begin + (network.normal[some] if network.samples is not None else end - begin) / 2).T
-        return cls(unknowns, lower, upper, np.flatnonzero(both), (difference[0], difference[1]), strength, some, place)
+        curved, pair = np.flatnonzero(both), (difference[0], difference[1])
+        return cls(unknowns, lower, upper, curved, pair, strength, damping, some, place)
 
     @cached_property
     def size(self) -> Enclosure:
@@ -100,12 +104,14 @@ class Slipping:
         """Friction over slip of the same, (m,)."""
         return self.strength.at(self.curved) / self.size.at(self.curved)
 
-    @cached_property
+    @property
     def pulls(self) -> tuple[Enclosure, Enclosure]:
-        """Friction along either component, (n,) each."""
+        """Force along either component, (n,) each."""
         found = [self.strength.signed(np.sign(part.high)) for part in self.difference]
         for pull, along in zip(found, self.direction, strict=True):
             pull.put(self.curved, self.strength.at(self.curved) * along)
+        if self.damping is not None:
+            found = [pull + self.damping * part for pull, part in zip(found, self.difference, strict=True)]
         return found[0], found[1]
 
     def change(self, slot: int) -> sparse.csr_array:
@@ -128,7 +134,8 @@ class Slipping:
     def improved(self) -> Slipping:
         """After a step of Newton's method, if there is one."""
         curvature = Curvature.of(self) if self.unknowns else None
-        return self if curvature is None else self.moved(curvature.newton_step(self.slope().value))
+        step = None if curvature is None else curvature.newton_step(self.slope().value)
+        return self if step is None else self.moved(step)
 
     def slope(self) -> Enclosure:
         """(unknowns,), g: what the slipping contacts leave over on each domain."""
@@ -152,9 +159,9 @@ class Slipping:
 
 def slots(network: Network, some: np.ndarray) -> np.ndarray:
     """(2, k), the two components of some contacts that take the places of the first and the second: those that are
-    needed, or, of three, those across each contact."""
-    if len(network.needed) == 2:
-        return np.repeat(np.array(network.needed)[:, None], len(some), axis=1)
+    needed, -1 for none, or, of three, those across each contact."""
+    if len(network.needed) < 3:
+        return np.repeat(np.array([*network.needed, -1, -1])[:2, None], len(some), axis=1)
     axis = np.argmax(np.abs(network.normal[some]), axis=1)
     return np.stack([(axis + 1) % 3, (axis + 2) % 3])
 
@@ -164,26 +171,33 @@ def nearest_minimum(contacts: Slipping) -> tuple[Slipping, np.ndarray] | None:
     """Contacts near the minimum, and the share (n,) by which each slip differs there at most; None if unknown."""
     if contacts.unknowns == 0:
         return contacts, np.zeros(len(contacts.place[0]))
-    for _ in range(CURVATURE_TRIALS):
+    for number in range(CURVATURE_TRIALS):
         curvature = Curvature.of(contacts)
         if curvature is None:
             return None
-        turn = _turns(contacts, curvature)
+        turn = _turns(contacts, curvature, number == CURVATURE_TRIALS - 1)
         if turn is not None:
             return contacts, turn
-        contacts = contacts.moved(curvature.newton_step(contacts.slope().value))
+        step = curvature.newton_step(contacts.slope().value)
+        if step is None:
+            return None
+        contacts = contacts.moved(step)
         if not (contacts.size.least > 0).all():
             return None
     return None
 
 
-def _turns(contacts: Slipping, curvature: Curvature) -> np.ndarray | None:
-    """The same from these contacts as they are."""
-    root, tau, block = np.sqrt(curvature.scale), curvature.tau, contacts.blocks()
+def _turns(contacts: Slipping, curvature: Curvature, last: bool) -> np.ndarray | None:
+    """The same from these contacts as they are. Until the last trial curvature is proven only where it is likely to
+    do."""
+    root, block = np.sqrt(curvature.scale), contacts.blocks()
     slope = curvature.clusters.T @ contacts.slope().most
-    radius = 1.5 * np.bincount(block, (slope / root) ** 2) ** 0.5 / tau * UP + TINY  # rho, block by block
-    reach = radius[block] / root  # of each variable, at most
-    turn = sum((e @ reach) ** 2 for e in curvature.entries) ** 0.5 / contacts.size.least * UP
+    for tau in (lambda: CURVATURE_SHARE / 2, lambda: curvature.tau)[last:]:
+        radius = 1.5 * np.bincount(block, (slope / root) ** 2) ** 0.5 / tau() * UP + TINY  # rho, block by block
+        reach = radius[block] / root  # of each variable, at most
+        turn = sum((e @ reach) ** 2 for e in curvature.entries) ** 0.5 / contacts.size.least * UP
+        if not (turn <= MOST_SLIP_TURN).all():
+            return None
     return turn if curvature.remains(contacts, turn) else None
 
 
@@ -198,31 +212,36 @@ def rises(contacts: Slipping, turn: np.ndarray) -> bool:
 class Curvature:
     """H >= tau h in variables v: sum over slipping contacts of (mu / |z|) (what u changes across them)^2.
 
-    clusters : (unknowns, unknowns), u = clusters v. scale : h, (unknowns,). tau : proven. elimination : of about
-    H, scaled. changes : (n, unknowns), how the difference of either component changes with v.
+    clusters : (unknowns, unknowns), u = clusters v. scale : h, (unknowns,). rows, doubt, elimination : of about H,
+    scaled. changes : (n, unknowns), how the difference of either component changes with v.
     """
 
     clusters: sparse.csr_array
     scale: np.ndarray
-    tau: float
+    rows: sparse.csr_array
+    doubt: sparse.csr_array
     elimination: Elimination
     changes: list[sparse.csr_array]
 
     @classmethod
     def of(cls, contacts: Slipping) -> Curvature | None:
-        """None if no curvature can be proven."""
+        """None if there is a direction without any."""
         clusters = _clusters(contacts)
         changes = [contacts.change(slot) @ clusters for slot in range(2)]  # exactly, without what both ends share
-        rows, doubt = _conditions(contacts, changes)
+        rows, doubt, owner = _conditions(contacts, changes)
         scale = np.bincount(rows.indices, rows.data**2, contacts.unknowns)
         if not (scale > 0).all():
             return None
         inverse = 1 / np.sqrt(scale)
         rows, doubt = (_with(part, part.data * inverse[part.indices]) for part in (rows, doubt))
-        place = contacts.place[:, contacts.curved] @ _with(rows, rows.data**2)
+        place = contacts.place[:, owner] @ _with(rows, rows.data**2)
         elimination = Elimination.of((rows.T @ rows).tocsc(), place)
-        tau = proven_floor(rows, doubt, elimination)
-        return None if tau is None else cls(clusters, scale, tau, elimination, changes)
+        return cls(clusters, scale, rows, doubt, elimination, changes)
+
+    @cached_property
+    def tau(self) -> float:
+        """Proven; 0 if none can be."""
+        return proven_floor(self.rows, self.doubt, self.elimination) or 0.0
 
     @property
     def entries(self) -> list[sparse.csr_array]:
@@ -237,11 +256,10 @@ class Curvature:
         given_up = sum(e.T @ (loss * e.sum(axis=1)) for e in self.entries)
         return bool((turn <= MOST_SLIP_TURN).all() and (given_up * UP < self.tau * self.scale / 2).all())
 
-    def newton_step(self, slope: np.ndarray) -> np.ndarray:
-        """Change (unknowns,) that takes the slope away, roughly."""
+    def newton_step(self, slope: np.ndarray) -> np.ndarray | None:
+        """Change (unknowns,) that takes the slope away, roughly; None if rounding hides the curvature."""
         root, factor = np.sqrt(self.scale), self.elimination.factorised()
-        assert factor is not None  # with this curvature
-        return -(self.clusters @ (factor.solve((self.clusters.T @ slope) / root) / root))
+        return None if factor is None else -(self.clusters @ (factor.solve((self.clusters.T @ slope) / root) / root))
 
 
 def _clusters(contacts: Slipping) -> sparse.csr_array:
@@ -285,9 +303,12 @@ def _with(matrix: sparse.csr_array, data: np.ndarray) -> sparse.csr_array:
     return sparse.csr_array((data, matrix.indices, matrix.indptr), shape=matrix.shape)
 
 
-def _conditions(contacts: Slipping, changes: list[sparse.csr_array]) -> tuple[sparse.csr_array, sparse.csr_array]:
-    """Rows A with H = A^T A: the part of a change of slip across the slip, times the root of mu / |z|; and how far they
-    may be off, entry by entry. Slips of one component have no curvature."""
+def _conditions(
+    contacts: Slipping, changes: list[sparse.csr_array]
+) -> tuple[sparse.csr_array, sparse.csr_array, np.ndarray]:
+    """Rows A with H = A^T A: the part of a change of slip across the slip, times the root of mu / |z|, and the whole
+    change times the root of eta; how far they may be off, entry by entry; and the contact of each row. By friction
+    alone slips of one component have no curvature."""
     across, stiffness = (-contacts.direction[1], contacts.direction[0]), contacts.stiffness
     root, inexact = np.sqrt(stiffness.value), stiffness.error / stiffness.most + 16 * EPS
     rows, doubt = [], []
@@ -295,9 +316,19 @@ def _conditions(contacts: Slipping, changes: list[sparse.csr_array]) -> tuple[sp
         row = np.repeat(np.arange(len(root)), np.diff(change.indptr))
         rows.append(_with(change, (root * part.value)[row] * change.data))
         doubt.append(_with(change, (root * (part.error + inexact * part.most))[row] * np.abs(change.data)))
-    found = rows[0] + rows[1]
+    found, unsure, owner = rows[0] + rows[1], doubt[0] + doubt[1], [contacts.curved]
     found.eliminate_zeros()
-    return found, doubt[0] + doubt[1]
+    if contacts.damping is None:
+        return found, unsure, contacts.curved
+    root, inexact = np.sqrt(contacts.damping.value), contacts.damping.error / contacts.damping.most + 16 * EPS
+    whole, off = [found], [unsure]
+    for change in changes:
+        row = np.repeat(np.arange(len(root)), np.diff(change.indptr))
+        whole.append(_with(change, root[row] * change.data))
+        off.append(_with(change, (root * inexact)[row] * np.abs(change.data)))
+        owner.append(np.arange(len(root)))
+    found, unsure = (sparse.csr_array(sparse.vstack(parts, format="csr")) for parts in (whole, off))
+    return found, unsure, np.concatenate(owner)
 
 
 def proven_floor(

@@ -388,7 +388,8 @@ def moments(friction: list[Enclosure], normal: np.ndarray) -> list[Enclosure]:
 @dataclass(frozen=True)
 class Motion:
     """The spins of a network whose components do not mix, as unknowns: spheres that contacts without slip join are a
-    domain of a component. rests : (m,) mask of these contacts.
+    domain of a component, and turn as one sphere of it does where the stored spins are not quite the same. rests : (m,)
+    mask of these contacts.
 
     On a lattice driven spheres of one plane and layer are of one domain. There stored spins are exact, and what is
     imposed on the top is not quite what is stored: it is far below the rounding of the spins and yet not of the
@@ -421,6 +422,20 @@ class Motion:
         found = np.where(whole == planes[..., :1], 0, np.where(whole == planes[..., -1:], 1, whole + 2))
         return found.ravel()
 
+    def _models(self, k: int, domain: np.ndarray) -> np.ndarray:
+        """(n,), the sphere as which each turns: of those of its domain a driven one if there is any, else the first."""
+        network, samples = self.network, self.network.samples
+        _, first, number = np.unique(domain, return_index=True, return_inverse=True)
+        model = first[number]
+        if samples is None:
+            held = np.flatnonzero(~network.free)
+            driven = np.full(int(domain.max(initial=0)) + 1, -1)
+            driven[domain[held]] = held
+            return np.where(driven[domain] >= 0, driven[domain], model)
+        planes = samples.anchor(samples.components[k]).reshape(samples.count, *samples.shape)
+        low, high = (np.broadcast_to(planes[..., [end]], planes.shape).ravel() for end in (0, -1))
+        return np.where(domain == 0, low, np.where(domain == 1, high, model))
+
     @cached_property
     def torn(self) -> np.ndarray:
         """(R,), True if contacts without slip join driven spheres that turn otherwise: impossible."""
@@ -448,10 +463,8 @@ class Motion:
             domain = self.domain(k)
             ends = domain[network.contact[:, some]]
             apart = ends[0] != ends[1]
-            if samples is None:  # a domain turns as one of its driven spheres does, or as the first of the others
-                held, model = np.flatnonzero(~network.free), np.unique(domain, return_index=True)[1]
-                model[domain[held]] = held
-                own = own.at(model[domain])
+            if samples is None or (self.rests & ~network.still).any():
+                own = own.at(self._models(k, domain))
         differ = np.flatnonzero(apart)
         found.put(differ, own.at(second[differ]) - own.at(first[differ]))
         if samples is not None:  # the top turns as it should

@@ -19,11 +19,12 @@ are on one side of every lightest cut. That decides contacts one by one, ties or
 
 Any network. At any minimum all contacts together have sum phi(y) + phi*(F) - F . y <= E, the excess of the potential of
 the given spins over what the friction proves. So with damping eta no slip is further than (2 E / eta)^1/2 from the
-given one. One component alone may have many imposed values (then each step between them has its cuts) and odd loops
-(then the cuts are those of the double cover, each sphere with either sign). Where components mix the minimum is
-enclosed (oblique.py). Where that fails, a slip y* that is b
-across its friction has mu F_n b^2 / (2 |y*|) <= mu F_n |y*| - F . y*, and one with the room m has m |y*|: a quadratic
-form of y* that is at most E, and of the given slips as well. Its floor, by an elimination, says how far minima are.
+given one; steps 1 to 3 say the rest, with domains of the contacts that have more room in their discs than they slip:
+slips are the same at all minima. One component alone may have many imposed values (then each step between them has its
+cuts) and odd loops (then the cuts are those of the double cover, each sphere with either sign). Where components mix
+the minimum is enclosed (oblique.py). Where that fails, a slip y* that is b across its friction has mu F_n b^2 / (2
+|y*|) <= mu F_n |y*| - F . y*, and one with the room m has m |y*|: a quadratic form of y* that is at most E, and of the
+given slips as well. Its floor, by an elimination, says how far minima are.
 """
 
 from __future__ import annotations
@@ -48,6 +49,7 @@ from taichi_bearings.verifier.ties import MISSED_LIMIT, tied_states
 PROVEN_AT_ONCE = 200_000  # spheres of the samples that are proven at once, at most
 MOST_LEVELS = 100  # steps of imposed values of a part that are looked at, the largest
 STILL = 1e-12  # of the fastest imposed component, below which slips of packings may be none
+CLEAR_RATIO = 10  # of slips over the jump to rooms over the friction, from which damping leaves the state clear
 AT_REST = 1e-9  # of the fastest imposed component, up to which a slip may well be none
 CLEAR_ROOM = 1e-3  # of its friction, from which a contact may well rest
 STIFFEST = 1e4  # stiffness of what rests, over that of what slips
@@ -82,6 +84,7 @@ def proven_states(bounds: Bounds, slip_bound: np.ndarray) -> list[States]:
         far = np.sqrt(2 * bounds.excess[network.sample_of(np.arange(len(rests)))] / network.slope.least) * UP
         known = _apart(network, slip_bound, far)
         found = _samples(network, known, "slips are small, or nothing is known of what bears no viscosity", True)
+        found = _with_damping(bounds, slip_bound, found)
     elif network.mixes and (near := enclosed_minimum(bounds)) is not None:
         slides, far = near
         most = np.where(slides, network.slip.most + far, 0.0)
@@ -255,23 +258,49 @@ def _of_lattice(network: Network) -> States:
 
 
 def _of_packing(network: Network, bound: np.ndarray) -> list[States]:
-    if any(network.signs(k)[1][network.contact[:, network.counts]].any() for k in network.needed):
-        return _nothing(network, "loops are odd")
-    motion = Motion(network, network.counts & (network.slip.value <= STILL * network.box.max()))
+    found = _by_domains(network, network.counts & (network.slip.value <= STILL * network.box.max()), bound)
+    return _nothing(network, found) if isinstance(found, str) else _samples(network, found, "", None)
+
+
+def _with_damping(bounds: Bounds, bound: np.ndarray, known: list[States]) -> list[States]:
+    """Of friction with damping: contacts that have more room in their discs than they slip are tried as domains."""
+    network, count = bounds.network, bounds.network.count
+    if not network.holds or network.mixes or not network.needed:
+        return known
+    room, slip = 1 - bounds.size.value / network.holding.value, network.slip.value / network.box.max()
+    rests = network.counts & (room > slip)
+    unclear = network.counts & (np.maximum(room, slip) < CLEAR_RATIO * np.minimum(room, slip))
+    told = []
+    for number, (own, states) in enumerate(zip(rests.reshape(count, -1), known, strict=True)):
+        part = network if network.samples is None else Network.of_lattice(network.samples.one(number))
+        clear = not unclear.reshape(count, -1)[number].any()
+        found = _by_domains(part, own, bound if count == 1 else np.full(len(own), np.inf)) if clear else ""
+        told.append(states if isinstance(found, str) else States(found, True))
+    return told
+
+
+def _by_domains(network: Network, rests: np.ndarray, bound: np.ndarray) -> np.ndarray | str:
+    """(m,) states if nothing slips at the minimum but contacts between domains of those that rest; or what is missing
+    in the proof. bound : of slips, improved in place."""
+    if network.samples is None and any(
+        network.signs(k)[1][network.contact[:, network.counts]].any() for k in network.needed
+    ):
+        return "loops are odd"
+    motion = Motion(network, rests)
     first, second = network.contact
     within = [(motion.domain(k)[first] == motion.domain(k)[second]) | ~network.feels[k] for k in network.needed]
     motion = Motion(network, network.counts & np.all(within, axis=0))
     if motion.torn[0]:
-        return _nothing(network, "contacts without slip join driven spheres that turn otherwise")
+        return "contacts without slip join driven spheres that turn otherwise"
     near = _near(motion, Slipping.of(motion))
     if isinstance(near, str):
-        return _nothing(network, near)
+        return near
     contacts, turn = near
     size = contacts.size.most * (1 + turn)
     bound[contacts.own] = np.fmin(
         bound[contacts.own], (size if network.stretch is None else size * network.stretch[contacts.own]) * UP
     )
-    return _samples(network, _as_stored(motion), "", None)
+    return _as_stored(motion)
 
 
 def _as_stored(motion: Motion) -> np.ndarray:

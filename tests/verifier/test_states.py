@@ -73,6 +73,45 @@ def test_no_state_is_proven_that_is_not_so(shape, options, method, wanted):
     assert float(exact.lower) <= float(solution.power[0]) * (1 + 3e-16)
 
 
+# of friction with damping: shape, options; is all to be proven?
+DAMPED = [
+    ((3, 3, 4), {"seeds": (1,)}, True),
+    ((5, 5), {"seeds": (3,), "viscosity": "uniform:5,60"}, True),
+    ((3, 3, 4), {"seeds": (3,), "direction": (0, 1, 0), "viscosity": "constant:10"}, True),
+    ((2, 4, 4), {"seeds": (17,), "spin_bottom": 1 - 1e-10, "direction": (1, 2, -1)}, True),
+    ((2, 3, 4), {"seeds": (5,), "periodic": ("x",)}, True),
+    ((3, 3, 4), {"seeds": (2,), "top": (1.0, 0.5, -0.3, 0.2)}, True),
+    ((3, 3, 4), {"seeds": (4,), "distribution": "bimodal:1,2,0.5", "viscosity": "constant:1"}, None),
+    ((3, 3, 3), {"seeds": (6,), "distribution": "bimodal:1e-3,1e3,0.5", "viscosity": "lognormal:1,8"}, None),
+    ((3, 2, 3), {"seeds": (25,), "distribution": "constant:1.0", "viscosity": "constant:1e-8"}, None),
+]
+
+
+@pytest.mark.parametrize(("shape", "options", "wanted"), DAMPED, ids=str)
+def test_of_damped_contacts_those_at_rest_are_proven_too(shape, options, wanted):
+    solution = minimum(shape, {"law": "coulomb-viscous", "viscosity": "uniform:0.1,1.0", **options}, "interior-point")
+    scene, proven = solution.scene, Judgement(samples_of(solution)).states[0].proven
+    found, acts = scene.lattice.flat(truth.least(scene).state), ~scene.idle[0]
+    for state, name in ((SLIPPING, truth.SLIPPING), (SLIPLESS, truth.SLIPLESS)):
+        assert (found[acts & (proven == state)] == name).all()
+    everything = bool((proven != UNPROVEN).all())
+    assert everything == wanted if wanted is not None else True
+    assert bool(solution.states_proven[0]) == everything
+
+
+def test_damped_contacts_lose_the_proof_of_rest_where_it_is_none():
+    """By forces that leave no room, or are out of balance by more than others can bear."""
+    samples = samples_of(minimum((3, 3, 4), {"seeds": (1,), "law": "coulomb-viscous"}, "interior-point"))
+    assert all_proven(samples)
+    state = samples.by_axis(Judgement(samples).states[0].proven)[2]
+    holds = tuple(np.argwhere(state == SLIPLESS)[3])
+    for share in (0.5, 0.999):
+        friction = [f.copy() for f in samples.friction]
+        friction[2][(0, *holds)] += share * samples.normal_force * samples.coefficient[2][(0, *holds)]
+        proven = Judgement(replace(samples, friction=tuple(friction))).states[0].proven
+        assert not (proven == SLIPLESS)[~samples.driven_contacts].any()
+
+
 @pytest.fixture(scope="module")
 def sample():
     solution = minimum((3, 3, 4), {"seeds": (1,)}, "interior-point")
