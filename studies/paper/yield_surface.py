@@ -125,7 +125,7 @@ def study(folder: Path, effort: Effort) -> Found:
     rows |= {"power": found.power, "lower_bound": found.lower_bound}
     rows |= {f"torque_{name[-1]}": found.torque[:, k] for name, k in columns.items()}
     named = names_of(np.array(points), found.power.reshape(len(points), -1), found.torque.reshape(len(points), -1, 3))
-    return Found({".csv": rows}, partial(draw_yield_surface, named, len(PLANE)), named)
+    return Found({".csv": rows}, partial(draw_yield_surface, named, np.array(DIRECTIONS), len(PLANE)), named)
 
 
 def names_of(points: np.ndarray, power: np.ndarray, torque: np.ndarray) -> dict[str, Any]:

@@ -14,22 +14,28 @@ SHOWN = 3  # sizes of which the surface is drawn
 
 
 @in_our_style
-def draw_yield_surface(named: Mapping[str, Any], plane: int) -> Figure:
-    """(a) the torques (T_x, T_y) and (b) (T_x, T_c) that a mean bearing holds, through those of all directions, with
-    the circle and the square of the largest size; (c) what crossed driving takes of the yield torque, and by how much
-    the power falls short of the sum about x and about y, against the size; (d) the power an area against 1 / L.
+def draw_yield_surface(named: Mapping[str, Any], directions: np.ndarray, plane: int) -> Figure:
+    """(a) the torques (T_x, T_y) and (b) (T_x, T_c) that a mean bearing holds: between those of its directions (points)
+    and the half-spaces of its powers (thin), with the circle and the square of the largest size; (c) what crossed
+    driving takes of the yield torque, and by how much the power falls short of the sum about x and about y, against the
+    size; (d) the power an area against 1 / L.
 
-    named : as names_of in paper.yield_surface has it. plane : directions about x and y, which come first.
+    named : as names_of in paper.yield_surface has it. directions : (D, 3), the first `plane` about x and y.
     """
-    figure = new_figure(DOUBLE, 5.6)
+    figure = new_figure(DOUBLE, 5.2)
     axes: Any = figure.subplots(2, 2)
     sides = sorted(named["body"])
     shown = [sides[k] for k in np.unique(np.linspace(0, len(sides) - 1, SHOWN).round().astype(int))]
     for side, color in zip(shown, shades(len(shown)), strict=True):
         power, torque = named["body"][side]
-        about_c = np.r_[0, plane : len(power)]
-        for panel, points in ((axes[0, 0], torque[:plane, [0, 1]]), (axes[0, 1], torque[about_c][:, [0, 2]])):
-            _closed(panel, points, "o-", color=color, ms=2, lw=0.9, label=f"L = {side}")
+        for panel, here, pair in (
+            (axes[0, 0], np.arange(plane), [0, 1]),
+            (axes[0, 1], np.r_[0, plane : len(power)], [0, 2]),
+        ):
+            normal, reached = directions[here][:, pair], power[here]
+            corners = [np.linalg.solve(normal[k : k + 2], reached[k : k + 2]) for k in range(len(here) - 1)]
+            _closed(panel, np.array(corners), "-", color=color, lw=0.4)
+            _closed(panel, torque[here][:, pair], "o-", color=color, ms=2, lw=0.9, label=f"L = {side}")
     x = power[0]
     angle = np.linspace(0, 2 * np.pi, 200)
     axes[0, 0].plot(x * np.cos(angle), x * np.sin(angle), ":", color=GREY, lw=0.8)
