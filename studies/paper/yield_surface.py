@@ -34,8 +34,9 @@ from .claims import Effort
 from .fits import LEAST_GOODNESS, RESAMPLES
 from .samples import Found, Part, Table, computed, solved
 
-SHARES = {4: 1.0, 6: 1.0, 8: 0.5, 12: 0.25, 16: 0.15, 24: 0.05}  # side of the cube -> of the samples
+SHARES = {4: 1.0, 6: 1.0, 8: 0.5, 12: 0.25, 16: 0.25, 24: 0.05}  # side of the cube -> of the samples
 QUICK_SIDES = (4, 6, 8)
+FEWEST = 5  # samples of a side, so that their spread is known
 BESIDE = 1e-4  # what turns beside a direction, as a share, so that the torque is at the end of a flat part
 SLOPES = (0.0, BESIDE, 0.1, 0.25, 0.5, 1.0)
 PLANE = [(1.0, slope, 0.0) for slope in SLOPES] + [(slope, 1.0, 0.0) for slope in reversed(SLOPES[:-1])]
@@ -89,7 +90,8 @@ def line(samples: Mapping[int, np.ndarray], power_law: bool = False) -> Line:
     mean, x = np.array([samples[L].mean() for L in sizes]), 1 / np.array(sizes, dtype=float)
     if power_law:
         again, mean, x = np.log(again), np.log(mean), -np.log(x)
-    spread = again.std(axis=1, ddof=1)
+    number = np.array([len(samples[L]) for L in sizes])
+    spread = again.std(axis=1, ddof=1) * (number / (number - 1)) ** 0.5  # which resampling takes away
     for first in range(max(1, len(sizes) - LEAST_SIDES + 1)):
         rows = np.stack([np.ones(len(sizes) - first), x[first:]], axis=1) / spread[first:, None]
         found, *several = (
@@ -109,7 +111,7 @@ def study(folder: Path, effort: Effort) -> Found:
     points = [
         (side, effort.seed + number)
         for side, share in shares.items()
-        for number in range(max(1, round(share * effort.samples)))
+        for number in range(max(FEWEST, round(share * effort.samples)))
     ]
     chosen = [settings_of(*point, direction) for point in points for direction in DIRECTIONS]
     parts = [Part(sample_key(settings), held, (settings,), settings) for settings in chosen]
