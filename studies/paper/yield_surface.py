@@ -40,9 +40,9 @@ FEWEST = 5  # samples of a side, so that their spread is known
 BESIDE = 1e-4  # what turns beside a direction, as a share, so that the torque is at the end of a flat part
 SLOPES = (0.0, BESIDE, 0.1, 0.25, 0.5, 1.0)
 PLANE = [(1.0, slope, 0.0) for slope in SLOPES] + [(slope, 1.0, 0.0) for slope in reversed(SLOPES[:-1])]
-RATES = [(1.0, 0.0, c) for c in (BESIDE, 0.5, 1.0)] + [(a, 0.0, 1.0) for a in (0.5, BESIDE, 0.0)]
-DIRECTIONS = PLANE + RATES  # (a_x, a_y, c), by their angles
-GAP = StopRule(1e-10)
+DILATING = [(1.0, 0.0, c) for c in (BESIDE, 0.5, 1.0)] + [(a, 0.0, 1.0) for a in (0.5, BESIDE, 0.0)]
+DIRECTIONS = PLANE + DILATING  # (a_x, a_y, c), by their angles
+PROVEN_GAP = StopRule(1e-10)
 LEAST_SIDES = 3  # of a fit
 
 
@@ -61,7 +61,7 @@ def settings_of(side: int, seed: int, direction: tuple[float, float, float]) -> 
 def held(settings: RunSettings) -> dict[str, Any]:
     """Least power and its bound, energy/time, and the torque (T_x, T_y, T_c) of the forces that prove it."""
     scene = build_scene(settings)
-    structure = structure_of(solved(scene, InteriorPoint(settle=False), GAP))
+    structure = structure_of(solved(scene, InteriorPoint(settle=False), PROVEN_GAP))
     upright = scene.lattice.by_axis(scene.lattice.radius * structure.force)[-1].mean(axis=-1)  # (C, nx, ny)
     of_layers = np.zeros((2, scene.lattice.shape[0]))  # of the component across them
     for slot, component in enumerate(scene.minimum_spin_axes):
