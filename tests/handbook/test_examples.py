@@ -48,6 +48,7 @@ SMALLER = {  # in commands, files of scans and Python: the same with less work, 
 }
 NOT_RUN = {  # only read by the parser of the command line, and why
     r"--scheduler|/shared/": "needs a queue, a scheduler or a folder that machines share",
+    r"examples/studies/yield": "tests/paper/test_yield_surface.py runs small forms",
     r"outputs/sizes": "scans.md has the same commands",
     r"bearings (reproduce|benchmark|stress)": "takes minutes; tests of the commands run small forms",
     r"--arch vulkan": "needs a GPU",

@@ -1,0 +1,170 @@
+"""The yield surface: which torques a frustrated bearing holds, over the directions in which its top can be driven.
+
+The top turns in the bearing state a + c (x - x_0) / rho, the bottom rests: a lies in the plane, x_0 is the middle of
+the top and rho the root mean square distance from it, so that |(a, c)| is that of the jump. The least power P(a, c) is
+convex and homogeneous of degree one: the support function of a convex set, of all torques (T_x, T_y, T_c) that forces
+in balance within their friction can hold (plastic limit analysis: Andersen, Christiansen, Conn, Overton 1998; the set
+of Moreau's sweeping process). A torque that drives is a subgradient of P (normality), and P = torque . (a, c). The set
+lies between the proven torques and the proven half-spaces T . (a, c) <= P.
+
+About x alone no layer y = const is told what to do: together they carry any T_y up to some t, the yield torque about y
+beside a top that turns about x. So the surface has flat parts there, of the width 2 t, and t < P(y) is how much crossed
+driving weakens. Where top and bottom differ in both components in each layer the torque is unique (see
+analysis/torque_flow), so the surface has no flat part there.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.stats import chi2
+
+from taichi_bearings.analysis.structure import structure_of
+from taichi_bearings.runs.run import build_scene
+from taichi_bearings.runs.settings import RunSettings
+from taichi_bearings.scans.plan import sample_key
+from taichi_bearings.solvers import InteriorPoint
+from taichi_bearings.solvers.stopping import StopRule
+
+from ..plots.yield_surface import draw_yield_surface
+from .claims import Effort
+from .fits import LEAST_GOODNESS, RESAMPLES
+from .samples import Found, Part, Table, computed, solved
+
+SHARES = {4: 1.0, 6: 1.0, 8: 0.5, 12: 0.25, 16: 0.25, 24: 0.05}  # side of the cube -> of the samples
+QUICK_SIDES = (4, 6, 8)
+FEWEST = 5  # samples of a side, so that their spread is known
+BESIDE = 1e-4  # what turns beside a direction, as a share, so that the torque is at the end of a flat part
+SLOPES = (0.0, BESIDE, 0.1, 0.25, 0.5, 1.0)
+PLANE = [(1.0, slope, 0.0) for slope in SLOPES] + [(slope, 1.0, 0.0) for slope in reversed(SLOPES[:-1])]
+DILATING = [(1.0, 0.0, c) for c in (BESIDE, 0.5, 1.0)] + [(a, 0.0, 1.0) for a in (0.5, BESIDE, 0.0)]
+DIRECTIONS = PLANE + DILATING  # (a_x, a_y, c), by their angles
+PROVEN_GAP = StopRule(1e-10)
+LEAST_SIDES = 3  # of a fit
+
+
+def offsets(side: int) -> np.ndarray:
+    """Places of layers from the middle of the top, over the root mean square distance of its spheres, (side,)."""
+    return (np.arange(side) - (side - 1) / 2) / ((side**2 - 1) / 6) ** 0.5
+
+
+def settings_of(side: int, seed: int, direction: tuple[float, float, float]) -> RunSettings:
+    """The sample of this seed, its top driven in the direction."""
+    a_x, a_y, c = direction
+    first, rate = offsets(side)[0] * c, np.diff(offsets(side))[0] * c  # the spacing is 1
+    return RunSettings(shape=(side,) * 3, seed=seed, top=(a_x + first, a_y + first, 0.0, rate), bottom=(0.0,) * 4)
+
+
+def held(settings: RunSettings) -> dict[str, Any]:
+    """Least power and its bound, energy/time, and the torque (T_x, T_y, T_c) of the forces that prove it."""
+    scene = build_scene(settings)
+    structure = structure_of(solved(scene, InteriorPoint(settle=False), PROVEN_GAP))
+    upright = scene.lattice.by_axis(scene.lattice.radius * structure.force)[-1].mean(axis=-1)  # (C, nx, ny)
+    of_layers = np.zeros((2, scene.lattice.shape[0]))  # of the component across them
+    for slot, component in enumerate(scene.minimum_spin_axes):
+        of_layers[component] = upright[slot].sum(axis=1 - component)
+    torque = [*of_layers.sum(axis=1), (of_layers @ offsets(scene.lattice.shape[0])).sum()]
+    return {"power": structure.power, "lower_bound": structure.lower_bound, "torque": list(map(float, torque))}
+
+
+@dataclass(frozen=True)
+class Line:
+    """y = value + slope x through means of samples, from the smallest size on from which it fits. error, slope_error :
+    from the disorder. goodness : probability of such a misfit."""
+
+    value: float
+    error: float
+    slope: float
+    slope_error: float
+    smallest: int
+    goodness: float
+
+
+def line(samples: Mapping[int, np.ndarray], power_law: bool = False) -> Line:
+    """Of the means of samples, size L -> (samples,), against 1 / L; or of their logarithms against log L."""
+    rng, sizes = np.random.default_rng(0), sorted(samples)
+    again = np.array([rng.choice(samples[L], (RESAMPLES, len(samples[L]))).mean(axis=1) for L in sizes])
+    mean, x = np.array([samples[L].mean() for L in sizes]), 1 / np.array(sizes, dtype=float)
+    if power_law:
+        again, mean, x = np.log(again), np.log(mean), -np.log(x)
+    number = np.array([len(samples[L]) for L in sizes])
+    spread = again.std(axis=1, ddof=1) * (number / (number - 1)) ** 0.5  # which resampling takes away
+    for first in range(max(1, len(sizes) - LEAST_SIDES + 1)):
+        rows = np.stack([np.ones(len(sizes) - first), x[first:]], axis=1) / spread[first:, None]
+        found, *several = (
+            np.linalg.lstsq(rows, y / spread[first:], rcond=None)[0] for y in (mean[first:], *again.T[:, first:])
+        )
+        misfit = float(((rows @ found - mean[first:] / spread[first:]) ** 2).sum())
+        goodness = float(chi2.sf(misfit, max(1, len(rows) - 2)))
+        if goodness >= LEAST_GOODNESS:
+            break
+    error, slope_error = np.std(several, axis=0, ddof=1)
+    return Line(float(found[0]), float(error), float(found[1]), float(slope_error), sizes[first], goodness)
+
+
+def study(folder: Path, effort: Effort) -> Found:
+    """Samples of all sizes under all directions."""
+    shares = {side: share for side, share in SHARES.items() if not effort.quick or side in QUICK_SIDES}
+    points = [
+        (side, effort.seed + number)
+        for side, share in shares.items()
+        for number in range(max(FEWEST, round(share * effort.samples)))
+    ]
+    chosen = [settings_of(*point, direction) for point in points for direction in DIRECTIONS]
+    parts = [Part(sample_key(settings), held, (settings,), settings) for settings in chosen]
+    found = Table.of(computed(parts, folder / "yield.jsonl", "sample"))
+    rows = Table(
+        {
+            name: np.repeat(values, len(DIRECTIONS))
+            for name, values in zip(("side", "seed"), np.transpose(points), strict=True)
+        }
+    )
+    columns = {"a_x": 0, "a_y": 1, "c": 2}
+    rows |= {name: np.tile([d[k] for d in DIRECTIONS], len(points)) for name, k in columns.items()}
+    rows |= {"power": found.power, "lower_bound": found.lower_bound}
+    rows |= {f"torque_{name[-1]}": found.torque[:, k] for name, k in columns.items()}
+    named = names_of(np.array(points), found.power.reshape(len(points), -1), found.torque.reshape(len(points), -1, 3))
+    return Found({".csv": rows}, partial(draw_yield_surface, named, np.array(DIRECTIONS), len(PLANE)), named)
+
+
+def names_of(points: np.ndarray, power: np.ndarray, torque: np.ndarray) -> dict[str, Any]:
+    """What figure and claims name, by side where samples are. points : side and seed of the samples, (n, 2). power,
+    torque : (n, directions) and (n, directions, 3).
+
+    above : work of each torque in each direction over the least power there, less 1, at most. apart : P and torque .
+    direction of the same, relative, at most. crossed : share of the yield torque about y that is left beside a top that
+    turns about x, and the other way round, their mean. square : P(1, 1) over P(1, 0) + P(0, 1); circle : over the root
+    of the sum of their squares. steps : what T_x changes by where a little turn about x is added to c, over P(c).
+    per_area : P over F_n R L^2 |(a, c)|. body : of the means, over F_n R L^2, P and torques.
+    """
+    at, settings = {direction: k for k, direction in enumerate(DIRECTIONS)}, RunSettings()
+    unit = settings.normal_force * settings.radius * points[:, 0] ** 2
+
+    def of(values: np.ndarray) -> dict[int, np.ndarray]:
+        return Table({"side": points[:, 0], "value": values}).by("value")
+
+    x, y, both, c = (power[:, at[direction]] for direction in ((1, 0, 0), (0, 1, 0), (1, 1, 0), (0, 0, 1)))
+    left = (torque[:, at[1, BESIDE, 0], 1] / y + torque[:, at[BESIDE, 1, 0], 0] / x) / 2
+    step = np.abs(torque[:, at[BESIDE, 0, 1], 0] - torque[:, at[0, 0, 1], 0]) / c
+    work = torque @ np.transpose(DIRECTIONS)  # (n, of the torque, direction)
+    per_area = {
+        name: of(values / unit) for name, values in (("x or y", (x + y) / 2), ("x + y", both / 2**0.5), ("C", c))
+    }
+    square = of(both / (x + y))
+    return {
+        "samples_of": {side: len(values) for side, values in square.items()}, "directions": len(DIRECTIONS),
+        "beside": BESIDE, "above": float((work / power[:, None] - 1).max()),
+        "apart": float(np.abs(np.einsum("ndd->nd", work) / power - 1).max()),
+        "crossed": of(left), "fading": line(of(1 - left), power_law=True), "steps": of(step),
+        "square": square, "circle": of(both / np.hypot(x, y)), "square_limit": line(square),
+        "squaring": line(of(1 - both / (x + y)), power_law=True), "per_area": per_area,
+        "limits_of": {name: line(values) for name, values in per_area.items()},
+        "body": {
+            side: ((power / unit[:, None])[here].mean(axis=0), (torque / unit[:, None, None])[here].mean(axis=0))
+            for side in square
+            for here in [points[:, 0] == side]
+        },
+            }  # fmt: skip
