@@ -11,6 +11,7 @@ RESAMPLES = 400
 STATED = 1.0  # w: a surface over its volume
 OTHERS = (0.5, 2.0)  # w that it might be; they count where they fit as well
 LEAST_SIZES, LEAST_SAMPLES = 3, 3  # that a fit takes, and that a size needs
+ROUND_OFF = 1e-12  # of the mean, which a spread exceeds
 FITS = 0.05  # probability of a misfit as large, from which on a law counts as followed
 
 
@@ -46,11 +47,11 @@ def limit(samples: Mapping[int, np.ndarray]) -> Limit | None:
     """Of the mean of samples, size -> (samples,), from the smallest size on from which the law fits, or of the largest
     three sizes. None where there are not three with a spread."""
     known = {L: samples[L] for L in sorted(samples) if len(samples[L]) >= LEAST_SAMPLES}
+    mean = np.array([of.mean() for of in known.values()])
     spread = np.array([of.std(ddof=1) / len(of) ** 0.5 for of in known.values()])
-    if len(known) < LEAST_SIZES or not spread.all():
+    if len(known) < LEAST_SIZES or (spread <= ROUND_OFF * np.abs(mean)).any():
         return None
     rng, sizes = np.random.default_rng(0), np.array(list(known))
-    mean = np.array([of.mean() for of in known.values()])
     drawn = np.array([rng.choice(of, (RESAMPLES, len(of))).mean(axis=1) for of in known.values()]) - mean[:, None]
     unbiased = np.array([(len(of) / (len(of) - 1)) ** 0.5 for of in known.values()])
     again = mean[:, None] + drawn * unbiased[:, None]

@@ -25,7 +25,8 @@ SCANS = next(filter(Path.is_dir, (HERE.parent / "scans", HERE.parents[2] / "exam
 QUICK = {"limits": 16, "limits-variants": 16, "limits-rate": 16, "limits-large": 32}
 """Scan -> largest side of its samples in the quick form."""
 LEAST_SEEDS = 4
-PAPER, PERIODIC, WEAK = "as in the paper", "periodic sides", "uniform:0.9,1"
+PAPER, PERIODIC = "as in the paper", "periodic sides"
+WEAK, BROAD = ("uniform:0.5,1", "uniform:0.9,1"), ("lognormal:0.4,1", "power-law:0.001,1,-1", "bimodal:0.1,1,0.5")
 OF_ALL = ("power_over_cut", "slipless_fraction", "intermediate", "domains_a_sphere", "largest_share")
 OF_SPANNING = ("path_over_height", "busiest_link_share")
 
@@ -73,13 +74,16 @@ def table_of(limits: Mapping[str, Mapping[str, Limit]]) -> Table:
 
 
 def names_of(of_systems: Mapping[str, Table], limits: Mapping[str, Mapping[str, Limit]]) -> dict[str, Any]:
-    """What the claims name. variants : samples of each other system, of the largest size that all have."""
+    """What the claims name. variants : samples of each other system, of the largest size that all have; beside : of the
+    paper's bearing of that size."""
     paper = of_systems[PAPER]
     common = min(of.side.max() for of in of_systems.values())
     return {
         "paper": paper, "largest": paper[paper.side == paper.side.max()], "spanning": paper[paper.spans],
-        "limits": limits[PAPER], "periodic": limits.get(PERIODIC, {}), "common": int(common), "weak": WEAK,
+        "limits": limits[PAPER], "periodic": limits.get(PERIODIC, {}), "closed_name": PERIODIC, "weak": WEAK,
+        "common": int(common), "beside": paper[paper.side == common],
         "variants": {name: of[of.side == common] for name, of in of_systems.items() if name != PAPER},
+        "broad": [name for name in BROAD if name in of_systems],
     }  # fmt: skip
 
 

@@ -36,6 +36,10 @@ def draw_limits(of_systems: Mapping[str, Any], limits: Mapping[str, Mapping[str,
     _against_size(panels[4], spanning.by("path_over_height"), BLUE, "shortest path / height")
     _against_size(panels[4], paper.by("disjoint_paths"), GREEN, "disjoint paths")
     _against_size(panels[4], spanning.by("busiest_link_share"), ORANGE, "share of the busiest link")
+    for axes in panels[3:5]:
+        axes.set(xscale="log", xlabel="$L$")
+        axes.set_xticks(sizes := list(paper.by("side")), list(map(str, sizes)))
+        axes.minorticks_off()
     panels[3].set(ylabel="samples that span", ylim=(-0.03, 1.04), title="(d)")
     panels[4].set(yscale="symlog", ylim=(0, 60), title="(e)")
     panels[4].set_yticks([0, 1, 3, 10, 30], ["0", "1", "3", "10", "30"])
@@ -61,8 +65,4 @@ def _towards_limit(axes: Any, found: Mapping[int, np.ndarray], limit: Any, colou
 
 def _against_size(axes: Any, found: Mapping[int, np.ndarray], colour: str, label: str) -> None:
     mean, error = mean_and_error(found.values())
-    sizes = list(found)
-    axes.errorbar(sizes, mean, error, fmt="o-", ms=3, lw=0.8, color=colour, label=label)
-    axes.set(xscale="log", xlabel="$L$")
-    axes.set_xticks(sizes, list(map(str, sizes)))
-    axes.minorticks_off()
+    axes.errorbar(list(found), mean, error, fmt="o-", ms=3, lw=0.8, color=colour, label=label)

@@ -155,6 +155,7 @@ def tables(power=lambda L: 0.96 + 0.1 / L, slipless=lambda L: 0.6, growth=1.0, v
 
 ABOVE = {"power_over_cut": 0.99 + np.tile([-0.003, 0.003], 40)}
 VAGUE = {"power_over_cut": 0.9 + np.tile([-0.2, 0.1], 40)}
+APART = {"spans": np.zeros(80, dtype=bool)}
 CUT = {"below_cut": np.zeros(80, dtype=bool)}
 
 
@@ -177,7 +178,12 @@ CUT = {"below_cut": np.zeros(80, dtype=bool)}
         ("sides", {}, "confirmed"),
         ("sides", {"variants": {"periodic sides": ABOVE}}, "refuted"),
         ("sides", {"variants": {"periodic sides": VAGUE}}, "too few samples"),
+        ("sides_span", {"variants": {"periodic sides": APART}}, "confirmed"),
+        ("sides_span", {}, "refuted"),
+        ("broad", {"variants": {"bimodal:0.1,1,0.5": {"busiest_link_share": np.full(80, 0.1)}}}, "confirmed"),
+        ("broad", {"variants": {"bimodal:0.1,1,0.5": {}}}, "refuted"),
         ("variants", {}, "confirmed"),
+        ("variants", {"variants": {"a": APART}}, "refined"),
         ("variants", {"variants": {"a": {}, "uniform:0.9,1": CUT}}, "confirmed"),
         ("variants", {"variants": {"a": CUT, "uniform:0.9,1": {}}}, "refuted"),
     ],
