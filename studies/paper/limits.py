@@ -17,12 +17,12 @@ from taichi_bearings.scans.plan import read_plan
 from ..plots.limits import draw_limits
 from .claims import SAMPLES, Effort
 from .extrapolation import Limit, limit
-from .network import sample_of
+from .network import LARGE, sample_of
 from .samples import Found, Table, measured
 
 HERE = Path(__file__).resolve()
 SCANS = next(filter(Path.is_dir, (HERE.parent / "scans", HERE.parents[2] / "examples/studies")))  # in a wheel, or not
-QUICK = {"limits": 16, "limits-variants": 16, "limits-rate": 16, "limits-large": 32}
+QUICK = {"limits": 16, "limits-variants": 16, "limits-rate": 16, "limits-large": 24, "limits-largest": 32}
 """Scan -> largest side of its samples in the quick form."""
 LEAST_SEEDS = 4
 PAPER, PERIODIC = "as in the paper", "periodic sides"
@@ -79,7 +79,7 @@ def names_of(of_systems: Mapping[str, Table], limits: Mapping[str, Mapping[str, 
     paper = of_systems[PAPER]
     common = min(of.side.max() for of in of_systems.values())
     return {
-        "paper": paper, "largest": paper[paper.side == paper.side.max()], "spanning": paper[paper.spans],
+        "paper": paper, "large": paper[paper.side >= LARGE], "large_side": LARGE, "spanning": paper[paper.spans],
         "limits": limits[PAPER], "periodic": limits.get(PERIODIC, {}), "closed_name": PERIODIC, "weak": WEAK,
         "common": int(common), "beside": paper[paper.side == common],
         "variants": {name: of[of.side == common] for name, of in of_systems.items() if name != PAPER},
