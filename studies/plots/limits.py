@@ -21,9 +21,12 @@ def draw_limits(of_systems: Mapping[str, Any], limits: Mapping[str, Mapping[str,
     """
     figure = new_figure(DOUBLE, 4.6)
     panels: Any = figure.subplots(2, 3).ravel()
-    shares = ("power_over_cut", r"$P_\mathrm{min} / P_\mathrm{cut}$"), ("slipless_fraction", "slipless contacts / all")
-    shares += (("domains_a_sphere", "rigid domains / spheres"),)
-    for axes, letter, (name, label) in zip(panels, "abc", shares, strict=False):
+    shares = {
+        "power_over_cut": r"$P_\mathrm{min} / P_\mathrm{cut}$",
+        "slipless_fraction": "slipless contacts / all",
+        "domains_a_sphere": "rigid domains / spheres",
+    }
+    for axes, letter, (name, label) in zip(panels, "abc", shares.items(), strict=False):
         for system, colour in zip(of_systems, (BLUE, ORANGE), strict=False):
             _towards_limit(axes, of_systems[system].by(name), limits[system].get(name), colour, system)
         axes.set(xlabel="$1/L$", xlim=(-0.01, 0.26), ylabel=label)
