@@ -12,15 +12,16 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 FOLDERS = {  # in the tree -> in the wheel
-    "taichi_bearings": "taichi_bearings", "cli": "taichi_bearings_cli", "studies": "taichi_bearings_studies"
+    "taichi_bearings": "taichi_bearings", "cli": "taichi_bearings_cli", "studies": "taichi_bearings_studies",
+    "examples/studies": "taichi_bearings_studies/paper/scans",
 }  # fmt: skip
 
 
 def missing(wheel: Path) -> list[str]:
     """Files that git knows in the packages and that the wheel lacks."""
     listed = subprocess.run(["git", "ls-files", *FOLDERS], cwd=ROOT, capture_output=True, text=True, check=True)
-    parts = [name.split("/", 1) for name in listed.stdout.splitlines()]
-    expected = {f"{FOLDERS[folder]}/{rest}" for folder, rest in parts}
+    names = listed.stdout.splitlines()
+    expected = {of + name.removeprefix(at) for at, of in FOLDERS.items() for name in names if name.startswith(f"{at}/")}
     return sorted(expected - set(zipfile.ZipFile(wheel).namelist()))
 
 

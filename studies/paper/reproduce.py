@@ -82,6 +82,8 @@ FIGURES = {
         PaperFigure("exponents", "Minimum cuts of discs as directed polymers", "exponents", (900, 60), asked=True),
         PaperFigure("odd-loops", "How many odd contacts stop a bearing of discs", "odd_loops", (3000, 60), asked=True),
         PaperFigure("yield", "The torques that a bearing holds", "yield_surface", (1800, 60), asked=True),
+        PaperFigure("limits", "What of the picture survives in large samples", "limits", (3600, 120), "All samples.",
+                    (".csv", "-limits.csv"), asked=True),
     )
 }  # fmt: skip
 MOST_PICTURE = 2**26  # bytes of one that the page holds

@@ -1,0 +1,109 @@
+"""What of the paper's picture survives in large samples: shares, networks and domains against the side, to its limit.
+
+The scans in examples/studies have the samples, and anybody can start them alone: the paper's bearing from 4^3 to 48^3,
+and beside it, one thing at a time, periodic sides, another state of the top, a rate C, other distributions of friction.
+Every share q is taken to its limit by q(L) = q_inf + a L^-w (:mod:`.extrapolation`): the driven planes and the free
+sides are a share 1/L of a sample, so w = 1 is stated and not fitted.
+"""
+
+from collections.abc import Iterator, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from taichi_bearings.runs.settings import RunSettings, read_toml
+from taichi_bearings.scans.plan import read_plan
+
+from ..plots.limits import draw_limits
+from .claims import SAMPLES, Effort
+from .extrapolation import Limit, limit
+from .network import LARGE, sample_of
+from .samples import Found, Table, measured
+
+HERE = Path(__file__).resolve()
+SCANS = next(filter(Path.is_dir, (HERE.parent / "scans", HERE.parents[2] / "examples/studies")))  # in a wheel, or not
+QUICK = {"limits": 16, "limits-variants": 16, "limits-rate": 16, "limits-large": 24, "limits-largest": 32}
+"""Scan -> largest side of its samples in the quick form."""
+LEAST_SEEDS = 4
+PAPER, PERIODIC = "as in the paper", "periodic sides"
+WEAK, BROAD = ("uniform:0.5,1", "uniform:0.9,1"), ("lognormal:0.4,1", "power-law:0.001,1,-1", "bimodal:0.1,1,0.5")
+OF_ALL = ("power_over_cut", "slipless_fraction", "intermediate", "domains_a_sphere", "largest_share")
+OF_SPANNING = ("path_over_height", "busiest_link_share")
+
+
+def study(folder: Path, effort: Effort) -> Found:
+    """Certified samples of all scans, and the limits of their shares."""
+    settings = list(chosen(effort))
+    found = measured(settings, sample_of, folder / "limits.jsonl")
+    systems = [{"system": system_of(of)} for of in settings]
+    table = with_ratios(Table.of([of | numbers for of, numbers in zip(systems, found, strict=True)]))
+    of_systems = {name: table[table.system == name] for name in dict.fromkeys(table.system.tolist())}
+    limits = {name: limits_of(of) for name, of in of_systems.items()}
+    draw = partial(draw_limits, of_systems, limits)
+    return Found({".csv": table, "-limits.csv": table_of(limits)}, draw, names_of(of_systems, limits))
+
+
+def with_ratios(table: Table) -> Table:
+    """And the shares whose limits are asked for: rigid domains, and spheres of the largest intermediate one, over all
+    spheres; contacts of the shortest path over the height."""
+    spheres = table.side**3
+    return table | {
+        "domains_a_sphere": table.domains / spheres,
+        "largest_share": table.largest_intermediate / spheres,
+        "path_over_height": table.shortest_path / (table.side - 1),
+    }
+
+
+def limits_of(table: Table) -> dict[str, Limit]:
+    """By quantity, of samples of one system; where there are enough."""
+    spanning = table[table.spans]
+    found = {name: limit(table.by(name)) for name in OF_ALL} | {name: limit(spanning.by(name)) for name in OF_SPANNING}
+    return {name: of for name, of in found.items() if of is not None}
+
+
+def table_of(limits: Mapping[str, Mapping[str, Limit]]) -> Table:
+    """A row a limit; `follows` is False where the value is none."""
+    names = ("value", "error", "systematic", "smallest", "sizes", "goodness", "amplitude", "follows")
+    return Table.of(
+        [
+            {"system": system, "quantity": quantity} | {name: getattr(of, name) for name in names}
+            for system, found in limits.items()
+            for quantity, of in found.items()
+        ]
+    )
+
+
+def names_of(of_systems: Mapping[str, Table], limits: Mapping[str, Mapping[str, Limit]]) -> dict[str, Any]:
+    """What the claims name. variants : samples of each other system, of the largest size that all have; beside : of the
+    paper's bearing of that size."""
+    paper = of_systems[PAPER]
+    common = min(of.side.max() for of in of_systems.values())
+    return {
+        "paper": paper, "large": paper[paper.side >= LARGE], "large_side": LARGE, "spanning": paper[paper.spans],
+        "limits": limits[PAPER], "periodic": limits.get(PERIODIC, {}), "closed_name": PERIODIC, "weak": WEAK,
+        "common": int(common), "beside": paper[paper.side == common],
+        "variants": {name: of[of.side == common] for name, of in of_systems.items() if name != PAPER},
+        "broad": [name for name in BROAD if name in of_systems],
+    }  # fmt: skip
+
+
+def chosen(effort: Effort) -> Iterator[RunSettings]:
+    """The samples of the scans: as many seeds, from `effort.seed` on, as its samples are of the usual ones."""
+    for name, largest in QUICK.items():
+        path = SCANS / f"{name}.toml"
+        usual = read_toml(path)["scan"]["seed"]
+        seeds = round((usual["stop"] - usual["start"]) * effort.samples / SAMPLES)
+        stop = effort.seed + max(LEAST_SEEDS, seeds)
+        for sample in read_plan(path, [f"scan.seed={{start={effort.seed}, stop={stop}}}"]).samples:
+            if not effort.quick or sample.settings.shape[0] <= largest:
+                yield sample.settings
+
+
+def system_of(settings: RunSettings) -> str:
+    """What differs from the paper's bearing, in words."""
+    _, y, _, rate = settings.top or (1.0, 1.0, 0.0, 0.0)
+    words = {
+        PERIODIC: settings.periodic, f"state (1, {y:g})": y != 1, "C (L - 1) = 1": rate,
+        settings.distribution: settings.distribution != RunSettings().distribution,
+    }  # fmt: skip
+    return ", ".join(word for word, differs in words.items() if differs) or PAPER
