@@ -80,7 +80,8 @@ FIGURES = {
         PaperFigure("parameters", "Stiffness K, damping A and normal force F_n", "parameters", (60, 50),
                     "The first seed; claims are about all samples."),
         PaperFigure("exponents", "Minimum cuts of discs as directed polymers", "exponents", (900, 60), asked=True),
-        PaperFigure("odd-loops", "How many odd contacts stop a bearing of discs", "odd_loops", (3000, 60), asked=True),
+        PaperFigure("surfaces", "Cut surfaces and minima of spheres, by size", "surfaces", (1200, 60), asked=True),
+        PaperFigure("odd-loops", "How many odd contacts stop a bearing of discs", "odd_loops", (1200, 60), asked=True),
     )
 }  # fmt: skip
 MOST_PICTURE = 2**26  # bytes of one that the page holds
