@@ -30,7 +30,7 @@ def command(
     as_json: bool,
 ) -> None:
     """Figures of the paper and a verdict for each of its claims about them. FIGURE is one of these; without
-    one, all but the last two.
+    one, all but those beyond the paper.
 
     \b
     fig1  stationary states of 10x10 discs, viscous and Coulomb, and how often the interface of the two bearing states
@@ -47,8 +47,9 @@ def command(
           domains, what slip thresholds make of them
     distributions, drivings, parameters
           other distributions of the friction coefficients, other imposed bearing states, other K, A and F_n
-    exponents, odd-loops
-          questions beyond the paper: how interfaces of discs fluctuate, and how many odd contacts stop a bearing
+    exponents, surfaces, odd-loops
+          questions beyond the paper: how interfaces of discs fluctuate, those of spheres and their minima, and how many
+          odd contacts stop a bearing
 
     Writes FIGURE.png, FIGURE.pdf, FIGURE.csv, and the report as report.html (one file, figures inside) and report.json,
     anew after each figure. The same command with the same --out goes on with the figures that are missing,

@@ -41,7 +41,7 @@ SIZES = {
     48: 1.0,
     64: 0.6,
 }  # L of cuts, friction in [0, 1] -> of the samples
-LOWEST, FLAT = (0.05, 0.1, 0.2, 0.3), {8: 2.0, 16: 2.0, 32: 0.5, 64: 0.1}  # friction, and L cut with it
+LOWEST, FLAT = (0.1, 0.2, 0.3), {8: 2.0, 16: 2.0, 32: 0.5, 64: 0.1}  # friction, and L cut with it
 SIDES = {4: 4.0, 6: 4.0, 8: 4.0, 10: 3.0, 12: 2.0, 16: 0.6}  # L of minima
 TALL, HEIGHTS = 8, {16: 0.5, 32: 0.5}  # L and H of minima in tall lattices
 QUICK_SIZES, QUICK_LOWEST, QUICK_FLAT = {6: 10.0, 8: 10.0, 12: 10.0, 16: 10.0, 24: 2.0}, (0.1, 0.3), {8: 5.0, 16: 5.0}
