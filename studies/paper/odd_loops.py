@@ -7,7 +7,7 @@ diagonal inside the part that rolls slips by twice the speed of the others, so i
 disc in a hexagon six times that, and the interface moves out of their way. How far depends on the landscape of
 interfaces: the least powers of those at different heights differ by about L^(1/3). If that rules, n odd contacts act
 alike at equal n / L^(1/3), and in large samples a vanishing density stops the bearing. Every sample is solved exactly,
-by cuts of the double cover.
+by cuts of the double cover. Contacts across the squares of cubic lattices of spheres are put beside: proven minima.
 """
 
 from functools import partial
@@ -19,6 +19,7 @@ from scipy.spatial import cKDTree
 
 from taichi_bearings.numerics.minimum_cut import largest_flow, within_reach
 from taichi_bearings.packing import Packing
+from taichi_bearings.packing.answer import solve_packing
 
 from ..plots.questions import draw_odd_loops
 from .claims import Effort
@@ -28,29 +29,41 @@ from .samples import Found, Table, drawn
 FRICTION = (0.1, 1.0)  # uniform, the paper's
 UNIT_BITS = 40  # of the friction, rounded to whole units for flows
 BLOCK = 5  # samples that are drawn together
-LATTICES = ("square", "triangular")
-SIZES, QUICK_SIZES = {16: 2.0, 32: 2.0, 64: 1.0, 128: 0.3, 256: 0.05}, {8: 1.0, 16: 1.0}  # L -> of the samples
+SIZES = {  # L -> of the samples; those that get less than a block are left out
+    "square": {16: 2.0, 32: 2.0, 64: 1.0, 128: 0.3, 256: 0.02},
+    "triangular": {16: 2.0, 32: 2.0, 64: 1.0, 128: 0.3, 256: 0.02},
+    "cubic": {4: 1.0, 6: 0.5, 8: 0.2, 12: 0.02},
+}
+QUICK_SIZES = {"square": {8: 1.0, 16: 1.0}, "triangular": {8: 1.0, 16: 1.0}, "cubic": {4: 0.5, 5: 0.5}}
 NUMBERS, QUICK_NUMBERS = (0, 1, 2, 4, 8, 16, 32, 64), (0, 2, 8, 32)  # of odd contacts
 BOTTOMS = (0.0, 0.25, 0.5, 1.0)  # omega_B / omega_T
-TURNED = 16  # L of the samples in which the bottom turns
-LANDSCAPE, DENSITY = 1 / 3, 2.0  # a of n / L^a, if the fluctuation of interfaces rules, or the density
+TURNED = 16  # L of the squares and triangular lattices in which the bottom turns
+LANDSCAPE = {
+    "square": 1 / 3,
+    "triangular": 1 / 3,
+    "cubic": 0.84,
+}  # a of n / L^a, if the fluctuation of interfaces rules
+DIMENSION = {"square": 2, "triangular": 2, "cubic": 3}  # the same, if the density rules
+SURE = 1e-6  # relative gap of minima of spheres, and spin of those at rest over that of the top
 
 
 def network(lattice: str, size: int, odd: int, bottom: float, seed: int) -> Packing:
-    """A lattice without odd loops, L x L diameters, its top turning with 1; at `odd` random places something closes odd
-    loops: between four discs of a square a contact across a diagonal, within six of a honeycomb the disc that
-    a triangular lattice has there."""
+    """A lattice without odd loops, each side L diameters, its top turning with 1; at `odd` random places something
+    closes odd loops: between the four discs or spheres of a square a contact across a diagonal, within six of a
+    honeycomb the disc that a triangular lattice has there."""
     rng = np.random.default_rng([seed, size, odd])
-    if lattice == "square":
-        bare = Packing.lattice("square", (size, size), spin_bottom=bottom)
-        hole, margin, reach = bare.center + 0.5, (0.25, 0.25), 0.75
-    else:
+    if lattice == "triangular":
         bare = Packing.lattice("honeycomb", (round(size / 3**0.5), round(size / 3)), spin_bottom=bottom)
-        hole, margin, reach = bare.center[::2] + (0.0, 1.0), (0.75, 0.75), 1.25
+        hole, margin, reach = bare.center[::2] + (0.0, 1.0), 0.75, 1.25
+    else:
+        bare = Packing.lattice(lattice, (size,) * DIMENSION[lattice], spin_bottom=bottom)
+        sides = {"square": np.ones((1, 2)), "cubic": 1 - np.eye(3)}[lattice]  # of squares, by their planes
+        hole, reach = (bare.center[:, None] + 0.5 * sides).reshape(-1, DIMENSION[lattice]), 0.75
+        margin = np.array([-0.25] * (DIMENSION[lattice] - 1) + [0.25])  # not between driven spheres alone
     whole = (hole > bare.center.min(axis=0) + margin) & (hole < bare.center.max(axis=0) - margin)
     hole = rng.permutation(hole[whole.all(axis=1)])[:odd]
     around = np.array([sorted(discs) for discs in cKDTree(bare.center).query_ball_point(hole, reach)], dtype=int)
-    if lattice == "square":
+    if lattice != "triangular":
         center, rising = bare.center, rng.random((odd, 1)) < 0.5
         added = np.where(rising, around.reshape(-1, 4)[:, [0, 3]], around.reshape(-1, 4)[:, [1, 2]])
     else:
@@ -60,7 +73,8 @@ def network(lattice: str, size: int, odd: int, bottom: float, seed: int) -> Pack
     step = center[contact[:, 1]] - center[contact[:, 0]]
     return Packing(
         center=center, contact=contact, normal=step / np.linalg.norm(step, axis=1)[:, None],
-        driven=np.append(bare.driven, np.full(more, -1)), spin=np.append(bare.spin, np.zeros(more)),
+        driven=np.append(bare.driven, np.full(more, -1)),
+        spin=np.concatenate([bare.spin, np.zeros((more, *bare.spin.shape[1:]))]),
         friction=rng.uniform(*FRICTION, len(contact)),
     )  # fmt: skip
 
@@ -94,26 +108,37 @@ def least_spins(packing: Packing) -> np.ndarray:
 
 
 def draw(lattice: str, size: int, odd: int, bottom: float, samples: int, seed: int) -> dict[str, Any]:
-    """Share of the free discs that turn faster than half of the top, and of those that rest, at the exact minimum, and
-    the least power over that of all free discs at rest; an entry a sample."""
+    """Share of the free discs or spheres that turn faster than half of the top, and of those that rest, at the minimum,
+    and the least power over that of all free ones at rest; an entry a sample."""
     found: dict[str, list[float]] = {"rolling": [], "resting": [], "power_over_rest": []}
     for number in range(seed, seed + samples):
         packing = network(lattice, size, odd, bottom, number)
-        spin, free = least_spins(packing), packing.driven < 0
-        slip, at_rest = (np.abs(of[packing.contact].sum(axis=1)) for of in (spin, np.where(free, 0.0, packing.spin)))
-        found["rolling"].append(float((np.abs(spin[free]) > 0.5).mean()))
-        found["resting"].append(float((spin[free] == 0).mean()))
-        found["power_over_rest"].append(float((packing.friction @ slip) / (packing.friction @ at_rest)))
+        spin = solve_packing(packing, SURE).spin if lattice == "cubic" else least_spins(packing)
+        at_rest = spin * (packing.driven >= 0).reshape(-1, *[1] * (spin.ndim - 1))
+        speed = np.linalg.norm(spin.reshape(len(spin), -1), axis=1)[packing.driven < 0]
+        found["rolling"].append(float((speed > 0.5).mean()))
+        found["resting"].append(float((speed < SURE).mean()))
+        found["power_over_rest"].append(_power(packing, spin) / _power(packing, at_rest))
     return found
+
+
+def _power(packing: Packing, spin: np.ndarray) -> float:
+    """In some unit; spin : (N,) or (N, 3)."""
+    together = spin[packing.contact].sum(axis=1)
+    slip = np.abs(together) if spin.ndim == 1 else np.linalg.norm(np.cross(together, packing.normal), axis=1)
+    return float(packing.friction @ slip)
 
 
 def study(folder: Path, effort: Effort) -> Found:
     """Bearings by lattice, size, number of odd contacts or discs, and spin of the bottom."""
-    sizes, numbers = (QUICK_SIZES, QUICK_NUMBERS) if effort.quick else (SIZES, NUMBERS)
-    turned = max(sizes) if effort.quick else TURNED
-    points = [(lattice, size, odd, 0.0) for lattice in LATTICES for size in sizes for odd in numbers]
-    points += [(lattice, turned, odd, bottom) for lattice in LATTICES for bottom in BOTTOMS[1:] for odd in numbers]
-    wanted = {point: max(BLOCK, round(effort.samples * sizes[point[1]])) for point in points}
+    shares, numbers = (QUICK_SIZES, QUICK_NUMBERS) if effort.quick else (SIZES, NUMBERS)
+    sizes = {
+        lattice: [size for size, part in of.items() if part * effort.samples >= BLOCK] for lattice, of in shares.items()
+    }
+    turned, discs = max(sizes["square"]) if effort.quick else TURNED, ("square", "triangular")
+    points = [(lattice, size, odd, 0.0) for lattice in sizes for size in sizes[lattice] for odd in numbers]
+    points += [(lattice, turned, odd, bottom) for lattice in discs for bottom in BOTTOMS[1:] for odd in numbers]
+    wanted = {point: round(effort.samples * shares[point[0]][point[1]]) for point in points}
     found = drawn(draw, wanted, BLOCK, effort.seed, folder / "odd-loops.jsonl")
     rows = []
     for (lattice, size, odd, bottom), of in found.items():
@@ -122,20 +147,20 @@ def study(folder: Path, effort: Effort) -> Found:
             row |= {name: values.mean(), f"{name}_error": values.std(ddof=1) / len(values) ** 0.5}
         rows.append(row)
     rolling = {
-        lattice: {size: {odd: found[lattice, size, odd, 0.0]["rolling"] for odd in numbers} for size in sizes}
-        for lattice in LATTICES
+        lattice: {size: {odd: found[lattice, size, odd, 0.0]["rolling"] for odd in numbers} for size in sizes[lattice]}
+        for lattice in sizes
     }
     resting = {
         lattice: {bottom: found[lattice, turned, max(numbers), bottom]["resting"] for bottom in BOTTOMS}
-        for lattice in LATTICES
+        for lattice in discs
     }
     ruled = {
         lattice: collapse({size: {odd: values for odd, values in of.items() if odd} for size, of in curves.items()})
         for lattice, curves in rolling.items()
     }
     named = {
-        "rolling": {f"{lattice} {size}": of for lattice, curves in rolling.items() for size, of in curves.items()},
+        "rolling": {f"{lattice} {size}": of for lattice in discs for size, of in rolling[lattice].items()},
         "rest": resting, "ruled": ruled, "few": min(odd for odd in numbers if odd >= 8), "most_odd": max(numbers),
-        "size": turned, "drawn_samples": sum(wanted.values()), "landscape": LANDSCAPE, "density": DENSITY,
+        "size": turned, "drawn_samples": sum(wanted.values()), "landscape": LANDSCAPE, "dimension": DIMENSION,
     }  # fmt: skip
     return Found({".csv": Table.of(rows)}, partial(draw_odd_loops, rolling, ruled, resting), named)

@@ -137,6 +137,9 @@ def draw_odd_loops(
         panels[0].legend(loc="upper right", ncols=2)
         panels[1].set(xscale="log", xlabel=f"$n / L^{{{rule:.2f}}}$", ylim=(0, None))
         panels[1].set_title("the sizes together")
+        if lattice not in resting:
+            panels[2].set_axis_off()
+            continue
         bottoms = np.array(list(resting[lattice]))
         panels[2].plot(bottoms, [values.mean() for values in resting[lattice].values()], "o-", color=BLUE, ms=3)
         panels[2].axhline(1.0, color=GREY, lw=0.8)

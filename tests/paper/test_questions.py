@@ -120,7 +120,8 @@ def test_studies_in_a_small_form(tmp_path, monkeypatch):
     monkeypatch.setattr(exponents, "QUICK_SIZES", (4, 6, 8))
     monkeypatch.setattr(exponents, "QUICK_TALL", (8, 16))
     monkeypatch.setattr(exponents, "QUICK_LONG", 6)
-    monkeypatch.setattr(odd_loops, "QUICK_SIZES", {6: 1.0, 8: 1.0})
+    few = {"square": {6: 3.0, 8: 3.0}, "triangular": {6: 3.0, 8: 3.0}, "cubic": {3: 3.0, 4: 3.0}}
+    monkeypatch.setattr(odd_loops, "QUICK_SIZES", few)
     monkeypatch.setattr(odd_loops, "QUICK_NUMBERS", (0, 2, 8))
     monkeypatch.setattr(surfaces, "QUICK_SIZES", {4: 1.0, 6: 1.0})
     monkeypatch.setattr(surfaces, "QUICK_FLAT", {4: 1.0, 6: 1.0})
@@ -134,7 +135,7 @@ def test_studies_in_a_small_form(tmp_path, monkeypatch):
     monkeypatch.setattr(runtime, "start", lambda *_: None)  # the tests' own is running
     asked = ("exponents", "surfaces", "odd-loops")
     claims = [c for name in asked for c in reproduce.FIGURES[name].reproduce(tmp_path, effort)]
-    assert len(claims) == 5 + 7 + 4
+    assert len(claims) == 5 + 7 + 5
     assert {claim.verdict for claim in claims} >= {"too few samples"}
     written = {path.name for path in tmp_path.iterdir()}
     assert written == {f"{name}.{ending}" for name in asked for ending in ("csv", "pdf", "png")}
