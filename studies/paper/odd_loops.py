@@ -32,7 +32,7 @@ BLOCK = 5  # samples that are drawn together
 SIZES = {  # L -> of the samples; those that get less than a block are left out
     "square": {16: 2.0, 32: 2.0, 64: 1.0, 128: 0.3, 256: 0.02},
     "triangular": {16: 2.0, 32: 2.0, 64: 1.0, 128: 0.3, 256: 0.02},
-    "cubic": {4: 1.0, 6: 0.5, 8: 0.2, 12: 0.02},
+    "cubic": {4: 0.2, 6: 0.2, 8: 0.1, 12: 0.02},
 }
 QUICK_SIZES = {"square": {8: 1.0, 16: 1.0}, "triangular": {8: 1.0, 16: 1.0}, "cubic": {4: 0.5, 5: 0.5}}
 NUMBERS, QUICK_NUMBERS = (0, 1, 2, 4, 8, 16, 32, 64), (0, 2, 8, 32)  # of odd contacts

@@ -32,19 +32,16 @@ ROUGHNESS, ENERGY = 0.41, 0.84  # zeta and theta of surfaces
 HEIGHT = 4.0  # of lattices that are cut, over L^ROUGHNESS: so all hold as many independent surfaces
 PAPER_LOWEST = 0.1  # the paper's friction is uniform in [0.1, 1]
 BLOCK = 10  # samples that are drawn together
-SIZES = {
-    8: 8.0,
-    12: 8.0,
-    16: 8.0,
-    24: 4.0,
-    32: 3.0,
-    48: 1.0,
-    64: 0.6,
-}  # L of cuts, friction in [0, 1] -> of the samples
-LOWEST, FLAT = (0.1, 0.2, 0.3), {8: 2.0, 16: 2.0, 32: 0.5, 64: 0.1}  # friction, and L cut with it
+SIZES = {8: 8.0, 12: 8.0, 16: 8.0, 24: 4.0, 32: 3.0, 48: 1.0, 64: 0.6}  # L of cuts, lowest friction 0 -> of the samples
+FLAT = {  # lowest friction -> L of cuts
+    0.1: {8: 2.0, 16: 2.0, 32: 0.5, 64: 0.1},
+    0.2: {8: 2.0, 16: 2.0, 32: 0.5},
+    0.3: {8: 2.0, 16: 2.0, 32: 0.5},
+}
 SIDES = {4: 4.0, 6: 4.0, 8: 4.0, 10: 3.0, 12: 2.0, 16: 0.6}  # L of minima
 TALL, HEIGHTS = 8, {16: 0.5, 32: 0.5}  # L and H of minima in tall lattices
-QUICK_SIZES, QUICK_LOWEST, QUICK_FLAT = {6: 10.0, 8: 10.0, 12: 10.0, 16: 10.0, 24: 2.0}, (0.1, 0.3), {8: 5.0, 16: 5.0}
+QUICK_SIZES = {6: 10.0, 8: 10.0, 12: 10.0, 16: 10.0, 24: 2.0}
+QUICK_FLAT = {0.1: {8: 5.0, 16: 5.0}, 0.3: {8: 5.0, 16: 5.0}}
 QUICK_SIDES, QUICK_HEIGHTS = {4: 5.0, 6: 5.0, 8: 2.0}, {16: 0.5}
 
 
@@ -103,13 +100,13 @@ def minima(length: int, height: float, samples: int, seed: int) -> dict[str, Any
 
 def points(quick: bool) -> dict[tuple[str, int, float], float]:
     """What is drawn -> of how many samples, as a share of those that a claim may take."""
-    sizes, lowest, flat = (QUICK_SIZES, QUICK_LOWEST, QUICK_FLAT) if quick else (SIZES, LOWEST, FLAT)
+    sizes, flat = (QUICK_SIZES, QUICK_FLAT) if quick else (SIZES, FLAT)
     sides, heights = (QUICK_SIDES, QUICK_HEIGHTS) if quick else (SIDES, HEIGHTS)
     return {
         **{("minimum", side, side): part for side, part in sides.items()},
         **{("minimum", TALL, height): part for height, part in heights.items()},
         **{("cut", size, 0.0): part for size, part in sizes.items()},
-        **{("cut", size, least): part for least in lowest for size, part in flat.items()},
+        **{("cut", size, lowest): part for lowest, of in flat.items() for size, part in of.items()},
     }
 
 

@@ -120,11 +120,11 @@ def test_studies_in_a_small_form(tmp_path, monkeypatch):
     monkeypatch.setattr(exponents, "QUICK_SIZES", (4, 6, 8))
     monkeypatch.setattr(exponents, "QUICK_TALL", (8, 16))
     monkeypatch.setattr(exponents, "QUICK_LONG", 6)
-    few = {"square": {6: 3.0, 8: 3.0}, "triangular": {6: 3.0, 8: 3.0}, "cubic": {3: 3.0, 4: 3.0}}
+    few = {"square": {6: 3.0, 8: 3.0}, "triangular": {6: 3.0, 8: 3.0}, "cubic": {3: 2.5, 4: 2.5}}
     monkeypatch.setattr(odd_loops, "QUICK_SIZES", few)
     monkeypatch.setattr(odd_loops, "QUICK_NUMBERS", (0, 2, 8))
     monkeypatch.setattr(surfaces, "QUICK_SIZES", {4: 1.0, 6: 1.0})
-    monkeypatch.setattr(surfaces, "QUICK_FLAT", {4: 1.0, 6: 1.0})
+    monkeypatch.setattr(surfaces, "QUICK_FLAT", {0.1: {4: 1.0, 6: 1.0}, 0.3: {6: 1.0}})
     monkeypatch.setattr(surfaces, "QUICK_SIDES", {3: 1.0, 4: 1.0})
     monkeypatch.setattr(surfaces, "QUICK_HEIGHTS", {4: 1.0})
     monkeypatch.setattr(surfaces, "TALL", 3)
