@@ -54,7 +54,7 @@ def network(lattice: str, size: int, odd: int, bottom: float, seed: int) -> Pack
     rng = np.random.default_rng([seed, size, odd])
     if lattice == "triangular":
         bare = Packing.lattice("honeycomb", (round(size / 3**0.5), round(size / 3)), spin_bottom=bottom)
-        hole, margin, reach = bare.center[::2] + (0.0, 1.0), 0.75, 1.25
+        hole, margin, reach = bare.center[::2] + (0.0, 1.0), np.full(2, 0.75), 1.25
     else:
         bare = Packing.lattice(lattice, (size,) * DIMENSION[lattice], spin_bottom=bottom)
         sides = {"square": np.ones((1, 2)), "cubic": 1 - np.eye(3)}[lattice]  # of squares, by their planes
@@ -89,7 +89,10 @@ def least_spins(packing: Packing) -> np.ndarray:
     count, (first, second) = packing.spheres, packing.contact.T
     low, high = np.concatenate([first, first + count]), np.concatenate([second + count, second])
     held = np.where(packing.driven < 0, np.nan, packing.spin)
-    value, units = np.concatenate([held, -held]), np.round(np.ldexp(packing.friction, UNIT_BITS)).astype(np.int64)
+    value, units = (
+        np.concatenate([held, -held]),
+        np.round(np.ldexp(np.asarray(packing.friction), UNIT_BITS)).astype(np.int64),
+    )
     positive = np.unique(np.abs(held[packing.driven >= 0]))
     below = np.append(-positive[0], positive[:-1])
     level = np.zeros(2 * count)
@@ -125,8 +128,10 @@ def draw(lattice: str, size: int, odd: int, bottom: float, samples: int, seed: i
 def _power(packing: Packing, spin: np.ndarray) -> float:
     """In some unit; spin : (N,) or (N, 3)."""
     together = spin[packing.contact].sum(axis=1)
-    slip = np.abs(together) if spin.ndim == 1 else np.linalg.norm(np.cross(together, packing.normal), axis=1)
-    return float(packing.friction @ slip)
+    slip = (
+        np.abs(together) if spin.ndim == 1 else np.linalg.norm(np.cross(together, np.asarray(packing.normal)), axis=1)
+    )
+    return float(np.asarray(packing.friction) @ slip)
 
 
 def study(folder: Path, effort: Effort) -> Found:

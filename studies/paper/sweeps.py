@@ -6,6 +6,9 @@ passed over. A path that turns back n times takes n sweeps, and a lightest one s
 as a queue of faces (numerics/planar/paths.py), but in floating point, so without proof.
 """
 
+# mypy: ignore-errors
+# Taichi reads this syntax, not Python
+
 import numpy as np
 
 from taichi_bearings.compiler import ti

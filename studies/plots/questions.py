@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, ScalarFormatter
 
 from taichi_bearings.plots.style import BLUE, GREY, ORANGE, in_our_style, new_figure, shades
 
@@ -82,14 +83,20 @@ def draw_surfaces(
         spread = _spread([cubes[L][name] for L in sides])
         c.errorbar(sides, *spread, fmt="o-", ms=3, lw=0.8, color=color, label=text)
     c.set(ylabel="sd of the power", title="(c) friction in [0.1, 1], cubes")
-    for of, color, text in ((cubes, BLUE, "cubes, against the side"), (towers, ORANGE, "towers, against the height")):
-        x = np.array(sorted(of))
-        d.errorbar(x, *mean_and_error([of[L]["layers"] for L in x]), fmt="o-", ms=3, lw=0.8, color=color, label=text)
+    for found, color, text in (
+        (cubes, BLUE, "cubes, against the side"),
+        (towers, ORANGE, "towers, against the height"),
+    ):
+        x = np.array(sorted(found))
+        d.errorbar(x, *mean_and_error([found[L]["layers"] for L in x]), fmt="o-", ms=3, lw=0.8, color=color, label=text)
     d.set(ylabel="layers in which the spin changes", title="(d) minima")
     for axes, ticks in ((a, sizes), (b, sizes), (c, sides), (d, sorted({*cubes, *towers}))):
         axes.set(xscale="log", yscale="linear" if axes is b else "log", xlabel="spheres")
         axes.set_xticks(ticks, [str(size) for size in ticks])
         axes.minorticks_off()
+        if axes is not b:
+            axes.yaxis.set_major_locator(LogLocator(subs=(1, 1.5, 2, 3, 5)))
+            axes.yaxis.set_major_formatter(ScalarFormatter())
         axes.legend()
     return figure
 
