@@ -163,9 +163,11 @@ def study(folder: Path, effort: Effort) -> Found:
         lattice: collapse({size: {odd: values for odd, values in of.items() if odd} for size, of in curves.items()})
         for lattice, curves in rolling.items()
     }
+    count = {lattice: sum(n for point, n in wanted.items() if point[0] == lattice) for lattice in sizes}
     named = {
+        "drawn_samples": count,
         "rolling": {f"{lattice} {size}": of for lattice in discs for size, of in rolling[lattice].items()},
         "rest": resting, "ruled": ruled, "few": min(odd for odd in numbers if odd >= 8), "most_odd": max(numbers),
-        "size": turned, "drawn_samples": sum(wanted.values()), "landscape": LANDSCAPE, "dimension": DIMENSION,
+        "size": turned, "landscape": LANDSCAPE, "dimension": DIMENSION,
     }  # fmt: skip
     return Found({".csv": Table.of(rows)}, partial(draw_odd_loops, rolling, ruled, resting), named)
