@@ -47,9 +47,10 @@ def command(
           domains, what slip thresholds make of them
     distributions, drivings, parameters
           other distributions of the friction coefficients, other imposed bearing states, other K, A and F_n
-    exponents, odd-loops, yield, limits
-          questions beyond the paper: how interfaces of discs fluctuate, how many odd contacts stop a bearing, which
-          torques a bearing holds, and what shares, networks and domains are in large samples
+    exponents, surfaces, odd-loops, yield, limits
+          questions beyond the paper: how interfaces of discs fluctuate, those of spheres and their minima, how many odd
+          contacts stop a bearing, which torques a bearing holds, and what shares, networks and domains are in large
+          samples
 
     Writes FIGURE.png, FIGURE.pdf, FIGURE.csv, and the report as report.html (one file, figures inside) and report.json,
     anew after each figure. The same command with the same --out goes on with the figures that are missing,

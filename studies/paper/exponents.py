@@ -14,12 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from taichi_bearings.numerics.planar import minimum_cuts
-
 from ..plots.questions import draw_exponents
 from .claims import Effort
 from .fits import exponent, skewness
 from .samples import Found, Table, drawn
+from .sweeps import crossings
 
 FRICTION = (0.1, 1.0)  # uniform, the paper's
 HELD = 1e3  # friction that the ends of a path cannot cross
@@ -29,22 +28,19 @@ SIZES, QUICK_SIZES = (8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256), (8, 12, 16,
 TALL, QUICK_TALL = (16, 64, 256, 1024), (16, 64, 256)  # heights of free scenes of length FREE
 FREE = 16
 LONG, QUICK_LONG = 96, 32  # length of cuts whose weights are compared with the law of Tracy and Widom
-PER_SEED = 20  # samples of a held length for each of `Effort.samples`, fewer where they are large
+PER_SEED = 100  # samples of a held length for each of `Effort.samples`, fewer where they are large
 TRACY_WIDOM, GUMBEL = -0.2241, -1.1395  # skewness of E
 
 
 def draw(kind: str, length: int, height: int, samples: int, seed: int) -> dict[str, Any]:
-    """Weights of the minimum cuts of a block, in units of the largest friction, and their heights in the middle."""
+    """Weights of the minimum cuts of a block, in units of the largest friction, and where they cross the middle."""
     rng = np.random.default_rng([seed, length, height])
     sideways = rng.uniform(*FRICTION, (samples, length - 1, height))
     upward = rng.uniform(*FRICTION, (samples, length, height - 1))
     if kind == "held":
         upward[:, [0, -1]] += np.where(np.arange(height - 1) == (height - 1) // 2, 0.0, HELD)[None, None]
-    weight, middle = [], []
-    for _, cuts in minimum_cuts(sideways, upward):
-        weight += cuts.weight.tolist()
-        middle += np.count_nonzero(~cuts.above, axis=2)[:, length // 2].tolist()
-    return {"weight": weight, "middle": middle}
+    through = crossings(sideways, upward, length // 2)
+    return {"weight": through.min(axis=1).tolist(), "middle": (through.argmin(axis=1) + 1).tolist()}
 
 
 def study(folder: Path, effort: Effort) -> Found:

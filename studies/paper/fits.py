@@ -1,16 +1,17 @@
 """Exponents with their errors: laws fitted from each smallest size on, resampled over the disorder."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 from scipy.stats import chi2, skew
 
 RESAMPLES = 400
 EXPONENTS, TRIALS, COLLAPSES = (-0.5, 2.5), 151, 50  # of collapses: looked at, how finely, and resampled how often
-LEAST_SIZES = 5  # that a fit takes
-POSSIBLE = 0.05, 1.5  # exponents of standard deviations
+LEAST_SIZES, LEAST_CURVES = 5, 3  # that a fit and a collapse take
+POSSIBLE = {True: (0.05, 1.5), False: (-1.0, 1.5)}  # exponents of standard deviations, with a constant and without
+FINELY = 500  # how many of them are tried
 LEAST_GOODNESS = 0.05  # probability of a misfit as large as that of a fit that counts
 
 
@@ -37,64 +38,84 @@ class Exponent:
         return float(np.hypot(self.error, self.systematic))
 
 
-def exponent(samples: dict[int, np.ndarray]) -> Exponent:
-    """Of the deviation of samples, size -> (samples,), from the smallest size on from which such a law fits."""
+def exponent(
+    samples: dict[int, np.ndarray], square: Callable[[np.ndarray], Any] = np.var, offset: bool = True
+) -> Exponent:
+    """Of the deviation of samples, size -> (samples, ...), from the smallest size on from which such a law fits.
+
+    square : of the samples of a size, what grows like A L^(2 value) + B. offset : whether there is a B.
+    """
     rng, sizes = np.random.default_rng(0), np.array(sorted(samples))
-    variance = np.array([samples[L].var() for L in sizes])
-    again = np.array([[rng.choice(samples[L], len(samples[L])).var() for _ in range(RESAMPLES)] for L in sizes])
+    variance = np.array([square(samples[L]) for L in sizes])
+    again = np.array([[square(rng.choice(samples[L], len(samples[L]))) for _ in range(RESAMPLES)] for L in sizes])
     spread, fits = again.std(axis=1, ddof=1), []
-    for first in range(max(1, len(sizes) - LEAST_SIZES + 1)):
-        of = sizes[first:], spread[first:]
-        found, misfit = _grown(*of, variance[first:])
-        several = [_grown(*of, column)[0][2] for column in again[first:].T]
-        goodness = float(chi2.sf(misfit, max(1, len(sizes) - first - len(found))))
-        fits.append((int(sizes[first]), found, float(np.std(several, ddof=1)), goodness))
+    columns = np.concatenate([variance[:, None], again], axis=1)
+    for first in range(max(1, len(sizes) - LEAST_SIZES + 1 + (not offset))):
+        values, misfit = _grown(sizes[first:], spread[first:], offset, columns[first:])
+        goodness = float(chi2.sf(misfit, max(1, len(sizes) - first - 2 - offset)))
+        fits.append((int(sizes[first]), float(values[0]), float(values[1:].std(ddof=1)), goodness))
     chosen = next((number for number, fit in enumerate(fits) if fit[-1] >= LEAST_GOODNESS), len(fits) - 1)
-    smallest, (amplitude, offset, value), error, goodness = fits[chosen]
-    beyond = max(abs(fit[1][2] - value) for fit in fits[chosen : chosen + 3])
-    told = {fit[0]: float(fit[1][2]) for fit in fits}
-    return Exponent(float(value), error, float(beyond), smallest, goodness, float(amplitude), float(offset), told)
+    smallest, value, error, goodness = fits[chosen]
+    rows = _rows(sizes[chosen:], spread[chosen:], offset, np.array([value]))[0]
+    amplitude, constant = np.append(np.linalg.lstsq(rows, (variance / spread)[chosen:], rcond=None)[0], 0.0)[:2]
+    beyond = max(abs(fit[1] - value) for fit in fits[chosen : chosen + 3])
+    told = {fit[0]: fit[1] for fit in fits}
+    return Exponent(value, error, beyond, smallest, goodness, float(amplitude), float(constant), told)
 
 
-def _grown(sizes: np.ndarray, spread: np.ndarray, variance: np.ndarray) -> tuple[np.ndarray, float]:
-    """A, B and the exponent of least squares, and their sum: for each exponent a line in L^(2 value)."""
+def _rows(sizes: np.ndarray, spread: np.ndarray, offset: bool, values: np.ndarray) -> np.ndarray:
+    """(T, sizes, 1 or 2): for each exponent what A and B are worth at each size, in errors."""
+    powers = sizes ** (2 * values[:, None])
+    return np.stack([powers, np.ones_like(powers)][: 1 + offset], axis=2) / spread[:, None]
 
-    def line(value: float) -> tuple[np.ndarray, float]:
-        rows = np.stack([sizes ** (2 * value), np.ones(len(sizes))], axis=1) / spread[:, None]
-        found = np.linalg.lstsq(rows, variance / spread, rcond=None)[0]
-        return found, float(((rows @ found - variance / spread) ** 2).sum())
 
-    best = minimize_scalar(lambda value: line(value)[1], bounds=POSSIBLE, method="bounded").x
-    found, misfit = line(best)
-    return np.append(found, best), misfit
+def _grown(sizes: np.ndarray, spread: np.ndarray, offset: bool, columns: np.ndarray) -> tuple[np.ndarray, float]:
+    """Exponents (R,) of least squares of several courses (sizes, R), and the least sum of the first: for each exponent
+    a line in L^(2 value), between the best of which there is a parabola."""
+    trials = np.linspace(*POSSIBLE[offset], FINELY)
+    target, every = columns / spread[:, None], np.arange(columns.shape[1])
+    basis = np.linalg.qr(_rows(sizes, spread, offset, trials))[0]
+    misfit = (target**2).sum(axis=0) - ((basis.transpose(0, 2, 1) @ target) ** 2).sum(axis=1)
+    at = np.clip(misfit.argmin(axis=0), 1, FINELY - 2)
+    before, here, after = (misfit[at + step, every] for step in (-1, 0, 1))
+    bend = np.maximum(before - 2 * here + after, np.finfo(float).tiny)
+    shift = np.clip((before - after) / (2 * bend), -1, 1)
+    return trials[at] + shift * (trials[1] - trials[0]), float(here[0] - shift[0] ** 2 * bend[0] / 2)
 
 
 @dataclass(frozen=True)
 class Collapse:
-    """value : of the exponent a at which curves against n / L^a lie closest together, with its error from the disorder.
-    misfit : chi^2 a degree of freedom there."""
+    """value : of the exponent a at which curves against n / L^a lie closest together, with its error from the disorder
+    and the systematic one: how much it changes where the smallest sizes are left out. misfit : chi^2 a degree of
+    freedom there. fits : smallest size -> value and misfit."""
 
     value: float
     error: float
+    systematic: float
     misfit: float
+    fits: dict[int, tuple[float, float]]
+
+    @property
+    def total(self) -> float:
+        return float(np.hypot(self.error, self.systematic))
 
 
 def collapse(curves: dict[int, dict[int, np.ndarray]]) -> Collapse:
     """Of the means of samples, L -> n -> (samples,), as functions of log n, taken as straight between its points."""
-    rng = np.random.default_rng(0)
-    trials = np.linspace(*EXPONENTS, TRIALS)
+    rng, sizes = np.random.default_rng(0), sorted(curves)
 
-    def best(means: dict[int, np.ndarray]) -> tuple[float, float]:
-        misfits = [_apart(curves, means, errors, a) for a in trials]
+    def best(drawn: Callable[[np.ndarray], np.ndarray], sizes: Sequence[int] = sizes) -> tuple[float, float]:
+        means = {L: np.array([drawn(v).mean() for v in curves[L].values()]) for L in sizes}
+        misfits = [_apart({L: curves[L] for L in sizes}, means, errors, a) for a in trials]
         return float(trials[np.argmin(misfits)]), min(misfits)
 
+    trials = np.linspace(*EXPONENTS, TRIALS)
     errors = {L: np.array([v.std(ddof=1) / len(v) ** 0.5 for v in of.values()]) for L, of in curves.items()}
-    value, misfit = best({L: np.array([v.mean() for v in of.values()]) for L, of in curves.items()})
-    again = [
-        best({L: np.array([rng.choice(v, len(v)).mean() for v in of.values()]) for L, of in curves.items()})[0]
-        for _ in range(COLLAPSES)
-    ]
-    return Collapse(value, float(np.std(again, ddof=1)), misfit)
+    fits = {sizes[k]: best(np.asarray, sizes[k:]) for k in range(max(1, len(sizes) - LEAST_CURVES + 1))}
+    value, misfit = fits[sizes[0]]
+    again = [best(lambda v: rng.choice(v, len(v)))[0] for _ in range(COLLAPSES)]
+    beyond = max(abs(fit[0] - value) for fit in fits.values())
+    return Collapse(value, float(np.std(again, ddof=1)), beyond, misfit, fits)
 
 
 def _apart(

@@ -1,11 +1,13 @@
-"""How many odd contacts stop a bearing of discs? Square lattices to which contacts across diagonals are added.
+"""How many odd contacts stop a bearing of discs? Square lattices to which contacts across diagonals are added, and
+honeycombs, of which discs in the hexagons make triangular lattices: such with vacancies on one of three sublattices.
 
 Around a loop of an odd number of discs neighbours cannot all turn in opposite ways, so there discs rest, or contacts
 slip. Without such loops, the bottom at rest, half of the discs roll with the top on average. A contact across a
-diagonal inside the part that rolls slips by twice the speed of the others, so it costs about twice a mean friction, and
-the interface moves out of its way. How far depends on the landscape of interfaces: the least powers of those at
-different heights differ by about L^(1/3). If that rules, n odd contacts act alike at equal n / L^(1/3), and in large
-samples a vanishing density stops the bearing. Every sample is solved exactly, by a cut of the double cover.
+diagonal inside the part that rolls slips by twice the speed of the others, so it costs about twice a mean friction, a
+disc in a hexagon six times that, and the interface moves out of their way. How far depends on the landscape of
+interfaces: the least powers of those at different heights differ by about L^(1/3). If that rules, n odd contacts act
+alike at equal n / L^(1/3), and in large samples a vanishing density stops the bearing. Every sample is solved exactly,
+by cuts of the double cover. Contacts across the squares of cubic lattices of spheres are put beside: proven minima.
 """
 
 from functools import partial
@@ -13,10 +15,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 
+from taichi_bearings.numerics.minimum_cut import largest_flow, within_reach
 from taichi_bearings.packing import Packing
-from taichi_bearings.packing.planar import least_power
-from taichi_bearings.packing.system import System
+from taichi_bearings.packing.answer import solve_packing
 
 from ..plots.questions import draw_odd_loops
 from .claims import Effort
@@ -24,67 +27,147 @@ from .fits import collapse
 from .samples import Found, Table, drawn
 
 FRICTION = (0.1, 1.0)  # uniform, the paper's
-BLOCK = 10  # samples that are drawn together
-SIZES, QUICK_SIZES = {16: 1.0, 32: 1.0, 64: 0.5, 128: 0.1}, {8: 1.0, 16: 1.0}  # L -> of the samples
+UNIT_BITS = 40  # of the friction, rounded to whole units for flows
+BLOCK = 5  # samples that are drawn together
+SIZES = {  # L -> of the samples; those that get less than a block are left out
+    "square": {16: 2.0, 32: 2.0, 64: 1.0, 128: 0.3, 256: 0.02},
+    "triangular": {16: 2.0, 32: 2.0, 64: 1.0, 128: 0.3, 256: 0.02},
+    "cubic": {4: 0.2, 6: 0.2, 8: 0.1, 12: 0.02},
+}
+QUICK_SIZES = {"square": {8: 1.0, 16: 1.0}, "triangular": {8: 1.0, 16: 1.0}, "cubic": {4: 0.5, 5: 0.5}}
 NUMBERS, QUICK_NUMBERS = (0, 1, 2, 4, 8, 16, 32, 64), (0, 2, 8, 32)  # of odd contacts
 BOTTOMS = (0.0, 0.25, 0.5, 1.0)  # omega_B / omega_T
-TURNED = 16  # L of the samples in which the bottom turns
-LANDSCAPE, DENSITY = 1 / 3, 2.0  # a of n / L^a, if the fluctuation of interfaces rules, or the density
+TURNED = 16  # L of the squares and triangular lattices in which the bottom turns
+LANDSCAPE = {
+    "square": 1 / 3,
+    "triangular": 1 / 3,
+    "cubic": 0.84,
+}  # a of n / L^a, if the fluctuation of interfaces rules
+DIMENSION = {"square": 2, "triangular": 2, "cubic": 3}  # the same, if the density rules
+SURE = 1e-6  # relative gap of minima of spheres, and spin of those at rest over that of the top
 
 
-def network(size: int, odd: int, bottom: float, seed: int) -> Packing:
-    """A square lattice with `odd` contacts across diagonals at random places; the top turns with 1."""
+def network(lattice: str, size: int, odd: int, bottom: float, seed: int) -> Packing:
+    """A lattice without odd loops, each side L diameters, its top turning with 1; at `odd` random places something
+    closes odd loops: between the four discs or spheres of a square a contact across a diagonal, within six of a
+    honeycomb the disc that a triangular lattice has there."""
     rng = np.random.default_rng([seed, size, odd])
-    disc, bare = np.arange(size**2).reshape(size, size), Packing.lattice("square", (size, size))
-    x, y = np.divmod(rng.choice((size - 1) ** 2, odd, replace=False), size - 1)
-    rising = rng.random(odd) < 0.5
-    low, high = np.where(rising, disc[x, y], disc[x, y + 1]), np.where(rising, disc[x + 1, y + 1], disc[x + 1, y])
-    contact = np.concatenate([bare.contact, np.stack([low, high], axis=1)])
-    step = bare.center[contact[:, 1]] - bare.center[contact[:, 0]]
-    turn = 1.0 - 2.0 * (bare.center.sum(axis=1) % 2)  # neighbours turn in opposite ways
+    if lattice == "triangular":
+        bare = Packing.lattice("honeycomb", (round(size / 3**0.5), round(size / 3)), spin_bottom=bottom)
+        hole, margin, reach = bare.center[::2] + (0.0, 1.0), np.full(2, 0.75), 1.25
+    else:
+        bare = Packing.lattice(lattice, (size,) * DIMENSION[lattice], spin_bottom=bottom)
+        sides = {"square": np.ones((1, 2)), "cubic": 1 - np.eye(3)}[lattice]  # of squares, by their planes
+        hole, reach = (bare.center[:, None] + 0.5 * sides).reshape(-1, DIMENSION[lattice]), 0.75
+        margin = np.array([-0.25] * (DIMENSION[lattice] - 1) + [0.25])  # not between driven spheres alone
+    whole = (hole > bare.center.min(axis=0) + margin) & (hole < bare.center.max(axis=0) - margin)
+    hole = rng.permutation(hole[whole.all(axis=1)])[:odd]
+    around = np.array([sorted(discs) for discs in cKDTree(bare.center).query_ball_point(hole, reach)], dtype=int)
+    if lattice != "triangular":
+        center, rising = bare.center, rng.random((odd, 1)) < 0.5
+        added = np.where(rising, around.reshape(-1, 4)[:, [0, 3]], around.reshape(-1, 4)[:, [1, 2]])
+    else:
+        center = np.concatenate([bare.center, hole])
+        added = np.stack([around.ravel(), np.repeat(np.arange(bare.spheres, len(center)), 6)], axis=1)
+    contact, more = np.concatenate([bare.contact, added]), len(center) - bare.spheres
+    step = center[contact[:, 1]] - center[contact[:, 0]]
     return Packing(
-        center=bare.center, contact=contact, normal=step / np.linalg.norm(step, axis=1)[:, None], driven=bare.driven,
-        spin=turn * np.where(bare.driven == 1, 1.0, bottom), friction=rng.uniform(*FRICTION, len(contact)),
+        center=center, contact=contact, normal=step / np.linalg.norm(step, axis=1)[:, None],
+        driven=np.append(bare.driven, np.full(more, -1)),
+        spin=np.concatenate([bare.spin, np.zeros((more, *bare.spin.shape[1:]))]),
+        friction=rng.uniform(*FRICTION, len(contact)),
     )  # fmt: skip
 
 
-def draw(size: int, odd: int, bottom: float, samples: int, seed: int) -> dict[str, Any]:
-    """Share of the free discs that turn faster than half of the top, and of those that rest, at the exact minimum, and
-    the least power over that of all free discs at rest; an entry a sample."""
+def least_spins(packing: Packing) -> np.ndarray:
+    """Spins (N,) of equal discs at the exact minimum, by cuts of the double cover.
+
+    A disc i is two nodes, u_i and -u_i, and a contact (i, j) joins u_i with -u_j and u_j with -u_i. Cuts between
+    neighbouring driven values nest, and turning all signs maps that of (a, b) to that of (-b, -a), so those that end at
+    a positive value are enough: where u_i and -u_i lie both below the least of them, the disc rests.
+    """
+    count, (first, second) = packing.spheres, packing.contact.T
+    low, high = np.concatenate([first, first + count]), np.concatenate([second + count, second])
+    held = np.where(packing.driven < 0, np.nan, packing.spin)
+    value, units = (
+        np.concatenate([held, -held]),
+        np.round(np.ldexp(np.asarray(packing.friction), UNIT_BITS)).astype(np.int64),
+    )
+    positive = np.unique(np.abs(held[packing.driven >= 0]))
+    below = np.append(-positive[0], positive[:-1])
+    level = np.zeros(2 * count)
+    for upper, lower in zip(positive[positive > 0], below[positive > 0], strict=True):
+        node = np.where(value >= upper, 0, np.where(value <= lower, 2 * count + 1, np.arange(1, 2 * count + 1)))
+        ends = np.sort([node[low], node[high]], axis=0)
+        pair, own = np.unique(ends[0] * (2 * count + 2) + ends[1], return_inverse=True)
+        capacity = np.zeros(len(pair), dtype=np.int64)
+        np.add.at(capacity, own, np.tile(units, 2))
+        ends = np.stack(np.divmod(pair, 2 * count + 2))
+        apart = ends[0] != ends[1]
+        ends, capacity = ends[:, apart], capacity[apart]
+        flow = largest_flow(ends, capacity, int(capacity[ends[0] == 0].sum()))
+        level[within_reach(ends, np.stack([capacity - flow, capacity + flow]), 0)[node]] = upper
+    return level[:count] - level[count:]
+
+
+def draw(lattice: str, size: int, odd: int, bottom: float, samples: int, seed: int) -> dict[str, Any]:
+    """Share of the free discs or spheres that turn faster than half of the top, and of those that rest, at the minimum,
+    and the least power over that of all free ones at rest; an entry a sample."""
     found: dict[str, list[float]] = {"rolling": [], "resting": [], "power_over_rest": []}
     for number in range(seed, seed + samples):
-        packing = network(size, odd, bottom, number)
-        system = System.of(packing)
-        spins = least_power(system)[0]
-        speed = np.abs(system.all_spins(spins)[packing.driven < 0, 0]) / packing.radius[packing.driven < 0]
+        packing = network(lattice, size, odd, bottom, number)
+        spin = solve_packing(packing, SURE).spin if lattice == "cubic" else least_spins(packing)
+        at_rest = spin * (packing.driven >= 0).reshape(-1, *[1] * (spin.ndim - 1))
+        speed = np.linalg.norm(spin.reshape(len(spin), -1), axis=1)[packing.driven < 0]
         found["rolling"].append(float((speed > 0.5).mean()))
-        found["resting"].append(float((speed == 0).mean()))
-        at_rest = np.abs(system.difference(np.zeros_like(spins)))
-        found["power_over_rest"].append(float((system.coefficients[0] * np.abs(system.difference(spins))).sum()
-                                    / (system.coefficients[0] * at_rest).sum()))  # fmt: skip
+        found["resting"].append(float((speed < SURE).mean()))
+        found["power_over_rest"].append(_power(packing, spin) / _power(packing, at_rest))
     return found
 
 
+def _power(packing: Packing, spin: np.ndarray) -> float:
+    """In some unit; spin : (N,) or (N, 3)."""
+    together = spin[packing.contact].sum(axis=1)
+    slip = (
+        np.abs(together) if spin.ndim == 1 else np.linalg.norm(np.cross(together, np.asarray(packing.normal)), axis=1)
+    )
+    return float(np.asarray(packing.friction) @ slip)
+
+
 def study(folder: Path, effort: Effort) -> Found:
-    """Bearings by size, number of odd contacts and spin of the bottom."""
-    sizes, numbers = (QUICK_SIZES, QUICK_NUMBERS) if effort.quick else (SIZES, NUMBERS)
-    turned = max(sizes) if effort.quick else TURNED
-    points = [(size, odd, 0.0) for size in sizes for odd in numbers]
-    points += [(turned, odd, bottom) for bottom in BOTTOMS[1:] for odd in numbers]
-    wanted = {point: max(BLOCK, round(effort.samples * sizes.get(point[0], 1.0))) for point in points}
+    """Bearings by lattice, size, number of odd contacts or discs, and spin of the bottom."""
+    shares, numbers = (QUICK_SIZES, QUICK_NUMBERS) if effort.quick else (SIZES, NUMBERS)
+    sizes = {
+        lattice: [size for size, part in of.items() if part * effort.samples >= BLOCK] for lattice, of in shares.items()
+    }
+    turned, discs = max(sizes["square"]) if effort.quick else TURNED, ("square", "triangular")
+    points = [(lattice, size, odd, 0.0) for lattice in sizes for size in sizes[lattice] for odd in numbers]
+    points += [(lattice, turned, odd, bottom) for lattice in discs for bottom in BOTTOMS[1:] for odd in numbers]
+    wanted = {point: round(effort.samples * shares[point[0]][point[1]]) for point in points}
     found = drawn(draw, wanted, BLOCK, effort.seed, folder / "odd-loops.jsonl")
     rows = []
-    for (size, odd, bottom), of in found.items():
-        row = {"size": size, "odd": odd, "omega_bottom": bottom, "samples": len(of["rolling"])}
+    for (lattice, size, odd, bottom), of in found.items():
+        row = {"lattice": lattice, "size": size, "odd": odd, "omega_bottom": bottom, "samples": len(of["rolling"])}
         for name, values in of.items():
             row |= {name: values.mean(), f"{name}_error": values.std(ddof=1) / len(values) ** 0.5}
         rows.append(row)
-    rolling = {size: {odd: found[size, odd, 0.0]["rolling"] for odd in numbers} for size in sizes}
-    resting = {bottom: found[turned, max(numbers), bottom]["resting"] for bottom in BOTTOMS}
-    ruled = collapse({size: {odd: values for odd, values in of.items() if odd} for size, of in rolling.items()})
+    rolling = {
+        lattice: {size: {odd: found[lattice, size, odd, 0.0]["rolling"] for odd in numbers} for size in sizes[lattice]}
+        for lattice in sizes
+    }
+    resting = {
+        lattice: {bottom: found[lattice, turned, max(numbers), bottom]["resting"] for bottom in BOTTOMS}
+        for lattice in discs
+    }
+    ruled = {
+        lattice: collapse({size: {odd: values for odd, values in of.items() if odd} for size, of in curves.items()})
+        for lattice, curves in rolling.items()
+    }
+    count = {lattice: sum(n for point, n in wanted.items() if point[0] == lattice) for lattice in sizes}
     named = {
-        "rolling": rolling, "rest": resting, "ruled": ruled, "few": min(odd for odd in numbers if odd >= 8),
-        "most_odd": max(numbers), "size": turned, "drawn_samples": sum(wanted.values()),
-        "landscape": LANDSCAPE, "density": DENSITY,
+        "drawn_samples": count,
+        "rolling": {f"{lattice} {size}": of for lattice in discs for size, of in rolling[lattice].items()},
+        "rest": resting, "ruled": ruled, "few": min(odd for odd in numbers if odd >= 8), "most_odd": max(numbers),
+        "size": turned, "landscape": LANDSCAPE, "dimension": DIMENSION,
     }  # fmt: skip
     return Found({".csv": Table.of(rows)}, partial(draw_odd_loops, rolling, ruled, resting), named)

@@ -1,15 +1,18 @@
 """Questions beyond the paper: samples against truths of other codes, fits against laws that are known."""
 
+import itertools
+
 import networkx
 import numpy as np
 import pytest
 from scipy import sparse, stats
 from scipy.optimize import linprog
-from taichi_bearings_studies.paper import exponents, odd_loops, reproduce
+from taichi_bearings_studies.paper import exponents, fits, odd_loops, reproduce, surfaces, sweeps
 from taichi_bearings_studies.paper.claims import Effort
 from taichi_bearings_studies.paper.fits import collapse, exponent, skewness
 
 from taichi_bearings import runtime
+from taichi_bearings.numerics.planar import minimum_cuts
 
 pytestmark = pytest.mark.usefixtures("needs_f64")
 
@@ -48,12 +51,20 @@ def test_weights_of_cuts(kind):
     assert all(1 <= middle <= height - 1 for middle in found["middle"])
 
 
-@pytest.mark.parametrize(("odd", "bottom"), [(0, 0.0), (3, 0.0), (5, 0.5)])
-def test_minima_with_odd_contacts(odd, bottom):
-    size, seed = 6, 7
-    found = odd_loops.draw(size, odd, bottom, 1, seed)
-    packing = odd_loops.network(size, odd, bottom, seed)
-    assert packing.contacts == 2 * size * (size - 1) + odd
+@pytest.mark.parametrize("lattice", ["square", "triangular"])
+@pytest.mark.parametrize(("odd", "bottom"), [(0, 0.0), (3, 0.0), (5, 0.5), (4, 1.0)])
+def test_minima_with_odd_contacts(lattice, odd, bottom):
+    size, seed = 8, 7
+    found = odd_loops.draw(lattice, size, odd, bottom, 1, seed)
+    packing = odd_loops.network(lattice, size, odd, bottom, seed)
+    if lattice == "square":
+        assert packing.contacts == 2 * size * (size - 1) + odd
+    else:
+        assert np.bincount(packing.contact.ravel())[packing.spheres - odd :].tolist() == [6] * odd
+    length = np.linalg.norm(np.diff(packing.center[packing.contact], axis=1)[:, 0], axis=1)
+    assert length == pytest.approx(
+        [1.0] * (packing.contacts - odd * (lattice == "square")) + [2**0.5] * odd * (lattice == "square")
+    )
     free = np.flatnonzero(packing.driven < 0)
     rows = sparse.csr_array(np.eye(packing.spheres)[packing.contact].sum(axis=1))
     acts = (packing.driven[packing.contact] < 0).any(axis=1)
@@ -109,18 +120,77 @@ def test_studies_in_a_small_form(tmp_path, monkeypatch):
     monkeypatch.setattr(exponents, "QUICK_SIZES", (4, 6, 8))
     monkeypatch.setattr(exponents, "QUICK_TALL", (8, 16))
     monkeypatch.setattr(exponents, "QUICK_LONG", 6)
-    monkeypatch.setattr(odd_loops, "QUICK_SIZES", {4: 1.0, 6: 1.0})
+    few = {"square": {6: 3.0, 8: 3.0}, "triangular": {6: 3.0, 8: 3.0}, "cubic": {3: 2.5, 4: 2.5}}
+    monkeypatch.setattr(odd_loops, "QUICK_SIZES", few)
     monkeypatch.setattr(odd_loops, "QUICK_NUMBERS", (0, 2, 8))
+    monkeypatch.setattr(surfaces, "QUICK_SIZES", {4: 1.0, 6: 1.0})
+    monkeypatch.setattr(surfaces, "QUICK_FLAT", {0.1: {4: 1.0, 6: 1.0}, 0.3: {6: 1.0}})
+    monkeypatch.setattr(surfaces, "QUICK_SIDES", {3: 1.0, 4: 1.0})
+    monkeypatch.setattr(surfaces, "QUICK_HEIGHTS", {4: 1.0})
+    monkeypatch.setattr(surfaces, "TALL", 3)
+    for name, few in (("RESAMPLES", 20), ("TRIALS", 16), ("COLLAPSES", 3)):
+        monkeypatch.setattr(fits, name, few)
     monkeypatch.setattr(runtime, "available_threads", lambda: 1)
     effort = Effort(samples=2, quick=True)
     monkeypatch.setattr(runtime, "start", lambda *_: None)  # the tests' own is running
-    claims = [c for name in ("exponents", "odd-loops") for c in reproduce.FIGURES[name].reproduce(tmp_path, effort)]
-    assert len(claims) == 8
+    asked = ("exponents", "surfaces", "odd-loops")
+    claims = [c for name in asked for c in reproduce.FIGURES[name].reproduce(tmp_path, effort)]
+    assert len(claims) == 5 + 7 + 5
     assert {claim.verdict for claim in claims} >= {"too few samples"}
     written = {path.name for path in tmp_path.iterdir()}
-    assert written == {f"{name}.{ending}" for name in ("exponents", "odd-loops") for ending in ("csv", "pdf", "png")}
+    assert written == {f"{name}.{ending}" for name in asked for ending in ("csv", "pdf", "png")}
 
 
 def test_long_cuts_are_among_those_that_are_drawn():
     assert max(exponents.SIZES) >= exponents.LONG
     assert max(exponents.QUICK_SIZES) >= exponents.QUICK_LONG
+
+
+def test_distances_are_those_of_other_codes():
+    rng = np.random.default_rng(4)
+    sideways, upward = (rng.uniform(0.1, 1, shape) ** 6 for shape in ((200, 8, 7), (200, 9, 6)))  # paths turn back
+    paths = sweeps.crossings(sideways, upward, 4)
+    ((_, cuts),) = minimum_cuts(sideways, upward)
+    assert paths.min(axis=1) == pytest.approx(cuts.weight, rel=1e-12)
+    crossed = np.diff(cuts.above[:, 4], axis=1) != 0
+    assert (crossed.sum(axis=1) > 1).any()
+    assert crossed[np.arange(200), paths.argmin(axis=1)].all()
+
+
+def test_surfaces_are_lightest_cuts_of_periodic_lattices(monkeypatch):
+    monkeypatch.setattr(surfaces, "cut_height", lambda _: 3)
+    found = surfaces.cuts(4, 0.1, 2, 6)
+    rng = np.random.default_rng([6, 4, 100])
+    x, y, z = (rng.uniform(0.1, 1.0, (2, 4, 4, height)) for height in (3, 3, 2))
+    sides = np.array(list(itertools.product((False, True), repeat=16))).reshape(-1, 4, 4)  # of the free plane
+    for sample in range(2):
+        weight = np.where(sides, z[sample, ..., 0], z[sample, ..., 1]).sum(axis=(1, 2))
+        for axis, contacts in ((1, x), (2, y)):
+            weight += 0.5**0.5 * ((sides != np.roll(sides, -1, axis)) * contacts[sample, ..., 1]).sum(axis=(1, 2))
+        best = weight.argmin()
+        assert found["weight"][sample] == pytest.approx(weight[best], rel=1e-12)
+        assert found["roughness"][sample] == pytest.approx(sides[best].var(), rel=1e-12)
+
+
+def test_minima_are_between_the_bounds_of_sheets_and_cuts():
+    found = surfaces.minima(3, 4, 3, 2)
+    assert all(gap < 1e-9 for gap in found["gap"])
+    assert all(power <= cut * (1 + 1e-9) for power, cut in zip(found["power"], found["cut"], strict=True))
+    for seed, power in enumerate(found["power"], start=2):
+        rng = np.random.default_rng(seed)
+        x, y, z = (rng.uniform(0.1, 1.0, shape) for shape in ((2, 3, 4), (3, 2, 4), (3, 3, 3)))
+        of_x = sum(lightest_path(y[layer], z[layer]) for layer in range(3)) / 2**0.5
+        of_y = sum(lightest_path(x[:, layer], z[:, layer]) for layer in range(3)) / 2**0.5
+        assert np.hypot(of_x, of_y) * (1 - 1e-9) <= power <= (of_x + of_y) * (1 + 1e-9)
+    assert all(1 <= layers <= 3 for layers in found["layers"])
+
+
+def test_a_power_law_without_a_constant():
+    rng = np.random.default_rng(5)
+    sides = {
+        L: np.stack([L**-0.3 * (x := rng.normal(size=2000)), x + 0.3 * rng.normal(size=2000)], axis=1)
+        for L in (4, 6, 8, 12, 16)
+    }
+    found = exponent(sides, lambda pairs: pairs[:, 0].var() / pairs[:, 1].var(), offset=False)
+    assert abs(found.value + 0.3) < 3 * found.error < 0.1
+    assert found.offset == 0
