@@ -10,7 +10,6 @@ from math import comb
 
 import numpy as np
 from scipy import sparse
-from scipy.optimize import linprog
 from scipy.sparse.csgraph import connected_components
 
 from taichi_bearings.conic.contact_system import ContactSystem
@@ -47,7 +46,8 @@ def tied_contacts(
         return none
     tied = Contraction(system, order, ~moving)
     slipping, difference = slipping[tied.kept], difference[tied.kept]
-    towards = where(slipping, difference, each(_towards, dual[tied.kept]))
+    one_way = each(lambda y: np.where(np.abs(y) > NOISE_SHARE * np.abs(y).max(axis=0), -y, 0.0), dual[tied.kept])
+    towards = where(slipping, difference, one_way)  # contacts at their limit can slip in one way alone
     motions = _turning_no_slip(tied, towards)
     if motions.shape[1] == 0:
         return none
@@ -61,11 +61,6 @@ def tied_contacts(
     found = _tied(slips, rates)
     parts = np.split(found, np.cumsum([len(kept) for kept in tied.kept])[:-1])
     return none.placed(tied.kept, Grouped(parts))
-
-
-def _towards(dual: np.ndarray) -> np.ndarray:
-    """(d, n), the one way in which contacts at their limit can slip."""
-    return np.where(np.abs(dual) > NOISE_SHARE * np.abs(dual).max(axis=0), -dual, 0.0)
 
 
 def _turning_no_slip(tied: Contraction, difference: Arrays) -> np.ndarray:
@@ -122,6 +117,8 @@ def _tied_together(first: np.ndarray, rates: np.ndarray) -> np.ndarray:
     if comb(len(first) + 2 * motions, motions) <= MOST_CORNERS:
         there = first + _corners(first, rates) @ rates.T
         return np.where(slips, (there < REST_SHARE).any(axis=0), (there > LEAST_MOVE).any(axis=0))
+    from scipy.optimize import linprog  # a third of a second that other samples do not need
+
     found, asked, together = np.zeros(len(rates), dtype=bool), np.zeros(len(rates), dtype=bool), True
     for _ in range(MOST_PROGRAMMES):
         left = np.flatnonzero(~found & ~asked)
