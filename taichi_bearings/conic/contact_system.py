@@ -16,7 +16,6 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from taichi_bearings.conic.grouped import Arrays, Grouped
-from taichi_bearings.conic.rows import ContactRows
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.lattice.incidence import number_free
 from taichi_bearings.numerics.double_double import Pair
@@ -215,11 +214,6 @@ class ContactSystem:
                 reached[group.below[:, some]] = reached[group.above[:, some]] = True
             chosen = chosen | (self.at(reached[:-1]) & among)
         return chosen
-
-    def rows(self, spins: np.ndarray, place: np.ndarray, laplacian: sparse.csr_matrix) -> ContactRows:
-        """Memory for Newton steps of several samples side by side; see there for the rest."""
-        components = [len(offset) for offset in self.offset]
-        return ContactRows([g.operator for g in self.groups], components, spins, place, laplacian)
 
     def couplings(self) -> tuple[np.ndarray, np.ndarray]:
         """Pairs of unknowns that some contact couples."""

@@ -330,15 +330,11 @@ class _Slipping:
             at_rest, going = at_rest | resting, going & ~owners.any(resting)
             reach = owners.largest(change.length() / (where(turned, SLIP_STEP, TURNED_SLIP_STEP) * slip))
             along = np.minimum(1.0, 1 / np.maximum(reach, TINY))
-            self._take(along, step, change, going)
+            of_spins, (high, low) = owners.spins, self.spins
+            self.spins = high, np.where(going[of_spins], low + along[of_spins] * step, low)
+            there = self.difference + owners.at_contacts(along) * change
+            self.difference = where(owners.at_contacts(going), there, self.difference)
         return at_rest | (owners.at_contacts(going) & (self.difference.length() < LOST_SLIP))
-
-    def _take(self, along: np.ndarray, step: np.ndarray, change: Arrays, going: np.ndarray) -> None:
-        """Take this part (samples,) of a step of the spins, and of the differences, in samples where it is `going`."""
-        owners, (high, low) = self.tied.owners, self.spins
-        self.spins = high, np.where(going[owners.spins], low + along[owners.spins] * step, low)
-        there = self.difference + owners.at_contacts(along) * change
-        self.difference = where(owners.at_contacts(going), there, self.difference)
 
     @property
     def dual(self) -> Arrays:
