@@ -72,6 +72,16 @@ class ContactGroup:
         )
         return ContactGroup(below, above, np.tile(self.offset, count), self.unknowns * count)
 
+    def with_one_more(self, column: np.ndarray) -> "ObliqueGroup":
+        """The same contacts over one unknown more, the last, of which a unit adds column (d, n) to the differences;
+        nothing is imposed."""
+        ends, one = np.concatenate([self.below, self.above]).T, np.eye(len(column))[:, None]
+        factor = np.where(ends >= 0, np.concatenate([-one, one], axis=2), 0.0)
+        unknown = np.column_stack([ends, np.full(len(ends), self.unknowns)])
+        operator = sparse.csr_array(sparse.hstack([self.operator, sparse.csr_array(column.reshape(-1, 1))]))
+        whole = np.concatenate([factor, column[..., None]], axis=2)
+        return ObliqueGroup(operator, unknown, whole, np.zeros_like(column))
+
     def renamed(self, keep: np.ndarray, number: np.ndarray, unknowns: int, offset: np.ndarray) -> "ContactGroup":
         """The contacts `keep` over other unknowns. number : (unknowns,) the new one of each spin, -1 if it has none.
 
