@@ -25,7 +25,7 @@ from taichi_bearings.conic.contact_system import ContactGroup, ContactSystem
 from taichi_bearings.conic.contraction import Contraction
 from taichi_bearings.conic.grouped import Arrays, Grouped, apart, each, power, together, where
 from taichi_bearings.conic.iterate import Iterate
-from taichi_bearings.conic.last_decades import LastDecades
+from taichi_bearings.conic.last_decades import LEAST_PRODUCT, LastDecades
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.conic.polish import polished
 from taichi_bearings.conic.slipless_forces import (
@@ -185,8 +185,9 @@ def _over_tied(
     """What :func:`_tried` finds where the path goes on with these contacts, (n,) masks a group, tied."""
     none, tied = each(np.zeros_like, sticking), Contraction(lattice.system, lattice.order, sticking)
     rest = path.over(tied)
-    left = None if tied.contradicts.any() else rest.decide(to_the_end=to_the_end, until=STIFF_PRODUCT)
-    if left is not None and rest.product < STIFF_PRODUCT:
+    stiff = STIFF_PRODUCT if sticking.any() else LEAST_PRODUCT
+    left = None if tied.contradicts.any() else rest.decide(to_the_end=to_the_end, until=stiff)
+    if left is not None and LEAST_PRODUCT < rest.product < stiff:
         if rest.sticking.any():
             further = path.further(tied, rest)
             tied = Contraction(lattice.system, lattice.order, sticking | none.placed(tied.kept, rest.sticking))
