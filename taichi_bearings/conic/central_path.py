@@ -176,16 +176,13 @@ class Path:
         # spins and forces that balance each other go on together
         self._together = iterate.inertia is not None or iterate.viscosity is not None
         if iterate.viscosity is not None:
-            self._put_viscosity(sample, iterate.viscosity, iterate.difference)
-
-    def _put_viscosity(self, sample: int, viscosity: Arrays, like: Arrays) -> None:
-        rows, stiffness = self._rows, stacked(isotropic(like, viscosity))
-        if self._viscosity is None or self._viscous is None:
-            self._viscosity = np.zeros_like(rows.two(kernels.FORCE))
-            self._viscous = np.zeros((len(stiffness), self.samples))
-        rows.put(kernels.FORCE, sample, viscosity * each(np.ones_like, like))
-        self._viscosity[:, sample] = rows.two(kernels.FORCE)[:, sample]
-        self._viscous[:, sample] = stiffness
+            stiffness = stacked(isotropic(iterate.difference, iterate.viscosity))
+            if self._viscosity is None or self._viscous is None:
+                self._viscosity = np.zeros_like(rows.two(kernels.FORCE))
+                self._viscous = np.zeros((len(stiffness), self.samples))
+            rows.put(kernels.FORCE, sample, iterate.viscosity * each(np.ones_like, iterate.difference))
+            self._viscosity[:, sample] = rows.two(kernels.FORCE)[:, sample]
+            self._viscous[:, sample] = stiffness
 
     @np.errstate(all="ignore")  # at the end, and where there is no sample, numbers that are not finite turn up
     def step(self) -> np.ndarray:
@@ -211,7 +208,11 @@ class Path:
         if rejected.any():  # what is better is in the other slot
             slots = [rows.values[_in(slot, 0) : _in(slot, kernels.STEP_ROWS)] for slot in (0, 1)]
             slots[step.slot][..., rejected] = slots[1 - step.slot][..., rejected]
-        self._take(self._refined(step))
+        step = self._refined(step)
+        along, dual_along = step.within(STEP_SHARE)
+        found = rows.run(kernels.take, (step.slot, step.slot), along, dual_along)
+        self._power, self._excess, self._price = found[kernels.POWER_FOUND], found[kernels.EXCESS], None
+        self._spins_before, self._spins = self._spins, self._spins + along * step.spins
         return taken
 
     def _target(self, step: _Step) -> np.ndarray:
@@ -281,13 +282,6 @@ class Path:
         if self._together:
             found[: kernels.LEAST_FOUND] = found[: kernels.LEAST_FOUND].min(axis=0)
         return _Step(slot, spins, found)
-
-    def _take(self, step: _Step) -> None:
-        """Go there."""
-        along, dual_along = step.within(STEP_SHARE)
-        found = self._rows.run(kernels.take, (step.slot, step.slot), along, dual_along)
-        self._power, self._excess, self._price = found[kernels.POWER_FOUND], found[kernels.EXCESS], None
-        self._spins_before, self._spins = self._spins, self._spins + along * step.spins
 
     def gap(self, sample: int) -> float:
         """:attr:`Iterate.gap` after a step."""

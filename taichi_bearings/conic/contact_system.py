@@ -16,7 +16,6 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from taichi_bearings.conic.grouped import Arrays, Grouped
-from taichi_bearings.conic.rows import ContactRows
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.lattice.incidence import number_free
 from taichi_bearings.numerics.double_double import Pair
@@ -72,6 +71,16 @@ class ContactGroup:
             for end in (self.below, self.above)
         )
         return ContactGroup(below, above, np.tile(self.offset, count), self.unknowns * count)
+
+    def with_one_more(self, column: np.ndarray) -> "ObliqueGroup":
+        """The same contacts over one unknown more, the last, of which a unit adds column (d, n) to the differences;
+        nothing is imposed."""
+        ends, one = np.concatenate([self.below, self.above]).T, np.eye(len(column))[:, None]
+        factor = np.where(ends >= 0, np.concatenate([-one, one], axis=2), 0.0)
+        unknown = np.column_stack([ends, np.full(len(ends), self.unknowns)])
+        operator = sparse.csr_array(sparse.hstack([self.operator, sparse.csr_array(column.reshape(-1, 1))]))
+        whole = np.concatenate([factor, column[..., None]], axis=2)
+        return ObliqueGroup(operator, unknown, whole, np.zeros_like(column))
 
     def renamed(self, keep: np.ndarray, number: np.ndarray, unknowns: int, offset: np.ndarray) -> "ContactGroup":
         """The contacts `keep` over other unknowns. number : (unknowns,) the new one of each spin, -1 if it has none.
@@ -215,11 +224,6 @@ class ContactSystem:
                 reached[group.below[:, some]] = reached[group.above[:, some]] = True
             chosen = chosen | (self.at(reached[:-1]) & among)
         return chosen
-
-    def rows(self, spins: np.ndarray, place: np.ndarray, laplacian: sparse.csr_matrix) -> ContactRows:
-        """Memory for Newton steps of several samples side by side; see there for the rest."""
-        components = [len(offset) for offset in self.offset]
-        return ContactRows([g.operator for g in self.groups], components, spins, place, laplacian)
 
     def couplings(self) -> tuple[np.ndarray, np.ndarray]:
         """Pairs of unknowns that some contact couples."""

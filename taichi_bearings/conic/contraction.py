@@ -30,17 +30,14 @@ class Owners:
     contacts: Arrays
 
     @cached_property
-    def _of_groups(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        return [_begins(own) for own in self.contacts]
-
-    @cached_property
-    def _of_spins(self) -> tuple[np.ndarray, np.ndarray]:
-        return _begins(self.spins)
+    def _begins(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Owners that there are, and the place of the first of each: of contacts, a group each, and of spins."""
+        return [np.unique(own, return_index=True) for own in (*self.contacts, self.spins)]
 
     def largest(self, values: Arrays) -> np.ndarray:
         """Of numbers (n,) or (d, n) a group that are not negative, (samples,); 0 of none."""
         found = np.zeros(self.samples)
-        for (some, begins), numbers in zip(self._of_groups, values, strict=True):
+        for (some, begins), numbers in zip(self._begins[:-1], values, strict=True):
             if len(some):
                 most = np.maximum.reduceat(numbers, begins, axis=-1)
                 found[some] = np.maximum(found[some], most if numbers.ndim == 1 else most.max(axis=0))
@@ -48,7 +45,7 @@ class Owners:
 
     def largest_of_spins(self, values: np.ndarray) -> np.ndarray:
         """The same of one number (unknowns,) a spin."""
-        found, (some, begins) = np.zeros(self.samples), self._of_spins
+        found, (some, begins) = np.zeros(self.samples), self._begins[-1]
         if len(some):
             found[some] = np.maximum.reduceat(values, begins)
         return found
@@ -60,11 +57,6 @@ class Owners:
     def at_contacts(self, values: np.ndarray) -> Arrays:
         """The number, (samples,), of the sample of each contact, (n,) a group."""
         return each(lambda own: values[own], self.contacts)
-
-
-def _begins(owner: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Owners that there are, and the place of the first of each."""
-    return np.unique(owner, return_index=True)
 
 
 def order_by_place(first: np.ndarray, second: np.ndarray, place: np.ndarray) -> np.ndarray:

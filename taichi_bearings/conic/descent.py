@@ -14,12 +14,11 @@ from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.stages import stage
 
 LEAST_GAP = 1e-13  # relative gap at which double precision ends
-# relative gap from which settling is tried, and factor to the next trial in large samples
+# relative gap from which settling is tried, and from which it still is where the path ends; factor to the next trial
 SETTLING_GAP, RETRY_FACTOR = 1e-9, 100
 # in small samples the gap is SETTLING_GAP_FACTOR / spheres^3, at most FIRST_SETTLING_GAP: their slips are larger
 FIRST_SETTLING_GAP, SETTLING_GAP_FACTOR = 1e-8, 0.55
 DISTANT_GAP = 1e-4  # relative gap that is far from any tolerance of this method
-LAST_SETTLING_GAP = 1e-9  # relative gap up to which it is tried if the path cannot be followed to the end
 
 
 @dataclass
@@ -95,7 +94,7 @@ class Descent:
         gap = self._gap(sample, path, place) if taken else np.nan
         sample.steps, accepted = sample.steps + 1, bool(np.isfinite(gap))
         sample.gap, sample.done = gap if accepted else sample.gap, not accepted or not gap > LEAST_GAP
-        sample.at_end = sample.gap < max(self._near(sample), LAST_SETTLING_GAP if self.settles and sample.done else 0.0)
+        sample.at_end = sample.gap < max(self._near(sample), SETTLING_GAP if self.settles and sample.done else 0.0)
         if sample.done or sample.at_end:
             sample.iterate = path.iterate(place) if accepted else path.before(place)
         if sample.at_end:
@@ -118,7 +117,7 @@ class Descent:
         if self.settles and self.asked:
             if not gap < self._near(sample):
                 return gap + price
-            if gap > LEAST_GAP and price < LAST_SETTLING_GAP:
+            if gap > LEAST_GAP and price < SETTLING_GAP:
                 return gap
         try:
             balanced = balance(path.iterate(place), self.shared.matrix)

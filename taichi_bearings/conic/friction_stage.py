@@ -188,17 +188,14 @@ class FrictionStage:
         direction = near = self._precondition(left)
         size = float(left @ near)
         while float(left @ left) > enough:
-            image = self._resisted(direction)
+            image = resisted(self._stiffness, self.system.change(direction))
+            image = self._inertia * direction + self.system.torques(image)
             length = size / float(direction @ image)
             solution, left = solution + length * direction, left - length * image
             near = self._precondition(left)
             size, before = float(left @ near), size
             direction = near + size / before * direction
         return solution
-
-    def _resisted(self, spins: np.ndarray) -> np.ndarray:
-        """Derivative of the torques times a change of the spins."""
-        return self._inertia * spins + self.system.torques(resisted(self._stiffness, self.system.change(spins)))
 
     def _step_length(
         self,

@@ -57,8 +57,9 @@ class Iterate:
         """These contacts, (n,) masks a group, leave their cones, others come back into them."""
         bound, dual = self.bound, self.dual
         if self.smooth is not None:
-            back, central = self.smooth & ~slips, _central(self.friction, self.difference, self.complementarity)
-            bound, dual = where(back, central[0], bound), where(back, central[1], dual)
+            back, product = self.smooth & ~slips, self.complementarity / self.friction  # along the slip
+            central = (product + each(np.hypot, product, 2 * self.difference.length())) / 2
+            bound, dual = where(back, central, bound), where(back, -self.friction * self.difference / central, dual)
         return replace(self, bound=bound, dual=dual, smooth=slips).obeying()
 
     def obeying(self) -> "Iterate":
@@ -142,9 +143,3 @@ class Iterate:
     def gap(self) -> float:
         """(cost - lower bound) / cost for balanced forces."""
         return self.excess / max(self.cost, TINY)
-
-
-def _central(friction: Arrays, difference: Arrays, product: float) -> tuple[Arrays, Arrays]:
-    """Bound (n,) and dual (d, n) along the slip whose product is as given."""
-    bound = (product / friction + each(np.hypot, product / friction, 2 * difference.length())) / 2
-    return bound, -friction * difference / bound

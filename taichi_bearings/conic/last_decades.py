@@ -123,7 +123,9 @@ class LastDecades:
                 self._ratios, self._product = each(np.zeros_like, before), np.inf
                 if not self.ended or late is None:
                     return (ratios > 1) | (ratios > before)
-                self.critical = self._vanishing(late)
+                fall = abs(np.log(product / late[1]))  # of the product, with which steady ratios have not changed
+                steady = each(np.abs, each(np.log, ratios / late[0])) < DECIDED_EXPONENT * fall
+                self.critical = ~self._smooth & steady & (self.point.margin < LEAST_MARGIN_AT_LIMIT)
                 return (ratios > 1) & ~self.critical
             if late is None and product < VANISHING_PRODUCT:
                 late = ratios, product
@@ -138,9 +140,3 @@ class LastDecades:
     def _smooth(self) -> Arrays:
         none = each(np.zeros_like, self.point.friction, bool)
         return none if self.point.smooth is None else self.point.smooth
-
-    def _vanishing(self, late: tuple[Arrays, float]) -> Arrays:
-        """Masks (n,) a group, contacts whose ratio of slip and margin has not changed with the product since then."""
-        ratios, fall = self.point.slip_over_margin, abs(np.log(self.point.complementarity / late[1]))
-        steady = each(np.abs, each(np.log, ratios / late[0])) < DECIDED_EXPONENT * fall
-        return ~self._smooth & steady & (self.point.margin < LEAST_MARGIN_AT_LIMIT)

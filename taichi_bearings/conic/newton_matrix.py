@@ -105,10 +105,10 @@ class NewtonMatrix:
     def rows(self, samples: int = 1) -> ContactRows:
         """Memory for Newton steps of a single sample or of LANES; right-hand sides and solutions go to its spins."""
         if samples not in self._kept:
-            cholesky = self._choleskys[0]
-            self._kept[samples] = self._system.rows(
-                cholesky.factor(samples).solution, cholesky.pattern.place, self._map
-            )
+            cholesky, groups = self._choleskys[0], self._system.groups
+            operators, components = [group.operator for group in groups], [len(group.offset) for group in groups]
+            solution, place = cholesky.factor(samples).solution, cholesky.pattern.place
+            self._kept[samples] = ContactRows(operators, components, solution, place, self._map)
         return self._kept[samples]
 
     def factorise_rows(

@@ -95,8 +95,11 @@ class ProximalSteps:
             coefficient, inertia = self._coefficient[replica], Inertia(self._slowness[replica] / duration, before)
             if scene.law.holds:
                 answer = self._rubbed(coefficient, self._viscosity[replica], inertia)
-            else:
-                answer = self._damped(coefficient, inertia)
+            else:  # damping alone
+                spins = flowing(self._system, coefficient, self._matrix, before, inertia)
+                difference = self._system.differences(spins)
+                slip = difference.length()
+                answer = _Answer(spins, -coefficient * difference, slip, slip > 0, 1)
             self._put_spins(after, replica, answer.spins)
             self._system.scatter_vectors(-answer.dual * self._force_unit[replica], force, replica)
             slipping[replica] = int(answer.slips.sum())
@@ -143,13 +146,6 @@ class ProximalSteps:
         solved = _excess(best, ACCEPTED_EXCESS, ACCEPTED_GAP) <= 1.0
         slip, margin = best.difference.length(), 1 - best.dual.length() / friction
         return _Answer(best.spins, best.whole_dual, slip, slip > margin, steps, solved)
-
-    def _damped(self, damping: Arrays, inertia: Inertia) -> _Answer:
-        """A step with damping alone."""
-        spins = flowing(self._system, damping, self._matrix, inertia.origin, inertia)
-        difference = self._system.differences(spins)
-        slip = difference.length()
-        return _Answer(spins, -damping * difference, slip, slip > 0, 1)
 
 
 def _excess(iterate: Iterate, sharp: float = SOLVED_EXCESS, closest: float = LEAST_EXCESS) -> float:

@@ -10,8 +10,7 @@ margins of 1e-9 can, and double precision ends before. Here
    twice the precision (polish.py);
 3. the tied contacts have to bear what the slipping ones leave to them (slipless_forces.py). If they can, the contact
    states are those of a minimum; whether that is proven is for the verifier to say;
-4. if they cannot, the path goes on once more. Where it ends, all slipless contacts are asked at once. Contacts at the
-   limit of their friction that need not slip are settled, though not proven.
+4. if they cannot, what moves instead is tied no more, and at last nothing is, as the path goes on once more.
 """
 
 from collections.abc import Sequence
@@ -26,13 +25,12 @@ from taichi_bearings.conic.contact_system import ContactGroup, ContactSystem
 from taichi_bearings.conic.contraction import Contraction
 from taichi_bearings.conic.grouped import Arrays, Grouped, apart, each, power, together, where
 from taichi_bearings.conic.iterate import Iterate
-from taichi_bearings.conic.last_decades import LastDecades
+from taichi_bearings.conic.last_decades import LEAST_PRODUCT, LastDecades
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.conic.polish import polished
 from taichi_bearings.conic.slipless_forces import (
     ROUNDED_AT_LIMIT,
     Borne,
-    bear,
     borne_nearby,
     nearly_borne,
     roughly_borne,
@@ -58,7 +56,6 @@ NEWTON_TRIALS = 2  # of Newton's method, with contacts tied that come to rest
 TURNED_SLIP_STEP, SLIP_STEP = 0.5, 0.95
 RESTING_SHARE = 1e-2  # share of its first slip below which a contact comes to rest if the next step would turn it round
 LOST_SLIP = 1e-25  # slip that double precision cannot follow
-SETTLED_SLIP = 1e-15  # slip of a motion from which on the contact states count as settled, though not as proven
 # smallest slip that needs no second look, known in twice the precision, and in one
 LEAST_SLIP_IN_PAIRS, LEAST_SLIP_IN_DOUBLES = 1e-22, 1e-9
 LEAST_STIFFNESS = 1e-14  # stiffness along a slip, of that across it, that keeps matrices regular
@@ -137,26 +134,20 @@ def resolve(
             quickly = found[number]
             if quickly is None or not quickly.sure:
                 with suppress(NotPositiveDefinite):
-                    found[number] = _followed(iterate, before[number], lattice, small) or quickly
+                    found[number] = _followed(iterate, before[number], lattice) or quickly
         lattice.matrix.forget()
         pairs = zip(iterates, found, strict=True)
-        least = [settled if settled is not None and _is_least(iterate, settled) else None for iterate, settled in pairs]
-        return [
-            settled and _with_ties(iterate, settled, lattice) for iterate, settled in zip(iterates, least, strict=True)
-        ]
+        return [settled and _least(iterate, settled, lattice) for iterate, settled in pairs]
 
 
-def _with_ties(iterate: Iterate, settled: Resolved, lattice: Surroundings) -> Resolved:
-    """The same, with what is known of other minima."""
+def _least(iterate: Iterate, settled: Resolved, lattice: Surroundings) -> Resolved | None:
+    """The same, with what is known of other minima; None if the power is not that of the path."""
+    if not -POWER_ABOVE < power(iterate.friction, settled.difference) / iterate.power - 1 < POWER_BELOW:
+        return None
     if not settled.sure:
         return settled
     of_minimum = settled.difference, settled.dual, settled.slipping, settled.critical
     return replace(settled, tied=tied_contacts(lattice.system, lattice.order, iterate.friction, *of_minimum))
-
-
-def _is_least(iterate: Iterate, settled: Resolved) -> bool:
-    """Is the power that of the path?"""
-    return -POWER_ABOVE < power(iterate.friction, settled.difference) / iterate.power - 1 < POWER_BELOW
 
 
 def _sticking(iterate: Iterate, before: Iterate) -> Arrays:
@@ -166,67 +157,56 @@ def _sticking(iterate: Iterate, before: Iterate) -> Arrays:
     return apart & (slip < STICKING_TREND * slip_before) & (iterate.margin > STICKING_TREND * before.margin)
 
 
-def _followed(iterate: Iterate, before: Iterate | None, lattice: Surroundings, small: bool) -> Resolved | None:
-    """The same by the last decades of the path: on and on, until tied contacts bear what the slipping ones leave."""
-    path, found = LastDecades.after(iterate, before, lattice.matrix), None
-    with suppress(NotPositiveDefinite):
-        settled = _followed_briefly(iterate, path, lattice)
-        if settled is not None and settled.sure:
-            return settled
-    for to_the_end in (False, True):
-        slipping = path.decide(to_the_end=to_the_end)
-        if slipping is None:
-            return None
-        found, settled, _ = _tried(iterate, path.spins, slipping, path.critical, path.point.dual, lattice)
-        if settled is not None and (settled.sure or path.ended):
-            return settled
-    if found is None:
-        return None
-    memory = lattice.matrix.memory
-    borne = bear(iterate.system, lattice.order, iterate.friction, found.dual, found.slipping, memory=memory)
-    if borne.dual is not None:
-        return replace(found, dual=borne.dual, borne=True)
-    if borne.motion is None or gains(iterate, found, borne.motion):
-        return None
-    return replace(found, dual=iterate.dual)
-
-
-def _followed_briefly(iterate: Iterate, path: LastDecades, lattice: Surroundings) -> Resolved | None:
-    """The same with contacts tied that surely stick as soon as few others are in doubt. Where they cannot bear what is
-    left to them, what moves is freed once more with its surroundings. None if that does not help."""
+def _followed(iterate: Iterate, before: Iterate | None, lattice: Surroundings) -> Resolved | None:
+    """The same by the last decades of the path, with contacts tied that surely stick as soon as few others are in
+    doubt. Where they cannot bear what is left to them, what moves is freed with its surroundings; at last nothing is
+    tied."""
+    path, settled = LastDecades.after(iterate, before, lattice.matrix), None
     if path.decide(int(min(max(DOUBTFUL_SHARE * iterate.in_cones, LEAST_DOUBTFUL), MOST_DOUBTFUL))) is None:
         return None
-    sticking, none, settled = path.sticking, each(np.zeros_like, path.sticking), None
-    for trial in range(PROOF_TRIALS):
-        tied = Contraction(lattice.system, lattice.order, sticking)
-        rest = path.over(tied)
-        left = None if tied.contradicts.any() else rest.decide(to_the_end=trial > 0, until=STIFF_PRODUCT)
-        if left is not None and rest.product < STIFF_PRODUCT:
-            if rest.sticking.any():
-                further = path.further(tied, rest)
-                tied = Contraction(lattice.system, lattice.order, sticking | none.placed(tied.kept, rest.sticking))
-                rest = further.over(tied)
-            left = None if tied.contradicts.any() else rest.decide(to_the_end=trial > 0)
-        if left is None:
-            return None
-        slipping, critical = none.placed(tied.kept, left), none.placed(tied.kept, rest.critical)
-        dual, at_limit = path.point.dual.placed(tied.kept, rest.point.dual), slipping | critical
-        motion = roughly_borne(lattice.system, lattice.order, iterate.friction, dual, at_limit).motion
-        if motion is None:
-            spins = tied.expanded(rest.spins)
-            _, settled, motion = _tried(iterate, spins, slipping, critical, dual, lattice)
-            if motion is None and (settled is None or settled.sure):
-                return settled
-        if motion is not None:
+    sticking = path.sticking
+    for trial in range(PROOF_TRIALS + 1):
+        settled, motion = None, None
+        with suppress(NotPositiveDefinite):
+            settled, motion = _over_tied(iterate, path, sticking, lattice, trial > 0 and sticking.any())
+        if (settled is not None and settled.sure) or (trial > 0 and not sticking.any()):
+            break
+        if motion is not None and trial < PROOF_TRIALS - 1:
             moved = iterate.system.change(motion).length()
             sticking = sticking & ~iterate.system.around(moved > MOVING_SHARE * moved.max(), FREED_DISTANCE, sticking)
+        elif settled is None or trial == PROOF_TRIALS - 1:
+            sticking = each(np.zeros_like, sticking)
     return settled
+
+
+def _over_tied(
+    iterate: Iterate, path: LastDecades, sticking: Arrays, lattice: Surroundings, to_the_end: bool
+) -> tuple[Resolved | None, np.ndarray | None]:
+    """What :func:`_tried` finds where the path goes on with these contacts, (n,) masks a group, tied."""
+    none, tied = each(np.zeros_like, sticking), Contraction(lattice.system, lattice.order, sticking)
+    rest = path.over(tied)
+    stiff = STIFF_PRODUCT if sticking.any() else LEAST_PRODUCT
+    left = None if tied.contradicts.any() else rest.decide(to_the_end=to_the_end, until=stiff)
+    if left is not None and LEAST_PRODUCT < rest.product < stiff:
+        if rest.sticking.any():
+            further = path.further(tied, rest)
+            tied = Contraction(lattice.system, lattice.order, sticking | none.placed(tied.kept, rest.sticking))
+            rest = further.over(tied)
+        left = None if tied.contradicts.any() else rest.decide(to_the_end=to_the_end)
+    if left is None:
+        return None, None
+    slipping, critical = none.placed(tied.kept, left), none.placed(tied.kept, rest.critical)
+    dual, at_limit = path.point.dual.placed(tied.kept, rest.point.dual), slipping | critical
+    motion = roughly_borne(lattice.system, lattice.order, iterate.friction, dual, at_limit).motion
+    if motion is not None:
+        return None, motion
+    return _tried(iterate, tied.expanded(rest.spins), slipping, critical, dual, lattice)
 
 
 def _tried(
     iterate: Iterate, spins: Pair, slipping: Arrays, critical: Arrays, near: Arrays, lattice: Surroundings
-) -> tuple[Resolved | None, Resolved | None, np.ndarray | None]:
-    """The minimum if these contacts slip, and what :func:`_borne` makes of it.
+) -> tuple[Resolved | None, np.ndarray | None]:
+    """The minimum if these contacts slip, with the forces that :func:`_borne` finds; or the motion that it does.
 
     critical : contacts that come to their limit and do not seem to slip. Those that would have to bear more do slip;
     tied ones without room are critical, too.
@@ -249,15 +229,7 @@ def _tried(
         if not (beyond.any() or full.any()):
             break
         slipping, critical = found.slipping | beyond, (found.critical & ~beyond) | full
-    return found, settled, motion
-
-
-def gains(iterate: Iterate, found: Resolved, motion: np.ndarray) -> bool:
-    """Does the power still fall where the motion, (unknowns,), has led to slips of SETTLED_SLIP?"""
-    change = iterate.system.change(motion)
-    change = change * (SETTLED_SLIP / max(change.length().max(), TINY))
-    there = found.difference + change
-    return (iterate.friction * each(inner, there, change) / each(np.maximum, there.length(), TINY)).sum() < 0
+    return settled, motion
 
 
 def _borne(
@@ -359,15 +331,11 @@ class _Slipping:
             at_rest, going = at_rest | resting, going & ~owners.any(resting)
             reach = owners.largest(change.length() / (where(turned, SLIP_STEP, TURNED_SLIP_STEP) * slip))
             along = np.minimum(1.0, 1 / np.maximum(reach, TINY))
-            self._take(along, step, change, going)
+            of_spins, (high, low) = owners.spins, self.spins
+            self.spins = high, np.where(going[of_spins], low + along[of_spins] * step, low)
+            there = self.difference + owners.at_contacts(along) * change
+            self.difference = where(owners.at_contacts(going), there, self.difference)
         return at_rest | (owners.at_contacts(going) & (self.difference.length() < LOST_SLIP))
-
-    def _take(self, along: np.ndarray, step: np.ndarray, change: Arrays, going: np.ndarray) -> None:
-        """Take this part (samples,) of a step of the spins, and of the differences, in samples where it is `going`."""
-        owners, (high, low) = self.tied.owners, self.spins
-        self.spins = high, np.where(going[owners.spins], low + along[owners.spins] * step, low)
-        there = self.difference + owners.at_contacts(along) * change
-        self.difference = where(owners.at_contacts(going), there, self.difference)
 
     @property
     def dual(self) -> Arrays:

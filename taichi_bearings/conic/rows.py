@@ -92,11 +92,7 @@ class ContactRows:
             arrays = self._flat, self._flat.reshape(-1, kernels.BLOCK), turns, self._numbers.ravel()
             self._starts[key] = prepared(kernel, *arrays, self._length, self._first_two, blocks, *slots)
         self._starts[key]()
-        return self._over_contacts()
-
-    def _over_contacts(self) -> np.ndarray:
-        """Added up in the same order however many samples there are."""
-        by_sample = self._found.transpose(0, 2, 1).copy()
+        by_sample = self._found.transpose(0, 2, 1).copy()  # added up in one order however many samples there are
         return np.concatenate(
             [by_sample[: kernels.LEAST_FOUND].min(axis=2), by_sample[kernels.LEAST_FOUND :].sum(axis=2)]
         )

@@ -71,7 +71,9 @@ def bear(
     where a domain as a whole is not. memory : for its matrix.
     """
     number, kept = _held(system, slipping), each(np.flatnonzero, ~slipping)
-    slipless = _slipless(system, kept, number)
+    unknowns, pairs = int((number >= 0).sum()), zip(system.groups, kept, strict=True)
+    groups = (g.renamed(keep, number, unknowns, np.zeros_like(g.offset[:, keep])) for g, keep in pairs)
+    slipless = ContactSystem(unknowns, tuple(groups))
     matrix = NewtonMatrix(slipless, _free(number[order]), memory)
     at_rest = np.zeros(slipless.unknowns)
     load = -system.torques(where(slipping, dual, 0.0))[number >= 0]
@@ -120,7 +122,9 @@ def nearly_borne(
     still = np.stack(heads, axis=1).astype(float)  # a spring for each domain, that nothing stretches
     regular = matrix.factorise_each(isotropic(side, springs), inertia=still)
     for _ in range(FORCE_REFINEMENTS if at_limit is None else LIMITED_REFINEMENTS):  # as in NewtonMatrix.balanced
-        side = side if at_limit is None else each(_at_limit, side, at_limit)
+        if at_limit is not None:  # forces as large as that
+            share = each(lambda y, limit: np.where(limit > 0, limit / np.sqrt((y**2).sum(axis=0)), 1.0), side, at_limit)
+            side = side * share
         side = side - springs * system.change(matrix.solve(system.torques(side)))
     whole = one_by_one(side)
     within = _within(friction, whole, critical)
@@ -172,12 +176,6 @@ def _within(friction: Arrays, dual: Arrays, critical: Arrays) -> Arrays:
     return ~critical | (dual.length() < (1 + ROUNDED_AT_LIMIT) * friction)
 
 
-def _at_limit(force: np.ndarray, limit: np.ndarray) -> np.ndarray:
-    """Forces (d, n, S), those with a limit (n, S) above 0 just as large as that."""
-    size = np.sqrt((force**2).sum(axis=0))
-    return force * np.where(limit > 0, limit / size, 1.0)
-
-
 def _free(numbers: np.ndarray) -> np.ndarray:
     return numbers[numbers >= 0]
 
@@ -198,11 +196,3 @@ def _held(system: ContactSystem, slipping: Arrays) -> np.ndarray:
     free = np.ones(system.unknowns, dtype=bool)
     free[representative[~tied]] = False
     return np.where(free, np.cumsum(free) - 1, -1)
-
-
-def _slipless(system: ContactSystem, kept: Arrays, number: np.ndarray) -> ContactSystem:
-    """The contacts `kept`, at rest, over the spins that have a number."""
-    unknowns = int((number >= 0).sum())
-    pairs = zip(system.groups, kept, strict=True)
-    groups = (g.renamed(keep, number, unknowns, np.zeros_like(g.offset[:, keep])) for g, keep in pairs)
-    return ContactSystem(unknowns, tuple(groups))

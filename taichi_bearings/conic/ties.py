@@ -10,7 +10,6 @@ from math import comb
 
 import numpy as np
 from scipy import sparse
-from scipy.optimize import linprog
 from scipy.sparse.csgraph import connected_components
 
 from taichi_bearings.conic.contact_system import ContactSystem
@@ -20,9 +19,8 @@ from taichi_bearings.conic.grouped import Arrays, Grouped, each, where
 MOST_BLOCK_UNKNOWNS = 600  # unknowns of a block that is searched for motions which turn no slip
 NOISE_SHARE = 2e-3  # part of a force at its limit that can be noise, of the other one
 LEAST_TURN = 1e-9  # change of the direction of a unit slip, per unit of motion, that counts as none
-LEAST_MOVE = 1e-7  # least change of a slip, of the largest of its motion, that counts
+LEAST_MOVE = 1e-7  # least change of a slip, of the largest of its motion, that counts; share left of one at rest
 LONGEST_MOTION = 1e6  # most of a motion that is looked at
-REST_SHARE = 1e-7  # share of its slip that is left of one that comes to rest
 MOST_CORNERS = 3000  # of a polyhedron, that are all looked at
 MOST_PROGRAMMES = 200  # linear programmes for one polyhedron, at most
 
@@ -47,7 +45,8 @@ def tied_contacts(
         return none
     tied = Contraction(system, order, ~moving)
     slipping, difference = slipping[tied.kept], difference[tied.kept]
-    towards = where(slipping, difference, each(_towards, dual[tied.kept]))
+    one_way = each(lambda y: np.where(np.abs(y) > NOISE_SHARE * np.abs(y).max(axis=0), -y, 0.0), dual[tied.kept])
+    towards = where(slipping, difference, one_way)  # contacts at their limit can slip in one way alone
     motions = _turning_no_slip(tied, towards)
     if motions.shape[1] == 0:
         return none
@@ -61,11 +60,6 @@ def tied_contacts(
     found = _tied(slips, rates)
     parts = np.split(found, np.cumsum([len(kept) for kept in tied.kept])[:-1])
     return none.placed(tied.kept, Grouped(parts))
-
-
-def _towards(dual: np.ndarray) -> np.ndarray:
-    """(d, n), the one way in which contacts at their limit can slip."""
-    return np.where(np.abs(dual) > NOISE_SHARE * np.abs(dual).max(axis=0), -dual, 0.0)
 
 
 def _turning_no_slip(tied: Contraction, difference: Arrays) -> np.ndarray:
@@ -121,7 +115,9 @@ def _tied_together(first: np.ndarray, rates: np.ndarray) -> np.ndarray:
     slips, motions = first > 0, rates.shape[1]
     if comb(len(first) + 2 * motions, motions) <= MOST_CORNERS:
         there = first + _corners(first, rates) @ rates.T
-        return np.where(slips, (there < REST_SHARE).any(axis=0), (there > LEAST_MOVE).any(axis=0))
+        return np.where(slips, (there < LEAST_MOVE).any(axis=0), (there > LEAST_MOVE).any(axis=0))
+    from scipy.optimize import linprog  # a third of a second that other samples do not need
+
     found, asked, together = np.zeros(len(rates), dtype=bool), np.zeros(len(rates), dtype=bool), True
     for _ in range(MOST_PROGRAMMES):
         left = np.flatnonzero(~found & ~asked)
@@ -131,7 +127,7 @@ def _tied_together(first: np.ndarray, rates: np.ndarray) -> np.ndarray:
         towards = np.where(slips[some], 1.0, -1.0) @ rates[some]
         answer = linprog(towards, A_ub=-rates, b_ub=first, bounds=(-LONGEST_MOTION, LONGEST_MOTION))
         there = first + rates @ answer.x if answer.status == 0 else np.ones(len(first)) - ~slips
-        new = np.where(slips, there < REST_SHARE, there > LEAST_MOVE)
+        new = np.where(slips, there < LEAST_MOVE, there > LEAST_MOVE)
         asked[some] |= not together
         together = together and bool((new & ~found).any())
         found |= new
@@ -146,4 +142,4 @@ def _corners(first: np.ndarray, rates: np.ndarray) -> np.ndarray:
     matrices = bounds[meeting]
     regular = np.abs(np.linalg.det(matrices)) > LEAST_TURN * np.prod(np.linalg.norm(matrices, axis=2), axis=1)
     points = np.linalg.solve(matrices[regular], -offsets[meeting[regular]][..., None])[..., 0]
-    return points[(offsets + points @ bounds.T >= -REST_SHARE / 10).all(axis=1)]
+    return points[(offsets + points @ bounds.T >= -LEAST_MOVE / 10).all(axis=1)]

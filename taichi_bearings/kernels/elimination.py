@@ -29,18 +29,7 @@ FRONTS, PLACES, MAPS, SLOTS, ITEMS, BRANCHES, SHEET, STEP, HEADER = 0, 1, 2, 3, 
 # child and the next child of its parent, or -1, where its part of maps and slots begins, first own unknown, numbers
 # from one column and one column of the update to the next, the row at which columns of the update begin, and where its
 # border begins in vectors
-OWN, BORDER, OWN_COLUMNS, UPDATE, ENTRIES, ENTRIES_END, CHILD, SIBLING, BATCH_SHARE, FIRST_ROW = (
-    0,
-    1,
-    2,
-    3,
-    4,
-    5,
-    6,
-    7,
-    8,
-    9,
-)
+OWN, BORDER, OWN_COLUMNS, UPDATE, ENTRIES, ENTRIES_END, CHILD, SIBLING, BATCH_SHARE, FIRST_ROW = range(10)
 HEIGHT, UPDATE_HEIGHT, SKIP, REST_HEIGHT, WIDTH = 10, 11, 12, 13, 14
 
 

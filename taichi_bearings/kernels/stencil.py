@@ -42,11 +42,6 @@ class Stencil:
         return tuple(axis for axis in range(self.dimension) if self.kept[axis])
 
     @property
-    def sideways_axes(self) -> tuple[int, ...]:
-        """The slipping axes other than the height."""
-        return tuple(axis for axis in self.slipping_axes if axis != self.height)
-
-    @property
     def coupled_sides(self) -> tuple[int, ...]:
         """For each component, the axis beside the height whose contacts couple it; not for one about the height."""
         sides = range(self.height)
@@ -55,10 +50,6 @@ class Stencil:
     @property
     def kept_count(self) -> tuple[int, ...]:
         return tuple(len(slots) for slots in self.kept)
-
-    @property
-    def height_kept(self) -> int:
-        return len(self.kept[self.height])
 
     @property
     def force_components(self) -> int:

@@ -147,7 +147,10 @@ def _cut_planes(sideways: np.ndarray, upward: np.ndarray) -> tuple[np.ndarray, n
         above[part], bound[part], further[part] = cuts.above, cuts.weight, cuts.next_weight - cuts.weight
         for grid in np.flatnonzero(~cuts.unique):
             cut = np.diff(cuts.above[grid], axis=0), np.diff(cuts.above[grid], axis=1)
-            between[part][grid] = _between((cut[0] | cuts.sideways_tied[grid], cut[1] | cuts.upward_tied[grid]))
+            apart = cut[0] | cuts.sideways_tied[grid], cut[1] | cuts.upward_tied[grid]
+            node, ends = _network(Lattice.of(apart))
+            left_over, last = np.tile(~_edges(apart), (2, 1)), node.max()
+            between[part][grid] = ~(within_reach(ends, left_over, 0) | within_reach(ends, left_over, last))[node]
     stack = (replicas, planes, columns, gaps + 1)
     bound, further = (values.reshape(replicas, planes) for values in (bound, further))
     weight = bound.sum(axis=1)
@@ -192,13 +195,6 @@ def _cut_lattice(weight: tuple[np.ndarray, ...]) -> _Cut:
     tie = int(TIED_WEIGHTS * units) + int(cut.sum())
     from_bottom, from_top = within_reach(ends, left_over, 0, tie), within_reach(ends, left_over[::-1], node.max(), tie)
     return _Cut(above[node], ~(from_bottom | from_top)[node], flow, float(unit), units)
-
-
-def _between(apart: tuple[np.ndarray, ...]) -> np.ndarray:
-    """Spheres N that neither the bottom nor the top reaches through other contacts than these; one mask an axis."""
-    node, ends = _network(Lattice.of(apart))
-    left_over = np.tile(~_edges(apart), (2, 1))
-    return ~(within_reach(ends, left_over, 0) | within_reach(ends, left_over, node.max()))[node]
 
 
 def _parted(above: np.ndarray, axis: int, lattice: Lattice) -> np.ndarray:

@@ -212,8 +212,12 @@ def precise_torques(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> 
         for slot in tangential(axis, spin_axes):
             for end, pull in zip(scene.lattice.along(axis), (vectors[slot], -vectors[slot]), strict=True):
                 before, rest = total[slot][end], lost[slot][end]
-                for part in _in_cache(before):
-                    _add(before[part], rest[part], pull[part])
+                for part in _in_cache(before):  # what the addition rounds away goes to the rest
+                    old, more = before[part], pull[part]
+                    new = old + more
+                    added = new - old
+                    rest[part] += (old - (new - added)) + (more - added)
+                    before[part] = new
                 if axis in scene.lattice.periodic:  # these were copies
                     total[slot][end], lost[slot][end] = before, rest
     return total + lost
@@ -230,17 +234,9 @@ def _in_cache(values: np.ndarray) -> list[tuple[slice, slice]]:
     ]
 
 
-def _add(before: np.ndarray, rest: np.ndarray, pull: np.ndarray) -> None:
-    """before += pull, and what that rounds away to `rest`."""
-    after = before + pull
-    added = after - before
-    rest += (before - (after - added)) + (pull - added)
-    before[...] = after
-
-
 def capped(force: Forces, ratio: np.ndarray) -> Forces:
     """Forces with each one longer than its friction disc shortened to it. ratio : their saturation, (R, E)."""
-    return force * np.minimum(1.0, _inverse(ratio))
+    return force * np.minimum(1.0, inverse(ratio))
 
 
 def scaled(scene: Scene, force: Forces) -> Forces:
@@ -264,7 +260,7 @@ def saturation(scene: Scene, force: Forces) -> np.ndarray:
     """|f| / (mu F_n) of every contact, (R, E), rounded up; 0 between driven spheres, infinite for a force at a contact
     that is absent."""
     size = vector_length(force)
-    ratio = size * (1 + 4 * np.finfo(np.float64).eps) * _inverse(scene.strength * scene.acting_coefficient)
+    ratio = size * (1 + 4 * np.finfo(np.float64).eps) * inverse(scene.strength * scene.acting_coefficient)
     return np.where((scene.coefficient == 0) & (size > 0), np.inf, ratio)
 
 
@@ -283,7 +279,7 @@ def balance(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> Forces:
     return _without_driven_contacts(scene, force + contact_differences(potential, lattice, spin_axes))
 
 
-def _inverse(values: np.ndarray) -> np.ndarray:
+def inverse(values: np.ndarray) -> np.ndarray:
     """1 / values, and 0 where values is 0."""
     return np.divide(1.0, values, out=np.zeros_like(values), where=values != 0)
 
@@ -297,6 +293,7 @@ __all__ = [
     "capped",
     "certifying_forces",
     "dual_value",
+    "inverse",
     "largest_unbalanced_torque",
     "lower_bound",
     "precise_torques",

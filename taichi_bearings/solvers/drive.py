@@ -10,7 +10,7 @@ import numpy as np
 
 from taichi_bearings import runtime
 from taichi_bearings.errors import DeviceError, FileError, InputError
-from taichi_bearings.fields import Fields, FieldSpec, make_layout
+from taichi_bearings.fields import Fields, make_layout
 from taichi_bearings.interrupts import GivenUp, Interrupt, while_wanted
 from taichi_bearings.proof.certificate import Forces, relative_gap
 from taichi_bearings.scene import Progress, Scene, Solution, Status
@@ -91,7 +91,9 @@ def solve(
     spec = method.plan(scene, spin)
     with Interrupt() as interrupt:
         with stage("compiling" if method.options.needs_taichi else "preparing"), interrupt.at_once():
-            method.begin(scene, spin, _fields(scene, method, spec) if spec else None)
+            lattice = scene.lattice
+            fields = Fields(make_layout(scene.replicas, lattice.shape, lattice.periodic), spec) if spec else None
+            method.begin(scene, spin, fields)
         if interrupt.heard:  # nothing is reached yet
             raise KeyboardInterrupt
         compiled = time.perf_counter()
@@ -110,11 +112,6 @@ def uninterrupted(solution: Solution) -> Solution:
     if solution.interrupted:
         raise KeyboardInterrupt
     return solution
-
-
-def _fields(scene: Scene, method: Method, spec: FieldSpec) -> Fields:
-    """The fields of a method."""
-    return Fields(make_layout(scene.replicas, scene.lattice.shape, scene.lattice.periodic), spec)
 
 
 def _refuse_unlike(stored: Mapping[str, np.ndarray], fresh: Mapping[str, np.ndarray]) -> None:

@@ -211,6 +211,9 @@ class SpringDynamics(Dynamics[OptionsOfSprings]):
         scene, stiffness = self.scene, self.options.stiffness
         staggered, force, stretch = self.motion()
         springs = self.with_viscosity(stiffness * stretch, staggered) if scene.law.holds else force
+        # of the distance that the driven planes have slid past each other, what the longest spring takes up
+        slid = scene.lattice.radius * scene.jump * self.time if scene.law.holds else 0.0
+        elastic_share = {"elastic_share": vector_length(stretch).max(axis=1) / slid} if slid > 0 else {}
         saturation = Saturation.of(scene, force, scene.slips(staggered, self.spin_axes), self.same_force)
         found = self.judged(
             staggered,
@@ -222,7 +225,7 @@ class SpringDynamics(Dynamics[OptionsOfSprings]):
             energy=self.books(staggered, force, stiffness / 2 * replica_sum(stretch**2)),
             slipping=saturation.slipping,
             halted=self.halted,
-            findings=self.findings() | self._elastic_share(stretch),
+            findings=self.findings() | elastic_share,
         )
         self.rest.look(found, self.time, scene.lattice.radius, self.options.rest_tolerance, self.is_believed(found))
         return replace(found, at_rest=self.rest.at_rest)
@@ -237,10 +240,3 @@ class SpringDynamics(Dynamics[OptionsOfSprings]):
     def is_believed(self, found: Progress) -> bool:
         """Rest is believed only if the certificate agrees."""
         return bool((relative_gap(self.scene, found.objective, found.lower_bound) <= REST_GAP).all())
-
-    def _elastic_share(self, stretch: np.ndarray) -> dict[str, np.ndarray]:
-        """Share of the distance that the driven planes have slid past each other which the longest spring takes up;
-        none before they have slid, or without springs. Rigid contacts would take up nothing."""
-        slid = self.scene.lattice.radius * self.scene.jump * self.time
-        has_slid = slid > 0 and self.scene.law.holds
-        return {"elastic_share": vector_length(stretch).max(axis=1) / slid} if has_slid else {}

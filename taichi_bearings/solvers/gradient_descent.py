@@ -128,7 +128,9 @@ class GradientDescentMethod(OnLattice):
         """At least `steps` sweeps: an odd number is rounded up, since sweeps come in pairs."""
         pairs = -(-steps // 2)
         averaging = self.averages and self.iteration >= self.epoch_start + self.epoch_length // 2
-        step, sharpness = self._step_and_sharpness()
+        step, sharpness = 0.5, 0.0
+        if self.scene.law.holds:
+            step, sharpness = self.width / 2 if self.momentum else self.step_length, 1.0 / self.width
         numbers = (step, sharpness, *self.box, float(averaging))
         self.sweeps.run(self.fields, self.team, pairs, numbers, first=self.age // 2)
         self.iteration += 2 * pairs
@@ -136,11 +138,6 @@ class GradientDescentMethod(OnLattice):
             self.age += 2 * pairs
         if averaging:
             self.averaged += 2 * pairs
-
-    def _step_and_sharpness(self) -> tuple[float, float]:
-        if not self.scene.law.holds:
-            return 0.5, 0.0
-        return (self.width / 2 if self.momentum else self.step_length), 1.0 / self.width
 
     def progress(self) -> Progress:
         scene = self.scene
@@ -150,8 +147,9 @@ class GradientDescentMethod(OnLattice):
         else:
             staggered = scene.impose_driving(self.fields.read("spin" if self.momentum else "point"), self.spin_axes)
             force = self._force_at(staggered)
-        resolution, iteration = self._resolution(), self.iteration
-        found = self.judged(staggered, force, iteration=iteration, resolution=resolution)
+        creep = RESOLVED_WIDTHS * (self.width if self.momentum else self.step_length) if scene.law.holds else 0.0
+        resolution = scene.lattice.radius * min(creep, LARGE_SLIP * scene.jump)  # no slip is told from rest below it
+        found = self.judged(staggered, force, iteration=self.iteration, resolution=resolution)
         if self.momentum:
             self._steer(staggered, found.objective, found.lower_bound)
         elif self.averages and self.iteration >= self.epoch_start + self.epoch_length:
@@ -176,9 +174,11 @@ class GradientDescentMethod(OnLattice):
 
     def _steer(self, staggered: np.ndarray, objective: np.ndarray, bound: np.ndarray) -> None:
         """Restart the momentum where it overshot; halve the width where it causes half the gap or more."""
-        shorten, smooth = False, objective
-        if self.scene.law.holds:
-            smooth = objective - self._regularisation_error(staggered)
+        shorten, smooth, scene = False, objective, self.scene
+        if scene.law.holds:  # the smooth objective is less by at most width / 2 a contact and unit of force
+            size = np.minimum(vector_length(self.differences(staggered)), self.width)
+            error = scene.lattice.radius * (size - size**2 / (2 * self.width))
+            smooth = objective - (scene.strength * scene.acting_coefficient * error).sum(axis=1)
             shorten = self.width > self.least_width and bool((objective - smooth >= 0.5 * (objective - bound)).all())
         if shorten:
             self.width = max(self.width / 2, self.least_width)
@@ -188,18 +188,3 @@ class GradientDescentMethod(OnLattice):
         if shorten or (smooth > self.last_smooth).any():
             self.age = 0
         self.last_smooth = smooth
-
-    def _regularisation_error(self, staggered: np.ndarray) -> np.ndarray:
-        """(R,) objective less the smooth one that the sweeps descend: at most width / 2 a contact and unit of force."""
-        scene = self.scene
-        size = vector_length(self.differences(staggered))
-        size = np.minimum(size, self.width)
-        error = scene.lattice.radius * (size - size**2 / (2 * self.width))
-        return (scene.strength * scene.acting_coefficient * error).sum(axis=1)
-
-    def _resolution(self) -> float:
-        """Slip speed below which this stage cannot tell slip from rest."""
-        if not self.scene.law.holds:
-            return 0.0
-        width = RESOLVED_WIDTHS * (self.width if self.momentum else self.step_length)
-        return self.scene.lattice.radius * min(width, LARGE_SLIP * self.scene.jump)

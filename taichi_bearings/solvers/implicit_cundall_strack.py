@@ -97,7 +97,13 @@ class ImplicitCundallStrackMethod(SpringDynamics[ImplicitCundallStrack]):
         return NewtonMatrix(self.system, dissect(self.scene.lattice, self.spin_axes))
 
     def _conserved(self) -> np.ndarray:
-        return _conserved_modes(self.scene, self.spin_axes)
+        """(layers, spheres) unknowns of the component about the height of a cubic lattice, whose mean no contact
+        changes."""
+        lattice, axes = self.scene.lattice, self.spin_axes
+        if lattice.dimension == 2 or lattice.height_axis not in axes:
+            return np.zeros((0, 0), dtype=np.int64)
+        spheres = np.arange(np.prod(lattice.free_shape)).reshape(-1, lattice.free_shape[-1]).T
+        return spheres * len(axes) + axes.index(lattice.height_axis)
 
     @property
     def unit_inertia(self) -> float:
@@ -246,15 +252,6 @@ class ImplicitCundallStrackMethod(SpringDynamics[ImplicitCundallStrack]):
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
         super().restore(state)
         self._set_stage()
-
-
-def _conserved_modes(scene: Scene, spin_axes: tuple[int, ...]) -> np.ndarray:
-    """(layers, spheres) unknowns of the component about the height of a cubic lattice, whose mean contacts conserve."""
-    lattice = scene.lattice
-    if lattice.dimension == 2 or lattice.height_axis not in spin_axes:
-        return np.zeros((0, 0), dtype=np.int64)
-    spheres = np.arange(np.prod(lattice.free_shape)).reshape(-1, lattice.free_shape[-1]).T
-    return spheres * len(spin_axes) + spin_axes.index(lattice.height_axis)
 
 
 def _mean_size(values: np.ndarray) -> float:

@@ -1,68 +1,22 @@
 """A torque on the top by implicit Cundall–Strack steps: the strength a of its motion is one more unknown of a stage.
 
-The unknown is S a with S^2 = sum of |state|^2 over the spheres of the top, so that its inertia is that of a sphere. The
-matrix of a stage is that of the free spheres with one more row, which a second solve with its factor takes out.
+The unknown, the last one, is S a with S^2 = sum of |state|^2 over the spheres of the top, so that its inertia is that
+of a sphere. Nothing is imposed but the bottom at rest.
 """
 
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from taichi_bearings.conic.contact_system import ContactSystem, free_spins, lattice_system, place_free_spins
+from taichi_bearings.conic.contact_system import free_spins, lattice_system, place_free_spins
 from taichi_bearings.conic.grouped import Arrays
-from taichi_bearings.conic.newton_matrix import NewtonMatrix, resisted
+from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.fields import Fields
-from taichi_bearings.numerics.cholesky import NotPositiveDefinite, dissect
+from taichi_bearings.numerics.cholesky import dissect
 from taichi_bearings.scene import Scene
 from taichi_bearings.solvers.implicit_cundall_strack import GAMMA, ImplicitCundallStrackMethod
 from taichi_bearings.solvers.rigid_top import UnderTorque, over
-
-
-@dataclass(frozen=True)
-class WithTop:
-    """The contacts of a system and one unknown more, the last. column : (d, n) a group, differences that it makes."""
-
-    system: ContactSystem
-    column: Arrays
-
-    def __getattr__(self, name: str) -> Any:
-        """What the one more does not change: where values are in arrays."""
-        return getattr(self.system, name)
-
-    @property
-    def offset(self) -> Arrays:
-        """Nothing is imposed but the bottom at rest."""
-        return 0.0 * self.column
-
-    def change(self, step: np.ndarray) -> Arrays:
-        return self.system.change(step[:-1]) + float(step[-1]) * self.column
-
-    differences = change
-
-    def torques(self, forces: Arrays) -> np.ndarray:
-        return np.append(self.system.torques(forces), (self.column * forces).sum())
-
-
-class WithTopMatrix:
-    """Matrix of a stage: (M, c; c^T, d) with the factor of M; way : M^-1 c. left : d - c . way."""
-
-    def __init__(self, system: WithTop, matrix: NewtonMatrix) -> None:
-        self.system, self.matrix = system, matrix
-
-    def factorise(self, stiffness: Arrays, inertia: float) -> None:
-        self.matrix.factorise(stiffness, inertia)
-        *border, corner = self.system.torques(resisted(stiffness, self.system.column))
-        self.border = np.array(border)
-        self.way = self.matrix.solve(self.border)
-        self.left = corner + inertia - float(self.border @ self.way)
-        if not self.left > 0:
-            raise NotPositiveDefinite
-
-    def solve(self, right: np.ndarray) -> np.ndarray:
-        found = self.matrix.solve(right[:-1])
-        last = (right[-1] - self.border @ found) / self.left
-        return np.append(found - last * self.way, last)
 
 
 class ImplicitRigidTopMethod(UnderTorque, ImplicitCundallStrackMethod):
@@ -76,7 +30,9 @@ class ImplicitRigidTopMethod(UnderTorque, ImplicitCundallStrackMethod):
         self.take_state(scene)
         self.share = np.sqrt(self.inertia / self.body_inertia)  # 1 / S
         own = lattice_system(scene.lattice, axes, scene.top_spin(axes))
-        self.system = WithTop(own, self.share * own.offset)
+        pairs = zip(own.groups, self.share * own.offset, strict=True)
+        groups = tuple(group.with_one_more(column) for group, column in pairs)
+        self.system = replace(own, unknowns=own.unknowns + 1, groups=groups)
         self.amplitude, self.angle, self.start = np.zeros((3, scene.replicas))
         if scene.law.holds:  # the spin at which inertia stretches a spring to what friction holds
             strongest = scene.strength * float(scene.coefficient.max())
@@ -89,8 +45,8 @@ class ImplicitRigidTopMethod(UnderTorque, ImplicitCundallStrackMethod):
         return staggered
 
     def _matrix(self) -> Any:
-        own = NewtonMatrix(self.system.system, dissect(self.scene.lattice, self.spin_axes))
-        return WithTopMatrix(self.system, own)
+        order = dissect(self.scene.lattice, self.spin_axes)
+        return NewtonMatrix(self.system, np.append(order, len(order)))
 
     def free_spins(self, staggered: np.ndarray) -> np.ndarray:
         return np.column_stack([free_spins(staggered), self.amplitude / self.share])

@@ -12,7 +12,6 @@ margin, which the central path drives apart.
 """
 
 import threading
-from collections.abc import Sequence
 from contextlib import suppress
 from functools import lru_cache
 from typing import Any
@@ -28,7 +27,7 @@ from taichi_bearings.conic.contact_system import (
     place_free_spins,
 )
 from taichi_bearings.conic.descent import DISTANT_GAP, LEAST_GAP, Descent, Sample
-from taichi_bearings.conic.grouped import Arrays, apart, each, together, where
+from taichi_bearings.conic.grouped import Arrays, each, together, where
 from taichi_bearings.conic.iterate import Iterate
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.conic.resolution import DECIDED_RATIO, Surroundings
@@ -50,26 +49,15 @@ BATCHED_SITES = InteriorPoint.alike_in_a_block  # spheres up to which samples ar
 KEPT_SITES = 10_000  # spheres up to which what all samples of a lattice share is kept
 
 
-def _states(samples: Sequence[Sample]) -> Arrays:
-    """Contact states (R * n,) a group, one sample after the other."""
+def _states(sample: Sample) -> Arrays:
+    """Contact states (n,) a group."""
     slipping, slipless, undecided = ContactState.SLIPPING, ContactState.SLIPLESS, ContactState.UNDECIDED
-    settled = [
-        where(of.ties, ContactState.TIED, where(of.critical, undecided, where(of.slipping, slipping, slipless)))
-        for of in (sample.resolved for sample in samples)
-        if of is not None
-    ]
-    if len(settled) == len(samples):
-        return together(settled)
-    iterates = [sample.iterate for sample in samples]
-    slip, margin = together([of.difference.length() for of in iterates]), together([of.margin for of in iterates])
-    viscosity = [of.viscosity for of in iterates if of.viscosity is not None]
-    if viscosity:  # slips at which viscous forces match the friction are no small ones
-        slip = slip * (1 + together(viscosity) / together([of.friction for of in iterates]))
-    found = where(slip > DECIDED_RATIO * margin, slipping, where(margin > DECIDED_RATIO * slip, slipless, undecided))
-    if not settled:
-        return found
-    each_found, known = apart(found, len(samples)), iter(settled)
-    return together([f if s.resolved is None else next(known) for f, s in zip(each_found, samples, strict=True)])
+    if (of := sample.resolved) is not None:
+        return where(of.ties, ContactState.TIED, where(of.critical, undecided, where(of.slipping, slipping, slipless)))
+    point, slip, margin = sample.iterate, sample.iterate.difference.length(), sample.iterate.margin
+    if point.viscosity is not None:  # slips at which viscous forces match the friction are no small ones
+        slip = slip * (1 + point.viscosity / point.friction)
+    return where(slip > DECIDED_RATIO * margin, slipping, where(margin > DECIDED_RATIO * slip, slipless, undecided))
 
 
 _Skeleton = tuple[ContactSystem, np.ndarray, Any]  # the matrix is None where nothing is to be solved
@@ -119,13 +107,9 @@ class InteriorPointMethod(Descent):
             matrix.compile()  # the last sample may be alone
             if small and scene.replicas > 1:
                 matrix.compile(LANES)
-        self.samples = [self._sample(replica, spins) for replica, spins in enumerate(self._start(spin))]
-
-    def _start(self, spin: np.ndarray) -> np.ndarray:
-        """Free spins (R, unknowns) in units of the driving, inside the interval of the driven ones."""
-        scene = self.scene
         inside = scene.clip_to_box(scene.staggered_spin(spin, self.spin_axes), self.spin_axes)
-        return free_spins(inside / (self.unit or 1.0))
+        start = free_spins(inside / (self.unit or 1.0))
+        self.samples = [self._sample(replica, spins) for replica, spins in enumerate(start)]
 
     def _sample(self, replica: int, spins: np.ndarray) -> Sample:
         scene = self.scene
@@ -161,7 +145,8 @@ class InteriorPointMethod(Descent):
         state, slip = all_slipless(scene), np.zeros(scene.coefficient.shape)
         force = np.zeros((len(self.spin_axes), *slip.shape))
         answers = [sample.resolved or sample.iterate for sample in self.samples]
-        slips, states = together([answer.difference for answer in answers]).length(), _states(self.samples)
+        slips = together([answer.difference for answer in answers]).length()
+        states = together([_states(sample) for sample in self.samples])
         units = np.array([[sample.unit * scene.normal_force] for sample in self.samples])
         duals = together([answer.whole_dual for answer in answers])
         forces = each(lambda dual: np.moveaxis(-dual.reshape(len(dual), len(units), -1) * units, 1, 0), duals)
@@ -170,6 +155,9 @@ class InteriorPointMethod(Descent):
         self.system.scatter_vectors(forces, force, slice(None))
         objective = scene.objective(scene.impose_driving(staggered, self.spin_axes), self.spin_axes)
         settled = np.array([sample.resolved is not None for sample in self.samples])
+        tied = [None if sample.resolved is None else sample.resolved.tied for sample in self.samples]
+        counts = [0 if of is None else int(of.sum()) for of in tied]  # where that was looked for
+        findings = {} if all(of is None for of in tied) else {"tied_contacts": np.array(counts)}
         slow = where(states == ContactState.SLIPLESS, slips, 0.0)
         creep = np.max([of.reshape(len(units), -1).max(axis=1, initial=0.0) for of in slow], axis=0)
         return Progress(
@@ -186,21 +174,12 @@ class InteriorPointMethod(Descent):
             state=state if self.frustrated else None,
             slip=slip if self.frustrated else None,
             settled=settled,
-            findings=self._findings(),
+            findings=findings,
             states_proven=np.array([sample.resolved is not None and sample.resolved.borne for sample in self.samples]),
             settles_more=self.options.settle and self.frustrated and not all(sample.done for sample in self.samples),
             geometric=True,
             settles_at=self.settles_at,
             ended=np.array([sample.steps for sample in self.samples]),
-        )
-
-    def _findings(self) -> dict[str, np.ndarray]:
-        """Contacts that slip at some minima and not at others, where that was looked for."""
-        tied = [None if sample.resolved is None else sample.resolved.tied for sample in self.samples]
-        return (
-            {}
-            if all(of is None for of in tied)
-            else {"tied_contacts": np.array([0 if of is None else int(of.sum()) for of in tied])}
         )
 
     def _spins(self) -> Pair:

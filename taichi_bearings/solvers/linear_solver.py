@@ -17,6 +17,7 @@ from taichi_bearings.fields import Fields, FieldSpec
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.lattice.incidence import add_pull, contact_differences, difference
 from taichi_bearings.numerics.blas import one_thread
+from taichi_bearings.numerics.double_double import two_sum
 from taichi_bearings.numerics.graph_laplacian import factorised, graph_laplacian
 from taichi_bearings.scene import Progress, Scene
 from taichi_bearings.solvers.method import judged
@@ -86,7 +87,7 @@ class LinearSolverMethod:
         size = _total(load)
         for _ in range(MOST_SOLUTION_REFINEMENTS):
             new_spin, new_rest = spin.copy(), rest.copy()
-            new_spin[..., 1:-1], new_rest[..., 1:-1] = _add(
+            new_spin[..., 1:-1], new_rest[..., 1:-1] = two_sum(
                 spin[..., 1:-1], rest[..., 1:-1] + factor.solve(load.ravel()).reshape(load.shape)
             )
             new_load = _free_torques(plane, first, second, new_spin, new_rest)
@@ -140,13 +141,6 @@ def _free_torques(
 def _total(load: np.ndarray) -> np.ndarray:
     """Sum of the sizes in each plane, (B,): what the certificate pays for leftover torques."""
     return np.abs(load).sum(axis=(1, 2))
-
-
-def _add(large: np.ndarray, small: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The sum rounded to float64 and, exactly, what the rounding left out (Knuth's two-sum)."""
-    total = large + small
-    part = total - large
-    return total, (large - (total - part)) + (small - part)
 
 
 __all__ = ["LinearSolver"]

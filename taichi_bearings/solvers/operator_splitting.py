@@ -112,7 +112,10 @@ class OperatorSplittingMethod:
         return iteration + max(FIRST_CHECK, iteration // CHECKS_A_RUN)
 
     def advance(self, steps: int) -> None:
-        self._change_stiffness()
+        if self.change is not None:  # rho z and rho Omega as the last check asked for; spins and friction f stay
+            self.stiffness = self.stiffness * self.change
+            self.contacts.rescale(self.fields, self.change)
+            self.change = None
         with self.balance.begin():
             for _ in range(steps):
                 look_up()
@@ -123,14 +126,6 @@ class OperatorSplittingMethod:
     def _step_contacts(self, relaxation: float) -> None:
         self.contacts.run(self.fields, (self.weights[0], self.weights[-1]), relaxation)
 
-    def _change_stiffness(self) -> None:
-        """Scale rho z and rho Omega as the last check asked for; the spins and the friction f stay."""
-        if self.change is None:
-            return
-        self.stiffness = self.stiffness * self.change
-        self.contacts.rescale(self.fields, self.change)
-        self.change = None
-
     def progress(self) -> Progress:
         """`force` is the limited friction f; the torque it leaves is reported and vanishes with the gap."""
         scene, axes = self.scene, self.spin_axes
@@ -139,12 +134,15 @@ class OperatorSplittingMethod:
             self.balance.solve()
         potential = self.fields.seen("potential")
         staggered = scene.impose_driving(potential / self._by_replica(self.stiffness), axes)
-        trial, friction = self._trial_and_friction()
+        trial = self.stencil.forces_of_contacts(self.fields.seen("trial"), self.layout)
+        friction = capped(trial, saturation(scene, trial))
         slips = scene.slips(staggered, axes)
         power = scene.law.power(scene.contact, slips).sum(axis=1)
         balanced = self._spring_force(potential, trial, friction)
         work, bound = work_and_bound(scene, balanced, axes)
         self._steer(power, work, bound)
+        # the fastest creep of a contact that rests, z = 0 exactly, as long as the two halves do not quite agree
+        creep = float((slips * ((trial == friction).all(axis=0) & (scene.acting_coefficient > 0))).max())
         return Progress(
             iteration=self.iteration,
             staggered=staggered,
@@ -152,7 +150,7 @@ class OperatorSplittingMethod:
             force=friction,
             objective=power,
             lower_bound=bound,
-            resolution=self._resolution(slips, trial, friction),
+            resolution=min(creep, RESOLVED_SLIP * scene.lattice.radius * scene.jump),
             largest_balance_residual=largest_unbalanced_torque(scene, friction, axes),
             proof=balanced,
         )
@@ -166,11 +164,6 @@ class OperatorSplittingMethod:
         force = self.weight * differences - (trial - 2 * friction)
         exact = self.fields.dtype == np.float64
         return force if exact else balance(self.scene, force, self.spin_axes)
-
-    def _trial_and_friction(self) -> tuple[Forces, Forces]:
-        """v, and f, what friction bears of it."""
-        trial = self.stencil.forces_of_contacts(self.fields.seen("trial"), self.layout)
-        return trial, capped(trial, saturation(self.scene, trial))
 
     def _usual_stiffness(self, power: np.ndarray) -> np.ndarray:
         """USUAL_STIFFNESS in its units, (R,): a column transmits the force power / (R * jump * columns)."""
@@ -196,8 +189,3 @@ class OperatorSplittingMethod:
         wanted = (self.stiffness * factor).clip(usual / reach, usual * reach)
         factor = wanted / self.stiffness
         self.change = np.where(np.abs(np.log(factor)) > np.log(LEAST_CHANGE), factor, 1.0)
-
-    def _resolution(self, slips: np.ndarray, trial: Forces, friction: Forces) -> float:
-        """The fastest creep of a contact that rests, z = 0 exactly, as long as the two halves do not quite agree."""
-        rests = (trial == friction).all(axis=0) & (self.scene.acting_coefficient > 0)
-        return min(float((slips * rests).max()), RESOLVED_SLIP * self.scene.lattice.radius * self.scene.jump)

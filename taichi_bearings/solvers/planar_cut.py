@@ -13,7 +13,7 @@ import numpy as np
 
 from taichi_bearings.fields import Fields, FieldSpec
 from taichi_bearings.numerics.minimum_cut import ring_cuts
-from taichi_bearings.numerics.planar import MinimumCuts, minimum_cuts
+from taichi_bearings.numerics.planar import minimum_cuts
 from taichi_bearings.proof.certificate import largest_unbalanced_torque, work_and_bound
 from taichi_bearings.proof.contact_state import ContactState, all_slipless
 from taichi_bearings.scene import Progress, Scene
@@ -62,7 +62,8 @@ class PlanarCutMethod:
             beside, rising = (cuts.above[low] != cuts.above[high] for low, high in map(grid.along, range(2)))
             self._store(sideways, where, beside, cuts.sideways_flow, cuts.sideways_tied)
             self._store(height, where, rising, cuts.upward_flow, cuts.upward_tied)
-            self._note(where, cuts)
+            self.tied[where] = cuts.tied
+            self.next_over_minimum[where] = cuts.next_weight / cuts.weight
 
     def _store(
         self, axis: int, where: tuple[np.ndarray, np.ndarray], cut: np.ndarray, flow: np.ndarray, tied: np.ndarray
@@ -72,10 +73,6 @@ class PlanarCutMethod:
         self._by_plane(self.scene.lattice.by_axis(self.force[0])[axis])[where] = friction
         states = self._by_plane(self.scene.lattice.by_axis(self.state)[axis])
         states[where] = np.where(tied, ContactState.TIED, np.where(cut, ContactState.SLIPPING, states[where]))
-
-    def _note(self, where: tuple[np.ndarray, np.ndarray], cuts: MinimumCuts) -> None:
-        self.tied[where] = cuts.tied
-        self.next_over_minimum[where] = cuts.next_weight / cuts.weight
 
     def _by_plane(self, values: np.ndarray) -> np.ndarray:
         """View (R, planes, m, n) of spins or contacts (R, ...): one plane a layer along the component, height last."""

@@ -19,7 +19,7 @@ import numpy as np
 from taichi_bearings.conic.proximal import ProximalSteps, Step
 from taichi_bearings.fields import Fields
 from taichi_bearings.numerics.blas import one_thread
-from taichi_bearings.proof.certificate import relative_gap
+from taichi_bearings.proof.certificate import inverse, relative_gap
 from taichi_bearings.scene import Progress, Scene
 from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.solvers.dynamics import ENERGY_NAMES, Dynamics, replica_sum
@@ -84,7 +84,7 @@ class RigidLimitMethod(Dynamics[RigidLimit]):
     def _force_at_start(self) -> np.ndarray:
         """Forces (C, R, E) of the contacts that slip."""
         scene, difference = self.scene, self.differences(self.staggered)
-        size = scene.lattice.radius if not scene.law.holds else _inverse(vector_length(difference))
+        size = scene.lattice.radius if not scene.law.holds else inverse(vector_length(difference))
         force = scene.strength * scene.acting_coefficient * size * difference
         beside = scene.viscosity_beside_friction
         return force if beside is None else force + scene.lattice.radius * beside * difference
@@ -203,8 +203,3 @@ class RigidLimitMethod(Dynamics[RigidLimit]):
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
         super().restore(state)
         self._prepare()
-
-
-def _inverse(values: np.ndarray) -> np.ndarray:
-    """1 / values, and 0 where values is 0."""
-    return np.divide(1.0, values, out=np.zeros_like(values), where=values != 0)

@@ -5,8 +5,6 @@ import pytest
 
 from taichi_bearings.conic.contact_system import ContactGroup, ContactSystem
 from taichi_bearings.conic.grouped import Grouped
-from taichi_bearings.conic.iterate import Iterate
-from taichi_bearings.conic.resolution import Resolved, gains
 from taichi_bearings.conic.slipless_forces import bear, borne_nearby, roughly_borne
 from taichi_bearings.lattice.incidence import contact_differences
 from taichi_bearings.proof.contact_state import ContactState
@@ -142,17 +140,6 @@ def test_contacts_lead_from_spin_to_spin_but_not_through_driven_planes(steps, am
 def test_contacts_at_a_spin():
     system, _ = chain((BOTTOM, 0, 0.0), (0, 1, 0.0), (1, 2, 0.0), (2, TOP, 0.0), unknowns=3)
     assert [part.tolist() for part in system.at(np.array([False, False, True]))] == [[False, False, True, True]]
-
-
-@pytest.mark.parametrize(("held", "falls"), [(0.5, False), (0.4, False), (0.3, True)])
-def test_a_motion_gains_if_the_power_falls_along_it(held, falls):
-    """The top drags a sphere with 0.4 along; a contact holds it to the bottom."""
-    system, _ = chain((BOTTOM, 0, 0.0), (0, TOP, 1e-3))
-    friction, slipping = Grouped([np.array([held, 0.4])]), Grouped([np.array([False, True])])
-    point = Iterate.start(system, np.zeros(1), friction, slack=1.0)
-    none = Grouped([np.zeros(2, dtype=bool)])
-    found = Resolved(np.zeros(1), point.difference, point.dual, slipping, none, np.zeros(1, dtype=bool))
-    assert gains(point, found, np.array([0.7])) == falls
 
 
 def minimum_of(scene, start="linear"):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from taichi_bearings.conic import descent, resolution
+from taichi_bearings.conic.grouped import each
 from taichi_bearings.conic.last_decades import LastDecades
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.errors import InputError
@@ -227,14 +228,14 @@ def test_most_samples_do_without_the_last_decades_of_the_path(monkeypatch):
 
 def test_a_sample_with_slips_of_all_sizes_is_settled_by_the_path_at_once(monkeypatch):
     """Seed 31 of 16^3: of 3641 slipping contacts 724 seem to stick at the end of the path, and one slips by 1e-17."""
-    looks, asked = [], []
-    resolve, bear = resolution.resolve, resolution.bear
+    looks, trials = [], []
+    resolve, over_tied = resolution.resolve, resolution._over_tied
     monkeypatch.setattr(descent, "resolve", lambda *of: looks.append(1) or resolve(*of))
-    monkeypatch.setattr(resolution, "bear", lambda *of: asked.append(1) or bear(*of))
+    monkeypatch.setattr(resolution, "_over_tied", lambda *of: trials.append(1) or over_tied(*of))
     solution = minimum_of(make_scene((16, 16, 16), seeds=(31,)))
     assert solution.states_proven[0]
     assert (solution.state == ContactState.SLIPPING).sum() == 3641
-    assert (len(looks), len(asked)) == (1, 0)
+    assert (len(looks), len(trials)) == (1, resolution.PROOF_TRIALS + 1)  # the last one with nothing tied
 
 
 @pytest.fixture
@@ -243,12 +244,19 @@ def as_large(monkeypatch):
     monkeypatch.setattr(interior_point, "BATCHED_SITES", 0)
 
 
+def tie_nothing(monkeypatch):
+    """The last decades of the path are followed as a whole."""
+    over_tied = resolution._over_tied
+    whole = lambda at, path, sticking, *of: over_tied(at, path, each(np.zeros_like, sticking), *of)  # noqa: E731
+    monkeypatch.setattr(resolution, "_over_tied", whole)
+
+
 @pytest.mark.usefixtures("as_large")
 def test_differences_of_the_last_decades_are_those_of_the_spins(monkeypatch):
     """Else they do not add up to nothing round loops of contacts, and contacts at rest seem to slip."""
     paths, decide = [], LastDecades.decide
     monkeypatch.setattr(LastDecades, "decide", lambda path, *of, **how: paths.append(path) or decide(path, *of, **how))
-    monkeypatch.setattr(resolution, "_followed_briefly", lambda *of: None)  # nothing is tied
+    tie_nothing(monkeypatch)
     assert minimum_of(make_scene((10, 10, 10), seeds=(559,))).states_proven[0]
     path = paths[-1]
     rounded = 4 * np.finfo(float).eps * np.abs(path.spins[1]).max()  # as spins of that size are, step after step
@@ -268,7 +276,7 @@ def test_contacts_that_are_wrongly_tied_are_freed(monkeypatch, seed, wrong, free
     """Those that slip least. Where what moves does not tell, the path of the whole is followed: the states are its."""
     scene, decide, moved = make_scene((8, 8, 8), seeds=(seed,)), LastDecades.decide, []
     with monkeypatch.context() as nothing_tied:
-        nothing_tied.setattr(resolution, "_followed_briefly", lambda *of: None)
+        tie_nothing(nothing_tied)
         whole = minimum_of(scene)
 
     def wrongly_decided(path, *doubtful, **how):

@@ -93,38 +93,28 @@ class DenseFront:
             done.set()
 
     def _eliminate_alone(self) -> bool:
-        for panel in self._own:
-            for product in panel.products:
-                _dgemm(*product)
-            if not self._divided(panel):
-                return False
-        for calls in self._below:
-            for routine, arguments in calls:
-                routine(*arguments)
-        return True
-
-    def _divided(self, panel: "_OwnPanel") -> bool:
-        _dpotrf(*panel.factor)
-        if self._fault.value:
-            return False
-        if panel.divide is not None:
-            _dtrsm(*panel.divide)
-        return True
+        return all(map(self._eliminate, range(len(self._own)))) and all(map(self._subtract, range(len(self._below))))
 
     def _is_there(self, panel: int) -> bool:
-        self._done[panel].wait()
-        look_up()
+        if self._shared:
+            self._done[panel].wait()
+            look_up()
         return not self._stopped
 
     def _eliminate(self, number: int) -> bool:
-        for before, product in enumerate(self._own[number].products):
+        panel = self._own[number]
+        for before, product in enumerate(panel.products):
             if not self._is_there(before):
                 return False
             _dgemm(*product)
-        if not self._divided(self._own[number]):
+        _dpotrf(*panel.factor)
+        if self._fault.value:
             self.stop()
             return False
-        self._done[number].set()
+        if panel.divide is not None:
+            _dtrsm(*panel.divide)
+        if self._shared:
+            self._done[number].set()
         return True
 
     def _subtract(self, number: int) -> bool:

@@ -48,16 +48,13 @@ def dissect(lattice: Lattice, spin_axes: tuple[int, ...], leaf: int = LEAF_UNKNO
         below, separator, above = division
         return np.concatenate([*(eliminated(side) for side in (below, above) if side), numbers(separator)])
 
-    inside = {c: _opened({axis for axis in lattice.periodic if axis != c}, shape) for c in spin_axes}
+    # without the first plane across each periodic axis
+    closed = {c: tuple(int(axis in lattice.periodic and axis != c) for axis in range(len(shape))) for c in spin_axes}
+    inside = {c: (low, tuple(shape)) for c, low in closed.items()}
     order = eliminated(_without_empty(inside))
     last = np.ones(len(spin_axes) * sphere.size, dtype=bool)
     last[order] = False
     return np.concatenate([order, np.flatnonzero(last)])
-
-
-def _opened(closed: set[int], shape: tuple[int, ...]) -> Box:
-    """The free spheres but those of the first plane across each of the axes `closed`."""
-    return tuple(int(axis in closed) for axis in range(len(shape))), tuple(shape)
 
 
 def _best_division(region: Region, dimension: int) -> tuple[Region, Region, Region] | None:

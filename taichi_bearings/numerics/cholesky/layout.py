@@ -56,18 +56,22 @@ class Layout:
         first, front = pattern.first, np.repeat(np.arange(len(self.own)), self.own)  # of each unknown
         self.pivots = self.columns[front] + (np.arange(pattern.size) - first[front]) * (self.height[front] + 1)
         start = np.searchsorted(pattern.column, np.append(first, pattern.size))
+        child, sibling = np.full((2, len(self.own)), -1)  # the first child, and the next one of the same parent
+        for n, above in reversed(list(enumerate(pattern.parent.tolist()))):
+            if above >= 0:
+                sibling[n], child[above] = child[above], n
         table = np.stack(
             [
-                *(self.own, self.border, self.columns, self.update, start[:-1], start[1:], *_kin(pattern.parent)),
+                *(self.own, self.border, self.columns, self.update, start[:-1], start[1:], child, sibling),
                 *(share, first, self.height, self.update_height, self.skip, pattern.size + share),
             ],
             axis=1,
         )
         of_entry = front[pattern.column]
         place = (pattern.column - first[of_entry]) * self.height[of_entry] + pattern.within(of_entry, pattern.row)
-        above = np.repeat(pattern.parent, self.border)
-        rows = pattern.within(above, pattern.border)
-        slots = np.where(rows < self.own[above], pattern.border, pattern.size + share[above] + rows - self.own[above])
+        parents = np.repeat(pattern.parent, self.border)
+        rows, of_parent = pattern.within(parents, pattern.border), self.own[parents]
+        slots = np.where(rows < of_parent, pattern.border, pattern.size + share[parents] + rows - of_parent)
         items, self.batches = self._work(batches, updates) if apart else (np.zeros((0, 3), dtype=np.int64), [])
         stages = _stages(pattern, self.own * self.height) if apart else []
         ends_at = np.cumsum([len(stage) for stage in stages]).tolist()
@@ -103,15 +107,6 @@ def update_size(border: Integers, height: Integers) -> Integers:
     width = tuning.SHEET_COLUMNS
     before = border // width * width
     return before * height - before * (before - width) // 2 + (border - before) * (height - before)
-
-
-def _kin(parent: np.ndarray) -> np.ndarray:
-    """First child of each front, and the next child of its parent, (2, fronts); -1 of none."""
-    child, sibling = np.full((2, len(parent)), -1)
-    for n, above in reversed(list(enumerate(parent.tolist()))):
-        if above >= 0:
-            sibling[n], child[above] = child[above], n
-    return np.stack([child, sibling])
 
 
 def _of_branches(parent: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -152,17 +147,12 @@ def _places(parent: np.ndarray, size: np.ndarray, batches: list[np.ndarray]) -> 
         if parent[members[0]] >= 0:  # all of a batch is used by one other
             waiting[batch[parent[members[0]]]].append((start, length))
         for stretch in waiting[number]:
-            free = _given_back(free, stretch)
+            stretches, free = sorted([*free, stretch] if stretch[1] else free), []
+            for start, length in stretches:
+                if free and sum(free[-1]) == start:
+                    start, length = free[-1][0], free.pop()[1] + length
+                free.append((start, length))
     return places, peak
-
-
-def _given_back(free: list[tuple[int, int]], stretch: tuple[int, int]) -> list[tuple[int, int]]:
-    joined: list[tuple[int, int]] = []
-    for start, length in sorted([*free, stretch] if stretch[1] else free):
-        if joined and sum(joined[-1]) == start:
-            start, length = joined[-1][0], joined.pop()[1] + length
-        joined.append((start, length))
-    return joined
 
 
 def _stages(pattern: Pattern, entries: np.ndarray) -> list[np.ndarray]:

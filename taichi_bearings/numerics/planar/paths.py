@@ -55,11 +55,11 @@ def shortest_paths(inner: np.ndarray, upward: np.ndarray) -> ShortestPaths:
     block = _blocks(before[0, :faces], order).reshape(shape)
     outside = np.zeros((batch, 1, gaps), dtype=np.int32)
     blocks = np.concatenate([outside, block, outside + grids(contacts)], axis=1)
-    ways = through(inner, upward, from_left, from_right)
+    rightward, leftward, climbing, falling = through(inner, upward, from_left, from_right)
     later = np.diff(blocks, axis=1)
-    other = np.where(later > 0, ways.rightward, np.where(later < 0, ways.leftward, np.inf))
+    other = np.where(later > 0, rightward, np.where(later < 0, leftward, np.inf))
     later = np.diff(block, axis=2)
-    other_inner = np.where(later > 0, ways.climbing, np.where(later < 0, ways.falling, np.inf))
+    other_inner = np.where(later > 0, climbing, np.where(later < 0, falling, np.inf))
     return ShortestPaths(
         length=ends[np.arange(batch), last],
         next_length=np.minimum(
@@ -74,27 +74,17 @@ def shortest_paths(inner: np.ndarray, upward: np.ndarray) -> ShortestPaths:
     )
 
 
-@dataclass(frozen=True)
-class Through:
-    """Lengths of the shortest walks across each contact in either direction.
-
-    rightward, leftward : (B, w, h - 1). climbing, falling : (B, w - 1, h - 2).
-    """
-
-    rightward: np.ndarray
-    leftward: np.ndarray
-    climbing: np.ndarray
-    falling: np.ndarray
-
-
-def through(inner: np.ndarray, upward: np.ndarray, from_left: np.ndarray, from_right: np.ndarray) -> Through:
-    """From lengths and distances as in :class:`ShortestPaths`."""
+def through(
+    inner: np.ndarray, upward: np.ndarray, from_left: np.ndarray, from_right: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Lengths of the shortest walks across each contact: rightward, leftward (B, w, h - 1), climbing and falling
+    (B, w - 1, h - 2). From lengths and distances as in :class:`ShortestPaths`."""
     left, right = from_left[:, 1:-1], from_right[:, 1:-1]
-    return Through(
-        rightward=from_left[:, :-1] + upward + from_right[:, 1:],
-        leftward=from_left[:, 1:] + upward + from_right[:, :-1],
-        climbing=left[..., :-1] + inner + right[..., 1:],
-        falling=left[..., 1:] + inner + right[..., :-1],
+    return (
+        from_left[:, :-1] + upward + from_right[:, 1:],
+        from_left[:, 1:] + upward + from_right[:, :-1],
+        left[..., :-1] + inner + right[..., 1:],
+        left[..., 1:] + inner + right[..., :-1],
     )
 
 
@@ -172,4 +162,4 @@ def grids(values: np.ndarray) -> np.ndarray:
     return values[:, None, None]
 
 
-__all__ = ["ShortestPaths", "Through", "grids", "shortest_paths", "through"]
+__all__ = ["ShortestPaths", "grids", "shortest_paths", "through"]

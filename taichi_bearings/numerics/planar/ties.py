@@ -89,14 +89,14 @@ def _steps_in_doubt(
     inner_units, upward_units = np.floor(inner / grids(unit)), np.floor(upward / grids(unit))
     node = np.arange(path.from_left.size).reshape(path.from_left.shape)
     node[:, 0], node[:, -1] = node[:, 0, :1], node[:, -1, :1]  # each outside is one node
-    ways = through(inner_units, upward_units, path.from_left, path.from_right)
+    rightward, leftward, climbing, falling = through(inner_units, upward_units, path.from_left, path.from_right)
     beside, face = (node[:, :-1], node[:, 1:]), node[:, 1:-1]
     limit, found = grids(path.length + path.contacts), []
     for length, tail, head, first in (
-        (ways.rightward, *beside, 0),
-        (ways.leftward, *beside[::-1], 0),
-        (ways.climbing, face[..., :-1], face[..., 1:], upward.size),
-        (ways.falling, face[..., 1:], face[..., :-1], upward.size),
+        (rightward, *beside, 0),
+        (leftward, *beside[::-1], 0),
+        (climbing, face[..., :-1], face[..., 1:], upward.size),
+        (falling, face[..., 1:], face[..., :-1], upward.size),
     ):
         near = np.nonzero(length < limit)
         weight, units = (inner, inner_units) if first else (upward, upward_units)
