@@ -73,7 +73,6 @@ def test_a_film_of_a_packing_shows_its_snapshots(tmp_path):
         movie(path, tmp_path / "b.gif", replica=2)
 
 
-@pytest.mark.skipif(not shutil.which("ffprobe"), reason="ffmpeg, which makes MP4, is not installed")
 def test_words_above_what_a_run_and_a_film_draw_can_be_left_out(whirl, tmp_path):
     height = {}
     settings = RunSettings(shape=(5, 4), method="gradient-descent", iterations=200, seed=5)
@@ -87,6 +86,7 @@ def test_words_above_what_a_run_and_a_film_draw_can_be_left_out(whirl, tmp_path)
     assert all(height[picture, False] < tall for (picture, title), tall in height.items() if title)
 
 
+@pytest.mark.skipif(not shutil.which("ffprobe"), reason="ffmpeg, which makes MP4, is not installed")
 def test_an_mp4_lasts_as_long_as_its_snapshots(whirl, tmp_path):
     movie(whirl, tmp_path / "a.mp4", frames_per_second=2)
     words = ["ffprobe", "-v", "error", "-show_entries", "stream=codec_name,pix_fmt,duration", "-of", "csv=p=0"]
