@@ -54,9 +54,10 @@ def test_the_paper():
 
 
 def test_requirements_of_the_recipe():
-    wanted = {item.split(";")[0].strip().replace(" ", "") for item in PROJECT["dependencies"]}
+    before = [item for item in PROJECT["dependencies"] if ">= '3.14'" not in item]  # a recipe for all has no markers
+    wanted = {item.split(";")[0].strip().replace(" ", "") for item in before}
     needed = {item.replace(" ", "").replace("matplotlib-base", "matplotlib") for item in RECIPE["requirements"]["run"]}
-    assert needed - wanted == {f"python{PROJECT['requires-python']}"}
+    assert needed - wanted == {f"python{PROJECT['requires-python'].replace('3.15', '3.14')}"}
     assert not wanted - needed
     assert CODEMETA["runtimePlatform"] == f"Python {PROJECT['requires-python']}"
     assert RECIPE["build"]["python"]["entry_points"] == [f"bearings = {PROJECT['scripts']['bearings']}"]
