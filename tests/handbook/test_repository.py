@@ -68,6 +68,16 @@ def test_every_citation_of_the_journal_article_is_in_its_list():
     assert cited == set(re.findall(r"^@\w+\{(\w+),", text("paper.bib"), re.MULTILINE))
 
 
+def test_the_list_has_the_form_that_journals_ask_for():
+    entries = re.split(r"^@", text("paper.bib"), flags=re.MULTILINE)[1:]
+    found = [re.search(r"  doi = \{(.*)\},\n", entry) for entry in entries]
+    assert all(doi for doi, entry in zip(found, entries, strict=True) if entry.startswith("article"))
+    names = [doi[1] for doi in found if doi]
+    assert len(set(names)) == len(names) >= 7
+    assert all(re.fullmatch(r"10\.\d{4,5}/[\w./-]+", name) for name in names)
+    assert all(re.search(r"  (doi|number|eprint|note) = ", entry) for entry in entries)
+
+
 def test_the_package_carries_the_citation():
     assert citation.cff() == text("CITATION.cff")
     assert bearings("cite", "--format", "cff").stdout == citation.cff()
