@@ -17,8 +17,9 @@ def run(path: Path) -> None:
     with TemporaryDirectory() as folder:
         client = NotebookClient(book, timeout=600, resources={"metadata": {"path": folder}}, record_timing=False)
         client.execute()
-    for cell in book.cells:  # a line that showed how far a solve was is empty in the end
-        cell.outputs = [out for out in cell.get("outputs", []) if out.get("data") != {"text/plain": ""}]
+    for cell in (cell for cell in book.cells if cell.cell_type == "code"):
+        # a line that showed how far a solve was is empty in the end
+        cell.outputs = [out for out in cell.outputs if out.get("data") != {"text/plain": ""}]
     book.metadata["language_info"] = {"name": "python"}
     nbformat.write(book, path)
 
