@@ -26,10 +26,9 @@ def command(
     seed: int,
     samples: int | None,
     quick: bool,
-    title: bool,
     out: Path | None,
-    force: bool,
     as_json: bool,
+    **asked: bool,
 ) -> None:
     """Figures of the paper and a verdict for each of its claims about them. FIGURE is one of these; without
     one, all but the last two.
@@ -73,7 +72,7 @@ def command(
     folder = out or default_run_path("reproduce")
     with Display() as display:
         effort = Effort(seed, samples or (QUICK_SAMPLES if quick else SAMPLES), quick)
-        report = reproduce(figures, folder, effort, force, lambda line: click.echo(line, err=True), title)
+        report = reproduce(figures, folder, effort, tell=lambda line: click.echo(line, err=True), **asked)
     answer(report, as_json, lambda: describe(report, display.times()))
     if report["missing"] and not as_json:
         click.echo(f"missing: {', '.join(report['missing'])}; the same command with --out {folder} goes on", err=True)
