@@ -1,4 +1,4 @@
-# `make run` and `make test` need only Python 3.10-3.13 and make; everything else is installed into .venv.
+# `make run` and `make test` need only Python 3.10-3.14 and make; everything else is installed into .venv.
 PYTHON ?= python3
 VENV := .venv
 ifeq ($(OS),Windows_NT)

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import click
-from taichi_bearings_cli.options import answer, json_option, out_options, replica_option, run_argument
+from taichi_bearings_cli.options import answer, json_option, out_options, replica_option, run_argument, title_option
 from taichi_bearings_cli.progress import Display
 
 
@@ -11,9 +11,10 @@ from taichi_bearings_cli.progress import Display
 @run_argument
 @click.option("--fps", type=float, default=4.0, show_default=True, help="Snapshots shown in a second.")
 @replica_option
+@title_option
 @out_options("MP4 or GIF. [default: movie.mp4 in the run directory]", "FILE", "Replace an existing file.")
 @json_option
-def command(run: Path, fps: float, replica: int, out: Path | None, force: bool, as_json: bool) -> None:
+def command(run: Path, fps: float, replica: int, title: bool, out: Path | None, force: bool, as_json: bool) -> None:
     """A film of the snapshots of RUN, a run directory or its run.h5: the spins, and what slips, one after the other.
 
     The run is a dynamics with --snapshots. MP4 needs ffmpeg; without it the film is a GIF. Each snapshot is shown for
@@ -28,6 +29,6 @@ def command(run: Path, fps: float, replica: int, out: Path | None, force: bool, 
     from taichi_bearings.runs.movie import movie
 
     with Display():
-        report = movie(run, out, force, replica, fps)
+        report = movie(run, out, force, replica, fps, title)
     size = f"{report['bytes'] / 1e6:.1f} MB"
     answer(report, as_json, lambda: f"{report['file']}: {report['frames']} snapshots; {size}")

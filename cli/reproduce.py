@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 import click
-from taichi_bearings_cli.options import answer, json_option, out_options
+from taichi_bearings_cli.options import answer, json_option, out_options, title_option
 from taichi_bearings_cli.progress import Display
 
 
@@ -16,6 +16,7 @@ from taichi_bearings_cli.progress import Display
     help="Samples that a statistical claim may take. [default: 200, with --quick 20]",
 )  # fmt: skip
 @click.option("--quick", is_flag=True, help="Within five minutes: fewer samples, sizes and iterations.")
+@title_option
 @out_options("Folder for the files. [default: outputs/<time>-reproduce-<id>]")
 @json_option
 @click.pass_context
@@ -26,8 +27,8 @@ def command(
     samples: int | None,
     quick: bool,
     out: Path | None,
-    force: bool,
     as_json: bool,
+    **asked: bool,
 ) -> None:
     """Figures of the paper and a verdict for each of its claims about them. FIGURE is one of these; without
     one, all but questions beyond the paper.
@@ -73,7 +74,7 @@ def command(
     folder = out or default_run_path("reproduce")
     with Display() as display:
         effort = Effort(seed, samples or (QUICK_SAMPLES if quick else SAMPLES), quick)
-        report = reproduce(figures, folder, effort, force, lambda line: click.echo(line, err=True))
+        report = reproduce(figures, folder, effort, tell=lambda line: click.echo(line, err=True), **asked)
     answer(report, as_json, lambda: describe(report, display.times()))
     if report["missing"] and not as_json:
         click.echo(f"missing: {', '.join(report['missing'])}; the same command with --out {folder} goes on", err=True)

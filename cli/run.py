@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import click
-from taichi_bearings_cli.options import FILES, SettingsCommand, answer, json_option, out_options
+from taichi_bearings_cli.options import FILES, SettingsCommand, answer, json_option, out_options, title_option
 from taichi_bearings_cli.progress import Display, in_lines
 from taichi_bearings_cli.report import ends, rows_told, solved
 from taichi_bearings_cli.verify import describe as describe_verdict
@@ -32,6 +32,7 @@ LAST_TOLD = (
 @click.option(
     "--verify", is_flag=True, help="Check the written file as `bearings verify` does; exit code 1 if it fails."
 )
+@title_option
 @json_option
 @click.pass_context
 def command(
@@ -41,6 +42,7 @@ def command(
     force: bool,
     resume: str | None,
     verify: bool,
+    title: bool,
     as_json: bool,
     **options: Any,
 ) -> None:
@@ -65,7 +67,7 @@ def command(
     with Display() as display:
         try:
             solve, place = _task(scene, out, force, resume, given)
-            found = solve()
+            found = solve(title=title)
         except KeyboardInterrupt as error:
             goes_on = f"`bearings run --resume {error}` goes on from the last checkpoint"
             kept = goes_on if error.args else "nothing is kept"
@@ -93,7 +95,7 @@ def command(
 
 def _task(
     scene: str | None, out: str | None, force: bool, resumed: str | None, given: dict[str, Any]
-) -> tuple[Callable[[], Any], str | None]:
+) -> tuple[Callable[..., Any], str | None]:
     """What solves the scene of a file with these options, or goes on with a run; and where its directory is asked to
     be."""
     from taichi_bearings.errors import InputError

@@ -19,19 +19,26 @@ def prepared(kernel: Any, *arguments: np.ndarray | int) -> Callable[[], None]:
     started as ever, and a warning says that small samples take longer.
     """
     runtime.current()  # starts it
+    is_fork = compiler.name() == "quadrants"
     try:
         primal = kernel._primal
-        compiled = primal.compiled_kernels[primal.ensure_compiled(*arguments)]
+        if is_fork:  # as it does at the start of each call
+            primal.raise_on_templated_floats = ti.lang.impl.current_cfg().raise_on_templated_floats
+        key = primal.ensure_compiled(*arguments)
+        known = primal.materialized_kernels if is_fork else primal.compiled_kernels
+        compiled = known[key]
         context, program = compiled.make_launch_context(), ti.lang.impl.get_runtime().prog
         for place, value in enumerate(arguments):
+            at: Any = place if is_fork else (place,)
             if isinstance(value, np.ndarray):
                 assert value.flags.c_contiguous
-                context.set_arg_external_array_with_shape((place,), value.ctypes.data, value.nbytes, value.shape[:1], 0)
+                context.set_arg_external_array_with_shape(at, value.ctypes.data, value.nbytes, value.shape[:1], 0)
             else:
-                context.set_arg_int((place,), int(value))
-        machine_code = program.compile_kernel(program.config(), program.get_device_caps(), compiled)
+                context.set_arg_int(at, int(value))
+        made = program.compile_kernel(program.config(), program.get_device_caps(), compiled)
+        machine_code = made.compiled_kernel_data if is_fork else made
         start = program.launch_kernel
-    except AttributeError:
+    except (AttributeError, KeyError, TypeError):  # other names, keys or arguments of these inner functions
         _warn_of_slow_starts()
         return lambda: kernel(*arguments)
 

@@ -6,6 +6,7 @@ import sys
 import numpy as np
 import pytest
 
+from taichi_bearings import launch
 from taichi_bearings.compiler import ti
 from taichi_bearings.kernels.elimination import LANES, NUMBERS, VECTORS
 from taichi_bearings.launch import prepared
@@ -24,6 +25,7 @@ def test_a_prepared_kernel_does_what_it_does_anew_each_time():
     values, vectors = np.arange(7.0), aligned_zeros(3 * LANES, LANES).reshape(3, LANES)
     start = prepared(add, values, vectors, 2, 3)
     assert not vectors.any()  # nothing has run yet
+    assert not launch._warn_of_slow_starts.cache_info().currsize  # both compilers are known
     start()
     assert (vectors == np.array([2.0, 3.0, 4.0])[:, None]).all()
     values[:] = -1.0

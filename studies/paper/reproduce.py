@@ -13,6 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from matplotlib.figure import Figure
+
 from taichi_bearings import runtime
 from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.files.whole_file import refuse_standing, write_text
@@ -48,18 +50,27 @@ class PaperFigure:
     def files(self) -> tuple[str, ...]:
         return tuple(f"{self.name}{ending}" for ending in (".png", ".pdf", *self.tables))
 
-    def reproduce(self, folder: Path, effort: Effort) -> list[Claim]:
-        """Write its files into the folder; returns the claims with their verdicts."""
+    def reproduce(self, folder: Path, effort: Effort, title: bool = True) -> list[Claim]:
+        """Write its files into the folder; returns the claims with their verdicts. title : as of :func:`reproduce`."""
         runtime.start("cpu", "f64")
         module = importlib.import_module(f".{self.module}", __package__)
         found = module.study(folder, effort)
         for ending in self.tables:
             found.tables[ending].write(folder / f"{self.name}{ending}")
         with stage("drawing"):
-            figure = found.draw()
+            figure = found.draw() if title else _untitled(found.draw())
             for ending in (".png", ".pdf"):
                 save(figure, folder / f"{self.name}{ending}")
         return claims_of(self.name, found.named)
+
+
+def _untitled(figure: Figure) -> Figure:
+    """The figure without words above it, and above its panels but their letters or, without those, what they are of."""
+    figure.suptitle("")
+    for axes in figure.axes:
+        if axes.get_title().startswith("("):
+            axes.title.set_text(axes.get_title().partition(" ")[0])
+    return figure
 
 
 FIGURES = {
@@ -105,11 +116,13 @@ def reproduce(
     effort: Effort,
     force: bool = False,
     tell: Callable[[str], None] = lambda _: None,
+    title: bool = True,
 ) -> dict[str, Any]:
     """Compute the figures, write their files and the report, as HTML and JSON, into `folder`; returns the report.
 
     It is written anew after each figure. Figures that it has already, of the same effort and version, are not
-    computed again; with `force` all are. tell : hears a line about each figure that is done.
+    computed again; with `force` all are. tell : hears a line about each figure that is done. title : whether words
+    stand above the figures, or letters alone above their panels.
     Ctrl-C ends it early: what is done is kept, and "missing" names the rest.
     Raises InputError or FileError before anything is computed.
     """
@@ -128,7 +141,7 @@ def reproduce(
         try:
             for name in each([name for name in chosen if name in missing], "figure", expected):
                 with stage(name):
-                    done[name] = _computed(name, folder, effort)
+                    done[name] = _computed(name, folder, effort, title)
                 missing.remove(name)
                 _write(folder, effort, done, missing)
                 tell(f"{name}: {_tally(done[name])}")
@@ -179,10 +192,10 @@ def _write(folder: Path, effort: Effort, done: dict[str, Any], missing: Sequence
     write_text(folder / "report.html", page(report, found))
 
 
-def _computed(name: str, folder: Path, effort: Effort) -> dict[str, Any]:
+def _computed(name: str, folder: Path, effort: Effort, title: bool) -> dict[str, Any]:
     """A figure as plain data, with the wall and the processor time that it took."""
     began, processor = time.perf_counter(), time.process_time()
-    claims = FIGURES[name].reproduce(folder, effort)
+    claims = FIGURES[name].reproduce(folder, effort, title)
     return {
         "title": FIGURES[name].title,
         "shown": FIGURES[name].shown,

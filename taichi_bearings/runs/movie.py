@@ -18,6 +18,7 @@ from PIL import Image
 
 from taichi_bearings.errors import InputError, WriteError
 from taichi_bearings.files.whole_file import refuse_ending, replace_file
+from taichi_bearings.plots.page import Page
 from taichi_bearings.plots.style import in_our_style
 from taichi_bearings.runs.figures import draw_figure_of_packing, draw_snapshot
 from taichi_bearings.runs.packing_run import PackingRun, read_run
@@ -31,11 +32,17 @@ MOST_FRAMES_PER_SECOND = 60
 
 
 def movie(
-    run: Path, out: Path | None = None, force: bool = False, replica: int = 0, frames_per_second: float = 4.0
+    run: Path,
+    out: Path | None = None,
+    force: bool = False,
+    replica: int = 0,
+    frames_per_second: float = 4.0,
+    title: bool = True,
 ) -> dict[str, Any]:
     """Draw each snapshot of one sample, as `bearings plot spins --time` does, and join them to a film.
 
     out : the file, MP4 or GIF by its ending; default: movie.mp4 in the run directory, or movie.gif without ffmpeg.
+    title : whether words stand above each picture.
     Raises InputError or FileError before anything is drawn.
     """
     refuse_ending(out, *FILM_ENDINGS)
@@ -51,12 +58,13 @@ def movie(
     solution: Any = stored.sample(replica).result if isinstance(stored, PackingRun) else stored.solution
     if solution.snapshots is None:
         raise InputError(f"{run} holds no snapshots to film; run a dynamics with --snapshots, such as 0,0.1,1")
+    page = Page(title=title)
     if isinstance(stored, PackingRun):
-        draw: Callable[[float], Any] = partial(draw_figure_of_packing, solution, "spins")
+        draw: Callable[[float], Any] = partial(draw_figure_of_packing, solution, "spins", page=page)
     else:
         if not 0 <= replica < solution.scene.replicas:
             raise InputError(f"replica is {replica}; the run has {solution.scene.replicas}, counted from 0")
-        draw = partial(draw_snapshot, solution, replica, slip_threshold=settings_of(stored).slip_threshold)
+        draw = partial(draw_snapshot, solution, replica, slip_threshold=settings_of(stored).slip_threshold, page=page)
     times = np.sort(solution.snapshots.time).tolist()
     with claimed(path, force or out is None):
         moments = each(times, "drawing snapshot", alike)

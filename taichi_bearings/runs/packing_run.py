@@ -430,7 +430,8 @@ def analysed(
         numbers.append(structure.numbers)
         arrays.append(of_spheres | of_contacts)
     together = {key: [one[key] for one in numbers] for key in numbers[0]} if len(numbers) > 1 else numbers[0]
-    states = "decided" if threshold is None else "threshold"
+    proven = "proven" if np.all(found.summary["states_proven"]) else "decided"
+    states = proven if threshold is None else "threshold"
     told = ("status", "method", "law", "shape", "spheres", "contacts", "seed", "version")
     report = together | {"threshold": threshold, "states": states}
     report |= {name: found.summary[name] for name in told} | {"seconds": perf_counter() - began}

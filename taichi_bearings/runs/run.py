@@ -331,9 +331,15 @@ def versions() -> dict[str, str]:
     return {"python": platform.python_version(), **found}
 
 
-def run(settings: RunSettings, out: Path | None = None, force: bool = False, monitors: Sequence[Any] = ()) -> "AnyRun":
+def run(
+    settings: RunSettings,
+    out: Path | None = None,
+    force: bool = False,
+    monitors: Sequence[Any] = (),
+    title: bool = True,
+) -> "AnyRun":
     """Solve a scene or a packing and write a run directory: run.h5, summary.json, scene.toml, power_histogram.csv and
-    its figures.
+    its figures, with words above them where there is to be a title.
 
     With `checkpoint_every` the directory is there from the start, with a checkpoint that :func:`resume` goes on from.
     Raises InputError or FileError before anything is computed or overwritten.
@@ -342,14 +348,14 @@ def run(settings: RunSettings, out: Path | None = None, force: bool = False, mon
     with run_directory(out or default_run_path(), force) as directory:
         if settings.checkpoint_every is None:
             found = replace(job.solve(monitors), path=directory.path, command=command())
-            return kept(found, partial(publish, directory, found))
+            return kept(found, partial(publish, directory, found), title)
         stored = job.self_contained(directory.partial)
         write_text(directory.partial / "scene.toml", stored.to_toml())
         write_checkpoint(directory.partial, stored.to_toml(), versions(), {})
         while not directory.publish():
             pass
         with in_use(directory.path):
-            return _solve_with_checkpoints(directory.path, job, stored, None, monitors)
+            return _solve_with_checkpoints(directory.path, job, stored, None, monitors, title)
 
 
 def command() -> str:
@@ -370,7 +376,9 @@ def publish(directory: RunDirectory, found: OneRun) -> OneRun:
             return found
 
 
-def kept(found: OneRun, write: Callable[[], OneRun], otherwise: str = "the result is lost") -> OneRun:
+def kept(
+    found: OneRun, write: Callable[[], OneRun], title: bool = True, otherwise: str = "the result is lost"
+) -> OneRun:
     """The run as it is written, and its figures; if its path cannot be written, in a temporary folder.
 
     WriteError if not even that is possible. otherwise : what then, for people. An interrupt, now or before, waits for
@@ -381,7 +389,7 @@ def kept(found: OneRun, write: Callable[[], OneRun], otherwise: str = "the resul
     try:
         if heard.is_set() or found.interrupted:
             raise KeyboardInterrupt
-        draw_figures(found)
+        draw_figures(found, title)
     except KeyboardInterrupt:
         return cast(OneRun, found.as_interrupted())
     return found
@@ -409,7 +417,9 @@ CHANGEABLE = (
 )  # fmt: skip
 
 
-def resume(path: Path, changes: Mapping[str, Any] | None = None, monitors: Sequence[Any] = ()) -> AnyRun:
+def resume(
+    path: Path, changes: Mapping[str, Any] | None = None, monitors: Sequence[Any] = (), title: bool = True
+) -> AnyRun:
     """Go on with a run that has a checkpoint, to the same bits as if it had never been stopped.
 
     changes : settings that say when to stop and what to write down, those named in CHANGEABLE.
@@ -440,7 +450,7 @@ def resume(path: Path, changes: Mapping[str, Any] | None = None, monitors: Seque
                 raise InputError(f"duration cannot change: it says how fast the torque of {path} grows")
         settings = RunSettings.from_mapping(parse_toml(checkpoint.scene, path) | changes, "the options")
         job = _any_job(settings, strict=False)
-        return _solve_with_checkpoints(path, job, stored, checkpoint.arrays, monitors)
+        return _solve_with_checkpoints(path, job, stored, checkpoint.arrays, monitors, title)
 
 
 def _solve_with_checkpoints(
@@ -449,6 +459,7 @@ def _solve_with_checkpoints(
     stored: RunSettings,
     arrays: Mapping[str, np.ndarray] | None,
     monitors: Sequence[Any],
+    title: bool,
 ) -> AnyRun:
     """Solve in a run directory that is there already and in our use, and complete it; a KeyboardInterrupt names it.
 
@@ -474,7 +485,7 @@ def _solve_with_checkpoints(
             write_run(folder, found)
         return found
 
-    return kept(found, complete, f"`bearings run --resume {path}` goes on from the last checkpoint")
+    return kept(found, complete, title, f"`bearings run --resume {path}` goes on from the last checkpoint")
 
 
 PICTURES = ("view.html", "run.vtkhdf", "movie.mp4", "movie.gif")
@@ -518,22 +529,24 @@ def _unless_full() -> Iterator[None]:
         logging.getLogger(__name__).warning("bearings: %s; the run is kept without it", error)
 
 
-def draw_figures(found: "Run | PackingRun") -> None:
-    """Draw the figures that a run gets into its directory, unless it wants none."""
+def draw_figures(found: "Run | PackingRun", title: bool = True) -> None:
+    """Draw the figures that a run gets into its directory, unless it wants none; title: whether words stand above."""
     if found.settings.figures == "all":
         with _unless_full(), stage("drawing"):
-            _draw(found)
+            _draw(found, title)
 
 
-def _draw(found: "Run | PackingRun") -> None:
+def _draw(found: "Run | PackingRun", title: bool) -> None:
     from taichi_bearings.plots.course import draw_history, has_course
     from taichi_bearings.plots.histogram import draw_histogram
+    from taichi_bearings.plots.page import Page
     from taichi_bearings.plots.style import save
 
     assert found.path is not None
-    save(draw_histogram(found.histogram), found.path / "power_histogram.png")
+    page = Page(title=title)
+    save(draw_histogram(found.histogram, page), found.path / "power_histogram.png")
     if isinstance(found, Run) and has_course(found.solution):
-        save(draw_history(found.solution), found.path / "history.png")
+        save(draw_history(found.solution, page), found.path / "history.png")
 
 
 def _self_contained(settings: RunSettings, scene: Scene, spin: np.ndarray, folder: Path) -> RunSettings:

@@ -159,7 +159,7 @@ def points_of(columns: Mapping[str, np.ndarray], request: Request) -> list[Point
         at = float(x) if isinstance(x, (int, float)) else place[x]
         plot: Plotted = (at, *_shown(statistics, len(own[0])))
         points.append(Point(tuple(part), x, len(own[0]), statistics, plot, Census.of(reasons[rows].tolist())))
-    _check_log(points, request.log)
+    _check_log(points, request)
     return points
 
 
@@ -215,7 +215,12 @@ def _shown(statistics: Mapping[str, float], number: int) -> tuple[float, float, 
     return (value, low, high) if number >= LEAST_SAMPLES else (value, math.nan, math.nan)
 
 
-def _check_log(points: Sequence[Point], log: str) -> None:
+def _check_log(points: Sequence[Point], request: Request) -> None:
+    log = request.log
+    if "x" in log and any(isinstance(point.x, str) for point in points):
+        raise InputError(
+            f"log is {log!r}, but {request.x} has words, not numbers; the length of cubes and squares is L"
+        )
     for place, name in enumerate("xy"):
         least = min(point.plot[place] for point in points if point.number)
         if name in log and least <= 0:

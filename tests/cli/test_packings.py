@@ -146,7 +146,7 @@ def test_its_structure_is_that_of_the_same_lattice(seed, tmp_path):
     assert tb.analyse(found).spans == expected["spans"]
     for name in ("power", "power_minimum_cut", "power_over_cut", "slipless_fraction", "reached_fraction"):
         assert report[name] == pytest.approx(expected[name], rel=1e-9), name
-    for name in ("cut_is_unique", "cut_contacts", "components", "spans", "shortest_path", "disjoint_paths"):
+    for name in ("states", "cut_is_unique", "cut_contacts", "components", "spans", "shortest_path", "disjoint_paths"):
         assert report[name] == expected[name], name
     for row in STRUCTURE["bottlenecks"]:  # the first link of equally loaded ones is another one here
         if row.name != "most_loaded":

@@ -8,6 +8,7 @@ import sys
 
 import pytest
 from click.testing import CliRunner
+from matplotlib.figure import Figure
 from taichi_bearings_cli.reproduce import command
 from taichi_bearings_studies.paper import reproduce
 from taichi_bearings_studies.paper.claims import Claim, Effort
@@ -100,17 +101,31 @@ class Figures:
     """Stands in for the figures: notes what is computed, writes the files, is interrupted where that is asked for."""
 
     def __init__(self, monkeypatch):
-        self.computed, self.interrupted_at, self.efforts = [], None, set()
+        self.computed, self.interrupted_at, self.efforts, self.titled = [], None, set(), None
         monkeypatch.setattr(reproduce.PaperFigure, "reproduce", lambda figure, *words: self.compute(figure, *words))
 
-    def compute(self, figure, folder, effort):
+    def compute(self, figure, folder, effort, title):
         self.efforts.add(effort)
+        self.titled = title
         for file in figure.files:
             (folder / file).write_text(f"{effort.seed}")
         if figure.files[0] == f"{self.interrupted_at}.png":
             raise KeyboardInterrupt
         self.computed.append(figure.files[0].removesuffix(".png"))
         return [Claim(f"{self.computed[-1]} is right.", "It is.", True)]
+
+
+def test_without_a_title_panels_keep_their_letters_and_names(figures, tmp_path):
+    drawn = Figure()
+    panels = drawn.subplots(1, 2)
+    drawn.suptitle("grey: minima tie")
+    for axes, words in zip(panels, ("(a) held ends", "$z = 3$"), strict=True):
+        axes.set_title(words)
+    assert reproduce._untitled(drawn).get_suptitle() == ""
+    assert [axes.get_title() for axes in panels] == ["(a)", "$z = 3$"]
+    for word in ("--title", "--no-title"):
+        ask(tmp_path / word, "fig4", word)
+        assert figures.titled is (word == "--title")
 
 
 @pytest.fixture

@@ -73,6 +73,19 @@ def test_a_film_of_a_packing_shows_its_snapshots(tmp_path):
         movie(path, tmp_path / "b.gif", replica=2)
 
 
+def test_words_above_what_a_run_and_a_film_draw_can_be_left_out(whirl, tmp_path):
+    height = {}
+    settings = RunSettings(shape=(5, 4), method="gradient-descent", iterations=200, seed=5)
+    for title in (True, False):
+        folder = tmp_path / str(title)
+        run(settings, folder, title=title)
+        movie(whirl, folder / "a.gif", title=title)
+        for picture in ("a.gif", "history.png", "power_histogram.png"):
+            with Image.open(folder / picture) as image:
+                height[picture, title] = image.height
+    assert all(height[picture, False] < tall for (picture, title), tall in height.items() if title)
+
+
 @pytest.mark.skipif(not shutil.which("ffprobe"), reason="ffmpeg, which makes MP4, is not installed")
 def test_an_mp4_lasts_as_long_as_its_snapshots(whirl, tmp_path):
     movie(whirl, tmp_path / "a.mp4", frames_per_second=2)
