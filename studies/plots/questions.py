@@ -121,7 +121,7 @@ def draw_odd_loops(
     resting: Mapping[str, Mapping[float, np.ndarray]],
 ) -> Figure:
     """A row a lattice: (a) share of the discs that roll with the top against the number n of odd contacts, (b) against
-    n / L^a, with the exponent a at which the sizes lie closest together; (c) share of the discs that rest, against the
+    n / L^a, with the exponent a at which three or more sizes lie closest together; (c) share of the discs that rest, against the
     bottom's speed.
 
     rolling : L -> n -> (samples,). ruled : Collapse. resting : omega_B / omega_T -> (samples,), with as many odd
@@ -135,15 +135,18 @@ def draw_odd_loops(
             n = np.array([odd for odd in of if odd])
             mean, error = mean_and_error([of[odd] for odd in n])
             panels[0].axhline(of[0].mean(), color=color, lw=0.6, ls=":")
-            for axes, x in ((panels[0], n), (panels[1], n / L**rule)):
+            for axes, x in ((panels[0], n), (panels[1], n / L**rule))[: 1 + (len(curves) > 2)]:
                 axes.errorbar(x, mean, error, fmt="o-", ms=3, lw=0.8, color=color, label=f"L = {L}")
         panels[0].set(xscale="log", xlabel="odd contacts n", ylabel="share of discs that roll", ylim=(0, 0.85))
         panels[0].set_xticks(n, [str(number) for number in n])
         panels[0].minorticks_off()
         panels[0].set_title(f"{lattice}; dotted: none")
         panels[0].legend(loc="upper right", ncols=2)
-        panels[1].set(xscale="log", xlabel=f"$n / L^{{{rule:.2f}}}$", ylim=(0, None))
-        panels[1].set_title("the sizes together")
+        if len(curves) > 2:
+            panels[1].set(xscale="log", xlabel=f"$n / L^{{{rule:.2f}}}$", ylim=(0, None))
+            panels[1].set_title("the sizes together")
+        else:
+            panels[1].set_axis_off()
         if lattice not in resting:
             panels[2].set_axis_off()
             continue
