@@ -31,7 +31,6 @@ from taichi_bearings.scene import Status
 if TYPE_CHECKING:
     from distributed import Client
 
-FORECASTS = 50.0  # times as long as the time left takes to compute passes until it is computed anew, at least
 REWRITE = 60.0  # seconds between two writings of scan.h5 while a scan runs, at least
 REACHED_STATUS = [status.value for status in Status if status.reached]
 LEAST_ALLOWED, ALLOWED = 600.0, 100.0  # seconds that any sample may take, and how many times its estimate
@@ -136,7 +135,7 @@ def estimate(plan: ScanPlan, folder: Path | None, workers: int = 0, part: parts.
         missing, _ = missing_samples(plan, folder, part)
     analyse = bool(plan.wishes.get("analyse"))
     number = _number_of_workers(missing, workers, analyse)
-    seconds = cost.WorkLeft(cost.units_of(missing, analyse, number), {}, analyse).expected(number)
+    seconds = cost.WorkLeft(missing, analyse).expected(number)
     return {
         "samples": len(ours),
         "scanned": list(plan.scanned),
@@ -250,7 +249,7 @@ class _Course:
         self.open = set(self.missing)  # samples that still lack something
         before = len(self.plan.samples) - len(missing)
         self.progress = ScanProgress(len(self.plan.samples), before, done=before)
-        self.writing = self.next_forecast = 0.0
+        self.writing = 0.0
         self.removed: list[Path] = []
 
     def _own_bytes(self) -> int:
@@ -264,11 +263,10 @@ class _Course:
         """Have the missing samples solved and written down, until all are or it is stopped."""
         analyse = bool(self.plan.wishes.get("analyse"))
         units = cost.units_of(list(self.missing.values()), analyse, engine.workers or 1)
-        work = cost.WorkLeft(units, self.records, analyse)
+        work = cost.WorkLeft(list(self.missing.values()), analyse)
 
         def retry(sample: Sample, reason: str) -> None:
             _say(f"sample {sample.label} failed and is tried again: {reason}")
-            work.retry(sample)
 
         for finished in run_samples(units, engine, retry, failure):
             if finished:
@@ -284,7 +282,7 @@ class _Course:
         self.records |= {record["key"]: record for record in news}
         for record in finished:
             sample = self.missing[record["key"]]
-            work.finish(sample)
+            work.finish(sample, record)
             if parts.is_failed(record):
                 self.progress.failed += 1
                 _say(f"sample {sample.label} failed: {record['scalars']['error']}")
@@ -295,13 +293,10 @@ class _Course:
 
     def _look(self, work: cost.WorkLeft, engine: Engine) -> None:
         """Tell where the scan stands, and write its files now and then."""
-        self.progress.seconds = now = time.monotonic() - self.began
-        running = engine.running
+        self.progress.seconds = time.monotonic() - self.began
+        running, workers = engine.running, max(engine.workers, 1)
         self.progress.running = [unit[0] for unit in running]
-        work.look(running, engine.workers, now)
-        if now >= self.next_forecast:
-            self.progress.seconds_left = work.seconds_left(engine.workers, now)
-            self.next_forecast = now + FORECASTS * (time.monotonic() - self.began - now)
+        self.progress.seconds_left = work.seconds_left(running, workers, self.progress.seconds)
         self.monitor(self.progress)
         if self.files and time.monotonic() - self.written > max(REWRITE, 50 * self.writing):
             began = time.monotonic()
