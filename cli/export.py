@@ -27,7 +27,7 @@ def command(run: Path, replica: int, form: str, out: Path | None, force: bool, a
             on the minimum cut, on the path, on the backbone
     steps   the snapshots of a dynamics and its end
 
-    The structure is that of `bearings analyse`, if that was run, else it is computed. docs/pictures.md says more.
+    docs/pictures.md says more.
 
     \b
     Examples:

@@ -8,9 +8,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from taichi_bearings.errors import FileError
 from taichi_bearings.files.whole_file import put, put_attributes, replace_group, write_hdf5
-from taichi_bearings.hdf5 import UNREADABLE, open_hdf5
 
 GROUP = "analysis"
 FILL = {"b": 0, "i": -1, "u": 255, "f": np.nan}
@@ -51,29 +49,6 @@ def write_analysis(
 
 def _is_nested(value: Any) -> bool:
     return any(isinstance(part, (dict, list)) for part in (value if isinstance(value, list) else [value]))
-
-
-def read_analysis(path: Path, sample: int) -> tuple[dict[str, Finding], dict[str, Any]]:
-    """What the run file `path` holds of an analysis of one sample, and its attributes; both empty without one.
-
-    Arrays of one of several samples keep the padding at their ends.
-    """
-    found: dict[str, Finding] = {}
-
-    def collect(name: str, item: Any) -> None:
-        if isinstance(item, h5py.Dataset):
-            values = item[sample] if several else item[()]
-            found[name] = Finding(values, str(item.attrs["units"]), str(item.attrs["description"]))
-
-    try:
-        with open_hdf5(path) as file:
-            if GROUP not in file:
-                return {}, {}
-            several = np.ndim(file.attrs["seed"]) > 0
-            file[GROUP].visititems(collect)
-            return found, dict(file[GROUP].attrs)
-    except UNREADABLE as error:
-        raise FileError(f"the analysis in {path} is damaged: {error}") from None
 
 
 def _stack(values: Sequence[np.ndarray]) -> np.ndarray:
