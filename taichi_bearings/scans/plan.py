@@ -52,11 +52,16 @@ class Sample:
 
 NAMED_FILES = ("coefficients", "packing", "initial")  # keys that name files
 WISHES = {  # what may be asked of every sample beside the numbers of `run`
-    "analyse": Option(None, TRUTH, "The numbers of `bearings analyse` too."),
-    "keep_states": Option(None, TRUTH, "The full state too."),
+    "analyse": Option(
+        None, TRUTH, "Add the numbers of `bearings analyse` for every sample. [default: as the folder was asked before]"
+    ),
+    "keep_states": Option(
+        None, TRUTH,
+        "Keep full states too, as states/<sample>.h5, the layout of run.h5. [default: as the folder was asked before]",
+    ),
     "sample_timeout": Option(
         None, Kind(bounded(real, 0, float_info.max, open_low=True), "a positive number of seconds", "SECONDS"),
-        "Time that a sample may take.", unit="s",
+        "End a sample that takes longer. [default: 100 times the expected time, at least 600; dynamics: none]",
     ),
 }  # fmt: skip
 
