@@ -83,23 +83,17 @@ class DaskEngine:
 
     @property
     def has_room(self) -> bool:
-        self._look()
-        return len(self._submitted) < UNITS_AHEAD * self._threads
-
-    def _look(self) -> None:
-        """Count the workers now and then."""
         now = time.monotonic()
-        if now < self._looked + LOOK:
-            return
-        self._looked = now
-        with contextlib.suppress(Exception):  # no answer: nothing new is known, and collect() notices a lost scheduler
-            self._threads = sum(self.client.nthreads().values())
-        self.workers = max(self.workers, self._threads)
-        if self._threads:
-            self._seen = now
-        elif now > self._seen + LONELY:
-            self._seen = now + 10 * LONELY
-            logging.getLogger(__name__).warning("bearings: the Dask cluster has no workers; waiting for some")
+        if now >= self._looked + LOOK:  # count the workers now and then
+            self._looked = now
+            with contextlib.suppress(Exception):  # no answer says nothing new, and collect() notices a lost scheduler
+                self._threads = sum(self.client.nthreads().values())
+            self.workers = max(self.workers, self._threads)
+            self._seen = now if self._threads else self._seen
+            if now > self._seen + LONELY:
+                self._seen = now + 10 * LONELY
+                logging.getLogger(__name__).warning("bearings: the Dask cluster has no workers; waiting for some")
+        return len(self._submitted) < UNITS_AHEAD * self._threads
 
     def submit(self, unit: Unit) -> None:
         sent = []  # with its files named in full, since workers run elsewhere
