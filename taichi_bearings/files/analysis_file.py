@@ -34,10 +34,17 @@ def write_analysis(
     """
 
     def fill(group: h5py.Group) -> None:
-        put_attributes(group, {key: value for key, value in attributes.items() if not _is_nested(value)})
+        listed = {key: value if isinstance(value, list) else [value] for key, value in attributes.items()}
+        nested = {key for key, parts in listed.items() if any(isinstance(part, (dict, list)) for part in parts)}
+        put_attributes(group, {key: value for key, value in attributes.items() if key not in nested})
         for name, finding in samples[0].items():
             values = [sample[name].values for sample in samples]
-            together = values[0] if len(values) == 1 else _stack(values)
+            together = values[0]
+            if len(values) > 1:
+                longest = tuple(max(sizes) for sizes in zip(*(array.shape for array in values), strict=True))
+                together = np.full((len(values), *longest), FILL[together.dtype.kind], dtype=together.dtype)
+                for place, array in zip(together, values, strict=True):
+                    place[tuple(slice(0, size) for size in array.shape)] = array
             packed = {"compression": "gzip", "shuffle": True} if together.dtype.kind in "biu" and together.size else {}
             put(group, name, together, finding.units, finding.description, **packed)
 
@@ -45,16 +52,3 @@ def write_analysis(
         replace_group(path, GROUP, fill)
     else:
         write_hdf5(path, lambda file: fill(file.create_group(GROUP)))
-
-
-def _is_nested(value: Any) -> bool:
-    return any(isinstance(part, (dict, list)) for part in (value if isinstance(value, list) else [value]))
-
-
-def _stack(values: Sequence[np.ndarray]) -> np.ndarray:
-    """Arrays of equal number of axes as one, padded at their ends."""
-    shape = tuple(max(sizes) for sizes in zip(*(array.shape for array in values), strict=True))
-    together = np.full((len(values), *shape), FILL[values[0].dtype.kind], dtype=values[0].dtype)
-    for place, array in zip(together, values, strict=True):
-        place[tuple(slice(0, size) for size in array.shape)] = array
-    return together

@@ -192,21 +192,15 @@ def read_scan(scan: Path) -> StoredScan:
         sets = {str(name): group[str(name)] for name in group.attrs["columns"]}
         table = {name: (s.asstr() if h5py.check_string_dtype(s.dtype) else s)[()] for name, s in sets.items()}
         edges, count, *of_states = (file[f"histogram/{name}"][()] for name in ("edges", "count", *CONTACT_SETS))
-        counts = SampleCounts(_first_bin(edges), BINS_PER_DECADE, count, np.stack(of_states, axis=1))
+        is_real = edges.dtype.kind == "f" and edges.ndim == 1 and ((edges > 0) & (edges < np.inf)).all()
+        place = BINS_PER_DECADE * np.log10(edges) if is_real else np.full(1, np.nan)  # whole numbers, as bin_of counts
+        first = round(float(place[0])) if is_real and len(edges) else 0
+        if len(place) and not np.allclose(place, first + np.arange(len(place)), rtol=0, atol=1e-6):
+            raise InputError("the edges of its histograms are no powers of its bins")
+        counts = SampleCounts(first, BINS_PER_DECADE, count, np.stack(of_states, axis=1))
         if count.shape[1:] != (max(len(edges) - 1, 0),):
             raise InputError("its histograms have other bins than edges")
         found = StoredScan(path, attributes_of(file), tuple(map(str, file.attrs["scanned"])), table, counts)
     if any(isinstance(gap, float) and is_crossed(None, None, gap) for gap in found.table.get("gap", ())):
         raise FileError(f"{path} has a lower bound above its power; it is damaged or was changed")
     return found
-
-
-def _first_bin(edges: np.ndarray) -> int:
-    """Number of the first of the bins with these edges, as :func:`bin_of` counts; InputError if they are of none."""
-    if edges.shape == (0,):
-        return 0
-    if edges.dtype.kind == "f" and edges.ndim == 1 and ((edges > 0) & (edges < np.inf)).all():
-        first = round(BINS_PER_DECADE * float(np.log10(edges[0])))
-        if np.allclose(BINS_PER_DECADE * np.log10(edges), first + np.arange(len(edges)), rtol=0, atol=1e-6):
-            return first
-    raise InputError("the edges of its histograms are no powers of its bins")

@@ -207,7 +207,15 @@ def _solution(path: Path, file: h5py.File, attributes: Mapping[str, Any]) -> Sol
     there = [name for name in CONTACTS if name not in NOT_IN_ALL or f"contact/x/{name}" in file]
     sets: dict[str, Any] = {"slip_bound": None} | {name: arrays.of_contacts(name) for name in there}
     sets.setdefault("proven", nothing_proven(sets["state"]))
-    number = partial(_numbers, attributes, scene.replicas)
+
+    def number(name: str) -> np.ndarray:
+        """An attribute with one value a replica, (R,); not-a-number where it is missing or says nothing, as "" does."""
+        value = attributes.get(name, "")
+        values = np.atleast_1d(np.nan if isinstance(value, str) and not value else value)
+        if values.dtype.kind not in "biuf" or values.shape not in ((1,), (scene.replicas,)):
+            raise ValueError(f"{name} is {value!r}; it must be a number, for each of its {scene.replicas} samples")
+        return np.broadcast_to(values, scene.replicas).copy()
+
     numbers: dict[str, Any] = {key: number(key) for key in ("power", "lower_bound", "gap", "largest_balance_residual")}
     numbers |= {key: float(attributes[key]) for key in ("slip_threshold", "seconds", "seconds_compile")}
     ended = [Status(name) for name in np.atleast_1d(attributes["status"]).tolist()]
@@ -243,15 +251,6 @@ def scene_settings(attributes: Mapping[str, Any]) -> RunSettings:
         return RunSettings.from_mapping(parse_toml(str(attributes["scene"])), "its scene")
     except FileError as error:
         raise InputError(str(error)) from None
-
-
-def _numbers(attributes: Mapping[str, Any], replicas: int, name: str) -> np.ndarray:
-    """An attribute with one value a replica, (R,); not-a-number where it is missing or says nothing, as "" does."""
-    value = attributes.get(name, "")
-    values = np.atleast_1d(np.nan if isinstance(value, str) and not value else value)
-    if values.dtype.kind not in "biuf" or values.shape not in ((1,), (replicas,)):
-        raise ValueError(f"{name} is {value!r}; it must be a number, for each of its {replicas} samples")
-    return np.broadcast_to(values, replicas).copy()
 
 
 def _check_arrays(run: StoredRun) -> None:

@@ -161,6 +161,10 @@ def points_of(columns: Mapping[str, np.ndarray], request: Request) -> list[Point
         statistics, shown = _statistics(own)
         plot: Plotted = (float(x) if isinstance(x, (int, float)) else place[x], *shown)
         points.append(Point(tuple(part), x, len(own[0]), statistics, plot, Census.of(reasons[rows].tolist())))
+    if "x" in request.log and any(isinstance(point.x, str) for point in points):
+        raise InputError(
+            f"log is {request.log!r}, but {request.x} has words, not numbers; the length of cubes and squares is L"
+        )
     for axis, name in enumerate("xy"):
         least = min(point.plot[axis] for point in points if point.number)
         if name in request.log and least <= 0:

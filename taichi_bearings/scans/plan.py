@@ -201,31 +201,28 @@ def _samples(
 
 
 def _points(axes: Sequence[Axis]) -> list[list[tuple[Any, ...]]]:
-    """The values of the keys of each axis at its points; not too many in all."""
+    """The values of the keys of each axis at its points; not too many in all, and no list of more is made."""
     points: list[list[tuple[Any, ...]]] = []
     for axis in axes:
-        most = MOST_SAMPLES // math.prod(map(len, points))
-        columns = {key: _values(key, given, most) for key, given in axis.items()}
+        columns, most = dict[str, list[Any]](), MOST_SAMPLES // math.prod(map(len, points))
+        for key, given in axis.items():
+            if isinstance(given, Mapping):
+                count, value = _range(key, given)
+            elif isinstance(given, list) and given:
+                count, value = len(given), given.__getitem__
+            else:
+                raise InputError(
+                    f"{key} in [scan] is {given!r}; it must be a list with at least one value, or {RANGES}"
+                )
+            if count > most:
+                words = f"{count:,} values and the scan too many samples; at most {MOST_SAMPLES:,} are allowed"
+                raise InputError(f"{key} in [scan] has {words}")
+            columns[key] = [value(number) for number in range(int(count))]
         if len(set(map(len, columns.values()))) > 1:
             words = ", ".join(f"{key} has {len(values)}" for key, values in columns.items())
             raise InputError(f"keys of one [[scan.zip]] need equally many values, but {words}")
         points.append(list(zip(*columns.values(), strict=True)))
     return points
-
-
-def _values(key: str, given: Any, most: int) -> list[Any]:
-    """The values of one scanned key; no list of more than `most` is made."""
-    if isinstance(given, Mapping):
-        count, value = _range(key, given)
-    elif isinstance(given, list) and given:
-        count, value = len(given), given.__getitem__
-    else:
-        raise InputError(f"{key} in [scan] is {given!r}; it must be a list with at least one value, or {RANGES}")
-    if count > most:
-        raise InputError(
-            f"{key} in [scan] has {count:,} values and the scan too many samples; at most {MOST_SAMPLES:,} are allowed"
-        )
-    return [value(number) for number in range(int(count))]
 
 
 def _range(key: str, table: Mapping[str, Any]) -> tuple[float, Callable[[int], Any]]:
