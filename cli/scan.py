@@ -9,7 +9,7 @@ from taichi_bearings_cli.progress import ScanDisplay
 
 from taichi_bearings.errors import InputError, printable
 from taichi_bearings.progress import duration
-from taichi_bearings.scans.plan import WISHES, read_plan
+from taichi_bearings.runs.settings import WISHES
 from taichi_bearings.words import counted
 
 
@@ -66,6 +66,7 @@ def command(context: click.Context, scan: Path, dry_run: bool, as_json: bool, **
     from taichi_bearings.scans import scan as study
     from taichi_bearings.scans.cluster import connected
     from taichi_bearings.scans.parts import Part
+    from taichi_bearings.scans.plan import read_plan
 
     path, folder = scan / "scan.toml" if scan.is_dir() else scan, asked["out"]
     folder = scan if scan.is_dir() and folder is None else folder  # goes on there

@@ -11,6 +11,7 @@ from functools import lru_cache, partial
 from itertools import accumulate
 from operator import attrgetter
 from pathlib import Path
+from sys import float_info
 from typing import Any
 
 from taichi_bearings.errors import FileError, InputError
@@ -22,6 +23,7 @@ from taichi_bearings.options import (
     REAL,
     SEED,
     TEXT,
+    TRUTH,
     Kind,
     OneOf,
     Option,
@@ -321,6 +323,21 @@ def users_of(item: Option) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Names of the methods and of the laws that use an option."""
     methods = tuple(name for name, row in METHODS.items() if item.methods is None or item.methods(row))
     return methods, tuple(name for name, law in LAWS.items() if item.laws is None or item.laws(law))
+
+
+WISHES = {  # what a scan may be asked for of every sample, beside the numbers of `run`
+    "analyse": Option(
+        None, TRUTH, "Add the numbers of `bearings analyse` for every sample. [default: as the folder was asked before]"
+    ),
+    "keep_states": Option(
+        None, TRUTH,
+        "Keep full states too, as states/<sample>.h5, the layout of run.h5. [default: as the folder was asked before]",
+    ),
+    "sample_timeout": Option(
+        None, Kind(bounded(real, 0, float_info.max, open_low=True), "a positive number of seconds", "SECONDS"),
+        "End a sample that takes longer. [default: 100 times the expected time, at least 600; dynamics: none]",
+    ),
+}  # fmt: skip
 
 
 def settings_table() -> dict[str, Option]:

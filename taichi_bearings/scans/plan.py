@@ -7,15 +7,14 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
-from sys import float_info
 from types import MappingProxyType
 from typing import Any
 
 from taichi_bearings.errors import FileError, InputError
-from taichi_bearings.options import TRUTH, Kind, Option, bounded, real
 from taichi_bearings.runs.run_file import file_of, refuse_run
 from taichi_bearings.runs.settings import (
     MOST_SETTINGS_TEXT,
+    WISHES,
     RunSettings,
     parse_assignment,
     read_toml,
@@ -51,19 +50,6 @@ class Sample:
 
 
 NAMED_FILES = ("coefficients", "packing", "initial")  # keys that name files
-WISHES = {  # what may be asked of every sample beside the numbers of `run`
-    "analyse": Option(
-        None, TRUTH, "Add the numbers of `bearings analyse` for every sample. [default: as the folder was asked before]"
-    ),
-    "keep_states": Option(
-        None, TRUTH,
-        "Keep full states too, as states/<sample>.h5, the layout of run.h5. [default: as the folder was asked before]",
-    ),
-    "sample_timeout": Option(
-        None, Kind(bounded(real, 0, float_info.max, open_low=True), "a positive number of seconds", "SECONDS"),
-        "End a sample that takes longer. [default: 100 times the expected time, at least 600; dynamics: none]",
-    ),
-}  # fmt: skip
 
 
 def _wishes_in(document: dict[str, Any]) -> dict[str, Any]:
