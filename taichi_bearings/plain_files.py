@@ -72,6 +72,12 @@ def real_path(path: Path) -> Path:
     return Path(os.path.realpath(path))
 
 
+def refuse_link_out(path: Path) -> None:
+    """WriteError for a link to another folder: what a folder holds decides over nothing outside of it."""
+    if path.is_symlink() and real_path(path).parent != real_path(path.parent):
+        raise WriteError(f"{path} is a link out of its folder, and nothing is written through it; remove it first")
+
+
 def read_whole(path: Path, most: int) -> bytes:
     """The content of a regular file; FileError if it is longer than that or cannot be read."""
     try:
@@ -157,6 +163,7 @@ def remove_leftover(path: Path) -> None:
 @contextlib.contextmanager
 def locked(path: Path, what: str) -> Iterator[bool]:
     """Hold a lock file, which is there as long; FileError if another process does. False where there are no locks."""
+    refuse_link_out(path)
     while True:
         try:
             file = opened(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | NO_LINK)

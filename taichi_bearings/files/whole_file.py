@@ -16,7 +16,7 @@ import numpy as np
 from taichi_bearings.checksums import check, seal
 from taichi_bearings.errors import FileError, InputError, WriteError, printable
 from taichi_bearings.hdf5 import UNREADABLE, open_hdf5
-from taichi_bearings.plain_files import new_file, real_path, write_all
+from taichi_bearings.plain_files import new_file, real_path, refuse_link_out, write_all
 from taichi_bearings.words import shown
 
 Buffer = bytes | memoryview
@@ -43,12 +43,6 @@ def refuse_standing(paths: Iterable[Path], force: bool = False) -> None:
     standing = [] if force else [path for path in paths if path.exists()]
     if standing:
         raise FileError(f"{standing[0]} already exists; choose another --out or add --force")
-
-
-def refuse_link_out(path: Path) -> None:
-    """WriteError for a link to another folder: what a folder holds decides over nothing outside of it."""
-    if path.is_symlink() and real_path(path).parent != real_path(path.parent):
-        raise WriteError(f"{path} is a link out of its folder, and nothing is written through it; remove it first")
 
 
 def replace_file(path: Path, content: Buffer) -> None:
