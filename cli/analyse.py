@@ -53,7 +53,9 @@ def describe(report: dict[str, Any], times: str) -> str:
     from taichi_bearings.quantities import COLUMNS, STRUCTURE
     from taichi_bearings.words import listed
 
-    lines = [f"{solved(report)}; contact states: {_states(report)}"]
+    states = {"proven": "proven", "decided": "decided by slip and friction, not proven"}.get(report["states"])
+    states = states or f"slipless up to a slip of {report['threshold']:g}"
+    lines = [f"{solved(report)}; contact states: {states}"]
     ended, seeds = listed(report["status"]), listed(report.get("seed"))
     if open_ends := [status for status in ended if status != "certified"]:
         lines.append(f"not certified, {len(open_ends)} of {len(ended)} ({', '.join(sorted(set(open_ends)))})")
@@ -68,9 +70,3 @@ def describe(report: dict[str, Any], times: str) -> str:
             found = ["none: slipless contacts do not join bottom and top"]
         lines += [title, *(f"  {line}" for line in found)] if found else []
     return "\n".join([*lines, times, *report["files"]])
-
-
-def _states(report: dict[str, Any]) -> str:
-    if report["states"] == "threshold":
-        return f"slipless up to a slip of {report['threshold']:g}"
-    return {"proven": "proven", "decided": "decided by slip and friction, not proven"}[report["states"]]

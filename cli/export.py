@@ -1,8 +1,6 @@
 """bearings export"""
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import click
 from taichi_bearings_cli.options import Choice, answer, json_option, out_options, replica_option, run_argument
@@ -27,7 +25,7 @@ def command(run: Path, replica: int, form: str, out: Path | None, force: bool, a
             on the minimum cut, on the path, on the backbone
     steps   the snapshots of a dynamics and its end
 
-    The structure is that of `bearings analyse`, if that was run, else it is computed. docs/pictures.md says more.
+    docs/pictures.md says more.
 
     \b
     Examples:
@@ -41,14 +39,12 @@ def command(run: Path, replica: int, form: str, out: Path | None, force: bool, a
         report = (
             export(run, out, force, replica) if form == "vtkhdf" else export_problem(run, form, out, force, replica)
         )
-    answer(report, as_json, lambda: _words(report, form))
-
-
-def _words(report: Mapping[str, Any], form: str) -> str:
-    """What was written, for people."""
-    if form != "vtkhdf":
-        return f"{report['file']}: {report['unknowns']:,} unknown spins, {report['contacts']:,} contacts"
-    steps = f", {report['steps']} time steps" if report["steps"] > 1 else ""
-    images = f" and {report['images']:,} images" if "images" in report else ""
-    drawn = f"{report['points']:,} spheres{images}, {report['lines']:,} contacts{steps}"
-    return f"{report['file']}: {drawn}; {report['bytes'] / 1e6:.1f} MB"
+    if form == "vtkhdf":
+        steps = f", {report['steps']} time steps" if report["steps"] > 1 else ""
+        images = f" and {report['images']:,} images" if "images" in report else ""
+        words = (
+            f"{report['points']:,} spheres{images}, {report['lines']:,} contacts{steps}; {report['bytes'] / 1e6:.1f} MB"
+        )
+    else:
+        words = f"{report['unknowns']:,} unknown spins, {report['contacts']:,} contacts"
+    answer(report, as_json, lambda: f"{report['file']}: {words}")

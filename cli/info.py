@@ -22,7 +22,30 @@ def command(packing: Path | None, as_json: bool) -> None:
       bearings info --json
       bearings info packing.npz
     """
-    report = _of_program() if packing is None else _of_packing(packing)
+    from taichi_bearings import __version__, compiler, runtime
+    from taichi_bearings.runs.run import versions
+
+    if packing is None:
+        gpus = {arch: found for arch in runtime.GPUS if (found := runtime.usable(arch, "f32"))}
+        names = {gpu: [f"{d.name}{' (software)' * d.is_software}" for d in found] for gpu, found in gpus.items()}
+        report: dict[str, Any] = {
+            "version": __version__,
+            **versions(),
+            "devices": ["cpu", *gpus],
+            "device_names": names,
+            "default_arch": "cpu",
+            "default_precision": "f64",
+            "threads": runtime.available_threads(),
+            "kernel_cache": str(compiler.cache_folder() or "none"),
+        }
+    else:  # its structure, with what follows for a bearing
+        from taichi_bearings.packing import Packing, structure_of
+
+        one = Packing.load(packing)
+        found = asdict(structure_of(one))
+        motions = found["all_motions"]
+        bearing = "not decided" if motions is None else "yes" if motions else "none: no spins but rest are free of slip"
+        report = {"packing": str(packing), "dimension": one.dimension, **found, "bearing_state": bearing}
     lines = [f"{key.replace('_', ' '):18} {_word(value)}" for key, value in report.items()]
     answer(report, as_json, lambda: "\n".join(lines))
 
@@ -33,35 +56,3 @@ def _word(value: Any) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     return ", ".join(value) if isinstance(value, list) else "-" if value is None else str(value)
-
-
-def _of_packing(path: Path) -> dict[str, Any]:
-    """Its structure, with what follows for a bearing."""
-    from taichi_bearings.packing import Packing, structure_of
-
-    packing = Packing.load(path)
-    found = asdict(structure_of(packing))
-    motions = found["all_motions"]
-    bearing = "not decided" if motions is None else "yes" if motions else "none: no spins but rest are free of slip"
-    return {"packing": str(path), "dimension": packing.dimension, **found, "bearing_state": bearing}
-
-
-def _of_program() -> dict[str, Any]:
-    from taichi_bearings import __version__, compiler, runtime
-    from taichi_bearings.runs.run import versions
-    from taichi_bearings.runtime import GPUS
-
-    gpus = {arch: found for arch in GPUS if (found := runtime.usable(arch, "f32"))}
-    return {
-        "version": __version__,
-        **versions(),
-        "devices": ["cpu", *gpus],
-        "device_names": {
-            arch: [f"{device.name}{' (software)' if device.is_software else ''}" for device in found]
-            for arch, found in gpus.items()
-        },
-        "default_arch": "cpu",
-        "default_precision": "f64",
-        "threads": runtime.available_threads(),
-        "kernel_cache": str(compiler.cache_folder() or "none"),
-    }

@@ -9,7 +9,7 @@ from typing import Any
 import click
 from click.shell_completion import CompletionItem
 
-from taichi_bearings.options import FILE, OneOf, Option, options_of
+from taichi_bearings.options import FILE, TRUTH, OneOf, Option, options_of
 from taichi_bearings.runs.settings import settings_table, users_of
 from taichi_bearings.scene.law import LAWS
 from taichi_bearings.solvers.table import METHODS
@@ -74,31 +74,33 @@ class SettingsCommand(click.Command):
 @lru_cache(maxsize=8)
 def _settings_options(_: tuple[str, ...]) -> list[click.Option]:
     """The settings as options, by the names of methods and laws, on which they depend."""
-    return [_click_option(key, item) for key, item in settings_table().items()]
+    options = []
+    for key, item in settings_table().items():
+        laws = users_of(item)[1]
+        facts = [item.unit] if item.unit != "1" else []
+        facts += [f"law {' or '.join(laws)}"] if len(laws) < len(LAWS) else []
+        own = {name: options_of(row)[key].default for name, row in METHODS.items() if key in options_of(row)}
+        defaults = {_shown(default) for default in own.values()} or {_shown(item.default)}
+        if len(defaults) > 1:
+            facts.append("default: " + ", ".join(f"{_shown(default)} with {name}" for name, default in own.items()))
+        elif defaults != {""}:
+            facts.append(f"default: {defaults.pop()}")
+        options.append(_click_option(key, item, f"{item.help} [{'; '.join(facts)}]" if facts else item.help))
+    return options
 
 
-def _click_option(key: str, item: Option) -> click.Option:
-    name = "--" + key.replace("_", "-")
-    text = f"{item.help} [{'; '.join(facts)}]" if (facts := _facts(key, item)) else item.help
-    if isinstance(item.default, bool):
-        return click.Option([f"{name}/--no-{key.replace('_', '-')}", key], default=None, help=text)
+def _click_option(key: str, item: Option, text: str) -> click.Option:
+    name = key.replace("_", "-")
+    if item.kind is TRUTH:
+        return click.Option([f"--{name}/--no-{name}", key], default=None, help=text)
     names = Text(*item.kind.known) if isinstance(item.kind, OneOf) else click.STRING
     completed = FILES if item.kind is FILE else names
-    return click.Option([name, key], default=None, metavar=item.kind.metavar, help=text, type=completed)
+    return click.Option([f"--{name}", key], default=None, metavar=item.kind.metavar, help=text, type=completed)
 
 
-def _facts(key: str, item: Option) -> list[str]:
-    """Unit, laws and default of an option, in words."""
-    laws = users_of(item)[1]
-    facts = [item.unit] if item.unit != "1" else []
-    facts += [f"law {' or '.join(laws)}"] if len(laws) < len(LAWS) else []
-    own = {name: options_of(row)[key].default for name, row in METHODS.items() if key in options_of(row)}
-    defaults = {_shown(default) for default in own.values()} or {_shown(item.default)}
-    if defaults == {""}:
-        return facts
-    if len(defaults) == 1:
-        return [*facts, f"default: {defaults.pop()}"]
-    return [*facts, "default: " + ", ".join(f"{_shown(default)} with {name}" for name, default in own.items())]
+def options_in(table: Mapping[str, Option]) -> list[click.Parameter]:
+    """The options of a table; values stay text."""
+    return [_click_option(key, item, item.help) for key, item in table.items()]
 
 
 def _shown(default: object) -> str:

@@ -4,15 +4,16 @@ from pathlib import Path
 from typing import Any
 
 import click
-from taichi_bearings_cli.options import FILE_PATH, answer, json_option
+from taichi_bearings_cli.options import FILE_PATH, answer, json_option, options_in
 from taichi_bearings_cli.progress import ScanDisplay
 
 from taichi_bearings.errors import InputError, printable
 from taichi_bearings.progress import duration
+from taichi_bearings.runs.settings import WISHES
 from taichi_bearings.words import counted
 
 
-@click.command()
+@click.command(params=options_in(WISHES))
 @click.argument("scan", metavar="SCAN", type=FILE_PATH)
 @click.option(
     "--set", "overrides", multiple=True, metavar="KEY=VALUE",
@@ -25,18 +26,6 @@ from taichi_bearings.words import counted
 )  # fmt: skip
 @click.option("--part", metavar="I/N", default=None, help="Solve part I of N alone, as in a job array; then --merge.")
 @click.option("--merge", is_flag=True, help="Solve nothing: write scan.h5 and scan.csv of all parts in the folder.")
-@click.option(
-    "--analyse/--no-analyse", default=None,
-    help="Add the numbers of `bearings analyse` for every sample. [default: as the folder was asked before]",
-)  # fmt: skip
-@click.option(
-    "--keep-states/--no-keep-states", default=None,
-    help="Keep full states too, as states/<sample>.h5, the layout of run.h5. [default: as the folder was asked before]",
-)  # fmt: skip
-@click.option(
-    "--sample-timeout", type=float, default=None, metavar="SECONDS",
-    help="End a sample that takes longer. [default: 100 times the expected time, at least 600; dynamics: none]",
-)  # fmt: skip
 @click.option("--dry-run", is_flag=True, help="Only print the number of samples, and the time and memory to expect.")
 @click.option(
     "--out", metavar="DIR", type=FILE_PATH,
@@ -77,7 +66,7 @@ def command(context: click.Context, scan: Path, dry_run: bool, as_json: bool, **
     from taichi_bearings.scans import scan as study
     from taichi_bearings.scans.cluster import connected
     from taichi_bearings.scans.parts import Part
-    from taichi_bearings.scans.plan import WISHES, read_plan
+    from taichi_bearings.scans.plan import read_plan
 
     path, folder = scan / "scan.toml" if scan.is_dir() else scan, asked["out"]
     folder = scan if scan.is_dir() and folder is None else folder  # goes on there

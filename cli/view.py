@@ -18,7 +18,7 @@ def command(run: Path, replica: int, opened: bool, out: Path | None, force: bool
 
     Spheres, slipless network, slipping contacts, minimum cut, rigid domains, a path and the bottlenecks are layers to
     switch. Slice them, move the slip threshold and the least power, point at a sphere or a contact for its numbers, and
-    play the snapshots of a dynamics. The structure is that of `bearings analyse`, if that was run, else it is computed.
+    play the snapshots of a dynamics.
     docs/pictures.md says more.
 
     \b

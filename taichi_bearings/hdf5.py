@@ -8,7 +8,6 @@ import contextlib
 import faulthandler
 import gc
 import math
-import mmap
 import os
 import re
 import signal
@@ -119,8 +118,6 @@ def _answer(path: str, size: int, pipe: int) -> NoReturn:
 
 def reason_against(path: str, size: int) -> str:
     """Why a file must not be read, in words; empty if it can be, or if HDF5 itself refuses it."""
-    if _has_endless_heap(path):
-        return "it is damaged: reading it does not terminate"
     try:
         file = h5py.File(path, "r")
     except UNREADABLE:
@@ -131,40 +128,33 @@ def reason_against(path: str, size: int) -> str:
         if leads_out := [name.decode() for name, kind in links if kind == h5py.h5l.TYPE_EXTERNAL]:
             return f"{leads_out[0]} in it is a link to another file; such links are not followed"
         named = ((name.decode(), file.get(name)) for name, _ in links)  # a thing as often as it is named
-        declared = 0
+        declared, most = 0, max(CLAIMED_FACTOR * size, CLAIMED_BYTES)
         for name, item in [("/", file), *((name, item) for name, item in named if item is not None)]:
-            if reason := _strange_attribute(item):
-                return f"{reason} of {name} in it is neither a number nor a text in UTF-8"
-            if isinstance(item, h5py.Dataset):
-                if reason := _reason_against_data(item):
-                    return f"{name} in it {reason}"
-                claimed = math.prod(item.shape or ()) * item.id.get_type().get_size()
-                declared += claimed
-                if claimed > GZIP_FACTOR * item.id.get_storage_size() + UNPACKED_BYTES or declared > max(
-                    CLAIMED_FACTOR * size, CLAIMED_BYTES
-                ):
-                    return (
-                        f"{name} in it claims to hold {claimed:,} bytes, more than is read of a file of {size:,} bytes"
-                    )
-                if item.dtype.hasobject:  # any number of its entries can share one list or text of any length
-                    item[()]
+            is_data = isinstance(item, h5py.Dataset)
+            plain = (*PLAIN, h5py.Reference, h5py.RegionReference) if is_data else PLAIN  # as of scales: never followed
+            for key in list(item.attrs):
+                with contextlib.suppress(TypeError):  # a kind that NumPy has no name for
+                    if not (_is_plain(key, plain) and _is_plain(item.attrs[key], plain)):
+                        return f"{key} of {name} in it is neither a number nor a text in UTF-8"
+            if not is_data:
+                continue
+            if item.is_virtual or item.external:
+                return f"{name} in it lies in other files, which are not read"
+            settings = item.id.get_create_plist()
+            filters = [settings.get_filter(number)[0] for number in range(settings.get_nfilters())]
+            if strange := [number for number in filters if number not in FILTERS]:
+                return f"{name} in it is packed by filter {strange[0]}; {', '.join(FILTERS.values())} are read"
+            claimed = math.prod(item.shape or ()) * item.id.get_type().get_size()
+            declared += claimed
+            if claimed > GZIP_FACTOR * item.id.get_storage_size() + UNPACKED_BYTES or declared > most:
+                words = f"claims to hold {claimed:,} bytes, more than is read of a file of {size:,} bytes"
+                return f"{name} in it {words}"
+            if item.dtype.hasobject:  # any number of its entries can share one list or text of any length
+                item[()]
     except MemoryError:
         return "it takes more memory than a file of its size can need"
     except UNREADABLE as error:
         return f"it is damaged: {' '.join(str(error).split())}"
-    return ""
-
-
-def _strange_attribute(item: h5py.HLObject) -> str:
-    """The name of an attribute that is neither number nor text, or of such a name; empty if there is none.
-
-    References of data sets to others, such as their scales, are let be: they are never followed.
-    """
-    plain = (*PLAIN, h5py.Reference, h5py.RegionReference) if isinstance(item, h5py.Dataset) else PLAIN
-    for name in list(item.attrs):
-        with contextlib.suppress(TypeError):  # a kind that NumPy has no name for
-            if not (_is_plain(name, plain) and _is_plain(item.attrs[name], plain)):
-                return name
     return ""
 
 
@@ -178,38 +168,6 @@ def _is_plain(value: object, plain: tuple[type, ...]) -> bool:
     if isinstance(value, str):
         return not re.search("[\ud800-\udfff]", value)  # what h5py makes of other bytes
     return isinstance(value, plain)
-
-
-HEAP = b"GCOL\x01\0\0\0"
-
-
-def _has_endless_heap(path: str) -> bool:
-    """True if texts lie in a list with an entry of no length, which HDF5 (2.0 and before) reads over and over."""
-    with open(path, "rb") as opened, mmap.mmap(opened.fileno(), 0, access=mmap.ACCESS_READ) as content:
-        start = content.find(HEAP)
-        while start >= 0:
-            end = min(start + int.from_bytes(content[start + 8 : start + 16], "little"), len(content))
-            place = start + 16
-            while place + 16 <= end:
-                length = int.from_bytes(content[place + 8 : place + 16], "little")
-                if int.from_bytes(content[place : place + 2], "little") == 0:
-                    if length == 0:
-                        return True
-                    break
-                place += 16 + -(-length // 8) * 8
-            start = content.find(HEAP, start + 8)
-    return False
-
-
-def _reason_against_data(stored: h5py.Dataset) -> str:
-    """What keeps a data set from being read, in words."""
-    if stored.is_virtual or stored.external:
-        return "lies in other files, which are not read"
-    settings = stored.id.get_create_plist()
-    numbers = [settings.get_filter(number)[0] for number in range(settings.get_nfilters())]
-    if strange := [number for number in numbers if number not in FILTERS]:
-        return f"is packed by filter {strange[0]}; {', '.join(FILTERS.values())} are read"
-    return ""
 
 
 if __name__ == "__main__":

@@ -29,35 +29,30 @@ CLAIMED_FACTOR, CLAIMED_BYTES = 16, 2**25  # bytes that may be claimed for each 
 
 def opened(path: Path, flags: int = os.O_RDONLY) -> IO[bytes]:
     """A regular file, unbuffered where it is written; OSError if there is none, FileError if it is something else."""
+    strange = FileError(f"{path} is not a regular file")
     try:
         descriptor = os.open(path, flags | OPEN_FLAGS, 0o666)
     except OSError as error:
         if error.errno in (errno.ENXIO, errno.ELOOP):  # a pipe that nobody reads, a link
-            raise _no_file(path) from None
+            raise strange from None
         raise
-    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
-        os.close(descriptor)
-        raise _no_file(path)
-    if flags & (os.O_WRONLY | os.O_RDWR):
-        return os.fdopen(descriptor, "wb", buffering=0)
-    file = os.fdopen(descriptor, "rb")
-    try:
-        _refuse_holes(descriptor, path)
-    except BaseException:
-        file.close()
-        raise
-    return file
+    with contextlib.ExitStack() as stack:
+        stack.callback(os.close, descriptor)
+        if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+            raise strange
+        is_written = bool(flags & (os.O_WRONLY | os.O_RDWR))
+        if not is_written and _is_hollow(descriptor):
+            size = os.fstat(descriptor).st_size
+            raise FileError(f"{path} claims to hold {size:,} bytes, and nearly all of them are holes")
+        stack.pop_all()
+    return os.fdopen(descriptor, "wb", buffering=0) if is_written else os.fdopen(descriptor, "rb")
 
 
-def _no_file(path: Path) -> FileError:
-    return FileError(f"{path} is not a regular file")
-
-
-def _refuse_holes(descriptor: int, path: Path) -> None:
-    """FileError for a large file that is mostly holes: a few bytes on a disk read as any number of zeros."""
+def _is_hollow(descriptor: int) -> bool:
+    """True for a large file that is mostly holes: a few bytes on a disk read as any number of zeros."""
     size = os.fstat(descriptor).st_size
     if size <= CLAIMED_BYTES or not hasattr(os, "SEEK_DATA"):
-        return
+        return False
     end = stored = 0
     while end < size:
         try:
@@ -67,13 +62,20 @@ def _refuse_holes(descriptor: int, path: Path) -> None:
             start = end = size
         stored += end - start
         if end > max(CLAIMED_FACTOR * stored, CLAIMED_BYTES):
-            raise FileError(f"{path} claims to hold {size:,} bytes, and nearly all of them are holes")
+            return True
     os.lseek(descriptor, 0, os.SEEK_SET)
+    return False
 
 
 def real_path(path: Path) -> Path:
     """Where a name leads to, all links followed; links that lead nowhere or in a circle as far as they go."""
     return Path(os.path.realpath(path))
+
+
+def refuse_link_out(path: Path) -> None:
+    """WriteError for a link to another folder: what a folder holds decides over nothing outside of it."""
+    if path.is_symlink() and real_path(path).parent != real_path(path.parent):
+        raise WriteError(f"{path} is a link out of its folder, and nothing is written through it; remove it first")
 
 
 def read_whole(path: Path, most: int) -> bytes:
@@ -161,6 +163,7 @@ def remove_leftover(path: Path) -> None:
 @contextlib.contextmanager
 def locked(path: Path, what: str) -> Iterator[bool]:
     """Hold a lock file, which is there as long; FileError if another process does. False where there are no locks."""
+    refuse_link_out(path)
     while True:
         try:
             file = opened(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | NO_LINK)

@@ -82,25 +82,26 @@ class TerminalLine:
     def _start(self) -> None:
         with self._lock:
             if not self._ended:
-                self._live = NotebookLine(self.line) if in_notebook() else self._in_terminal()
+                self._live = NotebookLine(self.line) if in_notebook() else _live(self.line)
                 self._live.start()
 
-    def _in_terminal(self) -> Any:
-        from rich.console import Console
-        from rich.live import Live
-        from rich.spinner import Spinner
-        from rich.table import Table
-        from rich.text import Text
 
-        spinner = Spinner("dots")
+def _live(line: Callable[[], str]) -> Any:
+    """The line on a terminal."""
+    from rich.console import Console
+    from rich.live import Live
+    from rich.spinner import Spinner
+    from rich.table import Table
+    from rich.text import Text
 
-        def whole() -> Table:
-            row = Table.grid(padding=(0, 1, 0, 0))
-            row.add_row(spinner, Text(self.line(), no_wrap=True, overflow="ellipsis"))
-            return row
+    spinner = Spinner("dots")
 
-        console = Console(stderr=True)
-        return Live(console=console, get_renderable=whole, refresh_per_second=REFRESH, transient=True)
+    def whole() -> Table:
+        row = Table.grid(padding=(0, 1, 0, 0))
+        row.add_row(spinner, Text(line(), no_wrap=True, overflow="ellipsis"))
+        return row
+
+    return Live(console=Console(stderr=True), get_renderable=whole, refresh_per_second=REFRESH, transient=True)
 
 
 class Display(Watch):
@@ -130,27 +131,22 @@ class Display(Watch):
 
     def line(self) -> str:
         """Stages under way, outermost first, with what is known of them; the innermost one is always timed."""
-        now, stages = time.perf_counter(), list(self.stages)
-        words = [self._words(stage, now, stage is stages[-1]) for stage in stages]
-        return " · ".join(filter(None, words)) or self.between
-
-    def _words(self, stage: Stage, now: float, innermost: bool) -> str:
-        if stage.total == 1 and not innermost:
-            return ""
-        words, forecast = [stage.name], self._forecasts.get(id(stage))
-        words[0] += f" {stage.number:,} of {stage.total:,}" if stage.total > 1 else ""
-        left = self._of_parts_left(stage, now)
-        if forecast is not None and innermost:
-            left = forecast.left(now)
-        if not left and innermost and now - stage.began >= 1:
-            left = f"{duration(now - stage.began)} so far"
-        return ", ".join(filter(None, [*words, left, forecast.standing if forecast is not None and innermost else ""]))
-
-    @staticmethod
-    def _of_parts_left(stage: Stage, now: float) -> str:
-        """Of a stage in parts, of which the first may compile."""
-        left = seconds_left(stage.done[1:]) - (now - stage.began - stage.done[-1][0]) if stage.done else math.inf
-        return f"{duration(left)} left" if 0 < left < math.inf else ""
+        now, stages, told = time.perf_counter(), list(self.stages), list[str]()
+        for stage in stages:
+            is_innermost = stage is stages[-1]
+            if stage.total == 1 and not is_innermost:
+                continue
+            words = [stage.name + (f" {stage.number:,} of {stage.total:,}" if stage.total > 1 else "")]
+            forecast = self._forecasts.get(id(stage)) if is_innermost else None
+            if forecast is not None:
+                words += [forecast.left(now), forecast.standing]
+            elif stage.done:  # in parts, of which the first may compile
+                left = seconds_left(stage.done[1:]) - (now - stage.began - stage.done[-1][0])
+                words.append(f"{duration(left)} left" if 0 < left < math.inf else "")
+            if is_innermost and not any(words[1:2]) and now - stage.began >= 1:
+                words.insert(1, f"{duration(now - stage.began)} so far")
+            told.append(", ".join(filter(None, words)))
+        return " · ".join(told) or self.between
 
     def times(self) -> str:
         """All the time since it began, and its parts."""

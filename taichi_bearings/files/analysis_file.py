@@ -8,9 +8,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from taichi_bearings.errors import FileError
 from taichi_bearings.files.whole_file import put, put_attributes, replace_group, write_hdf5
-from taichi_bearings.hdf5 import UNREADABLE, open_hdf5
 
 GROUP = "analysis"
 FILL = {"b": 0, "i": -1, "u": 255, "f": np.nan}
@@ -36,10 +34,17 @@ def write_analysis(
     """
 
     def fill(group: h5py.Group) -> None:
-        put_attributes(group, {key: value for key, value in attributes.items() if not _is_nested(value)})
+        listed = {key: value if isinstance(value, list) else [value] for key, value in attributes.items()}
+        nested = {key for key, parts in listed.items() if any(isinstance(part, (dict, list)) for part in parts)}
+        put_attributes(group, {key: value for key, value in attributes.items() if key not in nested})
         for name, finding in samples[0].items():
             values = [sample[name].values for sample in samples]
-            together = values[0] if len(values) == 1 else _stack(values)
+            together = values[0]
+            if len(values) > 1:
+                longest = tuple(max(sizes) for sizes in zip(*(array.shape for array in values), strict=True))
+                together = np.full((len(values), *longest), FILL[together.dtype.kind], dtype=together.dtype)
+                for place, array in zip(together, values, strict=True):
+                    place[tuple(slice(0, size) for size in array.shape)] = array
             packed = {"compression": "gzip", "shuffle": True} if together.dtype.kind in "biu" and together.size else {}
             put(group, name, together, finding.units, finding.description, **packed)
 
@@ -47,39 +52,3 @@ def write_analysis(
         replace_group(path, GROUP, fill)
     else:
         write_hdf5(path, lambda file: fill(file.create_group(GROUP)))
-
-
-def _is_nested(value: Any) -> bool:
-    return any(isinstance(part, (dict, list)) for part in (value if isinstance(value, list) else [value]))
-
-
-def read_analysis(path: Path, sample: int) -> tuple[dict[str, Finding], dict[str, Any]]:
-    """What the run file `path` holds of an analysis of one sample, and its attributes; both empty without one.
-
-    Arrays of one of several samples keep the padding at their ends.
-    """
-    found: dict[str, Finding] = {}
-
-    def collect(name: str, item: Any) -> None:
-        if isinstance(item, h5py.Dataset):
-            values = item[sample] if several else item[()]
-            found[name] = Finding(values, str(item.attrs["units"]), str(item.attrs["description"]))
-
-    try:
-        with open_hdf5(path) as file:
-            if GROUP not in file:
-                return {}, {}
-            several = np.ndim(file.attrs["seed"]) > 0
-            file[GROUP].visititems(collect)
-            return found, dict(file[GROUP].attrs)
-    except UNREADABLE as error:
-        raise FileError(f"the analysis in {path} is damaged: {error}") from None
-
-
-def _stack(values: Sequence[np.ndarray]) -> np.ndarray:
-    """Arrays of equal number of axes as one, padded at their ends."""
-    shape = tuple(max(sizes) for sizes in zip(*(array.shape for array in values), strict=True))
-    together = np.full((len(values), *shape), FILL[values[0].dtype.kind], dtype=values[0].dtype)
-    for place, array in zip(together, values, strict=True):
-        place[tuple(slice(0, size) for size in array.shape)] = array
-    return together

@@ -27,7 +27,7 @@ from taichi_bearings.analysis.histogram import SampleCounts
 from taichi_bearings.errors import FileError, InputError, printable
 from taichi_bearings.files.whole_file import attributes_of, put, read_hdf5, write_csv, write_hdf5
 from taichi_bearings.scene.law import LAWS
-from taichi_bearings.scene.solution import CROSSED_BOUND
+from taichi_bearings.scene.solution import is_crossed
 
 SCAN_SCHEMA = "taichi_bearings.scan"
 SCAN_VERSION = 1
@@ -110,16 +110,14 @@ def write_scan(path: Path, columns: Sequence[Column], histograms: SampleCounts, 
 
 def write_scan_csv(path: Path, columns: Sequence[Column]) -> None:
     """Write scan.csv in full or not at all: names, then one row a sample, empty where it has no value."""
-    cells = ([_cell(value) for value in item.values.tolist()] for item in columns)
+
+    def cell(value: Any) -> str:
+        if isinstance(value, bool):
+            return str(value).lower()
+        return "" if value != value else str(value)
+
+    cells = (map(cell, item.values.tolist()) for item in columns)
     write_csv(path, [item.name for item in columns], zip(*cells, strict=True))
-
-
-def _cell(value: Any) -> str:
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, float):
-        return "" if math.isnan(value) else repr(value)
-    return str(value)
 
 
 @dataclass(frozen=True)
@@ -191,28 +189,18 @@ def read_scan(scan: Path) -> StoredScan:
         raise FileError(f"{scan} is not a scan: there is no {path}")
     with read_hdf5(path, SCAN_SCHEMA, SCAN_VERSION, "a scan") as file:
         group = file["table"]
-        table = {str(name): _values(group[str(name)]) for name in group.attrs["columns"]}
+        sets = {str(name): group[str(name)] for name in group.attrs["columns"]}
+        table = {name: (s.asstr() if h5py.check_string_dtype(s.dtype) else s)[()] for name, s in sets.items()}
         edges, count, *of_states = (file[f"histogram/{name}"][()] for name in ("edges", "count", *CONTACT_SETS))
-        counts = SampleCounts(_first_bin(edges), BINS_PER_DECADE, count, np.stack(of_states, axis=1))
+        is_real = edges.dtype.kind == "f" and edges.ndim == 1 and ((edges > 0) & (edges < np.inf)).all()
+        place = BINS_PER_DECADE * np.log10(edges) if is_real else np.full(1, np.nan)  # whole numbers, as bin_of counts
+        first = round(float(place[0])) if is_real and len(edges) else 0
+        if len(place) and not np.allclose(place, first + np.arange(len(place)), rtol=0, atol=1e-6):
+            raise InputError("the edges of its histograms are no powers of its bins")
+        counts = SampleCounts(first, BINS_PER_DECADE, count, np.stack(of_states, axis=1))
         if count.shape[1:] != (max(len(edges) - 1, 0),):
             raise InputError("its histograms have other bins than edges")
         found = StoredScan(path, attributes_of(file), tuple(map(str, file.attrs["scanned"])), table, counts)
-    gap = found.table.get("gap", np.zeros(0))
-    if gap.dtype.kind == "f" and (gap < -CROSSED_BOUND).any():
+    if any(isinstance(gap, float) and is_crossed(None, None, gap) for gap in found.table.get("gap", ())):
         raise FileError(f"{path} has a lower bound above its power; it is damaged or was changed")
     return found
-
-
-def _first_bin(edges: np.ndarray) -> int:
-    """Number of the first of the bins with these edges, as :func:`bin_of` counts; InputError if they are of none."""
-    if edges.shape == (0,):
-        return 0
-    if edges.dtype.kind == "f" and edges.ndim == 1 and ((edges > 0) & (edges < np.inf)).all():
-        first = round(BINS_PER_DECADE * float(np.log10(edges[0])))
-        if np.allclose(BINS_PER_DECADE * np.log10(edges), first + np.arange(len(edges)), rtol=0, atol=1e-6):
-            return first
-    raise InputError("the edges of its histograms are no powers of its bins")
-
-
-def _values(stored: h5py.Dataset) -> np.ndarray:
-    return stored.asstr()[()] if h5py.check_string_dtype(stored.dtype) else stored[()]

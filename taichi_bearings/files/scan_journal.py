@@ -5,6 +5,7 @@ line that a kill or a full disk has torn is dropped; a line that has changed sin
 it goes when the journal is next opened for appending.
 """
 
+import contextlib
 import json
 import logging
 import os
@@ -16,23 +17,14 @@ from pathlib import Path
 from typing import Any
 
 from taichi_bearings.errors import FileError
-from taichi_bearings.files.whole_file import refuse_link_out, replace_file
-from taichi_bearings.plain_files import opened, read_lines, write_all
-from taichi_bearings.scene.solution import CROSSED_BOUND
+from taichi_bearings.files.whole_file import replace_file
+from taichi_bearings.plain_files import opened, read_lines, refuse_link_out, write_all
+from taichi_bearings.scene.solution import is_crossed
 
 JOURNAL_NAME = "samples.jsonl"
 RECORD_HEAD = '{"crc32": "%08x", "sample": '
 RECORD_HEAD_LENGTH = len(RECORD_HEAD % 0)
-TEXT_SCALARS = {
-    "status",
-    "method",
-    "law",
-    "shape",
-    "proof",
-    "version",
-    "warnings",
-    "error",
-}  # scalars that are no numbers
+TEXT_SCALARS = {"status", "method", "law", "shape", "proof", "version", "warnings", "error"}  # that are no numbers
 OWN_COLUMN_NAMES = {"sample", "method_found", "slip_threshold_found"}  # names that the table keeps for itself
 MOST_JOURNAL_BINS = 10_000  # powers of 1e-500 to 1e500, more than numbers have
 MOST_SCALARS = 300  # of a sample; a solve with its structure leaves some 80
@@ -55,48 +47,26 @@ def _names_a_column(name: str) -> bool:
     return name not in OWN_COLUMN_NAMES and re.fullmatch(r"[A-Za-z]\w{0,99}", name, re.ASCII) is not None
 
 
-def _is_scalar(name: str, value: Any) -> bool:
-    """A text where texts belong, elsewhere a number, or None. ValueError for a text that is no Unicode."""
-    if name not in TEXT_SCALARS:
-        return isinstance(value, bool | int | float | None) and _names_a_column(name)
-    return value is None or (isinstance(value, str) and b"\0" not in value.encode())
-
-
 def is_sample(sample: Any) -> bool:
-    """Key, scalars and bins, of the kinds and sizes that a solve leaves: a number of a bin may ask for no memory."""
+    """Key, scalars and bins, of the kinds and sizes that a solve leaves: a number of a bin may ask for no memory, a
+    lower bound lies above what it bounds by no more than rounding. ValueError for a text that is no Unicode."""
     if not _has_key(sample):
         return False
     scalars, bins = sample.get("scalars"), sample.get("bins")
     if not isinstance(scalars, dict) or not isinstance(scalars.get("status"), str) or not isinstance(bins, dict):
         return False
-    if len(scalars) > MOST_SCALARS or not all(_is_scalar(name, value) for name, value in scalars.items()):
-        return False
-    if _has_bound_above_power(scalars):
-        return False
-    if not all(isinstance(scalars.get(name), int | None) for name in ("slipping", "slipless", "undecided")):
-        return False
-    if not all(abs(value) < 2**62 for value in scalars.values() if type(value) is int):
-        return False
-    return all(
-        abs(int(name)) < MOST_JOURNAL_BINS and type(many) is int and 0 <= many < 2**31 for name, many in bins.items()
+    texts = {name: scalars[name] for name in TEXT_SCALARS & scalars.keys() if scalars[name] is not None}
+    numbers = {name: value for name, value in scalars.items() if name not in TEXT_SCALARS}
+    get = {name: value for name, value in numbers.items() if value is not None}.get
+    return (
+        len(scalars) <= MOST_SCALARS
+        and all(isinstance(text, str) and b"\0" not in text.encode() for text in texts.values())
+        and all(isinstance(v, bool | int | float | None) and _names_a_column(name) for name, v in numbers.items())
+        and all(isinstance(numbers.get(name), int | None) for name in ("slipping", "slipless", "undecided"))
+        and all(abs(value) < 2**62 for value in numbers.values() if type(value) is int)
+        and not is_crossed(get("potential" if "potential" in numbers else "power"), get("lower_bound"), get("gap"))
+        and all(abs(int(n)) < MOST_JOURNAL_BINS and type(v) is int and 0 <= v < 2**31 for n, v in bins.items())
     )
-
-
-def _has_bound_above_power(scalars: Mapping[str, Any]) -> bool:
-    """True if a lower bound lies above what it bounds by more than rounding, where there is something to drive."""
-    power, bound = (scalars.get(name) for name in ("potential" if "potential" in scalars else "power", "lower_bound"))
-    gap = scalars.get("gap")
-    above = power is not None and bound is not None and power > 0 and bound > power * (1 + CROSSED_BOUND)
-    return above or (gap is not None and gap < -CROSSED_BOUND)
-
-
-def _record(line: bytes, fits: Callable[[Any], bool]) -> dict[str, Any] | None:
-    """What a line holds, None if it is not whole or does not fit."""
-    try:
-        record = json.loads(line[RECORD_HEAD_LENGTH:-2]) if _is_whole(line) else None
-        return record if fits(record) else None
-    except (ValueError, RecursionError):
-        return None
 
 
 def read_journal(path: Path, fits: Callable[[Any], bool] = _has_key) -> dict[str, dict[str, Any]]:
@@ -104,7 +74,10 @@ def read_journal(path: Path, fits: Callable[[Any], bool] = _has_key) -> dict[str
     such sample, are named in a warning."""
     samples: dict[str, dict[str, Any]] = {}
     for number, line in enumerate(read_lines(path), start=1):
-        sample = _record(line, fits)
+        sample = None
+        with contextlib.suppress(ValueError, RecursionError):
+            sample = json.loads(line[RECORD_HEAD_LENGTH:-2]) if _is_whole(line) else None
+            sample = sample if fits(sample) else None
         if sample is not None:
             samples[sample["key"]] = sample
         elif line.endswith(b"\n"):

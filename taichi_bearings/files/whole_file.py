@@ -16,7 +16,7 @@ import numpy as np
 from taichi_bearings.checksums import check, seal
 from taichi_bearings.errors import FileError, InputError, WriteError, printable
 from taichi_bearings.hdf5 import UNREADABLE, open_hdf5
-from taichi_bearings.plain_files import new_file, real_path, write_all
+from taichi_bearings.plain_files import new_file, real_path, refuse_link_out, write_all
 from taichi_bearings.words import shown
 
 Buffer = bytes | memoryview
@@ -43,12 +43,6 @@ def refuse_standing(paths: Iterable[Path], force: bool = False) -> None:
     standing = [] if force else [path for path in paths if path.exists()]
     if standing:
         raise FileError(f"{standing[0]} already exists; choose another --out or add --force")
-
-
-def refuse_link_out(path: Path) -> None:
-    """WriteError for a link to another folder: what a folder holds decides over nothing outside of it."""
-    if path.is_symlink() and real_path(path).parent != real_path(path.parent):
-        raise WriteError(f"{path} is a link out of its folder, and nothing is written through it; remove it first")
 
 
 def replace_file(path: Path, content: Buffer) -> None:
@@ -86,38 +80,36 @@ def write_csv(path: Path, names: Sequence[str], rows: Iterable[Sequence[Any]], n
     text.writelines(f"# {printable(line)}\n" for line in notes)
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(names)
-    writer.writerows(map(_harmless, row) for row in rows)
-    write_text(path, text.getvalue())
 
-
-def _harmless(cell: Any) -> Any:
-    """Numbers as they are; before a text that spreadsheets would take for a formula an apostrophe."""
-    if not (isinstance(cell, str) and cell.startswith(("=", "+", "-", "@", "\t", "\r"))):
+    def harmless(cell: Any) -> Any:
+        """Numbers as they are; before a text that spreadsheets would take for a formula an apostrophe."""
+        if isinstance(cell, str) and cell.startswith(("=", "+", "-", "@", "\t", "\r")):
+            try:
+                float(cell)
+            except ValueError:
+                return f"'{cell}"
         return cell
-    try:
-        float(cell)
-    except ValueError:
-        return "'" + cell
-    return cell
+
+    writer.writerows(map(harmless, row) for row in rows)
+    write_text(path, text.getvalue())
 
 
 def write_hdf5(path: Path, fill: Callable[[h5py.File], None], attributes: Mapping[str, Any] = EMPTY) -> None:
     """Replace `path` in one move by a file of these attributes and of what `fill` puts into it, with checksums;
     WriteError if that fails."""
 
-    def fill_and_seal(file: h5py.File) -> None:
+    with _new_hdf5(path) as file:
         put_attributes(file, attributes)
         fill(file)
         seal(file)
 
-    _write(path, fill_and_seal)
 
-
-def _write(path: Path, fill: Callable[[h5py.File], None]) -> None:
+@contextlib.contextmanager
+def _new_hdf5(path: Path) -> Iterator[h5py.File]:
     """The file is built in memory first: on a full disk HDF5 itself fails in ways that cannot be caught."""
     whole = io.BytesIO()
     with h5py.File(whole, "w", libver=("v108", "v108")) as file:  # attributes beyond 64 KB: lists of many samples
-        fill(file)
+        yield file
     replace_file(path, whole.getvalue())
 
 
@@ -155,7 +147,7 @@ def _unreadable(path: Path, how: str, error: Exception) -> FileError:
 def replace_group(path: Path, name: str, fill: Callable[[h5py.Group], None]) -> None:
     """Write a file anew with its group `name` as `fill` makes it and everything else as it was."""
 
-    def copy(whole: h5py.File) -> None:
+    with _new_hdf5(path) as whole:
         try:
             with open_hdf5(path) as old:
                 check(path, old)
@@ -169,8 +161,6 @@ def replace_group(path: Path, name: str, fill: Callable[[h5py.Group], None]) -> 
         group = whole.create_group(name)
         fill(group)
         seal(group)
-
-    _write(path, copy)
 
 
 def write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
@@ -187,21 +177,17 @@ def put(group: h5py.Group, name: str, values: Any, unit: str, text: str, **packi
 
 
 def put_attributes(group: h5py.Group, values: Mapping[str, Any]) -> None:
-    """Attributes of a group or a file."""
+    """Attributes of a group or a file: nothing becomes "", and not-a-number within a list of numbers; what is not UTF-8
+    in a text, such as the name of a file, is escaped."""
     for key, value in values.items():
-        group.attrs[key] = _storable(value)
+        if isinstance(value, list) and None in value:
+            value = [np.nan if item is None else item for item in value]
+        is_text = isinstance(value, str)
+        group.attrs[key] = (
+            value.encode(errors="backslashreplace").decode() if is_text else "" if value is None else value
+        )
 
 
 def attributes_of(group: h5py.Group) -> dict[str, Any]:
     """Attributes as they were put: numbers of Python, texts, arrays."""
     return {key: value.item() if isinstance(value, np.generic) else value for key, value in group.attrs.items()}
-
-
-def _storable(value: Any) -> Any:
-    """A value that HDF5 can hold as an attribute: nothing becomes "", and not-a-number within a list of numbers; what
-    is not UTF-8 in a text, such as the name of a file, is escaped."""
-    if isinstance(value, str):
-        return value.encode(errors="backslashreplace").decode()
-    if isinstance(value, list) and None in value:
-        return [np.nan if item is None else item for item in value]
-    return "" if value is None else value

@@ -1,32 +1,25 @@
 """One sample of a stored run as points and lines: every sphere and every contact a row, what is known of it a column.
 
-The interactive 3D page and ParaView draw these. The structure is the one that `bearings analyse` has
-left in the run, if it went by the contact states of the run; else it is computed.
+The interactive 3D page and ParaView draw these.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 
 from taichi_bearings.analysis.domains import RigidDomains
-from taichi_bearings.analysis.network import network_of
-from taichi_bearings.analysis.structure import structure_of
+from taichi_bearings.analysis.structure import Structure, structure_of
 from taichi_bearings.errors import InputError
-from taichi_bearings.files.analysis_file import Finding, read_analysis
+from taichi_bearings.files.analysis_file import Finding
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.quantities import CONTACTS, found_in
 from taichi_bearings.runs.figures import slips_of, snapshot_threshold
 from taichi_bearings.runs.run import settings_of
-from taichi_bearings.runs.run_file import AXES, StoredRun
-from taichi_bearings.runs.structure_report import ARRAYS, findings_of
+from taichi_bearings.runs.run_file import StoredRun
+from taichi_bearings.runs.structure_report import ON_CONTACTS, findings_of
 from taichi_bearings.scene import Scene, Solution
 from taichi_bearings.stages import stage
-
-NEEDED_ARRAYS = (*(row.name for row in ARRAYS), "betweenness/x")
-BY_AXIS = {"on_cut": "minimum_cut", "betweenness": "betweenness", "backbone": "backbone"}
-"""Columns of the contacts that are findings of the analysis, one array an axis there."""
 
 
 @dataclass(frozen=True)
@@ -79,58 +72,24 @@ def points_and_lines(run: StoredRun, replica: int = 0) -> PointsAndLines:
     solution = run.solution.sample(replica)
     if not all(np.isfinite(values).all() for values in (solution.spin, solution.slip)):
         raise InputError("the spins or slips of the run are not finite; there is nothing to draw")
-    found = _findings(run, replica)
-    domains = _domains(solution.scene, found)
-    path = np.ravel_multi_index(tuple(found["path"].values.T), solution.scene.lattice.shape)
+    structure = structure_of(solution)
+    path = np.ravel_multi_index(tuple(structure.network.shortest_path.T), solution.scene.lattice.shape)
     time = float(solution.history["time"][-1]) if "time" in solution.history else None
-    return PointsAndLines(
-        solution,
-        domains,
-        _sphere_columns(solution, found, domains),
-        _contact_columns(solution, found, path),
-        path,
-        time,
-        _moments(solution, time, settings_of(run).slip_threshold),
-    )
-
-
-def _findings(run: StoredRun, replica: int) -> Mapping[str, Finding]:
-    """The stored analysis of a sample, or a new one where there is none that goes by the contact states."""
-    found, attributes = read_analysis(run.path, replica)
-    if attributes.get("states") in ("proven", "decided") and all(name in found for name in NEEDED_ARRAYS):
-        path = found["path"]
-        found["path"] = Finding(path.values[(path.values >= 0).all(axis=1)], path.units, path.description)
-        return found
     with stage("analysing"):
-        return findings_of(structure_of(run.solution, replica))
+        spheres, contacts = _sphere_columns(solution, structure), _contact_columns(solution, structure, path)
+    moments = _moments(solution, time, settings_of(run).slip_threshold)
+    return PointsAndLines(solution, structure.domains, spheres, contacts, path, time, moments)
 
 
-def _domains(scene: Scene, found: Mapping[str, Finding]) -> RigidDomains:
-    domain, axes = found["domain"].values, scene.minimum_spin_axes
-    number = int(domain.max()) + 1  # what is padded lies behind
-    first = np.unique(domain.ravel(), return_index=True)[1] // scene.lattice.shape[-1]
-    return RigidDomains(
-        lattice=scene.lattice,
-        spin_axes=axes,
-        component_domain=np.stack([found[f"component_domain/{AXES[k]}"].values for k in axes]),
-        domain=domain,
-        spheres=found["domains/spheres"].values[:number],
-        staggered=found["domains/staggered_spin"].values[:number],
-        spread=0.0,
-        lock=found["domains/lock"].values[:number],
-        jump=scene.top_spin(axes).reshape(len(axes), -1)[:, first].T,
-    )
-
-
-def _sphere_columns(solution: Solution, found: Mapping[str, Finding], domains: RigidDomains) -> dict[str, Finding]:
-    spin = solution.spin[0]
+def _sphere_columns(solution: Solution, structure: Structure) -> dict[str, Finding]:
+    found, domains = findings_of(structure), structure.domains
     flat = {name: Finding(found[key].values.ravel(), found[key].units, found[key].description) for name, key in (
         ("domain", "domain"), ("component", "component"), ("betweenness", "betweenness/sphere"),
         ("above_cut", "minimum_cut/above"),
     )}  # fmt: skip
     kinds = "what its rigid domain is locked to: 0 bottom, 1 top, 2 both, 3 mixed, 4 partly, 5 neither"
     return {
-        "spin": Finding(_spin_rows(spin[None])[0], "1/time", "angular velocity in the laboratory frame"),
+        "spin": Finding(_spin_rows(solution.spin)[0], "1/time", "angular velocity in the laboratory frame"),
         **flat,
         "domain_kind": Finding(domains.kind[flat["domain"].values].astype(np.uint8), "1", kinds),
         "driven": Finding(solution.scene.lattice.is_driven.ravel(), "1", "spin is imposed"),
@@ -146,7 +105,7 @@ def _spin_rows(spin: np.ndarray) -> np.ndarray:
     return rows
 
 
-def _contact_columns(solution: Solution, found: Mapping[str, Finding], path: np.ndarray) -> dict[str, Finding]:
+def _contact_columns(solution: Solution, structure: Structure, path: np.ndarray) -> dict[str, Finding]:
     scene = solution.scene
     columns = {"axis": Finding(scene.lattice.axis.astype(np.uint8), "1", "0 along x, 1 along y, 2 along z")}
     columns |= {row.name: Finding(values[0], row.unit, row.text) for row, values in found_in(solution, CONTACTS)}
@@ -154,13 +113,11 @@ def _contact_columns(solution: Solution, found: Mapping[str, Finding], path: np.
     columns["proven"] = Finding(proven, "1", "the state is proven to be that of every minimum")
     for quantity, (name, values) in zip(scene.law.quantities, scene.named_coefficients.items(), strict=True):
         columns[name] = Finding(values[0], quantity.unit, f"{quantity.name} coefficient")
-    for name, key in BY_AXIS.items():
-        parts = [found[f"{key}/{AXES[a]}"] for a in range(scene.lattice.dimension)]
-        values = scene.lattice.flat([part.values for part in parts])
-        columns[name] = Finding(values, parts[0].units, parts[0].description)
-    network = network_of(scene.lattice, solution.state[0])
+    for row in ON_CONTACTS:
+        name = "on_cut" if row.name == "minimum_cut" else row.name
+        columns[name] = Finding(row.of(structure), row.unit, row.text)
     on_path = np.zeros(scene.lattice.all_contacts, dtype=bool)
-    on_path[np.flatnonzero(network.slipless)[network.edges_along(path)]] = True
+    on_path[np.flatnonzero(structure.network.slipless)[structure.network.edges_along(path)]] = True
     columns["on_path"] = Finding(on_path, "1", "on one shortest slipless path from bottom to top")
     return columns
 

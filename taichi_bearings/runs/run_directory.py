@@ -17,7 +17,7 @@ from pathlib import Path
 
 from taichi_bearings.errors import FileError, InputError, WriteError
 from taichi_bearings.files.checkpoint_file import CHECKPOINT_NAME as CHECKPOINT
-from taichi_bearings.files.whole_file import make_folder, refuse_link_out, refuse_standing, write_text
+from taichi_bearings.files.whole_file import make_folder, refuse_standing, write_text
 from taichi_bearings.plain_files import locked, read_whole, real_path, remove, remove_leftover
 
 LEFTOVER = re.compile(r"\.(?P<name>.+)\.(?P<kind>in-use|partial-\d+-[0-9a-f]{6}(?P<old>-replaced)?)", re.DOTALL)
@@ -75,7 +75,7 @@ def run_directory(path: Path, force: bool = False) -> Iterator[RunDirectory]:
         stack.callback(_remove_empty, made)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            held = stack.enter_context(_lock_of(path.with_name(f".{path.name}.in-use"), f"output directory {path}"))
+            held = stack.enter_context(locked(path.with_name(f".{path.name}.in-use"), f"output directory {path}"))
             tidy(path.parent, ours=path.name if held else "")
             if os.path.lexists(path):
                 if not force:
@@ -128,7 +128,7 @@ def tidy(parent: Path, ours: str = "") -> None:
                 remove_leftover(parent / match[0])
     for name, leftovers in found.items():
         with contextlib.suppress(OSError, FileError), contextlib.ExitStack() as stack:
-            held = name == ours or stack.enter_context(_lock_of(parent / f".{name}.in-use", name))
+            held = name == ours or stack.enter_context(locked(parent / f".{name}.in-use", name))
             for match in leftovers if held else ():
                 left = parent / match[0]
                 if match["old"] and not os.path.lexists(parent / name) and not left.is_symlink():
@@ -213,9 +213,7 @@ def in_use(path: Path, part: str = "") -> Iterator[None]:
     What a killed process has left there is removed, or completed if it was whole.
     part : keeps others from that part of the work alone.
     """
-    with _lock_of(
-        path / (f".in-use-{part}" if part else ".in-use"), f"{part} in {path}" if part else f"{path}"
-    ) as held:
+    with locked(path / (f".in-use-{part}" if part else ".in-use"), f"{part} in {path}" if part else f"{path}") as held:
         try:
             tidy(path)
             if held and not part:
@@ -236,17 +234,10 @@ def claimed(path: Path, force: bool = False) -> Iterator[None]:
     with contextlib.ExitStack() as stack:
         if _is_run(path.parent):
             stack.enter_context(in_use(path.parent))
-        held = stack.enter_context(_lock_of(path.with_name(f".{path.name}.in-use"), f"{path}"))
+        held = stack.enter_context(locked(path.with_name(f".{path.name}.in-use"), f"{path}"))
         tidy(path.parent, ours=path.name if held else "")
         refuse_standing([path], force)
         yield
-
-
-@contextlib.contextmanager
-def _lock_of(lock: Path, what: str) -> Iterator[bool]:
-    refuse_link_out(lock)
-    with locked(lock, what) as held:
-        yield held
 
 
 @contextlib.contextmanager

@@ -21,7 +21,7 @@ from taichi_bearings.quantities import CHECK_ROWS, CONTACTS, FRICTION_QUANTITIES
 from taichi_bearings.runs.settings import RunSettings, parse_toml, read_toml
 from taichi_bearings.runtime import HOST, Runtime
 from taichi_bearings.scene import Scene, Snapshots, Solution, Status
-from taichi_bearings.scene.solution import CROSSED_BOUND
+from taichi_bearings.scene.solution import is_crossed
 
 RUN_SCHEMA = "taichi_bearings.run"
 RUN_VERSION = 1
@@ -136,7 +136,10 @@ def read_run_file(run: Path) -> StoredRun:
         if "packing" in file:
             raise FileError(f"{run} is a run of a packing, where one of a lattice is wanted")
         attributes = attributes_of(file)
-        _refuse_bound_above_power(path, attributes)
+        told = (np.atleast_1d(attributes.get(name, np.nan)) for name in ("power", "lower_bound", "gap"))
+        numbers = [v if v.dtype.kind in "iuf" else np.full(v.shape, np.nan) for v in told]  # no number says nothing
+        if any(map(is_crossed, *np.broadcast_arrays(*numbers))):
+            raise FileError(f"{path} has a lower bound above its power; it is damaged or was changed")
         stored = StoredRun(path, attributes, _solution(path, file, attributes))
     _check_arrays(stored)
     return stored
@@ -204,7 +207,15 @@ def _solution(path: Path, file: h5py.File, attributes: Mapping[str, Any]) -> Sol
     there = [name for name in CONTACTS if name not in NOT_IN_ALL or f"contact/x/{name}" in file]
     sets: dict[str, Any] = {"slip_bound": None} | {name: arrays.of_contacts(name) for name in there}
     sets.setdefault("proven", nothing_proven(sets["state"]))
-    number = partial(_numbers, attributes, scene.replicas)
+
+    def number(name: str) -> np.ndarray:
+        """An attribute with one value a replica, (R,); not-a-number where it is missing or says nothing, as "" does."""
+        value = attributes.get(name, "")
+        values = np.atleast_1d(np.nan if isinstance(value, str) and not value else value)
+        if values.dtype.kind not in "biuf" or values.shape not in ((1,), (scene.replicas,)):
+            raise ValueError(f"{name} is {value!r}; it must be a number, for each of its {scene.replicas} samples")
+        return np.broadcast_to(values, scene.replicas).copy()
+
     numbers: dict[str, Any] = {key: number(key) for key in ("power", "lower_bound", "gap", "largest_balance_residual")}
     numbers |= {key: float(attributes[key]) for key in ("slip_threshold", "seconds", "seconds_compile")}
     ended = [Status(name) for name in np.atleast_1d(attributes["status"]).tolist()]
@@ -242,15 +253,6 @@ def scene_settings(attributes: Mapping[str, Any]) -> RunSettings:
         raise InputError(str(error)) from None
 
 
-def _numbers(attributes: Mapping[str, Any], replicas: int, name: str) -> np.ndarray:
-    """An attribute with one value a replica, (R,); not-a-number where it is missing or says nothing, as "" does."""
-    value = attributes.get(name, "")
-    values = np.atleast_1d(np.nan if isinstance(value, str) and not value else value)
-    if values.dtype.kind not in "biuf" or values.shape not in ((1,), (replicas,)):
-        raise ValueError(f"{name} is {value!r}; it must be a number, for each of its {replicas} samples")
-    return np.broadcast_to(values, replicas).copy()
-
-
 def _check_arrays(run: StoredRun) -> None:
     """FileError for numbers that no solve leaves, where what reads them would fail or mislead."""
     solution = run.solution
@@ -272,16 +274,3 @@ def _check_arrays(run: StoredRun) -> None:
 
 
 ENERGIES = {"time", "kinetic_energy", "spring_energy", "injected_energy", "dissipated_energy"}
-
-
-def _refuse_bound_above_power(path: Path, attributes: Mapping[str, Any]) -> None:
-    """FileError if a lower bound lies above its power by more than rounding. What is no number says nothing."""
-
-    def numbers(name: str) -> np.ndarray:
-        values = np.atleast_1d(attributes.get(name, np.nan))
-        return values.astype(float) if values.dtype.kind in "iuf" else np.full(values.shape, np.nan)
-
-    power, bound = numbers("power"), numbers("lower_bound")
-    driven = (numbers("spin_top") != numbers("spin_bottom")).all()
-    if (numbers("gap") < -CROSSED_BOUND).any() or (driven and (bound > power * (1 + CROSSED_BOUND)).any()):
-        raise FileError(f"{path} has a lower bound above its power; it is damaged or was changed")

@@ -3,6 +3,7 @@
 What belongs to every run is declared here; the options of a method are those that its row in solvers/table.py declares.
 """
 
+import json
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -10,6 +11,7 @@ from functools import lru_cache, partial
 from itertools import accumulate
 from operator import attrgetter
 from pathlib import Path
+from sys import float_info
 from typing import Any
 
 from taichi_bearings.errors import FileError, InputError
@@ -21,6 +23,7 @@ from taichi_bearings.options import (
     REAL,
     SEED,
     TEXT,
+    TRUTH,
     Kind,
     OneOf,
     Option,
@@ -35,7 +38,7 @@ from taichi_bearings.options import (
 from taichi_bearings.plain_files import read_whole
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.array_files import read_coefficients
-from taichi_bearings.scene.law import LAWS, Law
+from taichi_bearings.scene.law import LAWS
 from taichi_bearings.scene.ramp import TORQUE
 from taichi_bearings.scene.scene import periodic_axes
 from taichi_bearings.solvers.table import METHODS, MethodOptions
@@ -294,11 +297,14 @@ class RunSettings:
     def unused(self, method: type[MethodOptions]) -> dict[str, str]:
         """The given keys that this method, the law or the lattice does not use, each with a sentence that says so."""
         table, law, given = settings_table(), LAWS[self.law], self.given
-        unused = {
-            key: f"{key} is {value}, but {method.name} with the law {law.name} does not use it; it needs {needs}"
-            for key, value in given.items()
-            if (needs := _missing(table[key], method, law))
-        }
+        unused = {}
+        for key, value in given.items():
+            methods, laws = users_of(table[key])
+            needs = [] if method.name in methods else [f"--method {' or '.join(methods)}"]
+            needs += [] if law.name in laws else [f"--law {' or '.join(laws)}"]
+            if needs:
+                words = f"but {method.name} with the law {law.name} does not use it; it needs {' and '.join(needs)}"
+                unused[key] = f"{key} is {value}, {words}"
         flat = [key for key in given if len(self.shape) not in table[key].dimensions]
         unused |= {
             key: f"{key} is {given[key]}, but spins of discs point along z; it needs three sides" for key in flat
@@ -313,17 +319,25 @@ class RunSettings:
         return unused | {key: f"{key} is {given[key]}, {words}" for key in drawn}
 
 
-def _missing(item: Option, method: type[MethodOptions], law: Law) -> str:
-    """What an option needs to be used; empty if it is used."""
-    methods, laws = users_of(item)
-    words = [] if method.name in methods else [f"--method {' or '.join(methods)}"]
-    return " and ".join(words if law.name in laws else [*words, f"--law {' or '.join(laws)}"])
-
-
 def users_of(item: Option) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Names of the methods and of the laws that use an option."""
     methods = tuple(name for name, row in METHODS.items() if item.methods is None or item.methods(row))
     return methods, tuple(name for name, law in LAWS.items() if item.laws is None or item.laws(law))
+
+
+WISHES = {  # what a scan may be asked for of every sample, beside the numbers of `run`
+    "analyse": Option(
+        None, TRUTH, "Add the numbers of `bearings analyse` for every sample. [default: as the folder was asked before]"
+    ),
+    "keep_states": Option(
+        None, TRUTH,
+        "Keep full states too, as states/<sample>.h5, the layout of run.h5. [default: as the folder was asked before]",
+    ),
+    "sample_timeout": Option(
+        None, Kind(bounded(real, 0, float_info.max, open_low=True), "a positive number of seconds", "SECONDS"),
+        "End a sample that takes longer. [default: 100 times the expected time, at least 600; dynamics: none]",
+    ),
+}  # fmt: skip
 
 
 def settings_table() -> dict[str, Option]:
@@ -351,17 +365,12 @@ def toml_value(value: Any) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, str):
-        return '"' + "".join(_escaped(letter) for letter in value) + '"'
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")  # the same escapes, but for that one
     if isinstance(value, (list, tuple)):
         return "[" + ", ".join(toml_value(part) for part in value) + "]"
     if isinstance(value, Mapping):
         return "{ " + ", ".join(f"{key} = {toml_value(part)}" for key, part in value.items()) + " }"
     return repr(value)
-
-
-def _escaped(letter: str) -> str:
-    is_control = ord(letter) < 0x20 or ord(letter) == 0x7F
-    return f"\\u{ord(letter):04x}" if is_control else f"\\{letter}" if letter in '"\\' else letter
 
 
 MOST_SETTINGS_TEXT = 2**22  # bytes of a scene or scan file
@@ -419,8 +428,15 @@ def parse_toml(text: str, path: Path | None = None) -> dict[str, Any]:
         import tomllib
     else:
         import tomli as tomllib
-    try:
-        _refuse_costly(text)
+    try:  # what would take Python's stack, or memory and time out of all proportion, is refused
+        if len(text) > MOST_SETTINGS_TEXT:
+            raise ValueError(f"it is longer than {MOST_SETTINGS_TEXT:,} bytes")
+        is_deep = text.count("[") + text.count("{") > 5 * MOST_NESTED
+        if is_deep and max(accumulate((letter in "[{") - (letter in "]}") for letter in text)) > 5 * MOST_NESTED:
+            raise ValueError("its brackets do not close")
+        dots = [found[0].count(".") for found in DOTTED.finditer(text)]
+        if max(dots, default=0) > MOST_NESTED or sum(dots) > MOST_DOTS:
+            raise ValueError(f"keys have at most {MOST_NESTED} dots, and all together {MOST_DOTS:,}")
         values = tomllib.loads(text)
         _refuse_unwritable(values)
     except (ValueError, RecursionError) as error:  # too many digits or brackets too
@@ -433,18 +449,6 @@ def parse_toml(text: str, path: Path | None = None) -> dict[str, Any]:
         if isinstance(value, str) and (folder / value).is_file():
             values[key] = str(folder / value)
     return values
-
-
-def _refuse_costly(text: str) -> None:
-    """ValueError for what would take Python's stack, or memory and time out of all proportion."""
-    if len(text) > MOST_SETTINGS_TEXT:
-        raise ValueError(f"it is longer than {MOST_SETTINGS_TEXT:,} bytes")
-    is_deep = text.count("[") + text.count("{") > 5 * MOST_NESTED
-    if is_deep and max(accumulate((letter in "[{") - (letter in "]}") for letter in text)) > 5 * MOST_NESTED:
-        raise ValueError("its brackets do not close")
-    dots = [found[0].count(".") for found in DOTTED.finditer(text)]
-    if max(dots, default=0) > MOST_NESTED or sum(dots) > MOST_DOTS:
-        raise ValueError(f"keys have at most {MOST_NESTED} dots, and all together {MOST_DOTS:,}")
 
 
 def _refuse_unwritable(value: Any, depth: int = 0) -> None:

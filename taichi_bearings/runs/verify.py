@@ -43,7 +43,10 @@ def verify(path: Path) -> dict[str, Any]:
     if isinstance(samples, Samples):
         size, drawn = {"shape": list(samples.shape)}, is_drawn(run)
         with stage("drawing the coefficients again"):
-            report["contradictions"] += _coefficients(run, samples) if drawn else []
+            lattice = Lattice(samples.shape, periodic=samples.periodic)
+            sets = [("coefficients", "distribution", draw_coefficients, samples.coefficient)]
+            sets += [("viscosities", "viscosity", draw_viscosities, samples.viscosity)] if samples.viscosity else []
+            report["contradictions"] += [said for one in sets * drawn for said in _redrawn(run, lattice, *one)]
     else:
         size = {"shape": None, "spheres": len(samples.spin), "contacts": len(samples.arrays["contact"])}
     status = [word for one in (run, *others) for word in one.claimed("status")]
@@ -60,15 +63,6 @@ def verify(path: Path) -> dict[str, Any]:
         "run": str(path),
         "seconds": time.perf_counter() - began,
     }
-
-
-def _coefficients(run: StoredRun, samples: Samples) -> list[str]:
-    """Coefficients that the scene says to be drawn from seeds are those of the seeds."""
-    lattice = Lattice(samples.shape, periodic=samples.periodic)
-    found = _redrawn(run, lattice, "coefficients", "distribution", draw_coefficients, samples.coefficient)
-    if samples.viscosity:
-        found += _redrawn(run, lattice, "viscosities", "viscosity", draw_viscosities, samples.viscosity)
-    return found
 
 
 def _redrawn(

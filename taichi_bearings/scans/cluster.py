@@ -22,8 +22,7 @@ from typing import TYPE_CHECKING, Any
 
 from taichi_bearings.errors import BearingsError, InputError
 from taichi_bearings.scans.engine import LOOK_SECONDS, LocalEngine, Outcome, Record, Unit, Work
-from taichi_bearings.scans.plan import NAMED_FILES, Sample
-from taichi_bearings.scene.initial_spins import STARTS
+from taichi_bearings.scans.plan import files_of
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -84,28 +83,25 @@ class DaskEngine:
 
     @property
     def has_room(self) -> bool:
-        self._look()
+        now = time.monotonic()
+        if now >= self._looked + LOOK:  # count the workers now and then
+            self._looked = now
+            with contextlib.suppress(Exception):  # no answer says nothing new, and collect() notices a lost scheduler
+                self._threads = sum(self.client.nthreads().values())
+            self.workers = max(self.workers, self._threads)
+            self._seen = now if self._threads else self._seen
+            if now > self._seen + LONELY:
+                self._seen = now + 10 * LONELY
+                logging.getLogger(__name__).warning("bearings: the Dask cluster has no workers; waiting for some")
         return len(self._submitted) < UNITS_AHEAD * self._threads
 
-    def _look(self) -> None:
-        """Count the workers now and then."""
-        now = time.monotonic()
-        if now < self._looked + LOOK:
-            return
-        self._looked = now
-        with contextlib.suppress(Exception):  # no answer: nothing new is known, and collect() notices a lost scheduler
-            self._threads = sum(self.client.nthreads().values())
-        self.workers = max(self.workers, self._threads)
-        if self._threads:
-            self._seen = now
-        elif now > self._seen + LONELY:
-            self._seen = now + 10 * LONELY
-            logging.getLogger(__name__).warning("bearings: the Dask cluster has no workers; waiting for some")
-
     def submit(self, unit: Unit) -> None:
-        sent = tuple(_for_any_folder(sample) for sample in unit)
+        sent = []  # with its files named in full, since workers run elsewhere
+        for sample in unit:
+            names: dict[str, Any] = {name: str(Path(file).absolute()) for name, file in files_of(sample.settings)}
+            sent.append(replace(sample, settings=replace(sample.settings, **names)) if names else sample)
         key = f"bearings-{self._name}-{uuid.uuid4().hex}"
-        future = self.client.submit(solve_unit, sent, self._name, self.work, self.allowed, key=key, pure=False)
+        future = self.client.submit(solve_unit, tuple(sent), self._name, self.work, self.allowed, key=key, pure=False)
         self._submitted[key] = future, unit
         future.add_done_callback(self._finished.put)
 
@@ -144,16 +140,6 @@ class DaskEngine:
             self.client.cancel([future for future, _ in self._submitted.values()])
             self.client.run(end_solvers, self._name, on_error="ignore")
         self._submitted.clear()
-
-
-def _for_any_folder(sample: Sample) -> Sample:
-    """The sample with its files named in full, since workers run elsewhere."""
-    settings = sample.settings
-    named = {name: getattr(settings, name) for name in NAMED_FILES}
-    changes: dict[str, Any] = {
-        name: str(Path(file).absolute()) for name, file in named.items() if file is not None and file not in STARTS
-    }
-    return replace(sample, settings=replace(settings, **changes)) if changes else sample
 
 
 _engines: dict[tuple[str, int], LocalEngine] = {}  # of this Dask worker, by scan and thread

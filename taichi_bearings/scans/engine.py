@@ -185,27 +185,30 @@ class LocalEngine:
         if worker is None:
             if len(self._pool) >= self.workers:
                 self._end(idle[0])
-            worker = self._start(device)
+            context = multiprocessing.get_context("spawn")
+            ours, theirs = context.Pipe()
+            process = context.Process(target=serve, args=(theirs, self.work), daemon=True, name="bearings-worker")
+            worker = _Worker(process, ours, device)
+            with _main_left_out(), unheard_by_children():  # the tracker is started without the working folder too
+                process.start()
+                theirs.close()
+                self._pool.append(worker)
         worker.unit = unit
         if worker.started:  # else when it says so: a large unit would block the pipe until then
             worker.send()
-
-    def _start(self, device: tuple[str, str, int]) -> _Worker:
-        context = multiprocessing.get_context("spawn")
-        ours, theirs = context.Pipe()
-        process = context.Process(target=serve, args=(theirs, self.work), daemon=True, name="bearings-worker")
-        worker = _Worker(process, ours, device)
-        with _main_left_out(), unheard_by_children():  # the tracker is started without the working folder too
-            process.start()
-            theirs.close()
-            self._pool.append(worker)
-        return worker
 
     def collect(self, seconds: float) -> list[Outcome]:
         if not self._pool:
             return []
         ready = multiprocessing.connection.wait([worker.pipe for worker in self._pool], seconds)
-        found = [self._hear(w) if w.pipe in ready else self._overdue(w) for w in list(self._pool)]
+        found = list[Outcome | None]()
+        for worker in list(self._pool):
+            unit = worker.unit
+            if worker.pipe in ready:
+                found.append(self._hear(worker))
+            elif unit is not None and time.monotonic() - worker.began >= (allowed := self.allowed(unit)):
+                self._end(worker)
+                found.append(Outcome(unit, None, f"no result within {allowed:g} s"))
         return [outcome for outcome in found if outcome is not None]
 
     def _hear(self, worker: _Worker) -> Outcome | None:
@@ -225,13 +228,6 @@ class LocalEngine:
         if not healthy:
             self._end(worker)
         return None if unit is None else Outcome(unit, records)
-
-    def _overdue(self, worker: _Worker) -> Outcome | None:
-        unit = worker.unit
-        if unit is None or time.monotonic() - worker.began < (allowed := self.allowed(unit)):
-            return None
-        self._end(worker)
-        return Outcome(unit, None, f"no result within {allowed:g} s")
 
     def _end(self, worker: _Worker) -> str:
         """Remove a worker from the pool; says how it ended."""

@@ -4,18 +4,18 @@ The model gives times on one core of a common server, good to a factor of three;
 `--dry-run`, makes units of work that are worth sending to a worker, and with :class:`WorkLeft` tells the time left.
 """
 
-import heapq
-import itertools
 import math
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
+
+import numpy as np
 
 from taichi_bearings.runs.run import row_of
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scans.engine import Record, Unit
-from taichi_bearings.scans.plan import MOST_SAMPLES, Sample, ScanPlan, groups_of, spheres_of
+from taichi_bearings.scans.plan import Sample, ScanPlan, groups_of, spheres_of
 
 WORKER_START = 1.0  # seconds to start a worker, its imports included
 OVERHEAD = 5e-4  # seconds to summarise a sample and write it down
@@ -29,11 +29,7 @@ KIND_KEYS = (
     "stiffness", "time_step", "error_tolerance", "arch", "precision", "packing", "driven",
 )  # fmt: skip
 """Settings of which the time of a sample depends most."""
-PRIOR = 0.2  # samples of a kind that weigh as much as what is known of other kinds
-OVERDUE = 1.25  # a unit that takes longer than expected is expected to take so many times what it has taken
-KNOWN = 0.5  # share of the remaining work whose kinds are measured, from which on a time left is known
-BEGUN = 0.1  # or share of all work that is done
-PORTION = 0.05  # of a worker's share of the work: shorter units are handed out together
+BEGUN = 0.1  # share of all work, done, from which on a time left is known, or where most of the rest is of known kinds
 
 
 def unused_keys(plan: ScanPlan) -> list[str]:
@@ -102,156 +98,75 @@ def paying_workers(samples: Sequence[Sample], most: int, structure: bool = False
 
 
 @dataclass(eq=False)
-class _Kind:
+class Kind:
     """Samples that take about the same time.
 
-    cost : estimated seconds of one; where there is no estimate, spheres times simulated time. together : samples of a
-    unit. remaining : samples without a result, of which `alone` are tried again. measured, estimated : seconds and cost
-    of the samples that have been in work.
+    cost : estimated seconds of one; where there is no estimate, spheres times simulated time. remaining : samples
+    without a result. done, seconds : samples with one, and what they have taken.
     """
 
     method: str
-    has_estimate: bool
+    is_estimated: bool
     cost: float
-    together: int = 1
     remaining: int = 0
-    alone: int = 0
-    measured: float = 0.0
-    estimated: float = 0.0
-
-
-@dataclass
-class _Begun:
-    """A unit in work since `seconds`. is_first : of its worker, which also loads and compiles for it."""
-
-    unit: Unit
-    kind: _Kind
-    seconds: float
-    is_first: bool
+    done: int = 0
+    seconds: float = 0.0
 
 
 class WorkLeft:
-    """The work that is left of a scan: for each kind of samples the cost that the model estimates, times the ratio of
-    measured to estimated seconds of that kind so far, shared over the workers.
+    """The work that is left of a scan: the samples of each kind are taken to need what those that are done have taken;
+    where none is, their estimated cost, times the ratio of measured to estimated seconds of their method so far.
 
-    units : all that are to be solved, in their order. records : of the samples that are done, by key, as they come.
     structure : samples are analysed too.
     """
 
-    def __init__(self, units: Sequence[Unit], records: Mapping[str, Record], structure: bool = False) -> None:
-        self.records, self.structure = records, structure
-        self.kinds: dict[tuple[Any, ...], _Kind] = {}
-        for unit in units:
-            kind = self._kind_of(unit[0])
-            kind.remaining += len(unit)
-            kind.together = max(kind.together, len(unit))
-        self.begun: dict[str, _Begun] = {}  # units in work, by the key of their first sample
-        self.again: set[str] = set()  # samples that wait for another try
-        self.started, self.start = 0, WORKER_START  # workers; seconds that the last of them took to load and compile
-
-    def _kind_of(self, sample: Sample) -> _Kind:
-        settings, key = sample.settings, kind_of(sample.settings)
-        if key not in self.kinds:
-            seconds = seconds_of(settings, self.structure)
-            has_estimate = seconds < math.inf
-            cost = seconds if has_estimate else spheres_of(settings) * (settings.duration or 1.0)
+    def __init__(self, samples: Sequence[Sample], structure: bool = False) -> None:
+        self.structure, self.kinds = structure, dict[tuple[Any, ...], Kind]()
+        for group in groups_of(samples):
+            settings = group[0].settings
+            seconds = seconds_of(settings, structure)
+            is_estimated = seconds < math.inf
+            cost = seconds if is_estimated else spheres_of(settings) * (settings.duration or 1.0)
             name = row_of(settings).name + " of packings" * settings.is_packing
-            self.kinds[key] = _Kind(name, has_estimate, cost)
-        return self.kinds[key]
+            self.kinds.setdefault(kind_of(settings), Kind(name, is_estimated, cost)).remaining += len(group)
 
-    def retry(self, sample: Sample) -> None:
-        """A sample has failed and is tried again: when all others are done, alone."""
-        self.again.add(sample.key)
-        self._kind_of(sample).alone += 1
-
-    def finish(self, sample: Sample) -> None:
+    def finish(self, sample: Sample, record: Record) -> None:
         """A sample needs no more work."""
-        self._kind_of(sample).remaining -= 1
+        kind, seconds = self.kinds[kind_of(sample.settings)], record["scalars"].get("seconds")
+        kind.remaining -= 1
+        if seconds is not None:
+            kind.done += 1
+            kind.seconds += seconds + seconds_beside(sample.settings, self.structure)
 
-    def look(self, running: Sequence[Unit], workers: int, now: float) -> None:
-        """Learn which units are in work, and what those have taken that no longer are.
+    def expected(self, workers: int) -> float | None:
+        """Seconds left as far as can be said; None if nothing can: of methods without an estimate and not measured."""
+        each = {kind: seconds for kind, seconds in self._seconds_each().items() if kind.remaining}
+        shared = math.fsum(kind.remaining * seconds for kind, seconds in each.items()) / workers
+        left = max(shared, max(each.values(), default=0.0))  # the longest sample has a worker of its own
+        return left if left < math.inf else None
 
-        running : units with the workers, the oldest first; each worker has one in work, the others wait. now : seconds.
-        """
-        in_work = {unit[0].key: unit for unit in running[:workers]}
-        for key in self.begun.keys() - in_work.keys():
-            self._end(self.begun.pop(key), now)
-        for key in in_work.keys() - self.begun.keys():
-            kind = self._kind_of(in_work[key][0])
-            kind.alone -= key in self.again
-            self.again.discard(key)
-            self.begun[key] = _Begun(in_work[key], kind, now, self.started < workers)
-            self.started = min(self.started + 1, workers)
-
-    def _end(self, old: _Begun, now: float) -> None:
-        seconds = now - old.seconds
-        if old.is_first:
-            found = [self.records[sample.key]["scalars"] for sample in old.unit if sample.key in self.records]
-            solving = math.fsum(scalars.get("seconds", 0.0) for scalars in found)
-            work = solving + len(found) * seconds_beside(old.unit[0].settings, self.structure)
-            self.start, seconds = max(seconds - work, 0.0), min(seconds, work)
-        if seconds > 0:
-            old.kind.measured += seconds
-            old.kind.estimated += len(old.unit) * old.kind.cost
-
-    def seconds_left(self, workers: int, now: float) -> float | None:
-        """Time left; None while what is measured says too little of what is to come."""
-        done, each = math.fsum(kind.measured for kind in self.kinds.values()), self._seconds_each()
-        left = math.fsum(kind.remaining * seconds for kind, seconds in each.items())
-        known = math.fsum(kind.remaining * seconds for kind, seconds in each.items() if kind.measured)
-        is_known = done > 0 and (known >= KNOWN * left or done >= BEGUN * (done + left))
-        return self.expected(workers, now) if is_known else None
-
-    def expected(self, workers: int, now: float = 0.0) -> float | None:
-        """Time left as far as can be said; None if nothing can: of methods without an estimate and not yet measured."""
-        each, late = self._seconds_each(), list[tuple[_Kind, float, float]]()
-        waiting = {kind: kind.remaining - kind.alone for kind in each}
-        busy = [0.0] * (workers - len(self.begun))
-        for begun in self.begun.values():
-            kind, taken = begun.kind, now - begun.seconds - (self.start if begun.is_first else 0.0)
-            seconds = len(begun.unit) * each[kind]
-            if OVERDUE * taken > seconds:
-                seconds = OVERDUE * taken
-                late.append((kind, seconds, len(begun.unit) * kind.cost))
-            waiting[kind] -= len(begun.unit)
-            busy.append(seconds - taken)
-        each = self._seconds_each(late)
-        if any(kind.remaining and seconds == math.inf for kind, seconds in each.items()):
+    def seconds_left(self, running: Sequence[Unit], workers: int, elapsed: float) -> float | None:
+        """The same at the pace so far, which machines and all that is done beside solving set; None while what is
+        measured says too little of what is to come. running : in work, which count as half done. elapsed : seconds."""
+        each = self._seconds_each()
+        known, unknown = (
+            math.fsum(kind.remaining * each[kind] for kind in each if kind.remaining and bool(kind.done) == measured)
+            for measured in (True, False)
+        )
+        half = 0.5 * math.fsum(len(unit) * each[self.kinds[kind_of(unit[0].settings)]] for unit in running[:workers])
+        done = math.fsum(kind.seconds for kind in each)
+        if not done or known + unknown == math.inf or (known < unknown and done < BEGUN * (done + known + unknown)):
             return None
-        pieces = [(kind, *divmod(number, kind.together)) for kind, number in waiting.items() if number > 0]
-        shared = [(units, kind.together * each[kind]) for kind, units, _ in pieces]
-        shared += [(1, rest * each[kind]) for kind, _, rest in pieces]
-        return _shared(busy, shared) + math.fsum(kind.alone * each[kind] for kind in each if kind.alone)
+        return (known + unknown - half) / workers * max(workers * elapsed / (done + half), 1.0)
 
-    def _seconds_each(self, late: Sequence[tuple[_Kind, float, float]] = ()) -> dict[_Kind, float]:
-        """Seconds of a sample of each kind; few samples are drawn towards the ratio of all of their method.
-
-        late : kind, seconds and cost of units in work that count as measured. Infinite where nothing is estimated or
-        measured.
-        """
-        measured, estimated = defaultdict[_Kind | str, float](float), defaultdict[_Kind | str, float](float)
-        known = ((kind, kind.measured, kind.estimated) for kind in self.kinds.values())
-        for kind, seconds, cost in itertools.chain(known, late):
-            for key in (kind, kind.method):
-                measured[key] += seconds
-                estimated[key] += cost
-        each = {}
+    def _seconds_each(self) -> dict[Kind, float]:
+        """Of a sample of each kind; infinite where nothing is estimated or measured."""
+        pace = defaultdict[str, np.ndarray](lambda: np.zeros(2))
         for kind in self.kinds.values():
-            unmeasured, prior = 1.0 if kind.has_estimate else math.inf, PRIOR * kind.cost
-            ratio = measured[kind.method] / estimated[kind.method] if estimated[kind.method] else unmeasured
-            each[kind] = kind.cost * (measured[kind] + prior * ratio) / (estimated[kind] + prior)
-        return each
-
-
-def _shared(busy: list[float], pieces: Sequence[tuple[int, float]]) -> float:
-    """Time until all is done: each piece in turn goes to the worker that is free first.
-
-    busy : seconds until each worker is free. pieces : how many, of how many seconds each.
-    """
-    portion = PORTION * (math.fsum(busy) + math.fsum(number * seconds for number, seconds in pieces)) / len(busy)
-    heapq.heapify(busy)
-    for number, seconds in pieces:
-        together = max(1, int(portion / seconds)) if seconds else MOST_SAMPLES
-        for first in range(0, number, together):
-            heapq.heapreplace(busy, busy[0] + min(together, number - first) * seconds)
-    return max(busy)
+            pace[kind.method] += kind.seconds, kind.done * kind.cost
+        found = {}
+        for kind in self.kinds.values():
+            measured, estimated = pace[kind.method]
+            ratio = measured / estimated if estimated else 1.0 if kind.is_estimated else math.inf
+            found[kind] = kind.seconds / kind.done if kind.done else kind.cost * ratio
+        return found

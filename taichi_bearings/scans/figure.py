@@ -94,8 +94,12 @@ def plot_scan(
         refuse_standing([table], force or out is None)
         columns = columns_of(scan, request)
         points = points_of(columns, request)
-        for line in accounts_of(columns, request):
-            tell(line)
+        reasons = _reasons(columns, request)
+        tell(str(Census.of(reasons.tolist())))
+        for part, own in groups(columns, request.by).items() if request.by else ():  # each curve that lacks some
+            if (census := Census.of(reasons[own].tolist())).left_out:
+                words = ", ".join(f"{key} {value}" for key, value in zip(request.by, part, strict=True))
+                tell(f"  {words}: {census}")
         save(draw_scan(curves_of(points, request), look_of(scan, columns, points, request), page), figure)
         names, rows = rows_of(points, request)
         write_csv(table, names, rows)
@@ -112,36 +116,35 @@ def columns_of(scan: StoredScan, request: Request) -> dict[str, np.ndarray]:
         if name not in table:
             raise InputError(f"{scan.path} has no column {name!r}; it has {', '.join(table)}{meant(name, table)}")
     chosen = np.ones(scan.samples, dtype=bool)
-    for condition in request.where:
-        chosen &= _meets(table, condition)
+    for condition in request.where:  # KEY=VALUE, a text or a number to the last bit
+        key, equals, value = condition.partition("=")
+        if not equals or key not in table:
+            raise InputError(
+                f"where is {condition!r}; it must be KEY=VALUE with a KEY of {', '.join(table)}{meant(key, table)}"
+            )
+        values = table[key]
+        if values.dtype == object or values.dtype == bool:
+            found = np.array([str(v).lower() == value.lower() for v in values.tolist()])
+        else:
+            try:
+                found = values == float(value)
+            except ValueError:
+                raise InputError(f"where is {condition!r}; {key} has numbers") from None
+        if not found.any():
+            known = [str(v) for (v,) in groups(table, [key])]
+            some = ", ".join(known[:20]) + " ..." * (len(known) > 20)
+            raise InputError(f"where is {condition!r}; {key} is one of {some}{meant(value, known)}")
+        chosen &= found
     return {name: values[chosen] for name, values in table.items()}
-
-
-def _meets(table: Mapping[str, np.ndarray], condition: str) -> np.ndarray:
-    """Samples that meet KEY=VALUE, a text or a number to the last bit."""
-    key, equals, value = condition.partition("=")
-    if not equals or key not in table:
-        raise InputError(
-            f"where is {condition!r}; it must be KEY=VALUE with a KEY of {', '.join(table)}{meant(key, table)}"
-        )
-    values = table[key]
-    if values.dtype == object or values.dtype == bool:
-        found = np.array([str(v).lower() == value.lower() for v in values.tolist()])
-    else:
-        try:
-            found = values == float(value)
-        except ValueError:
-            raise InputError(f"where is {condition!r}; {key} has numbers") from None
-    if not found.any():
-        known = [str(v) for (v,) in groups(table, [key])]
-        some = ", ".join(known[:20]) + " ..." * (len(known) > 20)
-        raise InputError(f"where is {condition!r}; {key} is one of {some}{meant(value, known)}")
-    return found
 
 
 def points_of(columns: Mapping[str, np.ndarray], request: Request) -> list[Point]:
     """Statistics of y at each value of x and of the parting columns, in their order; some sample must have both."""
-    terms = [_numbers(columns, name) for name in request.y.split("/")]
+    names, terms = request.y.split("/"), list[np.ndarray]()
+    for name in names:
+        if columns[name].dtype == object:
+            raise InputError(f"y is {name!r}, which has texts; it must have numbers")
+        terms.append(columns[name].astype(float))
     if len(terms) > 2:
         raise InputError(f"y is {request.y!r}; it must be a column, or one over another as in power/power_minimum_cut")
     reasons, disorder = _reasons(columns, request), numbered(disorder_of(columns))
@@ -155,23 +158,20 @@ def points_of(columns: Mapping[str, np.ndarray], request: Request) -> list[Point
             continue
         used = rows[reasons[rows] == ""]
         own = [independent(values[used], disorder[used]) for values in terms]
-        statistics = _statistics(own)
-        at = float(x) if isinstance(x, (int, float)) else place[x]
-        plot: Plotted = (at, *_shown(statistics, len(own[0])))
+        statistics, shown = _statistics(own)
+        plot: Plotted = (float(x) if isinstance(x, (int, float)) else place[x], *shown)
         points.append(Point(tuple(part), x, len(own[0]), statistics, plot, Census.of(reasons[rows].tolist())))
-    _check_log(points, request)
+    if "x" in request.log and any(isinstance(point.x, str) for point in points):
+        raise InputError(
+            f"log is {request.log!r}, but {request.x} has words, not numbers; the length of cubes and squares is L"
+        )
+    for axis, name in enumerate("xy"):
+        least = min(point.plot[axis] for point in points if point.number)
+        if name in request.log and least <= 0:
+            raise InputError(
+                f"log is {request.log!r}, but the least {name} is {least:g}; a logarithmic axis needs numbers above 0"
+            )
     return points
-
-
-def accounts_of(columns: Mapping[str, np.ndarray], request: Request) -> list[str]:
-    """How many of how many samples are in the figure; the same of each curve that lacks some."""
-    reasons = _reasons(columns, request)
-    lines = [str(Census.of(reasons.tolist()))]
-    for part, rows in groups(columns, request.by).items() if request.by else ():
-        if (census := Census.of(reasons[rows].tolist())).left_out:
-            words = ", ".join(f"{key} {value}" for key, value in zip(request.by, part, strict=True))
-            lines.append(f"  {words}: {census}")
-    return lines
 
 
 def _reasons(columns: Mapping[str, np.ndarray], request: Request) -> np.ndarray:
@@ -189,44 +189,19 @@ def _reasons(columns: Mapping[str, np.ndarray], request: Request) -> np.ndarray:
     return reasons
 
 
-def _numbers(columns: Mapping[str, np.ndarray], name: str) -> np.ndarray:
-    if columns[name].dtype == object:
-        raise InputError(f"y is {name!r}, which has texts; it must have numbers")
-    return columns[name].astype(float)
-
-
-def _statistics(terms: Sequence[np.ndarray]) -> dict[str, float]:
-    """Statistics of a number of the samples, or of the ratio of the means of two."""
+def _statistics(terms: Sequence[np.ndarray]) -> tuple[dict[str, float], tuple[float, float, float]]:
+    """Statistics of a number of the samples, or of the ratio of the means of two; and what is drawn: the point and the
+    ends of its bar, of a mean its standard error, if it has enough samples for one."""
     if len(terms) == 2:
-        ratio = ratio_interval(terms[0], terms[1])
-        return {"ratio": ratio.value, "low": ratio.low, "high": ratio.high}
-    values, mean = terms[0], mean_interval(terms[0])
-    error = float(values.std(ddof=1) / np.sqrt(len(values))) if len(values) > 1 else np.nan
-    return {"mean": mean.value, "standard_error": error, "low": mean.low, "high": mean.high}
-
-
-def _shown(statistics: Mapping[str, float], number: int) -> tuple[float, float, float]:
-    """The point and the ends of its bar, if it has enough samples for one: of a mean its standard error."""
-    if "ratio" in statistics:
-        value, low, high = statistics["ratio"], statistics["low"], statistics["high"]
+        found = ratio_interval(terms[0], terms[1])
+        statistics = {"ratio": found.value, "low": found.low, "high": found.high}
+        low, high = found.low, found.high
     else:
-        value, error = statistics["mean"], statistics["standard_error"]
-        low, high = value - error, value + error
-    return (value, low, high) if number >= LEAST_SAMPLES else (value, math.nan, math.nan)
-
-
-def _check_log(points: Sequence[Point], request: Request) -> None:
-    log = request.log
-    if "x" in log and any(isinstance(point.x, str) for point in points):
-        raise InputError(
-            f"log is {log!r}, but {request.x} has words, not numbers; the length of cubes and squares is L"
-        )
-    for place, name in enumerate("xy"):
-        least = min(point.plot[place] for point in points if point.number)
-        if name in log and least <= 0:
-            raise InputError(
-                f"log is {log!r}, but the least {name} is {least:g}; a logarithmic axis needs numbers above 0"
-            )
+        values, found = terms[0], mean_interval(terms[0])
+        error = float(values.std(ddof=1) / np.sqrt(len(values))) if len(values) > 1 else np.nan
+        statistics = {"mean": found.value, "standard_error": error, "low": found.low, "high": found.high}
+        low, high = found.value - error, found.value + error
+    return statistics, (found.value, low, high) if len(terms[0]) >= LEAST_SAMPLES else (found.value, math.nan, math.nan)
 
 
 def curves_of(points: Sequence[Point], request: Request) -> list[Curve]:

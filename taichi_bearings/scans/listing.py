@@ -20,19 +20,12 @@ from taichi_bearings.words import counted, driving_words, listed
 RUN_KIND, SCAN_KIND = "run", "scan"
 OF_A_RUN = ("run.h5", "summary.json", "checkpoint.h5")  # files that hold its results
 RECORD = re.compile(rb'\{"crc32": "[0-9a-f]{8}", "sample": \{"key": "([^"]+)".*?"status": "([^"]*)"')
-NEEDED_FIELDS = {"law": str, "method": str, "seed": int, "status": str, "power": float}
-FURTHER = {
-    "shape": int,
-    "spheres": int,
-    "gap": float,
-    "power_normalised": float,
-    "states_proven": bool,
-    "coefficients": str,
-    "periodic": str,
-    "top": float,
-    "bottom": float,
-    "driven": str,
-}  # or None
+TOLD_OF_RUNS = {  # with their kinds, and whether None will do
+    "law": (str, False), "method": (str, False), "seed": (int, False), "status": (str, False), "power": (float, False),
+    "shape": (int, True), "spheres": (int, True), "gap": (float, True), "power_normalised": (float, True),
+    "states_proven": (bool, True), "coefficients": (str, True), "periodic": (str, True), "top": (float, True),
+    "bottom": (float, True), "driven": (str, True),
+}  # fmt: skip
 LARGEST_NUMBER = 1e300  # of a number
 
 
@@ -86,46 +79,38 @@ def _kind_of(path: Path) -> str:
 
 def _entry(path: Path) -> Entry | None:
     """None for what is neither a run nor a scan; a folder that cannot be read is said to be so."""
-    kind, values, problem, modified = "", {}, "", 0.0
+    kind, values, problem, times = "", {}, "", [0.0]
     try:
         kind = _kind_of(path)
         if not kind:
             return None
-        modified = _written(path)
+        for file in (*(path / name for name in (*OF_A_RUN, "scan.h5")), *journals_in(path)):
+            with contextlib.suppress(FileNotFoundError):  # not there, or on its way to another name
+                times.append(file.stat().st_mtime)
         values = _of_scan(path) if kind == SCAN_KIND else _of_run(path)
     except BearingsError as error:
         problem = str(error)
     except OSError as error:
         problem = error.strerror or str(error)
-    return Entry(str(path), kind or "folder", values, modified, problem)
-
-
-def _written(path: Path) -> float:
-    """When the last of the files that hold results was written."""
-    times = []
-    for file in (*(path / name for name in (*OF_A_RUN, "scan.h5")), *journals_in(path)):
-        with contextlib.suppress(FileNotFoundError):  # not there, or on its way to another name
-            times.append(file.stat().st_mtime)
-    return max(times, default=0.0)
+    return Entry(str(path), kind or "folder", values, max(times), problem)
 
 
 def _of_run(path: Path) -> dict[str, Any]:
     """What its summary says."""
-    file = path / "summary.json"
-    if not file.is_file():
-        if (path / "run.h5").is_file():
-            raise InputError("it has a run.h5 but no summary.json")
+    there = [(path / name).is_file() for name in ("summary.json", "run.h5")]
+    if not any(there):
         return {"status": "unfinished"}
-    summary = read_json(file)
+    if not there[0]:
+        raise InputError("it has a run.h5 but no summary.json")
+    summary = read_json(path / "summary.json")
     if not isinstance(summary, dict):
         raise InputError("its summary.json is no object")
-    for name, kind in (NEEDED_FIELDS | FURTHER).items():
-        value = summary.get(name)
-        if not _fits(kind, value) and not (name in FURTHER and value is None):
+    for name, (kind, can_lack) in TOLD_OF_RUNS.items():
+        if not _fits(kind, summary.get(name)) and not (can_lack and summary.get(name) is None):
             raise InputError(f"its summary.json has no usable {name}")
-    if not (path / "run.h5").is_file():
+    if not there[1]:
         raise InputError("it has a summary.json but no run.h5")
-    return {name: summary.get(name) for name in (*NEEDED_FIELDS, *FURTHER)}
+    return {name: summary.get(name) for name in TOLD_OF_RUNS}
 
 
 def _fits(kind: type, value: Any) -> bool:
@@ -146,14 +131,10 @@ def _of_scan(path: Path) -> dict[str, Any]:
         last.update((found[1], found[2]) for line in lines if (found := RECORD.match(line)))
     states = Counter(status.decode(errors="replace") for status in last.values())
     failed = states.pop(FAILED, 0)
-    told = {name: _plain(fixed.get(name)) for name in ("shape", "law", "method", "seed")}
+    told = {name: fixed.get(name) for name in ("shape", "law", "method", "seed")}
+    told = {name: v if v is None or isinstance(v, int) or _fits(int, v) else str(v) for name, v in told.items()}
     samples = {"samples_asked": asked, "samples_done": states.total(), "samples_failed": failed}
     return {**told, "scanned": list(scanned), **samples, "statuses": dict(states)}
-
-
-def _plain(value: Any) -> Any:
-    """What a scan file fixes, as JSON has it."""
-    return value if value is None or isinstance(value, int) or _fits(int, value) else str(value)
 
 
 def _finite(value: Any) -> Any:

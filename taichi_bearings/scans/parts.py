@@ -88,13 +88,9 @@ def read_journals(folder: Path) -> dict[str, dict[str, Any]]:
     records: dict[str, dict[str, Any]] = {}
     for file in journals_in(folder):
         for key, record in read_journal(file, is_sample).items():
-            if key not in records or _worth(record) >= _worth(records[key]):
-                records[key] = record
+            both = (records.get(key, record), record)  # of equal ones the later
+            records[key] = max(reversed(both), key=lambda one: (not is_failed(one), len(one["scalars"])))
     return records
-
-
-def _worth(record: Mapping[str, Any]) -> tuple[bool, int]:
-    return not is_failed(record), len(record["scalars"])
 
 
 def is_failed(record: Mapping[str, Any]) -> bool:

@@ -7,15 +7,14 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
-from sys import float_info
 from types import MappingProxyType
 from typing import Any
 
 from taichi_bearings.errors import FileError, InputError
-from taichi_bearings.options import TRUTH, Kind, Option, bounded, real
-from taichi_bearings.runs.run_file import refuse_run
+from taichi_bearings.runs.run_file import file_of, refuse_run
 from taichi_bearings.runs.settings import (
     MOST_SETTINGS_TEXT,
+    WISHES,
     RunSettings,
     parse_assignment,
     read_toml,
@@ -51,14 +50,6 @@ class Sample:
 
 
 NAMED_FILES = ("coefficients", "packing", "initial")  # keys that name files
-WISHES = {  # what may be asked of every sample beside the numbers of `run`
-    "analyse": Option(None, TRUTH, "The numbers of `bearings analyse` too."),
-    "keep_states": Option(None, TRUTH, "The full state too."),
-    "sample_timeout": Option(
-        None, Kind(bounded(real, 0, float_info.max, open_low=True), "a positive number of seconds", "SECONDS"),
-        "Time that a sample may take.", unit="s",
-    ),
-}  # fmt: skip
 
 
 def _wishes_in(document: dict[str, Any]) -> dict[str, Any]:
@@ -119,7 +110,22 @@ def read_plan(path: Path, overrides: Sequence[str] = (), wishes: Mapping[str, An
     Raises InputError in one sentence.
     """
     document, axes = _read(path, overrides)
-    return _plan(path, document | dict(wishes), axes)
+    document, scanned, table = document | dict(wishes), tuple(key for axis in axes for key in axis), settings_table()
+    own = _wishes_in(document)
+    for key in scanned:
+        if key in table and table[key].not_scanned:
+            raise InputError(f"{key} cannot be scanned: {table[key].not_scanned}")
+        if key in document or scanned.count(key) > 1:
+            raise InputError(f"{key} is given more than once in {path}; give it above [scan] or in one place of it")
+    for key in ("replicas", "checkpoint_every"):
+        if key in document:
+            raise InputError(f"{key} is {document[key]!r} in a scan; leave it out: {table[key].not_scanned}")
+    text = _text(document, axes)
+    if len(text) > MOST_SETTINGS_TEXT - 1000:  # which wishes may take
+        raise InputError(
+            f"{path} takes {len(text):,} bytes written in full, and at most {MOST_SETTINGS_TEXT:,} are read; use ranges"
+        )
+    return ScanPlan(scanned, tuple(_samples(path, document, scanned, _points(axes))), text, own)
 
 
 Axis = dict[str, Any]  # keys that advance together, with what is given for each
@@ -137,9 +143,13 @@ def _read(path: Path, overrides: Sequence[str] = ()) -> tuple[dict[str, Any], li
     zipped = scan.pop("zip", [])
     if not isinstance(zipped, list) or not all(isinstance(table, Mapping) for table in zipped):
         raise InputError(f"zip in [scan] of {path} must be tables, each headed [[scan.zip]]")
-    single, *zipped = (
-        {key: _located(key, given, path.parent) for key, given in table.items()} for table in (scan, *zipped)
-    )
+    single, *zipped = (dict(table) for table in (scan, *zipped))
+    for table in (single, *zipped):  # names of files relative to where the program runs, no longer to the scan file
+        for key in [key for key in NAMED_FILES if isinstance(table.get(key), list)]:
+            places = [path.parent / name if isinstance(name, str) else name for name in table[key]]
+            table[key] = [
+                str(p) if isinstance(p, Path) and p.is_file() else n for p, n in zip(places, table[key], strict=True)
+            ]
     for text in overrides:
         key, value = parse_assignment(text, "--set", "key=value or scan.key=list or range")
         name = key.removeprefix("scan.")
@@ -154,32 +164,6 @@ def count_samples(path: Path) -> tuple[int, tuple[str, ...], dict[str, Any]]:
     """How many samples a scan file asks for, over which keys, and the keys that all have alike; no sample is built."""
     document, axes = _read(path)
     return math.prod(map(len, _points(axes))), tuple(key for axis in axes for key in axis), document
-
-
-def _located(key: str, values: Any, folder: Path) -> Any:
-    """Names of files relative to where the program runs, no longer to the folder of the scan file."""
-    if key not in NAMED_FILES or not isinstance(values, list):
-        return values
-    return [str(folder / v) if isinstance(v, str) and (folder / v).is_file() else v for v in values]
-
-
-def _plan(path: Path, document: dict[str, Any], axes: Sequence[Axis]) -> ScanPlan:
-    wishes, table = _wishes_in(document), settings_table()
-    points, scanned = _points(axes), tuple(key for axis in axes for key in axis)
-    for key in scanned:
-        if key in table and table[key].not_scanned:
-            raise InputError(f"{key} cannot be scanned: {table[key].not_scanned}")
-        if key in document or scanned.count(key) > 1:
-            raise InputError(f"{key} is given more than once in {path}; give it above [scan] or in one place of it")
-    for key in ("replicas", "checkpoint_every"):
-        if key in document:
-            raise InputError(f"{key} is {document[key]!r} in a scan; leave it out: {table[key].not_scanned}")
-    text = _text(document, axes)
-    if len(text) > MOST_SETTINGS_TEXT - 1000:  # which wishes may take
-        raise InputError(
-            f"{path} takes {len(text):,} bytes written in full, and at most {MOST_SETTINGS_TEXT:,} are read; use ranges"
-        )
-    return ScanPlan(scanned, tuple(_samples(path, document, scanned, points)), text, wishes)
 
 
 def _samples(
@@ -203,31 +187,28 @@ def _samples(
 
 
 def _points(axes: Sequence[Axis]) -> list[list[tuple[Any, ...]]]:
-    """The values of the keys of each axis at its points; not too many in all."""
+    """The values of the keys of each axis at its points; not too many in all, and no list of more is made."""
     points: list[list[tuple[Any, ...]]] = []
     for axis in axes:
-        most = MOST_SAMPLES // math.prod(map(len, points))
-        columns = {key: _values(key, given, most) for key, given in axis.items()}
+        columns, most = dict[str, list[Any]](), MOST_SAMPLES // math.prod(map(len, points))
+        for key, given in axis.items():
+            if isinstance(given, Mapping):
+                count, value = _range(key, given)
+            elif isinstance(given, list) and given:
+                count, value = len(given), given.__getitem__
+            else:
+                raise InputError(
+                    f"{key} in [scan] is {given!r}; it must be a list with at least one value, or {RANGES}"
+                )
+            if count > most:
+                words = f"{count:,} values and the scan too many samples; at most {MOST_SAMPLES:,} are allowed"
+                raise InputError(f"{key} in [scan] has {words}")
+            columns[key] = [value(number) for number in range(int(count))]
         if len(set(map(len, columns.values()))) > 1:
             words = ", ".join(f"{key} has {len(values)}" for key, values in columns.items())
             raise InputError(f"keys of one [[scan.zip]] need equally many values, but {words}")
         points.append(list(zip(*columns.values(), strict=True)))
     return points
-
-
-def _values(key: str, given: Any, most: int) -> list[Any]:
-    """The values of one scanned key; no list of more than `most` is made."""
-    if isinstance(given, Mapping):
-        count, value = _range(key, given)
-    elif isinstance(given, list) and given:
-        count, value = len(given), given.__getitem__
-    else:
-        raise InputError(f"{key} in [scan] is {given!r}; it must be a list with at least one value, or {RANGES}")
-    if count > most:
-        raise InputError(
-            f"{key} in [scan] has {count:,} values and the scan too many samples; at most {MOST_SAMPLES:,} are allowed"
-        )
-    return [value(number) for number in range(int(count))]
 
 
 def _range(key: str, table: Mapping[str, Any]) -> tuple[float, Callable[[int], Any]]:
@@ -255,21 +236,24 @@ def _range(key: str, table: Mapping[str, Any]) -> tuple[float, Callable[[int], A
     return count, lambda i: start + i * step
 
 
+def files_of(settings: RunSettings) -> list[tuple[str, str]]:
+    """The keys that name files, with these names."""
+    return [(name, file) for name in NAMED_FILES if (file := getattr(settings, name)) not in (None, *STARTS)]
+
+
 def sample_key(settings: RunSettings) -> str:
     """Hash of what may shape the result of a sample: the settings that differ from their defaults, files by their
     content. An option that is added later renames no sample."""
     table = settings_table()
     values = {key: value for key, value in settings.given.items() if not table[key].not_scanned}
-    for name in NAMED_FILES:
-        if values.get(name) not in (None, *STARTS):
-            values[name] = content_of(values[name])
+    values |= {name: content_of(file) for name, file in files_of(settings)}
     lines = [f"{name} = {value!r}" for name, value in sorted(values.items())]
     return hashlib.sha256("\n".join(lines).encode()).hexdigest()[:16]
 
 
 def content_of(name: str) -> str:
     """Hash of a file's content; of a run directory, of its run.h5."""
-    path = Path(name) / "run.h5" if Path(name).is_dir() else Path(name)
+    path = file_of(Path(name))
     if not path.is_file():
         raise FileError(f"{name} does not exist or is not a file")
     state = path.stat()
@@ -281,7 +265,7 @@ def _content(name: str, path: Path, *_: int) -> str:
     digest = hashlib.sha256()
     try:
         with path.open("rb") as file:
-            for piece in iter(lambda: file.read(2**20), b""):
+            while piece := file.read(2**20):
                 digest.update(piece)
     except OSError as error:
         raise FileError(f"{name} cannot be read: {error.strerror or error}") from None
@@ -290,11 +274,8 @@ def _content(name: str, path: Path, *_: int) -> str:
 
 def spheres_of(settings: RunSettings) -> int:
     """Spheres of a sample; FileError for a packing that cannot be read."""
-    return (
-        math.prod(settings.shape)
-        if settings.packing is None
-        else _spheres(settings.packing, content_of(settings.packing))
-    )
+    packing = settings.packing
+    return math.prod(settings.shape) if packing is None else _spheres(packing, content_of(packing))
 
 
 @lru_cache(maxsize=1024)

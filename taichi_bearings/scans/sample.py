@@ -2,7 +2,7 @@
 
 import logging
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,11 +14,10 @@ from taichi_bearings.files.scan_file import FAILED, bin_of
 from taichi_bearings.files.whole_file import make_folder
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.proof.contact_state import ContactState
+from taichi_bearings.quantities import plain
 from taichi_bearings.runs.run import Run, prepare, row_of, solve_job, summarise, write_state
-from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scans.engine import Task
-from taichi_bearings.scans.plan import NAMED_FILES, Sample, groups_of, sample_key
-from taichi_bearings.scene.initial_spins import STARTS
+from taichi_bearings.scans.plan import Sample, files_of, groups_of, sample_key
 
 STATES = "states"  # folder of the full states
 
@@ -67,30 +66,34 @@ def _blocks(samples: Sequence[Sample]) -> Iterator[list[Sample]]:
     """Samples that can be solved as one block of replicas: their seeds follow each other, and nothing else differs."""
     for group in groups_of(samples):
         settings = group[0].settings
+        ends_early = settings.time_limit is not None or getattr(settings, "settle", None) is False
+        alone = settings.coefficients is not None or settings.is_packing or ends_early
+        is_alike = not alone and math.prod(settings.shape) < row_of(settings).alike_in_a_block
         block: list[Sample] = []
         for sample in sorted(group, key=lambda sample: sample.settings.seed):
-            follows = block and sample.settings.seed == block[-1].settings.seed + 1
-            if block and not (follows and _alike_in_a_block(settings)):
+            if block and not (is_alike and sample.settings.seed == block[-1].settings.seed + 1):
                 yield block
                 block = []
             block.append(sample)
         yield block
 
 
-def _alike_in_a_block(settings: RunSettings) -> bool:
-    """True if it is no matter to a sample what is solved beside it."""
-    ends_early = settings.time_limit is not None or getattr(settings, "settle", None) is False
-    alone = settings.coefficients is not None or settings.is_packing or ends_early
-    return not alone and math.prod(settings.shape) < row_of(settings).alike_in_a_block
-
-
 def _solve_block(block: Sequence[Sample], analyse: bool, states: Path | None) -> list[dict[str, Any]]:
     """Records of a block, whose packings are alone."""
-    first = block[0].settings
-    files = [file for name in NAMED_FILES if (file := getattr(first, name)) not in (None, *STARTS)]
+    first, runs = block[0].settings, list[Any]()
+    files = [file for _, file in files_of(first)]
     if files and sample_key(first) != block[0].key:
         raise InputError(f"{' or '.join(files)} has changed since the scan began; the same scan again would do it anew")
-    runs = _solved(block)
+    settings = replace(first, replicas=len(block), threads=first.threads or 1)
+    if settings.is_packing:
+        from taichi_bearings.scans.packings import solve_packing_sample
+
+        runs = [solve_packing_sample(settings)]
+    else:
+        solution = solve_job(prepare(settings, strict=False))
+        runs = [Run(sample.settings, solution.sample(number)) for number, sample in enumerate(block)]
+    if any(run.interrupted for run in runs):
+        raise Interrupted
     for sample, run in zip(block, runs, strict=True):
         if states is not None:
             make_folder(states)
@@ -100,25 +103,8 @@ def _solve_block(block: Sequence[Sample], analyse: bool, states: Path | None) ->
     return [_record(sample.key, run, analyse) for sample, run in zip(block, runs, strict=True)]
 
 
-def _solved(block: Sequence[Sample]) -> list[Any]:
-    """A Run of each sample, or the PackingRun of one."""
-    first, runs = block[0].settings, list[Any]()
-    settings = replace(first, replicas=len(block), threads=first.threads or 1)
-    if settings.is_packing:
-        from taichi_bearings.scans.packings import solve_packing_sample
-
-        packing_run = solve_packing_sample(settings)
-        runs, interrupted = [packing_run], packing_run.interrupted
-    else:
-        solution = solve_job(prepare(settings, strict=False))
-        runs = [Run(sample.settings, solution.sample(number)) for number, sample in enumerate(block)]
-        interrupted = solution.interrupted
-    if interrupted:
-        raise Interrupted
-    return runs
-
-
 def _record(key: str, run: Any, analyse: bool) -> dict[str, Any]:
+    """Numbers and texts alone, and the shape as a table holds it; what is not finite is None."""
     if run.settings.is_packing:
         from taichi_bearings.scans.packings import scalars_of
 
@@ -133,23 +119,11 @@ def _record(key: str, run: Any, analyse: bool) -> dict[str, Any]:
     power = answer.power_per_contact
     bins, count = np.unique(bin_of(power[(answer.state == ContactState.SLIPPING) & (power > 0)]), return_counts=True)
     found = {str(number): int(many) for number, many in zip(bins, count, strict=True)}
-    return {"key": key, "scalars": _scalars(scalars), "bins": found}
-
-
-def _scalars(numbers: Mapping[str, Any]) -> dict[str, Any]:
-    """Numbers and texts alone, and the shape as a table holds it; what is not finite becomes None."""
-    found: dict[str, Any] = {}
-    for name, value in numbers.items():
-        value = value.item() if isinstance(value, np.generic) else value
-        if name == "warnings":
-            value = "; ".join(value) or []  # no column where there is nothing to say
-        if name == "shape":
-            value = "x".join(map(str, value))
-        if isinstance(value, float) and not math.isfinite(value):
-            value = None
-        if value is None or isinstance(value, (bool, int, float, str)):
-            found[name] = value
-    return found
+    told = {name: plain(value) for name, value in scalars.items()}
+    told["shape"] = "x".join(map(str, told["shape"])) if "shape" in told else []
+    told["warnings"] = "; ".join(told["warnings"]) or []  # no column where there is nothing to say
+    told = {name: value for name, value in told.items() if value is None or isinstance(value, (bool, int, float, str))}
+    return {"key": key, "scalars": told, "bins": found}
 
 
 def state_path(folder: Path, key: str) -> Path:

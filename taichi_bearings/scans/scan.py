@@ -3,7 +3,7 @@
 import logging
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from functools import partial
@@ -14,11 +14,11 @@ from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.files.scan_file import write_scan, write_scan_csv
 from taichi_bearings.files.scan_journal import JOURNAL_NAME as JOURNAL
 from taichi_bearings.files.scan_journal import Journal
-from taichi_bearings.files.whole_file import refuse_link_out, replace_file
+from taichi_bearings.files.whole_file import replace_file
 from taichi_bearings.interrupts import awaited
+from taichi_bearings.plain_files import refuse_link_out
 from taichi_bearings.runs.run import row_of
 from taichi_bearings.runs.run_directory import tidy, writable_folder
-from taichi_bearings.runs.run_file import read_run_file
 from taichi_bearings.runtime import available_threads, refuse_absent
 from taichi_bearings.scans import estimate as cost
 from taichi_bearings.scans import parts
@@ -31,7 +31,6 @@ from taichi_bearings.scene import Status
 if TYPE_CHECKING:
     from distributed import Client
 
-FORECASTS = 50.0  # times as long as the time left takes to compute passes until it is computed anew, at least
 REWRITE = 60.0  # seconds between two writings of scan.h5 while a scan runs, at least
 REACHED_STATUS = [status.value for status in Status if status.reached]
 LEAST_ALLOWED, ALLOWED = 600.0, 100.0  # seconds that any sample may take, and how many times its estimate
@@ -84,51 +83,36 @@ def missing_samples(
         record, wishes = records.get(sample.key), plan.wishes
         if record is None or parts.is_failed(record) or (wishes.get("analyse") and not parts.is_analysed(record)):
             return False
-        return not wishes.get("keep_states") or _is_whole(
-            state_path(folder / STATES, sample.key), sample.settings.is_packing
-        )
+        state = state_path(folder / STATES, sample.key)
+        if wishes.get("keep_states") and state.is_file():
+            from taichi_bearings.runs.packing_run import read_run  # and with it much of SciPy
+
+            try:
+                read_run(state)
+            except FileError as error:
+                _say(f"a kept state counts as missing: {error}")
+                return False
+        return not wishes.get("keep_states") or state.is_file()
 
     return [sample for sample in parts.part_of(plan, part).samples if not is_kept(sample)], records
 
 
-def _is_whole(state: Path, is_packing: bool) -> bool:
-    """True if the full state of a sample can be read and its checksums match; one that is damaged is named."""
-    if not state.is_file():
-        return False
-    try:
-        if is_packing:
-            from taichi_bearings.runs.packing_run import read_packing_run
+def _refuse(plan: ScanPlan, is_here: bool) -> None:
+    """InputError for samples that cannot be. is_here : they are solved on this machine."""
+    for group in groups_of(plan.samples):  # all but their seeds alike
+        settings = group[0].settings
+        if settings.is_packing:
+            from taichi_bearings.scans.packings import refuse_packing
 
-            read_packing_run(state)
-        else:
-            read_run_file(state)
-    except FileError as error:
-        _say(f"a kept state counts as missing: {error}")
-        return False
-    return True
-
-
-def _refuse(group: Sequence[Sample]) -> None:
-    """InputError for samples that cannot be, all but their seeds alike."""
-    if group[0].settings.is_packing:
-        from taichi_bearings.scans.packings import refuse_packing
-
-        refuse_packing(group)
-    row_of(group[0].settings)
-
-
-def _refuse_unused(plan: ScanPlan, folder: Path) -> None:
-    """InputError for what no sample uses; a scan that a folder holds already goes on with a warning."""
-    for sentence in cost.unused_keys(plan):
-        if not (folder / "scan.toml").is_file():
-            raise InputError(sentence)
-        _say(f"{sentence}: it changes nothing here")
+            refuse_packing(group)
+        row_of(settings)
+        if is_here:
+            refuse_absent(settings.arch, settings.precision)
 
 
 def estimate(plan: ScanPlan, folder: Path | None, workers: int = 0, part: parts.Part | None = None) -> dict[str, Any]:
     """What a scan would do, without doing it: `samples`, `missing`, `workers`, `seconds` (None: unknown), `bytes`."""
-    for group in groups_of(plan.samples):
-        _refuse(group)
+    _refuse(plan, is_here=False)
     ours = parts.part_of(plan, part).samples
     missing: Sequence[Sample] = ours
     if folder is not None:
@@ -136,7 +120,7 @@ def estimate(plan: ScanPlan, folder: Path | None, workers: int = 0, part: parts.
         missing, _ = missing_samples(plan, folder, part)
     analyse = bool(plan.wishes.get("analyse"))
     number = _number_of_workers(missing, workers, analyse)
-    seconds = cost.WorkLeft(cost.units_of(missing, analyse, number), {}, analyse).expected(number)
+    seconds = cost.WorkLeft(missing, analyse).expected(number)
     return {
         "samples": len(ours),
         "scanned": list(plan.scanned),
@@ -173,12 +157,11 @@ def scan(
     Raises InputError or FileError before anything is computed.
     """
     plan = plan.going_on_in(folder)
-    for group in groups_of(plan.samples):  # refuses what cannot be, before the folder is touched
-        settings = group[0].settings
-        _refuse(group)
-        if engine is None and client is None:  # solved on this machine
-            refuse_absent(settings.arch, settings.precision)
-    _refuse_unused(plan, folder)
+    _refuse(plan, is_here=engine is None and client is None)
+    for sentence in cost.unused_keys(plan):
+        if not (folder / "scan.toml").is_file():
+            raise InputError(sentence)
+        _say(f"{sentence}: it changes nothing here")
     with writable_folder(folder, "" if part is None else part.name):
         course = _Course(plan, folder, part, monitor)
         refuse_link_out(folder / STATES)
@@ -244,39 +227,38 @@ class _Course:
         self.plan, self.folder, self.monitor = parts.part_of(plan, part), folder, monitor
         self.journal = folder / (JOURNAL if part is None else f"{part.name}.jsonl")
         self.files = [folder / name for name in ("scan.h5", "scan.csv")] if part is None else []  # else by the merge
-        self.others = (parts.journal_bytes(folder) or 0) - self._own_bytes()
+        self.others = sum(file.stat().st_size for file in parts.journals_in(folder) if file != self.journal)
         missing, self.records = missing_samples(plan, folder, part)
         self.missing = {sample.key: sample for sample in missing}
         self.open = set(self.missing)  # samples that still lack something
         before = len(self.plan.samples) - len(missing)
         self.progress = ScanProgress(len(self.plan.samples), before, done=before)
-        self.writing = self.next_forecast = 0.0
         self.removed: list[Path] = []
-
-    def _own_bytes(self) -> int:
-        return self.journal.stat().st_size if self.journal.exists() else 0
-
-    def _journals(self) -> int:
-        """Bytes of the journals that have the records: of this one all, of others what was there at the start."""
-        return self.others + self._own_bytes()
 
     def follow(self, engine: Engine, journal: Journal, stopped: threading.Event) -> None:
         """Have the missing samples solved and written down, until all are or it is stopped."""
-        analyse = bool(self.plan.wishes.get("analyse"))
-        units = cost.units_of(list(self.missing.values()), analyse, engine.workers or 1)
-        work = cost.WorkLeft(units, self.records, analyse)
+        analyse, missing = bool(self.plan.wishes.get("analyse")), list(self.missing.values())
+        units, work = cost.units_of(missing, analyse, engine.workers or 1), cost.WorkLeft(missing, analyse)
+        writing = 0.0
 
         def retry(sample: Sample, reason: str) -> None:
             _say(f"sample {sample.label} failed and is tried again: {reason}")
-            work.retry(sample)
 
         for finished in run_samples(units, engine, retry, failure):
+            self.progress.seconds = time.monotonic() - self.began
             if finished:
                 self._keep(finished, work, journal)
                 continue
-            self._look(work, engine)
+            running, workers = engine.running, max(engine.workers, 1)
+            self.progress.running = [unit[0] for unit in running]
+            self.progress.seconds_left = work.seconds_left(running, workers, self.progress.seconds)
+            self.monitor(self.progress)
             if stopped.is_set():
                 return
+            if self.files and (began := time.monotonic()) - self.written > max(REWRITE, 50 * writing):
+                self._write()
+                self.written = time.monotonic()
+                writing = self.written - began
 
     def _keep(self, finished: Sequence[Record], work: cost.WorkLeft, journal: Journal) -> None:
         news = [record for record in finished if not (parts.is_failed(record) and self._has_result(record["key"]))]
@@ -284,41 +266,34 @@ class _Course:
         self.records |= {record["key"]: record for record in news}
         for record in finished:
             sample = self.missing[record["key"]]
-            work.finish(sample)
+            work.finish(sample, record)
             if parts.is_failed(record):
                 self.progress.failed += 1
                 _say(f"sample {sample.label} failed: {record['scalars']['error']}")
             else:
                 self.progress.done += 1
                 self.open.discard(sample.key)
-        self.progress.seconds = time.monotonic() - self.began
-
-    def _look(self, work: cost.WorkLeft, engine: Engine) -> None:
-        """Tell where the scan stands, and write its files now and then."""
-        self.progress.seconds = now = time.monotonic() - self.began
-        running = engine.running
-        self.progress.running = [unit[0] for unit in running]
-        work.look(running, engine.workers, now)
-        if now >= self.next_forecast:
-            self.progress.seconds_left = work.seconds_left(engine.workers, now)
-            self.next_forecast = now + FORECASTS * (time.monotonic() - self.began - now)
-        self.monitor(self.progress)
-        if self.files and time.monotonic() - self.written > max(REWRITE, 50 * self.writing):
-            began = time.monotonic()
-            write_files(self.plan, self.folder, self.records, self._journals())
-            self.written = time.monotonic()
-            self.writing = self.written - began
 
     def _has_result(self, key: str) -> bool:
         return key in self.records and not parts.is_failed(self.records[key])
 
+    def _write(self, removes: bool = False) -> None:
+        """scan.h5 and scan.csv, each in full or not at all; rows in the order of the plan. They name the bytes of the
+        journals that have the records: of this one all, of others what was there at the start."""
+        journals = self.others + (self.journal.stat().st_size if self.journal.exists() else 0)
+        self.removed = outdated_figures(self.folder, journals) if removes else []
+        for figure in self.removed:
+            figure.unlink(missing_ok=True)
+        columns = columns_of(self.plan, self.records)
+        histograms = histograms_of(self.plan, self.records)
+        write_scan(self.folder / "scan.h5", columns, histograms, attributes_of(self.plan, journals))
+        write_scan_csv(self.folder / "scan.csv", columns)
+
     def write_files(self) -> None:
+        """Once all is done; figures of the scan as it was before go."""
         if self.files:
             with awaited():
-                self.removed = outdated_figures(self.folder, self._journals())
-                for figure in self.removed:
-                    figure.unlink(missing_ok=True)
-                write_files(self.plan, self.folder, self.records, self._journals())
+                self._write(removes=True)
 
     def report(self, interrupted: bool) -> dict[str, Any]:
         known = [(sample, self.records[sample.key]) for sample in self.plan.samples if sample.key in self.records]
@@ -343,13 +318,3 @@ class _Course:
             "files": [str(file) for file in self.files or [self.journal]],
             "removed": [str(file) for file in self.removed],
         }
-
-
-def write_files(plan: ScanPlan, folder: Path, records: Mapping[str, Record], journals: int) -> None:
-    """scan.h5 and scan.csv from the records, each in full or not at all; rows in the order of the plan.
-
-    journals : bytes of the journals that have these records.
-    """
-    columns = columns_of(plan, records)
-    write_scan(folder / "scan.h5", columns, histograms_of(plan, records), attributes_of(plan, journals))
-    write_scan_csv(folder / "scan.csv", columns)

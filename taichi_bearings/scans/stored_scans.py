@@ -65,11 +65,14 @@ def open_scan(path: Path) -> StoredScan:
     except FileError as error:
         stored, why = None, str(error)
     scan = folder / "scan.toml"
-    if stored is not None and stored.is_complete and _is_of(stored, scan, journals):
+    made_of = None if stored is None else (stored.attributes["journals"], str(stored.attributes["scan"]).encode())
+    is_whole = stored is not None and stored.is_complete and scan.is_file()
+    if stored is not None and is_whole and made_of == (journals, read_whole(scan, MOST_SETTINGS_TEXT)):
         return stored
     try:
         plan = read_plan(scan)
-        records = with_missing(plan, read_journals(folder))
+        nothing = {sample.key: {"scalars": {"status": MISSING}, "bins": {}} for sample in plan.samples}
+        records: dict[str, Mapping[str, Any]] = {**nothing, **read_journals(folder)}
     except BearingsError as error:
         if stored is None:
             raise FileError(f"{why}; and its journal cannot be used: {error}") from None
@@ -80,12 +83,6 @@ def open_scan(path: Path) -> StoredScan:
     return StoredScan(file, attributes, plan.scanned, table, histograms_of(plan, records))
 
 
-def _is_of(stored: StoredScan, scan: Path, journals: int) -> bool:
-    """True if a table was made of this scan file and of journals of so many bytes."""
-    same = stored.attributes.get("journals") == journals
-    return same and scan.is_file() and read_whole(scan, MOST_SETTINGS_TEXT) == str(stored.attributes["scan"]).encode()
-
-
 def outdated_figures(folder: Path, journals: int) -> list[Path]:
     """Figures in the folder of a scan, and the tables beside them, unless scan.h5 is of journals of so many bytes."""
     try:
@@ -93,20 +90,11 @@ def outdated_figures(folder: Path, journals: int) -> list[Path]:
             return []
     except FileError:
         pass  # no scan.h5, or one that says nothing
-    tables = [table for table in folder.glob("*_against_*.csv") if _is_of_a_figure(table)]
+    last = ",".join(("plot_high", *CENSUS_COLUMNS)).encode()
+    found = [table for table in folder.glob("*_against_*.csv") if table.is_file()]
+    tables = [table for table in found if next(read_lines(table), b"").rstrip().endswith(last)]
     endings = (".pdf", ".png", ".csv")
     return [file for table in tables for file in map(table.with_suffix, endings) if file.is_file()]
-
-
-def _is_of_a_figure(table: Path) -> bool:
-    names = next(read_lines(table), b"") if table.is_file() else b""
-    return names.rstrip().endswith(",".join(("plot_high", *CENSUS_COLUMNS)).encode())
-
-
-def with_missing(plan: ScanPlan, records: Mapping[str, Mapping[str, Any]]) -> dict[str, Mapping[str, Any]]:
-    """The records, and one without a result for each sample that has none yet."""
-    missing = {sample.key: {"scalars": {"status": MISSING}, "bins": {}} for sample in plan.samples}
-    return {**missing, **records}
 
 
 def attributes_of(plan: ScanPlan, journals: int) -> dict[str, Any]:

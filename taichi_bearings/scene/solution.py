@@ -14,6 +14,12 @@ from taichi_bearings.scene.scene import Scene
 CROSSED_BOUND = 1e-11  # relative amount by which a lower bound may seem to lie above the power
 
 
+def is_crossed(value: float | None, bound: float | None, gap: float | None) -> bool:
+    """True where a lower bound lies above what it bounds by more than rounding; None and not-a-number say nothing."""
+    above = value is not None and bound is not None and value > 0 and bound > value * (1 + CROSSED_BOUND)
+    return above or (gap is not None and gap < -CROSSED_BOUND)
+
+
 class Status(Enum):
     """How a run ended. Only CERTIFIED claims the minimum."""
 
@@ -195,7 +201,7 @@ class Solution:
 
     def __post_init__(self) -> None:
         for value, bound, gap in zip(self.objective, self.lower_bound, self.gap, strict=True):
-            if gap < -CROSSED_BOUND:
+            if is_crossed(None, None, gap):
                 raise BearingsError(
                     f"the lower bound {bound:.17g} lies above the {self.scene.law.minimises} {value:.17g}: one of them "
                     "is wrong, and this is no result; please report it with the command"
