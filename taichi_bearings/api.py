@@ -24,7 +24,7 @@ from taichi_bearings.progress import displayed
 from taichi_bearings.quantities import CONTACTS, SAMPLES, SPHERES, Quantity
 from taichi_bearings.runs import run as runs
 from taichi_bearings.runs.analysis import Analysis
-from taichi_bearings.runs.packing_run import PackingJob, PackingRun, read_run, refuse_unused, used
+from taichi_bearings.runs.packing_run import PackingJob, PackingRun, minimises, read_run, refuse_unused, used
 from taichi_bearings.runs.run_directory import run_directory
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.runtime import available_threads
@@ -253,14 +253,16 @@ class PackingResult(PackingSolution):
 
         force : replace a run directory that stands there. FileError if something does, or if it cannot be written.
         """
-        settings = RunSettings(packing="run.h5", law=str(self.packing.law))
+        asked: dict[str, Any] = {"torque": self.torque, "slip_threshold": self.slip_threshold or None}
+        settings = RunSettings(packing="run.h5", law=str(self.packing.law), **asked)
         with run_directory(Path(path), force) as directory:
             found = runs.publish(directory, PackingRun(settings, (self,), command="taichi_bearings.solve"))
         assert found.path is not None
         return found.path
 
     def plot(self, kind: str = "spins", time: float | None = None, page: "Page | None" = None) -> "Figure":
-        """A figure: "spins", "power" or "network". time, page : as of :meth:`Result.plot`."""
+        """A figure: "spins", "power", "history", "energy", "domains" or "network". time, page : as of
+        :meth:`Result.plot`."""
         from taichi_bearings.plots.page import PAGE
         from taichi_bearings.runs.figures import draw_figure_of_packing
 
@@ -293,6 +295,7 @@ def solve(
     method: str | MethodOptions = "auto",
     tolerance: float = 1e-8,
     start: str | np.ndarray = "linear",
+    callback: Callable[[Check], bool | None] | None = None,
     *,
     progress: bool = True,
     **options: Any,
@@ -309,7 +312,7 @@ def solve(
     progress: bool = True,
     **options: Any,
 ) -> Result | PackingResult:
-    """Solve a scene, or a packing, which with "auto" takes `tolerance` alone; no file is read or written.
+    """Solve a scene or a packing; no file is read or written.
 
     method : "auto", the fastest one that certifies the scene, or another name, or a method with its options, such as
         `CundallStrack(stiffness=1e6)`.
@@ -328,36 +331,32 @@ def solve(
     Ctrl-C ends the solve with what was reached. Raises InputError for what cannot be.
     """
     with displayed(progress):
-        if isinstance(scene, Packing):
-            if callback is not None:
-                raise InputError("callback is given; a packing takes none")
-            density = {"density": options.pop("density")} if "density" in options else {}
-            asked = _asked(method, {"tolerance": tolerance, **options}, start)
-            settings = RunSettings(packing="run.h5", law=str(scene.law), **asked)
-            settings = settings if isinstance(method, str) else used(settings)  # of its options all are given
-            refuse_unused(settings)
-            job = PackingJob(settings, (scene,), None if isinstance(start, str) else start)
-            return PackingResult(**vars(job.solve(**density).result))
         if callback is not None and not callable(callback):
             raise InputError(f"callback is {shown(callback)}; it must be a function that takes a Check")
-        monitors = [] if callback is None else [_monitor(scene, callback)]
+        monitors = [] if callback is None else [_monitor(callback)]
+        density = {"density": options.pop("density")} if isinstance(scene, Packing) and "density" in options else {}
         settings, spin = _settings(scene, method, {"tolerance": tolerance, **options}, start)
+        if isinstance(scene, Packing):
+            if monitors and minimises(settings):
+                raise InputError(f"callback is given, but method {settings.method} of a packing does not use it")
+            return PackingResult(**vars(PackingJob(settings, (scene,), spin).solve(monitors, **density).result))
+        assert spin is not None
         solution = runs.solve_job(runs.job_of(settings, scene, spin), monitors)
         return Result(runs.Run(settings, solution, spin, command="taichi_bearings.solve"))
 
 
 def solve_many(
-    scenes: Iterable[Scene],
+    scenes: Iterable[Scene | Packing],
     method: str | MethodOptions = "auto",
     tolerance: float = 1e-8,
     start: str | np.ndarray = "linear",
     workers: int = 0,
     **options: Any,
-) -> Iterator[Result]:
-    """Solve scenes in processes of their own; gives the answers as they come, in whatever order.
+) -> Iterator[Result | PackingResult]:
+    """Solve scenes or packings in processes of their own; gives the answers as they come, in whatever order.
 
-    `answer.scene` is the very scene that was given, which tells them apart. The other arguments are those of
-    :func:`solve`; each process has one thread unless `threads` says otherwise.
+    `answer.scene`, or `answer.packing`, is the very one that was given, which tells them apart. The other arguments are
+    those of :func:`solve`; each process has one thread unless `threads` says otherwise.
     workers : processes at most; 0 for one a processor.
 
     Raises InputError before anything is computed, and BearingsError for the first scene that has no answer.
@@ -371,10 +370,15 @@ def solve_many(
     tasks = []
     for number, scene in enumerate(scenes):
         settings, spin = _settings(scene, method, {"tolerance": tolerance, **options}, start)
-        runs.job_of(settings, scene, spin)  # refuses what cannot be
-        tasks.append(SceneTask(number, settings, scene, spin))
+        task = SceneTask(number, settings, scene, spin)
+        task.job(threads=1)  # refuses what cannot be
+        tasks.append(task)
     found = solve_all(tasks, min(workers or available_threads(), max(1, len(tasks))))
-    return (Result(replace(run, command="taichi_bearings.solve_many")) for _, run in found)
+    return (_result(replace(run, command="taichi_bearings.solve_many")) for _, run in found)
+
+
+def _result(run: runs.AnyRun) -> Result | PackingResult:
+    return PackingResult(**vars(run.result)) if isinstance(run, PackingRun) else Result(run)
 
 
 def analyse(result: Result | PackingResult | str | Path, threshold: float | None = None, sample: int = 0) -> Any:
@@ -414,11 +418,17 @@ def load(path: str | Path) -> Any:
 
 
 def _settings(
-    scene: Scene, method: str | MethodOptions, options: Mapping[str, Any], start: str | np.ndarray
-) -> tuple[RunSettings, np.ndarray]:
-    """The settings of `bearings run` that solve this scene, and the spins to start from; arrays lie beside it."""
+    scene: Scene | Packing, method: str | MethodOptions, options: Mapping[str, Any], start: str | np.ndarray
+) -> tuple[RunSettings, np.ndarray | None]:
+    """The settings of `bearings run` that solve this scene, and the spins to start from, of a packing None if they have
+    a name; arrays lie beside it."""
+    if isinstance(scene, Packing):
+        settings = RunSettings(packing="run.h5", law=str(scene.law), **_asked(method, options, start))
+        settings = settings if isinstance(method, str) else used(settings)  # of its options all are given
+        refuse_unused(settings)
+        return settings, None if isinstance(start, str) else start
     if not isinstance(scene, Scene):
-        raise InputError(f"the scene is a {type(scene).__name__}; it must be a taichi_bearings.Scene")
+        raise InputError(f"the scene is a {type(scene).__name__}; it must be a taichi_bearings.Scene or a Packing")
     values: dict[str, Any] = {name: getattr(scene, name) for name in Scene.PARAMETERS}
     values |= {"shape": scene.lattice.shape, "law": str(scene.law), "seed": scene.seeds[0], "replicas": scene.replicas}
     if scene.lattice.dimension == 2:
@@ -446,11 +456,11 @@ def _asked(method: str | MethodOptions, options: Mapping[str, Any], start: str |
     return values | {"method": method, "initial": named, **options}
 
 
-def _monitor(scene: Scene, callback: Callable[[Check], bool | None]) -> Callable[[Report], bool | None]:
+def _monitor(callback: Callable[[Check], bool | None]) -> Callable[[Report], bool | None]:
     """A callback of a user as the loop knows it."""
 
     def plain(values: np.ndarray) -> Any:
-        return values if scene.replicas > 1 else float(values[0])
+        return values if len(values) > 1 else float(values[0])
 
     def monitor(report: Report) -> bool | None:
         progress = report.progress

@@ -271,7 +271,7 @@ STRUCTURE = {
         Quantity("domains_locked_to", "1", "rigid domains by what they are locked to",
                  lambda s: s.domains.domains_of_kind()),
         Quantity("free_spheres_locked_to", "1", "free spheres by what their rigid domain is locked to",
-                 lambda s: s.domains.spheres_of_kind(~s.scene.lattice.is_driven)),
+                 lambda s: s.domains.spheres_of_kind(~s.network.lattice.is_driven)),
         Quantity("largest_intermediate_domain", "1", "spheres of the largest rigid domain not locked to one plane",
                  lambda s: s.domains.largest_intermediate),
         Quantity("largest_spread_in_a_domain", "1/time", "largest distance of a spin from its domain's mean (rounding)",

@@ -121,8 +121,8 @@ def draw_odd_loops(
     resting: Mapping[str, Mapping[float, np.ndarray]],
 ) -> Figure:
     """A row a lattice: (a) share of the discs that roll with the top against the number n of odd contacts, (b) against
-    n / L^a, with the exponent a at which three or more sizes lie closest together; (c) share of the discs that rest, against the
-    bottom's speed.
+    n / L^a, with the exponent a at which three or more sizes lie closest together; (c) share of the discs that rest,
+    against the bottom's speed.
 
     rolling : L -> n -> (samples,). ruled : Collapse. resting : omega_B / omega_T -> (samples,), with as many odd
     contacts as are drawn in (a) at most; all by lattice.

@@ -10,9 +10,9 @@ are ends only: contacts within a driven plane are no links, so no path runs thro
 And *what parts the planes alone*, in words of percolation theory (Stauffer and Aharony, Introduction to Percolation
 Theory, 1994): the *backbone* is all that lies on some path from the bottom to the top that visits nothing twice; what
 hangs on it without leading through is a dangling end. A link of the backbone whose removal cuts it *parts* bottom from
-top: every path takes it (a "red bond" of Pike and Stanley, J. Phys. A 14, L169, 1981). One extra link from the bottom
-body to the top body closes every path through into a cycle, so the backbone is the biconnected block that holds this
-link (Hopcroft and Tarjan, Comm. ACM 16, 372, 1973).
+top: every path takes it (a "red bond" of Pike and Stanley, J. Phys. A 14, L169, 1981). Extra links from each body to a
+node outside close every path between two bodies into a cycle, so the backbone is made of the biconnected blocks that
+hold these links (Hopcroft and Tarjan, Comm. ACM 16, 372, 1973). With more than two bodies pairs are of any two of them.
 
 Paths are counted by Brandes' algorithm (J. Math. Sociol. 25, 163, 2001), one level of a breadth-first search at a time
 for many sources at once. The sweep out counts paths: sigma_s(w) is the sum of sigma_s(v) over the neighbours v in the
@@ -21,7 +21,7 @@ these shares are kept, so the counts, which grow exponentially with the distance
 overflow. The work grows like sources times links.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -68,8 +68,9 @@ class Bottlenecks:
         if network.spans:
             in_piece = network.spanning.ravel()[network.ends[0]]
             low, high = network.body[network.ends[:, in_piece]]
-            block = _blocks(np.append(low, 0), np.append(high, network.bodies - 1), network.bodies)
-            through[in_piece] = block[:-1] == block[-1]
+            outside = np.full(len(network.held), network.bodies)
+            block = _blocks(np.append(low, network.held), np.append(high, outside), network.bodies + 1)
+            through[in_piece] = np.isin(block[: len(low)], block[len(low) :])
         return through
 
     @cached_property
@@ -133,7 +134,18 @@ def betweenness(network: ContactNetwork, links: np.ndarray | None = None) -> Bet
     """
     sites, edges = network.lattice.sites, network.ends.shape[1]
     neighbours = _neighbours(network, np.arange(edges) if links is None else np.flatnonzero(links))
-    starts, targets, pairs = _ends_of_pairs(network)
+    found = [_between(neighbours, sites, edges, *ends) for ends in _ends_of_pairs(network)]
+    pairs, far = sum(one.pairs for one in found), sum(one.pairs * one.mean_distance for one in found)
+    link, sphere = (np.sum([np.zeros(n), *v], axis=0) for n, v in (
+        (edges, [one.link for one in found]), (sites, [one.sphere for one in found])
+    ))  # fmt: skip
+    return Betweenness(link, sphere, pairs, far / max(1, pairs), all(one.is_exact for one in found))
+
+
+def _between(
+    neighbours: "_Neighbours", sites: int, edges: int, starts: np.ndarray, targets: np.ndarray, pairs: int
+) -> Betweenness:
+    """Of these pairs alone."""
     is_target = np.zeros(sites, dtype=bool)
     is_target[targets] = True
     work = max(1, len(neighbours.link) // 2)
@@ -155,15 +167,18 @@ def betweenness(network: ContactNetwork, links: np.ndarray | None = None) -> Bet
     return Betweenness(scale * link, scale * sphere, pairs, mean, is_exact=len(drawn) == len(starts))
 
 
-def _ends_of_pairs(network: ContactNetwork) -> tuple[np.ndarray, np.ndarray, int]:
-    """Driven spheres joined to the other plane, as indices, of the plane that has fewer and of the other; the pairs."""
+def _ends_of_pairs(network: ContactNetwork) -> Iterator[tuple[np.ndarray, np.ndarray, int]]:
+    """Of each driven body and those behind it: spheres that are joined to the other side, as indices, of the side that
+    has fewer and of the other; the pairs."""
     sites = network.lattice.sites
     ones = np.ones(network.ends.shape[1], dtype=np.int8)
     label = connected_components(csr_array((ones, tuple(network.ends)), shape=(sites, sites)), directed=False)[1]
-    low, high = (network.touched_of(body) for body in (0, network.bodies - 1))
-    pairs = int((np.bincount(label[low], minlength=sites) * np.bincount(label[high], minlength=sites)).sum())
-    bottom, top = low[np.isin(label[low], label[high])], high[np.isin(label[high], label[low])]
-    return (bottom, top, pairs) if len(bottom) <= len(top) else (top, bottom, pairs)
+    touched = [network.touched_of(body) for body in network.held]
+    for number, low in enumerate(touched[:-1]):
+        high = np.concatenate(touched[number + 1 :])
+        pairs = int((np.bincount(label[low], minlength=sites) * np.bincount(label[high], minlength=sites)).sum())
+        bottom, top = low[np.isin(label[low], label[high])], high[np.isin(label[high], label[low])]
+        yield (bottom, top, pairs) if len(bottom) <= len(top) else (top, bottom, pairs)
 
 
 class _Neighbours(NamedTuple):

@@ -49,10 +49,13 @@ class RigidDomains:
     spheres : (D,) spheres of each, driven ones included. staggered : (D, C) mean staggered spin, 1/time.
     spread : largest distance of a sphere from the mean of its domain, or from the top where it is locked to that, over
         all components: 0 but for rounding.
-    lock : (D, C) values of Lock. jump : (D, C) staggered spin of the top in the layers of each domain, 1/time.
+    lock : (D, C) values of Lock, a bit for each body. jump : (D, C) staggered spin of the top in the layers of each
+    domain, 1/time. bodies : what is driven.
+
+    Of a packing the spins are s R omega, s the signs by which neighbours differ, and `lattice` is None.
     """
 
-    lattice: Lattice
+    lattice: Lattice | None
     spin_axes: tuple[int, ...]
     component_domain: np.ndarray
     domain: np.ndarray
@@ -61,6 +64,12 @@ class RigidDomains:
     spread: float
     lock: np.ndarray
     jump: np.ndarray
+    bodies: tuple[str, ...] = ("bottom", "top")
+
+    @property
+    def locks(self) -> tuple[str, ...]:
+        """As LOCKS, for these bodies."""
+        return (*self.bodies, "both" if len(self.bodies) == 2 else "several", *LOCKS[INTERMEDIATE:])
 
     @property
     def number(self) -> int:
@@ -68,11 +77,12 @@ class RigidDomains:
 
     @cached_property
     def kind(self) -> np.ndarray:
-        """(D,) index into LOCKS: what each rigid domain is locked to in all its components."""
-        bottom, top = ((self.lock & lock > 0).all(axis=1) for lock in (Lock.BOTTOM, Lock.TOP))
-        held = self.lock != Lock.NEITHER
-        answers = [bottom & top, bottom, top, held.all(axis=1), held.any(axis=1)]
-        return np.select(answers, [LOCKS.index(kind) for kind in ("both", "bottom", "top", "mixed", "partly")], 5)
+        """(D,) index into `locks`: what each rigid domain is locked to in all its components."""
+        own = [(self.lock >> body & 1 > 0).all(axis=1) for body in range(len(self.bodies))]
+        held, several = self.lock != Lock.NEITHER, np.sum(own, axis=0) > 1
+        answers = [several, *own, held.all(axis=1), held.any(axis=1)]
+        count = len(own)
+        return np.select(answers, [count, *range(count), count + 1, count + 2], count + 3)
 
     @property
     def turn(self) -> np.ndarray:
@@ -84,16 +94,16 @@ class RigidDomains:
     @property
     def largest_intermediate(self) -> int:
         """Spheres of the largest rigid domain that is not locked to one plane in all components."""
-        return int(self.spheres[self.kind >= INTERMEDIATE].max(initial=0))
+        return int(self.spheres[self.kind > len(self.bodies)].max(initial=0))
 
     def domains_of_kind(self) -> dict[str, int]:
         """Number of rigid domains of each kind."""
-        return dict(zip(LOCKS, np.bincount(self.kind, minlength=len(LOCKS)).tolist(), strict=True))
+        return dict(zip(self.locks, np.bincount(self.kind, minlength=len(self.locks)).tolist(), strict=True))
 
     def spheres_of_kind(self, counted: np.ndarray) -> dict[str, int]:
         """Number of spheres of each kind among those where `counted` (shape N) is True."""
-        each = np.bincount(self.kind[self.domain[counted]], minlength=len(LOCKS))
-        return dict(zip(LOCKS, each.tolist(), strict=True))
+        each = np.bincount(self.kind[self.domain[counted]], minlength=len(self.locks))
+        return dict(zip(self.locks, each.tolist(), strict=True))
 
 
 def rigid_domains(network: SliplessNetwork, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> RigidDomains:
@@ -104,9 +114,7 @@ def rigid_domains(network: SliplessNetwork, staggered: np.ndarray, spin_axes: tu
     top = staggered[..., -1].reshape(len(spin_axes), -1)
     uneven = bool((top != top[:, :1]).any())
     labels, tied = np.stack([_of_component(network, component, uneven) for component in spin_axes], axis=1)
-    together = np.unique(labels, axis=1, return_inverse=True)[1].ravel()
-    order = np.argsort(-np.bincount(together), kind="stable")  # the largest first
-    of_sphere = np.argsort(order)[together]
+    of_sphere = refined(labels)
     spheres, flat = np.bincount(of_sphere), staggered.reshape(len(spin_axes), -1)
     mean = np.stack([np.bincount(of_sphere, weights=values) / spheres for values in flat], axis=1)
     first = np.unique(of_sphere, return_index=True)[1]
@@ -123,6 +131,13 @@ def rigid_domains(network: SliplessNetwork, staggered: np.ndarray, spin_axes: tu
         lock=lock,
         jump=top[first],
     )
+
+
+def refined(labels: np.ndarray) -> np.ndarray:
+    """Label (sites,) of the common refinement of classes (C, sites), by falling number of spheres."""
+    together = np.unique(labels, axis=1, return_inverse=True)[1].ravel()
+    order = np.argsort(-np.bincount(together), kind="stable")
+    return np.asarray(np.argsort(order)[together])
 
 
 def _of_component(network: SliplessNetwork, component: int, uneven: bool) -> tuple[np.ndarray, np.ndarray]:

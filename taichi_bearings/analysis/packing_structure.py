@@ -1,8 +1,6 @@
 """What the contacts of a solved packing form: the slipless network, what it joins, and the lightest interface.
 
 Nodes are free spheres and driven bodies, edges contacts. Each driven body is one node, so contacts within it are none.
-The lightest interface of two rigid domains is a minimum cut: where the network has no odd loops and two driven bodies,
-each in a bearing state s u = A + c x of its own, a contact on it slips with their jump across its normal.
 """
 
 from dataclasses import dataclass
@@ -11,21 +9,22 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse.csgraph import connected_components, dijkstra
+from scipy.sparse.csgraph import dijkstra
 
 from taichi_bearings.analysis.bottlenecks import Bottlenecks
+from taichi_bearings.analysis.domains import Lock, RigidDomains, refined
 from taichi_bearings.analysis.network import ContactNetwork
-from taichi_bearings.numerics.minimum_cut import TIED_WEIGHTS, largest_flow, within_reach
+from taichi_bearings.analysis.torque_flow import PackingFlow, flow_through
 from taichi_bearings.packing import Packing, PackingSolution
-from taichi_bearings.packing.system import odd_parts
+from taichi_bearings.packing.interface import SAME_STATE, Interface, bearing_states, nodes_of
+from taichi_bearings.packing.structure import self_stress_of
+from taichi_bearings.packing.system import along_axes, odd_parts
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.quantities import STRUCTURE, plain
+from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.words import html_table
 
 MOST_BODIES = 50  # between which paths are looked for
-SAME_STATE = 1e-9  # of the largest R omega, by which spins may miss a bearing state, or each other in a domain
-CUT_BITS = 50  # of the weight of all contacts, in whole units
 OF_NETWORK = ("components", "spans", "reached_fraction", "spanning_fraction", "disjoint_paths")
 
 
@@ -41,12 +40,7 @@ class PackingNetwork(ContactNetwork):
 
     @cached_property
     def body(self) -> np.ndarray:
-        free, driven = ~self.lattice.is_driven, self.lattice.driven
-        rank, number = np.unique(driven[~free], return_inverse=True)
-        node = np.empty(len(driven), dtype=np.int64)
-        node[free] = (len(rank) > 0) + np.arange(free.sum())
-        node[~free] = np.where(number == 0, 0, free.sum() + number)
-        return node
+        return nodes_of(self.lattice.driven)
 
     @property
     def names(self) -> dict[str, np.ndarray]:
@@ -63,8 +57,8 @@ class PackingStructure:
     @classmethod
     def of(cls, result: PackingSolution, threshold: float | None = None) -> "PackingStructure":
         """threshold : slip, length/time, up to which contacts count as slipless; the states of the result if None."""
-        acts = result.state != ContactState.DRIVEN
-        return cls(result, acts & (result.state == 0 if threshold is None else result.slip <= threshold))
+        result = result if threshold is None else result.by_threshold(threshold)
+        return cls(result, result.state == ContactState.SLIPLESS)
 
     @cached_property
     def network(self) -> "PackingNetwork":
@@ -72,12 +66,17 @@ class PackingStructure:
 
     @cached_property
     def bottlenecks(self) -> Bottlenecks:
-        """Between two driven bodies."""
+        """Between driven bodies."""
         return Bottlenecks(self.network)
 
     @property
     def bodies(self) -> int:
         return len(self.network.held)
+
+    @property
+    def has_pairs(self) -> bool:
+        """Whether paths between bodies are looked for."""
+        return 2 <= self.bodies <= MOST_BODIES
 
     @cached_property
     def shortest_path(self) -> int | None:
@@ -88,39 +87,98 @@ class PackingStructure:
         return int(far[~np.eye(self.bodies, dtype=bool)].min())
 
     @cached_property
-    def domain(self) -> np.ndarray:
-        """(N,) label of the rigid domain of each sphere: slipless contacts join spheres that turn against each other as
-        fast, u_i = -u_j, and a driven body those that turn as its first one does, or against it."""
+    def turned(self) -> np.ndarray:
+        """s R omega (N, C), length/time, with signs s by which neighbours differ; in parts with odd loops, where each
+        sphere has neighbours of its own sign, that of its first component is taken away."""
         packing = self.result.packing
-        u = self.result.spin.reshape(packing.spheres, -1) * np.asarray(packing.radius)[:, None]
-        near = SAME_STATE * np.abs(u).max(initial=0.0)
-        first, second = packing.contact[self.slipless | (self.result.state == ContactState.DRIVEN)].T
-        held = np.flatnonzero(packing.driven >= 0)
-        _, one, of = np.unique(self.network.body[held], return_index=True, return_inverse=True)
-        leader = held[one[of]]
-        ends = [np.append(first, held), np.append(second, leader)]
-        apart = np.abs(u[ends[0]] + u[ends[1]]).max(axis=1, initial=0.0)
-        alike = np.abs(u[held] - u[leader]).max(axis=1, initial=0.0)
-        apart[len(first) :] = np.minimum(apart[len(first) :], alike)
-        joined = apart <= near
-        graph = sparse.csr_array((np.ones(joined.sum()), (ends[0][joined], ends[1][joined])), shape=(len(u), len(u)))
-        return np.asarray(connected_components(graph, directed=False)[1])
+        odd, sign = odd_parts(packing.spheres, *packing.contact.T)
+        u = sign[:, None] * self.result.spin.reshape(packing.spheres, -1) * np.asarray(packing.radius)[:, None]
+        first = np.argmax(np.abs(u) > SAME_STATE * np.abs(u).max(initial=0.0), axis=1)
+        return np.where(odd[:, None] & (u[np.arange(len(u)), first] < 0)[:, None], -u, u)
 
     @cached_property
-    def interface(self) -> "Interface | None":
+    def domains(self) -> RigidDomains:
+        """Rigid domains: spheres of one connected piece of slipless contacts that turn as fast, but for their signs.
+        Components that all have alike are left out; those of one piece with a body that turn as it does are locked to
+        it."""
+        packing, u, piece = self.result.packing, self.turned, self.network.component
+        near = max(SAME_STATE * np.abs(u).max(initial=0.0), 2 * self.result.slip[self.slipless].max(initial=0.0))
+        axes = self._slipping_components(near)
+        states = bearing_states(packing)
+        low, high = np.zeros((2, *u.shape)) if states is None else states[1]
+        apart = 4 * np.abs(u).max(initial=0.0)  # with bodies that turn unevenly all is one domain that turns as they do
+        values = np.where(np.abs(u - low) <= near, -apart, np.where(np.abs(u - high) <= near, apart, u))
+        labels = np.stack([_alike(piece, (u if states is None else values)[:, k], near) for k in axes])
+        held, domain = np.flatnonzero(packing.driven >= 0), refined(labels)
+        bodies, body = np.unique(packing.driven[held], return_inverse=True)
+        lock, first = np.zeros((len(axes), len(u)), dtype=np.int64), np.unique(domain, return_index=True)[1]
+        for tied, label in zip(lock, labels, strict=True):
+            np.bitwise_or.at(tied, label[held], 1 << np.minimum(body, MOST_BODIES))
+        spheres, above = np.bincount(domain), u[:, axes] - low[:, axes]
+        mean = np.stack([np.bincount(domain, values) / spheres for values in above.T], axis=1)
+        tied = np.take_along_axis(lock, labels, axis=1)[:, first].T
+        jump = (high - low)[:, axes]
+        own = np.abs(above - np.where(tied[domain] == Lock.TOP, jump, mean[domain]) * (tied[domain] != Lock.BOTTOM))
+        names = ("bottom", "top") if len(bodies) == 2 else tuple(f"body {number}" for number in bodies[:MOST_BODIES])
+        shape = (-1, *u.shape[:1])
+        return RigidDomains(
+            None, axes, labels.reshape(shape), domain, spheres, mean, float(own.max()), tied, jump[first], names
+        )
+
+    def _slipping_components(self, near: float) -> tuple[int, ...]:
+        """Components in which some contact slips; all where none does."""
+        packing, acts = self.result.packing, self.result.state != ContactState.DRIVEN
+        u = self.result.spin.reshape(packing.spheres, -1) * np.asarray(packing.radius)[:, None]
+        both, normal = u[packing.contact[acts]].sum(axis=1), np.asarray(packing.normal)[acts]
+        if packing.dimension == 3:
+            both = both - normal * (both * normal).sum(axis=1)[:, None]
+        slips = np.abs(both).max(axis=0, initial=0.0) > near
+        return tuple(np.flatnonzero(slips | ~slips.any()).tolist())
+
+    @cached_property
+    def torque_flow(self) -> PackingFlow:
+        """What drives the bodies, and how it goes through the network."""
+        packing, acts = self.result.packing, self.result.state != ContactState.DRIVEN
+        friction, normal = self.result.friction, np.asarray(packing.normal)
+        pull = friction[:, None] if packing.dimension == 2 else np.cross(normal, friction)
+        odd, sign = odd_parts(packing.spheres, *packing.contact.T)
+        sign = np.where(odd, 1, sign)
+        return flow_through(packing, self.network.body, sign, np.where(acts[:, None], pull, 0.0), self.slipless)
+
+    @cached_property
+    def interface(self) -> Interface | None:
         """The lightest interface; None where there is none of two bearing states."""
-        return Interface.of(self.result, self.network.body) if self.bodies == 2 else None
+        return Interface.of(self.result.packing)
 
     def __getattr__(self, name: str) -> Any:
         if name in (numbers := {} if name.startswith("_") else self.numbers):
             return numbers[name]
         raise AttributeError(f"the structure of a packing has no {name!r}; it has {', '.join(numbers)}")
 
+    @property
+    def mean_saturation(self) -> float | None:
+        """As of lattices."""
+        packing, size = self.result.packing, vector_length(np.atleast_2d(self.result.friction.T))
+        if not packing.kind.is_rate_independent:
+            return None
+        loaded = self.slipless & (packing.coefficients[0] > 0)
+        return float((size[loaded] / packing.coefficients[0][loaded]).mean()) if loaded.any() else np.nan
+
+    @cached_property
+    def self_stress(self) -> int | None:
+        """States of self-stress: how far the forces of slipless contacts are left open; None if rounding hides it."""
+        packing, chosen = self.result.packing, np.flatnonzero(self.slipless)
+        every = range(packing.imposed.shape[1])
+        return self_stress_of(packing, chosen, self.domains.spin_axes if along_axes(packing, chosen) else every)
+
     @cached_property
     def numbers(self) -> dict[str, Any]:
         """As `bearings analyse --json` has them, for JSON; each is an attribute too, such as `spans`."""
         packing, cut = self.result.packing, self.interface
         free, acts = packing.driven < 0, self.result.state != ContactState.DRIVEN
+        sections = ["rigid domains", "forces"] if self.bodies <= MOST_BODIES else ["forces"]
+        sections += ["bottlenecks"] if self.has_pairs else []
+        rows = [row for section in sections for row in STRUCTURE[section]]
         return {
             "power": self.result.power,
             "power_minimum_cut": None if cut is None else cut.power,
@@ -130,9 +188,9 @@ class PackingStructure:
             "slipless_fraction": float(self.slipless.sum() / acts.sum()) if acts.any() else None,
             **{name: getattr(self.network, name) for name in OF_NETWORK},
             "shortest_path": self.shortest_path,
-            "domains": int(self.domain.max()) + 1,
-            "largest_domain": int(np.bincount(self.domain[free]).max()) if free.any() else 0,
-            **{row.name: plain(row.of(self)) for row in STRUCTURE["bottlenecks"] if self.bodies == 2},
+            "domains": self.domains.number,
+            "largest_domain": int(np.bincount(self.domains.domain[free]).max()) if free.any() else 0,
+            **{row.name: plain(row.of(self)) for row in rows},
         }
 
     def _repr_html_(self) -> str:
@@ -142,77 +200,19 @@ class PackingStructure:
     @property
     def columns(self) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
         """Of spheres (N,) and of contacts (E,): `domain`, `component`; `on_cut`, `above_cut` where there is a cut."""
-        spheres, contacts = {"domain": self.domain, "component": self.network.component}, dict[str, np.ndarray]()
+        spheres, contacts = (
+            {"domain": self.domains.domain, "component": self.network.component},
+            dict[str, np.ndarray](),
+        )
         if self.interface is not None:
             spheres["above_cut"], contacts["on_cut"] = self.interface.above, self.interface.contacts
         return spheres, contacts
 
 
-@dataclass(frozen=True)
-class Interface:
-    """A minimum cut. power : energy/time. contacts : (E,). above : (N,), True on the side of the second body.
-
-    unique : every other one is heavier by more than 1e-12.
-    """
-
-    power: float
-    contacts: np.ndarray
-    above: np.ndarray
-    unique: bool
-
-    @classmethod
-    def of(cls, result: PackingSolution, node: np.ndarray) -> "Interface | None":
-        packing, (first, second) = result.packing, result.packing.contact.T
-        odd, sign = odd_parts(packing.spheres, first, second)
-        held = packing.kind.holding_force(packing.coefficients)
-        if odd.any() or held is None or packing.kind.flows:
-            return None
-        state = [
-            _bearing_state(packing.center, sign[:, None] * packing.imposed, node == body) for body in (0, node.max())
-        ]
-        if state[0] is None or state[1] is None:
-            return None
-        jump = _at(packing.center[first], state[1]) - _at(packing.center[first], state[0])
-        across = np.cross(jump, np.asarray(packing.normal)) if packing.dimension == 3 else jump
-        weight = held * np.linalg.norm(across, axis=1)
-        ends = node[packing.contact].T
-        taken = (ends[0] != ends[1]) & (weight > 0) & (result.state != ContactState.DRIVEN)
-        ends, weight = ends[:, taken], weight[taken]
-        total = float(weight.sum())
-        if not total > 0:
-            return None
-        unit = total * 2.0**-CUT_BITS
-        capacity = np.floor(weight / unit).astype(np.int64)
-        size = int(node.max()) + 1
-        edges = np.append(ends, [[0], [size - 1]], axis=1)  # one without capacity, so that both ends are there
-        capacity = np.append(capacity, 0)
-        flow = largest_flow(edges, capacity, int(capacity.sum()) + 1)
-        left = np.stack([capacity - flow, capacity + flow])
-        tie = int(TIED_WEIGHTS * capacity.sum()) + len(weight)  # each weight is rounded by less than a unit
-        above = ~within_reach(edges, left, 0)
-        reached, nearest = within_reach(edges, left, 0, tie), within_reach(edges, left[::-1], size - 1, tie)
-        cut = above[ends[0]] != above[ends[1]]
-        contacts = np.zeros(packing.contacts, dtype=bool)
-        contacts[np.flatnonzero(taken)[cut]] = True
-        loose = np.ones(size, dtype=bool)
-        loose[ends.ravel()] = False
-        unique = bool((reached | nearest | loose).all())
-        return cls(float(weight[cut].sum()), contacts, above[node], unique)
-
-
-def _bearing_state(center: np.ndarray, turned: np.ndarray, own: np.ndarray) -> np.ndarray | None:
-    """A and c, (C + 1, C) with c x in the last row, of the bearing state that these spheres have; None if none."""
-    if turned.shape[1] == 1:
-        value = turned[own][0]
-        return np.array([value, [0.0]]) if (turned[own] == value).all() else None
-    rows = np.concatenate([np.tile(np.eye(3), (own.sum(), 1)), center[own].reshape(-1, 1)], axis=1)
-    found = np.linalg.lstsq(rows, turned[own].ravel(), rcond=None)[0]
-    missed = np.abs(rows @ found - turned[own].ravel()).max()
-    return np.append(found[:3], found[3]) if missed <= SAME_STATE * np.abs(turned).max(initial=0.0) else None
-
-
-def _at(place: np.ndarray, state: np.ndarray) -> np.ndarray:
-    """A + c x, (E, C)."""
-    if state.shape == (2, 1):
-        return np.broadcast_to(state[0], (len(place), 1))
-    return state[:3] + state[3] * place
+def _alike(piece: np.ndarray, values: np.ndarray, near: float) -> np.ndarray:
+    """Label (N,) of the spheres of each piece whose values follow each other by no more than `near`."""
+    order = np.lexsort([values, piece])
+    new = (np.diff(piece[order], prepend=-1) != 0) | (np.diff(values[order], prepend=np.inf) > near)
+    label = np.empty(len(piece), dtype=np.int64)
+    label[order] = np.cumsum(new) - 1
+    return label

@@ -19,7 +19,7 @@ from taichi_bearings.files.whole_file import put, put_attributes, refuse_ending,
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.packing import Packing
 from taichi_bearings.runs.packing_run import PackingRun, columns_of_packing, opened_to_draw
-from taichi_bearings.runs.points_and_lines import Moments, points_and_lines
+from taichi_bearings.runs.points_and_lines import Moments, moments_of_packing, points_and_lines
 from taichi_bearings.stages import stage
 
 VTK_NAME = "run.vtkhdf"
@@ -87,6 +87,7 @@ def export(run: Path, out: Path | None = None, force: bool = False, replica: int
         if isinstance(found, PackingRun):
             geometry, columns = Geometry.of_packing(found.result.packing), columns_of_packing(found.result)
             known, more = found.summary, {"command": found.command}
+            moments, end = moments_of_packing(found.result), found.result.time
         else:
             drawn = points_and_lines(found, replica)
             geometry, columns = Geometry.of_lattice(drawn.scene.lattice, drawn.ends), (drawn.spheres, drawn.contacts)

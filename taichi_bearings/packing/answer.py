@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 
@@ -45,6 +46,8 @@ class PackingSolution:
     slipless_motions : of the free spheres that driven ones reach; None if undecided. unbalanced : largest torque left.
     proven : (E,) 0 slips at no minimum, 1 at every minimum, 2 not proven, 3 between driven or absent. slip_bound : (E,)
     what no slip of any minimum exceeds, length/time; infinite at absent contacts.
+    slip_threshold : slip up to which contacts count as slipless, where a run was asked for one, else 0. findings : what
+    the torque on the last body does that a run was asked for, as of `Result.findings`.
     seconds : wall time. iterations : of the method, factorisations of an interior point.
     history : of dynamics and descent, the columns of `Result.history`. time : simulated time of a dynamics, else None.
     snapshots : of a dynamics that was asked for them; times (S,) and spins (S, N, 3), of discs (S, N).
@@ -74,6 +77,15 @@ class PackingSolution:
     history: Mapping[str, np.ndarray] = field(default_factory=dict)
     time: float | None = None
     snapshots: Snapshots | None = None
+    slip_threshold: float = 0.0
+    torque: float | None = None
+    findings: Mapping[str, Any] = field(default_factory=dict)
+
+    def by_threshold(self, threshold: float) -> "PackingSolution":
+        """The same where contacts that slip faster slip, and all others are slipless. threshold : length/time."""
+        state = np.where(self.slip > threshold, SLIPPING, SLIPLESS)
+        state = np.where(self.state == DRIVEN, DRIVEN, state).astype(np.uint8)
+        return replace(self, state=state, slip_threshold=threshold)
 
     @property
     def critical(self) -> int:
@@ -107,10 +119,13 @@ class Found:
 
 
 def solve_packing(
-    packing: Packing, tolerance: float = 1e-8, system_of: Callable[[Packing], System] = System.of
+    packing: Packing,
+    tolerance: float = 1e-8,
+    system_of: Callable[[Packing], System] = System.of,
+    method: str = "auto",
 ) -> PackingSolution:
     """The state of least dissipation. tolerance : proven relative gap at which it counts as certified.
-    system_of : finds the system, perhaps out of one that is known.
+    system_of : finds the system, perhaps out of one that is known. method : one of those below by its name.
 
     Discs with friction by minimum cuts, exactly; viscous networks by one linear system; all else by the central path.
     """
@@ -122,14 +137,18 @@ def solve_packing(
     runtime.current()
     with one_thread():
         system = system_of(packing)
-        return judged(system, _found(system), tolerance, begun)
+        return judged(system, _found(system, method), tolerance, begun)
 
 
-def _found(system: System) -> Found:
+def _found(system: System, method: str) -> Found:
     law, of = system.packing.kind, system.coefficients
+    exact = law.is_rate_independent and system.packing.dimension == 2
+    able = ["planar-cut"] * exact + ["interior-point" if law.holds else "linear-solver"]
+    if method not in ("auto", *able):
+        raise InputError(f"method is {shown(method)}, but this packing is solved by {' or '.join(able)}")
     if not system.unknowns or not system.offset.any():
         return Found(np.zeros(system.unknowns), np.zeros_like(system.offset), "linear-solver")
-    if law.is_rate_independent and system.packing.dimension == 2:
+    if exact and method != "interior-point":
         return Found(*planar.least_power(system), "planar-cut")
     held, viscosity = (
         np.zeros(len(system.contact)) if v is None else v for v in (law.holding_force(of), law.viscosity(of))

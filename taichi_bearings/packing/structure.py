@@ -1,5 +1,6 @@
 """What a packing is before anything is solved: loops, loose parts, and the spins at which nothing slips."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -94,17 +95,37 @@ def smallest_odd_loop(packing: Packing) -> int | None:
 def slipless_number(packing: Packing, free: np.ndarray) -> tuple[int | None, str]:
     """Number of slipless motions of the spheres that are `free`, (N,), the others at rest; and how it was found."""
     components = 1 if packing.dimension == 2 else 3
-    moved = np.full((packing.spheres, components), -1)
-    moved[free] = np.arange(free.sum() * components).reshape(-1, components)
     contact = np.flatnonzero(free[packing.contact].any(axis=1))
-    slips, unknowns = slips_of(packing, contact, moved), int(free.sum()) * components
+    return _motions(packing, free, contact, range(components))[1:]
+
+
+def self_stress_of(packing: Packing, contact: np.ndarray, components: Sequence[int]) -> int | None:
+    """How many independent forces of these contacts, (n,) numbers, are in balance on all free spheres, in these
+    components of the spins; None where rounding leaves it open."""
+    free = np.zeros(packing.spheres, dtype=bool)
+    free[packing.contact[contact]] = True
+    free &= packing.driven < 0
+    slips, motions, _ = _motions(packing, free, contact, components)
+    forces = int((abs(slips).sum(axis=1) > 0).sum())
+    return None if motions is None else forces - (slips.shape[1] - motions)
+
+
+def _motions(
+    packing: Packing, free: np.ndarray, contact: np.ndarray, components: Sequence[int]
+) -> tuple[sparse.csr_array, int | None, str]:
+    """Slips of contacts by spins of `free` spheres, (N,), in these components, the slipless motions, how they were
+    found."""
+    moved = np.full((packing.spheres, 1 if packing.dimension == 2 else 3), -1)
+    unknowns = int(free.sum()) * len(components)
+    moved[np.ix_(free, np.array(components))] = np.arange(unknowns).reshape(-1, len(components))
+    slips = slips_of(packing, contact, moved)
     if unknowns <= DENSE_UNKNOWNS:
         sizes = np.linalg.svd(slips.toarray(), compute_uv=False) if min(slips.shape) else np.zeros(0)
-        return unknowns - int((sizes > RANK * sizes.max(initial=0.0)).sum()), "singular values"
+        return slips, unknowns - int((sizes > RANK * sizes.max(initial=0.0)).sum()), "singular values"
     if unknowns > MOST_UNKNOWNS:
-        return None, f"not decided: more than {MOST_UNKNOWNS:,} unknowns"
-    sphere, parts = np.repeat(np.flatnonzero(free), components), order_of(packing, contact, free)
+        return slips, None, f"not decided: more than {MOST_UNKNOWNS:,} unknowns"
+    sphere, parts = np.repeat(np.flatnonzero(free), len(components)), order_of(packing, contact, free)
     motions = slipless_motions(slips, sphere, parts)
     if not motions.counted:
-        return None, "not decided: some motions slip by little more than rounding"
-    return motions.number, "elimination"
+        return slips, None, "not decided: some motions slip by little more than rounding"
+    return slips, motions.number, "elimination"

@@ -1,6 +1,7 @@
 """How a run went: power and lower bound as they approached each other, and the energy of a dynamics."""
 
 import math
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -8,9 +9,10 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
 from taichi_bearings.errors import InputError
+from taichi_bearings.packing import PackingSolution
 from taichi_bearings.plots import style
 from taichi_bearings.plots.page import PAGE, Page
-from taichi_bearings.plots.symbols import describe, driving, energy_unit, over, power_unit
+from taichi_bearings.plots.symbols import describe, driving, energy_unit, over, power_unit, time_label
 from taichi_bearings.scene import Solution
 from taichi_bearings.words import counted
 
@@ -20,21 +22,23 @@ ACCOUNTS = {
     "kinetic": (style.GREEN, "--"),
     "spring": (style.GREY, (0, (4, 1, 1, 1))),
 }
+LIVES = ("iteration", "seconds", "time")  # columns that are the same for all samples
 MOST_DECADES = 6  # on each side of zero
 MOST_TICKS = 9
 LEAST_DECADES = 30.0  # from the first to the last step, for a logarithmic axis
 
 
 @style.in_our_style
-def draw_history(solution: Solution, page: Page = PAGE) -> Figure:
+def draw_history(solution: Solution | PackingSolution, page: Page = PAGE) -> Figure:
     """Power and lower bound, and below it their relative gap, against iterations (or time, for a dynamics); where a
     torque turns the top, how fast it does. InputError for a method without steps."""
-    history, scene = solution.history, solution.scene
+    course = course_of(solution)
+    history, scene = course.history, course.scene
     if not has_course(solution):
-        kept = counted(int((history["iteration"] > 0).sum()), "step")
+        kept = counted(int((history.get("iteration", np.zeros(0)) > 0).sum()), "step")
         raise InputError(f"the run kept {kept} of {solution.method}; a history is drawn of 2 or more")
     if "torque" in history:
-        return _draw_turning(solution, page)
+        return _draw_turning(course, page)
     width = page.inches("single")
     figure = style.plain_figure(width, 0.85 * width, page.dpi)
     top, bottom = figure.subplots(2, 1, sharex=True)
@@ -42,7 +46,7 @@ def draw_history(solution: Solution, page: Page = PAGE) -> Figure:
     unit, symbol = power_unit(scene)
     x, name = history["iteration"], "iteration"
     if "time" in history:
-        x, name = history["time"] * spin, rf"time, ${spin_symbol}\,t$"
+        x, name = history["time"] * spin, time_label(spin_symbol)
     power, bound = history["power"], history["lower_bound"]
     started = x > 0
     above, *_ = top.plot(x[started], power[started] / unit, color=style.BLUE)
@@ -61,9 +65,17 @@ def draw_history(solution: Solution, page: Page = PAGE) -> Figure:
     return figure
 
 
-def has_course(solution: Solution) -> bool:
+def course_of(solution: Solution | PackingSolution) -> Any:
+    """What the figures here ask of an answer, that of a packing as that of a lattice of one sample."""
+    if isinstance(solution, Solution):
+        return solution
+    history = {name: v if name in LIVES else v[:, None] for name, v in solution.history.items()}
+    return SimpleNamespace(scene=solution.packing, method=solution.method, history=history)
+
+
+def has_course(solution: Any) -> bool:
     """Whether a run has more to show than a start and an answer."""
-    return bool((solution.history["iteration"] > 0).sum() > 1)
+    return bool((solution.history.get("iteration", np.zeros(0)) > 0).sum() > 1)
 
 
 def _draw_turning(solution: Solution, page: Page) -> Figure:
@@ -93,13 +105,14 @@ def _draw_turning(solution: Solution, page: Page) -> Figure:
 
 
 @style.in_our_style
-def draw_energy(solution: Solution, replica: int = 0, page: Page = PAGE) -> Figure:
+def draw_energy(solution: Solution | PackingSolution, replica: int = 0, page: Page = PAGE) -> Figure:
     """The four accounts, and below them what they leave unexplained, against time.
 
     An account that is negative at times is drawn as such: the axis is then linear around 0 and logarithmic beyond.
     InputError if the run keeps no energy balance.
     """
-    history, scene = solution.history, solution.scene
+    course = course_of(solution)
+    history, scene = course.history, course.scene
     if "energy_residual" not in history:
         raise InputError("the run keeps no energy balance; run a dynamics with --energy")
     width = page.inches("single")
@@ -122,7 +135,7 @@ def draw_energy(solution: Solution, replica: int = 0, page: Page = PAGE) -> Figu
     if (missing > 0).any():
         bottom.plot(time[missing > 0], missing[missing > 0], color="black", lw=1.0)
         bottom.set_yscale("log")
-    bottom.set(xlabel=rf"time, ${spin_symbol}\,t$", ylabel="unexplained\nshare")
+    bottom.set(xlabel=time_label(spin_symbol), ylabel="unexplained\nshare")
     return figure
 
 

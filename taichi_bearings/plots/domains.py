@@ -31,6 +31,7 @@ def draw_domains(domains: RigidDomains, page: Page = PAGE) -> Figure:
 
     Black lines are boundaries of rigid domains. Black dots mark spheres that are locked in some components only.
     """
+    assert domains.lattice is not None
     colour = colour_of_turn(domains.turn)[domains.domain]
     shape, walls = domains.domain.shape, lattice.walls_between(domains.domain, domains.lattice)
     planes = () if len(shape) == 2 else page.planes or middle_planes(shape)

@@ -1,5 +1,6 @@
 """A packing on paper: discs or spheres of their radii, coloured by how fast they turn, and its contacts."""
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -8,29 +9,34 @@ from matplotlib.collections import EllipseCollection, LineCollection
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 
-from taichi_bearings.errors import InputError
+from taichi_bearings.analysis.domains import RigidDomains
 from taichi_bearings.packing import Packing, PackingSolution
+from taichi_bearings.plots.domains import colour_of_turn
 from taichi_bearings.plots.lattice import MOST_LINES, SPIN_COLOURS, colour_bar
 from taichi_bearings.plots.page import PAGE, VIEW, Page
 from taichi_bearings.plots.power import POWER_COLOURS
 from taichi_bearings.plots.style import GREY, in_our_style, new_figure, put_title
+from taichi_bearings.plots.symbols import describe
 from taichi_bearings.proof.contact_state import ContactState
-from taichi_bearings.words import meant
 
 PACKING_FIGURES = ("spins", "power", "network")
 PACKING_BAR = 0.75  # inches of a colour bar with its label
 SHADE = 0.55  # of the colour of spheres that lie farthest behind
 
 
-@in_our_style
-def draw_packing(result: PackingSolution, kind: str = "spins", page: Page = PAGE, note: str = "") -> Figure:
-    """kind : "spins", the surface speed of every sphere and, of discs, slipping contacts in black; "power", of slipping
-    contacts; "network", the slipless contacts. Spheres are drawn from the back to the front, driven ones with a rim.
-    note : more of the title."""
-    if kind not in PACKING_FIGURES:
-        allowed = ", ".join(PACKING_FIGURES)
-        raise InputError(f"the figure is {kind!r}; of a packing there are {allowed}{meant(kind, PACKING_FIGURES)}")
-    packing, view = result.packing, page.view or VIEW
+@dataclass(frozen=True)
+class _Canvas:
+    """Axes in lengths. seen : (N, 3) centres, and normal : (E, 3), from the reader. site : points to a radius."""
+
+    figure: Figure
+    axes: Any
+    seen: np.ndarray
+    normal: np.ndarray
+    site: float
+
+
+def _canvas(packing: Packing, page: Page) -> _Canvas:
+    view = page.view or VIEW
     flat = packing.dimension == 2
     seen = np.column_stack([packing.center, np.zeros(packing.spheres)]) if flat else view.seen(packing.center)
     normal = np.asarray(packing.normal)
@@ -43,6 +49,40 @@ def draw_packing(result: PackingSolution, kind: str = "spins", page: Page = PAGE
     axes = figure.add_subplot(aspect="equal", xticks=[], yticks=[], xlim=(low[0], high[0]), ylim=(low[1], high[1]))
     axes.set_axis_off()
     site = 72 * (width - PACKING_BAR) / float((high - low)[0]) * float(np.median(radius))
+    return _Canvas(figure, axes, seen, normal, site)
+
+
+@in_our_style
+def draw_domains_of_packing(result: PackingSolution, domains: RigidDomains, page: Page = PAGE) -> Figure:
+    """Rigid domains: with two bodies in bearing states as they turn between them, blue as the first and red as the
+    second, else each of the largest in a colour of its own; of discs walls between domains in black."""
+    packing, canvas = result.packing, _canvas(result.packing, page)
+    flat, between = packing.dimension == 2, bool(domains.jump.any())
+    own = colormaps["tab20"](np.minimum(np.arange(domains.number), 19))
+    colour = (
+        colour_of_turn(domains.turn[:, domains.jump.any(axis=0)])
+        if between
+        else np.where((domains.spheres > 1)[:, None], own, 0.9)
+    )
+    _spheres(canvas.axes, packing, canvas.seen, colour[domains.domain], flat)
+    apart = domains.domain[packing.contact[:, 0]] != domains.domain[packing.contact[:, 1]]
+    if flat and apart.sum() <= MOST_LINES:
+        _lines(canvas.axes, _walls(packing, apart), canvas.site, colors="black")
+    if between and domains.jump.shape[1] == 1:
+        colour_bar(canvas.figure, canvas.axes, "turn, from the first body to the second", Normalize(0, 1), SPIN_COLOURS)
+    kinds = ", ".join(f"{count:,} {kind}" for kind, count in domains.domains_of_kind().items() if count)
+    put_title(canvas.figure, f"{describe(packing)}\n{domains.number:,} rigid domains, locked to: {kinds}", page)
+    return canvas.figure
+
+
+@in_our_style
+def draw_packing(result: PackingSolution, kind: str = "spins", page: Page = PAGE, note: str = "") -> Figure:
+    """kind : "spins", the surface speed of every sphere and, of discs, slipping contacts in black; "power", of slipping
+    contacts; "network", the slipless contacts. Spheres are drawn from the back to the front, driven ones with a rim.
+    note : more of the title."""
+    packing, canvas = result.packing, _canvas(result.packing, page)
+    flat, figure, axes = packing.dimension == 2, canvas.figure, canvas.axes
+    seen, normal, site = canvas.seen, canvas.normal, canvas.site
     chosen = result.state == (ContactState.SLIPLESS if kind == "network" else ContactState.SLIPPING)
     words = f"{int(chosen.sum()):,} of {int((result.state != ContactState.DRIVEN).sum()):,} contacts "
     words += "do not slip" if kind == "network" else "slip, in black" if kind == "spins" and flat else "slip"
@@ -63,9 +103,7 @@ def draw_packing(result: PackingSolution, kind: str = "spins", page: Page = PAGE
         norm = LogNorm(float(np.quantile(some, 0.02)), float(some.max())) if len(some) else LogNorm(0.1, 1.0)
         _lines(axes, lines, 2 * site, colors=np.tile(colormaps[POWER_COLOURS](norm(power)), (2, 1)))
         colour_bar(figure, axes, "power of a contact (energy / time)", norm, POWER_COLOURS, extend="min")
-    what = "discs" if flat else "spheres"
-    law = str(packing.law).replace("coulomb", "Coulomb")
-    put_title(figure, f"{packing.spheres:,} {what}, {law}{note}\n{words}", page)
+    put_title(figure, f"{describe(packing)}{note}\n{words}", page)
     return figure
 
 

@@ -1,5 +1,6 @@
 """What quantities are called and counted in on the axes of figures, and what a figure says of its system."""
 
+from taichi_bearings.packing import Packing
 from taichi_bearings.quantities import COLUMNS
 from taichi_bearings.scene import Scene
 
@@ -11,8 +12,11 @@ def _spaced(unit: str) -> str:
     return "" if unit == "1" else unit.replace("/", " / ").replace("*", " · ")
 
 
-def describe(scene: Scene, sample: int | None = 0) -> str:
-    """Sizes, law and seed of a sample, or of all, in words for a title."""
+def describe(scene: Scene | Packing, sample: int | None = 0) -> str:
+    """Sizes, law and seed of a sample, or of all, in words for a title; of a packing sizes and law."""
+    if isinstance(scene, Packing):
+        what = "discs" if scene.dimension == 2 else "spheres"
+        return f"{scene.spheres:,} {what}, {str(scene.law).replace('coulomb', 'Coulomb')}"
     shape = r"\times".join(map(str, scene.lattice.shape))
     seed = f"seeds {scene.seeds[0]} to {scene.seeds[-1]}"
     if sample is not None or scene.replicas == 1:
@@ -31,22 +35,30 @@ def larger_spin(spin_top: float, spin_bottom: float) -> str:
     return SPEED_OF[abs(spin_top) >= abs(spin_bottom)]
 
 
-def driving(scene: Scene) -> tuple[float, str]:
-    """The imposed spin that times and powers are counted in, 1/time, and its symbol."""
+def driving(scene: Scene | Packing) -> tuple[float, str]:
+    """The imposed spin that times and powers are counted in, 1/time, and its symbol; of packings 1 and an empty one."""
+    if isinstance(scene, Packing):
+        return 1.0, ""
     top, bottom = scene.imposed
     return (abs(top), SPEED_OF[True]) if top else (abs(bottom) or 1.0, SPEED_OF[False])
 
 
-def power_unit(scene: Scene) -> tuple[float, str]:
-    """What powers are counted in, energy/time, and its symbol; 1 and an empty one without friction."""
+def power_unit(scene: Scene | Packing) -> tuple[float, str]:
+    """What powers are counted in, energy/time, and its symbol; 1 and an empty one without friction, or of packings."""
     spin, symbol = driving(scene)
-    if not scene.law.holds:
+    if isinstance(scene, Packing) or not scene.law.holds:
         return 1.0, ""
     return scene.normal_force * scene.lattice.radius * spin, rf"F_n R\,{symbol}"
 
 
-def energy_unit(scene: Scene) -> tuple[float, str]:
-    """What energies are counted in, and its symbol; 1 and an empty one without friction."""
+def time_label(symbol: str) -> str:
+    return rf"time, ${symbol}\,t$" if symbol else "time"
+
+
+def energy_unit(scene: Scene | Packing) -> tuple[float, str]:
+    """What energies are counted in, and its symbol; 1 and an empty one without friction, or of packings."""
+    if isinstance(scene, Packing):
+        return 1.0, ""
     return (scene.normal_force * scene.lattice.radius, r"F_n R") if scene.law.holds else (1.0, "")
 
 

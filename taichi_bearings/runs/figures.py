@@ -2,17 +2,19 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from matplotlib.figure import Figure
 
+from taichi_bearings.analysis.packing_structure import PackingStructure
 from taichi_bearings.analysis.structure import Structure, structure_of
 from taichi_bearings.errors import InputError
 from taichi_bearings.packing import PackingSolution
 from taichi_bearings.plots.course import draw_energy, draw_history
 from taichi_bearings.plots.domains import draw_domains
 from taichi_bearings.plots.network import draw_network
-from taichi_bearings.plots.packing import draw_packing
+from taichi_bearings.plots.packing import PACKING_FIGURES, draw_domains_of_packing, draw_packing
 from taichi_bearings.plots.page import PAGE, Page, check_planes
 from taichi_bearings.plots.power import draw_power
 from taichi_bearings.plots.spins import draw_spins
@@ -117,23 +119,37 @@ def _nearest(solution: Solution | PackingSolution, time: float) -> tuple[float, 
     return float(kept[nearest]), solution.snapshots.spin[nearest]
 
 
+FIGURES_OF_PACKINGS: dict[str, Callable[..., Figure]] = {
+    **{kind: partial(draw_packing, kind=kind) for kind in PACKING_FIGURES},
+    "history": draw_history,
+    "energy": lambda result, page: draw_energy(result, 0, page),
+    "domains": lambda result, page: draw_domains_of_packing(result, PackingStructure.of(result).domains, page),
+}
+
+
 def draw_figure_of_packing(
     result: PackingSolution, kind: str = "spins", time: float | None = None, page: Page = PAGE
 ) -> Figure:
-    """The figure called `kind` of a packing, as :func:`draw_figure`. A contact slips in a snapshot of springs that is
-    faster than a thousandth of the largest imposed surface speed."""
+    """The figure called `kind` of a packing, as :func:`draw_figure`."""
+    if kind not in FIGURES_OF_PACKINGS:
+        raise InputError(
+            f"the figure is {kind!r}; allowed are {', '.join(FIGURES_OF_PACKINGS)}{meant(kind, FIGURES_OF_PACKINGS)}"
+        )
     if page.planes:
-        raise InputError("plane is given, but figures of packings show no planes")
+        raise InputError("plane is given, but a packing has no lattice planes to cut along; --view turns it")
     if time is None:
-        return draw_packing(result, kind, page)
+        return FIGURES_OF_PACKINGS[kind](result, page=page)
     if kind != "spins":
         raise InputError(f"time is {time}, but {kind} does not depend on it; only spins have snapshots")
-    (at, spin), packing = _nearest(result, time), result.packing
-    slip = packing.slips(spin)
-    least = STRETCHED_SLIP * float(np.linalg.norm(packing.imposed, axis=1).max(initial=0.0))
-    told = np.where(slip > least, ContactState.SLIPPING, ContactState.SLIPLESS)
-    state = np.where(result.state == ContactState.DRIVEN, ContactState.DRIVEN, told).astype(np.uint8)
-    return draw_packing(replace(result, spin=spin, slip=slip, state=state), "spins", page, f", $t = {mathematics(at)}$")
+    at, spin = _nearest(result, time)
+    return draw_packing(at_moment(result, spin), "spins", page, f", $t = {mathematics(at)}$")
+
+
+def at_moment(result: PackingSolution, spin: np.ndarray) -> PackingSolution:
+    """A packing with the spins of a snapshot. Contacts slip in it that are faster than the threshold of the run, with
+    springs than a thousandth of the largest imposed surface speed."""
+    springs = STRETCHED_SLIP * float(np.linalg.norm(result.packing.imposed, axis=1).max(initial=0.0))
+    return replace(result, spin=spin, slip=result.packing.slips(spin)).by_threshold(result.slip_threshold or springs)
 
 
 def snapshot_threshold(solution: Solution, slip_threshold: float | None) -> float:

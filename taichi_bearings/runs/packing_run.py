@@ -23,7 +23,7 @@ from taichi_bearings.options import options_of
 from taichi_bearings.packing import Packing, PackingSolution, solve_packing
 from taichi_bearings.packing.system import System
 from taichi_bearings.proof.contact_state import ContactState
-from taichi_bearings.quantities import CHECK_ROWS, CONTACTS, SPHERES, found_in, plain
+from taichi_bearings.quantities import CHECK_ROWS, CONTACTS, FINDINGS, SPHERES, found_in, plain
 from taichi_bearings.runs.run_directory import claimed
 from taichi_bearings.runs.run_file import (
     NOT_IN_ALL,
@@ -36,12 +36,14 @@ from taichi_bearings.runs.run_file import (
     scene_settings,
 )  # fmt: skip
 from taichi_bearings.runs.settings import OF_DRIVEN, OF_PACKINGS, RunSettings, settings_table
-from taichi_bearings.runs.structure_report import BOTTLENECK_ROWS
+from taichi_bearings.runs.structure_report import BOTTLENECK_ROWS, SPHERE_BETWEENNESS
+from taichi_bearings.runs.torque import refuse_driven, torque_on_packing
 from taichi_bearings.scene import Snapshots, Status
 from taichi_bearings.scene.array_files import read_arrays, read_coefficients
 from taichi_bearings.scene.initial_spins import STARTS
 from taichi_bearings.scene.law import law_named
-from taichi_bearings.solvers.table import METHODS, InteriorPoint, MethodOptions
+from taichi_bearings.scene.ramp import Ramp
+from taichi_bearings.solvers.table import METHODS, InteriorPoint, MethodOptions, row_of_packing
 from taichi_bearings.stages import alike, each, stage
 from taichi_bearings.version import VERSION
 from taichi_bearings.words import counted, shown
@@ -75,7 +77,7 @@ TOLD_OF_RESULT = (
 )  # fmt: skip
 """What a summary has of the result under the same name."""
 READ_NUMBERS = ("power", "lower_bound", "gap", "driven_power", "seconds")
-READ_OF_RESULT = (*TOLD_OF_RESULT, "largest_balance_residual", "time")
+READ_OF_RESULT = (*TOLD_OF_RESULT, "largest_balance_residual", "time", "slip_threshold", *FINDINGS)
 SIZES = ("radius", "normal_force")
 AXES_OF_PACKINGS = {"center": 2, "contact": 2, "normal": 2}  # of arrays of one sample; others have one
 ALIKE = ("method", "law", "shape", "spheres", "driven_spheres", "contacts", "seconds_compile", "version")
@@ -155,10 +157,12 @@ class PackingRun:
             "slipping": states[ContactState.SLIPPING],
             "slipless": states[ContactState.SLIPLESS],
             "undecided": states[ContactState.UNDECIDED],
-            "states_proven": unproven == 0,
+            "states_proven": unproven == 0 and bool((proven == result.state).all()),
+            "slip_threshold": result.slip_threshold,
             "unproven": unproven,
             "largest_balance_residual": result.unbalanced,
             "version": VERSION,
+            **result.findings,
             **({} if result.time is None else {"time": result.time}),
             **({} if self.settings.duration is None else {"duration": self.settings.duration}),
         }
@@ -167,8 +171,13 @@ class PackingRun:
     @property
     def histogram(self) -> PowerHistogram:
         """Of the power over its slipping contacts, of all replicas."""
+        return power_histogram(*self.power_and_state, self.result.slip_threshold)
+
+    @property
+    def power_and_state(self) -> tuple[np.ndarray, np.ndarray]:
+        """Of the contacts of all replicas, (R, E) each."""
         power, state = (np.stack([getattr(r, n) for r in self.results]) for n in ("power_per_contact", "state"))
-        return power_histogram(power, state, 0.0)
+        return power, state
 
 
 def _of(seed: int, replicas: int) -> str:
@@ -200,10 +209,6 @@ class PackingJob:
     def of(cls, settings: RunSettings) -> "PackingJob":
         """Raises InputError or FileError."""
         packings, named = packings_of(settings), settings.initial
-        if settings.method != "auto":
-            from taichi_bearings.solvers.packings import row_of_packing  # and with it Taichi's kernels
-
-            row_of_packing(settings.method)
         if named in STARTS or not Path(named).exists():
             return cls(settings, packings)
         start, one = read_arrays(Path(named), ["spin"])["spin"], packings[0].spin.shape
@@ -229,7 +234,7 @@ class PackingJob:
         written = [None] * count if checkpoints is None else checkpoints.of_each(count)
         for number, (packing, own) in enumerate(zip(self.packings, written, strict=True)):
             start = self.start[number] if np.ndim(self.start) > packing.spin.ndim else self.start
-            told = {} if self.settings.method == "auto" else {"monitors": monitors, "checkpoints": own}
+            told = {} if minimises(self.settings) else {"monitors": monitors, "checkpoints": own}
             try:
                 with stage("solving"):
                     found.append(solved_packing(self.settings, packing, start=start, **told, **others))
@@ -245,8 +250,13 @@ class PackingJob:
         return PackingRun(self.settings, tuple(found), start=self.start)
 
 
+def minimises(settings: RunSettings) -> bool:
+    """Whether its method finds the minimum at once; InputError for one that packings lack."""
+    return row_of_packing(settings.method) is None
+
+
 def method_of_packing(settings: RunSettings) -> type[MethodOptions]:
-    return InteriorPoint if settings.method == "auto" else METHODS[settings.method]
+    return row_of_packing(settings.method) or METHODS.get(settings.method, InteriorPoint)
 
 
 STOPPED_BY = ("iterations", "time_limit", "duration", "record", "snapshots")
@@ -267,6 +277,12 @@ def refuse_unused(settings: RunSettings) -> None:
         )
     if unused := unused_of_packing(settings):
         raise InputError(next(iter(unused.values())))
+    if settings.torque is None:
+        return
+    if method_of_packing(settings).is_dynamics or Ramp.of(settings.torque).rises:
+        raise InputError(f"torque is {settings.torque}; of packings minima alone tell what a constant one does")
+    if settings.packing is None:
+        refuse_driven(settings, InteriorPoint)
 
 
 def used(settings: RunSettings) -> RunSettings:
@@ -310,8 +326,9 @@ def packings_of(settings: RunSettings) -> tuple[Packing, ...]:
 def unused_of_packing(settings: RunSettings) -> dict[str, str]:
     """The given keys that the method or the law does not use, each with a sentence that says so."""
     found = settings.unused(method_of_packing(settings))
-    strange = {"initial", *STOPPED_BY} & settings.given.keys() - found.keys() if settings.method == "auto" else ()
-    return found | {key: f"{key} is given, but method auto of a packing does not use it" for key in sorted(strange)}
+    strange = {"initial", *STOPPED_BY} & settings.given.keys() - found.keys() if minimises(settings) else ()
+    name = settings.method
+    return found | {key: f"{key} is given, but method {name} of a packing does not use it" for key in sorted(strange)}
 
 
 def _drawn_viscosity(settings: RunSettings) -> dict[str, str]:
@@ -347,13 +364,23 @@ def solved_packing(
 ) -> PackingSolution:
     """The answer of the method that the settings name. system_of : see :func:`solve_packing`. start : instead of the
     one that the settings name. others : density, monitors and checkpoints of :func:`follow_packing`."""
-    if settings.method == "auto":
-        return solve_packing(packing, settings.tolerance, system_of)
-    from taichi_bearings.solvers.packings import follow_packing, row_of_packing  # and with it Taichi's kernels
+    found = _solved(settings, packing, system_of, start, **others)
+    if settings.torque is not None and found.status != Status.INTERRUPTED.value:
+        again = partial(_solved, settings, system_of=System.of, start=None, **others)
+        found = torque_on_packing(found, Ramp.of(settings.torque).stop, again)
+    return found if settings.slip_threshold is None else found.by_threshold(settings.slip_threshold)
+
+
+def _solved(
+    settings: RunSettings, packing: Packing, system_of: Callable[[Packing], System], start: Any, **others: Any
+) -> PackingSolution:
+    row, given = row_of_packing(settings.method), settings.given
+    if row is None:
+        return solve_packing(packing, settings.tolerance, system_of, settings.method)
+    from taichi_bearings.solvers.packings import follow_packing  # and with it Taichi's kernels
     from taichi_bearings.solvers.recording import Recording
     from taichi_bearings.solvers.stopping import StopRule
 
-    row, given = row_of_packing(settings.method), settings.given
     method = row(**{key: value for key in options_of(row) if (value := getattr(settings, key)) is not None})
     if device := {key: given[key] for key in ON_DEVICE if key in given}:
         runtime.start(**device)
@@ -409,6 +436,9 @@ def _of_structure(structure: PackingStructure) -> tuple[dict[str, Finding], dict
         {name: Finding(values, "1", STRUCTURE_COLUMNS[name]) for name, values in columns.items()}
         for columns in structure.columns
     )
+    if structure.has_pairs:
+        contacts |= {row.name: Finding(row.of(structure), row.unit, row.text) for row in BOTTLENECK_ROWS}
+        spheres["sphere_betweenness"] = Finding(structure.bottlenecks.visits, "1", SPHERE_BETWEENNESS.text)
     return spheres, contacts
 
 
@@ -425,8 +455,6 @@ def analysed(
     for result in each(found.results, "analysing", alike):
         structure = PackingStructure.of(result, threshold)
         of_spheres, of_contacts = _of_structure(structure)
-        if structure.bodies == 2:
-            of_contacts |= {row.name: Finding(row.of(structure), row.unit, row.text) for row in BOTTLENECK_ROWS}
         numbers.append(structure.numbers)
         arrays.append(of_spheres | of_contacts)
     together = {key: [one[key] for one in numbers] for key in numbers[0]} if len(numbers) > 1 else numbers[0]
@@ -483,6 +511,9 @@ def read_packing_run(run: Path) -> PackingRun:
                 history=_without_repeats(history, "iteration", replica),
                 time=None if "time" not in own else float(own["time"]),
                 snapshots=Snapshots(**way) if way and len(way["time"]) else None,
+                slip_threshold=float(own.get("slip_threshold", 0.0)),
+                torque=settings.torque,  # type: ignore[arg-type]
+                findings={name: np.nan if v == "" else v for name in FINDINGS if (v := own.get(name)) is not None},
                 **{name: values[replica] for name, values in sets.items()},
                 **number,
             ))  # fmt: skip

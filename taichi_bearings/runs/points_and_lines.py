@@ -12,9 +12,10 @@ from taichi_bearings.analysis.domains import RigidDomains
 from taichi_bearings.analysis.structure import Structure, structure_of
 from taichi_bearings.errors import InputError
 from taichi_bearings.files.analysis_file import Finding
+from taichi_bearings.packing import PackingSolution
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.quantities import CONTACTS, found_in
-from taichi_bearings.runs.figures import slips_of, snapshot_threshold
+from taichi_bearings.runs.figures import at_moment, slips_of, snapshot_threshold
 from taichi_bearings.runs.run import settings_of
 from taichi_bearings.runs.run_file import StoredRun
 from taichi_bearings.runs.structure_report import ON_CONTACTS, findings_of
@@ -120,6 +121,19 @@ def _contact_columns(solution: Solution, structure: Structure, path: np.ndarray)
     on_path[np.flatnonzero(structure.network.slipless)[structure.network.edges_along(path)]] = True
     columns["on_path"] = Finding(on_path, "1", "on one shortest slipless path from bottom to top")
     return columns
+
+
+def moments_of_packing(result: PackingSolution) -> Moments | None:
+    """As of lattices; contacts by their numbers."""
+    kept, end = result.snapshots, result.time
+    early = np.flatnonzero(kept.time < end) if kept is not None and end is not None else np.array([], dtype=int)
+    if kept is None or not len(early):
+        return None
+    spin = kept.spin[early]
+    found = [at_moment(result, one) for one in spin]
+    slip, state = np.stack([one.slip for one in found]), np.stack([one.state for one in found])
+    rows = spin if result.packing.dimension == 3 else _spin_rows(spin)
+    return Moments(kept.time[early], rows, slip, state, found[0].slip_threshold)
 
 
 def _moments(solution: Solution, end: float | None, slip_threshold: float | None) -> Moments | None:

@@ -545,8 +545,9 @@ def _draw(found: "Run | PackingRun", title: bool) -> None:
     assert found.path is not None
     page = Page(title=title)
     save(draw_histogram(found.histogram, page), found.path / "power_histogram.png")
-    if isinstance(found, Run) and has_course(found.solution):
-        save(draw_history(found.solution, page), found.path / "history.png")
+    solution = found.solution if isinstance(found, Run) else found.result
+    if has_course(solution):
+        save(draw_history(solution, page), found.path / "history.png")
 
 
 def _self_contained(settings: RunSettings, scene: Scene, spin: np.ndarray, folder: Path) -> RunSettings:

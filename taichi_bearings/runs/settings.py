@@ -83,7 +83,7 @@ OF_DRIVEN = ("shape", "periodic", "spin_top", "spin_bottom", "direction", "top",
 OF_PACKINGS = (
     "packing", "law", "tolerance", "seed", "distribution", "viscosity", "normal_force", "radius", "method", "figures",
     "initial", "iterations", "time_limit", "duration", "record", "snapshots", "checkpoint_every", "replicas", "arch",
-    "precision", "threads",
+    "precision", "threads", "slip_threshold", "torque",
 )  # fmt: skip
 """Keys of a run that a packing uses; and further ones of a lattice with other driven bodies than planes."""
 DRIVING_KEYS = ("periodic", "top", "bottom", "driven")  # keys that summaries name where they are not the defaults

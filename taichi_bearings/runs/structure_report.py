@@ -24,6 +24,9 @@ ON_CONTACTS = (
 )
 """Of a Structure, (E,): in files one array an axis."""
 
+SPHERE_BETWEENNESS = Quantity(
+    "betweenness/sphere", "1", "share of the shortest paths that visit the sphere", lambda s: s.bottlenecks.visits
+)
 ARRAYS = (
     Quantity("minimum_cut/above", "1", "spheres on the top side of the minimum cut", lambda s: s.interface.above),
     Quantity("component", "1", "piece of the slipless network of each sphere; 0 holds the bottom plane",
@@ -38,8 +41,7 @@ ARRAYS = (
     Quantity("domains/lock", "1",
              "what ties each component: 0 neither plane, 1 the bottom, 2 the top, 3 both; components {components}",
              lambda s: s.domains.lock.astype(np.int8)),
-    Quantity("betweenness/sphere", "1", "share of the shortest paths that visit the sphere",
-             lambda s: s.bottlenecks.visits),
+    SPHERE_BETWEENNESS,
 )
 """Of a Structure."""
 # fmt: on

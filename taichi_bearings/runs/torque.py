@@ -8,24 +8,31 @@ torque that keeps it up, the work for a unit of a, is P(a) / a.
 * Viscosity alone: P(a) = a^2 P(1), and every torque moves the plane.
 * Both: P(a) / a rises without limit from its value for friction alone, and a is found by solving again and again.
 
+Of a packing the top is the body of the largest number, which turns as a times its spins, and the bottom all others.
+
 A bottom that turns loosens the top. With friction the torque for the strength a is then a slope of the potential
 Phi(a), which is convex: beyond (Phi(h) - Phi(0)) / h it turns, and up to there by no more than h.
 """
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
 
 import numpy as np
 
 from taichi_bearings.errors import InputError
+from taichi_bearings.packing import Packing, PackingSolution
+from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.runs.settings import RunSettings
-from taichi_bearings.scene import Scene, Solution, Status
-from taichi_bearings.scene.law import COULOMB, LAWS
+from taichi_bearings.scene import Solution, Status
+from taichi_bearings.scene.law import COULOMB, LAWS, Coefficients, Law
 from taichi_bearings.scene.ramp import Ramp
 from taichi_bearings.solvers.table import MethodOptions
 
-Solve = Callable[[Scene], Solution]
+Solve = Callable[[Any], Any]
+"""Of a scene a solution, or of an :class:`Upheld` packing an :class:`Answer`."""
 SURELY = 1 + 1e-12  # factor that makes up for the rounding of the power
+ROUNDED_SUM = 1e-13  # relative, of the power of contacts between driven spheres
 HELD_TURN = 1e-4  # of the spin of the bottom, by which a top that counts as held may turn
 AMPLITUDE_ERROR = 1e-13  # relative, of an amplitude that is found by solving again
 
@@ -49,11 +56,100 @@ def refuse_driven(settings: RunSettings, method: type[MethodOptions]) -> None:
         )
 
 
-def by_friction(solution: Solution, solve: Solve) -> Solution:
+@dataclass(frozen=True)
+class Upheld:
+    """A packing with the words that are asked of a scene: its body of the largest number stands for the top."""
+
+    packing: Packing
+    replicas: ClassVar[int] = 1
+
+    @property
+    def law(self) -> Law:
+        return self.packing.kind
+
+    @property
+    def top(self) -> np.ndarray:
+        """(N,) True for its spheres."""
+        return np.asarray((self.packing.driven >= 0) & (self.packing.driven == self.packing.driven.max()))
+
+    @property
+    def imposed(self) -> tuple[float, float]:
+        """Largest R omega of the top, and of all others, length/time."""
+        speed, top = np.linalg.norm(self.packing.imposed, axis=1), self.top
+        return float(speed[top].max(initial=0.0)), float(speed[~top].max(initial=0.0))
+
+    @property
+    def contact(self) -> Coefficients:
+        return tuple(values[None] for values in self.packing.coefficients)
+
+    def sample(self, number: int) -> "Upheld":
+        return self
+
+    def changed(self, **arrays: Any) -> "Upheld":
+        """With other arrays; those that are None are left out."""
+        given = {"law": self.law, **self.packing.arrays(), **arrays}
+        return Upheld(Packing(**{name: values for name, values in given.items() if values is not None}))
+
+
+@dataclass(frozen=True)
+class Answer:
+    """That of an upheld packing, with what contacts between driven spheres take beside. found : as it was solved."""
+
+    found: PackingSolution
+
+    @property
+    def scene(self) -> Upheld:
+        return Upheld(self.found.packing)
+
+    @property
+    def status(self) -> Status:
+        return Status(self.found.status)
+
+    @property
+    def slip(self) -> np.ndarray:
+        return self.found.slip[None]
+
+    @property
+    def power(self) -> np.ndarray:
+        return np.array([self.found.power + self.found.driven_power])
+
+    @property
+    def objective(self) -> np.ndarray:
+        return np.array([self.found.potential + self._beside])
+
+    @property
+    def lower_bound(self) -> np.ndarray:
+        low = self.found.lower_bound
+        return np.array([(low + self._beside) * (1 - ROUNDED_SUM) if self._beside else low])
+
+    @property
+    def _beside(self) -> float:
+        packing, among = self.found.packing, self.found.state == ContactState.DRIVEN
+        return float(packing.kind.objective(packing.coefficients, self.found.slip)[among].sum())
+
+
+def torque_on_packing(found: PackingSolution, torque: float, solve: Callable[[Packing], Any]) -> PackingSolution:
+    """As :func:`under_torque`. solve : other packings."""
+    answer = Answer(found)
+    if not answer.scene.imposed[0]:
+        raise InputError(f"torque is {torque:g}, but no body turns, along whose spins it would act")
+    if answer.scene.imposed[1] and not answer.scene.law.holds:
+        raise InputError(f"torque is {torque:g}; with the law viscous all bodies but the last must be at rest")
+
+    def again(scene: Upheld) -> Answer:
+        return Answer(solve(scene.packing))
+
+    return replace(found, torque=torque, findings={n: v.item() for n, v in _found(answer, torque, again).items()})
+
+
+def by_friction(solution: Any, solve: Solve) -> Any:
     """The motion of strength 1 with friction alone, or the same where there is no friction or nothing else."""
     scene = solution.scene
-    both = scene.law.holds and scene.law.flows
-    return solve(replace(scene, law=COULOMB, viscosity=())) if both else solution
+    if not (scene.law.holds and scene.law.flows):
+        return solution
+    if isinstance(scene, Upheld):
+        return solve(scene.changed(law=COULOMB, viscosity=None))
+    return solve(replace(scene, law=COULOMB, viscosity=()))
 
 
 def under_torque(solution: Solution, friction: Solution, torque: float, solve: Solve) -> Solution:
@@ -64,9 +160,14 @@ def under_torque(solution: Solution, friction: Solution, torque: float, solve: S
     force*length, between which it starts to. amplitude : strength of the motion, 1 for that of the solution; 0 where
     the torque is proven to be held, NaN where nothing limits the motion or it is not known.
     """
+    return replace(solution, findings={**solution.findings, **_found(solution, torque, solve, friction)})
+
+
+def _found(solution: Any, torque: float, solve: Solve, friction: Any = None) -> dict[str, np.ndarray]:
     scene = solution.scene
     if scene.imposed[1]:
-        return replace(solution, findings={**solution.findings, **_beside_driven(scene, torque, solve)})
+        return _beside_driven(scene, torque, solve)
+    friction = by_friction(solution, solve) if friction is None else friction
     low, high = np.zeros(scene.replicas), np.zeros(scene.replicas)
     if scene.law.holds:
         low, high = friction.lower_bound, friction.power
@@ -79,16 +180,15 @@ def under_torque(solution: Solution, friction: Solution, torque: float, solve: S
             viscous = scene.law.power(scene.contact, friction.slip)[number].sum() - friction.power[number]
             least = (abs(torque) - high[number]) / (2 * viscous)
             amplitude[number] = _strength(scene.sample(int(number)), abs(torque), least, solve)
-    found = {
+    return {
         "yields": yields,
         "yield_torque": high,
         "yield_torque_lower_bound": low,
         "amplitude": np.sign(torque) * amplitude + 0.0 if torque else amplitude,
     }
-    return replace(solution, findings={**solution.findings, **found})
 
 
-def _beside_driven(scene: Scene, torque: float, solve: Solve) -> dict[str, np.ndarray]:
+def _beside_driven(scene: Any, torque: float, solve: Solve) -> dict[str, np.ndarray]:
     """The same findings of a top beside a bottom that turns. yield_torque, in the direction of the torque, of either
     sign: beyond it the top turns; yield_torque_lower_bound : up to it by no more than HELD_TURN of the bottom's spin.
     """
@@ -101,7 +201,7 @@ def _beside_driven(scene: Scene, torque: float, solve: Solve) -> dict[str, np.nd
     return {"yields": yields, "yield_torque": high, "yield_torque_lower_bound": low, "amplitude": unknown}
 
 
-def _strength(scene: Scene, torque: float, least: float, solve: Solve) -> float:
+def _strength(scene: Any, torque: float, least: float, solve: Solve) -> float:
     """Strength a of the motion of one sample that the torque keeps up, above what friction holds; NaN if a solve falls
     short of its tolerance.
 
@@ -125,7 +225,10 @@ def _strength(scene: Scene, torque: float, least: float, solve: Solve) -> float:
     return float("nan") if short else float(found)
 
 
-def _scaled(scene: Scene, strength: float) -> Scene:
+def _scaled(scene: Any, strength: float) -> Any:
+    if isinstance(scene, Upheld):
+        top = scene.top.reshape(-1, *(1,) * (scene.packing.spin.ndim - 1))
+        return scene.changed(spin=np.where(top, strength, 1.0) * scene.packing.spin)
     if scene.top is None:
         return replace(scene, spin_top=strength * scene.spin_top)
     return replace(scene, top=tuple(strength * part for part in scene.top))

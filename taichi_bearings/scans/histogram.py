@@ -26,9 +26,10 @@ from taichi_bearings.files.scan_file import BINS_PER_DECADE, StoredScan
 from taichi_bearings.files.whole_file import refuse_standing
 from taichi_bearings.interrupts import awaited
 from taichi_bearings.proof.contact_state import ContactState
+from taichi_bearings.runs.packing_run import PackingRun, read_run
 from taichi_bearings.runs.run import settings_of
 from taichi_bearings.runs.run_directory import default_run_path, writable_folder
-from taichi_bearings.runs.run_file import StoredRun, read_run_file
+from taichi_bearings.runs.run_file import StoredRun, file_of
 from taichi_bearings.runs.settings import RunSettings, parse_toml
 from taichi_bearings.scans.stored_scans import is_scan, open_scan
 from taichi_bearings.scans.systems import disorder_of, numbered
@@ -84,7 +85,7 @@ class Source:
 
 def read_source(path: Path) -> Source:
     """A run directory, the directory of a scan, or their HDF5 files; FileError if it is none of them."""
-    return _of_scan(open_scan(path)) if is_scan(path) else _of_run(read_run_file(path))
+    return _of_scan(open_scan(path)) if is_scan(path) else _of_run(read_run(path))
 
 
 def _of_scan(scan: StoredScan) -> Source:
@@ -107,19 +108,29 @@ def _of_scan(scan: StoredScan) -> Source:
     return Source(scan.path, reasons, column, contacts, partial(rebinned, fine), disorder, is_scan=True)
 
 
-def _of_run(run: StoredRun) -> Source:
-    settings, solution = settings_of(run), run.solution
-    replicas = solution.scene.replicas
-    known = {*run.attributes, *RunSettings.keys()} - {"scene", "command"}
+def _of_run(run: StoredRun | PackingRun) -> Source:
+    solution: Any
+    if isinstance(run, PackingRun):
+        assert run.path is not None
+        settings, attributes, solution, path = run.settings, run.summary, run.result, file_of(run.path)
+        power, state = run.power_and_state
+        given = [(found.packing.contact, *found.packing.coefficients) for found in run.results]
+    else:
+        settings, attributes, solution, path = settings_of(run), run.attributes, run.solution, run.path
+        power, state = solution.power_per_contact, solution.state
+        given = [(values,) for values in solution.scene.coefficient] if attributes.get("coefficients") else []
+    replicas = len(state)
+    known = {*attributes, *RunSettings.keys()} - {"scene", "command"}
+    known -= {"shape"} if isinstance(run, PackingRun) else set()
 
     def column(name: str) -> np.ndarray:
         """An attribute or setting: of the run, or of each replica."""
         if name not in known:
-            raise InputError(f"{run.path} has no {name!r}; it has {', '.join(sorted(known))}{meant(name, known)}")
+            raise InputError(f"{path} has no {name!r}; it has {', '.join(sorted(known))}{meant(name, known)}")
         if name in ("shape", "direction"):
             value = "x".join(map(str, getattr(settings, name)))
-        elif name in run.attributes:
-            value = np.atleast_1d(run.attributes[name]).tolist()
+        elif name in attributes:
+            value = np.atleast_1d(attributes[name]).tolist()
             value = value if replicas > 1 and len(value) == replicas else value[0]
         elif (value := getattr(settings, name)) is None:
             value = ""
@@ -130,14 +141,14 @@ def _of_run(run: StoredRun) -> Source:
     def disorder() -> list[Any]:
         """By the seed, or by the coefficients where they were given."""
         table = {"seed": settings.seed + np.arange(replicas), "method": np.full(replicas, solution.method)}
-        if run.attributes.get("coefficients"):
-            digests = [hashlib.sha256(values.tobytes()).hexdigest() for values in solution.scene.coefficient]
+        if given:
+            digests = [hashlib.sha256(b"".join(v.tobytes() for v in values)).hexdigest() for values in given]
             table["seed"] = np.array(digests, dtype=object)
         return disorder_of(table, settings)
 
-    contacts = (solution.state != ContactState.DRIVEN).sum(axis=1)
-    counts = partial(count_powers, solution.power_per_contact, solution.state)
-    return Source(run.path, np.full(replicas, "", dtype=object), column, contacts, counts, disorder, is_scan=False)
+    contacts = (state != ContactState.DRIVEN).sum(axis=1)
+    counts = partial(count_powers, power, state)
+    return Source(path, np.full(replicas, "", dtype=object), column, contacts, counts, disorder, is_scan=False)
 
 
 def pooled(

@@ -9,7 +9,9 @@ import numpy as np
 
 from taichi_bearings.errors import BearingsError, InputError
 from taichi_bearings.numerics.blas import one_thread
-from taichi_bearings.runs.run import Run, job_of, solve_job
+from taichi_bearings.packing import Packing
+from taichi_bearings.runs.packing_run import PackingJob, PackingRun
+from taichi_bearings.runs.run import AnyRun, Job, job_of
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scans.engine import LocalEngine, run_samples
 from taichi_bearings.scans.sample import failure
@@ -18,12 +20,13 @@ from taichi_bearings.scene import Scene
 
 @dataclass(frozen=True)
 class SceneTask:
-    """A scene to solve, from these spins. number : which of many, from 0."""
+    """A scene or a packing to solve, from these spins; those that the settings name if None. number : which of many,
+    from 0."""
 
     number: int
     settings: RunSettings
-    scene: Scene
-    spin: np.ndarray
+    scene: Scene | Packing
+    spin: np.ndarray | None
 
     @property
     def key(self) -> str:
@@ -33,23 +36,30 @@ class SceneTask:
     def label(self) -> str:
         return f"number {self.number}, {self.scene}"
 
+    def job(self, threads: int) -> Job | PackingJob:
+        """What solves it; InputError for what cannot be. threads : where the settings leave them open."""
+        settings = replace(self.settings, threads=self.settings.threads or threads)
+        if isinstance(self.scene, Packing):
+            return PackingJob(settings, (self.scene,), self.spin)
+        assert self.spin is not None
+        return job_of(settings, self.scene, self.spin)
+
 
 def solve_tasks(tasks: Sequence[SceneTask]) -> list[dict[str, Any]]:
-    """In a worker: a record of each, with the answer as `solution`, or why there is none."""
+    """In a worker: a record of each, with its `run`, or why there is none."""
     records = []
     with one_thread():
         for task in tasks:
             try:
-                settings = replace(task.settings, threads=task.settings.threads or 1)
-                solution = solve_job(job_of(settings, task.scene, task.spin))
-                record = {"key": task.key, "scalars": {"status": solution.status.value}, "solution": solution}
+                run = task.job(threads=1).solve()
+                record = {"key": task.key, "scalars": {"status": run.status[0].value}, "run": run}
             except Exception as error:
                 record = failure(task, error)
             records.append(record)
     return records
 
 
-def solve_all(tasks: Sequence[SceneTask], workers: int) -> Iterator[tuple[int, Run]]:
+def solve_all(tasks: Sequence[SceneTask], workers: int) -> Iterator[tuple[int, AnyRun]]:
     """The number and the answer of each, as they come; BearingsError for the first that has none."""
     by_key = {task.key: task for task in tasks}
     with closing(LocalEngine(solve_tasks, workers)) as engine:
@@ -57,8 +67,13 @@ def solve_all(tasks: Sequence[SceneTask], workers: int) -> Iterator[tuple[int, R
         for records in run_samples(units, engine, lambda *_: None, failure):
             for record in records:
                 task = by_key.pop(record["key"])
-                if "solution" not in record:
+                if "run" not in record:
                     kind = InputError if record.get("final", False) else BearingsError
                     raise kind(f"scene {task.label} has no answer: {record['scalars']['error']}")
-                solution = replace(record["solution"], scene=task.scene)
-                yield task.number, Run(task.settings, solution, task.spin)
+                run: Any = replace(record["run"], settings=task.settings)
+                if isinstance(run, PackingRun):
+                    results = (replace(run.result, packing=task.scene),)  # type: ignore[arg-type]
+                    run = replace(run, results=results)
+                else:
+                    run = replace(run, solution=replace(run.solution, scene=task.scene))
+                yield task.number, run

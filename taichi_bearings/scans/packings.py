@@ -22,10 +22,6 @@ def refuse_packing(group: Sequence[Sample]) -> None:
     """InputError for what cannot be solved, or is the same for all of a group of seeds."""
     settings = used(group[0].settings)
     law = packing_of(settings).kind
-    if settings.method != "auto":
-        from taichi_bearings.solvers.packings import row_of_packing  # and with it Taichi's kernels
-
-        row_of_packing(settings.method)
     if len(group) == 1 or settings.packing is None or settings.initial == "random":
         return
     if set(("friction", "viscosity")[: len(law.quantities)]) <= Packing.read(settings.packing).keys():
@@ -59,6 +55,6 @@ def _alike(one: Packing, other: Packing) -> bool:
 
 
 def scalars_of(run: PackingRun, analyse: bool) -> dict[str, Any]:
-    """Numbers and texts of a packing, those of its analysis too; its states do not come from a threshold."""
-    found = run.summary | {"slip_threshold": 0.0} | (PackingStructure.of(run.result).numbers if analyse else {})
+    """Numbers and texts of a packing, those of its analysis too."""
+    found = run.summary | (PackingStructure.of(run.result).numbers if analyse else {})
     return {name: value for name, value in found.items() if name not in ("shape", "coefficients", "run")}

@@ -19,11 +19,13 @@ from taichi_bearings.fields.lists import Lists
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.packing.answer import forces_of, spins_of
 from taichi_bearings.packing.checks import sizes
+from taichi_bearings.packing.interface import Interface
 from taichi_bearings.packing.packing import Packing
 from taichi_bearings.packing.path import elimination, oblique, viscous_spins
 from taichi_bearings.packing.system import System, acting, along_axes, odd_parts, slips_of, tangents
 from taichi_bearings.scene import Progress
 from taichi_bearings.scene.given import own_array
+from taichi_bearings.scene.initial_spins import STARTS
 from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.solvers.method import OnLattice
 from taichi_bearings.verifier.judgement import Judgement
@@ -33,7 +35,6 @@ from taichi_bearings.words import meant, shown
 NEXT_TO_NO_POWER = 1e-10  # of the natural power, below which a relative gap says nothing
 PERRON_STEPS, LEAST_SHARE = 30, 1e-3  # of the vector that bounds an eigenvalue: improvements, and its smallest entries
 LOOK_AGAIN = 1.2  # times the iterations after which bounds that cost a factorisation were looked for
-STARTS_OF_PACKINGS = ("linear", "random", "zero")
 OF_BOUND = ("scene.proven", "scene.witness", "scene.looked")  # what the further course of a dynamics depends on beside
 
 
@@ -112,14 +113,13 @@ class Network:
         return found[None] if self.components == 3 else found[None, :, 0]
 
     def start(self, start: str | np.ndarray) -> np.ndarray:
-        """u (C, 1, N) at the start. start : "zero", "random" and "linear", the viscous answer for even contacts, as of
-        scenes; or omega (N, 3), of discs (N,), 1/time."""
+        """u (C, 1, N) at the start. start : "zero", "random", "minimum-cut" and "linear", the viscous answer for even
+        contacts, as of scenes; or omega (N, 3), of discs (N,), 1/time."""
         packing, shape = self.packing, (self.packing.spheres, self.components)[: self.components]
         if isinstance(start, str):
-            if start not in STARTS_OF_PACKINGS:
-                allowed = f"{', '.join(STARTS_OF_PACKINGS)} or spins of your own"
+            if start not in STARTS:
                 raise InputError(
-                    f"start is {shown(start)}; of a packing it can be {allowed}{meant(start, STARTS_OF_PACKINGS)}"
+                    f"start is {shown(start)}; it can be {', '.join(STARTS)} or spins{meant(start, STARTS)}"
                 )
             spin = packing.spin.reshape(packing.spheres, -1)[packing.driven >= 0]
             largest = float(np.linalg.norm(spin, axis=1).max(initial=0.0)) or 1.0
@@ -133,6 +133,13 @@ class Network:
         if isinstance(start, str) and start == "linear":
             system, _ = self.proof
             spins = system.all_spins(viscous_spins(system, np.ones(len(system.contact)))).T[:, None].copy()
+        if isinstance(start, str) and start == "minimum-cut":
+            if (cut := Interface.of(packing)) is None:
+                raise InputError(
+                    "start is 'minimum-cut', but this packing has none: that needs no odd loops, and a jump between "
+                    "two driven bodies, each in a bearing state"
+                )
+            spins = cut.spins.T[:, None].copy()
         self.impose_driving(spins)
         self.jump = self.jump or float(np.abs(spins).max(initial=0.0))
         return spins

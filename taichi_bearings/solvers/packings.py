@@ -23,13 +23,11 @@ from taichi_bearings.solvers.drive import Checkpoints, Course, Monitor
 from taichi_bearings.solvers.dynamics import RestWatch
 from taichi_bearings.solvers.gear import GEAR_COEFFICIENTS, largest_stable_step
 from taichi_bearings.solvers.gradient_descent import GradientDescentMethod
-from taichi_bearings.solvers.implicit_packing import ImplicitCundallStrackOfPacking
 from taichi_bearings.solvers.network import OF_BOUND, Network, OnNetwork
 from taichi_bearings.solvers.recording import Recording
 from taichi_bearings.solvers.stopping import StopRule
-from taichi_bearings.solvers.table import METHODS, CundallStrack, GradientDescent, ImplicitCundallStrack, MethodOptions
+from taichi_bearings.solvers.table import CundallStrack, MethodOptions
 from taichi_bearings.stages import stage
-from taichi_bearings.words import meant, shown
 
 
 class _OnLists(OnNetwork):
@@ -158,24 +156,6 @@ class GradientDescentOfPacking(_OnLists, GradientDescentMethod):
         return self.fields.read("force_sum") / self.averaged
 
 
-BUILT: dict[type[MethodOptions], Any] = {
-    CundallStrack: CundallStrackOfPacking,
-    GradientDescent: GradientDescentOfPacking,
-    ImplicitCundallStrack: ImplicitCundallStrackOfPacking,
-}
-
-
-def row_of_packing(method: str) -> type[MethodOptions]:
-    """The row of a method; InputError for one that packings do not have."""
-    row = METHODS.get(method)
-    if row is None or row not in BUILT:
-        allowed = ["auto", *(built.name for built in BUILT)]
-        raise InputError(
-            f"method is {shown(method)}; of a packing it can be {', '.join(allowed)}{meant(method, allowed)}"
-        )
-    return row
-
-
 def follow_packing(
     packing: Packing,
     method: MethodOptions,
@@ -193,7 +173,7 @@ def follow_packing(
     if row.cpu_only and runtime.current().is_gpu:
         raise DeviceError(f"{row.name} works in the memory of the CPU; use --arch cpu")
     begun, network = perf_counter(), Network(packing)
-    built = BUILT[row](method, *([density] if row.is_dynamics else []))
+    built = method.build_for_packing(*([density] if row.is_dynamics else []))
     with Interrupt() as interrupt, one_thread():
         with stage("preparing"), interrupt.at_once():
             built.begin_on(network, network.start(start))

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from functools import partial
 from math import inf, prod
 from operator import attrgetter
-from typing import TYPE_CHECKING, ClassVar, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 from taichi_bearings.errors import InputError
 from taichi_bearings.options import (
@@ -28,12 +28,14 @@ from taichi_bearings.options import (
     real,
 )
 from taichi_bearings.scene.law import LAWS, Law
+from taichi_bearings.words import meant, shown
 
 if TYPE_CHECKING:
     from taichi_bearings.scene import Scene
     from taichi_bearings.solvers.method import Method
 
 MOST_FACTORISED = 120_000  # spheres of a cubic lattice up to which a factorisation pays and fits (about 48^3)
+MINIMISES = "taichi_bearings.packing.answer:solve_packing"  # finds minima of packings by several methods
 SPLITTING_TOLERANCE = 3e-5  # tolerance that operator splitting reaches sooner than the interior-point method
 
 
@@ -49,14 +51,16 @@ material = partial(option, laws=attrgetter("holds"))  # of contacts that bear a 
 class MethodOptions:
     """A method and its options. The facts of a method are class variables, its options the fields.
 
-    name : for --method. implementation : "module:class", which is called with the options. is_dynamics : it steps in
-    time. takes_torque : it can do with a torque on the top. cpu_only : it works in the memory of the CPU.
+    name : for --method. implementation : "module:class", which is called with the options. of_packings : the same
+    for lists of contacts, "" where there is none, or what finds minima. is_dynamics : it steps in time. takes_torque :
+    it can do with a torque on the top. cpu_only : it works in the memory of the CPU.
     alike_in_a_block : spheres up to which it gives a seed the same bits alone and beside others, and gains by it.
     colour, marker : in every figure. solves : True for a law.
     """
 
     name: ClassVar[str]
     implementation: ClassVar[str]
+    of_packings: ClassVar[str] = ""
     is_dynamics: ClassVar[bool] = False
     takes_torque: ClassVar[bool] = True
     needs_taichi: ClassVar[bool] = True
@@ -72,9 +76,16 @@ class MethodOptions:
 
     def build(self) -> "Method":
         """What does the work, ready for :func:`taichi_bearings.solvers.drive.solve`."""
-        module, _, attribute = self.implementation.partition(":")
+        return self._load(self.implementation)
+
+    def build_for_packing(self, *more: Any) -> Any:
+        """The same for lists of contacts; more : what it is told beside."""
+        return self._load(self.of_packings, *more)
+
+    def _load(self, place: str, *more: Any) -> Any:
+        module, _, attribute = place.partition(":")
         with warnings.catch_warnings():  # SciPy adds filters of its own
-            return getattr(importlib.import_module(module), attribute)(self)
+            return getattr(importlib.import_module(module), attribute)(self, *more)
 
     @classmethod
     def refusal(cls, scene: "Scene") -> str:
@@ -120,6 +131,7 @@ class PlanarCut(MethodOptions):
 
     name = "planar-cut"
     implementation = "taichi_bearings.solvers.planar_cut:PlanarCutMethod"
+    of_packings = MINIMISES
     needs_taichi = False
     alike_in_a_block = inf
     colour, marker = "#0072B2", "o"
@@ -149,6 +161,7 @@ class InteriorPoint(MethodOptions):
 
     name = "interior-point"
     implementation = "taichi_bearings.solvers.interior_point:InteriorPointMethod"
+    of_packings = MINIMISES
     cpu_only = True
     alike_in_a_block = 5_000
     colour, marker = "#D55E00", "^"
@@ -194,6 +207,7 @@ class LinearSolver(MethodOptions):
 
     name = "linear-solver"
     implementation = "taichi_bearings.solvers.linear_solver:LinearSolverMethod"
+    of_packings = MINIMISES
     needs_taichi = False
     colour, marker = "#CC79A7", "v"
     solves = _laws(lambda law: not law.holds)
@@ -210,6 +224,7 @@ class GradientDescent(MethodOptions):
 
     name = "gradient-descent"
     implementation = "taichi_bearings.solvers.gradient_descent:GradientDescentMethod"
+    of_packings = "taichi_bearings.solvers.packings:GradientDescentOfPacking"
     colour, marker = "#E69F00", "P"
     solves = _laws()
 
@@ -299,6 +314,7 @@ class CundallStrack(Springs):
 
     name = "cundall-strack"
     implementation = "taichi_bearings.solvers.cundall_strack:CundallStrackMethod"
+    of_packings = "taichi_bearings.solvers.packings:CundallStrackOfPacking"
     colour, marker = "#8C6BB1", ">"
     solves = _laws()
 
@@ -318,6 +334,7 @@ class ImplicitCundallStrack(Springs):
 
     name = "implicit-cundall-strack"
     implementation = "taichi_bearings.solvers.implicit_cundall_strack:ImplicitCundallStrackMethod"
+    of_packings = "taichi_bearings.solvers.implicit_packing:ImplicitCundallStrackOfPacking"
     cpu_only = True
     colour, marker = "#7A5230", "*"
     solves = _laws()
@@ -331,3 +348,14 @@ def fastest(scene: "Scene", tolerance: float, on_gpu: bool) -> type[MethodOption
         if row.suits(scene, tolerance, on_gpu):
             return row
     raise InputError(f"law is {scene.law.name!r}; no method that auto can take solves it")
+
+
+def row_of_packing(method: str) -> type[MethodOptions] | None:
+    """The row of a dynamics or descent, None for what finds minima; InputError for a method that packings lack."""
+    row = METHODS.get(method)
+    if method != "auto" and (row is None or not row.of_packings):
+        allowed = ["auto", *(name for name, built in METHODS.items() if built.of_packings)]
+        raise InputError(
+            f"method is {shown(method)}; of a packing it can be {', '.join(allowed)}{meant(method, allowed)}"
+        )
+    return None if row is None or row.of_packings == MINIMISES else row

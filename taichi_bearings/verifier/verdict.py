@@ -180,7 +180,7 @@ def _threshold(run: StoredRun) -> Iterator[str]:
     But a method that knows more than the slip may say so; then the threshold is the largest slip of a slipless contact.
     """
     threshold, asked = run.claimed("slip_threshold")[0], run.settings.get("slip_threshold")
-    if not run.samples.is_lattice:
+    if not run.samples.is_lattice and asked is None:
         return
     if threshold is None or not 0 <= threshold < np.inf:
         yield f"the slip threshold is said to be {threshold!r}; it must be a speed"
@@ -273,9 +273,11 @@ def _claims(run: StoredRun, judgement: Judgement, number: int) -> Iterator[Claim
         yield Claim("driven_spheres", int((samples.arrays["driven"] >= 0).sum()), source="the arrays")
         unproven = int(((judgement.states[0].proven == UNPROVEN) & judgement.acts[0]).sum())
         yield Claim("unproven", unproven)
-        yield Claim("states_proven", unproven == 0)
+        yield Claim("states_proven", judgement.states[0].agree(state))
+        yield Claim("slip_threshold", run.setting("slip_threshold", 0.0))
         yield Claim("proof", judgement.proof)
         yield Claim("shape", None)
+        yield from _under_torque(run, judgement, number)
         return
     yield Claim("contacts", int((~samples.driven_contacts).sum()), source="the arrays")
     tied = run.claimed("tied_contacts")[number] or 0
@@ -327,12 +329,16 @@ def _decades(run: StoredRun, kinds: list[np.ndarray], gap: float) -> float | Non
 def _under_torque(run: StoredRun, judgement: Judgement, number: int) -> Iterator[Claim]:
     """Whether a torque moves the top follows from the bounds on the power of strength 1, but for coulomb-viscous, a
     torque that grows, and a bottom that turns."""
-    samples, text = run.samples, isinstance(run.settings.get("torque"), str)
-    assert isinstance(samples, Samples)
-    if "yields" not in run.attributes or (samples.holds and samples.flows) or samples.spin_bottom or text:
+    samples, text, beside = run.samples, isinstance(run.settings.get("torque"), str), 0.0
+    if isinstance(samples, Samples):
+        turns = bool(samples.spin_bottom)
+    else:  # the last body stands for the top, contacts among driven spheres add to what it takes
+        driven, beside = samples.arrays["driven"], judgement.driven_power
+        turns = samples.arrays["spin"][(driven >= 0) & (driven < driven.max())].any()
+    if "yields" not in run.attributes or (samples.holds and samples.flows) or turns or text:
         return
-    torque, power = run.setting("torque", np.nan), float(judgement.power[number])
-    high, low = (power, float(judgement.lower_bound[number])) if samples.holds else (0.0, 0.0)
+    torque, power = run.setting("torque", np.nan), float(judgement.power[number]) + beside
+    high, low = (power, float(judgement.lower_bound[number]) + beside) if samples.holds else (0.0, 0.0)
     moves, held = abs(torque) > high * (1 + ROUNDED), abs(torque) <= low
     strength = np.array([torque / power if samples.flows and moves and power else np.nan])
     yield Claim("yields", bool(moves), needed=True)

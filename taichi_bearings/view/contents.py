@@ -6,11 +6,12 @@ from typing import Any
 import numpy as np
 from matplotlib import colormaps
 
+from taichi_bearings.analysis.packing_structure import PackingStructure
 from taichi_bearings.plots.domains import colour_of_turn
 from taichi_bearings.plots.lattice import SPIN_COLOURS
 from taichi_bearings.proof.contact_state import ContactState, count, critical
 from taichi_bearings.runs.packing_run import PackingRun, columns_of_packing
-from taichi_bearings.runs.points_and_lines import Moments, PointsAndLines
+from taichi_bearings.runs.points_and_lines import Moments, PointsAndLines, moments_of_packing
 from taichi_bearings.scene.law import Law
 from taichi_bearings.version import VERSION
 from taichi_bearings.words import undecided_kinds
@@ -46,15 +47,28 @@ def arrays_of(drawn: PointsAndLines | PackingRun) -> dict[str, np.ndarray]:
         "kind": spheres["domain_kind"],
         "turn": np.round(255 * turn).astype(np.uint8),
     }
-    if drawn.moments is not None:
-        chosen = _shown(drawn.moments)
-        found["snapshot_spin"] = drawn.moments.spin[chosen].astype(np.float32)
-        found["snapshot_slip"] = drawn.moments.slip[chosen].astype(np.float32)
-    return found
+    return found | _way(drawn.moments)
+
+
+def _way(moments: Moments | None) -> dict[str, np.ndarray]:
+    """Spins and slips of the snapshots that are shown."""
+    if moments is None:
+        return {}
+    ways, chosen = {"snapshot_spin": moments.spin, "snapshot_slip": moments.slip}, _shown(moments)
+    return {name: values[chosen].astype(np.float32) for name, values in ways.items()}
+
+
+def _times(moments: Moments | None) -> dict[str, Any]:
+    """Their times, and how many there are beside."""
+    if moments is None:
+        return {}
+    chosen = _shown(moments)
+    some = "" if len(chosen) == len(moments.time) else f" shown, evenly chosen from {len(moments.time)}"
+    return {"times": moments.time[chosen].tolist(), "left_out": some, "snapshot_threshold": moments.threshold}
 
 
 def _arrays_of_packing(run: PackingRun) -> dict[str, np.ndarray]:
-    """The same of a packing; it has no paths, and a cut where its structure has one."""
+    """The same of a packing; it has no path, and a cut where its structure has one."""
     packing = run.result.packing
     spheres, contacts = ({k: v.values for k, v in c.items()} for c in columns_of_packing(run.result))
     normal = np.asarray(packing.normal)
@@ -63,7 +77,9 @@ def _arrays_of_packing(run: PackingRun) -> dict[str, np.ndarray]:
     )
     if "on_cut" in contacts:
         found["flags"] = (CUT * contacts["on_cut"]).astype(np.uint8)
-    return found
+    if "sphere_betweenness" in spheres:
+        found["sphere_betweenness"] = spheres["sphere_betweenness"].astype(np.float32)
+    return found | _way(moments_of_packing(run.result))
 
 
 def _drawn(
@@ -115,12 +131,7 @@ def facts_of(drawn: PointsAndLines | PackingRun) -> dict[str, Any]:
         return _facts_of_packing(drawn)
     solution, scene, moments = drawn.solution, drawn.scene, drawn.moments
     shares, gap = drawn.contacts["betweenness"].values, solution.gap[0]
-    way, spins = dict[str, Any](), drawn.spheres["spin"].values
-    if moments is not None:
-        chosen = _shown(moments)
-        some = "" if len(chosen) == len(moments.time) else f" shown, evenly chosen from {len(moments.time)}"
-        way = {"times": moments.time[chosen].tolist(), "left_out": some, "snapshot_threshold": moments.threshold}
-        spins = moments.spin[chosen]
+    spins = drawn.spheres["spin"].values if moments is None else moments.spin[_shown(moments)]
     unit = scene.strength * scene.lattice.radius * abs(scene.imposed[0])
     natural = f" = {solution.power[0] / unit:.6g} Fₙ R ω_T" if scene.law.is_rate_independent and unit > 0 else ""
     bound = f"{_minimised(scene.law)}proven within {gap:.1e}" if np.isfinite(gap) else "without a proven bound"
@@ -145,7 +156,7 @@ def facts_of(drawn: PointsAndLines | PackingRun) -> dict[str, Any]:
         "bottleneck_share": float(np.sort(shares)[-min(BOTTLENECKS, len(shares))]),
         "busiest_share": float(shares.max()),
         "time": drawn.time,
-        **way,
+        **_times(moments),
     }
 
 
@@ -154,7 +165,11 @@ def _facts_of_packing(run: PackingRun) -> dict[str, Any]:
     result, packing, law = run.result, run.result.packing, run.result.packing.kind
     radius = np.asarray(packing.radius)
     median = float(np.sort(radius)[len(radius) // 2])
-    speed = np.linalg.norm(result.spin.reshape(packing.spheres, -1), axis=1) * radius
+    moments, structure = moments_of_packing(result), PackingStructure.of(result)
+    spins = result.spin[None] if moments is None else moments.spin[_shown(moments)]
+    speed = np.linalg.norm(spins.reshape(len(spins), packing.spheres, -1), axis=2) * radius
+    shares = structure.bottlenecks.share if structure.has_pairs else np.zeros(0)
+    shares = shares if shares.any() else np.ones(1)
     fastest = float(np.linalg.norm(packing.imposed, axis=1).max(initial=0.0))
     bodies = np.unique(packing.driven[packing.driven >= 0])
     named = [f"driven body {body}" for body in bodies] if len(bodies) == 2 else ["one driven body"] * 2
@@ -178,9 +193,10 @@ def _facts_of_packing(run: PackingRun) -> dict[str, Any]:
         "jump_name": "R ω max",
         "jump_speed": fastest,
         "normal_force": None,
-        "bottleneck_share": 1.0,
-        "busiest_share": 1.0,
-        "time": None,
+        "bottleneck_share": float(np.sort(shares)[-min(BOTTLENECKS, len(shares))]),
+        "busiest_share": float(shares.max()),
+        "time": result.time,
+        **_times(moments),
     }
 
 

@@ -237,7 +237,8 @@ def test_a_packing_is_shown_as_it_is(packed, opened):
     assert page.ask("bearings.sample.counts.reached") == pytest.approx(reached)
     joined = np.array(page.ask("Array.from(bearings.sample.piece)"))
     assert ((joined == 0) == structure.network.spanning).all()
-    for preset, has in (("Bottlenecks", False), ("Minimum cut", structure.interface is not None)):
+    has_bottlenecks = structure.has_pairs and structure.bottlenecks.share.any()
+    for preset, has in (("Bottlenecks", has_bottlenecks), ("Minimum cut", structure.interface is not None)):
         assert page.tab.get_by_role("button", name=preset, exact=True).is_enabled() == has
     assert page.tab.locator("#colour option[value=kind]").is_disabled()
     words = page.tab.locator("body").inner_text()

@@ -1,0 +1,228 @@
+"""What lattices have, of packings: a lattice given as packing has the answers of its scene, and laws of any network."""
+
+from functools import partial
+from itertools import combinations
+
+import h5py
+import networkx
+import numpy as np
+import pytest
+
+import taichi_bearings as tb
+from taichi_bearings.analysis.bottlenecks import Bottlenecks
+from taichi_bearings.analysis.packing_structure import PackingNetwork
+from taichi_bearings.errors import InputError
+from taichi_bearings.quantities import STRUCTURE
+from taichi_bearings.runs.verify import verify
+from taichi_bearings.scans.histogram import pooled, read_source
+from taichi_bearings.scene.initial_spins import initial_spin
+from taichi_bearings.solvers.network import Network
+from taichi_bearings.view.contents import arrays_of, facts_of
+from tests.cli.commands import bearings
+
+pytestmark = pytest.mark.usefixtures("needs_f64")
+solve = partial(tb.solve, threads=1)
+DRIVINGS = [{"spin_bottom": 0.2}, {"direction": (1.0, 0.0, 0.0)}, {"top": (1.0, 0.3, 0.0, 0.5)}]
+FREE_CHOICE = {"most_loaded", "mean_saturation"}  # the first of equals, and forces that are not unique
+
+
+def pair(shape, seed, law="coulomb", **driving):
+    """A scene, and the same as packing."""
+    scene = tb.Scene.random(shape, seed=seed, law=law, **driving)
+    of = dict(zip(("friction", "viscosity"), [scene.coefficients, scene.viscosity], strict=True))
+    flat = {name: np.concatenate([np.ravel(part) for part in parts]) for name, parts in of.items() if parts}
+    kind = "cubic" if len(shape) == 3 else "square"
+    return scene, tb.Packing.lattice(kind, shape, law=law, **driving, **flat)
+
+
+@pytest.mark.parametrize(("shape", "driving"), [((5, 5, 6), driving) for driving in DRIVINGS] + [((7, 8), {})])
+@pytest.mark.parametrize("seed", [1, 2])
+def test_domains_torque_and_self_stress_are_those_of_the_lattice(shape, driving, seed):
+    scene, packing = pair(shape, seed, **driving)
+    expected, found = tb.analyse(solve(scene)).report, tb.analyse(solve(packing)).numbers
+    for section in ("rigid domains", "bottlenecks", "forces"):
+        for row in STRUCTURE[section]:
+            one, other = expected[row.name], found[row.name]
+            if row.name == "driving_torque":  # of a lattice without the components that are not needed
+                assert other == pytest.approx(one + [0.0] * (len(other) - len(one)), abs=1e-9 * max(one))
+            elif row.name not in FREE_CHOICE:
+                assert other == pytest.approx(one, abs=1e-12), row.name
+
+
+def in_three_bodies(packing):
+    """The top in two parts that turn alike."""
+    x = packing.center[:, 0]
+    return tb.Packing(**packing.arrays() | {"driven": packing.driven + ((packing.driven == 1) & (x > x.mean()))})
+
+
+def test_what_drives_the_bodies_is_the_power_and_torques_of_a_network_without_odd_loops_add_up_to_nothing():
+    """Spins of free spheres store none of it, oblique normals or not; with odd loops the signs are missing."""
+    bcc, fcc = (tb.Packing.lattice(kind, (3, 3, 3), seed=4, spin_bottom=0.3) for kind in ("bcc", "fcc"))
+    for packing in (bcc, in_three_bodies(bcc), fcc):
+        best = solve(packing)
+        flow = tb.analyse(best).torque_flow
+        assert flow.power.sum() == pytest.approx(best.lower_bound, rel=1e-12)
+        if len(flow.power) == 3:
+            assert np.abs(flow.total.sum(axis=0)).max() < 1e-12 * np.abs(flow.total).max()
+            assert np.abs(flow.total[0]).max() > 1
+    unlike = tb.Packing(  # a chain: force, not torque, is handed on, so the larger driven disc needs the larger torque
+        [[0, 0], [3, 0], [5, 0]], [[0, 1], [1, 2]], [0, -1, 1], [0.0, 0.0, 1.0], [2.0, 1.0, 1.0], friction=[1.0, 0.3]
+    )
+    assert tb.analyse(solve(unlike)).torque_flow.total == pytest.approx(0.3 * 50.0)
+
+
+def test_self_stress_is_what_a_loop_holds_and_a_tree_does_not():
+    """An even ring of discs on a wall that turns with it has one loop; without a contact none."""
+    ring = [[0, 0], [1, 0], [1, 1], [0, 1]]
+    contacts = [[0, 1], [1, 2], [2, 3], [3, 0]]
+    for left_out, states in ((0, 1), (1, 0)):
+        chosen = contacts[left_out:]
+        packing = tb.Packing(ring, chosen, [0, -1, -1, -1], [1.0, 0, 0, 0], friction=np.ones(len(chosen)))
+        assert tb.analyse(solve(packing)).self_stress == states
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_bottlenecks_between_three_bodies_are_those_of_networkx(seed):
+    packing = in_three_bodies(tb.Packing.lattice("bcc", (2, 2, 3), seed=1))
+    free = (packing.driven[packing.contact] < 0).any(axis=1)
+    slipless = free & (np.random.default_rng(seed).random(packing.contacts) < 0.45)
+    network = PackingNetwork.of(packing, slipless)
+    found, graph = Bottlenecks(network), networkx.Graph(list(network.ends.T))
+    expected, pairs = dict.fromkeys(map(frozenset, graph.edges), 0.0), 0
+    for sides in combinations([set(np.flatnonzero(packing.driven == body)) & set(graph) for body in range(3)], 2):
+        pairs += sum(networkx.has_path(graph, s, t) for s in sides[0] for t in sides[1])
+        for edge, load in networkx.edge_betweenness_centrality_subset(graph, *sides).items():
+            expected[frozenset(edge)] += 2 * load
+    loads = [expected[frozenset(edge)] / max(pairs, 1) for edge in network.ends.T]
+    assert pairs == found.betweenness.pairs > 0
+    assert found.share == pytest.approx(loads)
+    joined, on_path = networkx.Graph(), set()
+    for edge, ends in enumerate(network.body[network.ends].T):
+        joined.add_edge(*ends)
+        joined.edges[tuple(ends)].setdefault("own", []).append(edge)
+    for start, end in combinations([body for body in network.held if body in joined], 2):
+        for path in networkx.all_simple_edge_paths(joined, start, end):
+            on_path.update(number for step in path for number in joined.edges[step]["own"])
+    assert set(np.flatnonzero(found.backbone)) == on_path
+
+
+@pytest.mark.parametrize(("law", "more"), [("coulomb", {}), ("coulomb", {"spin_bottom": 0.3}), ("viscous", {}),
+                                           ("coulomb-viscous", {})])  # fmt: skip
+def test_a_torque_does_to_a_packing_what_it_does_to_the_lattice(law, more, tmp_path):
+    scene, packing = pair((3, 3, 4), 3, law, **more)
+    torque = 1.2 * solve(scene).power
+    expected, found = solve(scene, torque=torque).findings, solve(packing, torque=torque)
+    assert found.findings == pytest.approx({name: expected[name] for name in found.findings}, rel=1e-6, nan_ok=True)
+    assert found.findings["yields"]
+    found.save(tmp_path / "run")
+    assert tb.load(tmp_path / "run").findings == pytest.approx(found.findings, nan_ok=True)
+
+
+def test_driven_spheres_that_touch_hold_a_torque_too_and_a_false_word_is_found(tmp_path):
+    """Two driven discs and a free one that both touch: only contacts with the wall that rests hold the last body."""
+    packing = tb.Packing(
+        [[0, 0], [1, 0], [0.5, 0.75**0.5]], [[0, 1], [1, 2], [0, 2]], [0, 1, -1], [0.0, 1.0, 0.0],
+        friction=[0.4, 0.3, 0.2], normal_force=10.0, radius=0.5,
+    )  # fmt: skip
+    packing.save(tmp_path / "three.npz")
+    limit = 0.5 * 10.0 * (0.4 + 0.2)
+    assert solve(packing, torque=1.0).findings["yield_torque"] == pytest.approx(limit)
+    for torque, yields in ((0.999 * limit, False), (1.001 * limit, True)):
+        done = bearings(
+            "run", "--packing", "three.npz", "--torque", repr(torque), "--out", f"run-{yields}", cwd=tmp_path
+        )
+        assert f"more than friction can hold: {'yes' if yields else 'no'}" in done.stdout
+    assert verify(tmp_path / "run-True")["verified"]
+    with h5py.File(tmp_path / "run-True" / "run.h5", "r+") as file:
+        file.attrs["yield_torque_lower_bound"] = 2 * limit
+        del file.attrs["sha256"]
+    assert any("yield torque lower bound" in sentence for sentence in verify(tmp_path / "run-True")["contradictions"])
+
+
+def test_the_cut_start_the_threshold_and_the_histogram_are_those_of_the_lattice(tmp_path):
+    scene, packing = pair((4, 4, 5), 1, spin_bottom=0.1)
+    start = Network(packing).start("minimum-cut")[:, 0].T / np.asarray(packing.radius)[:, None]
+    assert start == pytest.approx(initial_spin(scene, "minimum-cut")[0].reshape(-1, 3))
+    threshold = 0.1 * np.sqrt(0.5)
+    expected, found = (solve(system, slip_threshold=threshold) for system in (scene, packing))
+    assert np.array_equal(np.concatenate([part.ravel() for part in expected.state]), found.state)
+    counts = [next(iter(pooled([read_source(of.save(tmp_path / name))]).values())) for of, name in
+              ((expected, "lattice"), (found, "packing"))]  # fmt: skip
+    assert counts[0].slipping == counts[1].slipping > 0
+    assert np.array_equal(counts[0].count, counts[1].count)
+    assert verify(tmp_path / "packing")["verified"]
+    both = pooled([read_source(tmp_path / name) for name in ("lattice", "packing")])[None]
+    assert (both.samples, both.slipping) == (2, 2 * counts[0].slipping)
+
+
+def test_a_callback_hears_and_stops_and_many_are_solved():
+    packings, heard = [tb.Packing.lattice("bcc", (2, 2, 3), seed=seed) for seed in range(3)], []
+
+    def enough(check):
+        heard.append(check)
+        return check.gap < 0.5
+
+    stopped = solve(packings[0], "gradient-descent", callback=enough)
+    assert stopped.status == "interrupted"
+    assert heard[-1].gap < 0.5 <= min(check.gap for check in heard[:-1])
+    for method in ("auto", "cundall-strack"):
+        options = {} if method == "auto" else {"iterations": 50, "start": "random"}
+        for answer in tb.solve_many(packings, method, workers=1, **options):
+            number = next(n for n, packing in enumerate(packings) if packing is answer.packing)
+            assert np.array_equal(answer.spin, solve(packings[number], method, **options).spin)
+
+
+def test_the_course_is_drawn_shown_and_exported(tmp_path):
+    packing = tb.Packing.lattice("bcc", (3, 3, 3), seed=2)
+    course = solve(packing, tb.CundallStrack(energy=True), start="random", duration=0.01, snapshots=[0, 0.005, 0.01])
+    top, bottom = course.plot("history").axes
+    assert np.array_equal(top.lines[0].get_ydata(), course.history["power"][1:])
+    assert bottom.get_xlabel() == "time"
+    curves = {line.get_label(): line.get_ydata() for line in course.plot("energy").axes[0].lines}
+    for name in ("injected", "dissipated", "kinetic", "spring"):
+        assert np.array_equal(curves[name], course.history[f"{name}_energy"][1:])
+    course.save(tmp_path / "run")
+    assert (tmp_path / "run" / "run.h5").exists()
+    from taichi_bearings.export.vtkhdf import export
+    from taichi_bearings.runs.packing_run import read_packing_run
+
+    assert export(tmp_path / "run")["steps"] == 3
+    with h5py.File(tmp_path / "run" / "run.vtkhdf") as file:
+        spins = file["VTKHDF/PointData/spin"][()].reshape(3, -1, 3)
+    assert np.array_equal(spins[:2], course.snapshots.spin[:2])
+    run = read_packing_run(tmp_path / "run")
+    arrays, facts = arrays_of(run), facts_of(run)
+    assert facts["times"] == pytest.approx(course.snapshots.time[:2])
+    assert np.array_equal(arrays["snapshot_spin"], course.snapshots.spin[:2].astype(np.float32))
+    assert arrays["snapshot_slip"][1] == pytest.approx(packing.slips(course.snapshots.spin[1]), rel=1e-6)
+
+
+def test_the_page_and_the_figure_of_domains_show_what_analyse_finds(tmp_path):
+    best = solve(tb.Packing.lattice("cubic", (6, 5, 6), seed=5, direction=(1.0, 0.0, 0.0)))
+    structure = tb.analyse(best)
+    assert structure.spans
+    from taichi_bearings.runs.packing_run import read_packing_run
+
+    run = read_packing_run(best.save(tmp_path / "run"))
+    arrays, facts = arrays_of(run), facts_of(run)
+    share = structure.network.on_contacts(structure.bottlenecks.share)
+    assert arrays["betweenness"] == pytest.approx(share.astype(np.float32))
+    assert facts["busiest_share"] == share.max() > 0
+    colours = best.plot("domains").axes[0].collections[0].get_facecolor()
+    assert len(np.unique(colours[:, 0] > colours[:, 2])) == 2  # one turns with the bottom, one with the top
+
+
+@pytest.mark.parametrize(("call", "sentence"), [
+    (lambda p: solve(p, callback=print), "method auto of a packing does not use it"),
+    (lambda p: solve(p, "planar-cut"), "this packing is solved by interior-point"),
+    (lambda p: solve(p, "rigid-limit"), "of a packing it can be auto, planar-cut"),
+    (lambda p: solve(p, "cundall-strack", torque=1.0, duration=1.0), "of packings minima alone"),
+    (lambda p: solve(p, torque="0:1:0.1"), "of packings minima alone"),
+    (lambda p: solve(p, "gradient-descent", start="minimum-cut"), "needs no odd loops"),
+    (lambda p: solve(p).plot("history"), "the run kept 0 steps"),
+])  # fmt: skip
+def test_what_cannot_be_is_one_sentence(call, sentence):
+    with pytest.raises(InputError) as refused:
+        call(tb.Packing.lattice("fcc", (2, 2, 2)))
+    assert sentence in str(refused.value)
+    assert "\n" not in str(refused.value)
