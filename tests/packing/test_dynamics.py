@@ -19,6 +19,7 @@ from taichi_bearings.solvers.network import Network
 from taichi_bearings.solvers.recording import Recording
 from taichi_bearings.solvers.stopping import StopRule
 from tests.packing.twins import random_packing
+from tests.scenes import some_of
 
 LAWS = ("coulomb", "viscous", "coulomb-viscous")
 EXPLICIT, VISCOUS = (tb.CundallStrack(energy=True, time_step=step) for step in (2e-5, 0.02))
@@ -87,7 +88,7 @@ def test_implicit_steps_of_a_lattice_given_as_packing_are_those_of_its_scene(sha
     assert np.abs(found.history["energy_residual"]).max() < 1e-13
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", some_of(12, 5))
 @pytest.mark.parametrize("method", ["cundall-strack", "gradient-descent", "implicit-cundall-strack"])
 def test_random_networks_end_at_the_proven_minimum(method, seed, needs_f64):
     """Odd loops, several bodies, floating parts and rattlers, radii over two decades; all laws, in 2D and 3D."""
