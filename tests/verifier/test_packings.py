@@ -221,7 +221,8 @@ def honest(tmp_path_factory):
 
 @pytest.mark.parametrize("name", FORGERIES)
 def test_forgeries_are_found(name, honest, tmp_path):
-    path = shutil.copy(honest, tmp_path)
+    path = tmp_path / "run.h5"
+    shutil.copy(honest, path)
     with h5py.File(path, "a") as file:
         forge(name, FORGERIES[name])(file)
     assert not verify(path)["verified"]
@@ -239,7 +240,8 @@ HOSTILE = {
 @pytest.mark.parametrize("name", HOSTILE)
 def test_hostile_files_are_refused_in_one_sentence(name, honest, tmp_path):
     change, words = HOSTILE[name]
-    path = shutil.copy(honest, tmp_path)
+    path = tmp_path / "run.h5"
+    shutil.copy(honest, path)
     with h5py.File(path, "a") as file:
         forge(name, change)(file)
     with pytest.raises(FileError, match=words) as refusal:
