@@ -135,7 +135,7 @@ def test_states_that_are_proven_are_those_that_are_said(needs_f64):
 @pytest.mark.parametrize("name", RUNS)
 def test_what_is_forged_is_found_or_said_not_to_be_checked(name, tmp_path, needs_f64, thorough):
     path, rng, tried = honest_file(name, tmp_path / "run"), np.random.default_rng(5), 0
-    while tried < (200 if thorough else 8):
+    while tried < (200 if thorough else 4):
         if (forgery := forged(path, rng)) is not None:
             tried += 1
             assert outcome(path, forgery, tmp_path / "forged.h5") != "missed", forgery[:2]
