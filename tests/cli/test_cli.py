@@ -11,7 +11,7 @@ import pytest
 
 from tests.cli.commands import bearings
 
-SMALL = ("--shape", "3,4,5", "--tolerance", "1e-3")
+SMALL = ("--shape", "3,4,5", "--tolerance", "1e-3", "--figures", "none")
 
 
 @pytest.fixture(scope="module")
