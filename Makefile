@@ -21,8 +21,8 @@ test: $(VENV)/installed-dev
 	$(BIN)/python -m pytest -n auto --dist worksteal
 	$(BIN)/python -m pytest -n auto --dist worksteal --precision f32 tests/kernels tests/laws tests/agreement
 	$(BIN)/python -m pytest -n auto --dist worksteal --compiler quadrants tests/kernels tests/agreement/test_methods.py
-	$(BIN)/python -m pytest -n auto --dist worksteal --arch vulkan tests/kernels
-	$(BIN)/python -m pytest -n auto --dist worksteal --arch vulkan --precision f32 tests/kernels
+	$(BIN)/python -m pytest -n auto --dist worksteal --arch vulkan tests/kernels/test_devices.py
+	$(BIN)/python -m pytest -n auto --dist worksteal --arch vulkan --precision f32 tests/kernels/test_devices.py
 
 # Every Python promised that is here, with the newest packages, and the oldest with all of them at their floors.
 versions: $(VENV)/installed

@@ -1,5 +1,6 @@
 """One Taichi runtime for the session, in the precision that `--precision` names; bad neighbours run in subprocesses."""
 
+import gc
 import os
 
 import pytest
@@ -35,6 +36,10 @@ def pytest_collection_modifyitems(config, items):
         left_out = [item for item in items if item.get_closest_marker("thorough")]
         items[:] = [item for item in items if item not in left_out]
         config.hook.pytest_deselected(items=left_out)
+
+
+def pytest_collection_finish():
+    gc.freeze()  # what is there by now stays, and need not be looked through again and again
 
 
 @pytest.fixture(scope="session")

@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.lattice.grid import axis_numbers
@@ -12,6 +13,11 @@ from taichi_bearings.scene.disorder import Distribution, draw_coefficients, draw
 from taichi_bearings.scene.law import law_named
 
 MINIMA = json.loads((Path(__file__).parent / "reference" / "minima.json").read_text())["scenes"]
+
+
+def some_of(count, every):
+    """Seeds from 0 on: every so many-th of them always, the others only with `pytest --thorough`."""
+    return [pytest.param(n, marks=() if n % every == 0 else pytest.mark.thorough) for n in range(count)]
 
 
 def make_scene(

@@ -2,7 +2,8 @@
 
 Each interpreter that pyproject.toml promises and this machine has gets a new environment with the newest packages, and
 the oldest one also an environment with each package exactly at its floor. Both come from pyproject.toml: there is no
-other list.
+other list. Every environment does the whole of the program's work in small; the floors and the newest Python, between
+which the others lie, run the quick tests, too.
 """
 
 import glob
@@ -34,7 +35,8 @@ STEPS = {  # column of the table -> commands of `bearings`, each of which must e
     "run 2D": ["run --shape 10,10 --out plane --json"],
     "run 3D": ["run --shape 6,6,7 --out block --json"],
     "scan": ["scan scan.toml --out scan"],
-    "verify": ["verify plane", "verify block"],
+    "packing": ["run --packing bcc.npz --out packing --json"],
+    "verify": ["verify plane", "verify block", "verify packing"],
     "plot": [
         "analyse block",
         "plot spins plane",
@@ -44,6 +46,7 @@ STEPS = {  # column of the table -> commands of `bearings`, each of which must e
         "histogram plane block scan --out histogram",
     ],
 }
+PACKING = "import taichi_bearings as tb; tb.Packing.lattice('bcc', (2, 2, 3), seed=1).save('bcc.npz')"
 LONGEST = 900  # seconds
 
 
@@ -53,6 +56,7 @@ class Trial:
 
     python: str
     packages: str
+    has_tests: bool
     seconds: dict[str, float | None] = field(default_factory=dict)
     answers: list[tuple] = field(default_factory=list)
 
@@ -118,8 +122,10 @@ def attempt(trial: Trial, place: str, wheel: Path) -> None:
         commands = {
             "install": [[place, "-m", "venv", home], [*pip, *requirements(trial.packages)]],
             **bearings,
-            "quick tests": [tests],
         }
+        commands["packing"].insert(0, [programs / "python", "-c", PACKING])
+        if trial.has_tests:
+            commands["quick tests"] = [tests]
         Path(folder, "scan.toml").write_text(SCAN)
         for step, listed in commands.items():
             began = time.monotonic()
@@ -169,7 +175,8 @@ def main(wanted: list[str]) -> None:
     here = [version for version, place in found.items() if place]
     if not here:
         sys.exit("no Python that is promised is here")
-    trials = [Trial(here[0], "floors"), *(Trial(version, "newest") for version in here)]
+    trials = [Trial(here[0], "floors", True), *(Trial(version, "newest", version == here[-1]) for version in here)]
+    trials.sort(key=lambda trial: not trial.has_tests)  # the longest first, side by side
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(2) as pool:
         wheel = build_wheel(Path(folder))
         list(pool.map(lambda trial: attempt(trial, found[trial.python], wheel), trials))

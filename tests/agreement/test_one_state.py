@@ -20,6 +20,15 @@ ADDED, JUMP, ABOUT_X = (4.1, -8.3, 2.7, 1.9), (1.0, 0.5, 0.0, 0.3), (1.0, 0.0, 0
 ROUNDING = 1e-15  # of what all contacts dissipate that slip as fast as the fastest driven sphere
 
 
+def every_other(methods, places):
+    """Each method at half of the places, and at the other half with --thorough."""
+    return [
+        pytest.param(method, *place, marks=() if (at + number) % 2 else pytest.mark.thorough)
+        for number, method in enumerate(methods)
+        for at, place in enumerate(places)
+    ]
+
+
 def carried(spin, place, state):
     """Spins (N, 3) or (N,) with a bearing state, A + C x with the sign of the sublattice, on top."""
     sign = 1.0 - 2.0 * (place.sum(axis=1) % 2)
@@ -33,8 +42,7 @@ def driven(make, dimension, jump=JUMP):
     return both, make(top=both, bottom=both), make(top=jump), make(top=top, bottom=both)
 
 
-@pytest.mark.parametrize(("shape", "periodic"), LATTICES, ids=str)
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(("method", "shape", "periodic"), every_other(METHODS, LATTICES), ids=str)
 def test_of_lattices(method, shape, periodic):
     law = next(law for law in LAWS.values() if METHODS[method].solves(law))
     jump = ABOUT_X if method == "planar-cut" else JUMP
@@ -52,8 +60,7 @@ def test_of_lattices(method, shape, periodic):
         assert all((one == other).all() for one, other in zip(first.state, second.state, strict=True))
 
 
-@pytest.mark.parametrize("method", OF_PACKINGS)
-@pytest.mark.parametrize(("kind", "cells", "bodies"), BODIES, ids=str)
+@pytest.mark.parametrize(("method", "kind", "cells", "bodies"), every_other(OF_PACKINGS, BODIES), ids=str)
 def test_of_other_driven_bodies(kind, cells, bodies, method):
     make = partial(tb.Packing.lattice, kind, cells, seed=5, driven=bodies)
     state, alike, plain, more = driven(make, len(cells))

@@ -24,16 +24,6 @@ def test_the_cut_of_discs_is_the_shortest_ring(shape, seeds):
         assert max(differences(Scene.random(shape, seed=seed, periodic=("x",)))) <= SAME, seed
 
 
-@pytest.mark.parametrize(("shape", "periodic"), LATTICES, ids=str)
-@pytest.mark.parametrize("law", ["coulomb", "viscous", "coulomb-viscous"])
-def test_the_same_state_on_both_sides_dissipates_nothing(shape, periodic, law):
-    state = (0.7,) if len(shape) == 2 else (1.0, -0.5, 0.3, 0.2)
-    scene = Scene.random(shape, seed=5, law=law, periodic=periodic, top=state, bottom=state)
-    best = solve(scene)
-    assert best.power <= 1e-24
-    assert best.gap == 0
-
-
 def without_seam(values, axis, periodic):
     """The values of a lattice that is open there."""
     return np.delete(values, -1, axis) if "xyz"[axis] in periodic else values

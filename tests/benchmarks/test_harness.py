@@ -41,14 +41,6 @@ def test_lattices_that_do_not_fit_are_left_out_before_they_are_made(monkeypatch,
     assert list(kernels.measure(plan, "f64", 1)) == ["512x512x512 is left out: it needs 241.6 GB, 0.8 GB may be taken"]
 
 
-def test_without_a_c_compiler_the_others_are_timed(monkeypatch, tmp_path, needs_f64):
-    monkeypatch.setattr("taichi_bearings_studies.benchmarks.baselines.find_compiler", lambda: None)
-    monkeypatch.setattr(kernels, "_candidate", lambda name, *_: kernels.Candidate(name, None, 1))  # none is begun
-    found = [one.name for one in kernels._candidates(make_scene((3, 4)), "f64", tmp_path)]
-    assert kernels.NUMPY in found
-    assert kernels.C not in found
-
-
 def test_contenders_of_a_scan_solve_the_same_samples():
     samples = scans.samples_of((3, 3, 4), first=5, number=3)
     assert [sample.settings.seed for sample in samples] == [5, 6, 7]

@@ -3,7 +3,6 @@
 import json
 import os
 import signal
-import time
 
 import h5py
 import numpy as np
@@ -11,7 +10,7 @@ import pytest
 
 from tests.cli.commands import bearings
 
-SMALL = ("--shape", "3,4,5", "--tolerance", "1e-3")
+SMALL = ("--shape", "3,4,5", "--tolerance", "1e-3", "--figures", "none")
 
 
 @pytest.fixture(scope="module")
@@ -23,11 +22,16 @@ def finished_run(tmp_path_factory):
 
 
 def test_help_answers_at_once():
-    times = []
+    """In seconds of the processor, which others may keep busy."""
+    resource, times = pytest.importorskip("resource"), []
+
+    def spent():
+        return sum(resource.getrusage(resource.RUSAGE_CHILDREN)[:2])
+
     for _ in range(3):
-        began = time.perf_counter()
+        began = spent()
         done = bearings("--help", env=dict(os.environ))  # started anew
-        times.append(time.perf_counter() - began)
+        times.append(spent() - began)
     assert done.returncode == 0
     assert all(name in done.stdout for name in ("run", "histogram", "plot", "info"))
     assert min(times) < 0.5

@@ -147,7 +147,7 @@ def test_locales_lose_nothing(tmp_path, locale):
     if locale is NO_UTF_8:
         assert "UTF-8" in refused(*SHORT, "--out", "café", cwd=tmp_path, env=environment)
     name = "plain" if locale is NO_UTF_8 else "café €"
-    done = bearings("run", *SHORT, "--out", name, cwd=tmp_path, env=environment)
+    done = bearings("run", *SHORT, "--figures", "none", "--out", name, cwd=tmp_path, env=environment)
     assert done.returncode == 0, done.stderr
     assert read_run_file(tmp_path / name).attribute("run") == name
 

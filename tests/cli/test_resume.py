@@ -50,9 +50,9 @@ def packing_scene(folder, *method):
 
 
 @pytest.mark.usefixtures("needs_f64")
-@pytest.mark.parametrize("method", ["", "cundall-strack", "implicit-cundall-strack"])
+@pytest.mark.parametrize("method", ["", "implicit-cundall-strack"])
 def test_a_run_killed_at_random_moments_gives_the_same_bits(tmp_path, method):
-    """Of a lattice, and of a packing by either dynamics."""
+    """Of a lattice by explicit steps, and of a packing by implicit ones."""
     scene, count = (*SCENE, *COURSE), (31,)
     if method:
         scene, count = packing_scene(tmp_path, "--method", method, "--duration", "0.3"), (2, 31)
@@ -215,13 +215,16 @@ def test_a_run_in_use_is_not_resumed(tmp_path):
     assert "in use by another process" in done.stderr
 
 
-@pytest.mark.parametrize("name", ["staggered", "proof", "history/lower_bound", "elapsed"])
-def test_a_checkpoint_that_was_changed_proves_nothing(tmp_path, name):
+def test_a_checkpoint_that_was_changed_proves_nothing(tmp_path):
     words = ("--shape", "3,3,4", "--method", "rigid-limit", "--initial", "random", "--iterations", "20")
-    assert bearings("run", *words, "--checkpoint-every", "0.001", "--out", tmp_path / "run").returncode == 1
-    with h5py.File(tmp_path / "run" / "checkpoint.h5", "r+") as file:
-        file[name][...] = file[name][()] + 0.5
-    done = bearings("run", "--resume", tmp_path / "run", "--iterations", "1000")
-    assert done.returncode == 2
-    assert f"the checksum of {name} does not match" in done.stderr
-    assert done.stdout == ""
+    words = (*words, "--figures", "none", "--checkpoint-every", "0.001")
+    assert bearings("run", *words, "--out", tmp_path / "run").returncode == 1
+    whole = (tmp_path / "run" / "checkpoint.h5").read_bytes()
+    for name in ("staggered", "proof", "history/lower_bound", "elapsed"):
+        (tmp_path / "run" / "checkpoint.h5").write_bytes(whole)
+        with h5py.File(tmp_path / "run" / "checkpoint.h5", "r+") as file:
+            file[name][...] = file[name][()] + 0.5
+        done = bearings("run", "--resume", tmp_path / "run", "--iterations", "1000")
+        assert done.returncode == 2
+        assert f"the checksum of {name} does not match" in done.stderr
+        assert done.stdout == ""

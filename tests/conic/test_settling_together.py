@@ -3,18 +3,13 @@
 import numpy as np
 import pytest
 
-from taichi_bearings.conic import descent, resolution
 from taichi_bearings.conic.contact_system import lattice_system
 from taichi_bearings.conic.contraction import Contraction
 from taichi_bearings.conic.grouped import Grouped, apart, each, isotropic, one_by_one, side_by_side, together, where
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.conic.slipless_forces import _held
 from taichi_bearings.lattice import Lattice
-from taichi_bearings.numerics.cholesky import dissect, tuning
-from taichi_bearings.numerics.cholesky.fronts import analyse
-from taichi_bearings.proof.contact_state import ContactState
-from tests.scenes import make_scene
-from tests.solvers.test_interior_point import minimum_of
+from taichi_bearings.numerics.cholesky import dissect
 
 LATTICE, AXES = Lattice((4, 4, 5)), (0, 1)
 SHARES = (0.0, 0.3, 0.6, 1.0)  # of the contacts that are tied, sample by sample; with all of them nothing is left
@@ -64,19 +59,6 @@ def test_large_samples_are_dissected_anew_alone_as_together(system, order, tied,
         alone = Contraction(system, order, mask)
         assert contraction.order(number).tolist() == alone.order(0).tolist()
         assert sorted(alone.order(0).tolist()) == list(range(alone.unknowns))
-
-
-def test_sets_dissected_anew_take_fewer_operations(monkeypatch):
-    """Tied spins of a minimum reach across the planes of the lattice: these divide them badly."""
-    scene = make_scene((16, 16, 16))
-    whole = lattice_system(scene.lattice, AXES, np.array([1.0, 0.0]))
-    tied = whole.gather(minimum_of(scene).state == ContactState.SLIPLESS, 0)
-    contraction, operations = Contraction(whole, dissect(scene.lattice, AXES), tied), []
-    for many in (np.inf, 1):
-        monkeypatch.setattr("taichi_bearings.conic.contraction.OWN_ORDER_UNKNOWNS", many)
-        pattern = analyse(contraction.order(0), *contraction.system.couplings(), tuning.CALLS_PRICE)
-        operations.append(pattern.operations)
-    assert operations[1] < 0.75 * operations[0]
 
 
 def test_contacts_that_loops_leave_no_slip_are_tied_too(system, tied, contraction):
@@ -138,16 +120,3 @@ def test_values_go_side_by_side_and_back(system):
             assert (part == own).all()
             assert (lane[..., number] == own).all()
     assert all((a == b).all() for a, b in zip(one_by_one(side_by_side(joint, 3)), joint, strict=True))
-
-
-@pytest.mark.usefixtures("needs_f64", "taichi_runtime")
-def test_a_block_is_settled_in_one_go(monkeypatch):
-    """Those that need a second trial go through it together, too."""
-    trials, looks = [], []
-    slipping, resolve = resolution._Slipping, descent.resolve
-    monkeypatch.setattr(resolution, "_Slipping", lambda of, *more: trials.append(len(of)) or slipping(of, *more))
-    monkeypatch.setattr(descent, "resolve", lambda of, *more: looks.append(len(of)) or resolve(of, *more))
-    assert minimum_of(make_scene((6, 6, 6), seeds=range(8))).states_proven.all()
-    assert looks == [8]
-    assert len(trials) <= 2
-    assert trials[0] == 8

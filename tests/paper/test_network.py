@@ -25,10 +25,9 @@ CUT = PARTED | {"side": 3, "below_cut": False, "power_over_cut": 1.0}
 
 @pytest.fixture
 def small(taichi_runtime, precision, monkeypatch):
-    """Small samples, and the tests' own runtime."""
+    """Small samples."""
     if precision != "f64":
         pytest.skip("minima in double precision")
-    monkeypatch.setattr(reproduce.runtime, "start", lambda *_: None)
     monkeypatch.setattr(network, "SHARE_OF_SAMPLES", {3: 1.0, 5: 1.0})
     monkeypatch.setattr(network, "BULK", 5)
     monkeypatch.setattr(network, "LARGE", 6)

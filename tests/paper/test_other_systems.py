@@ -83,7 +83,6 @@ def test_drivings_are_judged_by_their_contacts():
 
 
 def test_small_cubes_under_all_drivings(tmp_path, monkeypatch, taichi_runtime, needs_f64):
-    monkeypatch.setattr(reproduce.runtime, "start", lambda *_: None)
     monkeypatch.setattr(drivings, "BULK", 4)
     claims = reproduce.FIGURES["drivings"].reproduce(tmp_path, Effort(0, 4))
     assert {path.name for path in tmp_path.iterdir()} == {"drivings.png", "drivings.pdf", "drivings.csv"}

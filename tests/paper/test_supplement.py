@@ -87,7 +87,6 @@ def test_what_is_kept_of_a_sample_is_not_too_long_for_a_line_of_a_journal():
 
 
 def test_a_small_study_and_what_it_keeps(tmp_path, monkeypatch, taichi_runtime, needs_f64):
-    monkeypatch.setattr(reproduce.runtime, "start", lambda *_: None)
     monkeypatch.setattr(supplement, "SHAPE", (4, 3, 5))
     monkeypatch.setattr(supplement, "ITERATIONS", (200, 2000))
     study, interrupted = reproduce.FIGURES["supplement"], supplement.minimum

@@ -35,7 +35,7 @@ SPREADS = {  # of coefficients, from 1 over `contrast` to 1, about
     "power-law": lambda rng, contrast, shape: contrast ** rng.uniform(-1.0, 0.0, shape),
 }
 ABSENT = (0.0, 0.0, 0.0, 0.1, 0.5)  # shares of contacts that are not there
-THOROUGH, QUICK = 1000, 0.4  # cases from which a profile is thorough; share of those of the others
+THOROUGH, QUICK = 1000, 0.25  # cases from which a profile is thorough; share of those of the others
 seeds = st.integers(0, 2**32 - 1)
 
 

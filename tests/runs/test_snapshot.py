@@ -14,7 +14,7 @@ from taichi_bearings.runs.settings import RunSettings
 def stored(tmp_path_factory):
     folder = tmp_path_factory.mktemp("run") / "run"
     run(RunSettings(shape=(4, 5), method="rigid-limit", initial="random", seed=5, replicas=2, duration=2.0,
-                    snapshots="0,0.01,1", threads=1), folder)  # fmt: skip
+                    snapshots="0,0.01,1", threads=1, figures="none"), folder)  # fmt: skip
     return read_run_file(folder).solution
 
 

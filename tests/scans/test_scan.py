@@ -180,7 +180,7 @@ def test_a_sample_that_fails_when_it_is_brought_up_keeps_its_result(plan_of, tmp
 def test_samples_that_fail_cost_nothing_but_themselves(plan_of, tmp_path, caplog):
     """One lacks memory, one ends its process, one hangs, one crashes, one fails but once."""
     plan = plan_of("shape = [5, 5]\n[scan]\nseed = { start = 0, stop = 12 }\n")
-    engine = LocalEngine(partial(scan_faults.solve, marks=tmp_path), 2, lambda unit: 1.0)
+    engine = LocalEngine(partial(scan_faults.solve, marks=tmp_path), 2, partial(scan_faults.allowed, seconds=1.0))
     report = scan(plan, tmp_path / "scan", engine=engine)
     assert (report["done"], report["failed"], report["missing"]) == (8, 4, 0)
     stored = read_scan(tmp_path / "scan")

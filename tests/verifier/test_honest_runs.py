@@ -20,6 +20,7 @@ from taichi_bearings.solvers import METHODS, PlanarCut
 from taichi_bearings.solvers.answer import _judged, with_forces_of
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.verifier.samples import UNPROVEN
+from tests.properties.scenes import cases
 from tests.scenes import make_scene
 from tests.verifier.forgeries import RUNS, forged, honest_file, outcome
 from tests.verifier.honest import contradictions, drawn
@@ -86,6 +87,7 @@ def test_an_interrupted_run_is_verified(method, tmp_path, needs_f64):
     assert report["contradictions"] == []
 
 
+@cases()
 @given(number=st.integers(0, 10**6))
 def test_every_honest_run_is_verified(number, needs_f64):
     """Every method, law and dimension, scenes that hurt, and any end."""
@@ -133,7 +135,7 @@ def test_states_that_are_proven_are_those_that_are_said(needs_f64):
 @pytest.mark.parametrize("name", RUNS)
 def test_what_is_forged_is_found_or_said_not_to_be_checked(name, tmp_path, needs_f64, thorough):
     path, rng, tried = honest_file(name, tmp_path / "run"), np.random.default_rng(5), 0
-    while tried < (200 if thorough else 8):
+    while tried < (200 if thorough else 4):
         if (forgery := forged(path, rng)) is not None:
             tried += 1
             assert outcome(path, forgery, tmp_path / "forged.h5") != "missed", forgery[:2]

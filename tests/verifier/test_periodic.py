@@ -1,7 +1,9 @@
 """Lattices whose sides close on themselves: their seams are contacts like any other, also in rings of two spheres."""
 
+from ast import literal_eval
 from dataclasses import replace
 from decimal import Decimal
+from functools import cache
 
 import h5py
 import networkx
@@ -53,8 +55,15 @@ def solved(scene):
     return samples_of(solve(scene, METHODS[method]().build(), initial_spin(scene, "linear"), StopRule(1e-10)))
 
 
-def sample(shape, sides, options, seed=5):
+@cache
+def _sample(text):
+    shape, sides, options, seed = literal_eval(text)
     return solved(Scene.random(shape, seed=seed, periodic=tuple(sides), **options))
+
+
+def sample(shape, sides, options, seed=5):
+    """That of several tests is solved once."""
+    return _sample(repr((shape, sides, options, seed)))
 
 
 def changed(samples, of_contacts, of_spheres):

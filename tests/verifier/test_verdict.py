@@ -27,7 +27,7 @@ KEPT = {
 def folder(tmp_path_factory):
     there = tmp_path_factory.mktemp("verify")
     for name, settings in KEPT.items():
-        run(RunSettings(threads=1, **settings), there / name)
+        run(RunSettings(threads=1, figures="none", **settings), there / name)
         with h5py.File(there / name / "run.h5", "r+") as file:
             del file.attrs["sha256"]  # the numbers themselves must contradict each other
     return there
@@ -208,7 +208,7 @@ def test_driven_spheres_that_turn_each_on_their_own_are_found(folder, tmp_path):
 
 
 def test_without_a_jump_not_anything_is_certified(tmp_path):
-    run(RunSettings(shape=(4, 5), spin_top=0.5, spin_bottom=0.5, threads=1), tmp_path / "run")
+    run(RunSettings(shape=(4, 5), spin_top=0.5, spin_bottom=0.5, threads=1, figures="none"), tmp_path / "run")
     assert verify(tmp_path / "run")["verified"]
     with h5py.File(tmp_path / "run" / "run.h5", "r+") as file:
         file["spin"][1, 2] += 0.1
@@ -280,7 +280,7 @@ def test_a_tolerance_that_certifies_anything_is_none(folder, tmp_path, tolerance
 
 def test_a_sample_beside_that_of_its_seed_is_not_the_seeds(tmp_path):
     """Both runs prove what they say of their coefficients; these are those of the seed to the bit, or are not."""
-    run(RunSettings(shape=(4, 5), seed=3, threads=1), tmp_path / "run")
+    run(RunSettings(shape=(4, 5), seed=3, threads=1, figures="none"), tmp_path / "run")
     scene = build_scene(RunSettings(shape=(4, 5), seed=3))
     x, y = scene.lattice.by_axis(scene.coefficient[0] * (1 + 2.0**-52))
     np.savez(tmp_path / "moved.npz", x=x, y=y)
