@@ -242,13 +242,13 @@ def test_any_number_of_threads_gives_the_same_bits():
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        ({"method": "interior-point"}, "method is 'interior-point'; of a packing it can be auto, cundall-strack"),
-        ({"method": "cundall-strack", "start": "minimum-cut"}, "start is 'minimum-cut'; of a packing it can be linear"),
+        ({"method": "rigid-limit"}, "method is 'rigid-limit'; of a packing it can be auto, planar-cut"),
+        ({"method": "cundall-strack", "start": "nearby"}, "start is 'nearby'"),
         ({"method": "cundall-strack", "start": np.zeros(4)}, r"start has shape \(4,\); it must be \(27, 3\)"),
         ({"method": "cundall-strack", "density": -1.0}, "density"),
         ({"method": "gradient-descent", "density": 1.0}, "density is given, but gradient-descent has no use for it"),
         ({"method": tb.CundallStrack(inertia=1.0), "density": 1.0}, "inertia is 1 and density is given"),
-        ({"method": "cundall-strack", "torque": 1.0}, "torque is 1.0, but a packing does not use it"),
+        ({"method": "cundall-strack", "torque": 1.0}, "torque is 1.0; of packings minima alone tell"),
         ({"method": "cundall-strack", "record": "often"}, "record is 'often'"),
         ({"iterations": 3}, "iterations is given, but method auto of a packing does not use it"),
     ],

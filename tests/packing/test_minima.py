@@ -266,7 +266,7 @@ def test_nothing_to_solve():
 
 def test_solve_refuses_what_a_packing_does_not_take():
     packing = tb.Packing.lattice("square", (2, 3))
-    for options in ({"method": "interior-point"}, {"start": "random"}, {"tolerance": 0}, {"duration": 3}):
+    for options in ({"method": "operator-splitting"}, {"start": "random"}, {"tolerance": 0}, {"duration": 3}):
         with pytest.raises(tb.InputError):
             tb.solve(packing, **options)
 
