@@ -12,7 +12,6 @@ from taichi_bearings.errors import InputError
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.packing import planar
 from taichi_bearings.packing.packing import Packing
-from taichi_bearings.packing.path import followed, viscous_spins
 from taichi_bearings.packing.system import System
 from taichi_bearings.packing.ties import tied
 from taichi_bearings.scene.solution import Snapshots, Status
@@ -150,6 +149,8 @@ def _found(system: System, method: str) -> Found:
         return Found(np.zeros(system.unknowns), np.zeros_like(system.offset), "linear-solver")
     if exact and method != "interior-point":
         return Found(*planar.least_power(system), "planar-cut")
+    from taichi_bearings.packing.path import followed, viscous_spins  # and with it Taichi's kernels
+
     held, viscosity = (
         np.zeros(len(system.contact)) if v is None else v for v in (law.holding_force(of), law.viscosity(of))
     )

@@ -128,9 +128,7 @@ class GradientDescentMethod(OnLattice):
         """At least `steps` sweeps: an odd number is rounded up, since sweeps come in pairs."""
         pairs = -(-steps // 2)
         averaging = self.averages and self.iteration >= self.epoch_start + self.epoch_length // 2
-        step, sharpness = 0.5, 0.0
-        if self.scene.law.holds:
-            step, sharpness = self.width / 2 if self.momentum else self.step_length, 1.0 / self.width
+        step, sharpness = self._step_and_sharpness()
         numbers = (step, sharpness, *self.box, float(averaging))
         self.sweeps.run(self.fields, self.team, pairs, numbers, first=self.age // 2)
         self.iteration += 2 * pairs
@@ -138,6 +136,11 @@ class GradientDescentMethod(OnLattice):
             self.age += 2 * pairs
         if averaging:
             self.averaged += 2 * pairs
+
+    def _step_and_sharpness(self) -> tuple[float, float]:
+        if not self.scene.law.holds:
+            return 0.5, 0.0
+        return (self.width / 2 if self.momentum else self.step_length), 1.0 / self.width
 
     def progress(self) -> Progress:
         scene = self.scene

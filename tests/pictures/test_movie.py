@@ -75,7 +75,7 @@ def test_a_film_of_a_packing_shows_its_snapshots(tmp_path):
 
 def test_words_above_what_a_run_and_a_film_draw_can_be_left_out(whirl, tmp_path):
     height = {}
-    settings = RunSettings(shape=(5, 4), method="gradient-descent", iterations=200, seed=5)
+    settings = RunSettings(shape=(5, 4), method="gradient-descent", iterations=200, seed=5, threads=1)
     for title in (True, False):
         folder = tmp_path / str(title)
         run(settings, folder, title=title)
