@@ -65,8 +65,8 @@ def view_of(structure: Structure) -> dict[str, Any]:
         "spans": structure.network.spans,
         "reached_fraction": structure.network.reached_fraction,
         "spanning_fraction": structure.network.spanning_fraction,
-        "domains": structure.domains.number,
-        "largest_intermediate": structure.domains.largest_intermediate,
+        "domains": structure.rigid_domains.number,
+        "largest_intermediate": structure.rigid_domains.largest_intermediate,
     }
 
 
@@ -96,7 +96,7 @@ def sample_of(structure: Structure) -> dict[str, Any]:
     components. reached_by_chance : by as many contacts at random places."""
     scene, network = structure.scene, structure.network
     free = ~scene.lattice.is_driven
-    locked = structure.domains.spheres_of_kind(free)
+    locked = structure.rigid_domains.spheres_of_kind(free)
     analysed = ("spanning_fraction", "domains", "disjoint_paths", "effective_links", "parting_links")
     shared = told(structure, *analysed)
     planes_x, planes_y = network.path_planes
@@ -108,7 +108,7 @@ def sample_of(structure: Structure) -> dict[str, Any]:
         "unique": structure.minimum_is_unique is True,
         "reached_by_chance": reached_by_chance(scene.lattice, shared["slipless_fraction"]),
         "intermediate": 1 - (locked["bottom"] + locked["top"]) / int(free.sum()),
-        "largest_intermediate": structure.domains.largest_intermediate,
+        "largest_intermediate": structure.rigid_domains.largest_intermediate,
         "shortest_path": max(len(network.shortest_path) - 1, 0),
         "planes_x": planes_x,
         "planes_y": planes_y,

@@ -83,14 +83,14 @@ def minima(length: int, height: float, samples: int, seed: int) -> dict[str, Any
     for number in range(samples):
         structure = structure_of(solution, number)
         free = ~scene.lattice.is_driven
-        locked = structure.domains.spheres_of_kind(free)
+        locked = structure.rigid_domains.spheres_of_kind(free)
         spin = scene.staggered_spin(solution.spin[[number]], scene.minimum_spin_axes)[:, 0]
         share = np.diff(spin.mean(axis=(0, 1, 2)))
         numbers = {
             "power": structure.power / unit, "gap": 1 - structure.lower_bound / structure.power,
             "cut": structure.interface.power / unit, "layers": float(share.sum() ** 2 / (share**2).sum()),
             "intermediate": 1 - (locked["bottom"] + locked["top"]) / int(free.sum()),
-            "largest": structure.domains.largest_intermediate, "spans": structure.network.spans,
+            "largest": structure.rigid_domains.largest_intermediate, "spans": structure.network.spans,
             "proven": structure.states_proven,
         }  # fmt: skip
         for name, value in numbers.items():

@@ -97,10 +97,9 @@ class PackingStructure:
         return np.where(odd[:, None] & (u[np.arange(len(u)), first] < 0)[:, None], -u, u)
 
     @cached_property
-    def domains(self) -> RigidDomains:
-        """Rigid domains: spheres of one connected piece of slipless contacts that turn as fast, but for their signs.
-        Components that all have alike are left out; those of one piece with a body that turn as it does are locked to
-        it."""
+    def rigid_domains(self) -> RigidDomains:
+        """Spheres of one connected piece of slipless contacts that turn as fast, but for their signs. Components that
+        all have alike are left out; those of one piece with a body that turn as it does are locked to it."""
         packing, u, piece = self.result.packing, self.turned, self.network.component
         near = max(SAME_STATE * np.abs(u).max(initial=0.0), 2 * self.result.slip[self.slipless].max(initial=0.0))
         axes = self._slipping_components(near)
@@ -124,6 +123,11 @@ class PackingStructure:
         return RigidDomains(
             None, axes, labels.reshape(shape), domain, spheres, mean, float(own.max()), tied, jump[first], names
         )
+
+    @property
+    def domain(self) -> np.ndarray:
+        """(N,) label of the rigid domain of each sphere, the largest first."""
+        return self.rigid_domains.domain
 
     def _slipping_components(self, near: float) -> tuple[int, ...]:
         """Components in which some contact slips; all where none does."""
@@ -169,7 +173,7 @@ class PackingStructure:
         """States of self-stress: how far the forces of slipless contacts are left open; None if rounding hides it."""
         packing, chosen = self.result.packing, np.flatnonzero(self.slipless)
         every = range(packing.imposed.shape[1])
-        return self_stress_of(packing, chosen, self.domains.spin_axes if along_axes(packing, chosen) else every)
+        return self_stress_of(packing, chosen, self.rigid_domains.spin_axes if along_axes(packing, chosen) else every)
 
     @cached_property
     def numbers(self) -> dict[str, Any]:
@@ -188,8 +192,8 @@ class PackingStructure:
             "slipless_fraction": float(self.slipless.sum() / acts.sum()) if acts.any() else None,
             **{name: getattr(self.network, name) for name in OF_NETWORK},
             "shortest_path": self.shortest_path,
-            "domains": self.domains.number,
-            "largest_domain": int(np.bincount(self.domains.domain[free]).max()) if free.any() else 0,
+            "domains": self.rigid_domains.number,
+            "largest_domain": int(np.bincount(self.rigid_domains.domain[free]).max()) if free.any() else 0,
             **{row.name: plain(row.of(self)) for row in rows},
         }
 
@@ -201,7 +205,7 @@ class PackingStructure:
     def columns(self) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
         """Of spheres (N,) and of contacts (E,): `domain`, `component`; `on_cut`, `above_cut` where there is a cut."""
         spheres, contacts = (
-            {"domain": self.domains.domain, "component": self.network.component},
+            {"domain": self.rigid_domains.domain, "component": self.network.component},
             dict[str, np.ndarray](),
         )
         if self.interface is not None:

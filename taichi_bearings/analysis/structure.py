@@ -57,7 +57,7 @@ class Structure:
         return network_of(self.scene.lattice, self.state)
 
     @cached_property
-    def domains(self) -> RigidDomains:
+    def rigid_domains(self) -> RigidDomains:
         axes = self.scene.minimum_spin_axes
         return rigid_domains(self.network, self.scene.staggered_spin(self.spin[None], axes)[:, 0], axes)
 

@@ -38,7 +38,7 @@ class Analysis:
     several samples a list with one value each; None where there is no such number. `taichi_bearings.quantities` has
     them in its table STRUCTURE, and docs/structure.md defines them all.
 
-    structure : of the sample shown; `structure.network`, `.domains`, `.interface`, `.bottlenecks`, `.torque_flow`, ...
+    structure : of the sample shown: `structure.network`, `.rigid_domains`, `.interface`, `.bottlenecks` and others.
     arrays : for each sample everything else by name, with units: the data sets of the group /analysis of run.h5.
     report : all numbers by name.
     """

@@ -24,7 +24,7 @@ from taichi_bearings.scene import Scene, Solution
 from taichi_bearings.words import meant
 
 FIGURES: dict[str, Callable[[Structure, Page], Figure]] = {
-    "domains": lambda s, page: draw_domains(s.domains, page),
+    "domains": lambda s, page: draw_domains(s.rigid_domains, page),
     "network": lambda s, page: draw_network(s.network, s.spin, *s.scene.imposed, page),
 }
 """How each figure of the structure of a sample is drawn."""
@@ -123,7 +123,7 @@ FIGURES_OF_PACKINGS: dict[str, Callable[..., Figure]] = {
     **{kind: partial(draw_packing, kind=kind) for kind in PACKING_FIGURES},
     "history": draw_history,
     "energy": lambda result, page: draw_energy(result, 0, page),
-    "domains": lambda result, page: draw_domains_of_packing(result, PackingStructure.of(result).domains, page),
+    "domains": lambda result, page: draw_domains_of_packing(result, PackingStructure.of(result).rigid_domains, page),
 }
 
 

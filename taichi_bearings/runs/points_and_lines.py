@@ -79,11 +79,11 @@ def points_and_lines(run: StoredRun, replica: int = 0) -> PointsAndLines:
     with stage("analysing"):
         spheres, contacts = _sphere_columns(solution, structure), _contact_columns(solution, structure, path)
     moments = _moments(solution, time, settings_of(run).slip_threshold)
-    return PointsAndLines(solution, structure.domains, spheres, contacts, path, time, moments)
+    return PointsAndLines(solution, structure.rigid_domains, spheres, contacts, path, time, moments)
 
 
 def _sphere_columns(solution: Solution, structure: Structure) -> dict[str, Finding]:
-    found, domains = findings_of(structure), structure.domains
+    found, domains = findings_of(structure), structure.rigid_domains
     flat = {name: Finding(found[key].values.ravel(), found[key].units, found[key].description) for name, key in (
         ("domain", "domain"), ("component", "component"), ("betweenness", "betweenness/sphere"),
         ("above_cut", "minimum_cut/above"),

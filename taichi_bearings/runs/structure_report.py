@@ -34,13 +34,14 @@ ARRAYS = (
     Quantity("path", "1", "spheres along one shortest slipless path from bottom to top",
              lambda s: s.network.shortest_path),
     Quantity("domain", "1", "rigid domain of each sphere, the largest is 0",
-             lambda s: s.domains.domain.astype(np.int32)),
-    Quantity("domains/spheres", "1", "spheres of each rigid domain, driven ones included", lambda s: s.domains.spheres),
+             lambda s: s.rigid_domains.domain.astype(np.int32)),
+    Quantity("domains/spheres", "1", "spheres of each rigid domain, driven ones included",
+             lambda s: s.rigid_domains.spheres),
     Quantity("domains/staggered_spin", "1/time", "spin of each rigid domain, components {components}",
-             lambda s: s.domains.staggered),
+             lambda s: s.rigid_domains.staggered),
     Quantity("domains/lock", "1",
              "what ties each component: 0 neither plane, 1 the bottom, 2 the top, 3 both; components {components}",
-             lambda s: s.domains.lock.astype(np.int8)),
+             lambda s: s.rigid_domains.lock.astype(np.int8)),
     SPHERE_BETWEENNESS,
 )
 """Of a Structure."""
@@ -67,7 +68,7 @@ def numbers_of(structure: Structure) -> dict[str, Any]:
 
 def findings_of(structure: Structure) -> dict[str, Finding]:
     """The structure of one sample as arrays, by their names in the group /analysis."""
-    domains, found = structure.domains, {}
+    domains, found = structure.rigid_domains, {}
     components = ", ".join(AXES[component] for component in domains.spin_axes)
     for row in ARRAYS:
         found[row.name] = Finding(row.of(structure), row.unit, row.text.format(components=components))

@@ -123,5 +123,5 @@ def test_nothing_depends_on_where_a_ring_begins(shape, sides, law):
             assert row.of(other) == pytest.approx(expected, abs=1e-9), row.name
         assert other.bottlenecks.visits == pytest.approx(np.roll(structure.bottlenecks.visits, 2, axis), abs=1e-12)
         assert np.array_equal(other.interface.above, np.roll(structure.interface.above, 2, axis))
-        size, expected = (s.domains.spheres[s.domains.domain] for s in (other, structure))
+        size, expected = (s.rigid_domains.spheres[s.rigid_domains.domain] for s in (other, structure))
         assert np.array_equal(size, np.roll(expected, 2, axis))

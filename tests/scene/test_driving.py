@@ -154,7 +154,7 @@ def test_states_that_cannot_be_are_refused(words, sentence):
 
 def test_domains_turn_between_the_planes_of_their_layers():
     best = solve(Scene.random((5, 4, 6), seed=3, top=(1.0, 0.0, 0.0, 0.2), bottom=(0.0, 0.0, 0.0, -0.1)))
-    domains = tb.analyse(best).structure.domains
+    domains = tb.analyse(best).structure.rigid_domains
     assert domains.spread < 1e-12
     assert all(len(np.unique(labels)) == labels.max() + 1 for labels in domains.component_domain)
     assert domains.turn.min() > -1e-12
