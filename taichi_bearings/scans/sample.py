@@ -68,7 +68,7 @@ def _blocks(samples: Sequence[Sample]) -> Iterator[list[Sample]]:
         settings = group[0].settings
         ends_early = settings.time_limit is not None or getattr(settings, "settle", None) is False
         alone = settings.coefficients is not None or settings.is_packing or ends_early
-        is_alike = not alone and math.prod(settings.shape) < row_of(settings).alike_in_a_block
+        is_alike = len(group) > 1 and not alone and math.prod(settings.shape) < row_of(settings).alike_in_a_block
         block: list[Sample] = []
         for sample in sorted(group, key=lambda sample: sample.settings.seed):
             if block and not (is_alike and sample.settings.seed == block[-1].settings.seed + 1):
