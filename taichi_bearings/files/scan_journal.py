@@ -76,8 +76,8 @@ def read_journal(path: Path, fits: Callable[[Any], bool] = _has_key) -> dict[str
     for number, line in enumerate(read_lines(path), start=1):
         sample = None
         with contextlib.suppress(ValueError, RecursionError):
-            sample = json.loads(line[RECORD_HEAD_LENGTH:-2]) if _is_whole(line) else None
-            sample = sample if fits(sample) else None
+            found = json.loads(line[RECORD_HEAD_LENGTH:-2]) if _is_whole(line) else None
+            sample = found if fits(found) else None
         if sample is not None:
             samples[sample["key"]] = sample
         elif line.endswith(b"\n"):
