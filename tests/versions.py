@@ -99,7 +99,7 @@ def requirements(packages: str) -> list[str]:
 
 def build_wheel(folder: Path) -> Path:
     """The wheel of this tree, built from a copy, so that nothing is left in it."""
-    for name in ("taichi_bearings", "cli", "studies"):
+    for name in ("taichi_bearings", "cli", "studies", "examples"):
         shutil.copytree(ROOT / name, folder / "tree" / name, ignore=shutil.ignore_patterns("__pycache__"))
     for name in ("pyproject.toml", "README.md", "LICENSE"):
         shutil.copy(ROOT / name, folder / "tree")
