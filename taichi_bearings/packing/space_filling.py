@@ -16,7 +16,6 @@ kinds {C, lower line} and {D, upper line}: no loop is odd, and opposite kinds ca
 from math import ceil, cos, pi, sqrt
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from taichi_bearings.errors import InputError
 from taichi_bearings.options import plain
@@ -83,6 +82,8 @@ def _folded(discs: np.ndarray, a: float) -> np.ndarray:
 
 def _unlike(found: np.ndarray, new: np.ndarray, tolerance: float) -> np.ndarray:
     """The new discs, each once, that are not among those found."""
+    from scipy.spatial import cKDTree  # a tenth of a second that runs do not need
+
     once = np.ones(len(new), dtype=bool)
     once[cKDTree(new[:, :2]).query_pairs(tolerance, output_type="ndarray")[:, 1]] = False
     if len(found):
@@ -109,6 +110,8 @@ def _reflected(discs: np.ndarray, x: float, y: float, size: float, a: float, lea
 
 def _contacts(place: np.ndarray, radius: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
     """Contacts (E, 2) and normals (E, 2) of discs on a strip that closes on itself after `length`."""
+    from scipy.spatial import cKDTree  # a tenth of a second that runs do not need
+
     count = len(place)
     copies = np.concatenate([place + [turn * length, 0.0] for turn in (-1, 0, 1)])
     near = cKDTree(copies).query_ball_point(place, 2 * radius * (1 + TANGENT))  # smaller discs are no farther away
