@@ -193,7 +193,7 @@ class PackingStructure:
             **{name: getattr(self.network, name) for name in OF_NETWORK},
             "shortest_path": self.shortest_path,
             "domains": self.rigid_domains.number,
-            "largest_domain": int(np.bincount(self.rigid_domains.domain[free]).max()) if free.any() else 0,
+            "largest_domain": int(np.bincount(self.domain[free]).max()) if free.any() else 0,
             **{row.name: plain(row.of(self)) for row in rows},
         }
 
@@ -204,10 +204,7 @@ class PackingStructure:
     @property
     def columns(self) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
         """Of spheres (N,) and of contacts (E,): `domain`, `component`; `on_cut`, `above_cut` where there is a cut."""
-        spheres, contacts = (
-            {"domain": self.rigid_domains.domain, "component": self.network.component},
-            dict[str, np.ndarray](),
-        )
+        spheres, contacts = {"domain": self.domain, "component": self.network.component}, dict[str, np.ndarray]()
         if self.interface is not None:
             spheres["above_cut"], contacts["on_cut"] = self.interface.above, self.interface.contacts
         return spheres, contacts

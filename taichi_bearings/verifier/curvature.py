@@ -192,13 +192,16 @@ def _turns(contacts: Slipping, curvature: Curvature, last: bool) -> np.ndarray |
     do."""
     root, block = np.sqrt(curvature.scale), contacts.blocks()
     slope = curvature.clusters.T @ contacts.slope().most
-    for tau in (lambda: CURVATURE_SHARE / 2, lambda: curvature.tau)[last:]:
-        radius = 1.5 * np.bincount(block, (slope / root) ** 2) ** 0.5 / tau() * UP + TINY  # rho, block by block
+
+    def turn(tau: float) -> np.ndarray:
+        radius = 1.5 * np.bincount(block, (slope / root) ** 2) ** 0.5 / tau * UP + TINY  # rho, block by block
         reach = radius[block] / root  # of each variable, at most
-        turn = sum((e @ reach) ** 2 for e in curvature.entries) ** 0.5 / contacts.size.least * UP
-        if not (turn <= MOST_SLIP_TURN).all():
-            return None
-    return turn if curvature.remains(contacts, turn) else None
+        return np.asarray(sum((e @ reach) ** 2 for e in curvature.entries) ** 0.5 / contacts.size.least * UP)
+
+    if not (last or (turn(CURVATURE_SHARE / 2) <= MOST_SLIP_TURN).all()):
+        return None
+    found = turn(curvature.tau)
+    return found if curvature.remains(contacts, found) else None
 
 
 @np.errstate(all="ignore")
@@ -303,6 +306,11 @@ def _with(matrix: sparse.csr_array, data: np.ndarray) -> sparse.csr_array:
     return sparse.csr_array((data, matrix.indices, matrix.indptr), shape=matrix.shape)
 
 
+def _times(values: np.ndarray, matrix: sparse.csr_array) -> sparse.csr_array:
+    """Each row times its value."""
+    return _with(matrix, np.repeat(values, np.diff(matrix.indptr)) * matrix.data)
+
+
 def _conditions(
     contacts: Slipping, changes: list[sparse.csr_array]
 ) -> tuple[sparse.csr_array, sparse.csr_array, np.ndarray]:
@@ -313,9 +321,8 @@ def _conditions(
     root, inexact = np.sqrt(stiffness.value), stiffness.error / stiffness.most + 16 * EPS
     rows, doubt = [], []
     for part, change in zip(across, (whole[contacts.curved] for whole in changes), strict=True):
-        row = np.repeat(np.arange(len(root)), np.diff(change.indptr))
-        rows.append(_with(change, (root * part.value)[row] * change.data))
-        doubt.append(_with(change, (root * (part.error + inexact * part.most))[row] * np.abs(change.data)))
+        rows.append(_times(root * part.value, change))
+        doubt.append(abs(_times(root * (part.error + inexact * part.most), change)))
     found, unsure, owner = rows[0] + rows[1], doubt[0] + doubt[1], [contacts.curved]
     found.eliminate_zeros()
     if contacts.damping is None:
@@ -323,9 +330,8 @@ def _conditions(
     root, inexact = np.sqrt(contacts.damping.value), contacts.damping.error / contacts.damping.most + 16 * EPS
     whole, off = [found], [unsure]
     for change in changes:
-        row = np.repeat(np.arange(len(root)), np.diff(change.indptr))
-        whole.append(_with(change, root[row] * change.data))
-        off.append(_with(change, (root * inexact)[row] * np.abs(change.data)))
+        whole.append(_times(root, change))
+        off.append(abs(_times(root * inexact, change)))
         owner.append(np.arange(len(root)))
     found, unsure = (sparse.csr_array(sparse.vstack(parts, format="csr")) for parts in (whole, off))
     return found, unsure, np.concatenate(owner)

@@ -272,9 +272,11 @@ def _with_damping(bounds: Bounds, bound: np.ndarray, known: list[States]) -> lis
     unclear = network.counts & (np.maximum(room, slip) < CLEAR_RATIO * np.minimum(room, slip))
     told = []
     for number, (own, states) in enumerate(zip(rests.reshape(count, -1), known, strict=True)):
-        part = network if network.samples is None else Network.of_lattice(network.samples.one(number))
-        clear = not unclear.reshape(count, -1)[number].any()
-        found = _by_domains(part, own, bound if count == 1 else np.full(len(own), np.inf)) if clear else ""
+        found: np.ndarray | str = ""
+        if count == 1 and not unclear.any():
+            found = _by_domains(network, own, bound)
+        elif network.samples is not None and not unclear.reshape(count, -1)[number].any():
+            found = _by_domains(Network.of_lattice(network.samples.one(number)), own, np.full(len(own), np.inf))
         told.append(states if isinstance(found, str) else States(found, True))
     return told
 
