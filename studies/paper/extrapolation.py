@@ -5,42 +5,23 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
 
-RESAMPLES = 400
+from .fits import LEAST_GOODNESS, RESAMPLES, Fitted, first_that_fits, line_through
+
 STATED = 1.0  # w: a surface over its volume
 OTHERS = (0.5, 2.0)  # w that it might be; they count where they fit as well
 LEAST_SIZES, LEAST_SAMPLES = 3, 3  # that a fit takes, and that a size needs
 ROUND_OFF = 1e-12  # of the mean, which a spread exceeds
-FITS = 0.05  # probability of a misfit as large, from which on a law counts as followed
 
 
 @dataclass(frozen=True)
-class Limit:
+class Limit(Fitted):
     """Of a mean: q(L) = value + amplitude L^-w, w = STATED.
 
-    error : from the disorder. systematic : how much the value changes, at most, where the next size or the next two are
-    left out too, or the last one that is left out is not, or with w of OTHERS. smallest, sizes : from which size on it
-    is fitted, and to how many. goodness : probability of such a misfit. fits : smallest size -> value.
+    systematic : also where the last size that is left out is not, or with w of OTHERS. sizes : number of those fitted.
     """
 
-    value: float
-    error: float
-    systematic: float
-    smallest: int
     sizes: int
-    goodness: float
-    amplitude: float
-    fits: dict[int, float]
-
-    @property
-    def total(self) -> float:
-        return float(np.hypot(self.error, self.systematic))
-
-    @property
-    def follows(self) -> bool:
-        """False where no three sizes follow the law: then the value is none."""
-        return self.goodness >= FITS
 
 
 def limit(samples: Mapping[int, np.ndarray]) -> Limit | None:
@@ -56,24 +37,15 @@ def limit(samples: Mapping[int, np.ndarray]) -> Limit | None:
     unbiased = np.array([(len(of) / (len(of) - 1)) ** 0.5 for of in known.values()])
     again = mean[:, None] + drawn * unbiased[:, None]
     parts = [slice(first, None) for first in range(len(sizes) - LEAST_SIZES + 1)]
-    fits = [_fitted(sizes[part], spread[part], mean[part], STATED) for part in parts]
-    chosen = next((number for number, (_, goodness) in enumerate(fits) if goodness >= FITS), len(fits) - 1)
+    fits = [line_through(sizes[part] ** -STATED, spread[part], mean[part]) for part in parts]
+    chosen = first_that_fits([goodness for _, goodness in fits])
     part, ((value, amplitude), goodness) = parts[chosen], fits[chosen]
-    error = _fitted(sizes[part], spread[part], again[part], STATED)[0][0].std(ddof=1)
-    beside = [_fitted(sizes[part], spread[part], mean[part], w) for w in OTHERS]
+    error = line_through(sizes[part] ** -STATED, spread[part], again[part])[0][0].std(ddof=1)
+    beside = [line_through(sizes[part] ** -w, spread[part], mean[part]) for w in OTHERS]
     values = [found[0] for found, _ in fits[max(chosen - 1, 0) : chosen + 3]]
-    values += [found[0] for found, fit in beside if fit >= FITS]
+    values += [found[0] for found, fit in beside if fit >= LEAST_GOODNESS]
     return Limit(
-        float(value), float(error), float(np.abs(np.array(values) - value).max()), int(sizes[chosen]),
-        len(sizes[part]), goodness, float(amplitude),
-        {int(L): float(found[0]) for L, (found, _) in zip(sizes, fits, strict=False)},
+        float(value), float(error), float(np.abs(np.array(values) - value).max()), int(sizes[chosen]), goodness,
+        float(amplitude), {int(L): float(found[0]) for L, (found, _) in zip(sizes, fits, strict=False)},
+        len(sizes[part]),
     )  # fmt: skip
-
-
-def _fitted(sizes: np.ndarray, spread: np.ndarray, mean: np.ndarray, w: float) -> tuple[np.ndarray, float]:
-    """q_inf and a of least squares, (2, ...), for means (sizes, ...); and the probability of a misfit as large, all
-    together."""
-    rows = np.stack([np.ones(len(sizes)), sizes**-w], axis=1) / spread[:, None]
-    weighed = (mean.T / spread).T
-    found = np.linalg.lstsq(rows, weighed, rcond=None)[0]
-    return found, float(chi2.sf(((rows @ found - weighed) ** 2).sum(), weighed.size - found.size))

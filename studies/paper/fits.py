@@ -16,12 +16,12 @@ LEAST_GOODNESS = 0.05  # probability of a misfit as large as that of a fit that 
 
 
 @dataclass(frozen=True)
-class Exponent:
-    """Of a standard deviation that grows with the size L: sd^2 = A L^(2 value) + B, B what single contacts add.
+class Fitted:
+    """A number of a law of the size, with its errors.
 
-    value, with its error from the disorder and the systematic one: how much it changes where the next size, or the next
-    two, are left out. smallest : size from which on it is fitted. goodness : probability of such a misfit. amplitude,
-    offset : A and B. fits : smallest size -> value.
+    error : from the disorder. systematic : how much the value changes, at most, where the next size, or the next two,
+    are left out. smallest : size from which on it is fitted. goodness : probability of such a misfit. fits : smallest
+    size -> value.
     """
 
     value: float
@@ -30,12 +30,38 @@ class Exponent:
     smallest: int
     goodness: float
     amplitude: float
-    offset: float
     fits: dict[int, float]
 
     @property
     def total(self) -> float:
         return float(np.hypot(self.error, self.systematic))
+
+    @property
+    def follows(self) -> bool:
+        """False where no sizes follow the law: then the value is none."""
+        return self.goodness >= LEAST_GOODNESS
+
+
+@dataclass(frozen=True)
+class Exponent(Fitted):
+    """Of a standard deviation that grows with the size L: sd^2 = amplitude L^(2 value) + offset, what single contacts
+    add."""
+
+    offset: float
+
+
+def first_that_fits(goodness: Sequence[float]) -> int:
+    """Number of the first fit that counts, or of the last one."""
+    return next((number for number, one in enumerate(goodness) if one >= LEAST_GOODNESS), len(goodness) - 1)
+
+
+def line_through(x: np.ndarray, spread: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, float]:
+    """Value at 0 and slope (2, ...) of least squares, for y (sizes, ...) with errors `spread`; and the probability of a
+    misfit as large, all together."""
+    rows = np.stack([np.ones(len(x)), x], axis=1) / spread[:, None]
+    weighed = (y.T / spread).T
+    found = np.linalg.lstsq(rows, weighed, rcond=None)[0]
+    return found, float(chi2.sf(((rows @ found - weighed) ** 2).sum(), max(1, weighed.size - found.size)))
 
 
 def exponent(
@@ -54,13 +80,13 @@ def exponent(
         values, misfit = _grown(sizes[first:], spread[first:], offset, columns[first:])
         goodness = float(chi2.sf(misfit, max(1, len(sizes) - first - 2 - offset)))
         fits.append((int(sizes[first]), float(values[0]), float(values[1:].std(ddof=1)), goodness))
-    chosen = next((number for number, fit in enumerate(fits) if fit[-1] >= LEAST_GOODNESS), len(fits) - 1)
+    chosen = first_that_fits([fit[-1] for fit in fits])
     smallest, value, error, goodness = fits[chosen]
     rows = _rows(sizes[chosen:], spread[chosen:], offset, np.array([value]))[0]
     amplitude, constant = np.append(np.linalg.lstsq(rows, (variance / spread)[chosen:], rcond=None)[0], 0.0)[:2]
     beyond = max(abs(fit[1] - value) for fit in fits[chosen : chosen + 3])
     told = {fit[0]: fit[1] for fit in fits}
-    return Exponent(value, error, beyond, smallest, goodness, float(amplitude), float(constant), told)
+    return Exponent(value, error, beyond, smallest, goodness, float(amplitude), told, float(constant))
 
 
 def _rows(sizes: np.ndarray, spread: np.ndarray, offset: bool, values: np.ndarray) -> np.ndarray:

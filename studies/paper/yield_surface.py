@@ -20,7 +20,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
 
 from taichi_bearings.analysis.structure import structure_of
 from taichi_bearings.runs.run import build_scene
@@ -31,7 +30,7 @@ from taichi_bearings.solvers.stopping import StopRule
 
 from ..plots.yield_surface import draw_yield_surface
 from .claims import Effort
-from .fits import LEAST_GOODNESS, RESAMPLES
+from .fits import LEAST_GOODNESS, RESAMPLES, line_through
 from .samples import Found, Part, Table, computed, solved
 
 SHARES = {4: 1.0, 6: 1.0, 8: 0.5, 12: 0.25, 16: 0.25, 24: 0.05}  # side of the cube -> of the samples
@@ -93,15 +92,10 @@ def line(samples: Mapping[int, np.ndarray], power_law: bool = False) -> Line:
     number = np.array([len(samples[L]) for L in sizes])
     spread = again.std(axis=1, ddof=1) * (number / (number - 1)) ** 0.5  # which resampling takes away
     for first in range(max(1, len(sizes) - LEAST_SIDES + 1)):
-        rows = np.stack([np.ones(len(sizes) - first), x[first:]], axis=1) / spread[first:, None]
-        found, *several = (
-            np.linalg.lstsq(rows, y / spread[first:], rcond=None)[0] for y in (mean[first:], *again.T[:, first:])
-        )
-        misfit = float(((rows @ found - mean[first:] / spread[first:]) ** 2).sum())
-        goodness = float(chi2.sf(misfit, max(1, len(rows) - 2)))
+        found, goodness = line_through(x[first:], spread[first:], mean[first:])
         if goodness >= LEAST_GOODNESS:
             break
-    error, slope_error = np.std(several, axis=0, ddof=1)
+    error, slope_error = line_through(x[first:], spread[first:], again[first:])[0].std(axis=1, ddof=1)
     return Line(float(found[0]), float(error), float(found[1]), float(slope_error), sizes[first], goodness)
 
 
