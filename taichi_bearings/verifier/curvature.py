@@ -11,6 +11,7 @@ just one. Damping eta adds eta w . w to what resists, whatever the slip.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -306,9 +307,11 @@ def _with(matrix: sparse.csr_array, data: np.ndarray) -> sparse.csr_array:
     return sparse.csr_array((data, matrix.indices, matrix.indptr), shape=matrix.shape)
 
 
-def _times(values: np.ndarray, matrix: sparse.csr_array) -> sparse.csr_array:
-    """Each row times its value."""
-    return _with(matrix, np.repeat(values, np.diff(matrix.indptr)) * matrix.data)
+def _times(
+    values: np.ndarray, matrix: sparse.csr_array, of: Callable[[np.ndarray], np.ndarray] = np.asarray
+) -> sparse.csr_array:
+    """Each row times its value, of what `of` makes of the entries."""
+    return _with(matrix, np.repeat(values, np.diff(matrix.indptr)) * of(matrix.data))
 
 
 def _conditions(
@@ -322,7 +325,7 @@ def _conditions(
     rows, doubt = [], []
     for part, change in zip(across, (whole[contacts.curved] for whole in changes), strict=True):
         rows.append(_times(root * part.value, change))
-        doubt.append(abs(_times(root * (part.error + inexact * part.most), change)))
+        doubt.append(_times(root * (part.error + inexact * part.most), change, np.abs))
     found, unsure, owner = rows[0] + rows[1], doubt[0] + doubt[1], [contacts.curved]
     found.eliminate_zeros()
     if contacts.damping is None:
@@ -331,7 +334,7 @@ def _conditions(
     whole, off = [found], [unsure]
     for change in changes:
         whole.append(_times(root, change))
-        off.append(abs(_times(root * inexact, change)))
+        off.append(_times(root * inexact, change, np.abs))
         owner.append(np.arange(len(root)))
     found, unsure = (sparse.csr_array(sparse.vstack(parts, format="csr")) for parts in (whole, off))
     return found, unsure, np.concatenate(owner)

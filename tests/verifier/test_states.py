@@ -80,6 +80,7 @@ DAMPED = [
     ((2, 4, 4), {"seeds": (17,), "spin_bottom": 1 - 1e-10, "direction": (1, 2, -1)}, True),
     ((2, 3, 4), {"seeds": (5,), "periodic": ("x",)}, True),
     ((3, 3, 4), {"seeds": (2,), "top": (1.0, 0.5, -0.3, 0.2)}, True),
+    ((4, 4, 5), {"seeds": (0,), "distribution": "lognormal:1,1"}, True),
     ((3, 3, 4), {"seeds": (4,), "distribution": "bimodal:1,2,0.5", "viscosity": "constant:1"}, None),
     ((3, 3, 3), {"seeds": (6,), "distribution": "bimodal:1e-3,1e3,0.5", "viscosity": "lognormal:1,8"}, None),
     ((3, 2, 3), {"seeds": (25,), "distribution": "constant:1.0", "viscosity": "constant:1e-8"}, None),
@@ -96,6 +97,11 @@ def test_of_damped_contacts_those_at_rest_are_proven_too(shape, options, wanted)
     everything = bool((proven != UNPROVEN).all())
     assert everything == wanted if wanted is not None else True
     assert bool(solution.states_proven[0]) == everything
+
+
+def test_all_damped_contacts_of_a_thousand_spheres_are_proven():
+    options = {"law": "coulomb-viscous", "seeds": (0,), "direction": (1, 1, 0)}
+    assert minimum((10, 10, 10), options, "interior-point").states_proven[0]
 
 
 def test_damped_contacts_lose_the_proof_of_rest_where_it_is_none():
