@@ -146,10 +146,10 @@ class ListSweeps(Sweeps):
     ):  # fmt: skip
         """Turns `begin` ... `end` - 1, as those of all sweeps."""
         if ti.static(self.on_gpu):
-            for again, part in ti.static(ti.ndrange(self.repeats, 2)):
-                for k in range((contacts if ti.static(part == 0) else spheres) * (end - begin)):
+            for turn, again, part in ti.static(ti.ndrange(self.together, self.repeats, 2)):
+                for k in range((contacts if ti.static(part == 0) else spheres) * (begin + turn < end)):
                     numbers, size = [constants[n] for n in ti.static(range(self.numbers))], [spheres, contacts]
-                    sweep = begin * self.repeats + again
+                    sweep = (begin + turn) * self.repeats + again
                     self.visit(part, values, values, ends, start, incident, k, size, numbers, sweep)
         else:
             for item in range(workers * LEAST_CHUNK):

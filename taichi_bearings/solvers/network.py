@@ -11,17 +11,19 @@ from typing import Any
 
 import numpy as np
 from scipy import sparse
+from scipy.sparse.linalg import cg
 
 from taichi_bearings.conic.grouped import Grouped, isotropic
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.errors import InputError
 from taichi_bearings.fields.lists import Lists
+from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.packing.answer import forces_of, spins_of
 from taichi_bearings.packing.checks import sizes
 from taichi_bearings.packing.interface import Interface
 from taichi_bearings.packing.packing import Packing
-from taichi_bearings.packing.path import elimination, oblique, viscous_spins
+from taichi_bearings.packing.path import elimination, oblique
 from taichi_bearings.packing.system import System, acting, along_axes, odd_parts, slips_of, tangents
 from taichi_bearings.scene import Progress
 from taichi_bearings.scene.given import own_array
@@ -33,6 +35,7 @@ from taichi_bearings.verifier.network import StoredPacking
 from taichi_bearings.words import meant, shown
 
 NEXT_TO_NO_POWER = 1e-10  # of the natural power, below which a relative gap says nothing
+START_RESIDUAL = 1e-12  # of the torques at the start, relative
 PERRON_STEPS, LEAST_SHARE = 30, 1e-3  # of the vector that bounds an eigenvalue: improvements, and its smallest entries
 LOOK_AGAIN = 1.2  # times the iterations after which bounds that cost a factorisation were looked for
 OF_BOUND = ("scene.proven", "scene.witness", "scene.looked")  # what the further course of a dynamics depends on beside
@@ -131,8 +134,7 @@ class Network:
                 raise InputError(f"start has shape {given.shape}; it must be {shape} and finite")
         spins = (given.reshape(packing.spheres, -1) * packing.radius[:, None]).T[:, None].copy()
         if isinstance(start, str) and start == "linear":
-            system, _ = self.proof
-            spins = system.all_spins(viscous_spins(system, np.ones(len(system.contact)))).T[:, None].copy()
+            spins = self._viscous_start()
         if isinstance(start, str) and start == "minimum-cut":
             if (cut := Interface.of(packing)) is None:
                 raise InputError(
@@ -143,6 +145,16 @@ class Network:
         self.impose_driving(spins)
         self.jump = self.jump or float(np.abs(spins).max(initial=0.0))
         return spins
+
+    def _viscous_start(self) -> np.ndarray:
+        """Spins (C, 1, N) of least power with the same viscosity in all contacts, by conjugate gradients: no factor of
+        a matrix, which a GPU has not, and which is large."""
+        moved = np.repeat(self.packing.driven < 0, self.components)
+        matrix, given = self.matrix[:, moved], np.where(moved, 0.0, self.packing.imposed.ravel())
+        found = given.copy()
+        with one_thread():  # sums do not depend on the number of threads
+            found[moved], _ = cg(matrix.T @ matrix, -(matrix.T @ (self.matrix @ given)), rtol=START_RESIDUAL)
+        return found.reshape(1, -1, self.components).T.swapaxes(1, 2).copy()
 
     def inertias(self, mass: float, inertia: float | None, density: Any = None) -> np.ndarray:
         """I / R^2 (N,), mass.

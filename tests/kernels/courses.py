@@ -4,6 +4,7 @@ from unittest.mock import patch
 
 import numpy as np
 
+from taichi_bearings import Packing, runtime, solve
 from taichi_bearings.fields import Fields, make_layout
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import CundallStrack, GradientDescent, OperatorSplitting, torque_balance
@@ -16,11 +17,19 @@ METHODS = {
     "with energy": CundallStrack(energy=True),
     "operator-splitting": OperatorSplitting(),
 }
+PACKINGS = {"descent of a packing": "gradient-descent", "steps of a packing": "cundall-strack"}
 ITERATIONS = 200
 
 
 def course(method: str, law: str, shape: tuple[int, ...], periodic: str = "") -> list[float]:
-    """Powers of two samples after 200 iterations, on the device that runs; work and dissipation too, if kept."""
+    """Powers of two samples after 200 iterations, on the device that runs, with work and dissipation if these are kept;
+    power and lower bound of a packing."""
+    if method in PACKINGS:
+        now = runtime.current()
+        device = {"arch": now.arch, "precision": now.precision, "threads": now.threads}
+        packing = Packing.lattice("bcc", shape, law=law)
+        found = solve(packing, PACKINGS[method], iterations=ITERATIONS, progress=False, **device)
+        return [found.power, found.lower_bound]
     scene = make_scene(shape, law, seeds=(1, 2), periodic=tuple(periodic))
     spin, solver = initial_spin(scene, "random"), METHODS[method].build()
     fields = Fields(make_layout(scene.replicas, shape, scene.lattice.periodic), solver.plan(scene, spin))

@@ -23,6 +23,7 @@ COURSES += [
     for method in ("gradient-descent", "with energy", "operator-splitting")
     for lattice in (((12, 10), "x"), ((6, 4, 7), "xy"))
 ]
+COURSES += [("descent of a packing", "coulomb", (4, 4, 5)), ("steps of a packing", "viscous", (4, 4, 5))]
 SPLITTING = ["potential", "trial"]  # what a check of operator splitting reads
 
 

@@ -2,11 +2,14 @@
 
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from enum import Enum
 from functools import lru_cache
 
 import numpy as np
+from scipy import sparse
 from scipy.linalg.lapack import dpotrf, dpotrs
+from scipy.sparse.linalg import SuperLU, splu
 
 from taichi_bearings import runtime
 from taichi_bearings.interrupts import look_up
@@ -16,7 +19,7 @@ from taichi_bearings.launch import prepared
 from taichi_bearings.memory import aligned_zeros, refuse_beyond
 from taichi_bearings.numerics.cholesky import tuning
 from taichi_bearings.numerics.cholesky.dense import DOUBLE_BYTES, DenseFront
-from taichi_bearings.numerics.cholesky.fronts import BlockPattern, Pattern, analyse
+from taichi_bearings.numerics.cholesky.fronts import BlockPattern, Pattern, SparsePattern, analyse
 from taichi_bearings.numerics.cholesky.layout import Batch, Layout
 
 
@@ -26,17 +29,20 @@ class NotPositiveDefinite(ArithmeticError):
 
 class Engine(Enum):
     """How a matrix is factorised: as one dense block; front by front in a single launch, several matrices at once if
-    need be; or by calls of BLAS for all fronts, which threads share."""
+    need be; by calls of BLAS for all fronts, which threads share; or by SciPy where kernels run on a GPU."""
 
     BLOCK = "block"
     LAUNCH = "launch"
     CALLS = "calls"
+    SCIPY = "scipy"
 
     @classmethod
     def quickest(cls, unknowns: int) -> "Engine":
         """For a matrix alone."""
         if unknowns <= tuning.BLOCK_UNKNOWNS:
             return cls.BLOCK
+        if runtime.current().is_gpu:
+            return cls.SCIPY
         return cls.LAUNCH if unknowns < tuning.LAUNCH_UNKNOWNS else cls.CALLS
 
 
@@ -69,7 +75,7 @@ class Cholesky:
     Values are given for the entries of the pattern; where they go, `pattern.entry` tells.
     """
 
-    pattern: Pattern | BlockPattern
+    pattern: SparsePattern | BlockPattern
 
     def __init__(
         self,
@@ -84,6 +90,8 @@ class Cholesky:
         self.engine, self._memory = engine or Engine.quickest(unknowns), memory or Memory()
         if self.engine is Engine.BLOCK:
             self.pattern = BlockPattern(unknowns)
+        elif self.engine is Engine.SCIPY:
+            self.pattern = SparsePattern.of(order(), *couplings)
         else:
             price = tuning.LAUNCH_PRICE if self.engine is Engine.LAUNCH else tuning.CALLS_PRICE
             self.pattern = analyse(order(), *couplings, price)
@@ -95,6 +103,8 @@ class Cholesky:
         if lanes not in self._factors:
             if isinstance(self.pattern, BlockPattern):
                 self._factors[lanes] = DenseFactor(self.pattern)
+            elif not isinstance(self.pattern, Pattern):
+                self._factors[lanes] = SciPyFactor(self.pattern, lanes)
             elif self.engine is Engine.LAUNCH:
                 self._factors[lanes] = LaunchedFactor(self.pattern, lanes)
             else:
@@ -155,6 +165,33 @@ class DenseFactor(Factor):
     def substitute(self) -> None:
         if self._size:
             self.solution[:, 0] = dpotrs(self._factor, self.solution[:, 0], lower=True)[0]
+
+
+class SciPyFactor(Factor):
+    """One matrix after the other by SuperLU, which needs no kernel."""
+
+    def __init__(self, pattern: SparsePattern, lanes: int) -> None:
+        self.entries, self.solution = np.zeros((pattern.entries, lanes)), np.zeros((pattern.size, lanes))
+        self._pattern, self._factors = pattern, list[SuperLU | None]()
+
+    def factorise(self) -> np.ndarray:
+        pattern, self._factors = self._pattern, []
+        for values in self.entries.T:
+            look_up()
+            lower = sparse.csc_array((values, (pattern.row, pattern.column)), shape=(pattern.size, pattern.size))
+            symmetric = (lower + sparse.tril(lower, -1).T).tocsc()
+            with suppress(RuntimeError):  # an exact zero
+                factor = splu(symmetric, "NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+                if (factor.U.diagonal() > 0).all():
+                    self._factors.append(factor)
+                    continue
+            self._factors.append(None)
+        return np.array([factor is not None for factor in self._factors])
+
+    def substitute(self) -> None:
+        for sample, factor in enumerate(self._factors):
+            if factor is not None:
+                self.solution[:, sample] = factor.solve(self.solution[:, sample])
 
 
 class LaunchedFactor(Factor):

@@ -16,26 +16,24 @@ from taichi_bearings.numerics.cholesky.tuning import Price
 
 
 @dataclass(frozen=True)
-class Pattern:
-    """Everything about a factorisation that does not depend on the numbers.
+class SparsePattern:
+    """Which entries of a matrix are stored.
 
     order : unknown at each place of the elimination order; place : its inverse. All else are such places.
     row, column : of the stored entries (row >= column), sorted by column, then row.
-    first, own : (fronts,) own unknowns of a front are first ... first + own - 1; fronts are in postorder.
-    parent : (fronts,) the front above, or -1. depth : (fronts,) 0 at a root.
-    border, share : sorted later unknowns of all fronts, front by front, and where those of each begin, (fronts + 1,).
     """
 
     order: np.ndarray
     place: np.ndarray
     row: np.ndarray
     column: np.ndarray
-    first: np.ndarray
-    own: np.ndarray
-    parent: np.ndarray
-    depth: np.ndarray
-    border: np.ndarray
-    share: np.ndarray
+
+    @classmethod
+    def of(cls, order: np.ndarray, first: np.ndarray, second: np.ndarray) -> "SparsePattern":
+        """Of the symmetric matrix that couples the unknowns `first` and `second` pairwise."""
+        place = _inverse(order)
+        lower = sparse.triu(coupled(place, first, second)).tocsr().sorted_indices().tocoo()
+        return cls(order, place, lower.col, lower.row)
 
     @property
     def size(self) -> int:
@@ -46,10 +44,38 @@ class Pattern:
         """Number of the stored entries."""
         return len(self.row)
 
+    @property
+    def factor_entries(self) -> int:
+        """Of the factor, at least."""
+        return self.entries
+
     @cached_property
     def diagonal(self) -> np.ndarray:
         """Which of the stored entries are on the diagonal, (size,)."""
         return np.flatnonzero(self.row == self.column)
+
+    def entry(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+        """Where the entries that couple the unknowns `first` and `second` are stored."""
+        a, b = self.place[first], self.place[second]
+        wanted = np.minimum(a, b) * np.int64(self.size) + np.maximum(a, b)
+        return np.searchsorted(self.column * np.int64(self.size) + self.row, wanted)
+
+
+@dataclass(frozen=True)
+class Pattern(SparsePattern):
+    """Everything about a factorisation by fronts that does not depend on the numbers.
+
+    first, own : (fronts,) own unknowns of a front are first ... first + own - 1; fronts are in postorder.
+    parent : (fronts,) the front above, or -1. depth : (fronts,) 0 at a root.
+    border, share : sorted later unknowns of all fronts, front by front, and where those of each begin, (fronts + 1,).
+    """
+
+    first: np.ndarray
+    own: np.ndarray
+    parent: np.ndarray
+    depth: np.ndarray
+    border: np.ndarray
+    share: np.ndarray
 
     @cached_property
     def width(self) -> np.ndarray:
@@ -72,12 +98,6 @@ class Pattern:
         behind = np.searchsorted(number, front * np.int64(self.size) + unknown) - self.share[front]
         own = unknown - self.first[front]
         return np.where(own < self.own[front], own, self.own[front] + behind)
-
-    def entry(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-        """Where the entries that couple the unknowns `first` and `second` are stored."""
-        a, b = self.place[first], self.place[second]
-        wanted = np.minimum(a, b) * np.int64(self.size) + np.maximum(a, b)
-        return np.searchsorted(self.column * np.int64(self.size) + self.row, wanted)
 
 
 @dataclass(frozen=True)
