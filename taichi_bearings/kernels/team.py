@@ -40,7 +40,7 @@ MOST_POLLS = (
 def turns_a_launch() -> int:
     """Turns that a GPU makes in one launch: Python needs 90 microseconds for a launch, CUDA 6 for each part of it.
 
-    Measured on an H100, a step of 32^3 spheres: 103 microseconds, with 8 turns a launch 25, with 16 of them 18, whose
+    Measured on an H200, a step of 32^3 spheres: 103 microseconds, with 8 turns a launch 25, with 16 of them 18, whose
     kernels take twice as long to compile.
     """
     return TURNS_A_LAUNCH.get(runtime.current().arch, 1)
@@ -125,7 +125,7 @@ class Sweeps:
         self.together = turns_a_launch()
 
     def run(self, fields: Fields, team: Team, turns: int, numbers: tuple[float, ...], first: int = 0) -> None:
-        """Make `turns` turns from the number `first` on: in one launch, or on a GPU in one for a few."""
+        """Make `turns` turns from the number `first` on: in one launch, or on a GPU in one for a few of them."""
         constants = _constants(tuple(map(float, numbers)))
         team.launch(self.turns, turns, fields.values, fields.blocks, *fields.layout.measures, constants, first=first)
 
