@@ -55,7 +55,6 @@ class DescentSweeps(Sweeps):
         self.components = tuple(range(stencil.components))
         first = [slot[name] for name in ("coefficient", "viscosity") if name in slot]
         self.coefficients = tuple(tuple(row + axis for row in first) for axis in range(stencil.dimension))
-        self.at_once = stencil.components == 1  # what one component reads fits the processor's registers, more does not
 
         def of_sites(name: str) -> tuple[int, ...]:
             return tuple(slot[name] + c for c in self.components)
