@@ -194,8 +194,7 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
             store_each(values, blocks, gear + ahead, self.block, new)
             if ti.static(self.tally):  # of driven spheres, which do not move
                 impulse = in_range((self.slot["impulse"] + c) * row + first)
-                before = load(values, impulse, self.block)
-                store(values, blocks, impulse, self.block, before + (1.0 - is_free) * pull)
+                self.sum_up(values, blocks, [impulse], [(1.0 - is_free) * pull])
 
     @ti.func
     def walk(

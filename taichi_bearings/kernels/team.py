@@ -21,9 +21,8 @@ from taichi_bearings import runtime
 from taichi_bearings.compiler import ti
 from taichi_bearings.errors import DeviceError
 from taichi_bearings.fields import Fields, on_device
-from taichi_bearings.kernels.memory import BLOCKS, VALUES, in_range, with_rings
+from taichi_bearings.kernels.memory import BLOCKS, INTEGERS, VALUES, in_range, load, store, with_rings
 
-COUNTER = ti.types.ndarray(dtype=ti.i32, ndim=1)
 LEAST_CHUNK = 512  # Taichi hands loop iterations to threads in chunks of at least this many
 # of a processor; a team that got less than its size by so much shares the cores with other programs
 MISSED_PROCESSORS = 0.2
@@ -105,9 +104,10 @@ class Sweeps:
     reads nothing that it writes at other sites.
 
     numbers : how many constants it takes. block : sites that are worked on together. periodic : axes.
+    measures : how many integers at the begin of `Fields.tables` say where the sites are; see `Layout.measures`.
     """
 
-    parts, repeats, numbers = 1, 1, 1
+    parts, repeats, numbers, measures = 1, 1, 1, 6
 
     def __init__(self, block: int, periodic: tuple[int, ...] = ()) -> None:
         self.block, self.periodic, self.on_gpu = block, periodic, runtime.current().is_gpu
@@ -115,15 +115,15 @@ class Sweeps:
     def run(self, fields: Fields, team: Team, turns: int, numbers: tuple[float, ...], first: int = 0) -> None:
         """Make `turns` turns from the number `first` on: in one launch, or on a GPU in one each."""
         constants = _constants(tuple(map(float, numbers)))
-        team.launch(self.turns, turns, fields.values, fields.blocks, *fields.layout.measures, constants, first=first)
+        team.launch(self.turns, turns, fields.values, fields.blocks, fields.tables, constants, first=first)
 
     def compile(self, fields: Fields, team: Team) -> None:
         """Compile the kernel, without a turn."""
         self.run(fields, team, 0, (0.0,) * self.numbers)
 
     @ti.func
-    def enter(self, values: ti.template(), row, first, numbers: ti.template(), sweep):
-        """What a worker carries from block to block, before its first one."""
+    def enter(self, values: ti.template(), size: ti.template(), low, numbers: ti.template(), sweep):
+        """What a worker carries from block to block, before its first one, number `low`. size : the measures."""
         return [0.0]
 
     @ti.func
@@ -134,34 +134,54 @@ class Sweeps:
         """One part of sweep number `sweep` for the block of sites from `first` on. row: length of a row of numbers.
         strides : with rings."""
 
+    @ti.func
+    def count(self, part: ti.template(), size: ti.template()):
+        """Blocks of a part."""
+        return size[2]
+
+    @ti.func
+    def visit(
+        self, part: ti.template(), values: ti.template(), blocks: ti.template(), tables: ti.template(),
+        size: ti.template(), number, numbers: ti.template(), sweep, carried: ti.template(),
+    ):  # fmt: skip
+        """One part of a sweep for the block of this number."""
+        sides = [in_range(size[3]), in_range(size[4]), 1]
+        strides = with_rings(sides, number * self.block, size[5], self.periodic)
+        first = in_range(size[1] + number * self.block)
+        self.walk(part, values, blocks, size[0], first, strides, numbers, sweep, carried)
+
+    @ti.func
+    def sum_up(self, values: ti.template(), blocks: ti.template(), sums: ti.template(), new: ti.template()):
+        """Add numbers of a block of sites to those at the places `sums`."""
+        for k in ti.static(range(len(sums))):
+            store(values, blocks, sums[k], self.block, load(values, sums[k], self.block) + new[k])
+
     @ti.kernel
     def turns(
-        self, arrived: COUNTER, workers: int, begin: int, end: int, values: VALUES, blocks: BLOCKS,
-        row: int, margin: int, count: int, stride_x: int, stride_y: int, ring: int, constants: VALUES,
+        self, arrived: INTEGERS, workers: int, begin: int, end: int, values: VALUES, blocks: BLOCKS, tables: INTEGERS,
+        constants: VALUES,
     ):  # fmt: skip
-        """Turns `begin` ... `end` - 1 over `count` blocks."""
+        """Turns `begin` ... `end` - 1 over all blocks."""
         if ti.static(self.on_gpu):
             for again, part in ti.static(ti.ndrange(self.repeats, self.parts)):
-                for b in range(count * (end - begin)):
+                for b in range(self.count(part, tables) * (end - begin)):
                     numbers = [constants[k] for k in ti.static(range(self.numbers))]
-                    first, sweep = margin + b, begin * self.repeats + again
-                    strides = with_rings([stride_x, stride_y, 1], b, ring, self.periodic)
-                    carried = self.enter(values, row, first, numbers, sweep)
-                    self.walk(part, values, values, row, first, strides, numbers, sweep, carried)
+                    size = [tables[k] for k in ti.static(range(self.measures))]
+                    sweep = begin * self.repeats + again
+                    carried = self.enter(values, size, b, numbers, sweep)
+                    self.visit(part, values, values, tables, size, b, numbers, sweep, carried)
         else:
             for item in range(workers * LEAST_CHUNK):
                 if item % LEAST_CHUNK == 0:
-                    worker = item // LEAST_CHUNK
-                    low, high = count * worker // workers, count * (worker + 1) // workers
-                    sides = [in_range(stride_x), in_range(stride_y), 1]
+                    worker, met = item // LEAST_CHUNK, 0
+                    size = [tables[k] for k in ti.static(range(self.measures))]
                     numbers = [constants[k] for k in ti.static(range(self.numbers))]
-                    met = 0
                     for sweep in range(begin * self.repeats, end * self.repeats):
                         for part in ti.static(range(self.parts)):
-                            carried = self.enter(values, row, in_range(margin + low * self.block), numbers, sweep)
+                            count = self.count(part, size)
+                            low, high = count * worker // workers, count * (worker + 1) // workers
+                            carried = self.enter(values, size, low, numbers, sweep)
                             for b in range(low, high):
-                                first = in_range(margin + b * self.block)
-                                strides = with_rings(sides, b * self.block, ring, self.periodic)
-                                self.walk(part, values, blocks, row, first, strides, numbers, sweep, carried)
+                                self.visit(part, values, blocks, tables, size, b, numbers, sweep, carried)
                             met += workers
                             meet(arrived, met)
