@@ -5,19 +5,16 @@ TAICHI_BEARINGS_COMPILER says so (docs/decisions/0008): it must be known before 
 inherit it.
 """
 
-import atexit
 import contextlib
 import importlib.util
 import inspect
 import linecache
 import os
-import shutil
 import stat
 import tempfile
 import time
 import warnings
 from collections.abc import Iterator
-from functools import lru_cache
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -52,7 +49,7 @@ def name() -> str:
 
 def cache_folder() -> Path | None:
     """Where compiled kernels are kept: below the user's cache, or in a temporary folder if that cannot be written or
-    others can; None where nothing can be written. What a killed compiler has locked there is unlocked."""
+    others can; None where that holds for both. What a killed compiler has locked there is unlocked."""
     home = _cache_home()
     if home is None:
         return None
@@ -77,24 +74,9 @@ def _cache_home() -> Path | None:
     try:
         home = Path(tempfile.gettempdir()) / f"taichi_bearings-cache-{os.getuid() if hasattr(os, 'getuid') else 'user'}"
         is_safe = not home.is_symlink() and _is_ours(home) and _is_ours(home / name())
-        return home if is_safe else _fresh_home(os.getpid())
+        return home if is_safe else None
     except OSError:
         return None
-
-
-@lru_cache(maxsize=1)
-def _fresh_home(process: int) -> Path:
-    """A new folder that goes with this process."""
-    home = Path(tempfile.mkdtemp(prefix="taichi_bearings-cache-"))
-
-    def go() -> None:
-        if os.getpid() == process:
-            if "ti" in globals():  # which else would write its cache there later
-                globals()["ti"].reset()
-            shutil.rmtree(home, ignore_errors=True)
-
-    atexit.register(go)
-    return home
 
 
 def _is_ours(folder: Path) -> bool:

@@ -60,6 +60,7 @@ class Fields:
 
     values : what kernels take: all rows one after the other.
     blocks : on a CPU the same memory in blocks of sites, which kernels write as a whole; on a GPU nothing of use.
+    tables : the measures of the layout, for kernels.
     """
 
     def __init__(self, layout: Layout, spec: FieldSpec) -> None:
@@ -75,6 +76,7 @@ class Fields:
             size = self.rows * layout.length * self.dtype.itemsize
             raise DeviceError(f"{size} bytes of fields do not fit on this device: {error}") from error
         self.blocks = one_block() if self._host is None else self._host.reshape(-1, layout.block)
+        self.tables = on_device(np.array(layout.measures), "i32")
 
     def _allocate(self) -> tuple[Any, np.ndarray | None]:
         count = self.rows * self.layout.length

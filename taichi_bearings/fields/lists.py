@@ -81,9 +81,9 @@ class ListFields:
         self.on_gpu = runtime.current().is_gpu
         self.values: Any = on_device(np.zeros(end)) if self.on_gpu else aligned_zeros(end, CPU_BLOCK, number_type())
         self.blocks = one_block() if self.on_gpu else self.values.reshape(-1, CPU_BLOCK)
-        parts = (on_device(part, "i32") for part in (lists.ends, lists.start, lists.incident))
+        parts = np.array(lists.size), lists.ends, lists.start, lists.incident
+        self.tables = on_device(np.concatenate(parts), "i32")
         spheres: Any = SimpleNamespace(sites=len(lists.sphere))
-        self.layout = SimpleNamespace(measures=(*parts, *lists.size))
         self.team_size = team_size(spheres, sum(count for _, count in spec[0]))
 
     def _host(self) -> np.ndarray:

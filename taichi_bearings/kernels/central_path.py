@@ -13,8 +13,8 @@ precision, whatever that of the runtime.
 from collections.abc import Callable
 
 from taichi_bearings.compiler import ti
-from taichi_bearings.kernels.elimination import LANES, NUMBERS, TABLES, VECTORS
-from taichi_bearings.kernels.memory import BLOCKS, fill, places
+from taichi_bearings.kernels.elimination import LANES, NUMBERS, VECTORS
+from taichi_bearings.kernels.memory import BLOCKS, INTEGERS, fill, places
 
 BLOCK = 16  # contacts that are worked on together
 LEAST_DIVISOR = 1e-140  # of a slip that its size divides
@@ -375,7 +375,7 @@ def _sums(together: bool) -> Callable:
     kind = VECTORS if together else NUMBERS
 
     @ti.kernel
-    def run(begins: TABLES, places: TABLES, values: kind, found: kind, first: int, to: int):
+    def run(begins: INTEGERS, places: INTEGERS, values: kind, found: kind, first: int, to: int):
         """found[to + i] = sum over k from begins[i] on of values[first + places[k]]; ~place : to be taken off."""
         ti.loop_config(serialize=True)
         for i in range(begins.shape[0] - 1):

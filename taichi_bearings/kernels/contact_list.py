@@ -13,10 +13,8 @@ from taichi_bearings.fields.lists import ListSpec, list_block
 from taichi_bearings.kernels.contact import FORCES, viscous_force
 from taichi_bearings.kernels.cundall_strack import SpringsAndSpins
 from taichi_bearings.kernels.descent import momentum
-from taichi_bearings.kernels.memory import BLOCKS, VALUES, in_range, load, load_each, places, store, store_each, zero
-from taichi_bearings.kernels.team import COUNTER, LEAST_CHUNK, Sweeps, meet
-
-LIST = ti.types.ndarray(dtype=ti.i32, ndim=1)
+from taichi_bearings.kernels.memory import in_range, load, load_each, places, store, store_each, zero
+from taichi_bearings.kernels.team import Sweeps
 
 
 @lru_cache
@@ -30,9 +28,10 @@ class ListSweeps(Sweeps):
     """Part 0 walks over the contacts, part 1 over the spheres. d tangents, C components of a spin.
 
     Fields of all: of contacts `across` (d C), but for discs, `coefficient`, `viscosity`, and `force`, T f, (C).
+    Measures, `size` : lengths of the rows of spheres and of contacts; the lists of `Lists` follow them in `tables`.
     """
 
-    parts = 2
+    parts, measures = 2, 2
 
     def __init__(self, spec: ListSpec, law: str, corrector: tuple[float, ...]):
         super().__init__(list_block())
@@ -45,7 +44,7 @@ class ListSweeps(Sweeps):
         self.components, self.tangents = len(self.rows["force"]), max(1, len(self.rows["across"]) // 3)
         gear = [f"gear_{n}" for n in range(len(corrector))]
         self.force_law, self.corrector, self.order = FORCES[law], corrector, len(corrector)
-        self.coefficients = sum((self.rows.get(name, ()) for name in ("coefficient", "viscosity")), ())
+        self.rows["coefficients"] = self.rows["coefficient"] + self.rows.get("viscosity", ())
         self.holds, self.tally = "elongation" in self.rows, "work" in self.rows
         self.gear, self.written = (
             tuple(zip(*(self.rows[name] for name in names if name in self.rows), strict=True))
@@ -54,64 +53,32 @@ class ListSweeps(Sweeps):
         self.averages, self.momentum = "force_sum" in self.rows, "spin" in self.rows
 
     @ti.func
-    def slip(
-        self, values: ti.template(), rows: ti.template(), across: ti.template(), ends: ti.template(),
-        size: ti.template(), first,
-    ):  # fmt: skip
-        """T (u_i + u_j) of a block of contacts, for the numbers of the spheres in these rows."""
-        both = [zero(self.block) for _ in rows]
-        for k in ti.static(range(len(rows))):
-            both[k] = self.gathered(values, rows[k] * size[0], ends, first) + self.gathered(
-                values, rows[k] * size[0], ends, size[1] + first
-            )
-        if ti.static(self.components == 1):
-            return both
-        return [dot(across[:3], both), dot(across[3:], both)]
+    def count(self, part: ti.template(), size: ti.template()):
+        """Blocks of contacts, or of spheres."""
+        return size[1 - part] // self.block
 
     @ti.func
-    def gathered(self, values: ti.template(), row, ends: ti.template(), first):
-        """Of the spheres whose numbers stand in the list from `first` on."""
-        if ti.static(self.block == 1):
-            return values[in_range(row + ends[first])]
-        result = ti.Vector.zero(float, self.block)
-        for m in range(self.block):
-            result[m] = values[in_range(row + ends[first + m])]
-        return result
-
-    @ti.func
-    def store_force(
-        self, values: ti.template(), blocks: ti.template(), rows: ti.template(), across: ti.template(),
-        force: ti.template(),
+    def visit(
+        self, part: ti.template(), values: ti.template(), blocks: ti.template(), tables: ti.template(),
+        size: ti.template(), number, numbers: ti.template(), sweep, carried: ti.template(),
     ):  # fmt: skip
-        if ti.static(self.components == 1):
-            store_each(values, blocks, rows, self.block, force)
+        """A block of contacts, or of spheres."""
+        first = in_range(number * self.block)
+        if ti.static(part == 0):
+            across = load_each(values, self.on("across", size, first), self.block)
+            self.at_contacts(values, blocks, tables, first, size, across, numbers)
         else:
-            pull = [across[c] * force[0] + across[3 + c] * force[1] for c in ti.static(range(3))]
-            store_each(values, blocks, rows, self.block, pull)
-
-    @ti.func
-    def pull(self, values: ti.template(), row, start: ti.template(), incident: ti.template(), first):
-        """Sum of the forces on a block of spheres, of one component."""
-        if ti.static(self.block == 1):
-            return self.pull_on(values, row, start, incident, first)
-        result = ti.Vector.zero(float, self.block)
-        for m in range(self.block):
-            result[m] = self.pull_on(values, row, start, incident, first + m)
-        return result
-
-    @ti.func
-    def pull_on(self, values: ti.template(), row, start: ti.template(), incident: ti.template(), sphere):
-        total = 0.0
-        for n in range(start[sphere], start[sphere + 1]):
-            total -= values[in_range(row + incident[n])]
-        return total
+            for c in ti.static(range(self.components)):
+                row = self.sphere_rows * size[0] + self.rows["force"][c] * size[1]
+                pull = self.pull(values, row, tables, size, first)
+                self.at_spheres(values, blocks, c, pull, first, size, numbers, sweep)
 
     @ti.func
     def at_contacts(
-        self, values: ti.template(), blocks: ti.template(), ends: ti.template(), first, size: ti.template(),
-        numbers: ti.template(),
+        self, values: ti.template(), blocks: ti.template(), tables: ti.template(), first, size: ti.template(),
+        across: ti.template(), numbers: ti.template(),
     ):  # fmt: skip
-        """The first part of a step, for a block. size : lengths of the rows of spheres and of contacts."""
+        """The first part of a step, for a block."""
 
     @ti.func
     def at_spheres(
@@ -126,44 +93,57 @@ class ListSweeps(Sweeps):
         return places(self.rows[name], size[1], self.sphere_rows * size[0] + first)
 
     @ti.func
-    def visit(
-        self, part: ti.template(), values: ti.template(), blocks: ti.template(), ends: ti.template(),
-        start: ti.template(), incident: ti.template(), first, size: ti.template(), numbers: ti.template(), sweep,
+    def slip(
+        self, values: ti.template(), name: ti.template(), across: ti.template(), tables: ti.template(),
+        size: ti.template(), first,
     ):  # fmt: skip
-        """A block of contacts, or of spheres."""
-        if ti.static(part == 0):
-            self.at_contacts(values, blocks, ends, first, size, numbers)
-        else:
-            for c in ti.static(range(self.components)):
-                row = self.sphere_rows * size[0] + self.rows["force"][c] * size[1]
-                pull = self.pull(values, row, start, incident, first)
-                self.at_spheres(values, blocks, c, pull, first, size, numbers, sweep)
+        """T (u_i + u_j) of a block of contacts, for the numbers of the spheres by this name."""
+        both = [zero(self.block) for _ in self.rows[name]]
+        for k in ti.static(range(len(both))):
+            row, lower = self.rows[name][k] * size[0], 2 + first
+            both[k] = self.gathered(values, row, tables, lower) + self.gathered(values, row, tables, size[1] + lower)
+        if ti.static(self.components == 1):
+            return both
+        return [dot(across[:3], both), dot(across[3:], both)]
 
-    @ti.kernel
-    def turns(
-        self, arrived: COUNTER, workers: int, begin: int, end: int, values: VALUES, blocks: BLOCKS, ends: LIST,
-        start: LIST, incident: LIST, spheres: int, contacts: int, constants: VALUES,
+    @ti.func
+    def gathered(self, values: ti.template(), row, tables: ti.template(), first):
+        """Of the spheres whose numbers stand in the tables from `first` on."""
+        if ti.static(self.block == 1):
+            return values[in_range(row + tables[first])]
+        result = ti.Vector.zero(float, self.block)
+        for m in range(self.block):
+            result[m] = values[in_range(row + tables[first + m])]
+        return result
+
+    @ti.func
+    def store_force(
+        self, values: ti.template(), blocks: ti.template(), rows: ti.template(), across: ti.template(),
+        force: ti.template(),
     ):  # fmt: skip
-        """Turns `begin` ... `end` - 1, as those of all sweeps."""
-        if ti.static(self.on_gpu):
-            for turn, again, part in ti.static(ti.ndrange(self.together, self.repeats, 2)):
-                for k in range((contacts if ti.static(part == 0) else spheres) * (begin + turn < end)):
-                    numbers, size = [constants[n] for n in ti.static(range(self.numbers))], [spheres, contacts]
-                    sweep = (begin + turn) * self.repeats + again
-                    self.visit(part, values, values, ends, start, incident, k, size, numbers, sweep)
+        if ti.static(self.components == 1):
+            store_each(values, blocks, rows, self.block, force)
         else:
-            for item in range(workers * LEAST_CHUNK):
-                if item % LEAST_CHUNK == 0:
-                    worker, met, size = item // LEAST_CHUNK, 0, [in_range(spheres), in_range(contacts)]
-                    numbers = [constants[n] for n in ti.static(range(self.numbers))]
-                    for sweep in range(begin * self.repeats, end * self.repeats):
-                        for part in ti.static(range(2)):
-                            count = size[1 - part] // self.block
-                            for k in range(count * worker // workers, count * (worker + 1) // workers):
-                                first = in_range(k * self.block)
-                                self.visit(part, values, blocks, ends, start, incident, first, size, numbers, sweep)
-                            met += workers
-                            meet(arrived, met)
+            pull = [across[c] * force[0] + across[3 + c] * force[1] for c in ti.static(range(3))]
+            store_each(values, blocks, rows, self.block, pull)
+
+    @ti.func
+    def pull(self, values: ti.template(), row, tables: ti.template(), size: ti.template(), first):
+        """Sum of the forces on a block of spheres, of one component."""
+        if ti.static(self.block == 1):
+            return self.pull_on(values, row, tables, size, first)
+        result = ti.Vector.zero(float, self.block)
+        for m in range(self.block):
+            result[m] = self.pull_on(values, row, tables, size, first + m)
+        return result
+
+    @ti.func
+    def pull_on(self, values: ti.template(), row, tables: ti.template(), size: ti.template(), sphere):
+        total, start = 0.0, 2 + 2 * size[1]
+        incident = start + size[0] + 1
+        for n in range(incident + tables[start + sphere], incident + tables[start + sphere + 1]):
+            total -= values[in_range(row + tables[n])]
+        return total
 
 
 @ti.func
@@ -180,27 +160,25 @@ class CundallStrackLists(SpringsAndSpins, ListSweeps):
 
     @ti.func
     def at_contacts(
-        self, values: ti.template(), blocks: ti.template(), ends: ti.template(), first, size: ti.template(),
-        numbers: ti.template(),
+        self, values: ti.template(), blocks: ti.template(), tables: ti.template(), first, size: ti.template(),
+        across: ti.template(), numbers: ti.template(),
     ):  # fmt: skip
         force = self.on("force", size, first)
-        across = load_each(values, self.on("across", size, first), self.block)
         if ti.static(self.tally):
-            work, speed = (
-                self.on("work", size, first),
-                self.slip(values, self.rows["gear_0"], across, ends, size, first),
-            )
-            total, before = load(values, work[0], self.block), load_each(values, force, self.block)
+            speed = self.slip(values, "gear_0", across, tables, size, first)
+            before = load_each(values, force, self.block)
+            work = self.on("work", size, first)
+            total = load(values, work[0], self.block)
             if ti.static(self.components == 1):
                 total += before[0] * speed[0]
             else:
                 total += dot(across[:3], before) * speed[0] + dot(across[3:], before) * speed[1]
             store(values, blocks, work[0], self.block, total)
-        own = load_each(values, places(self.coefficients, size[1], self.sphere_rows * size[0] + first), self.block)
-        speed = self.slip(values, self.rows["predicted"], across, ends, size, first)
+        own = load_each(values, self.on("coefficients", size, first), self.block)
+        speed = self.slip(values, "predicted", across, tables, size, first)
         if ti.static(self.holds):
             at = self.on("elongation", size, first)
-            moved = self.slip(values, self.rows["integral"], across, ends, size, first)
+            moved = self.slip(values, "integral", across, tables, size, first)
             new = self.spring(moved, speed, load_each(values, at, self.block), own, numbers)
             store_each(values, blocks, at, self.block, new[: self.tangents])
             self.store_force(values, blocks, force, across, new[self.tangents :])
@@ -218,8 +196,7 @@ class CundallStrackLists(SpringsAndSpins, ListSweeps):
         store_each(values, blocks, places(self.written[c], size[0], first), self.block, new)
         if ti.static(self.tally):
             impulse = in_range(self.rows["impulse"][c] * size[0] + first)
-            felt = ti.select(is_free > 0.0, 0.0, pull)
-            store(values, blocks, impulse, self.block, load(values, impulse, self.block) + felt)
+            self.sum_up(values, blocks, [impulse], [ti.select(is_free > 0.0, 0.0, pull)])
 
 
 @ti.data_oriented
@@ -230,21 +207,15 @@ class DescentLists(ListSweeps):
 
     @ti.func
     def at_contacts(
-        self, values: ti.template(), blocks: ti.template(), ends: ti.template(), first, size: ti.template(),
-        numbers: ti.template(),
+        self, values: ti.template(), blocks: ti.template(), tables: ti.template(), first, size: ti.template(),
+        across: ti.template(), numbers: ti.template(),
     ):  # fmt: skip
-        across = load_each(values, self.on("across", size, first), self.block)
-        own = load_each(values, places(self.coefficients, size[1], self.sphere_rows * size[0] + first), self.block)
-        force = self.force_law(self.slip(values, self.rows["point"], across, ends, size, first), own, numbers[1])
+        own = load_each(values, self.on("coefficients", size, first), self.block)
+        force = self.force_law(self.slip(values, "point", across, tables, size, first), own, numbers[1])
         self.store_force(values, blocks, self.on("force", size, first), across, force)
         if ti.static(self.averages):  # noqa: SIM102 (Taichi needs the statement to drop the branch)
             if numbers[8] > 0.0:
                 self.sum_up(values, blocks, self.on("force_sum", size, first), force)
-
-    @ti.func
-    def sum_up(self, values: ti.template(), blocks: ti.template(), sums: ti.template(), new: ti.template()):
-        for k in ti.static(range(len(sums))):
-            store(values, blocks, sums[k], self.block, load(values, sums[k], self.block) + new[k])
 
     @ti.func
     def at_spheres(

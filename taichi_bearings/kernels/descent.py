@@ -55,7 +55,6 @@ class DescentSweeps(Sweeps):
         self.components = tuple(range(stencil.components))
         first = [slot[name] for name in ("coefficient", "viscosity") if name in slot]
         self.coefficients = tuple(tuple(row + axis for row in first) for axis in range(stencil.dimension))
-        self.at_once = stencil.components == 1  # what one component reads fits the processor's registers, more does not
 
         def of_sites(name: str) -> tuple[int, ...]:
             return tuple(slot[name] + c for c in self.components)
@@ -69,9 +68,10 @@ class DescentSweeps(Sweeps):
             self.force_sum = stencil.force_rows(slot["force_sum"])
 
     @ti.func
-    def enter(self, values: ti.template(), row, first, numbers: ti.template(), sweep):
-        """Force of the contact below the site `first` along the height."""
+    def enter(self, values: ti.template(), size: ti.template(), low, numbers: ti.template(), sweep):
+        """Force of the contact below the first site along the height."""
         height = ti.static(self.stencil.height)
+        row, first = size[0], in_range(size[1] + low * self.block)
         source = first + (sweep & 1) * self.apart * row
         lower = load_each(values, places(self.kept[height], row, source - 1), 1)
         upper = load_each(values, places(self.kept[height], row, source), 1)
@@ -91,12 +91,6 @@ class DescentSweeps(Sweeps):
         self.add(total, self.stencil.height, above, below)
         for t in ti.static(range(len(above))):
             carried[t] = last(above[t], self.block)
-
-    @ti.func
-    def sum_up(self, values: ti.template(), blocks: ti.template(), sums: ti.template(), new: ti.template()):
-        """Add numbers of a block of sites to those at the places `sums`."""
-        for k in ti.static(range(len(sums))):
-            store(values, blocks, sums[k], self.block, load(values, sums[k], self.block) + new[k])
 
     @ti.func
     def walk(

@@ -13,13 +13,13 @@ would unroll them eight times over, which takes every process seconds and makes 
 from collections.abc import Callable
 
 from taichi_bearings.compiler import ti
+from taichi_bearings.kernels.memory import INTEGERS
 from taichi_bearings.kernels.team import LEAST_CHUNK
 
 PANEL = 4  # columns, and rows or vectors of rows, that are worked on together: their numbers fit into registers
 LANES = 8  # matrices side by side, or rows of one alone: what an AVX-512 instruction works on at once
 NUMBERS = ti.types.ndarray(dtype=ti.f64, ndim=1)
 VECTORS = ti.types.ndarray(dtype=ti.types.vector(LANES, ti.f64), ndim=1)
-TABLES = ti.types.ndarray(dtype=ti.i32, ndim=1)
 
 # At the start of the array of integers: the number of fronts, where the other tables begin (places of entries within
 # their fronts; of the border of each front, its rows in the front of the parent, and where they are in vectors; work
@@ -201,7 +201,7 @@ def reduce(tables: ti.template(), at, numbers: ti.template(), vectors: ti.templa
 
 
 @ti.kernel
-def eliminate(tables: TABLES, entries: VECTORS, numbers: VECTORS):
+def eliminate(tables: INTEGERS, entries: VECTORS, numbers: VECTORS):
     """Factorise. A pivot that is not positive leaves an inverse that is not finite, in its matrix alone."""
     ti.loop_config(serialize=True)
     for front in range(tables[FRONTS]):
@@ -211,7 +211,7 @@ def eliminate(tables: TABLES, entries: VECTORS, numbers: VECTORS):
 
 
 @ti.kernel
-def eliminate_alone(tables: TABLES, entries: NUMBERS, numbers: NUMBERS, vectors: VECTORS):
+def eliminate_alone(tables: INTEGERS, entries: NUMBERS, numbers: NUMBERS, vectors: VECTORS):
     """The same for one matrix. vectors : the numbers, LANES at a time."""
     ti.loop_config(serialize=True)
     for front in range(tables[FRONTS]):
@@ -225,7 +225,7 @@ def _assembly(serial: bool) -> Callable:
     chunk = 1 if serial else LEAST_CHUNK
 
     @ti.kernel
-    def run(tables: TABLES, entries: NUMBERS, numbers: NUMBERS, begin: int, end: int):
+    def run(tables: INTEGERS, entries: NUMBERS, numbers: NUMBERS, begin: int, end: int):
         """Items begin ... end-1 of the work: each a front, and its first and last column."""
         if ti.static(serial):
             ti.loop_config(serialize=True)

@@ -1,8 +1,7 @@
 """The tree of a Cholesky factor: which column each one leads to, how many numbers it has, and what goes together."""
 
 from taichi_bearings.compiler import ti
-
-INTEGERS = ti.types.ndarray(dtype=ti.i32, ndim=1)
+from taichi_bearings.kernels.memory import INTEGERS
 
 
 @ti.kernel
@@ -28,7 +27,7 @@ def grow(starts: INTEGERS, rows: INTEGERS, parent: INTEGERS, count: INTEGERS, ma
 
 @ti.func
 def price(own, border, part, column, update):
-    """See numerics/cholesky/supernodes.py."""
+    """See numerics/cholesky/fronts.py."""
     m, b = ti.cast(own, ti.f64), ti.cast(border, ti.f64)
     return m * (b * (b + m) + m * m / 3.0) + part + column * m * (m + b) + update * b * b / 2.0
 

@@ -11,6 +11,7 @@ or even the address of the array, so it would not be turned into SIMD instructio
 from taichi_bearings.compiler import ti
 
 VALUES = ti.types.ndarray(ndim=1)
+INTEGERS = ti.types.ndarray(dtype=ti.i32, ndim=1)
 BLOCKS = ti.types.ndarray(dtype=ti.types.vector())  # on a CPU (blocks, sites of a block); on a GPU as VALUES
 OPEN_RING = 2**30  # sites of a ring that does not close
 

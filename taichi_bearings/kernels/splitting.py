@@ -8,7 +8,6 @@ from taichi_bearings.compiler import ti
 from taichi_bearings.fields import Fields, FieldSpec, first_slots, on_device
 from taichi_bearings.kernels.contact import clamp, length
 from taichi_bearings.kernels.memory import (
-    BLOCKS,
     VALUES,
     in_range,
     load,
@@ -17,10 +16,10 @@ from taichi_bearings.kernels.memory import (
     minus,
     places,
     store_each,
-    with_rings,
     zero,
 )
 from taichi_bearings.kernels.stencil import Stencil
+from taichi_bearings.kernels.team import Sweeps, Team
 
 ABSENT_FRICTION = -1.0  # friction where the lattice has no contact
 
@@ -32,7 +31,7 @@ def contact_step(spec: FieldSpec, stencil: Stencil) -> "ContactStep":
 
 
 @ti.data_oriented
-class ContactStep:
+class ContactStep(Sweeps):
     """A step over the fields of :class:`taichi_bearings.solvers.operator_splitting.OperatorSplittingMethod`.
 
     friction : mu F_n of the contact above each site along each axis, ABSENT_FRICTION where the lattice has none.
@@ -40,26 +39,28 @@ class ContactStep:
     spring : the force of each spring, weight D(potential) - (trial - 2 limited(trial)).
     potential : the spins in units of force, penalty * spin; the penalty is part of it, so kernels need not know it.
     pull : what the springs of its contacts add up to on each sphere.
+
+    Its constants: weights of the springs sideways and along the height, relaxation.
     """
 
+    parts, numbers = 2, 3
+
     def __init__(self, spec: FieldSpec, stencil: Stencil):
-        self.slot, self.stencil, self.block = first_slots(spec), stencil, stencil.block
+        super().__init__(stencil.block, stencil.periodic)
+        self.together = 1  # solving for the spins comes between the turns
+        self.slot, self.stencil = first_slots(spec), stencil
         self.potential = stencil.spin_rows(self.slot["potential"])
         self.trial, self.spring = stencil.force_rows(self.slot["trial"]), stencil.force_rows(self.slot["spring"])
         self.pull = tuple(self.slot["pull"] + c for c in range(stencil.components))
-
-    def run(self, fields: Fields, weights: tuple[float, float], relaxation: float) -> None:
-        """Make one step. weights : of the springs sideways and along the height."""
-        self.step(fields.values, fields.blocks, *fields.layout.measures, *weights, relaxation)
 
     def rescale(self, fields: Fields, factors: np.ndarray) -> None:
         """Multiply the potential and what friction does not bear of the trial forces, by replica; (R,) factors."""
         layout = fields.layout
         self.scale(fields.values, on_device(factors), layout.length, layout.margin, layout.sites)
 
-    def compile(self, fields: Fields) -> None:
+    def compile(self, fields: Fields, team: Team) -> None:
         """Compile the kernels, on no sites at all."""
-        self.step(fields.values, fields.blocks, *(0,) * 6, *(0.0,) * 3)
+        super().compile(fields, team)
         self.scale(fields.values, on_device(np.ones(1)), 0, 0, 0)
 
     @ti.func
@@ -91,10 +92,7 @@ class ContactStep:
     def limit_block(
         self, values: ti.template(), blocks: ti.template(), row, first, strides: ti.template(), numbers: ti.template()
     ):
-        """New trial forces and springs of the contacts above the block of sites from `first` on.
-
-        numbers : weight sideways and along the height, relaxation.
-        """
+        """New trial forces and springs of the contacts above the block of sites from `first` on."""
         for axis in ti.static(self.stencil.slipping_axes):
             here = load_each(values, places(self.potential[axis], row, first), self.block)
             up = load_neighbours(values, self.potential[axis], row, first, strides[axis::3], 1, self.block)
@@ -116,29 +114,15 @@ class ContactStep:
                 pulls[self.stencil.kept[axis][t]] += above[t] - below[t]
         store_each(values, blocks, places(self.pull, row, first), self.block, pulls)
 
-    @ti.kernel
-    def step(
-        self,
-        values: VALUES,
-        blocks: BLOCKS,
-        row: int,
-        margin: int,
-        count: int,
-        stride_x: int,
-        stride_y: int,
-        ring: int,
-        weight_sideways: float,
-        weight_height: float,
-        relaxation: float,
-    ):
-        for b in range(count):
-            first, sides = in_range(margin + b * self.block), [in_range(stride_x), in_range(stride_y), 1]
-            strides = with_rings(sides, b * self.block, ring, self.stencil.periodic)
-            numbers = [weight_sideways, weight_height, relaxation]
+    @ti.func
+    def walk(
+        self, part: ti.template(), values: ti.template(), blocks: ti.template(), row, first, strides: ti.template(),
+        numbers: ti.template(), sweep, carried: ti.template(),
+    ):  # fmt: skip
+        """The contacts above a block of sites, then its spheres."""
+        if ti.static(part == 0):
             self.limit_block(values, blocks, row, first, strides, numbers)
-        for b in range(count):
-            first, sides = in_range(margin + b * self.block), [in_range(stride_x), in_range(stride_y), 1]
-            strides = with_rings(sides, b * self.block, ring, self.stencil.periodic)
+        else:
             self.gather_block(values, blocks, row, first, strides)
 
     @ti.kernel

@@ -25,11 +25,11 @@ from taichi_bearings.kernels.elimination import (
     SIBLING,
     SLOTS,
     STEP,
-    TABLES,
     VECTORS,
     WIDTH,
     clear,
 )
+from taichi_bearings.kernels.memory import INTEGERS
 from taichi_bearings.kernels.team import LEAST_CHUNK
 
 
@@ -140,7 +140,7 @@ def _substitution(together: bool) -> Callable:
     kind = VECTORS if together else NUMBERS
 
     @ti.kernel
-    def run(tables: TABLES, numbers: kind, vector: kind):
+    def run(tables: INTEGERS, numbers: kind, vector: kind):
         ti.loop_config(serialize=True)
         for turn in range(2 * tables[FRONTS]):
             if turn < tables[FRONTS]:
@@ -155,7 +155,7 @@ substitute, substitute_alone = _substitution(True), _substitution(False)
 
 
 @ti.kernel
-def substitute_branches(tables: TABLES, numbers: NUMBERS, vector: NUMBERS, forth: int, begin: int, end: int):
+def substitute_branches(tables: INTEGERS, numbers: NUMBERS, vector: NUMBERS, forth: int, begin: int, end: int):
     """The same for one matrix on several threads, half of it: branches begin ... end-1 of the tree, each the fronts
     from one number in the table of branches to the next."""
     for item in range(begin * LEAST_CHUNK, end * LEAST_CHUNK):

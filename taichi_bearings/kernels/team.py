@@ -21,9 +21,10 @@ from taichi_bearings import runtime
 from taichi_bearings.compiler import ti
 from taichi_bearings.errors import DeviceError
 from taichi_bearings.fields import Fields, on_device
-from taichi_bearings.kernels.memory import BLOCKS, VALUES, in_range, with_rings
+from taichi_bearings.kernels.memory import BLOCKS, INTEGERS, VALUES, in_range, load, store, with_rings
 
-COUNTER = ti.types.ndarray(dtype=ti.i32, ndim=1)
+# turns that a GPU makes together: Python takes 90 microseconds for a launch, CUDA 6 for each part of it; with 16 turns
+# a launch, steps would be a third faster and take twice as long to compile (docs/how-methods-work.md)
 TURNS_A_LAUNCH = {"cuda": 8}
 LEAST_CHUNK = 512  # Taichi hands loop iterations to threads in chunks of at least this many
 # of a processor; a team that got less than its size by so much shares the cores with other programs
@@ -35,15 +36,6 @@ FIRST_REST, LONGEST_REST = 1.0, 20.0  # seconds that a smaller team goes on
 MOST_POLLS = (
     2**30
 )  # polls, about ten seconds: a partner that never comes means that the threads do not run side by side
-
-
-def turns_a_launch() -> int:
-    """Turns that a GPU makes in one launch: Python needs 90 microseconds for a launch, CUDA 6 for each part of it.
-
-    Measured on an H200, a step of 32^3 spheres: 103 microseconds, with 8 turns a launch 25, with 16 of them 18, whose
-    kernels take twice as long to compile.
-    """
-    return TURNS_A_LAUNCH.get(runtime.current().arch, 1)
 
 
 class Team:
@@ -59,11 +51,10 @@ class Team:
         )
         self.seconds = math.inf  # that a step took lately
 
-    def launch(self, kernel: Any, count: int, *arguments: Any, first: int = 0) -> None:
+    def launch(self, kernel: Any, count: int, *arguments: Any, first: int = 0, together: int = 1) -> None:
         """Call ``kernel(arrived, workers, begin, end, *arguments)`` for `count` steps from `first` on, in one or more
         pieces, with as many workers as the machine has room for. A count of 0 compiles it."""
         if self.size == 0:
-            together = turns_a_launch()
             for step in range(first, first + max(count, 1), together):
                 kernel(self.arrived, 0, step, min(step + together, first + count), *arguments)
             return
@@ -116,26 +107,36 @@ class Sweeps:
     reads nothing that it writes at other sites.
 
     numbers : how many constants it takes. block : sites that are worked on together. periodic : axes.
+    measures : how many integers at the begin of `Fields.tables` say where the sites are; see `Layout.measures`.
     """
 
-    parts, repeats, numbers = 1, 1, 1
+    parts, repeats, numbers, measures = 1, 1, 1, 6
 
     def __init__(self, block: int, periodic: tuple[int, ...] = ()) -> None:
         self.block, self.periodic, self.on_gpu = block, periodic, runtime.current().is_gpu
-        self.together = turns_a_launch()
+        self.together = TURNS_A_LAUNCH.get(runtime.current().arch, 1)
 
     def run(self, fields: Fields, team: Team, turns: int, numbers: tuple[float, ...], first: int = 0) -> None:
         """Make `turns` turns from the number `first` on: in one launch, or on a GPU in one for a few of them."""
         constants = _constants(tuple(map(float, numbers)))
-        team.launch(self.turns, turns, fields.values, fields.blocks, *fields.layout.measures, constants, first=first)
+        team.launch(
+            self.turns,
+            turns,
+            fields.values,
+            fields.blocks,
+            fields.tables,
+            constants,
+            first=first,
+            together=self.together,
+        )
 
     def compile(self, fields: Fields, team: Team) -> None:
         """Compile the kernel, without a turn."""
         self.run(fields, team, 0, (0.0,) * self.numbers)
 
     @ti.func
-    def enter(self, values: ti.template(), row, first, numbers: ti.template(), sweep):
-        """What a worker carries from block to block, before its first one."""
+    def enter(self, values: ti.template(), size: ti.template(), low, numbers: ti.template(), sweep):
+        """What a worker carries from block to block, before its first one, number `low`. size : the measures."""
         return [0.0]
 
     @ti.func
@@ -146,34 +147,54 @@ class Sweeps:
         """One part of sweep number `sweep` for the block of sites from `first` on. row: length of a row of numbers.
         strides : with rings."""
 
+    @ti.func
+    def count(self, part: ti.template(), size: ti.template()):
+        """Blocks of a part."""
+        return size[2]
+
+    @ti.func
+    def visit(
+        self, part: ti.template(), values: ti.template(), blocks: ti.template(), tables: ti.template(),
+        size: ti.template(), number, numbers: ti.template(), sweep, carried: ti.template(),
+    ):  # fmt: skip
+        """One part of a sweep for the block of this number."""
+        sides = [in_range(size[3]), in_range(size[4]), 1]
+        strides = with_rings(sides, number * self.block, size[5], self.periodic)
+        first = in_range(size[1] + number * self.block)
+        self.walk(part, values, blocks, size[0], first, strides, numbers, sweep, carried)
+
+    @ti.func
+    def sum_up(self, values: ti.template(), blocks: ti.template(), sums: ti.template(), new: ti.template()):
+        """Add numbers of a block of sites to those at the places `sums`."""
+        for k in ti.static(range(len(sums))):
+            store(values, blocks, sums[k], self.block, load(values, sums[k], self.block) + new[k])
+
     @ti.kernel
     def turns(
-        self, arrived: COUNTER, workers: int, begin: int, end: int, values: VALUES, blocks: BLOCKS,
-        row: int, margin: int, count: int, stride_x: int, stride_y: int, ring: int, constants: VALUES,
+        self, arrived: INTEGERS, workers: int, begin: int, end: int, values: VALUES, blocks: BLOCKS, tables: INTEGERS,
+        constants: VALUES,
     ):  # fmt: skip
-        """Turns `begin` ... `end` - 1 over `count` blocks."""
+        """Turns `begin` ... `end` - 1 over all blocks."""
         if ti.static(self.on_gpu):
             for turn, again, part in ti.static(ti.ndrange(self.together, self.repeats, self.parts)):
-                for b in range(count * (begin + turn < end)):
+                for b in range(self.count(part, tables) * (begin + turn < end)):
                     numbers = [constants[k] for k in ti.static(range(self.numbers))]
-                    first, sweep = margin + b, (begin + turn) * self.repeats + again
-                    strides = with_rings([stride_x, stride_y, 1], b, ring, self.periodic)
-                    carried = self.enter(values, row, first, numbers, sweep)
-                    self.walk(part, values, values, row, first, strides, numbers, sweep, carried)
+                    size = [tables[k] for k in ti.static(range(self.measures))]
+                    sweep = (begin + turn) * self.repeats + again
+                    carried = self.enter(values, size, b, numbers, sweep)
+                    self.visit(part, values, values, tables, size, b, numbers, sweep, carried)
         else:
             for item in range(workers * LEAST_CHUNK):
                 if item % LEAST_CHUNK == 0:
-                    worker = item // LEAST_CHUNK
-                    low, high = count * worker // workers, count * (worker + 1) // workers
-                    sides = [in_range(stride_x), in_range(stride_y), 1]
+                    worker, met = item // LEAST_CHUNK, 0
+                    size = [tables[k] for k in ti.static(range(self.measures))]
                     numbers = [constants[k] for k in ti.static(range(self.numbers))]
-                    met = 0
                     for sweep in range(begin * self.repeats, end * self.repeats):
                         for part in ti.static(range(self.parts)):
-                            carried = self.enter(values, row, in_range(margin + low * self.block), numbers, sweep)
+                            count = self.count(part, size)
+                            low, high = count * worker // workers, count * (worker + 1) // workers
+                            carried = self.enter(values, size, low, numbers, sweep)
                             for b in range(low, high):
-                                first = in_range(margin + b * self.block)
-                                strides = with_rings(sides, b * self.block, ring, self.periodic)
-                                self.walk(part, values, blocks, row, first, strides, numbers, sweep, carried)
+                                self.visit(part, values, blocks, tables, size, b, numbers, sweep, carried)
                             met += workers
                             meet(arrived, met)

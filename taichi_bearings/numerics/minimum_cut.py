@@ -16,7 +16,7 @@ than some weight left is below every cut that is heavier by no more than this we
 and Queyranne, Math. Program. Study 13, 1980).
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -244,33 +244,17 @@ def largest_flow(ends: np.ndarray, capacity: np.ndarray, at_most: int) -> np.nda
     """A largest flow from the first to the last node of an undirected graph: (edges,) int64, from lower to upper end.
 
     ends : (2, edges) nodes, lower and upper, no pair twice; capacity : (edges,) int64 below 2^62. at_most : no flow is
-    larger; below 2^62. By OR-tools where it is installed, else by SciPy. The flow is not unique; the nodes that it
-    leaves within reach of the first node are (Ford and Fulkerson).
+    larger; below 2^62. By OR-tools where it is installed, push and relabel, else by SciPy. The flow is not unique; the
+    nodes that it leaves within reach of the first node are (Ford and Fulkerson).
     """
-    return flow_finder()(ends, capacity, at_most)
-
-
-def flow_finder() -> Callable[[np.ndarray, np.ndarray, int], np.ndarray]:
-    """The fastest installed way to find a largest flow."""
     try:
-        import ortools.graph.python.max_flow  # noqa: F401
+        from ortools.graph.python.max_flow import SimpleMaxFlow
     except ImportError:
-        return flow_by_scipy
-    return flow_by_ortools
-
-
-def flow_by_ortools(ends: np.ndarray, capacity: np.ndarray, at_most: int) -> np.ndarray:
-    """See :func:`largest_flow`; push-relabel with 64 bits.
-
-    An extra source sends `at_most` into the first node, so that no sum of capacities can overflow.
-    """
-    from ortools.graph.python.max_flow import SimpleMaxFlow
-
-    last = int(ends.max())
-    network = SimpleMaxFlow()
+        return flow_by_scipy(ends, capacity, at_most)
+    last, network = int(ends.max()), SimpleMaxFlow()
     lower, upper = ends.astype(np.int32)
     edges = [network.add_arcs_with_capacity(*ways, capacity) for ways in ((lower, upper), (upper, lower))]
-    network.add_arc_with_capacity(last + 1, 0, at_most)
+    network.add_arc_with_capacity(last + 1, 0, at_most)  # so that no sum of capacities can overflow
     status = network.solve(last + 1, last)
     if status != network.OPTIMAL:
         raise RuntimeError(f"OR-tools ended with {status}")

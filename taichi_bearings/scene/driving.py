@@ -79,18 +79,21 @@ class Driving:
             return np.zeros(1)
         return 2 * self.lattice.radius * np.arange(self.lattice.shape[component])
 
+    def _of_layers(self, state: BearingState, spin_axes: tuple[int, ...], shape: tuple[int, ...]) -> Pair:
+        """A state at the spheres of the first layers, as many along each axis as `shape` says, (C, *shape), in twice
+        the precision, 1/time; components along an axis that it lacks are those of the last layer."""
+        found = np.empty((2, len(spin_axes), *shape))
+        for slot, k in enumerate(spin_axes):
+            position = self.positions(k)
+            pair = state.along(k, position[: shape[k]] if k < len(shape) else position[-1:])
+            for whole, part in zip(found, pair, strict=True):
+                whole[slot] = part.reshape([-1 if a == k else 1 for a in range(len(shape))])
+        return found[0], found[1]
+
     @cached_property
     def _all_on_top(self) -> Pair:
-        """Jump at each sphere of the top plane by every component of the lattice, in twice the precision, 1/time."""
-        axes, plane = self.lattice.all_spin_axes, self.lattice.shape[:-1]
-        found = np.empty((2, len(axes), *plane))
-        for slot, k in enumerate(axes):
-            position = self.positions(k)
-            lies = k < len(plane)
-            pair = self.jump.along(k, position if lies else position[-1:])
-            for whole, part in zip(found, pair, strict=True):
-                whole[slot] = part.reshape([-1 if a == k else 1 for a in range(len(plane))]) if lies else part
-        return found[0], found[1]
+        """Jump at each sphere of the top plane by every component of the lattice."""
+        return self._of_layers(self.jump, self.lattice.all_spin_axes, self.lattice.shape[:-1])
 
     def imposed_on_top(self, spin_axes: tuple[int, ...]) -> Pair:
         """The same of these components, (C, nx, ny), in 2D (C, nx)."""
@@ -114,13 +117,10 @@ class Driving:
         """Staggered spin of the bottom's state at all spheres, (C, 1, *N) or with sides of 1 where it does not vary, in
         twice the precision, 1/time."""
         varies = bool(self.bottom.rate[0][0])
-        shape = self.lattice.shape if varies else (1,) * self.lattice.dimension
-        found = np.empty((2, len(spin_axes), 1, *shape))
-        for slot, k in enumerate(spin_axes):
-            pair = self.bottom.along(k, self.positions(k) if varies else np.zeros(1))
-            for whole, part in zip(found, pair, strict=True):
-                whole[slot] = part.reshape([-1 if a == k else 1 for a in range(self.lattice.dimension)])
-        return found[0], found[1]
+        high, low = self._of_layers(
+            self.bottom, spin_axes, self.lattice.shape if varies else (1,) * self.lattice.dimension
+        )
+        return high[:, None], low[:, None]
 
     @cached_property
     def largest_jump(self) -> float:

@@ -21,10 +21,11 @@ five times the first.
 
 import numpy as np
 
-from taichi_bearings.fields import Fields, FieldSpec
+from taichi_bearings.fields import Fields, FieldSpec, team_size
 from taichi_bearings.interrupts import look_up
 from taichi_bearings.kernels.splitting import ABSENT_FRICTION, contact_step
 from taichi_bearings.kernels.stencil import Stencil
+from taichi_bearings.kernels.team import Team
 from taichi_bearings.lattice.incidence import contact_differences
 from taichi_bearings.memory import refuse_beyond
 from taichi_bearings.proof.certificate import (
@@ -85,7 +86,8 @@ class OperatorSplittingMethod:
         self.weight = np.array(self.weights)[lattice.axis]
         self.balance = TorqueBalance(self.spec, self.stencil, self.weights, fields)
         self.contacts = contact_step(self.spec, self.stencil)
-        self.contacts.compile(fields)
+        self.team = Team(team_size(self.layout, sum(components for _, components in self.spec)))
+        self.contacts.compile(fields, self.team)
         self._load(scene.clip_to_box(scene.staggered_spin(spin, self.spin_axes), self.spin_axes))
 
     def _load(self, staggered: np.ndarray) -> None:
@@ -124,7 +126,7 @@ class OperatorSplittingMethod:
                 self.iteration += 1
 
     def _step_contacts(self, relaxation: float) -> None:
-        self.contacts.run(self.fields, (self.weights[0], self.weights[-1]), relaxation)
+        self.contacts.run(self.fields, self.team, 1, (self.weights[0], self.weights[-1], relaxation))
 
     def progress(self) -> Progress:
         """`force` is the limited friction f; the torque it leaves is reported and vanishes with the gap."""

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from taichi_bearings.fields import Fields, FieldSpec
-from taichi_bearings.kernels.rigid_top import BODY_NUMBERS, RigidTopSteps
+from taichi_bearings.kernels.cundall_strack import BODY_NUMBERS, RigidTopSteps
 from taichi_bearings.scene import Energy, Progress, Scene, Solution
 from taichi_bearings.scene.ramp import Ramp
 from taichi_bearings.solvers.cundall_strack import CundallStrackMethod

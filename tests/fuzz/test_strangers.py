@@ -500,10 +500,7 @@ def test_kernels_are_kept_where_nobody_else_can_write(tmp_path, monkeypatch, spo
     second = compiler.cache_folder()
     assert second.parent.parent.name == f"taichi_bearings-cache-{os.getuid()}"
     spoil(second.parent.parent)
-    third = compiler.cache_folder()
-    assert third.parent.parent not in (second.parent.parent, ours.parent.parent)
-    assert third.parent.parent.stat().st_mode & 0o077 == 0
-    compiler._fresh_home.cache_clear()
+    assert compiler.cache_folder() is None
 
 
 @pytest.mark.skipif(not hasattr(os, "getuid"), reason="folders have no owner here")

@@ -29,7 +29,12 @@ def flows(request, monkeypatch):
     """Either way to find a largest flow."""
     if request.param == "ortools":
         pytest.importorskip("ortools")
-    monkeypatch.setattr(module, "flow_finder", lambda: getattr(module, f"flow_by_{request.param}"))
+    else:
+        hide_ortools(monkeypatch)
+
+
+def hide_ortools(monkeypatch):
+    monkeypatch.setitem(sys.modules, "ortools.graph.python.max_flow", None)
 
 
 def random_weights(shape, seed, replicas=2, decades=1.0):
@@ -124,7 +129,7 @@ def test_the_weight_is_that_of_a_linear_programme(decades, flows):
 @pytest.mark.parametrize("bits", [12, 20])
 def test_rounds_of_few_bits_end_at_the_same_cut(bits, monkeypatch):
     weight = random_weights((5, 6, 7), 4, decades=2.0)
-    monkeypatch.setattr(module, "flow_finder", lambda: module.flow_by_scipy)
+    hide_ortools(monkeypatch)
     whole = minimum_cut(weight)
     monkeypatch.setattr(module, "FLOW_BITS", bits)
     parts = minimum_cut(weight)
@@ -151,12 +156,6 @@ def test_flows_balance_within_the_capacities_and_fill_the_cut(flows):
     assert not out[1:-1].any()
     below = module.within_reach(ends, np.stack([capacity - flow, capacity + flow]), 0)
     assert capacity[below[ends[0]] != below[ends[1]]].sum() == out[0] == -out[-1]
-
-
-def test_scipy_serves_where_ortools_is_missing(monkeypatch):
-    monkeypatch.setitem(sys.modules, "ortools", None)
-    monkeypatch.setitem(sys.modules, "ortools.graph.python.max_flow", None)
-    assert module.flow_finder() is module.flow_by_scipy
 
 
 def test_one_light_layer_between_heavy_ones(flows):

@@ -8,8 +8,7 @@ from taichi_bearings.conic.contact_system import lattice_system
 from taichi_bearings.kernels import elimination_tree
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.numerics.cholesky import dissect, tuning
-from taichi_bearings.numerics.cholesky.fronts import analyse
-from taichi_bearings.numerics.cholesky.supernodes import supernodes
+from taichi_bearings.numerics.cholesky.fronts import analyse, supernodes
 
 pytestmark = pytest.mark.usefixtures("taichi_runtime")
 
