@@ -83,11 +83,15 @@ class Network(OfLaw):
     def of_lattice(cls, samples: Samples) -> Network:
         count, shape, dimension = samples.count, samples.shape, samples.dimension
         number = np.arange(count * samples.sublattice.size).reshape(count, *shape)
-        ends = [samples.ends(axis) for axis in range(dimension)]
-        contact = np.stack([samples.flat([number[e[side]] for e in ends]).ravel() for side in range(2)])
+        ends = [
+            [whole.take(range(c.shape[1 + a]), 1 + a) for whole in (number, np.roll(number, -1, 1 + a))]
+            for a, c in enumerate(samples.coefficient)
+        ]
+        contact = np.stack([samples.flat(side).ravel() for side in zip(*ends, strict=True)])
         axis = samples.flat([np.full(c.shape, a) for a, c in enumerate(samples.coefficient)]).ravel()
         coefficient = samples.flat(samples.coefficient).ravel()
-        acts = ~(np.tile(samples.driven_contacts, count) | (coefficient == 0))
+        free = np.tile(samples.free.ravel(), count)
+        acts = free[contact].any(axis=0) & (coefficient != 0)
         nothing = np.broadcast_to(0.0, len(acts))  # takes no memory
         zero = Enclosure(nothing, nothing, nothing)
         strength, force = samples.normal_force if samples.holds else 1.0, samples.force_unit
@@ -102,20 +106,15 @@ class Network(OfLaw):
             for k, part in turned.items():
                 moment[k][a] = part / force
         moments_of = [np.where(acts, samples.flat(part).ravel(), 0.0) for part in moment]
-        sign = samples.sublattice.ravel()
-        on_top = np.zeros(shape)
-        on_top[..., -1] = 1.0
-        signs = np.tile(sign, count)
-        pairs = [[signs * part.ravel() for part in pair] for pair in samples.signed_spin.values()]
-        spin = [Enclosure(high, low, np.zeros(number.size)) for high, low in pairs]
-        jump = [samples.jump_over(k, dimension) for k in samples.components]
+        sign, top = np.tile(samples.sublattice.ravel(), count), np.zeros(shape)
+        top[..., -1] = 1.0
         return cls(
             samples.law, count, np.tile(np.indices(shape).reshape(dimension, -1).T, (count, 1)).astype(float), contact,
-            np.eye(dimension, dtype=np.int8)[axis], np.tile(samples.free.ravel(), count),
-            samples.radius * samples.spin_unit, force, spin,
+            np.eye(dimension, dtype=np.int8)[axis], free,
+            samples.radius * samples.spin_unit, force, [spin.signed(sign) for spin in samples.signed_spin.values()],
             [Enclosure(part, nothing, nothing) for part in moments_of], holding if samples.holds else zero,
             Enclosure.exact(viscosity).times(np.array([speed])) if samples.flows else zero,
-            [j.signed(samples.sublattice * on_top)[0].reshaped((-1,)).at(number.ravel() % sign.size) for j in jump],
+            [samples.jump_at(k).signed(sign * np.tile(top.ravel(), count)) for k in samples.components],
             np.zeros((0, 0)), samples,
         )  # fmt: skip
 
@@ -199,9 +198,7 @@ class Network(OfLaw):
         components do not mix."""
         if self.samples is None:
             return [Enclosure.exact(np.full(len(self.free), size)) for size in self.box]
-        sign, whole = self.samples.sublattice, (self.count, *self.samples.shape)
-        jumps = [self.samples.jump_over(k, self.samples.dimension) for k in self.samples.components]
-        return [Enclosure(*(np.broadcast_to(p, whole).ravel() for p in j.signed(sign).parts)) for j in jumps]
+        return [self.samples.jump_at(k).signed(s) for k, s in zip(self.samples.components, self.sign, strict=True)]
 
     @cached_property
     def mixes(self) -> bool:
@@ -417,10 +414,8 @@ class Motion:
             return connected(first, second, len(network.free))
         held, turns_as = np.flatnonzero(~network.free), samples.anchor(samples.components[k])
         label = connected(np.append(first, held), np.append(second, turns_as[held]), len(network.free))
-        whole = label.reshape(samples.count, *samples.shape)
-        planes = samples.first_in_layers(whole, samples.components[k])
-        found = np.where(whole == planes[..., :1], 0, np.where(whole == planes[..., -1:], 1, whole + 2))
-        return found.ravel()
+        low, high = samples.leader(samples.components[k])
+        return np.where(label == label[low], 0, np.where(label == label[high], 1, label + 2))
 
     def _models(self, k: int, domain: np.ndarray) -> np.ndarray:
         """(n,), the sphere as which each turns: of those of its domain a driven one if there is any, else the first."""
@@ -432,8 +427,7 @@ class Motion:
             driven = np.full(int(domain.max(initial=0)) + 1, -1)
             driven[domain[held]] = held
             return np.where(driven[domain] >= 0, driven[domain], model)
-        planes = samples.anchor(samples.components[k]).reshape(samples.count, *samples.shape)
-        low, high = (np.broadcast_to(planes[..., [end]], planes.shape).ravel() for end in (0, -1))
+        low, high = samples.leader(samples.components[k])
         return np.where(domain == 0, low, np.where(domain == 1, high, model))
 
     @cached_property

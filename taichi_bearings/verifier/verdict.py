@@ -94,22 +94,24 @@ def _driving(samples: Samples) -> Iterator[str]:
     """
     lost = 2.0**-98 * (abs(samples.spin_top) + abs(samples.spin_bottom))
     largest = {"bottom": 0.0, "top": 0.0}
-    for k in samples.components:
-        spins = [s if samples.dimension == 2 else s[..., k] for s in (samples.spin, samples.spin_rounding)]
-        signed = [samples.sublattice * part for part in spins]
-        first = [samples.first_in_layers(part, k) for part in signed]
+    sign, height = samples.sublattice.ravel(), samples.shape[-1]
+    for at, k in enumerate(samples.components):
+        parts = [
+            part.reshape(samples.count, sign.size, -1)[..., at] * sign for part in (samples.spin, samples.spin_rounding)
+        ]
+        layer, leader = samples.layer(k)[::height], samples.leader(k)[0, : sign.size : height]
         on_top = samples.imposed_in_layers(k)
         low = on_top[0] if k < samples.dimension - 1 else [samples.states[0][k]]
-        for plane, name, imposed in ((0, "bottom", low), (-1, "top", on_top[1])):
-            values = np.array([[float(value) for value in imposed]])
-            expected = samples.by_layer(values, k, samples.dimension - 1)
-            largest[name] = largest[name] + expected**2  # type: ignore[assignment]
-            uneven = any((part[..., plane] != one[..., plane]).any() for part, one in zip(signed, first, strict=True))
-            allowed = 4 * EPS * np.abs(expected) + EPS * abs(samples.spin_top if plane else samples.spin_bottom) + lost
-            if uneven or (np.abs(signed[0][..., plane] - expected) > allowed).any():
+        for first, name, imposed in ((0, "bottom", low), (height - 1, "top", on_top[1])):
+            values = np.array([float(value) for value in imposed])
+            expected = values[layer]
+            largest[name] += float((values**2).max())
+            uneven = any((part[:, first::height] != part[:, leader + first]).any() for part in parts)
+            allowed = 4 * EPS * np.abs(expected) + EPS * abs(samples.spin_top if first else samples.spin_bottom) + lost
+            if uneven or (np.abs(parts[0][:, first::height] - expected) > allowed).any():
                 yield f"the spins of the {name} about {'xyz'[k]} are not those that the scene imposes"
     for name, said in (("bottom", samples.spin_bottom), ("top", samples.spin_top)):
-        true = float(np.sqrt(np.max(largest[name])))
+        true = float(np.sqrt(largest[name]))
         if samples.top is not None and not abs(said - true) <= max(ROUNDED * true, 2 * lost):
             yield f"the largest spin of the {name} is said to be {said!r}; it is another"
 
@@ -279,7 +281,9 @@ def _claims(run: StoredRun, judgement: Judgement, number: int) -> Iterator[Claim
         yield Claim("shape", None)
         yield from _under_torque(run, judgement, number)
         return
-    yield Claim("contacts", int((~samples.driven_contacts).sum()), source="the arrays")
+    network = judgement.network
+    between = ~network.free[network.contact[:, : force.size]].any(axis=0)  # in all samples
+    yield Claim("contacts", int((~between).sum()), source="the arrays")
     tied = run.claimed("tied_contacts")[number] or 0
     yield Claim("critical", min(_at_limit(run, judgement, number, full), len(kinds[2]) - tied), source="the arrays")
     yield Claim("largest_slipless_slip", float(kinds[0].max()) if len(kinds[0]) else None, source="the arrays")
