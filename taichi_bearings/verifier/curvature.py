@@ -78,9 +78,7 @@ class Slipping:
                 lower[slot, mine], upper[slot, mine] = number[k][ends[:, mine]]
                 difference[slot].put(mine, motion.difference(k, some[mine]))
             both &= np.any([(felt[slot] == k) & network.feels[k][some] for k in network.needed], axis=0)
-        strength, damping = network.stretched(network.holding.at(some), some), None
-        if network.flows:
-            damping = network.stretched(network.stretched(network.slope.at(some), some), some)
+        strength, damping = network.holding.at(some), network.slope.at(some) if network.flows else None
         begin, end = network.place[ends]
         place = (begin + (network.normal[some] if network.samples is not None else end - begin) / 2).T
         curved, pair = np.flatnonzero(both), (difference[0], difference[1])
@@ -148,15 +146,6 @@ class Slipping:
                 pulls.append(pull.at(free))
         return grouped_sum(joined(pulls), np.concatenate(owner), self.unknowns)
 
-    def blocks(self) -> np.ndarray:
-        """(unknowns,) number of the block of each unknown: contacts join only unknowns of one block."""
-        ends = np.concatenate([self.lower, self.upper])
-        some = ends.max(axis=0)  # an unknown if there is any
-        pairs = [(end[end >= 0], some[end >= 0]) for end in ends]
-        first, second = (np.concatenate([pair[i] for pair in pairs]) for i in range(2))
-        graph = sparse.coo_array((np.ones(len(first), dtype=np.int8), (first, second)), shape=(self.unknowns,) * 2)
-        return connected_components(graph, directed=False)[1]
-
 
 def slots(network: Network, some: np.ndarray) -> np.ndarray:
     """(2, k), the two components of some contacts that take the places of the first and the second: those that are
@@ -191,12 +180,11 @@ def nearest_minimum(contacts: Slipping) -> tuple[Slipping, np.ndarray] | None:
 def _turns(contacts: Slipping, curvature: Curvature, last: bool) -> np.ndarray | None:
     """The same from these contacts as they are. Until the last trial curvature is proven only where it is likely to
     do."""
-    root, block = np.sqrt(curvature.scale), contacts.blocks()
+    root = np.sqrt(curvature.scale)
     slope = curvature.clusters.T @ contacts.slope().most
 
     def turn(tau: float) -> np.ndarray:
-        radius = 1.5 * np.bincount(block, (slope / root) ** 2) ** 0.5 / tau * UP + TINY  # rho, block by block
-        reach = radius[block] / root  # of each variable, at most
+        reach = (1.5 * np.linalg.norm(slope / root) / tau * UP + TINY) / root  # rho, and of each variable at most
         return np.asarray(sum((e @ reach) ** 2 for e in curvature.entries) ** 0.5 / contacts.size.least * UP)
 
     if not (last or (turn(CURVATURE_SHARE / 2) <= MOST_SLIP_TURN).all()):

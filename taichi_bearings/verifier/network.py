@@ -202,12 +202,12 @@ class Network(OfLaw):
 
     @cached_property
     def mixes(self) -> bool:
-        """False where components do not mix: of discs, and of normals along the axes at all contacts that count."""
+        """False where components do not mix: of discs, and of unit normals along the axes."""
         return self.samples is None and not self._along_axes
 
     @property
     def _along_axes(self) -> bool:
-        return self.normal.shape[1] == 2 or bool(((self.normal[self.counts] != 0).sum(axis=1) == 1).all())
+        return self.normal.shape[1] == 2 or bool((np.sort(np.abs(self.normal[self.counts])) == (0, 0, 1)).all())
 
     @cached_property
     def slips_with(self) -> np.ndarray:
@@ -218,15 +218,6 @@ class Network(OfLaw):
     def feels(self) -> np.ndarray:
         """The same of those that count."""
         return self.counts & self.slips_with
-
-    @cached_property
-    def stretch(self) -> np.ndarray | None:
-        """(m,), length of the normals that are along axes; None where it is 1."""
-        sizes = np.abs(self.normal).max(axis=1) if len(self.spin) == 3 and self.samples is None else np.ones(1)
-        return None if (sizes == 1).all() else sizes
-
-    def stretched(self, values: Enclosure, some: np.ndarray) -> Enclosure:
-        return values if self.stretch is None else values.times(self.stretch[some])
 
     def sample_of(self, contacts: np.ndarray) -> np.ndarray:
         return contacts // (len(self.acts) // self.count)

@@ -204,12 +204,6 @@ class Samples(OfLaw):
         )
 
     @cached_property
-    def least_jump(self) -> float:
-        """|difference of the imposed spins|, the largest on the top, of the component that a minimum needs and that
-        differs least; 1/time. 0 where none does."""
-        return min((float(self.jump[k].most.max()) for k in self.needed), default=0.0) * self.spin_unit
-
-    @cached_property
     def spin_unit(self) -> float:
         """A power of two near the jump; 1 without one."""
         if self.top is None:

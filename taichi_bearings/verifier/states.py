@@ -166,7 +166,7 @@ def _by_cuts(bounds: Bounds, k: int, bound: np.ndarray) -> list[States]:
     pull = network.moment[k].at(own)
     if (bounds.worst > 1).any():
         pull = pull / Enclosure.exact(bounds.worst[sample])
-    strength = network.stretched(network.holding.at(own), own)
+    strength = network.holding.at(own)
     held = np.unique(network.contact[:, own])
     held = held[~network.free[held]]
     is_double = bool(odd[first].any())
@@ -299,9 +299,7 @@ def _by_domains(network: Network, rests: np.ndarray, bound: np.ndarray) -> np.nd
         return near
     contacts, turn = near
     size = contacts.size.most * (1 + turn)
-    bound[contacts.own] = np.fmin(
-        bound[contacts.own], (size if network.stretch is None else size * network.stretch[contacts.own]) * UP
-    )
+    bound[contacts.own] = np.fmin(bound[contacts.own], size * UP)
     return _as_stored(motion)
 
 
@@ -326,10 +324,8 @@ def _near(motion: Motion, contacts: Slipping) -> tuple[Slipping, np.ndarray] | s
     if not (contacts.size.least > 0).all():
         return "slips are lost in the rounding of the spins"
     near = nearest_minimum(contacts)
-    if near is not None and not bearable(motion, *near):  # perhaps the directions of slip are not known closely enough
-        near = nearest_minimum(near[0].improved())
-        if near is not None and not bearable(motion, *near):
-            return "slipless contacts are not known to bear what the others leave to them"
+    if near is not None and not bearable(motion, *near):
+        return "slipless contacts are not known to bear what the others leave to them"
     return "the power is not known to rise in all directions" if near is None else near
 
 
