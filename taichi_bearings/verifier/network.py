@@ -167,8 +167,6 @@ class Network(OfLaw):
     @cached_property
     def reached(self) -> np.ndarray:
         """(n,) mask of free spheres in parts that touch driven spheres."""
-        if self._is_whole:
-            return self.free
         first, second = self.contact[:, self._holding]
         inner, count = self.free[first] & self.free[second], len(self.free)
         label = connected(first[inner], second[inner], count)
@@ -269,9 +267,8 @@ class Network(OfLaw):
     @cached_property
     def own_moment(self) -> list[Enclosure]:
         """Of the contacts that count; of lattices in components that differ between the planes: others do no work."""
-        some = [self.counts & (size > 0 or self.samples is None) for size in self.box]
-        pairs = zip(self.moment, some, strict=True)
-        return [part if self._is_whole and mask.any() else part.where(mask) for part, mask in pairs]
+        own = [size > 0 or self.samples is None for size in self.box]
+        return [part.where(self.counts & some) for part, some in zip(self.moment, own, strict=True)]
 
     @property
     def own_friction(self) -> list[Enclosure]:
@@ -283,17 +280,9 @@ class Network(OfLaw):
         axis, parts = np.argmax(self.normal, axis=1), [part.high for part in self.moment]
         return [Enclosure.exact(np.choose((axis + turn) % 3, parts)) for turn in (1, 2)]
 
-    @cached_property
-    def _is_whole(self) -> bool:
-        """True of a lattice without absent contacts."""
-        return self.samples is not None and all(bool(c.all()) for c in self.samples.coefficient)
-
     @property
     def joins(self) -> np.ndarray:
         """(R,), True if contacts lead from the bottom of a lattice to its top in a component in which both differ."""
-        assert self.samples is not None
-        if self._is_whole:
-            return np.full(self.count, self.samples.jump_size > 0)
         return Motion(self, self.acts).torn
 
     def torques(self, moment: list[Enclosure]) -> list[Enclosure]:
@@ -441,16 +430,11 @@ class Motion:
         """Of signed spins, of some contacts that feel component k."""
         network, samples, (first, second) = self.network, self.network.samples, self.network.contact[:, some]
         own, found = network.spin[k].signed(network.sign[k]), Enclosure.exact(np.zeros(len(some)))
-        if samples is not None and not (network.box[k] or samples.shift[samples.components[k]].most.any()):
-            apart = (own.high[first] != own.high[second]) | (own.low[first] != own.low[second])
-            ends = np.zeros((2, len(some)), dtype=np.int8)  # nothing turns with a top that turns as the bottom
-        else:
-            domain = self.domain(k)
-            ends = domain[network.contact[:, some]]
-            apart = ends[0] != ends[1]
-            if samples is None or (self.rests & ~network.still).any():
-                own = own.at(self._models(k, domain))
-        differ = np.flatnonzero(apart)
+        domain = self.domain(k)
+        ends = domain[network.contact[:, some]]
+        if samples is None or (self.rests & ~network.still).any():
+            own = own.at(self._models(k, domain))
+        differ = np.flatnonzero(ends[0] != ends[1])
         found.put(differ, own.at(second[differ]) - own.at(first[differ]))
         if samples is not None:  # the top turns as it should
             sign = (ends[1] == 1) * 1.0 - (ends[0] == 1)

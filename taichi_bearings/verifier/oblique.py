@@ -22,7 +22,7 @@ import numpy as np
 from scipy import sparse
 
 from taichi_bearings.verifier.bounds import Bounds
-from taichi_bearings.verifier.curvature import proven_floor
+from taichi_bearings.verifier.curvature import Form, proven_floor
 from taichi_bearings.verifier.elimination import EPS, Elimination
 from taichi_bearings.verifier.enclosure import UP, Enclosure, length
 from taichi_bearings.verifier.network import Network, moments
@@ -155,12 +155,9 @@ def _rows(network: Network, number: np.ndarray, contacts: np.ndarray) -> sparse.
     return rows
 
 
-def _curvature(
-    network: Network, held: _Held, own: np.ndarray, y: np.ndarray, size: Enclosure
-) -> tuple[float, np.ndarray] | None:
-    """tau, and the unit (unknowns,) of each motion that it is for. own : the contacts of S. y : (S, 3), their slips."""
+def _curvature(network: Network, held: _Held, own: np.ndarray, y: np.ndarray, size: Enclosure) -> Form | None:
+    """Of motions that T allows. own : the contacts of S. y : (S, 3), their slips."""
     number, still, strength = held.number, np.flatnonzero(held.rests), network.holding.at(own)
-    there = number >= 0
     across = np.cross(network.normal[own], y)
     across /= np.linalg.norm(across, axis=1)[:, None]
     root = np.sqrt(strength.value / size.value)
@@ -174,15 +171,8 @@ def _curvature(
     size_of = np.append(np.tile(root, 3), np.tile(firm, 3))
     value = size_of * np.append(across.T.ravel(), np.ones(3 * len(still)))
     rows = sparse.csr_array(sparse.csr_array((value, (row, at)), shape=shape) @ rows_of)
-    squares = np.bincount(rows.indices, rows.data**2, there.sum())
-    if not (squares > 0).all():
-        return None
-    scale = 1 / np.sqrt(squares)
-    rows = sparse.csr_array(rows @ sparse.diags_array(scale))
-    doubt = sparse.csr_array((32 * EPS * size_of, (row, at)), shape=shape) @ abs(rows_of) @ sparse.diags_array(scale)
-    place = network.place[np.nonzero(there)[0]].T
-    tau = proven_floor(rows, sparse.csr_array(doubt), Elimination.of((rows.T @ rows).tocsc(), place), True)
-    return None if tau is None else (tau, scale)
+    doubt = sparse.csr_array((32 * EPS * size_of, (row, at)), shape=shape) @ abs(rows_of)
+    return Form.of(rows, sparse.csr_array(doubt), network.place[np.nonzero(number >= 0)[0]].T)
 
 
 def _nearby(bounds: Bounds, held: _Held, slides: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
@@ -210,11 +200,11 @@ def _nearby(bounds: Bounds, held: _Held, slides: np.ndarray) -> tuple[np.ndarray
         found[number[there]] = torque[there] * UP
         return found
 
-    floor = _curvature(network, held, own, np.stack([part.value[own] for part in slips], axis=1), size)
-    if floor is None:
+    form = _curvature(network, held, own, np.stack([part.value[own] for part in slips], axis=1), size)
+    if form is None or (tau := form.floor(sharp=True)) is None:
         return None
     # step 2
-    tau, scale = floor
+    scale = form.scale
     far = 2 * off * UP  # of slips at spins in V from the given ones
     slope = float(np.linalg.norm(scale * unbalanced(far / size.least))) * UP
     radius = 8 * slope / tau * UP + TINY

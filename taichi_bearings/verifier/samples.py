@@ -72,7 +72,7 @@ class Samples(OfLaw):
     coefficient: tuple[np.ndarray, ...]
     spin_top: float
     spin_bottom: float
-    direction: tuple[float, float, float]
+    direction: tuple[float, ...]
     normal_force: float
     radius: float
     spin: np.ndarray

@@ -187,7 +187,7 @@ def _lattice(
         law=law,
         coefficient=by_axis("coefficient/{}"),
         **{name: _number(path, attributes, name) for name in ("spin_top", "spin_bottom", "normal_force", "radius")},
-        direction=_direction(path, settings.get("direction", [1.0, 1.0, 0.0])),
+        direction=_numbers(path, "direction", settings.get("direction", [1.0, 1.0, 0.0]), (3,)),
         spin=spin,
         spin_rounding=get("spin_rounding", (*shape, *parts)) if "spin_rounding" in file else np.zeros_like(spin),
         friction=by_axis("contact/{}/friction", parts),
@@ -293,18 +293,17 @@ def _state(path: Path, settings: dict[str, Any], name: str, dimension: int) -> t
     """A bearing state of the scene; that of the other plane alone makes it 0."""
     if settings.get("top") is None and settings.get("bottom") is None:
         return None
-    count = 1 if dimension == 2 else 4
-    stored = settings.get(name, [0.0] * count)
+    counts = (1,) if dimension == 2 else (3, 4)
+    numbers = _numbers(path, name, settings.get(name, [0.0] * counts[-1]), counts)
+    return (*numbers, *(0.0,) * (counts[-1] - len(numbers)))
+
+
+def _numbers(path: Path, name: str, stored: Any, counts: tuple[int, ...]) -> tuple[float, ...]:
+    """A list of the scene of so many numbers."""
     numbers = isinstance(stored, list) and all(type(part) in (int, float) for part in stored)
-    if not numbers or len(stored) not in ((1,) if dimension == 2 else (3, 4)) or not np.isfinite(stored).all():
-        raise FileError(f"the scene in {path} has {stored!r} for {name}; it must be {count} numbers")
-    return (*map(float, stored), *(0.0,) * (count - len(stored)))
-
-
-def _direction(path: Path, stored: Any) -> tuple[float, float, float]:
-    if isinstance(stored, list) and [type(part) in (int, float) for part in stored] == [True] * 3:
-        return float(stored[0]), float(stored[1]), float(stored[2])
-    raise FileError(f"the scene in {path} has the direction {stored!r}; it must be three numbers")
+    if not numbers or len(stored) not in counts or not np.isfinite(stored).all():
+        raise FileError(f"the scene in {path} has {stored!r} for {name}; it must be {counts[-1]} numbers")
+    return tuple(map(float, stored))
 
 
 def _column(path: Path, name: str, stored: h5py.Dataset, count: int) -> np.ndarray:

@@ -141,9 +141,7 @@ def _arrays(run: StoredRun, judgement: Judgement) -> Iterator[str]:
     friction, and at the kinetic one where a contact is said to slip."""
     slip, power, force, state = (run.reported[name] for name in ("slip", "power", "force", "state"))
     acts, limit, size, is_lattice = judgement.acts, judgement.limit, judgement.friction_size, run.samples.is_lattice
-    expected = limit * (slip if judgement.holds else slip**2)
-    if judgement.damping is not None:
-        expected = expected + judgement.damping * slip**2
+    expected = judgement.damping * slip**2 + (limit * slip if judgement.holds else 0.0)
     expected = np.where(acts | (not is_lattice), expected, 0.0)  # driven contacts of packings are beside the power
     wrong = {
         "slips that are not those of the spins": ~(np.abs(slip - judgement.slip) <= ROUNDED * judgement.slip),
