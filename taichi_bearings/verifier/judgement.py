@@ -79,9 +79,8 @@ class Judgement(OfLaw):
         samples = self.samples
         if not isinstance(samples, Samples):
             return samples.friction.reshape(1, len(self.network.acts), -1) / self.force_unit
-        parts = [f.reshape(samples.count, -1, len(self.network.spin)) for f in samples.friction]
         there = samples.flat(samples.coefficient) != 0
-        return np.where(there[..., None], np.concatenate(parts, axis=1) / self.force_unit, 0.0)
+        return np.where(there[..., None], samples.flat_friction / self.force_unit, 0.0)
 
     @property
     def friction_along(self) -> np.ndarray:

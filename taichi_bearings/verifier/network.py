@@ -90,7 +90,8 @@ class Network(OfLaw):
         contact = np.stack([samples.flat(side).ravel() for side in zip(*ends, strict=True)])
         axis = samples.flat([np.full(c.shape, a) for a, c in enumerate(samples.coefficient)]).ravel()
         coefficient = samples.flat(samples.coefficient).ravel()
-        free = np.tile(samples.free.ravel(), count)
+        at = number.ravel() % shape[-1]  # height of each sphere
+        free = (at > 0) & (at < shape[-1] - 1)
         acts = free[contact].any(axis=0) & (coefficient != 0)
         nothing = np.broadcast_to(0.0, len(acts))  # takes no memory
         zero = Enclosure(nothing, nothing, nothing)
@@ -98,23 +99,17 @@ class Network(OfLaw):
         unit, speed = power_of_two(strength), samples.radius * (samples.spin_unit / force)
         holding = Enclosure.exact(coefficient / (force / unit)).times(np.array([strength / unit]))
         viscosity = samples.flat(samples.viscosity).ravel() if samples.viscosity else coefficient
-        moment = [[np.zeros(c.shape) for c in samples.coefficient] for _ in samples.components]
-        for a, friction in enumerate(samples.friction):  # n x F
-            turned = {0: friction} if dimension == 2 else {
-                (a + 1) % 3: -friction[..., (a + 2) % 3], (a + 2) % 3: friction[..., (a + 1) % 3]
-            }  # fmt: skip
-            for k, part in turned.items():
-                moment[k][a] = part / force
-        moments_of = [np.where(acts, samples.flat(part).ravel(), 0.0) for part in moment]
-        sign, top = np.tile(samples.sublattice.ravel(), count), np.zeros(shape)
-        top[..., -1] = 1.0
+        normal, friction = np.eye(dimension, dtype=np.int8)[axis], samples.flat_friction.reshape(len(acts), -1) / force
+        turned = friction if dimension == 2 else np.cross(normal, friction)
+        sign = np.tile(samples.sublattice.ravel(), count)
         return cls(
             samples.law, count, np.tile(np.indices(shape).reshape(dimension, -1).T, (count, 1)).astype(float), contact,
-            np.eye(dimension, dtype=np.int8)[axis], free,
-            samples.radius * samples.spin_unit, force, [spin.signed(sign) for spin in samples.signed_spin.values()],
-            [Enclosure(part, nothing, nothing) for part in moments_of], holding if samples.holds else zero,
+            normal, free, samples.radius * samples.spin_unit, force,
+            [spin.signed(sign) for spin in samples.signed_spin.values()],
+            [Enclosure(np.where(acts, part, 0.0), nothing, nothing) for part in turned.T],
+            holding if samples.holds else zero,
             Enclosure.exact(viscosity).times(np.array([speed])) if samples.flows else zero,
-            [samples.jump_at(k).signed(sign * np.tile(top.ravel(), count)) for k in samples.components],
+            [samples.jump_at(k).signed(sign * (at == shape[-1] - 1)) for k in samples.components],
             np.zeros((0, 0)), samples,
         )  # fmt: skip
 

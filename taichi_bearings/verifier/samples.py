@@ -137,7 +137,7 @@ class Samples(OfLaw):
         """Components that some minimum needs: others are the same everywhere, or, about the height, in each layer, at
         every minimum, but for motions that no contact feels."""
         height = self.dimension - 1
-        return tuple(k for k in self.components if self.jumps(k) and k != height)
+        return tuple(k for k in self.components if k != height and self.jump[k].most.any())
 
     @cached_property
     def states(self) -> tuple[list[Decimal], list[Decimal]]:
@@ -168,11 +168,6 @@ class Samples(OfLaw):
                 for k in self.components
             }
 
-    @property
-    def is_layered(self) -> bool:
-        """True if what is imposed varies along a plane."""
-        return any(state is not None and len(state) == 4 and state[3] != 0 for state in (self.top, self.bottom))
-
     def imposed_in_layers(self, component: int) -> tuple[list[Decimal], list[Decimal]]:
         """Component k of the states of bottom and top at the top plane, layer by layer along k; one value where all
         are the same."""
@@ -182,17 +177,13 @@ class Samples(OfLaw):
             (low, fall), (high, rise) = ((state[component], state[3]) for state in self.states)
             last = self.shape[-1] - 1
             steps = range(self.shape[component]) if component < height else [last]
-            at = [spacing * step for step in steps] if self.is_layered else [Decimal(0)]
+            at = [spacing * step for step in steps] if fall or rise else [Decimal(0)]
             return [low + fall * x for x in at], [high + rise * x for x in at]
 
     @cached_property
     def jump(self) -> dict[int, Enclosure]:
         """The same in doubles, (layers,) or (1,) each."""
         return {k: Enclosure.of_decimals(values) for k, values in self.exact_jump.items()}
-
-    def jumps(self, component: int) -> bool:
-        """True if the planes differ in this component."""
-        return bool((self.jump[component].most > 0).any())
 
     @cached_property
     def jump_size(self) -> float:
@@ -255,13 +246,6 @@ class Samples(OfLaw):
         return {k: pair[:, at].signed(sign).at(self.anchor(k)) for at, k in enumerate(self.components)}
 
     @cached_property
-    def free(self) -> np.ndarray:
-        """(*N,) mask."""
-        mask = np.ones(self.shape, dtype=bool)
-        mask[..., [0, -1]] = False
-        return mask
-
-    @cached_property
     def shift(self) -> dict[int, Enclosure]:
         """(R * N,) by component, what the signed spin of the top in the layer of each sphere, as stored, lacks of the
         imposed one, measured from the bottom."""
@@ -284,6 +268,12 @@ class Samples(OfLaw):
     def flat(self, of_axes: Iterable[np.ndarray]) -> np.ndarray:
         """(R, E) from arrays (R, *contacts) an axis: all contacts along x, then y, then z."""
         return np.concatenate([values.reshape(self.count, -1) for values in of_axes], axis=1)
+
+    @property
+    def flat_friction(self) -> np.ndarray:
+        """The same of friction, (R, E, C)."""
+        parts = [of.reshape(self.count, -1, len(self.components)) for of in self.friction]
+        return np.concatenate(parts, axis=1)
 
     @property
     def is_finite(self) -> bool:
