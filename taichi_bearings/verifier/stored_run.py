@@ -23,7 +23,7 @@ Groups = dict[str, tuple[int, ...]]
 LAYOUT = 1  # version that is read
 NEEDED_ATTRIBUTES = ("law", "scene", "power", "lower_bound", "status")
 OF_LATTICES = ("shape", "spin_top", "spin_bottom", "normal_force", "radius")
-KINDS = {
+ATTRIBUTE_TYPES = {
     **dict.fromkeys(("status", "coefficients", "method", "arch", "precision", "proof"), ("a text", str)),
     **dict.fromkeys(("seed", "contacts", "slipping", "slipless", "undecided", "critical", "unproven", "iterations",
                      "tied_contacts", "spheres", "driven_spheres"), ("a whole number", int)),
@@ -72,7 +72,7 @@ class StoredRun:
         value = value.reshape(-1)
         values = value.tolist() if len(value) == self.samples.count else value.tolist() * self.samples.count
         found = [None if v == "" or (isinstance(v, float) and np.isnan(v)) else v for v in values]
-        words, *kinds = KINDS.get(name, ("a number", int, float))
+        words, *kinds = ATTRIBUTE_TYPES.get(name, ("a number", int, float))
         if bool in kinds:
             found = [bool(v) if self.samples.count > 1 and v in (0.0, 1.0) else v for v in found]
         for v, given in zip(found, values, strict=True):
