@@ -21,7 +21,7 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components, mini
 
 from taichi_bearings.verifier.elimination import EPS, Elimination
 from taichi_bearings.verifier.enclosure import UP, Enclosure, grouped_sum, joined, length
-from taichi_bearings.verifier.network import Motion, Network
+from taichi_bearings.verifier.network import Motion, Network, connected
 
 MOST_SLIP_TURN = 0.25  # largest share by which a slip may change
 CURVATURE_TRIALS = 4  # each from spins that Newton's method has improved
@@ -143,6 +143,13 @@ class Slipping:
                 pulls.append(pull.at(free))
         return grouped_sum(joined(pulls), np.concatenate(owner), self.unknowns)
 
+    def blocks(self) -> np.ndarray:
+        """(unknowns,) number of the block of each unknown: contacts join only unknowns of one block."""
+        ends = np.concatenate([self.lower, self.upper])
+        some = ends.max(axis=0)  # an unknown if there is any
+        pairs = [(end[end >= 0], some[end >= 0]) for end in ends]
+        return connected(*(np.concatenate([pair[i] for pair in pairs]) for i in range(2)), self.unknowns)
+
 
 def slots(network: Network, some: np.ndarray) -> np.ndarray:
     """(2, k), the two components of some contacts that take the places of the first and the second: those that are
@@ -177,11 +184,12 @@ def nearest_minimum(contacts: Slipping) -> tuple[Slipping, np.ndarray] | None:
 def _turns(contacts: Slipping, curvature: Curvature, last: bool) -> np.ndarray | None:
     """The same from these contacts as they are. Until the last trial curvature is proven only where it is likely to
     do."""
-    root = np.sqrt(curvature.form.squares)
+    root, block = np.sqrt(curvature.form.squares), contacts.blocks()
     slope = curvature.clusters.T @ contacts.slope().most
 
     def turn(tau: float) -> np.ndarray:
-        reach = (1.5 * np.linalg.norm(slope / root) / tau * UP + TINY) / root  # rho, and of each variable at most
+        radius = 1.5 * np.bincount(block, (slope / root) ** 2) ** 0.5 / tau * UP + TINY  # rho, block by block
+        reach = radius[block] / root  # of each variable, at most
         return np.asarray(sum((e @ reach) ** 2 for e in curvature.entries) ** 0.5 / contacts.size.least * UP)
 
     if not (last or (turn(CURVATURE_SHARE / 2) <= MOST_SLIP_TURN).all()):
