@@ -148,7 +148,8 @@ class Slipping:
         ends = np.concatenate([self.lower, self.upper])
         some = ends.max(axis=0)  # an unknown if there is any
         pairs = [(end[end >= 0], some[end >= 0]) for end in ends]
-        return connected(*(np.concatenate([pair[i] for pair in pairs]) for i in range(2)), self.unknowns)
+        first, second = (np.concatenate([pair[i] for pair in pairs]) for i in range(2))
+        return connected(first, second, self.unknowns)
 
 
 def slots(network: Network, some: np.ndarray) -> np.ndarray:

@@ -262,8 +262,9 @@ class Network(OfLaw):
     @cached_property
     def own_moment(self) -> list[Enclosure]:
         """Of the contacts that count; of lattices in components that differ between the planes: others do no work."""
-        own = [size > 0 or self.samples is None for size in self.box]
-        return [part.where(self.counts & some) for part, some in zip(self.moment, own, strict=True)]
+        own, all_count = [size > 0 or self.samples is None for size in self.box], bool((self.counts == self.acts).all())
+        pairs = zip(self.moment, own, strict=True)  # moments are 0 where nothing acts
+        return [part if some and all_count else part.where(self.counts & some) for part, some in pairs]
 
     @property
     def own_friction(self) -> list[Enclosure]:

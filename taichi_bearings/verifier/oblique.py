@@ -143,10 +143,10 @@ def _floor_of_spins(network: Network, number: np.ndarray, contacts: np.ndarray) 
     loose = np.zeros(number.shape, dtype=bool)
     loose[there] = np.bincount(rows.indices, minlength=rows.shape[1]) == 0
     if loose.any():
-        return loose.any(axis=1)
+        return np.asarray(loose.any(axis=1))
     place = network.place[np.nonzero(there)[0]].T
     tau = proven_floor(rows, rounding_of(rows), Elimination.of((rows.T @ rows).tocsc(), place), sharp=True)
-    return there.any(axis=1) if tau is None else tau
+    return np.asarray(there.any(axis=1)) if tau is None else tau
 
 
 def _rows(network: Network, number: np.ndarray, contacts: np.ndarray) -> sparse.csr_array:

@@ -237,7 +237,7 @@ class Samples(OfLaw):
         number[:, 0], number[:, -1] = low[:, 0], high[:, -1]
         return number.ravel()
 
-    @cached_property
+    @property
     def signed_spin(self) -> dict[int, Enclosure]:
         """(R * N,) component by component, spins with the sign of their sublattice, in units of `spin_unit`; driven
         spheres as their leaders."""
