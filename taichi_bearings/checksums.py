@@ -62,16 +62,19 @@ def seal(group: h5py.Group) -> None:
     group.attrs[ATTRIBUTE] = json.dumps({name: _digest(group, name) for name in _names(group)})
 
 
-def check(path: Path, file: h5py.File) -> None:
-    """FileError if something in the open file `path` is not what it was when it was written.
+def changed(path: Path, group: h5py.Group) -> Iterator[str]:
+    """Names of what is not what it was when it was written, in the open file `path` or a group of it; FileError where
+    its checksums are none. What is missing altogether is for those to notice who need it."""
+    digests = parse_json(str(group.attrs.get(ATTRIBUTE, "{}")))
+    if not isinstance(digests, dict):
+        raise FileError(f"{path} is damaged or was changed: its {ATTRIBUTE} is no table of checksums")
+    for name in _names(group):  # each thing once, whatever names it is given
+        if name in digests and digests[name] != _digest(group, name):
+            yield f"{group.name.strip('/')}/{name}".strip("/")
 
-    What is missing altogether is for those to notice who need it.
-    """
+
+def check(path: Path, file: h5py.File) -> None:
+    """FileError if something in the open file `path` is not what it was when it was written."""
     for group in [file, *(item for item in file.values() if isinstance(item, h5py.Group))]:
-        digests = parse_json(str(group.attrs.get(ATTRIBUTE, "{}")))
-        if not isinstance(digests, dict):
-            raise FileError(f"{path} is damaged or was changed: its {ATTRIBUTE} is no table of checksums")
-        for name in _names(group):  # each thing once, whatever names it is given
-            if name in digests and digests[name] != _digest(group, name):
-                where = f"{group.name.strip('/')}/{name}".strip("/")
-                raise FileError(f"{path} is damaged or was changed: the checksum of {where} does not match")
+        for name in changed(path, group):
+            raise FileError(f"{path} is damaged or was changed: the checksum of {name} does not match")

@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from taichi_bearings.errors import InputError
-from taichi_bearings.hdf5 import look_through
+from taichi_bearings.checksums import ATTRIBUTE, changed
+from taichi_bearings.errors import FileError, InputError
+from taichi_bearings.hdf5 import UNREADABLE, look_through, open_hdf5
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.runs.run_file import file_of, refuse_scan
@@ -34,6 +35,7 @@ def verify(path: Path) -> dict[str, Any]:
         if file_of(path).is_file():
             look_through(file_of(path))
         run, *others = read_stored_run(path)
+        unlike = _changed(run.path)
     samples, seeds, drawn = run.samples, np.asarray(run.attributes.get("seed", -1)).tolist(), False
     with stage("proving"), one_thread():
         report = report_of(run)
@@ -50,11 +52,11 @@ def verify(path: Path) -> dict[str, Any]:
     else:
         size = {"shape": None, "spheres": len(samples.spin), "contacts": len(samples.arrays["contact"])}
     status = [word for one in (run, *others) for word in one.claimed("status")]
-    report["contradictions"] += [f"{name} was changed after it was written" for name in run.changed or ()]
+    report["contradictions"] += [f"{name} was changed after it was written" for name in unlike or ()]
     return {
         "verified": not report["contradictions"],
         **report,
-        "unchanged": None if run.changed is None else not run.changed,
+        "unchanged": None if unlike is None else not unlike,
         "status": status if len(status) > 1 else status[0],
         "law": samples.law,
         **size,
@@ -63,6 +65,15 @@ def verify(path: Path) -> dict[str, Any]:
         "run": str(path),
         "seconds": time.perf_counter() - began,
     }
+
+
+def _changed(path: Path) -> list[str] | None:
+    """Names of what is not as it was written, by the checksums in the file; None where it has none."""
+    try:
+        with open_hdf5(path) as file:
+            return [*changed(path, file)] if ATTRIBUTE in file.attrs else None
+    except UNREADABLE as error:
+        raise FileError(f"{path} cannot be read as a run: {error}") from None
 
 
 def _redrawn(

@@ -33,7 +33,7 @@ def bearable(motion: Motion, contacts: Slipping, turn: np.ndarray, unsure: dict[
     still = np.flatnonzero(motion.rests & network.counts)
     feels = {k: network.feels[k][still] for k in network.needed}
     borne = length([moment[k].at(still).where(feels[k]) for k in network.needed])
-    room = network.stretched(network.holding.at(still), still) - borne
+    room = network.holding.at(still) - borne
     first = network.contact[0, still]
     more = np.sqrt(sum(np.where(feels[k], left[k][first], 0.0) ** 2 for k in network.needed))
     bears = np.any(list(feels.values()), axis=0)

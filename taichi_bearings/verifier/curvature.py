@@ -21,7 +21,7 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components, mini
 
 from taichi_bearings.verifier.elimination import EPS, Elimination
 from taichi_bearings.verifier.enclosure import UP, Enclosure, grouped_sum, joined, length
-from taichi_bearings.verifier.network import Motion, Network
+from taichi_bearings.verifier.network import Motion, Network, connected
 
 MOST_SLIP_TURN = 0.25  # largest share by which a slip may change
 CURVATURE_TRIALS = 4  # each from spins that Newton's method has improved
@@ -53,8 +53,8 @@ class Slipping:
 
     @classmethod
     def of(cls, motion: Motion, domain: dict[int, np.ndarray] | None = None) -> Slipping:
-        """domain : numbers (n,) of the domains of each component, 0 and 1 for what does not move; those of contacts
-        that rest if not given."""
+        """domain : numbers (n,) of the domains of each component, one of a driven sphere for what does not move; those
+        of contacts that rest if not given."""
         network, unknowns, number = motion.network, 0, {}
         some = np.flatnonzero(network.counts & ~motion.rests)
         ends, felt = network.contact[:, some], slots(network, some)
@@ -63,10 +63,7 @@ class Slipping:
             joins = own[ends[:, network.feels[k][some]]]
             free = np.zeros(int(own.max()) + 1, dtype=bool)
             free[joins[:, joins[0] != joins[1]]] = True
-            if domain is None:
-                free[own[~network.free]] = False
-            else:
-                free[:2] = False
+            free[own[~network.free]] = False
             number[k] = np.where(free, unknowns + np.cumsum(free) - 1, -1)[own]
             unknowns += int(free.sum())
         lower, upper = np.full((2, len(some)), -1), np.full((2, len(some)), -1)
@@ -78,9 +75,7 @@ class Slipping:
                 lower[slot, mine], upper[slot, mine] = number[k][ends[:, mine]]
                 difference[slot].put(mine, motion.difference(k, some[mine]))
             both &= np.any([(felt[slot] == k) & network.feels[k][some] for k in network.needed], axis=0)
-        strength, damping = network.stretched(network.holding.at(some), some), None
-        if network.flows:
-            damping = network.stretched(network.stretched(network.slope.at(some), some), some)
+        strength, damping = network.holding.at(some), network.slope.at(some) if network.flows else None
         begin, end = network.place[ends]
         place = (begin + (network.normal[some] if network.samples is not None else end - begin) / 2).T
         curved, pair = np.flatnonzero(both), (difference[0], difference[1])
@@ -154,8 +149,7 @@ class Slipping:
         some = ends.max(axis=0)  # an unknown if there is any
         pairs = [(end[end >= 0], some[end >= 0]) for end in ends]
         first, second = (np.concatenate([pair[i] for pair in pairs]) for i in range(2))
-        graph = sparse.coo_array((np.ones(len(first), dtype=np.int8), (first, second)), shape=(self.unknowns,) * 2)
-        return connected_components(graph, directed=False)[1]
+        return connected(first, second, self.unknowns)
 
 
 def slots(network: Network, some: np.ndarray) -> np.ndarray:
@@ -191,7 +185,7 @@ def nearest_minimum(contacts: Slipping) -> tuple[Slipping, np.ndarray] | None:
 def _turns(contacts: Slipping, curvature: Curvature, last: bool) -> np.ndarray | None:
     """The same from these contacts as they are. Until the last trial curvature is proven only where it is likely to
     do."""
-    root, block = np.sqrt(curvature.scale), contacts.blocks()
+    root, block = np.sqrt(curvature.form.squares), contacts.blocks()
     slope = curvature.clusters.T @ contacts.slope().most
 
     def turn(tau: float) -> np.ndarray:
@@ -213,18 +207,49 @@ def rises(contacts: Slipping, turn: np.ndarray) -> bool:
 
 
 @dataclass(frozen=True)
+class Form:
+    """A quadratic form A^T A in n unknowns, each measured so that its own square counts as one. rows : about A, doubt :
+    how far it may be off, entry by entry. squares : (n,), of each unknown in the rows as they were given."""
+
+    rows: sparse.csr_array
+    doubt: sparse.csr_array
+    squares: np.ndarray
+    elimination: Elimination
+
+    @classmethod
+    def of(
+        cls, rows: sparse.csr_array, doubt: sparse.csr_array, place: np.ndarray, of_rows: bool = False
+    ) -> Form | None:
+        """place : (d, n), where each unknown is, or each row. None where an unknown is in no row."""
+        squares = np.bincount(rows.indices, rows.data**2, rows.shape[1])
+        if not ((squares > 0) & (squares < np.inf)).all():
+            return None
+        inverse = 1 / np.sqrt(squares)
+        rows, doubt = (_with(part, part.data * inverse[part.indices]) for part in (rows, doubt))
+        if of_rows:
+            place = place @ _with(rows, rows.data**2)
+        return cls(rows, doubt, squares, Elimination.of((rows.T @ rows).tocsc(), place))
+
+    @cached_property
+    def scale(self) -> np.ndarray:
+        """(n,), an unknown of each variable."""
+        return 1 / np.sqrt(self.squares)
+
+    def floor(self, sharp: bool = False) -> float | None:
+        """Proven, of the eigenvalues."""
+        return proven_floor(self.rows, self.doubt, self.elimination, sharp)
+
+
+@dataclass(frozen=True)
 class Curvature:
     """H >= tau h in variables v: sum over slipping contacts of (mu / |z|) (what u changes across them)^2.
 
-    clusters : (unknowns, unknowns), u = clusters v. scale : h, (unknowns,). rows, doubt, elimination : of about H,
-    scaled. changes : (n, unknowns), how the difference of either component changes with v.
+    clusters : (unknowns, unknowns), u = clusters v. form : of H, h its squares. changes : (n, unknowns), how the
+    difference of either component changes with v.
     """
 
     clusters: sparse.csr_array
-    scale: np.ndarray
-    rows: sparse.csr_array
-    doubt: sparse.csr_array
-    elimination: Elimination
+    form: Form
     changes: list[sparse.csr_array]
 
     @classmethod
@@ -233,19 +258,13 @@ class Curvature:
         clusters = _clusters(contacts)
         changes = [contacts.change(slot) @ clusters for slot in range(2)]  # exactly, without what both ends share
         rows, doubt, owner = _conditions(contacts, changes)
-        scale = np.bincount(rows.indices, rows.data**2, contacts.unknowns)
-        if not (scale > 0).all():
-            return None
-        inverse = 1 / np.sqrt(scale)
-        rows, doubt = (_with(part, part.data * inverse[part.indices]) for part in (rows, doubt))
-        place = contacts.place[:, owner] @ _with(rows, rows.data**2)
-        elimination = Elimination.of((rows.T @ rows).tocsc(), place)
-        return cls(clusters, scale, rows, doubt, elimination, changes)
+        form = Form.of(rows, doubt, contacts.place[:, owner], of_rows=True)
+        return None if form is None else cls(clusters, form, changes)
 
     @cached_property
     def tau(self) -> float:
         """Proven; 0 if none can be."""
-        return proven_floor(self.rows, self.doubt, self.elimination) or 0.0
+        return self.form.floor() or 0.0
 
     @property
     def entries(self) -> list[sparse.csr_array]:
@@ -258,11 +277,11 @@ class Curvature:
         loss = np.zeros_like(turn)
         loss[contacts.curved] = (2 * turn[contacts.curved]) ** 2 * contacts.stiffness.most
         given_up = sum(e.T @ (loss * e.sum(axis=1)) for e in self.entries)
-        return bool((turn <= MOST_SLIP_TURN).all() and (given_up * UP < self.tau * self.scale / 2).all())
+        return bool((turn <= MOST_SLIP_TURN).all() and (given_up * UP < self.tau * self.form.squares / 2).all())
 
     def newton_step(self, slope: np.ndarray) -> np.ndarray | None:
         """Change (unknowns,) that takes the slope away, roughly; None if rounding hides the curvature."""
-        root, factor = np.sqrt(self.scale), self.elimination.factorised()
+        root, factor = np.sqrt(self.form.squares), self.form.elimination.factorised()
         return None if factor is None else -(self.clusters @ (factor.solve((self.clusters.T @ slope) / root) / root))
 
 

@@ -49,9 +49,7 @@ class Elimination:
         """place : (d, n), where each unknown is."""
         parts = dissected(matrix, place, REGION_UNKNOWNS)
         order = np.concatenate([part.nodes for part in parts])
-        at = np.empty_like(order)
-        at[order] = np.arange(len(order))
-        lower = _lower_triangle(matrix, order, at)
+        lower = sparse.csc_array(sparse.tril(matrix[order][:, order], format="csc"))
         fronts: list[Front] = []
         touched = np.zeros(len(order), dtype=bool)
         for part, end in zip(parts, np.cumsum([len(part.nodes) for part in parts]).tolist(), strict=True):
@@ -150,17 +148,6 @@ def _add_at(whole: np.ndarray, places: np.ndarray, part: np.ndarray) -> None:
     rows = np.zeros((len(part), len(whole)))
     rows[:, places] = part
     whole[places] += rows
-
-
-def _lower_triangle(matrix: sparse.csc_array, order: np.ndarray, at: np.ndarray) -> sparse.csc_array:
-    """Of the symmetric matrix in this order. at : place of each unknown in it."""
-    size = np.diff(matrix.indptr)[order]
-    column, begin = np.repeat(np.arange(len(order)), size), np.cumsum(size) - size
-    source = (matrix.indptr[order] - begin)[column] + np.arange(len(column))
-    row = at[matrix.indices[source]]
-    kept = np.flatnonzero(row >= column)
-    ends = np.append(0, np.cumsum(np.bincount(column[kept], minlength=len(order))))
-    return sparse.csc_array((matrix.data[source[kept]], row[kept], ends), shape=matrix.shape)
 
 
 @dataclass(frozen=True)

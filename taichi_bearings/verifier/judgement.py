@@ -62,18 +62,12 @@ class Judgement(OfLaw):
     @property
     def limit(self) -> np.ndarray:
         """(R, E), friction that a contact bears, or without friction its damping."""
-        samples = self.samples
-        if isinstance(samples, Samples):
-            return samples.flat(samples.coefficient) * (samples.normal_force if self.holds else 1.0)
-        return (samples.arrays["friction"] * (samples.arrays["normal_force"] if self.holds else 1.0))[None]
+        return self._by_sample(self.network.holding.value * self.force_unit) if self.holds else self.damping
 
     @property
-    def damping(self) -> np.ndarray | None:
-        """(R, E), beside friction."""
-        samples = self.samples
-        if not (self.holds and self.flows):
-            return None
-        return samples.flat(samples.viscosity) if isinstance(samples, Samples) else samples.arrays["viscosity"][None]
+    def damping(self) -> np.ndarray:
+        """(R, E), 0 of friction alone."""
+        return self._by_sample(self.network.slope.value * (self.force_unit / self.network.speed_unit))
 
     @property
     def force_unit(self) -> float:
@@ -85,9 +79,8 @@ class Judgement(OfLaw):
         samples = self.samples
         if not isinstance(samples, Samples):
             return samples.friction.reshape(1, len(self.network.acts), -1) / self.force_unit
-        parts = [f.reshape(samples.count, -1, len(self.network.spin)) for f in samples.friction]
         there = samples.flat(samples.coefficient) != 0
-        return np.where(there[..., None], np.concatenate(parts, axis=1) / self.force_unit, 0.0)
+        return np.where(there[..., None], samples.flat_friction / self.force_unit, 0.0)
 
     @property
     def friction_along(self) -> np.ndarray:

@@ -83,39 +83,33 @@ class Network(OfLaw):
     def of_lattice(cls, samples: Samples) -> Network:
         count, shape, dimension = samples.count, samples.shape, samples.dimension
         number = np.arange(count * samples.sublattice.size).reshape(count, *shape)
-        ends = [samples.ends(axis) for axis in range(dimension)]
-        contact = np.stack([samples.flat([number[e[side]] for e in ends]).ravel() for side in range(2)])
+        ends = [
+            [whole.take(range(c.shape[1 + a]), 1 + a) for whole in (number, np.roll(number, -1, 1 + a))]
+            for a, c in enumerate(samples.coefficient)
+        ]
+        contact = np.stack([samples.flat(side).ravel() for side in zip(*ends, strict=True)])
         axis = samples.flat([np.full(c.shape, a) for a, c in enumerate(samples.coefficient)]).ravel()
         coefficient = samples.flat(samples.coefficient).ravel()
-        acts = ~(np.tile(samples.driven_contacts, count) | (coefficient == 0))
+        at = number.ravel() % shape[-1]  # height of each sphere
+        free = (at > 0) & (at < shape[-1] - 1)
+        acts = free[contact].any(axis=0) & (coefficient != 0)
         nothing = np.broadcast_to(0.0, len(acts))  # takes no memory
         zero = Enclosure(nothing, nothing, nothing)
         strength, force = samples.normal_force if samples.holds else 1.0, samples.force_unit
         unit, speed = power_of_two(strength), samples.radius * (samples.spin_unit / force)
         holding = Enclosure.exact(coefficient / (force / unit)).times(np.array([strength / unit]))
         viscosity = samples.flat(samples.viscosity).ravel() if samples.viscosity else coefficient
-        moment = [[np.zeros(c.shape) for c in samples.coefficient] for _ in samples.components]
-        for a, friction in enumerate(samples.friction):  # n x F
-            turned = {0: friction} if dimension == 2 else {
-                (a + 1) % 3: -friction[..., (a + 2) % 3], (a + 2) % 3: friction[..., (a + 1) % 3]
-            }  # fmt: skip
-            for k, part in turned.items():
-                moment[k][a] = part / force
-        moments_of = [np.where(acts, samples.flat(part).ravel(), 0.0) for part in moment]
-        sign = samples.sublattice.ravel()
-        on_top = np.zeros(shape)
-        on_top[..., -1] = 1.0
-        signs = np.tile(sign, count)
-        pairs = [[signs * part.ravel() for part in pair] for pair in samples.signed_spin.values()]
-        spin = [Enclosure(high, low, np.zeros(number.size)) for high, low in pairs]
-        jump = [samples.jump_over(k, dimension) for k in samples.components]
+        normal, friction = np.eye(dimension, dtype=np.int8)[axis], samples.flat_friction.reshape(len(acts), -1) / force
+        turned = friction if dimension == 2 else np.cross(normal, friction)
+        sign = np.tile(samples.sublattice.ravel(), count)
         return cls(
             samples.law, count, np.tile(np.indices(shape).reshape(dimension, -1).T, (count, 1)).astype(float), contact,
-            np.eye(dimension, dtype=np.int8)[axis], np.tile(samples.free.ravel(), count),
-            samples.radius * samples.spin_unit, force, spin,
-            [Enclosure(part, nothing, nothing) for part in moments_of], holding if samples.holds else zero,
+            normal, free, samples.radius * samples.spin_unit, force,
+            [spin.signed(sign) for spin in samples.signed_spin.values()],
+            [Enclosure(np.where(acts, part, 0.0), nothing, nothing) for part in turned.T],
+            holding if samples.holds else zero,
             Enclosure.exact(viscosity).times(np.array([speed])) if samples.flows else zero,
-            [j.signed(samples.sublattice * on_top)[0].reshaped((-1,)).at(number.ravel() % sign.size) for j in jump],
+            [samples.jump_at(k).signed(sign * (at == shape[-1] - 1)) for k in samples.components],
             np.zeros((0, 0)), samples,
         )  # fmt: skip
 
@@ -168,8 +162,6 @@ class Network(OfLaw):
     @cached_property
     def reached(self) -> np.ndarray:
         """(n,) mask of free spheres in parts that touch driven spheres."""
-        if self._is_whole:
-            return self.free
         first, second = self.contact[:, self._holding]
         inner, count = self.free[first] & self.free[second], len(self.free)
         label = connected(first[inner], second[inner], count)
@@ -199,18 +191,16 @@ class Network(OfLaw):
         components do not mix."""
         if self.samples is None:
             return [Enclosure.exact(np.full(len(self.free), size)) for size in self.box]
-        sign, whole = self.samples.sublattice, (self.count, *self.samples.shape)
-        jumps = [self.samples.jump_over(k, self.samples.dimension) for k in self.samples.components]
-        return [Enclosure(*(np.broadcast_to(p, whole).ravel() for p in j.signed(sign).parts)) for j in jumps]
+        return [self.samples.jump_at(k).signed(s) for k, s in zip(self.samples.components, self.sign, strict=True)]
 
     @cached_property
     def mixes(self) -> bool:
-        """False where components do not mix: of discs, and of normals along the axes at all contacts that count."""
+        """False where components do not mix: of discs, and of unit normals along the axes."""
         return self.samples is None and not self._along_axes
 
     @property
     def _along_axes(self) -> bool:
-        return self.normal.shape[1] == 2 or bool(((self.normal[self.counts] != 0).sum(axis=1) == 1).all())
+        return self.normal.shape[1] == 2 or bool((np.sort(np.abs(self.normal[self.counts])) == (0, 0, 1)).all())
 
     @cached_property
     def slips_with(self) -> np.ndarray:
@@ -221,15 +211,6 @@ class Network(OfLaw):
     def feels(self) -> np.ndarray:
         """The same of those that count."""
         return self.counts & self.slips_with
-
-    @cached_property
-    def stretch(self) -> np.ndarray | None:
-        """(m,), length of the normals that are along axes; None where it is 1."""
-        sizes = np.abs(self.normal).max(axis=1) if len(self.spin) == 3 and self.samples is None else np.ones(1)
-        return None if (sizes == 1).all() else sizes
-
-    def stretched(self, values: Enclosure, some: np.ndarray) -> Enclosure:
-        return values if self.stretch is None else values.times(self.stretch[some])
 
     def sample_of(self, contacts: np.ndarray) -> np.ndarray:
         return contacts // (len(self.acts) // self.count)
@@ -281,9 +262,9 @@ class Network(OfLaw):
     @cached_property
     def own_moment(self) -> list[Enclosure]:
         """Of the contacts that count; of lattices in components that differ between the planes: others do no work."""
-        some = [self.counts & (size > 0 or self.samples is None) for size in self.box]
-        pairs = zip(self.moment, some, strict=True)
-        return [part if self._is_whole and mask.any() else part.where(mask) for part, mask in pairs]
+        own, all_count = [size > 0 or self.samples is None for size in self.box], bool((self.counts == self.acts).all())
+        pairs = zip(self.moment, own, strict=True)  # moments are 0 where nothing acts
+        return [part if some and all_count else part.where(self.counts & some) for part, some in pairs]
 
     @property
     def own_friction(self) -> list[Enclosure]:
@@ -295,17 +276,9 @@ class Network(OfLaw):
         axis, parts = np.argmax(self.normal, axis=1), [part.high for part in self.moment]
         return [Enclosure.exact(np.choose((axis + turn) % 3, parts)) for turn in (1, 2)]
 
-    @cached_property
-    def _is_whole(self) -> bool:
-        """True of a lattice without absent contacts."""
-        return self.samples is not None and all(bool(c.all()) for c in self.samples.coefficient)
-
     @property
     def joins(self) -> np.ndarray:
         """(R,), True if contacts lead from the bottom of a lattice to its top in a component in which both differ."""
-        assert self.samples is not None
-        if self._is_whole:
-            return np.full(self.count, self.samples.jump_size > 0)
         return Motion(self, self.acts).torn
 
     def torques(self, moment: list[Enclosure]) -> list[Enclosure]:
@@ -417,10 +390,8 @@ class Motion:
             return connected(first, second, len(network.free))
         held, turns_as = np.flatnonzero(~network.free), samples.anchor(samples.components[k])
         label = connected(np.append(first, held), np.append(second, turns_as[held]), len(network.free))
-        whole = label.reshape(samples.count, *samples.shape)
-        planes = samples.first_in_layers(whole, samples.components[k])
-        found = np.where(whole == planes[..., :1], 0, np.where(whole == planes[..., -1:], 1, whole + 2))
-        return found.ravel()
+        low, high = samples.leader(samples.components[k])
+        return np.where(label == label[low], 0, np.where(label == label[high], 1, label + 2))
 
     def _models(self, k: int, domain: np.ndarray) -> np.ndarray:
         """(n,), the sphere as which each turns: of those of its domain a driven one if there is any, else the first."""
@@ -432,8 +403,7 @@ class Motion:
             driven = np.full(int(domain.max(initial=0)) + 1, -1)
             driven[domain[held]] = held
             return np.where(driven[domain] >= 0, driven[domain], model)
-        planes = samples.anchor(samples.components[k]).reshape(samples.count, *samples.shape)
-        low, high = (np.broadcast_to(planes[..., [end]], planes.shape).ravel() for end in (0, -1))
+        low, high = samples.leader(samples.components[k])
         return np.where(domain == 0, low, np.where(domain == 1, high, model))
 
     @cached_property
@@ -456,16 +426,11 @@ class Motion:
         """Of signed spins, of some contacts that feel component k."""
         network, samples, (first, second) = self.network, self.network.samples, self.network.contact[:, some]
         own, found = network.spin[k].signed(network.sign[k]), Enclosure.exact(np.zeros(len(some)))
-        if samples is not None and not (network.box[k] or samples.shift[samples.components[k]].most.any()):
-            apart = (own.high[first] != own.high[second]) | (own.low[first] != own.low[second])
-            ends = np.zeros((2, len(some)), dtype=np.int8)  # nothing turns with a top that turns as the bottom
-        else:
-            domain = self.domain(k)
-            ends = domain[network.contact[:, some]]
-            apart = ends[0] != ends[1]
-            if samples is None or (self.rests & ~network.still).any():
-                own = own.at(self._models(k, domain))
-        differ = np.flatnonzero(apart)
+        domain = self.domain(k)
+        ends = domain[network.contact[:, some]]
+        if samples is None or (self.rests & ~network.still).any():
+            own = own.at(self._models(k, domain))
+        differ = np.flatnonzero(ends[0] != ends[1])
         found.put(differ, own.at(second[differ]) - own.at(first[differ]))
         if samples is not None:  # the top turns as it should
             sign = (ends[1] == 1) * 1.0 - (ends[0] == 1)

@@ -22,7 +22,7 @@ import numpy as np
 from scipy import sparse
 
 from taichi_bearings.verifier.bounds import Bounds
-from taichi_bearings.verifier.curvature import proven_floor
+from taichi_bearings.verifier.curvature import Form, proven_floor
 from taichi_bearings.verifier.elimination import EPS, Elimination
 from taichi_bearings.verifier.enclosure import UP, Enclosure, length
 from taichi_bearings.verifier.network import Network, moments
@@ -30,8 +30,7 @@ from taichi_bearings.verifier.springs import floor_of_slips, rounding_of, slip_r
 
 MOVING = 1e-10  # of the fastest imposed component, above which a contact is taken to slip
 NEARLY = 1e-11  # of it, up to which a spin may be the one that it is taken to be
-LOOSE, WEAK_MOTIONS, MOST_ROUNDS = 1e-3, 12, 12  # share of a weak motion that counts; motions looked at, and how often
-WEAK = 1e-8  # square of the slips over spins of a weak motion
+MOST_ROUNDS = 12  # of letting go spheres that are not pinned
 MOST_TURN = 0.25  # of a slip, over its size
 FAINT, TINY = 1e-100, 1e-290  # factors whose products may be rounded
 
@@ -140,27 +139,14 @@ def _as_taken(network: Network, rests: np.ndarray) -> tuple[list[Enclosure], np.
 
 def _floor_of_spins(network: Network, number: np.ndarray, contacts: np.ndarray) -> float | np.ndarray:
     """Of K^T K of these contacts (E,); or spheres (N,) that they let move, or may do so."""
-    rows = _rows(network, number, contacts)
-    size = rows.shape[1]
-    empty = np.bincount(rows.indices, minlength=size) == 0
-    weak = empty.copy()
-    if not empty.any():
-        place = network.place[np.nonzero(number >= 0)[0]].T
-        elimination = Elimination.of((rows.T @ rows).tocsc(), place)
-        tau = proven_floor(rows, rounding_of(rows), elimination, sharp=True)
-        if tau is not None:
-            return tau
-        factor = elimination.factorised(-1e-13)
-        block = np.random.default_rng(0).standard_normal((size, WEAK_MOTIONS))
-        for vector in block.T if factor is not None else ():
-            for _ in range(3):
-                vector = factor.solve(vector)  # type: ignore[union-attr]
-                vector = vector / np.linalg.norm(vector)
-            if np.linalg.norm(rows @ vector) ** 2 < WEAK:
-                weak |= np.abs(vector) > LOOSE * np.abs(vector).max()
-    found = np.zeros(len(number), dtype=bool)
-    found[np.nonzero(number >= 0)[0][weak]] = True
-    return found if weak.any() else number.max(axis=1) >= 0
+    rows, there = _rows(network, number, contacts), number >= 0
+    loose = np.zeros(number.shape, dtype=bool)
+    loose[there] = np.bincount(rows.indices, minlength=rows.shape[1]) == 0
+    if loose.any():
+        return np.asarray(loose.any(axis=1))
+    place = network.place[np.nonzero(there)[0]].T
+    tau = proven_floor(rows, rounding_of(rows), Elimination.of((rows.T @ rows).tocsc(), place), sharp=True)
+    return np.asarray(there.any(axis=1)) if tau is None else tau
 
 
 def _rows(network: Network, number: np.ndarray, contacts: np.ndarray) -> sparse.csr_array:
@@ -169,12 +155,9 @@ def _rows(network: Network, number: np.ndarray, contacts: np.ndarray) -> sparse.
     return rows
 
 
-def _curvature(
-    network: Network, held: _Held, own: np.ndarray, y: np.ndarray, size: Enclosure
-) -> tuple[float, np.ndarray] | None:
-    """tau, and the unit (unknowns,) of each motion that it is for. own : the contacts of S. y : (S, 3), their slips."""
+def _curvature(network: Network, held: _Held, own: np.ndarray, y: np.ndarray, size: Enclosure) -> Form | None:
+    """Of motions that T allows. own : the contacts of S. y : (S, 3), their slips."""
     number, still, strength = held.number, np.flatnonzero(held.rests), network.holding.at(own)
-    there = number >= 0
     across = np.cross(network.normal[own], y)
     across /= np.linalg.norm(across, axis=1)[:, None]
     root = np.sqrt(strength.value / size.value)
@@ -188,15 +171,8 @@ def _curvature(
     size_of = np.append(np.tile(root, 3), np.tile(firm, 3))
     value = size_of * np.append(across.T.ravel(), np.ones(3 * len(still)))
     rows = sparse.csr_array(sparse.csr_array((value, (row, at)), shape=shape) @ rows_of)
-    squares = np.bincount(rows.indices, rows.data**2, there.sum())
-    if not (squares > 0).all():
-        return None
-    scale = 1 / np.sqrt(squares)
-    rows = sparse.csr_array(rows @ sparse.diags_array(scale))
-    doubt = sparse.csr_array((32 * EPS * size_of, (row, at)), shape=shape) @ abs(rows_of) @ sparse.diags_array(scale)
-    place = network.place[np.nonzero(there)[0]].T
-    tau = proven_floor(rows, sparse.csr_array(doubt), Elimination.of((rows.T @ rows).tocsc(), place), True)
-    return None if tau is None else (tau, scale)
+    doubt = sparse.csr_array((32 * EPS * size_of, (row, at)), shape=shape) @ abs(rows_of)
+    return Form.of(rows, sparse.csr_array(doubt), network.place[np.nonzero(number >= 0)[0]].T)
 
 
 def _nearby(bounds: Bounds, held: _Held, slides: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
@@ -224,11 +200,11 @@ def _nearby(bounds: Bounds, held: _Held, slides: np.ndarray) -> tuple[np.ndarray
         found[number[there]] = torque[there] * UP
         return found
 
-    floor = _curvature(network, held, own, np.stack([part.value[own] for part in slips], axis=1), size)
-    if floor is None:
+    form = _curvature(network, held, own, np.stack([part.value[own] for part in slips], axis=1), size)
+    if form is None or (tau := form.floor(sharp=True)) is None:
         return None
     # step 2
-    tau, scale = floor
+    scale = form.scale
     far = 2 * off * UP  # of slips at spins in V from the given ones
     slope = float(np.linalg.norm(scale * unbalanced(far / size.least))) * UP
     radius = 8 * slope / tau * UP + TINY

@@ -17,7 +17,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from decimal import Decimal, localcontext
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -28,7 +27,6 @@ LEAST_SCALE, MOST_SCALE = 1e-60, 1e60  # scales of a sample
 LEAST_JUMP = 1e-140  # component of the jump, of the whole
 SLIPLESS, SLIPPING, UNPROVEN, TIED, CRITICAL = 0, 1, 2, 4, 5  # what can be proven of a contact (states.py)
 DRIVEN_STATE = 3  # of a contact that takes no part, in files
-Index = tuple[Any, ...]
 LAWS = {"coulomb": (True, False), "viscous": (False, True), "coulomb-viscous": (True, True)}
 """Law -> does a contact bear a force without slipping, and does its force grow with the slip."""
 
@@ -74,7 +72,7 @@ class Samples(OfLaw):
     coefficient: tuple[np.ndarray, ...]
     spin_top: float
     spin_bottom: float
-    direction: tuple[float, float, float]
+    direction: tuple[float, ...]
     normal_force: float
     radius: float
     spin: np.ndarray
@@ -134,16 +132,12 @@ class Samples(OfLaw):
         """Of the spins: about z in 2D, and about x, y and z in 3D."""
         return (2,) if self.dimension == 2 else (0, 1, 2)
 
-    def felt(self, axis: int) -> tuple[int, ...]:
-        """Components that make contacts along `axis` slip."""
-        return tuple(k for k in self.components if k != axis)
-
     @property
     def needed(self) -> tuple[int, ...]:
         """Components that some minimum needs: others are the same everywhere, or, about the height, in each layer, at
         every minimum, but for motions that no contact feels."""
         height = self.dimension - 1
-        return tuple(k for k in self.components if self.jumps(k) and k != height)
+        return tuple(k for k in self.components if k != height and self.jump[k].most.any())
 
     @cached_property
     def states(self) -> tuple[list[Decimal], list[Decimal]]:
@@ -174,11 +168,6 @@ class Samples(OfLaw):
                 for k in self.components
             }
 
-    @property
-    def is_layered(self) -> bool:
-        """True if what is imposed varies along a plane."""
-        return any(state is not None and len(state) == 4 and state[3] != 0 for state in (self.top, self.bottom))
-
     def imposed_in_layers(self, component: int) -> tuple[list[Decimal], list[Decimal]]:
         """Component k of the states of bottom and top at the top plane, layer by layer along k; one value where all
         are the same."""
@@ -188,7 +177,7 @@ class Samples(OfLaw):
             (low, fall), (high, rise) = ((state[component], state[3]) for state in self.states)
             last = self.shape[-1] - 1
             steps = range(self.shape[component]) if component < height else [last]
-            at = [spacing * step for step in steps] if self.is_layered else [Decimal(0)]
+            at = [spacing * step for step in steps] if fall or rise else [Decimal(0)]
             return [low + fall * x for x in at], [high + rise * x for x in at]
 
     @cached_property
@@ -196,33 +185,14 @@ class Samples(OfLaw):
         """The same in doubles, (layers,) or (1,) each."""
         return {k: Enclosure.of_decimals(values) for k, values in self.exact_jump.items()}
 
-    def jumps(self, component: int) -> bool:
-        """True if the planes differ in this component."""
-        return bool((self.jump[component].most > 0).any())
-
-    def by_layer(self, values: np.ndarray, component: int, dimension: int) -> np.ndarray:
-        """Values (..., layers) or (..., 1) of component k in a shape that goes with (..., *N) of so many axes."""
-        sides = [-1 if axis == component else 1 for axis in range(dimension)]
-        return values.reshape(*values.shape[:-1], *(sides if values.shape[-1] > 1 else (1,) * dimension))
-
-    def jump_over(self, component: int, dimension: int) -> Enclosure:
-        """The jump in a shape that goes with arrays (R, *N), or (R, *plane), of so many axes of space."""
-        return Enclosure(*(self.by_layer(part[None], component, dimension) for part in self.jump[component].parts))
-
     @cached_property
     def jump_size(self) -> float:
         """|difference of the imposed spins|, rounded, the largest on the top; 1/time."""
         if self.top is None:
             return abs(self.spin_top - self.spin_bottom)
-        squares = (self.by_layer(np.array([[float(v) for v in self.exact_jump[k]]]), k, self.dimension - 1) ** 2
-                   for k in self.components)  # fmt: skip
-        return float(np.sqrt(sum(squares, np.zeros(1)).max())) * self.spin_unit
-
-    @cached_property
-    def least_jump(self) -> float:
-        """|difference of the imposed spins|, the largest on the top, of the component that a minimum needs and that
-        differs least; 1/time. 0 where none does."""
-        return min((float(self.jump[k].most.max()) for k in self.needed), default=0.0) * self.spin_unit
+        return (
+            math.sqrt(sum(max(float(v) * float(v) for v in jump) for jump in self.exact_jump.values())) * self.spin_unit
+        )
 
     @cached_property
     def spin_unit(self) -> float:
@@ -243,102 +213,71 @@ class Samples(OfLaw):
         """s = +1 or -1, (*N,)."""
         return 1.0 - 2.0 * (np.indices(self.shape).sum(axis=0) % 2)
 
-    @cached_property
-    def signed_spin(self) -> dict[int, tuple[np.ndarray, np.ndarray]]:
-        """Component by component, spins with the sign of their sublattice: pairs (R, *N) in units of `spin_unit`.
+    def jump_at(self, component: int) -> Enclosure:
+        """(R * N,), the jump of a component in the layer of each sphere."""
+        return self.jump[component].at(np.tile(self.layer(component), self.count))
 
-        A driven plane turns as one in each layer, as the first sphere there says.
-        """
-        pair = Enclosure.exact(self.spin / self.spin_unit, self.spin_rounding / self.spin_unit)
-        found = {}
-        for k in self.components:
-            high, low = (self.sublattice * (part if self.dimension == 2 else part[..., k]) for part in pair.parts[:2])
-            for part in (high, low):
-                for plane in (0, -1):
-                    part[..., plane] = self.first_in_layers(part, k)[..., plane]
-            found[k] = (high, low)
-        return found
+    def layer(self, component: int) -> np.ndarray:
+        """(N,), the layer of `jump` of each sphere: its number along k, or 0 where the top turns as one."""
+        if len(self.exact_jump[component]) == 1:
+            return np.zeros(math.prod(self.shape), dtype=np.int64)
+        return np.indices(self.shape)[component].ravel()
 
-    def first_in_layers(self, values: np.ndarray, component: int) -> np.ndarray:
-        """Of values (R, *N) those of the first sphere of each layer along k, or, where all turn alike, of the first one
-        of all; with sides of 1 across, and the whole height."""
-        whole, first = slice(None), slice(0, 1)
-        varies = [self.is_layered and axis == component for axis in range(self.dimension - 1)]
-        where = (whole, *(whole if along else first for along in varies))
-        return np.asarray(values[where])
-
-    @cached_property
-    def free(self) -> np.ndarray:
-        """(*N,) mask."""
-        mask = np.ones(self.shape, dtype=bool)
-        mask[..., [0, -1]] = False
-        return mask
+    def leader(self, component: int) -> np.ndarray:
+        """(2, R * N), the first spheres of the bottom and of the top in the layer of each sphere, which turn about k as
+        all driven ones there."""
+        first = self.layer(component) * math.prod(self.shape[component + 1 :])
+        low = (np.arange(self.count)[:, None] * first.size + first).ravel()
+        return np.stack([low, low + self.shape[-1] - 1])
 
     def anchor(self, component: int) -> np.ndarray:
         """(R * N,), the sphere that each turns as along a component: itself, or the first of its plane and layer."""
-        number = np.arange(self.count * self.free.size).reshape(self.count, *self.shape)
-        number[..., [0, -1]] = self.first_in_layers(number, component)[..., [0, -1]]
+        low, high = self.leader(component).reshape(2, -1, self.shape[-1])
+        number = np.arange(low.size).reshape(low.shape)
+        number[:, 0], number[:, -1] = low[:, 0], high[:, -1]
         return number.ravel()
+
+    @property
+    def signed_spin(self) -> dict[int, Enclosure]:
+        """(R * N,) component by component, spins with the sign of their sublattice, in units of `spin_unit`; driven
+        spheres as their leaders."""
+        parts, sign = (self.spin, self.spin_rounding), np.tile(self.sublattice.ravel(), self.count)
+        pair = Enclosure.exact(*(part.reshape(sign.size, -1) / self.spin_unit for part in parts))
+        return {k: pair[:, at].signed(sign).at(self.anchor(k)) for at, k in enumerate(self.components)}
 
     @cached_property
     def shift(self) -> dict[int, Enclosure]:
         """(R * N,) by component, what the signed spin of the top in the layer of each sphere, as stored, lacks of the
         imposed one, measured from the bottom."""
-        found, places = {}, np.indices(self.shape)
+        found = {}
         with localcontext() as context:
             context.prec = DIGITS
             for k, stored in self.signed_spin.items():
-                jump = self.exact_jump[k]
-                first = [self.first_in_layers(part, k).reshape(self.count, -1, part.shape[-1]) for part in stored]
-                corners = np.stack([part[:, : len(jump), end] for part in first for end in (0, -1)], axis=-1)
+                jump, (low, high) = self.exact_jump[k], self.leader(k)
+                first, place = np.unique(low, return_index=True, return_inverse=True)[1:]
+                pairs = [stored.at(end[first]).parts[:2] for end in (low, high)]
                 missing = [
-                    jump[layer] - sum(sign * Decimal(float(v)) for sign, v in zip((-1, 1, -1, 1), of_one, strict=True))
-                    for of_sample in corners
-                    for layer, of_one in enumerate(of_sample)
+                    jump[number % len(jump)] + sum(Decimal(v) for v in (*bottom, *(-v for v in top)))
+                    for number, (bottom, top) in enumerate(
+                        zip(*(np.transpose(pair).tolist() for pair in pairs), strict=True)
+                    )
                 ]
-                of_layers = Enclosure.of_decimals(missing)
-                place = np.arange(self.count)[:, None] * len(jump) + (places[k].ravel() if len(jump) > 1 else 0)
-                found[k] = of_layers.at(np.broadcast_to(place, (self.count, self.free.size)).ravel())
+                found[k] = Enclosure.of_decimals(missing).at(place)
         return found
-
-    def between_driven(self, axis: int) -> np.ndarray:
-        """Mask (R, *contacts) of those that join two driven spheres."""
-        mask = np.zeros(self.coefficient[axis].shape, dtype=bool)
-        if axis != self.dimension - 1:
-            mask[..., [0, -1]] = True
-        return mask
-
-    @property
-    def driven_contacts(self) -> np.ndarray:
-        """Mask (E,) of those that join two driven spheres."""
-        return self.flat([self.between_driven(axis) for axis in range(self.dimension)])[0]
 
     def flat(self, of_axes: Iterable[np.ndarray]) -> np.ndarray:
         """(R, E) from arrays (R, *contacts) an axis: all contacts along x, then y, then z."""
         return np.concatenate([values.reshape(self.count, -1) for values in of_axes], axis=1)
 
-    def by_axis(self, values: np.ndarray) -> list[np.ndarray]:
-        """Of (..., E) an array (..., *contacts) an axis."""
-        shapes = [of.shape[1:] for of in self.coefficient]
-        ends = np.cumsum([math.prod(shape) for shape in shapes])[:-1]
-        return [of.reshape(*values.shape[:-1], *n) for of, n in zip(np.split(values, ends, -1), shapes, strict=True)]
+    @property
+    def flat_friction(self) -> np.ndarray:
+        """The same of friction, (R, E, C)."""
+        parts = [of.reshape(self.count, -1, len(self.components)) for of in self.friction]
+        return np.concatenate(parts, axis=1)
 
     @property
     def is_finite(self) -> bool:
         return all(np.isfinite(values).all() for values in (self.spin, self.spin_rounding, *self.friction))
-
-    def ends(self, axis: int) -> tuple[Index, Index]:
-        """Selections of the lower and of the upper spheres of the contacts along `axis`, no sphere twice in either.
-
-        Along a periodic axis the first sphere is above the last; a selection of what is above is a copy there.
-        """
-        low: list[Any] = [slice(None)] * (1 + self.dimension)
-        high: list[Any] = low.copy()
-        if axis in self.periodic:
-            high[1 + axis] = np.roll(np.arange(self.shape[axis]), -1)
-        else:
-            low[1 + axis], high[1 + axis] = slice(None, -1), slice(1, None)
-        return tuple(low), tuple(high)
 
 
 def power_of_two(value: float) -> float:

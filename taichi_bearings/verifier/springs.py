@@ -17,12 +17,11 @@ is one on spins up to so many times the fastest imposed one alone.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from scipy import sparse
 
-from taichi_bearings.verifier.curvature import proven_floor
+from taichi_bearings.verifier.curvature import Form, proven_floor
 from taichi_bearings.verifier.elimination import EPS, Elimination
 from taichi_bearings.verifier.enclosure import UP, Enclosure
 from taichi_bearings.verifier.network import Network, connected, moments
@@ -45,17 +44,12 @@ def natural(network: Network) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Springs:
-    """rows : q^1/2 K D, (3 E, n). weight : q, (E,). scale : D, (n,). number : (N, 3) of each unknown, or -1.
-
-    elimination : of D K^T q K D.
-    """
+    """weight : q, (E,). number : (N, 3) of each unknown, or -1. form : K^T q K, D its scale."""
 
     network: Network
-    rows: sparse.csr_array
     weight: np.ndarray
-    scale: np.ndarray
     number: np.ndarray
-    elimination: Elimination
+    form: Form
 
     @classmethod
     def of(cls, network: Network, potential: float) -> Springs | None:
@@ -69,23 +63,12 @@ class Springs:
         number = np.full((len(network.free), 3), -1)
         there = network.reached[:, None] & ~_turning_freely(network)
         number[there] = np.arange(there.sum())
-        return cls.made(network, slip_rows(network, number), weight, number)
-
-    @classmethod
-    def made(cls, network: Network, rows: sparse.csr_array, weight: np.ndarray, number: np.ndarray) -> Springs | None:
-        rows = sparse.csr_array(sparse.diags_array(np.sqrt(np.tile(weight, 3))) @ rows)
-        rows.eliminate_zeros()
-        squares = np.bincount(rows.indices, rows.data**2, rows.shape[1])
-        if not ((squares > 0) & (squares < np.inf)).all():
-            return None
-        scale = 1 / np.sqrt(squares)
-        rows = sparse.csr_array(rows @ sparse.diags_array(scale))
-        place = network.place[np.nonzero(number >= 0)[0]].T
-        return cls(network, rows, weight, scale, number, Elimination.of((rows.T @ rows).tocsc(), place))
+        form = weighed(network, slip_rows(network, number), np.sqrt(np.tile(weight, 3)), number)
+        return None if form is None else cls(network, weight, number, form)
 
     def balanced(self) -> tuple[list[Enclosure], list[Enclosure]]:
         """The friction less what springs take from it, and torques that are left."""
-        network, factor = self.network, self.elimination.factorised(SHIFT)
+        network, factor = self.network, self.form.elimination.factorised(SHIFT)
         torques, there, fine = network.torques(network.own_moment), self.number >= 0, network.own_friction
         if factor is None:
             return fine, torques
@@ -93,28 +76,29 @@ class Springs:
         for _ in range(ROUNDS):
             left = np.stack([part.value for part in torques], axis=1)[there]
             root = np.sqrt(np.tile(self.weight, 3))
-            taken += (root * (self.rows @ factor.solve(left * self.scale))).reshape(3, -1).T
+            taken += (root * (self.form.rows @ factor.solve(left * self.form.scale))).reshape(3, -1).T
             fine = [Enclosure.exact(f.high, -x) for f, x in zip(network.own_friction, taken.T, strict=True)]
             torques = network.torques(moments(fine, network.normal))
         return fine, torques
 
-    @cached_property
-    def floor(self) -> float | None:
-        """Of the eigenvalues of D K^T q K D, proven."""
-        doubt = sparse.csr_array(
-            (16 * EPS * np.abs(self.rows.data), self.rows.indices, self.rows.indptr), shape=self.rows.shape
-        )
-        with np.errstate(all="ignore"):
-            return proven_floor(self.rows, doubt, self.elimination)
-
     @property
     def reach(self) -> float:
         """No component of a free spin of some minimum is larger."""
-        if self.floor is None:
+        with np.errstate(all="ignore"):
+            floor = self.form.floor()
+        if floor is None:
             return np.inf
         slips = self.network.slips(self.network.imposed)
         start = np.sqrt(sum((self.weight * part.most**2).sum() for part in slips))
-        return float(self.scale.max(initial=0.0) * (1 + start) / np.sqrt(self.floor) * UP**2)
+        return float(self.form.scale.max(initial=0.0) * (1 + start) / np.sqrt(floor) * UP**2)
+
+
+def weighed(network: Network, rows: sparse.csr_array, weight: np.ndarray, number: np.ndarray) -> Form | None:
+    """Of rows, each times its weight, over the unknowns of these numbers (N, 3)."""
+    rows = sparse.csr_array(sparse.diags_array(weight) @ rows)
+    rows.eliminate_zeros()
+    doubt = sparse.csr_array((16 * EPS * np.abs(rows.data), rows.indices, rows.indptr), shape=rows.shape)
+    return Form.of(rows, doubt, network.place[np.nonzero(number >= 0)[0]].T)
 
 
 def rolling(network: Network) -> np.ndarray:

@@ -43,7 +43,7 @@ from taichi_bearings.verifier.enclosure import UP, Enclosure, joined
 from taichi_bearings.verifier.network import Motion, Network, connected, moments
 from taichi_bearings.verifier.oblique import enclosed_minimum
 from taichi_bearings.verifier.samples import DRIVEN_STATE, SLIPLESS, SLIPPING, UNPROVEN
-from taichi_bearings.verifier.springs import Springs, slip_rows
+from taichi_bearings.verifier.springs import slip_rows, weighed
 from taichi_bearings.verifier.ties import MISSED_LIMIT, tied_states
 
 PROVEN_AT_ONCE = 200_000  # spheres of the samples that are proven at once, at most
@@ -166,7 +166,7 @@ def _by_cuts(bounds: Bounds, k: int, bound: np.ndarray) -> list[States]:
     pull = network.moment[k].at(own)
     if (bounds.worst > 1).any():
         pull = pull / Enclosure.exact(bounds.worst[sample])
-    strength = network.stretched(network.holding.at(own), own)
+    strength = network.holding.at(own)
     held = np.unique(network.contact[:, own])
     held = held[~network.free[held]]
     is_double = bool(odd[first].any())
@@ -231,7 +231,8 @@ def _by_curvature(network: Network, bound: np.ndarray) -> list[States]:
     each half of them; of each alone where friction is repeated, so that there may be ties."""
     samples, count = network.samples, network.count
     if samples is None:
-        return _of_packing(network, bound)
+        known = _by_domains(network, network.counts & (network.slip.value <= STILL * network.box.max()), bound)
+        return _nothing(network, known) if isinstance(known, str) else _samples(network, known, "", None)
     if count == 1:
         return [_of_lattice(network)]
     if _repeats(network):
@@ -255,11 +256,6 @@ def _of_lattice(network: Network) -> States:
     if tied is None:
         return _nothing(network, str(doubt))[0]
     return States(*tied, "minima tie in ways that are not known closely enough")
-
-
-def _of_packing(network: Network, bound: np.ndarray) -> list[States]:
-    found = _by_domains(network, network.counts & (network.slip.value <= STILL * network.box.max()), bound)
-    return _nothing(network, found) if isinstance(found, str) else _samples(network, found, "", None)
 
 
 def _with_damping(bounds: Bounds, bound: np.ndarray, known: list[States]) -> list[States]:
@@ -299,9 +295,7 @@ def _by_domains(network: Network, rests: np.ndarray, bound: np.ndarray) -> np.nd
         return near
     contacts, turn = near
     size = contacts.size.most * (1 + turn)
-    bound[contacts.own] = np.fmin(
-        bound[contacts.own], (size if network.stretch is None else size * network.stretch[contacts.own]) * UP
-    )
+    bound[contacts.own] = np.fmin(bound[contacts.own], size * UP)
     return _as_stored(motion)
 
 
@@ -363,11 +357,11 @@ def _by_cones(bounds: Bounds) -> np.ndarray:
         weight = np.where(network.counts, holding / (2 * fastest), 0.0)
         stiff = np.minimum(room**2 / excess, STIFFEST * weight)
         weight = np.where(slides, weight, np.where(network.counts, stiff, 0.0))
-        form = Springs.made(network, rows, weight, springs.number)
-        if form is None or form.floor is None:
+        form = weighed(network, rows, np.sqrt(np.tile(weight, 3)), springs.number)
+        if form is None or (floor := form.floor()) is None:
             break
         rounded = 16 * EPS * np.sqrt((weight * fastest**2)[slides].sum())
-        radius = 2 * (np.sqrt(excess) + rounded) / np.sqrt(form.floor) * UP**2
+        radius = 2 * (np.sqrt(excess) + rounded) / np.sqrt(floor) * UP**2
         scale = np.zeros(springs.number.shape)
         scale[springs.number >= 0] = form.scale
         largest = scale.max(axis=1)[network.contact].max(axis=0)

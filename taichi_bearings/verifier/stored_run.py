@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -25,20 +23,21 @@ Groups = dict[str, tuple[int, ...]]
 LAYOUT = 1  # version that is read
 NEEDED_ATTRIBUTES = ("law", "scene", "power", "lower_bound", "status")
 OF_LATTICES = ("shape", "spin_top", "spin_bottom", "normal_force", "radius")
-TEXT_ATTRIBUTES = ("status", "coefficients", "method", "arch", "precision", "proof")  # attributes that are no numbers
-WHOLE_ATTRIBUTES = (
-    "seed", "contacts", "slipping", "slipless", "undecided", "critical", "unproven", "iterations", "tied_contacts",
-    "spheres", "driven_spheres",
-)  # fmt: skip
+ATTRIBUTE_TYPES = {
+    **dict.fromkeys(("status", "coefficients", "method", "arch", "precision", "proof"), ("a text", str)),
+    **dict.fromkeys(("seed", "contacts", "slipping", "slipless", "undecided", "critical", "unproven", "iterations",
+                     "tied_contacts", "spheres", "driven_spheres"), ("a whole number", int)),
+    **dict.fromkeys(("states_proven", "minimum_is_unique", "cut_is_unique", "yields"), ("true or false", bool)),
+}  # fmt: skip
+"""Type of an attribute, if it is no real number; truths in a list with gaps are numbers."""
 NEVER_OPEN = ("states_proven",)
-TRUTHS = ("states_proven", "minimum_is_unique", "cut_is_unique", "yields")  # in a list with gaps they are numbers
 WHOLE_DATA = ("/state", "/proven", "/contact", "/driven")  # that hold whole numbers
 REPORTED_SETS, OPTIONAL_SETS = ("slip", "power", "force", "state"), ("slip_bound", "proven")
 OF_SPHERES = ("center", "driven", "spin", "radius")  # arrays of packings
 STORED_SIZES = ("radius", "friction", "viscosity", "normal_force")
 LEAST_STORED, MOST_STORED = 1e-15, 1e15  # of these, and most of places and spins
 FOLLOWED = ("cundall-strack", "implicit-cundall-strack", "gradient-descent")  # methods of packings that end in a motion
-MOST_SCENE_TEXT, MOST_SUMS = 2**22, 200_000  # letters of the scene and of the checksums, tables and lists in the latter
+MOST_SCENE_TEXT = 2**22  # letters of the scene
 A_LINE = re.compile(r"""\s*([\w-]+\s*=\s*("|[^"{]*\Z|\[["xyz, ]*\]\Z)|#|\Z)""")
 """A key without dots and its value, which is no table: keys of many dots take memory like their length squared. Words
 in a list are axes."""
@@ -47,9 +46,7 @@ in a list are axes."""
 @dataclass(frozen=True)
 class StoredRun:
     """attributes : of the file. settings : its scene. reported : by name, (R, E), of lattices all contacts along x,
-    then y, then z. history : columns (checks,) or (R, checks). others : names of what else is in the file. changed :
-    names of what is not as it was written, by the checksums in the file (taichi_bearings.checksums says how they are
-    made); None where it has none.
+    then y, then z. history : columns (checks,) or (R, checks). others : names of what else is in the file.
     """
 
     path: Path
@@ -59,7 +56,6 @@ class StoredRun:
     reported: dict[str, np.ndarray]
     history: dict[str, np.ndarray]
     others: list[str]
-    changed: tuple[str, ...] | None
 
     @property
     def is_dynamics(self) -> bool:
@@ -76,17 +72,12 @@ class StoredRun:
         value = value.reshape(-1)
         values = value.tolist() if len(value) == self.samples.count else value.tolist() * self.samples.count
         found = [None if v == "" or (isinstance(v, float) and np.isnan(v)) else v for v in values]
-        words, kinds = "a number", {int, float}
-        if name in TEXT_ATTRIBUTES:
-            words, kinds = "a text", {str}
-        elif name in WHOLE_ATTRIBUTES:
-            words, kinds = "a whole number", {int}
-        elif name in TRUTHS:
-            words, kinds = "true or false", {bool}
+        words, *kinds = ATTRIBUTE_TYPES.get(name, ("a number", int, float))
+        if bool in kinds:
             found = [bool(v) if self.samples.count > 1 and v in (0.0, 1.0) else v for v in found]
         for v, given in zip(found, values, strict=True):
             is_open = v is None and not (name in NEVER_OPEN and name in self.attributes)
-            is_open &= name not in TRUTHS or self.samples.count > 1 or given == ""  # no number alone is a truth
+            is_open &= bool not in kinds or self.samples.count > 1 or given == ""  # no number alone is a truth
             if not is_open and type(v) not in kinds:
                 raise FileError(f"{self.path} has {given!r} for {name!r}; it must be {words}")
         return found
@@ -139,8 +130,7 @@ def _read(path: Path, file: h5py.File, number: int, replicas: int) -> StoredRun:
     history = {name: _column(path, name, values, count) for name, values in file.get("history", {}).items()}
     if replicas > 1:
         history = {name: column if column.ndim == 1 else column[number] for name, column in history.items()}
-    others, changed = [*_unread(file, "", known)], _changed(path, file) if number == 0 else ()
-    return StoredRun(path, samples, attributes, settings, reported, history, others, changed)
+    return StoredRun(path, samples, attributes, settings, reported, history, [*_unread(file, "", known)])
 
 
 def _of_replica(value: Any, number: int, replicas: int) -> Any:
@@ -197,7 +187,7 @@ def _lattice(
         law=law,
         coefficient=by_axis("coefficient/{}"),
         **{name: _number(path, attributes, name) for name in ("spin_top", "spin_bottom", "normal_force", "radius")},
-        direction=_direction(path, settings.get("direction", [1.0, 1.0, 0.0])),
+        direction=_numbers(path, "direction", settings.get("direction", [1.0, 1.0, 0.0]), (3,)),
         spin=spin,
         spin_rounding=get("spin_rounding", (*shape, *parts)) if "spin_rounding" in file else np.zeros_like(spin),
         friction=by_axis("contact/{}/friction", parts),
@@ -303,18 +293,17 @@ def _state(path: Path, settings: dict[str, Any], name: str, dimension: int) -> t
     """A bearing state of the scene; that of the other plane alone makes it 0."""
     if settings.get("top") is None and settings.get("bottom") is None:
         return None
-    count = 1 if dimension == 2 else 4
-    stored = settings.get(name, [0.0] * count)
+    counts = (1,) if dimension == 2 else (3, 4)
+    numbers = _numbers(path, name, settings.get(name, [0.0] * counts[-1]), counts)
+    return (*numbers, *(0.0,) * (counts[-1] - len(numbers)))
+
+
+def _numbers(path: Path, name: str, stored: Any, counts: tuple[int, ...]) -> tuple[float, ...]:
+    """A list of the scene of so many numbers."""
     numbers = isinstance(stored, list) and all(type(part) in (int, float) for part in stored)
-    if not numbers or len(stored) not in ((1,) if dimension == 2 else (3, 4)) or not np.isfinite(stored).all():
-        raise FileError(f"the scene in {path} has {stored!r} for {name}; it must be {count} numbers")
-    return (*map(float, stored), *(0.0,) * (count - len(stored)))
-
-
-def _direction(path: Path, stored: Any) -> tuple[float, float, float]:
-    if isinstance(stored, list) and [type(part) in (int, float) for part in stored] == [True] * 3:
-        return float(stored[0]), float(stored[1]), float(stored[2])
-    raise FileError(f"the scene in {path} has the direction {stored!r}; it must be three numbers")
+    if not numbers or len(stored) not in counts or not np.isfinite(stored).all():
+        raise FileError(f"the scene in {path} has {stored!r} for {name}; it must be {counts[-1]} numbers")
+    return tuple(map(float, stored))
 
 
 def _column(path: Path, name: str, stored: h5py.Dataset, count: int) -> np.ndarray:
@@ -324,34 +313,6 @@ def _column(path: Path, name: str, stored: h5py.Dataset, count: int) -> np.ndarr
     ):
         raise FileError(f"{path} has history/{name} of {stored.dtype} and shape {stored.shape}; it must be numbers")
     return np.asarray(stored[()])
-
-
-def _changed(path: Path, file: h5py.File) -> tuple[str, ...] | None:
-    """By checksums alone: what is missing is seen by those who need it."""
-    if "sha256" not in file.attrs:
-        return None
-    text = str(file.attrs["sha256"])
-    digests = (
-        json.loads(text) if len(text) <= MOST_SCENE_TEXT and text.count("[") + text.count("{") <= MOST_SUMS else None
-    )
-    if not isinstance(digests, dict):
-        raise FileError(f"{path} has checksums that are no table of names and sums")
-    return tuple(name for name, digest in digests.items() if _differs(file, name, digest))
-
-
-def _differs(file: h5py.File, name: str, digest: str) -> bool:
-    path, is_attribute, attribute = name.partition("@")
-    where = file.get(path or "/")
-    if where is None or (is_attribute and attribute not in where.attrs):
-        return False
-    if is_attribute:
-        content = json.dumps(np.asarray(where.attrs[attribute]).tolist()).encode()
-    else:
-        values = np.asarray(where[()])
-        texts = values.dtype == object
-        content = json.dumps(values.tolist(), default=bytes.decode).encode() if texts else values.tobytes()
-        content = f"{values.dtype.str} {values.shape}".encode() + content
-    return hashlib.sha256(content).hexdigest() != digest
 
 
 def _settings(path: Path, text: str) -> dict[str, Any]:

@@ -16,10 +16,11 @@ alone, and a *body* what T joins and those of C that bear nothing along the comp
    on T inside all discs (balance.py). So u* is a minimum of the whole power, and T rests at every minimum.
 4. All minima share that friction. So they differ from u* by motions of bodies that keep T at rest, turn no slip of S
    and let C slip along its friction alone. Clusters of bodies that move as a whole do so, and what lies between two
-   sets, along the line. By the curvature with one body of each held (rises) there are no others. So minima are all
-   motions y of clusters for which no contact of S and C slips backwards: t + y_b - y_a >= 0, with t its slip at u*,
-   which is 0 on C. How far a slip can go is the length of a shortest path. A contact of S rests at some minimum if t is
-   no longer than any other path, and at none if one is shorter; one of C rests at all if a path of length 0 leads back.
+   sets, along the line, which leaves these slips open. By the curvature with one body of each held (rises) there are no
+   others. So minima are all motions y of clusters for which no contact of S and C slips backwards: t + y_b - y_a >= 0,
+   with t its slip at u*, which is 0 on C. How far a slip can go is the length of a shortest path. A contact of S rests
+   at some minimum if t is no longer than any other path, and at none if one is shorter; one of C rests at all if a path
+   of length 0 leads back.
 """
 
 from __future__ import annotations
@@ -122,7 +123,6 @@ class Line:
     upper: np.ndarray
     sign: np.ndarray
     twin: np.ndarray
-    is_between: bool = False
 
     def with_others(self, some: np.ndarray) -> np.ndarray:
         """(n,) mask of some contacts, and of all that share what moves with them, directly or through others."""
@@ -169,16 +169,14 @@ def _edges(tail: np.ndarray, head: np.ndarray, length: np.ndarray, size: int = 0
 class Between:
     """The m domains that just two equal sets of contacts pull.
 
-    labels : (2, m), of both components. slot : (m,), that in which each is held. ends : (2, n), numbers of those at the
-    lower and the upper end of each contact of the sets, from 1; 0 for others. twin : (n,), equal for contacts of a set.
-    coupled : (n,), contacts along which such a domain slides that others than its sets touch, and those of its sets.
+    labels : (2, m), of both components. slot : (m,), that in which each is held. sets : numbers of the contacts of
+    both sets of each. unclear : (n,), all these, and contacts along which such a domain slides.
     """
 
     labels: np.ndarray
     slot: np.ndarray
-    ends: np.ndarray
-    twin: np.ndarray
-    coupled: np.ndarray
+    sets: list[np.ndarray]
+    unclear: np.ndarray
 
     @classmethod
     def of(cls, pulls: Pulls, contacts: Slipping) -> Between:
@@ -187,10 +185,8 @@ class Between:
         spans = pulls.slips & pulls.turns.all(axis=0)
         spans &= pulls.apart(pulls.domain, 0) & pulls.apart(pulls.domain, 1)
         at = {slot: _touching(pulls.domain[slot], pulls, pulls.slips & pulls.turns[slot]) for slot in range(2)}
-        numbers = {one: number for number, one in enumerate(pair.tolist())}
-        ends, twin = np.zeros((2, len(spans)), dtype=np.int64), np.zeros(len(spans), dtype=np.int64)
-        labels, slots, coupled = [], [], np.zeros(len(spans), dtype=bool)
-        for sphere in numbers.values():
+        labels, slots, sets, unclear = [], [], [], np.zeros(len(spans), dtype=bool)
+        for sphere in np.unique(pair, return_index=True)[1]:
             own = [int(pulls.domain[slot, sphere]) for slot in range(2)]
             some = at[0].get(own[0], set())
             if min(own) < 2 or not some or some != at[1].get(own[1], set()):
@@ -214,19 +210,15 @@ class Between:
                 continue
             labels.append(own)
             slots.append(slot)
-            ends[1, chosen[up]] = ends[0, chosen[~up]] = len(labels)
-            twin[chosen] = np.minimum(pair[pulls.lower[chosen]], pair[pulls.upper[chosen]]) * len(pair)
-            twin[chosen] += np.maximum(pair[pulls.lower[chosen]], pair[pulls.upper[chosen]])
-            along = [(pulls.felt[s] & ~pulls.turns[s]) & pulls.touches(pulls.domain[s], own[s], s) for s in range(2)]
-            if np.any(along):
-                coupled |= along[0] | along[1]
-                coupled[chosen] = True
-        return cls(np.array(labels, dtype=int).reshape(-1, 2).T, np.array(slots, dtype=int), ends, twin, coupled)
+            sets.append(chosen)
+            unclear[chosen] = True
+            for s in range(2):
+                unclear |= pulls.felt[s] & ~pulls.turns[s] & pulls.touches(pulls.domain[s], own[s], s)
+        return cls(np.array(labels, dtype=int).reshape(-1, 2).T, np.array(slots, dtype=int), sets, unclear)
 
     def lie_between(self, contacts: Slipping, turn: np.ndarray) -> bool:
         """True if near the minimum the contacts of the sets surely slip along the component in which they are held."""
-        for number, slot in enumerate(self.slot, start=1):
-            own = np.flatnonzero((self.ends == number).any(axis=0))
+        for own, slot in zip(self.sets, self.slot, strict=True):
             if not (contacts.difference[slot].at(own).least > turn[own] * contacts.size.at(own).most * UP).all():
                 return False
         return True
@@ -400,20 +392,20 @@ def _named(
     least = np.append(contacts.size.least * (1 - turn) / PATH_ROUNDING, np.zeros(rest))
     most = np.append(contacts.size.most * (1 + turn) * PATH_ROUNDING, np.zeros(rest))
     state = np.where(pulls.slips, SLIPPING, CRITICAL)
-    state[between.coupled | between.ends.any(axis=0)] = UNPROVEN
-    for line in _lines(pulls, between, contacts, turn):
+    state[between.unclear] = UNPROVEN
+    for line in _lines(pulls):
         rests, always, some = line.limits(least[line.own], most[line.own])
         known = np.where(rests & some, TIED, np.where(always, SLIPPING, np.where(rests, CRITICAL, UNPROVEN)))
-        coupled = line.with_others(between.coupled[line.own])
-        state[line.own] = np.where(coupled & ((known != TIED) | line.is_between), UNPROVEN, known)
+        unclear = line.with_others(between.unclear[line.own])
+        state[line.own] = np.where(unclear & (known != TIED), UNPROVEN, known)
     found = np.full(count, SLIPLESS)
     found[pulls.own] = state
     tied, unproven = (found == TIED).any(), (found == UNPROVEN).any()
     return found, False if tied else True if not moves or not unproven else None
 
 
-def _lines(pulls: Pulls, between: Between, contacts: Slipping, turn: np.ndarray) -> list[Line]:
-    """Along either component, and along the slips of what lies between two sets."""
+def _lines(pulls: Pulls) -> list[Line]:
+    """Along either component."""
     found, size = [], pulls.domain.shape[1] + 2
     for slot in range(2):
         cluster = pulls.clusters(pulls.body, slot)
@@ -424,10 +416,4 @@ def _lines(pulls: Pulls, between: Between, contacts: Slipping, turn: np.ndarray)
         twin = np.where(sign > 0, low * size + high, high * size + low)
         twin = np.where(pulls.slips[own], twin, size * size + own)
         found.append(Line(own, ends[0][own], ends[1][own], sign, twin))
-    own = np.flatnonzero(between.ends.any(axis=0))
-    for difference in contacts.difference if len(own) else ():  # slips along one line have one sign in any component
-        if (difference.at(own).least > turn[own] * contacts.size.at(own).most * UP).all():
-            sign = np.sign(difference.high[own])
-            found.append(Line(own, between.ends[0, own], between.ends[1, own], sign, between.twin[own], True))
-            break
     return found

@@ -23,7 +23,6 @@ ROUNDED = 1e-12  # relative difference of numbers that the run has computed in d
 PROVING = ("lower_bound", "states_proven", "minimum_is_unique")  # words that say that something is proven
 OF_SAMPLES = ("power", "upper_bound", "lower_bound", "gap", "balanced", "inside_discs", "largest_balance_residual",
            "states_proven", "minimum_is_unique", "unproven_because")  # fmt: skip
-OFF_IN_SINGLE = 1e-5  # relative, that motions in single precision are off
 TORQUE_COST = 1e-12  # of the power, that torques left over may cost where friction counts as balanced
 LOST_SQUARE = 1e-150  # of the largest friction: sizes of vectors below it may be lost where they are squared
 NORMAL_ERROR = 1e-6  # of the length of a normal, and between those of two contacts of the same spheres
@@ -94,22 +93,24 @@ def _driving(samples: Samples) -> Iterator[str]:
     """
     lost = 2.0**-98 * (abs(samples.spin_top) + abs(samples.spin_bottom))
     largest = {"bottom": 0.0, "top": 0.0}
-    for k in samples.components:
-        spins = [s if samples.dimension == 2 else s[..., k] for s in (samples.spin, samples.spin_rounding)]
-        signed = [samples.sublattice * part for part in spins]
-        first = [samples.first_in_layers(part, k) for part in signed]
+    sign, height = samples.sublattice.ravel(), samples.shape[-1]
+    for at, k in enumerate(samples.components):
+        parts = [
+            part.reshape(samples.count, sign.size, -1)[..., at] * sign for part in (samples.spin, samples.spin_rounding)
+        ]
+        layer, leader = samples.layer(k)[::height], samples.leader(k)[0, : sign.size : height]
         on_top = samples.imposed_in_layers(k)
         low = on_top[0] if k < samples.dimension - 1 else [samples.states[0][k]]
-        for plane, name, imposed in ((0, "bottom", low), (-1, "top", on_top[1])):
-            values = np.array([[float(value) for value in imposed]])
-            expected = samples.by_layer(values, k, samples.dimension - 1)
-            largest[name] = largest[name] + expected**2  # type: ignore[assignment]
-            uneven = any((part[..., plane] != one[..., plane]).any() for part, one in zip(signed, first, strict=True))
-            allowed = 4 * EPS * np.abs(expected) + EPS * abs(samples.spin_top if plane else samples.spin_bottom) + lost
-            if uneven or (np.abs(signed[0][..., plane] - expected) > allowed).any():
+        for first, name, imposed in ((0, "bottom", low), (height - 1, "top", on_top[1])):
+            values = np.array([float(value) for value in imposed])
+            expected = values[layer]
+            largest[name] += float((values**2).max())
+            uneven = any((part[:, first::height] != part[:, leader + first]).any() for part in parts)
+            allowed = 4 * EPS * np.abs(expected) + EPS * abs(samples.spin_top if first else samples.spin_bottom) + lost
+            if uneven or (np.abs(parts[0][:, first::height] - expected) > allowed).any():
                 yield f"the spins of the {name} about {'xyz'[k]} are not those that the scene imposes"
     for name, said in (("bottom", samples.spin_bottom), ("top", samples.spin_top)):
-        true = float(np.sqrt(np.max(largest[name])))
+        true = float(np.sqrt(largest[name]))
         if samples.top is not None and not abs(said - true) <= max(ROUNDED * true, 2 * lost):
             yield f"the largest spin of the {name} is said to be {said!r}; it is another"
 
@@ -140,9 +141,7 @@ def _arrays(run: StoredRun, judgement: Judgement) -> Iterator[str]:
     friction, and at the kinetic one where a contact is said to slip."""
     slip, power, force, state = (run.reported[name] for name in ("slip", "power", "force", "state"))
     acts, limit, size, is_lattice = judgement.acts, judgement.limit, judgement.friction_size, run.samples.is_lattice
-    expected = limit * (slip if judgement.holds else slip**2)
-    if judgement.damping is not None:
-        expected = expected + judgement.damping * slip**2
+    expected = judgement.damping * slip**2 + (limit * slip if judgement.holds else 0.0)
     expected = np.where(acts | (not is_lattice), expected, 0.0)  # driven contacts of packings are beside the power
     wrong = {
         "slips that are not those of the spins": ~(np.abs(slip - judgement.slip) <= ROUNDED * judgement.slip),
@@ -258,15 +257,15 @@ def _claims(run: StoredRun, judgement: Judgement, number: int) -> Iterator[Claim
     kinds = [slip[state == kind] for kind in (SLIPLESS, SLIPPING, UNPROVEN)]
     for kind, name in zip(kinds, ("slipless", "slipping", "undecided"), strict=True):
         yield Claim(name, len(kind), source="the arrays")
-    full = (state == UNPROVEN) & (force >= (1 - MISSED_LIMIT) * judgement.limit[number]) & samples.holds
-    full &= judgement.limit[number] * slip <= objective - bound
     for column, name in (("time", "time"), ("energy_residual", "energy_residual"), ("iteration", "iterations")):
         rows = _row(run.history.get(column), number)
         if rows is not None and len(rows):
             yield Claim(name, _finite(rows[-1:])[0], off=0.0, source="the history")
     if not isinstance(samples, Samples):
         yield Claim("contacts", int((state != DRIVEN_STATE).sum()), source="the arrays")
-        yield Claim("critical", int(full.sum()), source="the arrays")
+        full = force >= (1 - MISSED_LIMIT) * judgement.limit[0]
+        full &= judgement.limit[0] * slip <= objective - bound
+        yield Claim("critical", int((full & (state == UNPROVEN) & samples.holds).sum()), source="the arrays")
         yield Claim("largest_balance_residual", float(judgement.largest_torque[0]))
         yield Claim("driven_power", judgement.driven_power)
         yield Claim("spheres", len(samples.spin), source="the arrays")
@@ -279,15 +278,14 @@ def _claims(run: StoredRun, judgement: Judgement, number: int) -> Iterator[Claim
         yield Claim("shape", None)
         yield from _under_torque(run, judgement, number)
         return
-    yield Claim("contacts", int((~samples.driven_contacts).sum()), source="the arrays")
-    tied = run.claimed("tied_contacts")[number] or 0
-    yield Claim("critical", min(_at_limit(run, judgement, number, full), len(kinds[2]) - tied), source="the arrays")
+    network = judgement.network
+    between = ~network.free[network.contact[:, : force.size]].any(axis=0)  # in all samples
+    yield Claim("contacts", int((~between).sum()), source="the arrays")
     yield Claim("largest_slipless_slip", float(kinds[0].max()) if len(kinds[0]) else None, source="the arrays")
     yield Claim("smallest_slipping_slip", float(kinds[1].min()) if len(kinds[1]) else None, source="the arrays")
     unit = samples.normal_force * samples.radius * abs(samples.spin_top)
     if not samples.flows and unit > 0:
         yield Claim("power_normalised", None if power is None else power / unit)
-    yield Claim("separation_decades", _decades(run, kinds, float(judgement.gap[number])), source="the arrays")
     rows = judgement.largest_torque[[number]]
     if run.is_dynamics:
         rows = _row(run.history.get("largest_balance_residual"), number)
@@ -295,35 +293,6 @@ def _claims(run: StoredRun, judgement: Judgement, number: int) -> Iterator[Claim
         value = _finite(rows[-1:])[0] if len(rows) else None
         yield Claim("largest_balance_residual", value, needed=True, is_sure=not run.is_dynamics)
     yield from _under_torque(run, judgement, number)
-
-
-def _at_limit(run: StoredRun, judgement: Judgement, number: int, full: np.ndarray) -> int:
-    """Of the undecided contacts with all their friction, `full`, those proven to rest, and others unless they may have
-    at most 0.01 of their power at the least component of the jump; none of these where more than 1 in 20 contacts have
-    so little there that doubles, 1e-8 of the whole power, or the bounds lose it."""
-    samples, left = run.samples, judgement.objective[number] - judgement.lower_bound[number]
-    assert isinstance(samples, Samples)
-    if not samples.holds:
-        return 0
-    share = samples.least_jump / (samples.jump_size or 1.0)  # of it, added to a slip by the other component
-    at_jump, acts = judgement.limit[number] * samples.radius * samples.least_jump, judgement.acts[number]
-    known = run.reported["proven"][number] if "proven" in run.reported else np.full(full.shape, UNPROVEN)
-    lost = ((at_jump <= 1e-8 * judgement.power[number]) | (share * at_jump <= left)) & (samples.least_jump > 0)
-    proven = int((full & (known == SLIPLESS)).sum())
-    clear = int((full & ~np.isin(known, (SLIPLESS, TIED)) & (left <= 0.01 * at_jump)).sum())
-    return proven if (acts & lost).sum() > 0.05 * acts.sum() else proven + clear
-
-
-def _decades(run: StoredRun, kinds: list[np.ndarray], gap: float) -> float | None:
-    """Between the slips of the two kinds of contacts, where the gap is within the tolerance; one that rests slips by
-    the rounding of the spins at least."""
-    samples, slipless, slipping = run.samples, *kinds[:2]
-    assert isinstance(samples, Samples)
-    rounding = EPS * samples.radius * max(abs(samples.spin_top), abs(samples.spin_bottom))
-    if not (gap <= run.setting("tolerance", 1e-8) and len(slipless) and len(slipping)):
-        return None
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return _finite(np.log10([slipping.min() / max(slipless.max(), rounding)]))[0]
 
 
 def _under_torque(run: StoredRun, judgement: Judgement, number: int) -> Iterator[Claim]:
@@ -356,19 +325,9 @@ def _history(run: StoredRun, judgement: Judgement) -> Iterator[str]:
         bounds, powers = (_row(run.history.get(name), number) for name in ("lower_bound", least))
         if bounds is not None and (bounds > judgement.upper_bound[number] * (1 + ROUNDED)).any():
             yield f"a lower bound of the history is above the least {least}"
-        least_then = judgement.lower_bound[number] * _least_share(run, number)
-        if powers is not None and (powers < least_then * (1 - ROUNDED)).any():
+        moves_alike = "amplitude" not in run.history  # else a torque turns the top by less or more than strength 1
+        if moves_alike and powers is not None and (powers < judgement.lower_bound[number] * (1 - ROUNDED)).any():
             yield f"a {least} of the history is below the least {least}"
-
-
-def _least_share(run: StoredRun, number: int) -> Any:
-    """What a motion of the strength a that a torque gives the top takes at least, over that of strength 1: |a| for
-    friction, a^2 for viscosity, and the smaller one for both."""
-    strength = _row(run.history.get("amplitude"), number)
-    if strength is None:
-        return 1.0
-    powers = [1] * run.samples.holds + [2] * run.samples.flows
-    return np.min([np.abs(strength) ** power for power in powers], axis=0) * (1 - OFF_IN_SINGLE)
 
 
 def _row(column: np.ndarray | None, number: int) -> np.ndarray | None:

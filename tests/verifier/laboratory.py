@@ -19,6 +19,13 @@ def dot(a, b):
     return sum((x * y for x, y in zip(a, b, strict=True)), ZERO)
 
 
+def by_axis(samples, values):
+    """Of (..., E) an array (..., *contacts) an axis."""
+    shapes = [of.shape[1:] for of in samples.coefficient]
+    ends = np.cumsum([np.prod(shape) for shape in shapes])[:-1]
+    return [of.reshape(*values.shape[:-1], *n) for of, n in zip(np.split(values, ends, -1), shapes, strict=True)]
+
+
 def exactly(values):
     return tuple(Decimal(float(v)) for v in np.atleast_1d(values))
 

@@ -13,7 +13,7 @@ from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
 from taichi_bearings.verifier.judgement import Judgement
 from tests.scenes import make_scene, minima, name_of, scene_of
-from tests.verifier.laboratory import Laboratory, dot
+from tests.verifier.laboratory import Laboratory, by_axis, dot
 from tests.verifier.test_bounds import samples_of
 
 pytestmark = pytest.mark.usefixtures("needs_f64", "taichi_runtime")
@@ -63,7 +63,7 @@ def test_the_bound_is_where_a_contact_alone_has_all_that_is_left(shape, options,
     box = samples.radius * samples.jump_size * 1.0000001
     for lower, upper, _, held, viscosity, force in truth.contacts():
         axis = next(k for k, (a, b) in enumerate(zip(lower, upper, strict=True)) if a != b)
-        speed = Decimal(float(samples.by_axis(judgement.slip_bound)[axis][(0, *lower)]))
+        speed = Decimal(float(by_axis(samples, judgement.slip_bound)[axis][(0, *lower)]))
         size_of_force = dot(force, force).sqrt()
         if not viscosity:
             size_of_force /= max(worst, Decimal(1))

@@ -17,6 +17,7 @@ from taichi_bearings.verifier.judgement import Judgement
 from taichi_bearings.verifier.samples import SLIPLESS, SLIPPING, UNPROVEN, Samples
 from tests.scenes import make_scene
 from tests.stress.minima import DRIVEN, least_of_all
+from tests.verifier.laboratory import by_axis
 from tests.verifier.test_bounds import samples_of
 
 pytestmark = pytest.mark.usefixtures("needs_f64", "taichi_runtime")
@@ -108,13 +109,13 @@ def test_damped_contacts_lose_the_proof_of_rest_where_it_is_none():
     """By forces that leave no room, or are out of balance by more than others can bear."""
     samples = samples_of(minimum((3, 3, 4), {"seeds": (1,), "law": "coulomb-viscous"}, "interior-point"))
     assert all_proven(samples)
-    state = samples.by_axis(Judgement(samples).states[0].proven)[2]
+    state = by_axis(samples, Judgement(samples).states[0].proven)[2]
     holds = tuple(np.argwhere(state == SLIPLESS)[3])
     for share in (0.5, 0.999):
         friction = [f.copy() for f in samples.friction]
         friction[2][(0, *holds)] += share * samples.normal_force * samples.coefficient[2][(0, *holds)]
-        proven = Judgement(replace(samples, friction=tuple(friction))).states[0].proven
-        assert not (proven == SLIPLESS)[~samples.driven_contacts].any()
+        judged = Judgement(replace(samples, friction=tuple(friction)))
+        assert not (judged.states[0].proven == SLIPLESS)[judged.acts[0]].any()
 
 
 @pytest.fixture(scope="module")
@@ -209,7 +210,7 @@ def test_friction_that_proves_no_bound_proves_no_states():
     assert states.unique is None
     assert np.isin(states.proven, (UNPROVEN, SLIPLESS)).all()
     exact = least_of_all(Scene(samples.coefficient, normal_force=1.0))
-    for proven, found in zip(samples.by_axis(states.proven), exact.state, strict=True):
+    for proven, found in zip(by_axis(samples, states.proven), exact.state, strict=True):
         assert np.isin(found[proven == SLIPLESS], (truth.SLIPLESS, DRIVEN)).all()
 
 
