@@ -5,10 +5,9 @@ coefficient times the normal force, so that every number is of order one whateve
 as many slipping components form a group: the vectors (d, n) across its n contacts have d components (equations.md).
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, reduce
-from itertools import combinations_with_replacement
+from itertools import combinations_with_replacement, product
 from typing import Any
 
 import numpy as np
@@ -35,14 +34,6 @@ class ContactGroup:
     offset: np.ndarray
     unknowns: int
 
-    @classmethod
-    def joined(cls, groups: Sequence["ContactGroup"]) -> "ContactGroup":
-        """The contacts of all, one group after the other."""
-        below, above, offset = (
-            np.concatenate([getattr(group, name) for group in groups], axis=1) for name in ("below", "above", "offset")
-        )
-        return cls(below, above, offset, groups[0].unknowns)
-
     @cached_property
     def operator(self) -> sparse.csr_matrix:
         """(d*n, unknowns): the part of the differences that is linear in the spins."""
@@ -57,12 +48,6 @@ class ContactGroup:
     def transposed(self) -> sparse.csr_matrix:
         return self.operator.T.tocsr()
 
-    def pairs(self, i: int, j: int) -> list[tuple[np.ndarray, np.ndarray, float]]:
-        """Unknowns (n,) that the stiffness between slips i <= j couples, each pair once, and its factor."""
-        below, above = self.below, self.above
-        found = [(below[i], below[j], 1.0), (above[i], above[j], 1.0), (below[i], above[j], -1.0)]
-        return found + ([(below[j], above[i], -1.0)] if i != j else [])
-
     def copies(self, count: int) -> "ContactGroup":
         """The same contacts so many times, each time over spins of their own."""
         shift = self.unknowns * np.arange(count)[:, None]
@@ -75,12 +60,8 @@ class ContactGroup:
     def with_one_more(self, column: np.ndarray) -> "ObliqueGroup":
         """The same contacts over one unknown more, the last, of which a unit adds column (d, n) to the differences;
         nothing is imposed."""
-        ends, one = np.concatenate([self.below, self.above]).T, np.eye(len(column))[:, None]
-        factor = np.where(ends >= 0, np.concatenate([-one, one], axis=2), 0.0)
-        unknown = np.column_stack([ends, np.full(len(ends), self.unknowns)])
         operator = sparse.csr_array(sparse.hstack([self.operator, sparse.csr_array(column.reshape(-1, 1))]))
-        whole = np.concatenate([factor, column[..., None]], axis=2)
-        return ObliqueGroup(operator, unknown, whole, np.zeros_like(column))
+        return ObliqueGroup(operator, np.zeros_like(column))
 
     def renamed(self, keep: np.ndarray, number: np.ndarray, unknowns: int, offset: np.ndarray) -> "ContactGroup":
         """The contacts `keep` over other unknowns. number : (unknowns,) the new one of each spin, -1 if it has none.
@@ -95,28 +76,17 @@ class ContactGroup:
 
 @dataclass(frozen=True)
 class ObliqueGroup:
-    """n contacts whose slips are any sums of the m unknowns at their ends.
+    """n contacts whose slips are any sums of the unknowns at their ends.
 
-    operator : (d*n, unknowns), slips of the spins, also by unknown : (n, m), -1 where the spin is imposed, and factor :
-    (d, n, m), 0 there. offset : as of ContactGroup.
+    operator : (d*n, unknowns), slips of the spins. offset : as of ContactGroup.
     """
 
     operator: sparse.csr_array
-    unknown: np.ndarray
-    factor: np.ndarray
     offset: np.ndarray
 
     @cached_property
     def transposed(self) -> sparse.csr_array:
         return self.operator.T.tocsr()
-
-    def pairs(self, i: int, j: int) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """As of ContactGroup; factors (n,)."""
-        found, f = [], self.factor
-        for a, b in combinations_with_replacement(range(self.unknown.shape[1]), 2):
-            factor = f[i, :, a] * f[j, :, b] + (f[j, :, a] * f[i, :, b] if i != j else 0.0)
-            found.append((self.unknown[:, a], self.unknown[:, b], factor))
-        return found
 
 
 @dataclass(frozen=True)
@@ -234,13 +204,26 @@ class ContactSystem:
         found, start = [], 0
         for group in self.groups:
             d, count = group.offset.shape
+            ends = [_ends(group.operator[slip * count : (slip + 1) * count]) for slip in range(d)]
             for i, j in combinations_with_replacement(range(d), 2):
-                for first, second, factor in group.pairs(i, j):
-                    free = np.flatnonzero((first >= 0) & (second >= 0) & (factor != 0))
-                    found.append((first[free], second[free], start + free, np.broadcast_to(factor, count)[free]))
+                several = product(ends[i], ends[j]) if i != j else combinations_with_replacement(ends[i], 2)
+                for (first, of_first), (second, of_second) in several:
+                    factor = of_first * of_second * np.where((first == second) & (i != j), 2.0, 1.0)
+                    free = np.flatnonzero(factor)
+                    found.append((first[free], second[free], start + free, factor[free]))
                 start += count
         first, second, source, factor = (np.concatenate(parts) for parts in zip(*found, strict=True))
         return first, second, source, factor
+
+
+def _ends(slips: sparse.csr_matrix) -> list[tuple[np.ndarray, np.ndarray]]:
+    """The first unknown (n,) of each of these slips, and its factor, 0 where there is none; the second, and so on."""
+    counts = np.diff(slips.indptr)
+    row, most = np.repeat(np.arange(len(counts)), counts), int(counts.max(initial=1))
+    place = np.arange(len(row)) - slips.indptr[row]
+    unknown, factor = np.zeros((most, len(counts)), dtype=np.int64), np.zeros((most, len(counts)))
+    unknown[place, row], factor[place, row] = slips.indices, slips.data
+    return list(zip(unknown, factor, strict=True))
 
 
 def joined(first: np.ndarray, second: np.ndarray, nodes: int) -> tuple[int, np.ndarray]:

@@ -33,7 +33,6 @@ from taichi_bearings.conic.slipless_forces import (
     Borne,
     borne_nearby,
     nearly_borne,
-    roughly_borne,
 )
 from taichi_bearings.conic.ties import tied_contacts
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
@@ -196,10 +195,7 @@ def _over_tied(
     if left is None:
         return None, None
     slipping, critical = none.placed(tied.kept, left), none.placed(tied.kept, rest.critical)
-    dual, at_limit = path.point.dual.placed(tied.kept, rest.point.dual), slipping | critical
-    motion = roughly_borne(lattice.system, lattice.order, iterate.friction, dual, at_limit).motion
-    if motion is not None:
-        return None, motion
+    dual = path.point.dual.placed(tied.kept, rest.point.dual)
     return _tried(iterate, tied.expanded(rest.spins), slipping, critical, dual, lattice)
 
 
@@ -346,7 +342,7 @@ class _Slipping:
         if not self.balanced.any():
             return [None] * self.samples
         (spins, rest), difference, dual, fine = polished(
-            self.tied, self.matrix, self.friction, self.spins, self.difference, top, self.balanced
+            self.tied, self.matrix, self.friction, self.spins, top, self.balanced
         )
         rests = np.split(rest, self.samples)
         precise, rough = self._each(spins, rests, difference, dual), []

@@ -21,7 +21,6 @@ from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.conic.grouped import Arrays, each, isotropic, one_by_one, side_by_side, where
 from taichi_bearings.conic.iterate import Inertia, Iterate
 from taichi_bearings.conic.newton_matrix import FORCE_REFINEMENTS, NewtonMatrix
-from taichi_bearings.numerics.cholesky import Memory
 
 MOST_MOTION_STEPS = 40
 FIRST_SLACK = 1e-2  # of the bounds at the start, in units of the motion
@@ -31,7 +30,6 @@ REMOVABLE_TORQUE, LEFT_TORQUE = 1e-4, 1e-11
 MARGIN_PER_TORQUE = 10.0
 # contacts outside their discs for whose sake others change their forces, so many contacts away
 MOST_REPAIRED, REPAIR_DISTANCE = 100, 6
-QUICK_TORQUE, QUICK_DISTANCE = 1e-2, 8  # torque, of the mean friction, for whose sake they do in a quick look
 LIMITED_REFINEMENTS = 8  # of balanced forces where contacts are kept at their limit
 # share of its friction by which a contact at its limit counts as having room where forces are balanced
 ROOM_AT_LIMIT = 1e-5
@@ -61,20 +59,17 @@ def bear(
     friction: Arrays,
     dual: Arrays,
     slipping: Arrays,
-    roughly: bool = False,
-    memory: Memory | None = None,
 ) -> Borne:
     """What slipless contacts do with what slipping ones, as their dual tells, leave to them.
 
     order : of elimination of the unknowns of `system`. friction (n,), dual (d, n), minus the forces, and slipping
-    (n,), a group each; the dual of slipless contacts is not used. roughly : the dual found need not be in balance
-    where a domain as a whole is not. memory : for its matrix.
+    (n,), a group each; the dual of slipless contacts is not used.
     """
     number, kept = _held(system, slipping), each(np.flatnonzero, ~slipping)
     unknowns, pairs = int((number >= 0).sum()), zip(system.groups, kept, strict=True)
     groups = (g.renamed(keep, number, unknowns, np.zeros_like(g.offset[:, keep])) for g, keep in pairs)
     slipless = ContactSystem(unknowns, tuple(groups))
-    matrix = NewtonMatrix(slipless, _free(number[order]), memory)
+    matrix = NewtonMatrix(slipless, _free(number[order]))
     at_rest = np.zeros(slipless.unknowns)
     load = -system.torques(where(slipping, dual, 0.0))[number >= 0]
     point = replace(
@@ -89,7 +84,7 @@ def bear(
             still = balance(still, matrix)
         if still.unbalanced < LEFT_TORQUE:
             whole = dual.placed(kept, still.dual)
-            if roughly or _inside(friction, whole, slipping, system.torques(whole)[:, None])[0]:
+            if _inside(friction, whole, slipping, system.torques(whole)[:, None])[0]:
                 return Borne(dual=whole)
         if point.slip_over_margin.max() > MOTION_RATIO or point.complementarity < FINAL_PRODUCT:
             return Borne(motion=np.append(point.spins, 0.0)[number])
@@ -152,15 +147,6 @@ def borne_nearby(
 
 
 @np.errstate(all="ignore")
-def roughly_borne(system: ContactSystem, order: np.ndarray, friction: Arrays, dual: Arrays, slipping: Arrays) -> Borne:
-    """A quick look for contacts that are wrongly said not to slip: as :func:`bear`, roughly, and only contacts near
-    spins that feel a torque of QUICK_TORQUE change their forces."""
-    unbalanced = system.at(np.abs(system.torques(dual)) > QUICK_TORQUE) & ~slipping
-    if not unbalanced.any():
-        return Borne(dual=dual)
-    return bear(system, order, friction, dual, ~system.around(unbalanced, QUICK_DISTANCE, ~slipping), roughly=True)
-
-
 def _inside(friction: Arrays, dual: Arrays, slipping: Arrays, torques: np.ndarray) -> np.ndarray:
     """Is the dual of each sample, (samples,), in balance, and with room in all friction discs of slipless contacts for
     what is not? torques : (unknowns, samples), of the dual, also on spins that are held."""

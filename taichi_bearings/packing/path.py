@@ -55,10 +55,9 @@ class Followed:
 
 def oblique(system: System) -> ContactSystem:
     """Contacts over the spins as they are."""
-    unknown = np.concatenate(list(system.moved[system.packing.contact[system.contact]].swapaxes(0, 1)), axis=1)
-    factor = np.where(unknown >= 0, np.tile(system.across, 2), 0.0)
-    places = Places(np.arange(len(unknown)), np.broadcast_to(np.arange(len(factor))[:, None], factor.shape[:2]))
-    group = ObliqueGroup(system.matrix, unknown, factor, system.offset)
+    shape = system.offset.shape
+    places = Places(np.arange(shape[1]), np.broadcast_to(np.arange(shape[0])[:, None], shape))
+    group = ObliqueGroup(system.matrix, system.offset)
     return ContactSystem(system.unknowns, (group,), (places,), system.packing.center[system.sphere].T)
 
 

@@ -98,21 +98,9 @@ class System:
         """(d, A, C)."""
         return tangents(self.packing.normal[self.contact])  # type: ignore[index]
 
-    @cached_property
-    def transposed(self) -> sparse.csr_array:
-        return self.matrix.T.tocsr()
-
     def difference(self, spins: np.ndarray) -> np.ndarray:
         """y = K u + b, (d, A)."""
         return (self.matrix @ spins).reshape(self.offset.shape) + self.offset
-
-    def change(self, spins: np.ndarray) -> np.ndarray:
-        """K u, (d, A)."""
-        return (self.matrix @ spins).reshape(self.offset.shape)
-
-    def torques(self, force: np.ndarray) -> np.ndarray:
-        """K^T f, (unknowns,), of (d, A)."""
-        return self.transposed @ force.ravel()
 
     def all_spins(self, spins: np.ndarray) -> np.ndarray:
         """u of all spheres, (N, C)."""

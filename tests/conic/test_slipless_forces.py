@@ -5,7 +5,7 @@ import pytest
 
 from taichi_bearings.conic.contact_system import ContactGroup, ContactSystem
 from taichi_bearings.conic.grouped import Grouped
-from taichi_bearings.conic.slipless_forces import bear, borne_nearby, roughly_borne
+from taichi_bearings.conic.slipless_forces import bear, borne_nearby
 from taichi_bearings.lattice.incidence import contact_differences
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene.initial_spins import initial_spin
@@ -110,19 +110,6 @@ def test_nothing_is_borne_where_a_critical_contact_bears_more_than_its_friction(
     mu.parts[0][3], critical = 0.15 if beyond else 0.2, Grouped([np.arange(6) == 3])
     found = borne_nearby(system, order, mu, dual, slipping, critical)
     assert (found.dual is None, found.motion) == (beyond, None)
-
-
-@pytest.mark.parametrize(("friction", "moves"), [((0.3, 0.3), False), ((0.25, 0.24), True)], ids=str)
-def test_a_torque_that_is_left_tells_quickly_whether_something_moves(friction, moves):
-    system, *of = two_pulled(friction, (0.2, 0.2))
-    motion = roughly_borne(system, *of).motion
-    assert (motion is not None) == moves
-    assert not moves or (motion[0] > 0 and motion[1] == 0)
-
-
-def test_a_small_torque_is_no_reason_to_look():
-    system, *of = two_pulled((0.25, 0.24), (0.246, 0.248))
-    assert roughly_borne(system, *of).motion is None
 
 
 @pytest.mark.parametrize(

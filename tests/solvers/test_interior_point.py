@@ -240,13 +240,10 @@ def tie_nothing(monkeypatch):
 
 
 @pytest.mark.usefixtures("as_large")
-@pytest.mark.parametrize(
-    ("seed", "wrong", "freed"),
-    [(0, 1, True), (1, 10, True), (2, 10, False)],
-)
-def test_contacts_that_are_wrongly_tied_are_freed(monkeypatch, seed, wrong, freed):
+@pytest.mark.parametrize(("seed", "wrong"), [(0, 1), (1, 10), (2, 10)])
+def test_contacts_that_are_wrongly_tied_are_freed(monkeypatch, seed, wrong):
     """Those that slip least. Where what moves does not tell, the path of the whole is followed: the states are its."""
-    scene, decide, moved = make_scene((8, 8, 8), seeds=(seed,)), LastDecades.decide, []
+    scene, decide = make_scene((8, 8, 8), seeds=(seed,)), LastDecades.decide
     with monkeypatch.context() as nothing_tied:
         tie_nothing(nothing_tied)
         whole = minimum_of(scene)
@@ -261,11 +258,7 @@ def test_contacts_that_are_wrongly_tied_are_freed(monkeypatch, seed, wrong, free
     monkeypatch.setattr(LastDecades, "decide", wrongly_decided)
     monkeypatch.setattr(resolution, "DOUBTFUL_SHARE", 0.0)
     monkeypatch.setattr(resolution, "LEAST_DOUBTFUL", 0)
-    for name in ("roughly_borne", "borne_nearby"):
-        look = getattr(resolution, name)
-        monkeypatch.setattr(resolution, name, lambda *of, look=look: moved.append(look(*of)) or moved[-1])
     brief = minimum_of(scene)
-    assert any(of.motion is not None for of in moved) == freed
     assert (whole.states_proven[0], brief.states_proven[0]) == (True, True)
     assert (brief.state == whole.state).all()
 
