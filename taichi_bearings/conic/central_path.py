@@ -266,7 +266,8 @@ class Path:
         return self._expanded(slot)
 
     def _imbalance(self, row: int, spins: np.ndarray) -> None:
-        """As :meth:`Iterate.imbalance`, for the forces in two rows and spins (unknowns, S), in place of the spins."""
+        """Torques that the forces in two rows leave on the spheres, less what they are to balance there at these spins
+        (unknowns, S), in place of the spins."""
         rows = self._rows
         rows.torques(row)
         if self._loaded:

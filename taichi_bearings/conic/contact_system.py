@@ -17,7 +17,6 @@ from scipy.sparse.csgraph import connected_components
 from taichi_bearings.conic.grouped import Arrays, Grouped
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.lattice.incidence import number_free
-from taichi_bearings.numerics.double_double import Pair
 
 
 @dataclass(frozen=True)
@@ -178,13 +177,10 @@ class ContactSystem:
             np.concatenate([values.ravel() for values in Grouped(ends)[chosen]])
             for ends in ([g.below for g in self.groups], [g.above for g in self.groups])
         )
-        both = (below >= 0) & (above >= 0)
-        return joined(below[both], above[both], self.unknowns)
-
-    def at(self, spins: np.ndarray) -> Arrays:
-        """The contacts, (n,) masks a group, at one of the spins, (unknowns,) mask, or at several."""
-        reached = np.append(spins, False)  # imposed ones are not
-        return Grouped((reached[group.below] | reached[group.above]).any(axis=0) for group in self.groups)
+        both, size = (below >= 0) & (above >= 0), (self.unknowns, self.unknowns)
+        graph = sparse.coo_matrix((np.ones(both.sum(), dtype=np.int8), (below[both], above[both])), shape=size)
+        count, piece = connected_components(graph, directed=False)
+        return count, piece
 
     def around(self, chosen: Arrays, steps: int, among: Arrays) -> Arrays:
         """The chosen contacts, and those among some that lead from there so many contacts away: (n,) masks a group."""
@@ -192,12 +188,10 @@ class ContactSystem:
             reached = np.zeros(self.unknowns + 1, dtype=bool)
             for group, some in zip(self.groups, chosen, strict=True):
                 reached[group.below[:, some]] = reached[group.above[:, some]] = True
-            chosen = chosen | (self.at(reached[:-1]) & among)
+            reached[-1] = False  # imposed spins are at the ends of many contacts
+            there = ((reached[group.below] | reached[group.above]).any(axis=0) for group in self.groups)
+            chosen = chosen | (Grouped(there) & among)
         return chosen
-
-    def couplings(self) -> tuple[np.ndarray, np.ndarray]:
-        """Pairs of unknowns that some contact couples."""
-        return self.terms()[:2]
 
     def terms(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """All terms of the Laplacian, each pair once: first, second unknown, place in `stacked` stiffness, factor."""
@@ -226,13 +220,6 @@ def _ends(slips: sparse.csr_matrix) -> list[tuple[np.ndarray, np.ndarray]]:
     return list(zip(unknown, factor, strict=True))
 
 
-def joined(first: np.ndarray, second: np.ndarray, nodes: int) -> tuple[int, np.ndarray]:
-    """Number of the pieces of a graph with these edges, and the piece (nodes,) of each node."""
-    graph = sparse.coo_matrix((np.ones(len(first), dtype=np.int8), (first, second)), shape=(nodes, nodes))
-    count, piece = connected_components(graph, directed=False)
-    return count, piece
-
-
 def stacked(stiffness: Arrays) -> np.ndarray:
     """Upper triangles of the stiffnesses, (d, d, n) a group, in the order that `terms` counts them."""
     return np.concatenate([k[i, j] for k in stiffness for i in range(len(k)) for j in range(i, len(k))])
@@ -247,12 +234,6 @@ def place_free_spins(staggered: np.ndarray, replica: int | slice, spins: np.ndar
     """Inverse of :func:`free_spins`: write the spins (unknowns,) of one sample, or those (R, unknowns) of several."""
     free = staggered[:, replica, ..., 1:-1]
     free[...] = np.moveaxis(spins.reshape(*free.shape[1:], -1), -1, 0)
-
-
-def above_free_spins(top: Pair, lattice: Lattice) -> Pair:
-    """What is imposed on the top, (C, *plane), above each unknown of a sample, (unknowns,)."""
-    high, low = (np.repeat(part[..., None], lattice.free_shape[-1], axis=-1) for part in top)
-    return np.moveaxis(high, 0, -1).ravel(), np.moveaxis(low, 0, -1).ravel()
 
 
 def lattice_system(lattice: Lattice, spin_axes: tuple[int, ...], jump: np.ndarray) -> ContactSystem:

@@ -59,12 +59,6 @@ class Owners:
         return each(lambda own: values[own], self.contacts)
 
 
-def order_by_place(first: np.ndarray, second: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """Of elimination of unknowns at these places, (D, unknowns), that are coupled pair by pair: nested dissection."""
-    graph = coupled(np.arange(place.shape[1]), first, second)
-    return np.concatenate([part.nodes for part in dissected(graph, place, OWN_LEAF_UNKNOWNS)])
-
-
 class Contraction:
     """The contacts that are left, over one unknown for each set of tied spins.
 
@@ -152,9 +146,10 @@ class Contraction:
         free = self.number >= 0
         number, size = self.number[free], own.stop - own.start
         centre = np.stack([np.bincount(number, weights=along[free]) for along in place]) / np.bincount(number)
-        first, second = (end - own.start for end in self.system.couplings())
+        first, second = (end - own.start for end in self.system.terms()[:2])
         inside = (first >= 0) & (first < size)
-        return order_by_place(first[inside], second[inside], centre[:, own])
+        graph = coupled(np.arange(size), first[inside], second[inside])
+        return np.concatenate([part.nodes for part in dissected(graph, centre[:, own], OWN_LEAF_UNKNOWNS)])
 
     def contracted(self, spins: Pair) -> Pair:
         """Mean of the tied spins, (unknowns,): one of them, and by how much they are more on average."""

@@ -60,15 +60,10 @@ class Iterate:
             back, product = self.smooth & ~slips, self.complementarity / self.friction  # along the slip
             central = (product + each(np.hypot, product, 2 * self.difference.length())) / 2
             bound, dual = where(back, central, bound), where(back, -self.friction * self.difference / central, dual)
-        return replace(self, bound=bound, dual=dual, smooth=slips).obeying()
-
-    def obeying(self) -> "Iterate":
-        """The same with the forces of the law of friction at the contacts that are in no cone."""
-        if self.smooth is None or not self.smooth.any():
-            return self
-        slip = self.difference.length()
-        dual = where(self.smooth, -self.friction * self.difference / slip, self.dual)
-        return replace(self, bound=where(self.smooth, slip, self.bound), dual=dual)
+        if slips.any():
+            slip = self.difference.length()
+            bound, dual = where(slips, slip, bound), where(slips, -self.friction * self.difference / slip, dual)
+        return replace(self, bound=bound, dual=dual, smooth=slips)
 
     @property
     def in_cones(self) -> int:
@@ -95,14 +90,7 @@ class Iterate:
     @property
     def whole_dual(self) -> Arrays:
         """Minus the force of every contact, (d, n) a group, with its viscous part."""
-        return self._with_viscosity(self.dual, self.difference)
-
-    def _with_viscosity(self, dual: Arrays, difference: Arrays) -> Arrays:
-        return dual if self.viscosity is None else dual - self.viscosity * difference
-
-    def imbalance(self, spins: np.ndarray, dual: Arrays, difference: Arrays) -> np.ndarray:
-        """Torques (unknowns,) that forces leave on the spheres, less what they are to balance there."""
-        return self.system.torques(self._with_viscosity(dual, difference)) - self.to_balance(spins)
+        return self.dual if self.viscosity is None else self.dual - self.viscosity * self.difference
 
     def to_balance(self, spins: np.ndarray) -> np.ndarray | float:
         """Torques (unknowns,) of the load and of the inertia."""
@@ -111,7 +99,8 @@ class Iterate:
     @property
     def unbalanced(self) -> float:
         """Largest torque that the forces leave on a sphere beside those that they are to balance."""
-        return float(np.abs(self.imbalance(self.spins, self.dual, self.difference)).max(initial=0.0))
+        left = self.system.torques(self.whole_dual) - self.to_balance(self.spins)
+        return float(np.abs(left).max(initial=0.0))
 
     @property
     def power(self) -> float:
