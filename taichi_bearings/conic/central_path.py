@@ -13,9 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from taichi_bearings.conic.cone import length, longest_step
 from taichi_bearings.conic.contact_system import ContactSystem, stacked
-from taichi_bearings.conic.grouped import Arrays, each, isotropic
+from taichi_bearings.conic.grouped import Arrays, each, isotropic, length, longest_step
 from taichi_bearings.conic.iterate import Inertia, Iterate
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.kernels import central_path as kernels

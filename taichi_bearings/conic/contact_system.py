@@ -182,17 +182,6 @@ class ContactSystem:
         count, piece = connected_components(graph, directed=False)
         return count, piece
 
-    def around(self, chosen: Arrays, steps: int, among: Arrays) -> Arrays:
-        """The chosen contacts, and those among some that lead from there so many contacts away: (n,) masks a group."""
-        for _ in range(steps):
-            reached = np.zeros(self.unknowns + 1, dtype=bool)
-            for group, some in zip(self.groups, chosen, strict=True):
-                reached[group.below[:, some]] = reached[group.above[:, some]] = True
-            reached[-1] = False  # imposed spins are at the ends of many contacts
-            there = ((reached[group.below] | reached[group.above]).any(axis=0) for group in self.groups)
-            chosen = chosen | (Grouped(there) & among)
-        return chosen
-
     def terms(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """All terms of the Laplacian, each pair once: first, second unknown, place in `stacked` stiffness, factor."""
         found, start = [], 0

@@ -4,9 +4,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from taichi_bearings.conic.cone import inner
 from taichi_bearings.conic.contact_system import ContactSystem
-from taichi_bearings.conic.grouped import Arrays, each, power, where
+from taichi_bearings.conic.grouped import Arrays, each, inner, power, where
 
 TINY = np.finfo(np.float64).tiny
 

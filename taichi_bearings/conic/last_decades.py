@@ -64,38 +64,13 @@ class LastDecades:
         matrix = NewtonMatrix(tied.system, tied.order, self._matrix.memory)
         return LastDecades(left, spins, tied.differences(spins), matrix)
 
-    def further(self, tied: Contraction, rest: "LastDecades") -> "LastDecades":
-        """The point that `rest`, which is over what is tied, has come to, of this whole system."""
-        spins, point, end = tied.expanded(rest.spins), self.point, rest.point
-        bound, difference, dual, smooth = (
-            whole.placed(tied.kept, part)
-            for whole, part in (
-                (point.bound, end.bound),
-                (point.difference, end.difference),
-                (point.dual, end.dual),
-                (self._smooth, rest._smooth),
-            )
-        )
-        there = replace(point, spins=spins[1], bound=bound, difference=difference, dual=dual, smooth=smooth)
-        return LastDecades(there, spins, difference, self._matrix)
-
     @property
     def spins(self) -> Pair:
         return self._large, self.point.spins
 
-    @property
-    def product(self) -> float:
-        """Mean of slip times friction margin over the contacts in cones."""
-        return self.point.complementarity
-
-    @property
-    def ended(self) -> bool:
-        """Is the product so small that double precision ends?"""
-        return self.product < LEAST_PRODUCT
-
-    def decide(self, doubtful: int = 0, to_the_end: bool = False, until: float = LEAST_PRODUCT) -> Arrays | None:
-        """Go on until either slip or margin falls with the product everywhere, but for so many contacts, or `until` the
-        product is so small; `to_the_end` anyhow: masks (n,) a group, the contacts that slip, or come to slip; None if
+    def decide(self, doubtful: int = 0, to_the_end: bool = False) -> Arrays | None:
+        """Go on until either slip or margin falls with the product everywhere, but for so many contacts, or until
+        double precision ends; `to_the_end` anyhow: masks (n,) a group, the contacts that slip, or come to slip; None if
         that fails.
 
         Contacts that surely stick then are the `sticking` ones, (n,) masks a group; where the path ends, contacts whose
@@ -111,7 +86,7 @@ class LastDecades:
             stalled = stalled + 1 if product > STALLED_SHARE * last else 0
             power = each(np.log, ratios / before) / abs(np.log(product / last))
             decided = (each(np.abs, power) > DECIDED_EXPONENT) | (ratios > SLIPPING_RATIO)
-            enough = product < until or (not to_the_end and (~decided).sum() <= doubtful)
+            enough = product < LEAST_PRODUCT or (not to_the_end and (~decided).sum() <= doubtful)
             ended = enough and self.point.unbalanced < JUDGED_TORQUE
             if ended or stalled == MOST_STALLED_STEPS:
                 self.sticking = (
@@ -121,7 +96,7 @@ class LastDecades:
                     & (self.point.margin > STICKING_MARGIN)
                 )
                 self._ratios, self._product = each(np.zeros_like, before), np.inf
-                if not self.ended or late is None:
+                if product >= LEAST_PRODUCT or late is None:
                     return (ratios > 1) | (ratios > before)
                 fall = abs(np.log(product / late[1]))  # of the product, with which steady ratios have not changed
                 steady = each(np.abs, each(np.log, ratios / late[0])) < DECIDED_EXPONENT * fall
