@@ -62,16 +62,6 @@ class ContactGroup:
         operator = sparse.csr_array(sparse.hstack([self.operator, sparse.csr_array(column.reshape(-1, 1))]))
         return ObliqueGroup(operator, np.zeros_like(column))
 
-    def renamed(self, keep: np.ndarray, number: np.ndarray, unknowns: int, offset: np.ndarray) -> "ContactGroup":
-        """The contacts `keep` over other unknowns. number : (unknowns,) the new one of each spin, -1 if it has none.
-
-        offset : (d, n), new. Components with both ends in one unknown never slip.
-        """
-        below, above = (np.append(number, -1)[end[:, keep]] for end in (self.below, self.above))
-        same = below == above
-        below, above = (np.where(same, -1, end) for end in (below, above))
-        return ContactGroup(below, above, offset, unknowns)
-
 
 @dataclass(frozen=True)
 class ObliqueGroup:

@@ -7,6 +7,7 @@ import numpy as np
 from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.conic.grouped import Arrays, each, inner, power, where
 
+LEAST_GAP = 1e-13  # relative gap at which double precision ends
 TINY = np.finfo(np.float64).tiny
 
 
@@ -29,7 +30,6 @@ class Iterate:
     The dual is minus the contact force, without its viscous part. viscosity : (n,) a group, None for Coulomb friction.
     smooth : (n,) masks, contacts that are in no cone but obey the law of friction exactly: dual = - friction *
     direction of slip; None for none. inertia : what resists a change of the spins, None at the minimum.
-    load : torques (unknowns,) that the forces have to balance, beside those of the inertia.
     """
 
     system: ContactSystem
@@ -41,7 +41,6 @@ class Iterate:
     smooth: Arrays | None = None
     viscosity: Arrays | None = None
     inertia: Inertia | None = None
-    load: np.ndarray | float = 0.0
 
     @classmethod
     def start(
@@ -92,8 +91,8 @@ class Iterate:
         return self.dual if self.viscosity is None else self.dual - self.viscosity * self.difference
 
     def to_balance(self, spins: np.ndarray) -> np.ndarray | float:
-        """Torques (unknowns,) of the load and of the inertia."""
-        return self.load if self.inertia is None else self.load + self.inertia.torques(spins)
+        """Torques (unknowns,) of the inertia."""
+        return 0.0 if self.inertia is None else self.inertia.torques(spins)
 
     @property
     def unbalanced(self) -> float:
@@ -108,7 +107,7 @@ class Iterate:
 
     @property
     def cost(self) -> float:
-        """What is minimised, apart from inertia and load: the power, and half that of the viscous forces."""
+        """What is minimised, apart from inertia: the power, and half that of the viscous forces."""
         if self.viscosity is None:
             return self.power
         return self.power + (self.viscosity * self.difference**2).sum() / 2

@@ -12,7 +12,7 @@ import numpy as np
 
 from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.conic.grouped import Arrays, each, isotropic, one_by_one, side_by_side, where
-from taichi_bearings.conic.newton_matrix import FORCE_REFINEMENTS, NewtonMatrix
+from taichi_bearings.conic.newton_matrix import REFINEMENTS, NewtonMatrix
 
 LEFT_TORQUE = 1e-10  # torque, of the mean friction, that may be left
 # least margin over the sum of all torques left, which no force has to change by more than to end them
@@ -49,7 +49,7 @@ def nearly_borne(
     at_limit = side_by_side(where(critical, friction, 0.0), len(heads)) if critical.any() else None
     still = np.stack(heads, axis=1).astype(float)  # a spring for each domain, that nothing stretches
     regular = matrix.factorise_each(isotropic(side, springs), inertia=still)
-    for _ in range(FORCE_REFINEMENTS if at_limit is None else LIMITED_REFINEMENTS):  # as in NewtonMatrix.balanced
+    for _ in range(REFINEMENTS if at_limit is None else LIMITED_REFINEMENTS):  # as in NewtonMatrix.balanced
         if at_limit is not None:  # forces as large as that
             share = each(lambda y, limit: np.where(limit > 0, limit / np.sqrt((y**2).sum(axis=0)), 1.0), side, at_limit)
             side = side * share

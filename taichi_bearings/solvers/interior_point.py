@@ -20,10 +20,10 @@ import numpy as np
 
 from taichi_bearings.conic.central_path import flowing
 from taichi_bearings.conic.contact_system import ContactSystem, free_spins, lattice_system, place_free_spins
-from taichi_bearings.conic.descent import DISTANT_GAP, LEAST_GAP, Descent, Sample
+from taichi_bearings.conic.descent import DISTANT_GAP, Descent, Sample
 from taichi_bearings.conic.grouped import Arrays, each, together, where
-from taichi_bearings.conic.iterate import Iterate
-from taichi_bearings.conic.newton_matrix import NewtonMatrix
+from taichi_bearings.conic.iterate import LEAST_GAP, Iterate
+from taichi_bearings.conic.newton_matrix import MOST_NEWTON_STEPS, NewtonMatrix
 from taichi_bearings.conic.resolution import DECIDED_RATIO, Surroundings
 from taichi_bearings.conic.rows import compile_passes
 from taichi_bearings.fields import Fields, FieldSpec
@@ -37,8 +37,6 @@ from taichi_bearings.proof.contact_state import ContactState, all_slipless
 from taichi_bearings.scene import Progress, Scene
 from taichi_bearings.solvers.table import InteriorPoint
 
-# steps that small samples may take from one look at where they are to the next; mostly all they need
-STEPS_AT_ONCE = 64
 BATCHED_SITES = InteriorPoint.alike_in_a_block  # spheres up to which samples are factorised side by side
 KEPT_SITES = 10_000  # spheres up to which what all samples of a lattice share is kept
 
@@ -127,7 +125,7 @@ class InteriorPointMethod(Descent):
     def next_check(self, iteration: int) -> int:
         """At iterations that do not depend on what is beside a sample. A look costs half a step at 10^3."""
         if self.small and self.options.settle:
-            return iteration + STEPS_AT_ONCE
+            return iteration + MOST_NEWTON_STEPS  # mostly all they need
         far = self.frustrated and max(sample.gap for sample in self.samples) > DISTANT_GAP
         return iteration + (2 if far else 1)
 

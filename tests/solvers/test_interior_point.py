@@ -242,7 +242,7 @@ def tie_nothing(monkeypatch):
 @pytest.mark.usefixtures("as_large")
 @pytest.mark.parametrize(("seed", "wrong"), [(0, 1), (1, 10), (2, 10)])
 def test_contacts_that_are_wrongly_tied_are_freed(monkeypatch, seed, wrong):
-    """Those that slip least. Where what moves does not tell, the path of the whole is followed: the states are its."""
+    """Those that slip least. The path of the whole is followed then: the states are its."""
     scene, decide = make_scene((8, 8, 8), seeds=(seed,)), LastDecades.decide
     with monkeypatch.context() as nothing_tied:
         tie_nothing(nothing_tied)
