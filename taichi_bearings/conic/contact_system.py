@@ -125,13 +125,10 @@ class ContactSystem:
         place = None if self.place is None else np.tile(self.place, count)
         return ContactSystem(self.unknowns * count, groups, place=place)
 
-    def grouped(self, rows: np.ndarray) -> Arrays:
-        """Values of all rows, (rows,) or (rows, S) of alike samples, as vectors (d, n) or (d, n, S) a group."""
-        return Grouped(rows[own].reshape(*shape, *rows.shape[1:]) for own, shape in self._rows)
-
     def change(self, step: np.ndarray) -> Arrays:
         """Change of the differences (d, n) a group that a change of the spins (unknowns,) makes; or of S samples."""
-        return self.grouped(self.operator @ step)
+        rows = self.operator @ step
+        return Grouped(rows[own].reshape(*shape, *rows.shape[1:]) for own, shape in self._rows)
 
     def differences(self, spins: np.ndarray) -> Arrays:
         """Difference of the spins across each contact, (d, n) a group."""

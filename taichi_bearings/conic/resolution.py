@@ -43,7 +43,6 @@ NEWTON_TRIALS = 2  # of Newton's method, with contacts tied that come to rest
 # of a slip, by which a step may change it; if the whole step would turn it round
 TURNED_SLIP_STEP, SLIP_STEP = 0.5, 0.95
 RESTING_SHARE = 1e-2  # share of its first slip below which a contact comes to rest if the next step would turn it round
-LOST_SLIP = 1e-25  # slip that double precision cannot follow
 # smallest slip that needs no second look, known in twice the precision, and in one: 10^3 seed 559 asks for it
 LEAST_SLIP_IN_PAIRS, LEAST_SLIP_IN_DOUBLES = 1e-22, 1e-9
 TINY = np.finfo(np.float64).tiny
@@ -277,7 +276,7 @@ class _Slipping:
             self.spins = high, np.where(going[of_spins], low + along[of_spins] * step, low)
             there = self.difference + owners.at_contacts(along) * change
             self.difference = where(owners.at_contacts(going), there, self.difference)
-        return at_rest | (owners.at_contacts(going) & (self.difference.length() < LOST_SLIP))
+        return at_rest
 
     @property
     def dual(self) -> Arrays:

@@ -17,7 +17,6 @@ from taichi_bearings.conic.newton_matrix import REFINEMENTS, NewtonMatrix
 LEFT_TORQUE = 1e-10  # torque, of the mean friction, that may be left
 # least margin over the sum of all torques left, which no force has to change by more than to end them
 MARGIN_PER_TORQUE = 10.0
-LIMITED_REFINEMENTS = 8  # of balanced forces where contacts are kept at their limit
 # share of its friction by which a contact at its limit counts as having room where forces are balanced
 ROOM_AT_LIMIT = 1e-5
 # share of the friction by which rounding may take the force of such a contact beyond the limit
@@ -49,13 +48,13 @@ def nearly_borne(
     at_limit = side_by_side(where(critical, friction, 0.0), len(heads)) if critical.any() else None
     still = np.stack(heads, axis=1).astype(float)  # a spring for each domain, that nothing stretches
     regular = matrix.factorise_each(isotropic(side, springs), inertia=still)
-    for _ in range(REFINEMENTS if at_limit is None else LIMITED_REFINEMENTS):  # as in NewtonMatrix.balanced
+    for _ in range(REFINEMENTS if at_limit is None else 2 * REFINEMENTS):  # as in NewtonMatrix.balanced
         if at_limit is not None:  # forces as large as that
             share = each(lambda y, limit: np.where(limit > 0, limit / np.sqrt((y**2).sum(axis=0)), 1.0), side, at_limit)
             side = side * share
         side = side - springs * system.change(matrix.solve(system.torques(side)))
     whole = one_by_one(side)
-    within = _within(friction, whole, critical)
+    within = ~critical | (whole.length() < (1 + ROUNDED_AT_LIMIT) * friction)  # no critical one bears more
     inside = np.all([part.reshape(len(heads), -1).all(axis=1) for part in within], axis=0)
     return whole, regular & inside & _inside(friction, whole, slipping | critical, system.torques(side))
 
@@ -68,8 +67,3 @@ def _inside(friction: Arrays, dual: Arrays, slipping: Arrays, torques: np.ndarra
     surely = slipping | (friction - dual.length() > each(lambda mu: np.repeat(total, len(mu) // samples), friction))
     inside = [part.reshape(samples, -1).all(axis=1) for part in surely]
     return (left.max(axis=1, initial=0.0) < LEFT_TORQUE) & np.all(inside, axis=0)
-
-
-def _within(friction: Arrays, dual: Arrays, critical: Arrays) -> Arrays:
-    """Masks (n,) a group, contacts that are not critical, or bear their friction and no more."""
-    return ~critical | (dual.length() < (1 + ROUNDED_AT_LIMIT) * friction)

@@ -14,7 +14,7 @@ from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.packing import planar
 from taichi_bearings.packing.motions import slipless_motions
 from taichi_bearings.packing.packing import Packing
-from taichi_bearings.packing.system import System
+from taichi_bearings.packing.system import Found, System
 from taichi_bearings.scene.solution import Snapshots, Status
 from taichi_bearings.verifier.judgement import Judgement
 from taichi_bearings.verifier.network import StoredPacking
@@ -104,22 +104,6 @@ class PackingSolution:
         return f"<PackingResult {self.packing!r}, {words}>"
 
 
-@dataclass(frozen=True)
-class Found:
-    """spins (unknowns,), force (d, A) in units of force. slips : (A,) sets of an exact minimum, where it was found; and
-    there ties : (A,) those that are not the same at all minima, if that is known. steps : factorisations.
-    everywhere : u (N, C) of all spheres, where a method moves all. open : as of Followed."""
-
-    spins: np.ndarray
-    force: np.ndarray
-    method: str
-    slips: np.ndarray | None = None
-    ties: np.ndarray | None = None
-    steps: int = 0
-    everywhere: np.ndarray | None = None
-    open: np.ndarray | None = None
-
-
 def solve_packing(
     packing: Packing,
     tolerance: float = 1e-8,
@@ -166,8 +150,7 @@ def _found(system: System, method: str) -> Found:
     fastest, largest = units.tolist()
     scaled = replace(system, offset=system.offset / fastest, known=system.known / fastest)
     end = followed(scaled, held / largest, viscosity * fastest / largest)
-    spins, force = end.spins * fastest, end.force * largest
-    return Found(spins, force, "interior-point", end.slips, end.ties, end.steps, open=end.open)
+    return replace(end, spins=end.spins * fastest, force=end.force * largest)
 
 
 def spins_of(packing: Packing, u: np.ndarray) -> np.ndarray:

@@ -107,6 +107,25 @@ class System:
         return np.where(self.moved >= 0, np.append(spins, 0.0)[self.moved], self.known)
 
 
+@dataclass(frozen=True)
+class Found:
+    """What a method has found. spins (unknowns,), force (d, A) in units of force. steps : factorisations.
+
+    slips : (A,), of contacts that are settled, but for some that are `open`, (A,), and slip by more than rounding,
+    though less than friction allows; and there ties : (A,) those that are not the same at all minima, or bear all their
+    friction at rest, if that is known. everywhere : u (N, C) of all spheres, where a method moves all.
+    """
+
+    spins: np.ndarray
+    force: np.ndarray
+    method: str
+    slips: np.ndarray | None = None
+    ties: np.ndarray | None = None
+    steps: int = 0
+    everywhere: np.ndarray | None = None
+    open: np.ndarray | None = None
+
+
 def along_axes(packing: Packing, contact: np.ndarray) -> bool:
     """True where components do not mix: discs, or normals along the axes at these contacts, (A,)."""
     normal = packing.normal[contact]  # type: ignore[index]
