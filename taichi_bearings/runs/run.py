@@ -275,7 +275,7 @@ def solve_job(job: Job, monitors: Sequence[Any] = (), checkpoints: Any = None) -
     stalled = solution.method == "interior-point" and solution.status is Status.STALLED and not solution.interrupted
     if settings.method == "auto" and stalled and not OperatorSplitting.refusal(job.scene):
         # each on its own, so that it has the same bits alone and beside others; not-a-number is no gap that is small
-        for number in np.flatnonzero(~(solution.gap <= max(settings.tolerance, SPLITTING_HELPS))):
+        for number in np.flatnonzero(~(solution.gap <= max(settings.tolerance, SPLITTING_HELPS))).tolist():
             seconds = max(stop.seconds - solution.seconds, 1e-3)
             left, one = (
                 StopRule(stop.tolerance, min(stop.iterations, MOST_SPLITTINGS), seconds),

@@ -250,7 +250,8 @@ class Solution:
 
     def with_sample(self, number: int, one: "Solution", last: "Solution") -> "Solution":
         """The same with another answer to one replica. last : how the search for it went on, and ended."""
-        ended = {"seconds": self.seconds + last.seconds, "status": last.status, "interrupted": last.interrupted}
+        spent = self.seconds + last.seconds
+        ended: dict[str, Any] = {"seconds": spent, "status": last.status, "interrupted": last.interrupted}
         if self.scene.replicas == 1:
             return replace(one, **ended)
 
