@@ -13,9 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from taichi_bearings.conic.cone import length, longest_step
 from taichi_bearings.conic.contact_system import ContactSystem, stacked
-from taichi_bearings.conic.grouped import Arrays, each, isotropic
+from taichi_bearings.conic.grouped import Arrays, each, isotropic, length, longest_step
 from taichi_bearings.conic.iterate import Inertia, Iterate
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.kernels import central_path as kernels
@@ -26,7 +25,8 @@ FULL_STEP = 0.9  # step length beyond which no further corrector is tried
 LEAST_GAIN = 0.02  # gain in step length below which a corrector is dropped and none is tried after it
 STEP_SHARE = 0.95  # of the way to the boundary of the cones
 TINY = np.finfo(np.float64).tiny
-LEAST_WORK = 1e-14  # product of slip and stiffness along it that keeps Newton matrices regular; it slows nothing down
+# slip times stiffness along it, or share of the stiffness across it, that keeps matrices regular; it slows nothing down
+LEAST_WORK = 1e-14
 # of the last solve, at most; torque, of the mean friction, that needs no second one
 STEP_REFINEMENTS, STEP_TORQUE = 4, 1e-11
 PRODUCT_SPREAD = 10.0  # correctors bring products into [target / PRODUCT_SPREAD, target * PRODUCT_SPREAD]
@@ -144,7 +144,7 @@ class Path:
         self.samples, self._matrix, self._rows = samples, matrix, matrix.rows(samples)
         self._given: list[Iterate | None] = [None] * samples
         self._spins = self._spins_before = np.zeros_like(self._rows.spins)
-        self._loaded = self._together = False
+        self._moving = self._together = False
         self._inertia = 0.0
         self._viscosity: np.ndarray | None = None  # of the slips in two rows, and as stiffnesses
         self._viscous: Viscous = None
@@ -172,7 +172,7 @@ class Path:
             rows.put(row, sample, values)
         self._spins[rows.place, sample] = iterate.spins
         self._inertia = iterate.inertia.weight if iterate.inertia else 0.0
-        self._loaded = iterate.inertia is not None or isinstance(iterate.load, np.ndarray)
+        self._moving = iterate.inertia is not None
         # spins and forces that balance each other go on together
         self._together = iterate.inertia is not None or iterate.viscosity is not None
         if iterate.viscosity is not None:
@@ -266,10 +266,11 @@ class Path:
         return self._expanded(slot)
 
     def _imbalance(self, row: int, spins: np.ndarray) -> None:
-        """As :meth:`Iterate.imbalance`, for the forces in two rows and spins (unknowns, S), in place of the spins."""
+        """Torques that the forces in two rows leave on the spheres, less what they are to balance there at these spins
+        (unknowns, S), in place of the spins."""
         rows = self._rows
         rows.torques(row)
-        if self._loaded:
+        if self._moving:
             for sample, iterate in enumerate(self._given):
                 if iterate is not None:
                     rows.spins[rows.place, sample] -= iterate.to_balance(spins[rows.place, sample])

@@ -5,10 +5,9 @@ coefficient times the normal force, so that every number is of order one whateve
 as many slipping components form a group: the vectors (d, n) across its n contacts have d components (equations.md).
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, reduce
-from itertools import combinations_with_replacement
+from itertools import combinations_with_replacement, product
 from typing import Any
 
 import numpy as np
@@ -18,7 +17,6 @@ from scipy.sparse.csgraph import connected_components
 from taichi_bearings.conic.grouped import Arrays, Grouped
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.lattice.incidence import number_free
-from taichi_bearings.numerics.double_double import Pair
 
 
 @dataclass(frozen=True)
@@ -35,14 +33,6 @@ class ContactGroup:
     offset: np.ndarray
     unknowns: int
 
-    @classmethod
-    def joined(cls, groups: Sequence["ContactGroup"]) -> "ContactGroup":
-        """The contacts of all, one group after the other."""
-        below, above, offset = (
-            np.concatenate([getattr(group, name) for group in groups], axis=1) for name in ("below", "above", "offset")
-        )
-        return cls(below, above, offset, groups[0].unknowns)
-
     @cached_property
     def operator(self) -> sparse.csr_matrix:
         """(d*n, unknowns): the part of the differences that is linear in the spins."""
@@ -57,12 +47,6 @@ class ContactGroup:
     def transposed(self) -> sparse.csr_matrix:
         return self.operator.T.tocsr()
 
-    def pairs(self, i: int, j: int) -> list[tuple[np.ndarray, np.ndarray, float]]:
-        """Unknowns (n,) that the stiffness between slips i <= j couples, each pair once, and its factor."""
-        below, above = self.below, self.above
-        found = [(below[i], below[j], 1.0), (above[i], above[j], 1.0), (below[i], above[j], -1.0)]
-        return found + ([(below[j], above[i], -1.0)] if i != j else [])
-
     def copies(self, count: int) -> "ContactGroup":
         """The same contacts so many times, each time over spins of their own."""
         shift = self.unknowns * np.arange(count)[:, None]
@@ -75,48 +59,23 @@ class ContactGroup:
     def with_one_more(self, column: np.ndarray) -> "ObliqueGroup":
         """The same contacts over one unknown more, the last, of which a unit adds column (d, n) to the differences;
         nothing is imposed."""
-        ends, one = np.concatenate([self.below, self.above]).T, np.eye(len(column))[:, None]
-        factor = np.where(ends >= 0, np.concatenate([-one, one], axis=2), 0.0)
-        unknown = np.column_stack([ends, np.full(len(ends), self.unknowns)])
         operator = sparse.csr_array(sparse.hstack([self.operator, sparse.csr_array(column.reshape(-1, 1))]))
-        whole = np.concatenate([factor, column[..., None]], axis=2)
-        return ObliqueGroup(operator, unknown, whole, np.zeros_like(column))
-
-    def renamed(self, keep: np.ndarray, number: np.ndarray, unknowns: int, offset: np.ndarray) -> "ContactGroup":
-        """The contacts `keep` over other unknowns. number : (unknowns,) the new one of each spin, -1 if it has none.
-
-        offset : (d, n), new. Components with both ends in one unknown never slip.
-        """
-        below, above = (np.append(number, -1)[end[:, keep]] for end in (self.below, self.above))
-        same = below == above
-        below, above = (np.where(same, -1, end) for end in (below, above))
-        return ContactGroup(below, above, offset, unknowns)
+        return ObliqueGroup(operator, np.zeros_like(column))
 
 
 @dataclass(frozen=True)
 class ObliqueGroup:
-    """n contacts whose slips are any sums of the m unknowns at their ends.
+    """n contacts whose slips are any sums of the unknowns at their ends.
 
-    operator : (d*n, unknowns), slips of the spins, also by unknown : (n, m), -1 where the spin is imposed, and factor :
-    (d, n, m), 0 there. offset : as of ContactGroup.
+    operator : (d*n, unknowns), slips of the spins. offset : as of ContactGroup.
     """
 
     operator: sparse.csr_array
-    unknown: np.ndarray
-    factor: np.ndarray
     offset: np.ndarray
 
     @cached_property
     def transposed(self) -> sparse.csr_array:
         return self.operator.T.tocsr()
-
-    def pairs(self, i: int, j: int) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """As of ContactGroup; factors (n,)."""
-        found, f = [], self.factor
-        for a, b in combinations_with_replacement(range(self.unknown.shape[1]), 2):
-            factor = f[i, :, a] * f[j, :, b] + (f[j, :, a] * f[i, :, b] if i != j else 0.0)
-            found.append((self.unknown[:, a], self.unknown[:, b], factor))
-        return found
 
 
 @dataclass(frozen=True)
@@ -166,13 +125,10 @@ class ContactSystem:
         place = None if self.place is None else np.tile(self.place, count)
         return ContactSystem(self.unknowns * count, groups, place=place)
 
-    def grouped(self, rows: np.ndarray) -> Arrays:
-        """Values of all rows, (rows,) or (rows, S) of alike samples, as vectors (d, n) or (d, n, S) a group."""
-        return Grouped(rows[own].reshape(*shape, *rows.shape[1:]) for own, shape in self._rows)
-
     def change(self, step: np.ndarray) -> Arrays:
         """Change of the differences (d, n) a group that a change of the spins (unknowns,) makes; or of S samples."""
-        return self.grouped(self.operator @ step)
+        rows = self.operator @ step
+        return Grouped(rows[own].reshape(*shape, *rows.shape[1:]) for own, shape in self._rows)
 
     def differences(self, spins: np.ndarray) -> Arrays:
         """Difference of the spins across each contact, (d, n) a group."""
@@ -208,46 +164,36 @@ class ContactSystem:
             np.concatenate([values.ravel() for values in Grouped(ends)[chosen]])
             for ends in ([g.below for g in self.groups], [g.above for g in self.groups])
         )
-        both = (below >= 0) & (above >= 0)
-        return joined(below[both], above[both], self.unknowns)
-
-    def at(self, spins: np.ndarray) -> Arrays:
-        """The contacts, (n,) masks a group, at one of the spins, (unknowns,) mask, or at several."""
-        reached = np.append(spins, False)  # imposed ones are not
-        return Grouped((reached[group.below] | reached[group.above]).any(axis=0) for group in self.groups)
-
-    def around(self, chosen: Arrays, steps: int, among: Arrays) -> Arrays:
-        """The chosen contacts, and those among some that lead from there so many contacts away: (n,) masks a group."""
-        for _ in range(steps):
-            reached = np.zeros(self.unknowns + 1, dtype=bool)
-            for group, some in zip(self.groups, chosen, strict=True):
-                reached[group.below[:, some]] = reached[group.above[:, some]] = True
-            chosen = chosen | (self.at(reached[:-1]) & among)
-        return chosen
-
-    def couplings(self) -> tuple[np.ndarray, np.ndarray]:
-        """Pairs of unknowns that some contact couples."""
-        return self.terms()[:2]
+        both, size = (below >= 0) & (above >= 0), (self.unknowns, self.unknowns)
+        graph = sparse.coo_matrix((np.ones(both.sum(), dtype=np.int8), (below[both], above[both])), shape=size)
+        count, piece = connected_components(graph, directed=False)
+        return count, piece
 
     def terms(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """All terms of the Laplacian, each pair once: first, second unknown, place in `stacked` stiffness, factor."""
         found, start = [], 0
         for group in self.groups:
             d, count = group.offset.shape
+            ends = [_ends(group.operator[slip * count : (slip + 1) * count]) for slip in range(d)]
             for i, j in combinations_with_replacement(range(d), 2):
-                for first, second, factor in group.pairs(i, j):
-                    free = np.flatnonzero((first >= 0) & (second >= 0) & (factor != 0))
-                    found.append((first[free], second[free], start + free, np.broadcast_to(factor, count)[free]))
+                several = product(ends[i], ends[j]) if i != j else combinations_with_replacement(ends[i], 2)
+                for (first, of_first), (second, of_second) in several:
+                    factor = of_first * of_second * np.where((first == second) & (i != j), 2.0, 1.0)
+                    free = np.flatnonzero(factor)
+                    found.append((first[free], second[free], start + free, factor[free]))
                 start += count
         first, second, source, factor = (np.concatenate(parts) for parts in zip(*found, strict=True))
         return first, second, source, factor
 
 
-def joined(first: np.ndarray, second: np.ndarray, nodes: int) -> tuple[int, np.ndarray]:
-    """Number of the pieces of a graph with these edges, and the piece (nodes,) of each node."""
-    graph = sparse.coo_matrix((np.ones(len(first), dtype=np.int8), (first, second)), shape=(nodes, nodes))
-    count, piece = connected_components(graph, directed=False)
-    return count, piece
+def _ends(slips: sparse.csr_matrix) -> list[tuple[np.ndarray, np.ndarray]]:
+    """The first unknown (n,) of each of these slips, and its factor, 0 where there is none; the second, and so on."""
+    counts = np.diff(slips.indptr)
+    row, most = np.repeat(np.arange(len(counts)), counts), int(counts.max(initial=1))
+    place = np.arange(len(row)) - slips.indptr[row]
+    unknown, factor = np.zeros((most, len(counts)), dtype=np.int64), np.zeros((most, len(counts)))
+    unknown[place, row], factor[place, row] = slips.indices, slips.data
+    return list(zip(unknown, factor, strict=True))
 
 
 def stacked(stiffness: Arrays) -> np.ndarray:
@@ -264,12 +210,6 @@ def place_free_spins(staggered: np.ndarray, replica: int | slice, spins: np.ndar
     """Inverse of :func:`free_spins`: write the spins (unknowns,) of one sample, or those (R, unknowns) of several."""
     free = staggered[:, replica, ..., 1:-1]
     free[...] = np.moveaxis(spins.reshape(*free.shape[1:], -1), -1, 0)
-
-
-def above_free_spins(top: Pair, lattice: Lattice) -> Pair:
-    """What is imposed on the top, (C, *plane), above each unknown of a sample, (unknowns,)."""
-    high, low = (np.repeat(part[..., None], lattice.free_shape[-1], axis=-1) for part in top)
-    return np.moveaxis(high, 0, -1).ravel(), np.moveaxis(low, 0, -1).ravel()
 
 
 def lattice_system(lattice: Lattice, spin_axes: tuple[int, ...], jump: np.ndarray) -> ContactSystem:

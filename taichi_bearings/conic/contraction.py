@@ -59,12 +59,6 @@ class Owners:
         return each(lambda own: values[own], self.contacts)
 
 
-def order_by_place(first: np.ndarray, second: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """Of elimination of unknowns at these places, (D, unknowns), that are coupled pair by pair: nested dissection."""
-    graph = coupled(np.arange(place.shape[1]), first, second)
-    return np.concatenate([part.nodes for part in dissected(graph, place, OWN_LEAF_UNKNOWNS)])
-
-
 class Contraction:
     """The contacts that are left, over one unknown for each set of tied spins.
 
@@ -79,10 +73,9 @@ class Contraction:
         mask a group."""
         self.whole, self._order = whole, order
         self._label(whole, tied, samples)
-        kept = [self._slips(group, np.flatnonzero(~mask)) for group, mask in zip(whole.groups, tied, strict=True)]
-        self.kept = Grouped(kept)
-        groups = [self._group(group, keep) for group, keep in zip(whole.groups, kept, strict=True)]
-        self.system = ContactSystem(self.unknowns, tuple(groups))
+        pairs = zip(whole.groups, tied, strict=True)
+        kept, groups = zip(*(self._left(group, np.flatnonzero(~mask)) for group, mask in pairs), strict=True)
+        self.kept, self.system = Grouped(kept), ContactSystem(self.unknowns, groups)
         size = each(lambda mask: max(len(mask) // samples, 1), tied)
         self.owners = Owners(samples, self._owner, each(np.floor_divide, self.kept, size))
 
@@ -108,19 +101,14 @@ class Contraction:
         self.unknowns, self._owner = int(is_free.sum()), owner[is_free]
         self.number, self.imposed = number[label], np.where(is_free, 0.0, imposed_value)[label]
 
-    def _slips(self, group: ContactGroup, places: np.ndarray) -> np.ndarray:
-        """Those of the places at which the ends are not the same by what is tied."""
-        ends = np.stack([group.below[:, places], group.above[:, places]])
-        number, (below, above) = np.append(self.number, -1)[ends], np.append(self.imposed, 0.0)[ends]
-        differ = (number[0] != number[1]) | (above - below + group.offset[:, places] != 0)
-        return places[differ.any(axis=0)]
-
-    def _group(self, group: ContactGroup, keep: np.ndarray) -> ContactGroup:
-        """The contacts `keep` over the sets of tied spins."""
-        offset, imposed = group.offset[:, keep].copy(), np.append(self.imposed, 0.0)
-        for end, sign in ((group.below, -1.0), (group.above, 1.0)):
-            offset += sign * imposed[end[:, keep]]  # the end is -1 where a spin was imposed before
-        return group.renamed(keep, self.number, self.unknowns, offset)
+    def _left(self, group: ContactGroup, places: np.ndarray) -> tuple[np.ndarray, ContactGroup]:
+        """Those of the places at which the ends are not the same by what is tied; their contacts over the sets."""
+        ends = np.stack([group.below[:, places], group.above[:, places]])  # -1 where a spin was imposed before
+        (below, above), imposed = np.append(self.number, -1)[ends], np.append(self.imposed, 0.0)[ends]
+        offset, same = group.offset[:, places] + imposed[1] - imposed[0], below == above
+        left = np.flatnonzero((~same | (offset != 0)).any(axis=0))
+        below, above = (np.where(same, -1, end)[:, left] for end in (below, above))
+        return places[left], ContactGroup(below, above, offset[:, left], self.unknowns)
 
     @property
     def heads(self) -> np.ndarray:
@@ -152,9 +140,10 @@ class Contraction:
         free = self.number >= 0
         number, size = self.number[free], own.stop - own.start
         centre = np.stack([np.bincount(number, weights=along[free]) for along in place]) / np.bincount(number)
-        first, second = (end - own.start for end in self.system.couplings())
+        first, second = (end - own.start for end in self.system.terms()[:2])
         inside = (first >= 0) & (first < size)
-        return order_by_place(first[inside], second[inside], centre[:, own])
+        graph = coupled(np.arange(size), first[inside], second[inside])
+        return np.concatenate([part.nodes for part in dissected(graph, centre[:, own], OWN_LEAF_UNKNOWNS)])
 
     def contracted(self, spins: Pair) -> Pair:
         """Mean of the tied spins, (unknowns,): one of them, and by how much they are more on average."""

@@ -18,21 +18,18 @@ import numpy as np
 
 from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.conic.grouped import Arrays, each, isotropic
-from taichi_bearings.conic.newton_matrix import NewtonMatrix, resisted
+from taichi_bearings.conic.newton_matrix import MOST_NEWTON_STEPS, REFINEMENTS, NewtonMatrix, resisted
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.scene.scene import vector_length
 
-MOST_STAGE_STEPS = 60  # of Newton's method
 # torque left, relative to friction and inertia: Newton ends; linear corrections end
 STAGE_TORQUE, CORRECTED_TORQUE = 1e-10, 1e-15
-MOST_CORRECTIONS = 3  # linear ones with the last factorisation, at most
 LARGEST_EIGENVALUE = 8  # a Laplacian of lattice contacts is at most so large: twice the four contacts of a component
 GRADIENT_RATIO = 200.0  # ratio of contact stiffness and inertia up to which conjugate gradients solve
 GRADIENT_RESIDUAL = 1e-5  # residual to which they do, relative
 # contacts that may have changed by so much of their stiffness where an old factorisation serves
 MOST_CHANGED, CHANGED_SHARE = 5, 0.5
 SEARCH_SLOPE = 0.1  # share of its slope at which a line search ends
-MOST_SEARCHES = 20  # trials, at most
 LEAST_FORCE = 1e-280  # far below any force, and no limit over it overflows
 EPS = np.finfo(np.float64).eps
 
@@ -125,7 +122,7 @@ class FrictionStage:
         # of torques, from rounding the spins
         noise = 8 * EPS * friction.stiffest * self.radius**2 * self.spin_scale
         stiffness: Arrays | None = None
-        for _ in range(MOST_STAGE_STEPS):
+        for _ in range(MOST_NEWTON_STEPS):
             force = self._with_viscosity(friction, friction.limited(trial), spins)
             torque = self._torque(force, inertia, spins - base)
             if stiffness is not None and np.abs(torque).max(initial=0.0) <= STAGE_TORQUE * scale + noise:
@@ -219,7 +216,7 @@ class FrictionStage:
         if at_high <= SEARCH_SLOPE * abs(first):
             return 1.0
         length = 1.0
-        for _ in range(MOST_SEARCHES):  # regula falsi; the end that stays is halved (Illinois)
+        for _ in range(MOST_NEWTON_STEPS):  # regula falsi; the end that stays is halved (Illinois)
             share = at_low / (at_low - at_high)
             length = low + min(max(share, 0.05), 0.95) * (high - low)
             now = slope(length)
@@ -242,7 +239,7 @@ class FrictionStage:
         scale: float,
     ) -> StageEnd:
         """The end, with the last torques taken away: forces that stiff contacts owe to spins closer than rounding."""
-        for _ in range(MOST_CORRECTIONS):
+        for _ in range(REFINEMENTS):
             torque = self._torque(force, friction.inertia, spins - base)
             if np.abs(torque).max(initial=0.0) <= CORRECTED_TORQUE * scale:
                 break

@@ -2,6 +2,9 @@
 
 Groups differ in the number of their slipping components, so one array would not do: a scalar field has the shapes (n,),
 a vector field (d, n). `friction * difference` is then the product in every group, `.sum()` the sum over all contacts.
+
+A point of a second-order cone is a head (n,) and a tail (d, n) with head > |tail|: primal points (bound, slip
+difference) and dual points (friction, minus force). What Newton steps make of them is in kernels/central_path.py.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -11,9 +14,38 @@ from typing import Generic, TypeVar
 import numpy as np
 from numpy.lib.mixins import NDArrayOperatorsMixin
 
-from taichi_bearings.conic import cone
-
 T = TypeVar("T")
+Point = tuple[np.ndarray, np.ndarray]
+
+
+def length(tail: np.ndarray) -> np.ndarray:
+    """Euclidean length over the first axis, (n,)."""
+    return np.abs(tail[0]) if len(tail) == 1 else np.sqrt(np.einsum("dn,dn->n", tail, tail))
+
+
+def determinant(point: Point) -> np.ndarray:
+    """head^2 - |tail|^2 without cancellation beyond that of head - |tail|."""
+    head, size = point[0], length(point[1])
+    return (head - size) * (head + size)
+
+
+def inner(tail: np.ndarray, other: np.ndarray) -> np.ndarray:
+    return np.einsum("dn,dn->n", tail, other)
+
+
+def longest_step(point: Point, step: Point) -> float:
+    """Largest a for which point + a * step stays in the cone; infinity if it never leaves."""
+    (head, tail), (dhead, dtail) = point, step
+    # a solves quadratic * a^2 + 2 linear * a + constant = 0; the smallest positive root counts
+    quadratic = dhead * dhead - inner(dtail, dtail)
+    linear = head * dhead - inner(tail, dtail)
+    constant = determinant(point)
+    root = np.sqrt(np.maximum(linear * linear - quadratic * constant, 0.0))
+    # inside the cone constant > 0: a positive root exists if the quadratic is negative or (linear < 0 and real roots)
+    leaves = (quadratic < 0) | ((linear < 0) & (linear * linear >= quadratic * constant))
+    away = root - linear  # > 0 wherever the point leaves
+    reach = constant[leaves] / np.maximum(away[leaves], np.finfo(float).tiny)
+    return float(reach.min(initial=np.inf))
 
 
 class Grouped(NDArrayOperatorsMixin, Generic[T]):
@@ -49,7 +81,7 @@ class Grouped(NDArrayOperatorsMixin, Generic[T]):
 
     def length(self: "Arrays") -> "Arrays":
         """Euclidean length of vectors, (n,) a group."""
-        return each(cone.length, self)
+        return each(length, self)
 
     def sum(self: "Arrays") -> float:
         return sum(float(values.sum()) for values in self)
@@ -107,4 +139,4 @@ def isotropic(like: Arrays, strength: Grouped | float = 1.0) -> Arrays:
 
 def power(friction: Arrays, difference: Arrays) -> float:
     """Friction times slip, summed over the contacts."""
-    return sum(each(lambda mu, z: float(mu @ cone.length(z)), friction, difference))
+    return sum(each(lambda mu, z: float(mu @ length(z)), friction, difference))

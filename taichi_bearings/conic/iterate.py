@@ -4,10 +4,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from taichi_bearings.conic.cone import inner
 from taichi_bearings.conic.contact_system import ContactSystem
-from taichi_bearings.conic.grouped import Arrays, each, power, where
+from taichi_bearings.conic.grouped import Arrays, each, inner, power, where
 
+LEAST_GAP = 1e-13  # relative gap at which double precision ends
 TINY = np.finfo(np.float64).tiny
 
 
@@ -30,7 +30,6 @@ class Iterate:
     The dual is minus the contact force, without its viscous part. viscosity : (n,) a group, None for Coulomb friction.
     smooth : (n,) masks, contacts that are in no cone but obey the law of friction exactly: dual = - friction *
     direction of slip; None for none. inertia : what resists a change of the spins, None at the minimum.
-    load : torques (unknowns,) that the forces have to balance, beside those of the inertia.
     """
 
     system: ContactSystem
@@ -42,7 +41,6 @@ class Iterate:
     smooth: Arrays | None = None
     viscosity: Arrays | None = None
     inertia: Inertia | None = None
-    load: np.ndarray | float = 0.0
 
     @classmethod
     def start(
@@ -60,15 +58,10 @@ class Iterate:
             back, product = self.smooth & ~slips, self.complementarity / self.friction  # along the slip
             central = (product + each(np.hypot, product, 2 * self.difference.length())) / 2
             bound, dual = where(back, central, bound), where(back, -self.friction * self.difference / central, dual)
-        return replace(self, bound=bound, dual=dual, smooth=slips).obeying()
-
-    def obeying(self) -> "Iterate":
-        """The same with the forces of the law of friction at the contacts that are in no cone."""
-        if self.smooth is None or not self.smooth.any():
-            return self
-        slip = self.difference.length()
-        dual = where(self.smooth, -self.friction * self.difference / slip, self.dual)
-        return replace(self, bound=where(self.smooth, slip, self.bound), dual=dual)
+        if slips.any():
+            slip = self.difference.length()
+            bound, dual = where(slips, slip, bound), where(slips, -self.friction * self.difference / slip, dual)
+        return replace(self, bound=bound, dual=dual, smooth=slips)
 
     @property
     def in_cones(self) -> int:
@@ -95,23 +88,17 @@ class Iterate:
     @property
     def whole_dual(self) -> Arrays:
         """Minus the force of every contact, (d, n) a group, with its viscous part."""
-        return self._with_viscosity(self.dual, self.difference)
-
-    def _with_viscosity(self, dual: Arrays, difference: Arrays) -> Arrays:
-        return dual if self.viscosity is None else dual - self.viscosity * difference
-
-    def imbalance(self, spins: np.ndarray, dual: Arrays, difference: Arrays) -> np.ndarray:
-        """Torques (unknowns,) that forces leave on the spheres, less what they are to balance there."""
-        return self.system.torques(self._with_viscosity(dual, difference)) - self.to_balance(spins)
+        return self.dual if self.viscosity is None else self.dual - self.viscosity * self.difference
 
     def to_balance(self, spins: np.ndarray) -> np.ndarray | float:
-        """Torques (unknowns,) of the load and of the inertia."""
-        return self.load if self.inertia is None else self.load + self.inertia.torques(spins)
+        """Torques (unknowns,) of the inertia."""
+        return 0.0 if self.inertia is None else self.inertia.torques(spins)
 
     @property
     def unbalanced(self) -> float:
         """Largest torque that the forces leave on a sphere beside those that they are to balance."""
-        return float(np.abs(self.imbalance(self.spins, self.dual, self.difference)).max(initial=0.0))
+        left = self.system.torques(self.whole_dual) - self.to_balance(self.spins)
+        return float(np.abs(left).max(initial=0.0))
 
     @property
     def power(self) -> float:
@@ -120,7 +107,7 @@ class Iterate:
 
     @property
     def cost(self) -> float:
-        """What is minimised, apart from inertia and load: the power, and half that of the viscous forces."""
+        """What is minimised, apart from inertia: the power, and half that of the viscous forces."""
         if self.viscosity is None:
             return self.power
         return self.power + (self.viscosity * self.difference**2).sum() / 2

@@ -12,7 +12,8 @@ from taichi_bearings.conic.rows import ContactRows
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.numerics.cholesky import Cholesky, Engine, Factor, Memory, NotPositiveDefinite, dissect
 
-FORCE_REFINEMENTS = 4  # of balanced forces; two do where the springs are of one size
+MOST_NEWTON_STEPS = 60  # of Newton's method or of a search along its step: what succeeds takes some 10 to 30
+REFINEMENTS = 4  # of solutions; two do where the springs are of one size
 DIAGONAL_SHIFTS = (1e-14, 1e-12, 1e-10)  # relative additions to the diagonal, tried one after the other
 Order = np.ndarray | Callable[[int], np.ndarray]
 
@@ -140,7 +141,7 @@ class NewtonMatrix:
         """
         self.factorise(stiffness)
         # each from the forces of the last: what a stretch rounds falls with the stretch
-        for _ in range(FORCE_REFINEMENTS):
+        for _ in range(REFINEMENTS):
             spins = self.solve(self._system.torques(dual) - load)
             dual = dual - resisted(stiffness, self._system.change(spins))
         return dual

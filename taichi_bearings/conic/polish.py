@@ -11,7 +11,7 @@ import numpy as np
 from taichi_bearings.conic.central_path import friction_stiffness
 from taichi_bearings.conic.contact_system import ContactGroup
 from taichi_bearings.conic.contraction import Contraction
-from taichi_bearings.conic.grouped import Arrays, Grouped, each, isotropic
+from taichi_bearings.conic.grouped import Arrays, Grouped, each
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.numerics.double_double import Pair, add, divide, exactly, multiply, square, square_root, subtract
 
@@ -19,7 +19,6 @@ MOST_POLISHING_STEPS, POLISHED_TORQUE = 20, 1e-31  # of Newton's method; torque,
 MATRIX_CHANGE = 1e-2  # change of a slip by a step, of itself, from which on the matrix is made anew
 FREE_STIFFNESS = 1e-20  # stiffness along a slip, of that across it: for motions that nothing else resists
 MOST_SLIP_CHANGE = 0.5  # largest such change that is allowed
-SLIP_IN_SPINS = 1e-10  # slips below which differences are to be trusted more than spins
 SUM_BITS = 20  # bits that 2^20 numbers of one size may need in a sum without rounding
 
 Places = tuple[np.ndarray, ...]
@@ -30,21 +29,17 @@ def polished(
     matrix: NewtonMatrix,
     friction: Arrays,
     spins: Pair,
-    difference: Arrays,
     top: Pair | None,
     chosen: np.ndarray,
 ) -> tuple[Pair, Arrays, Arrays, np.ndarray]:
     """Spins of the whole system, slips and duals (d, n) a group near the given ones, all torques in balance; and the
     samples (samples,), of those chosen, in which no slip is lost.
 
-    matrix : of the contracted system. friction (n,), spins, difference (d, n) : of the contracted system; differences
-    may be more precise than those of the spins. top : imposed on the top above each unknown of a sample; None where
-    imposed spins are doubles.
+    matrix, friction (n,), spins : of the contracted system. top : imposed on the top above each unknown of a sample;
+    None where imposed spins are doubles.
     """
-    system, owners = _PreciseSystem(tied, top), tied.owners
-    rough = chosen & owners.any(difference.length() < SLIP_IN_SPINS)
-    unknown, fitted = _fitted(system, matrix, spins, difference, rough) if rough.any() else (spins, rough)
-    balanced, fine = _balanced(system, matrix, friction, unknown, chosen & (fitted | ~rough))
+    system = _PreciseSystem(tied, top)
+    balanced, fine = _balanced(system, matrix, friction, spins, chosen)
     slips = system.differences(balanced)
     return system.expanded(balanced), _high(slips), -_high(each(_along, friction, slips)), fine
 
@@ -79,21 +74,6 @@ def _balanced(
         fine, factorised = fine & (going | ~before), change < MATRIX_CHANGE
         unknown = _chosen(going[owners.spins], add(unknown, exactly(step)), unknown)
     return best, fine
-
-
-def _fitted(
-    system: "_PreciseSystem", matrix: NewtonMatrix, unknown: Pair, tracked: Arrays, chosen: np.ndarray
-) -> tuple[Pair, np.ndarray]:
-    """The spins of the chosen samples corrected so that they have the tracked differences, relative to the size of
-    these; and where that succeeds."""
-    weight = 1 / tracked.length() ** 2
-    fitted = matrix.factorise_each(isotropic(tracked, weight), chosen)
-    for _ in range(2):
-        now = system.differences(unknown)
-        missing = each(lambda w, z, pair: exactly(w * (z - pair[0] - pair[1])), weight, tracked, now)
-        corrected = add(unknown, exactly(matrix.solve(system.torques(missing), fitted)))
-        unknown = _chosen(fitted[system.owners.spins], corrected, unknown)
-    return unknown, fitted
 
 
 class _PreciseSystem:

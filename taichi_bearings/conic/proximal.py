@@ -18,19 +18,18 @@ import numpy as np
 from taichi_bearings.conic.central_path import balance, flowing, newton_step
 from taichi_bearings.conic.contact_system import free_spins, lattice_system, place_free_spins
 from taichi_bearings.conic.grouped import Arrays
-from taichi_bearings.conic.iterate import Inertia, Iterate
-from taichi_bearings.conic.newton_matrix import NewtonMatrix
+from taichi_bearings.conic.iterate import LEAST_GAP, Inertia, Iterate
+from taichi_bearings.conic.newton_matrix import MOST_NEWTON_STEPS, NewtonMatrix
 from taichi_bearings.conic.rows import compile_passes
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite, dissect
 from taichi_bearings.scene import Scene
 
-# excess of the cost over its dual, relative to the work done on inertia, at which a step is solved
+# excess of the cost over its dual, relative to the work done on inertia, at which a step is solved; or LEAST_GAP
 SOLVED_EXCESS = 1e-10
-LEAST_EXCESS = 1e-13  # or relative to the power, where double precision ends
 # the same where the path cannot be followed to the end: with less a step has failed
 ACCEPTED_EXCESS, ACCEPTED_GAP = 1e-3, 1e-9
 PROXIMAL_TORQUE = 1e-13  # torque, of the mean friction, that may be left on a sphere
-MOST_PROXIMAL_STEPS, MOST_IDLE_STEPS = 60, 3  # Newton steps, and those in a row that gain nothing
+MOST_IDLE_STEPS = 3  # Newton steps in a row that gain nothing
 
 
 @dataclass(frozen=True)
@@ -131,7 +130,7 @@ class ProximalSteps:
         best, steps, patience = iterate, 0, MOST_IDLE_STEPS
         with np.errstate(all="ignore"):  # where double precision ends, numbers that are not finite turn up
             try:
-                while steps < MOST_PROXIMAL_STEPS and patience and not _excess(best) <= 1.0:
+                while steps < MOST_NEWTON_STEPS and patience and not _excess(best) <= 1.0:
                     iterate = newton_step(iterate, self._matrix)
                     steps += 1
                     if iterate.excess < best.excess:
@@ -148,7 +147,7 @@ class ProximalSteps:
         return _Answer(best.spins, best.whole_dual, slip, slip > margin, steps, solved)
 
 
-def _excess(iterate: Iterate, sharp: float = SOLVED_EXCESS, closest: float = LEAST_EXCESS) -> float:
+def _excess(iterate: Iterate, sharp: float = SOLVED_EXCESS, closest: float = LEAST_GAP) -> float:
     """Excess of the cost over its dual, relative to what is allowed."""
     assert iterate.inertia is not None
     moved = iterate.spins - iterate.inertia.origin

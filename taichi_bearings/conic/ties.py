@@ -22,7 +22,6 @@ LEAST_TURN = 1e-9  # change of the direction of a unit slip, per unit of motion,
 LEAST_MOVE = 1e-7  # least change of a slip, of the largest of its motion, that counts; share left of one at rest
 LONGEST_MOTION = 1e6  # most of a motion that is looked at
 MOST_CORNERS = 3000  # of a polyhedron, that are all looked at
-MOST_PROGRAMMES = 200  # linear programmes for one polyhedron, at most
 
 
 def tied_contacts(
@@ -109,29 +108,13 @@ def _tied(slips: np.ndarray, rates: np.ndarray) -> np.ndarray:
 
 
 def _tied_together(first: np.ndarray, rates: np.ndarray) -> np.ndarray:
-    """The same of the polyhedron first + rates @ y >= 0, with 1 or 0 for `first`, by linear programmes: the least sum
-    of those that have not come to rest, less that of those that have not moved, as long as that finds others, and then
-    one by one. Where there are few motions: at all corners."""
-    slips, motions = first > 0, rates.shape[1]
-    if comb(len(first) + 2 * motions, motions) <= MOST_CORNERS:
-        there = first + _corners(first, rates) @ rates.T
-        return np.where(slips, (there < LEAST_MOVE).any(axis=0), (there > LEAST_MOVE).any(axis=0))
-    from scipy.optimize import linprog  # a third of a second that other samples do not need
-
-    found, asked, together = np.zeros(len(rates), dtype=bool), np.zeros(len(rates), dtype=bool), True
-    for _ in range(MOST_PROGRAMMES):
-        left = np.flatnonzero(~found & ~asked)
-        if not len(left):
-            break
-        some = left if together else left[:1]
-        towards = np.where(slips[some], 1.0, -1.0) @ rates[some]
-        answer = linprog(towards, A_ub=-rates, b_ub=first, bounds=(-LONGEST_MOTION, LONGEST_MOTION))
-        there = first + rates @ answer.x if answer.status == 0 else np.ones(len(first)) - ~slips
-        new = np.where(slips, there < LEAST_MOVE, there > LEAST_MOVE)
-        asked[some] |= not together
-        together = together and bool((new & ~found).any())
-        found |= new
-    return found
+    """The same of the polyhedron first + rates @ y >= 0, with 1 or 0 for `first`, at all its corners. Where these are
+    too many: all of them, as motions that mix so many contacts are those of friction that is the same everywhere."""
+    motions = rates.shape[1]
+    if comb(len(first) + 2 * motions, motions) > MOST_CORNERS:
+        return np.ones(len(first), dtype=bool)
+    there = first + _corners(first, rates) @ rates.T
+    return np.where(first > 0, (there < LEAST_MOVE).any(axis=0), (there > LEAST_MOVE).any(axis=0))
 
 
 def _corners(first: np.ndarray, rates: np.ndarray) -> np.ndarray:

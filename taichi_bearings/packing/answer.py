@@ -6,14 +6,15 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
+from scipy import sparse
 
 from taichi_bearings import runtime
 from taichi_bearings.errors import InputError
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.packing import planar
+from taichi_bearings.packing.motions import slipless_motions
 from taichi_bearings.packing.packing import Packing
-from taichi_bearings.packing.system import System
-from taichi_bearings.packing.ties import tied
+from taichi_bearings.packing.system import Found, System
 from taichi_bearings.scene.solution import Snapshots, Status
 from taichi_bearings.verifier.judgement import Judgement
 from taichi_bearings.verifier.network import StoredPacking
@@ -22,6 +23,8 @@ from taichi_bearings.verifier.states import AT_REST
 from taichi_bearings.words import shown
 
 SURE_MARGIN, SURE_SLIP = 1e-6, 1e-11  # at exact minima, slips in units of the largest imposed one
+MOST_TIES = 200  # whose motions are found; more of them leave every slipping contact undecided
+MOVED = 1e-7  # of a slip that a motion makes
 
 SLIPLESS, SLIPPING, UNDECIDED, DRIVEN = range(4)
 
@@ -101,22 +104,6 @@ class PackingSolution:
         return f"<PackingResult {self.packing!r}, {words}>"
 
 
-@dataclass(frozen=True)
-class Found:
-    """spins (unknowns,), force (d, A) in units of force. slips : (A,) sets of an exact minimum, where it was found; and
-    there ties : (A,) those that are not the same at all minima, if that is known. steps : factorisations.
-    everywhere : u (N, C) of all spheres, where a method moves all. open : as of Followed."""
-
-    spins: np.ndarray
-    force: np.ndarray
-    method: str
-    slips: np.ndarray | None = None
-    ties: np.ndarray | None = None
-    steps: int = 0
-    everywhere: np.ndarray | None = None
-    open: np.ndarray | None = None
-
-
 def solve_packing(
     packing: Packing,
     tolerance: float = 1e-8,
@@ -163,8 +150,7 @@ def _found(system: System, method: str) -> Found:
     fastest, largest = units.tolist()
     scaled = replace(system, offset=system.offset / fastest, known=system.known / fastest)
     end = followed(scaled, held / largest, viscosity * fastest / largest)
-    spins, force = end.spins * fastest, end.force * largest
-    return Found(spins, force, "interior-point", end.slips, end.ties, end.steps, open=end.open)
+    return replace(end, spins=end.spins * fastest, force=end.force * largest)
 
 
 def spins_of(packing: Packing, u: np.ndarray) -> np.ndarray:
@@ -235,3 +221,32 @@ def _states(system: System, found: Found, judgement: Judgement) -> np.ndarray:
         own[tied(system, found.force, own) if found.ties is None else found.ties] = UNDECIDED
     state[system.contact] = own
     return state
+
+
+def tied(system: System, force: np.ndarray, state: np.ndarray) -> np.ndarray:
+    """True (A,) for slipping contacts whose slip is not the same at all minima. force : (d, A). state : (A,).
+
+    Forces of slipping contacts are the same at all minima, so the slips of two minima differ along them alone. The
+    spins that make no slip across the force of a slipping contact, nor any slip of one that rests, are a kernel; if it
+    is that of the network itself, the minimum is the only one.
+    """
+    d, count = force.shape
+    size = np.linalg.norm(force, axis=0)
+    along = force / np.where(size > 0, size, 1.0)
+    across = np.stack([-along[1], along[0]]) if d == 2 else np.zeros((1, count))
+    slipping, resting = np.flatnonzero(state == 1), np.flatnonzero(state == 0)
+    rows = [system.matrix[t * count + resting] for t in range(d)]
+    if d == 2:
+        parts = (sparse.diags_array(across[t, slipping]) @ system.matrix[t * count + slipping] for t in range(d))
+        rows.append(sum(parts))
+    found = np.zeros(count, dtype=bool)
+    motions = slipless_motions(sparse.csr_array(sparse.vstack(rows)), system.sphere, system.parts())
+    if not motions.number:
+        return found
+    if motions.number > MOST_TIES:
+        found[slipping] = True
+        return found
+    basis = motions.basis()
+    moved = sum(np.abs(along[t, :, None] * (system.matrix[t * count : (t + 1) * count] @ basis)) for t in range(d))
+    found[slipping] = (moved > MOVED * np.abs(basis).max()).any(axis=1)[slipping]
+    return found

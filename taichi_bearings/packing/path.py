@@ -10,7 +10,7 @@ it. A contact that rests slips the less each time; those beyond their friction s
 """
 
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import reduce
 
 import numpy as np
@@ -28,7 +28,7 @@ from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.numerics.double_double import add, scaled, two_sum
 from taichi_bearings.packing.motions import unknowns_of
-from taichi_bearings.packing.system import System, along_axes, odd_parts
+from taichi_bearings.packing.system import Found, System, along_axes, odd_parts
 
 SMALL_SPHERES = 5_000  # up to which states are settled as those of small lattices
 HOLDS = (1e6, 1e8, 1e10, 1e10)  # stiffnesses of the springs, over friction
@@ -39,26 +39,11 @@ SMALL_SPINS = 1e-8  # of what is left to settle
 MOST_STEPS, SLACK = 80, 0.3  # of the path; of the bounds at its start, in mean slips
 
 
-@dataclass(frozen=True)
-class Followed:
-    """spins (unknowns,), force (d, A). slips : (A,), if contacts are settled, but for some that are `open`, (A,), and
-    slip by more than rounding, though less than friction allows; ties : those that tie or bear all their friction at
-    rest, (A,), if that is known. steps : factorisations."""
-
-    spins: np.ndarray
-    force: np.ndarray
-    slips: np.ndarray | None
-    open: np.ndarray | None
-    ties: np.ndarray | None
-    steps: int
-
-
 def oblique(system: System) -> ContactSystem:
     """Contacts over the spins as they are."""
-    unknown = np.concatenate(list(system.moved[system.packing.contact[system.contact]].swapaxes(0, 1)), axis=1)
-    factor = np.where(unknown >= 0, np.tile(system.across, 2), 0.0)
-    places = Places(np.arange(len(unknown)), np.broadcast_to(np.arange(len(factor))[:, None], factor.shape[:2]))
-    group = ObliqueGroup(system.matrix, unknown, factor, system.offset)
+    shape = system.offset.shape
+    places = Places(np.arange(shape[1]), np.broadcast_to(np.arange(shape[0])[:, None], shape))
+    group = ObliqueGroup(system.matrix, system.offset)
     return ContactSystem(system.unknowns, (group,), (places,), system.packing.center[system.sphere].T)
 
 
@@ -102,7 +87,7 @@ def viscous_spins(system: System, viscosity: np.ndarray) -> np.ndarray:
     return flowing(contacts, Grouped([viscosity]), matrix, np.zeros(system.unknowns))
 
 
-def followed(system: System, friction: np.ndarray, viscosity: np.ndarray) -> Followed:
+def followed(system: System, friction: np.ndarray, viscosity: np.ndarray) -> Found:
     """Where the central path and the settling of states lead. friction, viscosity : (A,)."""
     along, flows = signed(system), bool(viscosity.any())
     contacts, sign = along or (oblique(system), None)
@@ -135,14 +120,14 @@ def followed(system: System, friction: np.ndarray, viscosity: np.ndarray) -> Fol
     slips, opens, tie = (
         None if of is None else _everywhere(contacts, of, len(friction)) for of in (slipping, open_, ties)
     )
-    return Followed(spins, force, slips, opens, tie, sample.steps)
+    return Found(spins, force, "interior-point", slips, tie, sample.steps, open=opens)
 
 
 @np.errstate(all="ignore")
 def _settled(
     system: System, point: Iterate, matrix: NewtonMatrix
 ) -> tuple[np.ndarray, Arrays, Arrays | None, Arrays | None]:
-    """Spins, minus the forces, and, (n,) masks a group, which contacts slip and which are open, as of Followed; None
+    """Spins, minus the forces, and, (n,) masks a group, which contacts slip and which are open, as of Found; None
     where nothing is settled."""
     contacts, spins, held, whole = point.system, point.spins, -point.dual, point.whole_dual
     slipping, open_, last = None, None, np.inf

@@ -98,25 +98,32 @@ class System:
         """(d, A, C)."""
         return tangents(self.packing.normal[self.contact])  # type: ignore[index]
 
-    @cached_property
-    def transposed(self) -> sparse.csr_array:
-        return self.matrix.T.tocsr()
-
     def difference(self, spins: np.ndarray) -> np.ndarray:
         """y = K u + b, (d, A)."""
         return (self.matrix @ spins).reshape(self.offset.shape) + self.offset
 
-    def change(self, spins: np.ndarray) -> np.ndarray:
-        """K u, (d, A)."""
-        return (self.matrix @ spins).reshape(self.offset.shape)
-
-    def torques(self, force: np.ndarray) -> np.ndarray:
-        """K^T f, (unknowns,), of (d, A)."""
-        return self.transposed @ force.ravel()
-
     def all_spins(self, spins: np.ndarray) -> np.ndarray:
         """u of all spheres, (N, C)."""
         return np.where(self.moved >= 0, np.append(spins, 0.0)[self.moved], self.known)
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a method has found. spins (unknowns,), force (d, A) in units of force. steps : factorisations.
+
+    slips : (A,), of contacts that are settled, but for some that are `open`, (A,), and slip by more than rounding,
+    though less than friction allows; and there ties : (A,) those that are not the same at all minima, or bear all their
+    friction at rest, if that is known. everywhere : u (N, C) of all spheres, where a method moves all.
+    """
+
+    spins: np.ndarray
+    force: np.ndarray
+    method: str
+    slips: np.ndarray | None = None
+    ties: np.ndarray | None = None
+    steps: int = 0
+    everywhere: np.ndarray | None = None
+    open: np.ndarray | None = None
 
 
 def along_axes(packing: Packing, contact: np.ndarray) -> bool:

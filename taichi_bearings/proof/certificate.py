@@ -74,7 +74,7 @@ def certifying_forces(scene: Scene, force: Forces, spin_axes: tuple[int, ...], b
     if scene.law.flows:
         return _most_proving(scene, force, dual_value(scene, force, spin_axes), given, spin_axes, bound)
     ratio = saturation(scene, force)
-    worst, best = _largest(ratio), force
+    worst, best = ratio.max(axis=1), force
     worst_of_best, known = worst, None  # the best ones as a whole in their discs, and what they prove, once asked for
     proves = _work_of_planes(scene, force, spin_axes) / np.maximum(worst, 1.0)
     reached, better = np.zeros(scene.replicas), np.ones(scene.replicas, dtype=bool)
@@ -90,7 +90,7 @@ def certifying_forces(scene: Scene, force: Forces, spin_axes: tuple[int, ...], b
         shortened = force + 1.5 * (capped(force, ratio) - force)
         force = _where(done, force, balance(scene, shortened, spin_axes))
         ratio = saturation(scene, force)
-        worst = _largest(ratio)
+        worst = ratio.max(axis=1)
         value = _work_of_planes(scene, force, spin_axes) / np.maximum(worst, 1.0)
         better = ~done & (value > proves)
         best, proves, known = _where(better, force, best), np.where(better, value, proves), None
@@ -152,7 +152,7 @@ def work_and_bound(scene: Scene, balanced: Forces, spin_axes: tuple[int, ...]) -
     """
     ratio = saturation(scene, balanced)
     work = _work_of_planes(scene, balanced, spin_axes)
-    bound, as_a_whole = dual_value(scene, capped(balanced, ratio), spin_axes), work / np.maximum(_largest(ratio), 1.0)
+    bound, as_a_whole = dual_value(scene, capped(balanced, ratio), spin_axes), work / np.maximum(ratio.max(axis=1), 1.0)
     if (as_a_whole > bound).any():
         proven = dual_value(scene, scaled(scene, balanced), spin_axes)
         bound = np.where(as_a_whole > bound, np.maximum(proven, bound), bound)
@@ -241,7 +241,7 @@ def capped(force: Forces, ratio: np.ndarray) -> Forces:
 
 def scaled(scene: Scene, force: Forces) -> Forces:
     """All forces of a replica divided by the worst saturation, which keeps their torque balance."""
-    return _divided(force, _largest(saturation(scene, force)))
+    return _divided(force, saturation(scene, force).max(axis=1))
 
 
 def _divided(force: Forces, worst: np.ndarray) -> Forces:
@@ -249,11 +249,6 @@ def _divided(force: Forces, worst: np.ndarray) -> Forces:
     if (worst <= 1.0).all():
         return force
     return force * (1.0 / np.maximum(worst, 1.0))[:, None]
-
-
-def _largest(ratio: np.ndarray) -> np.ndarray:
-    """Of each replica, (R,)."""
-    return np.asarray(ratio.max(axis=1))
 
 
 def saturation(scene: Scene, force: Forces) -> np.ndarray:

@@ -248,6 +248,8 @@ def job_of(settings: RunSettings, scene: Scene, spin: np.ndarray, strict: bool =
 
 # relative gap down to which splitting helps after the interior point: from 1e-13 it takes minutes and gains nothing
 SPLITTING_HELPS = 1e-12
+# iterations that it may take, some 15 s for small samples: 6,6,6 lognormal:1,6 seed 2 asks for 104 253
+MOST_SPLITTINGS = 20_000
 
 
 def solve_job(job: Job, monitors: Sequence[Any] = (), checkpoints: Any = None) -> Solution:
@@ -271,11 +273,20 @@ def solve_job(job: Job, monitors: Sequence[Any] = (), checkpoints: Any = None) -
         recording = replace(recording, history=ramp.looks(stop.duration))
     solution = solve(job.scene, method, job.spin, stop, monitors, settings.slip_threshold, recording, checkpoints)
     stalled = solution.method == "interior-point" and solution.status is Status.STALLED and not solution.interrupted
-    stalled &= not float(solution.gap.max()) <= SPLITTING_HELPS  # not-a-number is no gap that is small
     if settings.method == "auto" and stalled and not OperatorSplitting.refusal(job.scene):
-        left = StopRule(stop.tolerance, stop.iterations, max(stop.seconds - solution.seconds, 1e-3))
-        other = solve(job.scene, OperatorSplitting().build(), solution.spin, left, monitors, settings.slip_threshold)
-        solution = _better(solution, other, settings.tolerance)
+        # each on its own, so that it has the same bits alone and beside others; not-a-number is no gap that is small
+        for number in np.flatnonzero(~(solution.gap <= max(settings.tolerance, SPLITTING_HELPS))).tolist():
+            seconds = max(stop.seconds - solution.seconds, 1e-3)
+            left, one = (
+                StopRule(stop.tolerance, min(stop.iterations, MOST_SPLITTINGS), seconds),
+                solution.sample(number),
+            )
+            other = solve(one.scene, OperatorSplitting().build(), one.spin, left, monitors, settings.slip_threshold)
+            solution = solution.with_sample(number, _better(one, other, settings.tolerance), other)
+            if solution.interrupted:
+                break
+        if (solution.gap <= settings.tolerance).all():
+            solution = replace(solution, status=Status.CERTIFIED)
     if ramp is None or solution.interrupted or method is not job.method:
         return solution
     again = _solve_again(job, replace(settings, torque=None))
@@ -304,15 +315,12 @@ def _rigid_top(job: Job, ramp: Ramp) -> Any:
 
 
 def _better(first: Solution, second: Solution, tolerance: float) -> Solution:
-    """Of two answers to one scene, each proven by the best forces of both, the second if it is clearly closer."""
+    """Of two answers to one sample, each proven by the best forces of both, the second if it is clearly closer."""
     from taichi_bearings.solvers.answer import with_forces_of
 
     answers = with_forces_of(first, second), with_forces_of(second, first)
     gaps = [float(answer.gap.max()) for answer in answers]
-    answer = answers[gaps[1] <= tolerance < gaps[0] or 2 * gaps[1] < gaps[0]]
-    status = Status.CERTIFIED if (answer.gap <= tolerance).all() else second.status
-    seconds = first.seconds + second.seconds
-    return replace(answer, status=status, seconds=seconds, interrupted=second.interrupted)
+    return answers[gaps[1] <= tolerance < gaps[0] or 2 * gaps[1] < gaps[0]]
 
 
 def summarise(run: Run) -> dict[str, Any]:

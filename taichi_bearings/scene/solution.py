@@ -247,3 +247,22 @@ class Solution:
         if self.snapshots is not None:
             changes["snapshots"] = Snapshots(self.snapshots.time, self.snapshots.spin[:, one])
         return replace(self, **changes)
+
+    def with_sample(self, number: int, one: "Solution", last: "Solution") -> "Solution":
+        """The same with another answer to one replica. last : how the search for it went on, and ended."""
+        spent = self.seconds + last.seconds
+        ended: dict[str, Any] = {"seconds": spent, "status": last.status, "interrupted": last.interrupted}
+        if self.scene.replicas == 1:
+            return replace(one, **ended)
+
+        def placed(whole: np.ndarray, value: Any) -> np.ndarray:
+            changed = whole.copy()
+            changed[number] = value
+            return changed
+
+        names = [item.name for item in fields(self) if isinstance(getattr(self, item.name), np.ndarray)]
+        changes: dict[str, Any] = {name: placed(getattr(self, name), getattr(one, name)[0]) for name in names}
+        changes["own"] = {name: placed(values, getattr(one, name)) for name, values in self.own.items()}
+        found = {name: placed(values, one.findings.get(name, [0])[0]) for name, values in self.findings.items()}
+        method = last.method if one.method == last.method else self.method
+        return replace(self, **changes, **ended, findings=found, method=method)

@@ -54,8 +54,7 @@ class ImplicitCundallStrackOfPacking(OnNetwork, ImplicitCundallStrackMethod):
         whole = oblique(system)
         (group,) = whole.groups
         operator = sparse.csr_array(group.operator @ sparse.diags_array(self.scale))
-        factor = group.factor * np.append(self.scale, 0.0)[group.unknown]
-        return replace(whole, groups=(replace(group, operator=operator, factor=factor),)), elimination(system)
+        return replace(whole, groups=(replace(group, operator=operator),)), elimination(system)
 
     @property
     def unit_inertia(self) -> float:

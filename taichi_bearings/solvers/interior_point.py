@@ -19,17 +19,11 @@ from typing import Any
 import numpy as np
 
 from taichi_bearings.conic.central_path import flowing
-from taichi_bearings.conic.contact_system import (
-    ContactSystem,
-    above_free_spins,
-    free_spins,
-    lattice_system,
-    place_free_spins,
-)
-from taichi_bearings.conic.descent import DISTANT_GAP, LEAST_GAP, Descent, Sample
+from taichi_bearings.conic.contact_system import ContactSystem, free_spins, lattice_system, place_free_spins
+from taichi_bearings.conic.descent import DISTANT_GAP, Descent, Sample
 from taichi_bearings.conic.grouped import Arrays, each, together, where
-from taichi_bearings.conic.iterate import Iterate
-from taichi_bearings.conic.newton_matrix import NewtonMatrix
+from taichi_bearings.conic.iterate import LEAST_GAP, Iterate
+from taichi_bearings.conic.newton_matrix import MOST_NEWTON_STEPS, NewtonMatrix
 from taichi_bearings.conic.resolution import DECIDED_RATIO, Surroundings
 from taichi_bearings.conic.rows import compile_passes
 from taichi_bearings.fields import Fields, FieldSpec
@@ -43,8 +37,6 @@ from taichi_bearings.proof.contact_state import ContactState, all_slipless
 from taichi_bearings.scene import Progress, Scene
 from taichi_bearings.solvers.table import InteriorPoint
 
-# steps that small samples may take from one look at where they are to the next; mostly all they need
-STEPS_AT_ONCE = 64
 BATCHED_SITES = InteriorPoint.alike_in_a_block  # spheres up to which samples are factorised side by side
 KEPT_SITES = 10_000  # spheres up to which what all samples of a lattice share is kept
 
@@ -63,21 +55,17 @@ def _states(sample: Sample) -> Arrays:
 _Skeleton = tuple[ContactSystem, np.ndarray, Any]  # the matrix is None where nothing is to be solved
 
 
-def _skeleton(lattice: Lattice, spin_axes: tuple[int, ...], jump: bytes) -> _Skeleton:
-    """What all samples of a lattice have in common: made once for small ones, of which there are many."""
-    if lattice.sites < KEPT_SITES:
-        return _kept_skeleton(threading.get_ident(), lattice, spin_axes, jump)
-    _kept_skeleton.cache_clear()
-    return _new_skeleton(lattice, spin_axes, jump)
+def _skeleton(*alike: Any) -> _Skeleton:
+    """What all samples of a lattice have in common: made once for small ones, of which there are many, by each thread,
+    as the numbers of a factorisation are kept in the matrix."""
+    if alike[0].sites < KEPT_SITES:
+        return _made(threading.get_ident(), *alike)
+    _made.cache_clear()
+    return _made.__wrapped__(0, *alike)
 
 
 @lru_cache(maxsize=1)
-def _kept_skeleton(thread: int, *alike: Any) -> _Skeleton:
-    """thread : its own, as the numbers of a factorisation are kept in the matrix."""
-    return _new_skeleton(*alike)
-
-
-def _new_skeleton(lattice: Lattice, spin_axes: tuple[int, ...], jump: bytes) -> _Skeleton:
+def _made(thread: int, lattice: Lattice, spin_axes: tuple[int, ...], jump: bytes) -> _Skeleton:
     top = np.frombuffer(jump).reshape(len(spin_axes), *lattice.shape[:-1])
     system, order = lattice_system(lattice, spin_axes, top), dissect(lattice, spin_axes)
     if not top.any():  # nothing turns
@@ -99,7 +87,9 @@ class InteriorPointMethod(Descent):
         top, self.unit = scene.driving.top_in_units(self.spin_axes), float(scene.driving.unit[0][0])
         self.frustrated = bool(top[0].any())
         self.system, order, matrix = _skeleton(scene.lattice, self.spin_axes, top[0].tobytes())
-        shared = Surroundings(self.system, order, matrix, above_free_spins(top, scene.lattice))
+        sphere = (len(self.spin_axes), 1, *scene.lattice.shape)
+        high, low = (free_spins(np.broadcast_to(part[:, None, ..., None], sphere))[0] for part in top)  # above each
+        shared = Surroundings(self.system, order, matrix, (high, low))
         small, settles = scene.lattice.sites < BATCHED_SITES, scene.law.is_rate_independent
         super().__init__(shared, scene.lattice.sites, small, settles, self.options.settle)
         if self.frustrated:
@@ -135,7 +125,7 @@ class InteriorPointMethod(Descent):
     def next_check(self, iteration: int) -> int:
         """At iterations that do not depend on what is beside a sample. A look costs half a step at 10^3."""
         if self.small and self.options.settle:
-            return iteration + STEPS_AT_ONCE
+            return iteration + MOST_NEWTON_STEPS  # mostly all they need
         far = self.frustrated and max(sample.gap for sample in self.samples) > DISTANT_GAP
         return iteration + (2 if far else 1)
 

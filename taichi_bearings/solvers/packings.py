@@ -14,8 +14,9 @@ from taichi_bearings.interrupts import Interrupt
 from taichi_bearings.kernels.contact_list import CundallStrackLists, DescentLists, list_sweeps
 from taichi_bearings.kernels.team import Team
 from taichi_bearings.numerics.blas import one_thread
-from taichi_bearings.packing.answer import SLIPLESS, SLIPPING, UNDECIDED, Found, PackingSolution, judged
+from taichi_bearings.packing.answer import SLIPLESS, SLIPPING, UNDECIDED, PackingSolution, judged
 from taichi_bearings.packing.packing import Packing
+from taichi_bearings.packing.system import Found
 from taichi_bearings.scene import Snapshots, Status
 from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.solvers.cundall_strack import CundallStrackMethod, choose_time_step

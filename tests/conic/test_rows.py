@@ -5,8 +5,7 @@ import pytest
 from scipy import sparse
 
 from taichi_bearings.conic.central_path import friction_stiffness
-from taichi_bearings.conic.cone import inner, length, longest_step
-from taichi_bearings.conic.grouped import Grouped, each
+from taichi_bearings.conic.grouped import Grouped, each, inner, length, longest_step
 from taichi_bearings.conic.rows import ContactRows
 from taichi_bearings.kernels import central_path as kernels
 from taichi_bearings.memory import aligned_zeros

@@ -5,7 +5,8 @@ import pytest
 
 from taichi_bearings.conic.contact_system import ContactGroup, ContactSystem
 from taichi_bearings.conic.grouped import Grouped
-from taichi_bearings.conic.slipless_forces import bear, borne_nearby, roughly_borne
+from taichi_bearings.conic.newton_matrix import NewtonMatrix
+from taichi_bearings.conic.slipless_forces import nearly_borne
 from taichi_bearings.lattice.incidence import contact_differences
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene.initial_spins import initial_spin
@@ -26,120 +27,43 @@ def chain(*contacts, unknowns=1):
     return ContactSystem(unknowns, (group,)), np.arange(unknowns)
 
 
-def pulled(friction, slip=1.0):
+def borne(system, order, friction, dual, slipping, critical=None):
+    """The dual of :func:`nearly_borne` and whether it will do, of one sample with one component."""
+    never = np.zeros(len(friction), dtype=bool)
+    values = (Grouped([np.array(of)]) for of in (friction, [dual], slipping, never if critical is None else critical))
+    heads = [np.zeros(system.unknowns, dtype=bool)]
+    (found,), (inside,) = nearly_borne(system, NewtonMatrix(system, order), *values, heads)
+    return found[0], inside
+
+
+def pulled():
     """One sphere that two contacts hold to the bottom, while the third slips under the top."""
-    system, order = chain((BOTTOM, 0, 0.0), (BOTTOM, 0, 0.0), (0, TOP, slip))
-    mu, slipping = np.array(friction), np.array([False, False, True])
-    dual = np.where(slipping, -mu, np.nan)[None]  # that of slipless contacts is not looked at
-    return system, order, mu, dual, slipping
-
-
-def borne(system, order, *of_contacts):
-    return bear(system, order, *(Grouped([values]) for values in of_contacts))
+    return chain((BOTTOM, 0, 0.0), (BOTTOM, 0, 0.0), (0, TOP, 1.0))
 
 
 @pytest.mark.parametrize("friction", [(0.4, 0.3, 0.5), (0.3, 0.2001, 0.5)], ids=["easily", "barely"])
 def test_two_contacts_bear_what_a_third_pulls(friction):
-    system, order, mu, dual, slipping = pulled(friction)
-    (found,) = borne(system, order, mu, dual, slipping).dual
-    assert system.torques(Grouped([found])) == pytest.approx([0.0], abs=1e-11)
-    assert (np.abs(found[0, :2]) < mu[:2]).all()
-    assert found[0, 2] == -mu[2]
+    dual, inside = borne(*pulled(), friction, [-0.29, -0.19, -0.5], [False, False, True])
+    assert inside
+    assert dual[:2].sum() == pytest.approx(-0.5, abs=1e-11)
+    assert (np.abs(dual[:2]) < friction[:2]).all()
+    assert dual[2] == -0.5
 
 
-def test_two_contacts_too_weak_for_it_slip():
-    system, order, mu, dual, slipping = pulled((0.25, 0.24, 0.5))
-    motion = borne(system, order, mu, dual, slipping).motion
-    assert motion[0] > 0  # after the top, as the third contact pulls
-
-
-@pytest.mark.parametrize("excess", [0.0, -1e-12, -1e-10, 1e-12], ids=str)
-def test_contacts_at_their_limit_are_no_proof(excess):
-    system, order, mu, dual, slipping = pulled((0.3, 0.2 + excess, 0.5))
-    assert borne(system, order, mu, dual, slipping).dual is None
-
-
-def test_a_free_domain_turns_as_a_whole_at_no_cost():
-    """Two spheres tied to each other, both dragged: up by the top, down by the bottom, with the same friction."""
-    system, order = chain((BOTTOM, 0, 0.5), (0, 1, 0.0), (1, TOP, 0.5), unknowns=2)
-    mu, slipping = np.array([0.4, 0.5, 0.4]), np.array([True, False, True])
-    dual = np.where(slipping, -mu, 0.0)[None]
-    (found,) = borne(system, order, mu, dual, slipping).dual
-    assert found[0] == pytest.approx([-0.4, -0.4, -0.4], abs=1e-10)
-    motion = borne(system, order, np.array([0.4, 0.3, 0.4]), dual, slipping).motion
-    assert motion[1] > motion[0]  # apart
-
-
-NONE_CRITICAL = Grouped([np.zeros(6, dtype=bool)])
-
-
-def two_pulled(friction, forces):
-    """Two spheres, each held to the bottom by two contacts and dragged by the top with 0.5."""
-    ends = [(BOTTOM, 0, 0.0), (BOTTOM, 0, 0.0), (0, TOP, 1.0), (BOTTOM, 1, 0.0), (BOTTOM, 1, 0.0), (1, TOP, 1.0)]
-    system, order = chain(*ends, unknowns=2)
-    slipping = np.array([False, False, True] * 2)
-    mu, dual = np.array([*friction, 0.5, 0.4, 0.4, 0.5]), -np.array([[*forces, 0.5, 0.2, 0.3, 0.5]])
-    return system, order, *(Grouped([values]) for values in (mu, dual, slipping))
-
-
-def test_what_one_contact_cannot_bear_its_neighbours_do():
-    system, *of = two_pulled((0.4, 0.3), (0.45, 0.05))
-    (dual,), (mu,), (given,) = borne_nearby(system, *of, NONE_CRITICAL).dual, of[1], of[2]
-    assert system.torques(Grouped([dual])) == pytest.approx([0.0, 0.0], abs=1e-11)
-    assert (np.abs(dual[0, :2]) < mu[:2]).all()
-    assert (dual[:, 2:] == given[:, 2:]).all()
-
-
-def test_what_no_neighbour_can_bear_moves():
-    system, *of = two_pulled((0.25, 0.24), (0.3, 0.2))
-    found = borne_nearby(system, *of, NONE_CRITICAL)
-    assert found.dual is None
-    assert found.motion[0] > 0
-    assert found.motion[1] == 0
-
-
-def test_a_sphere_whose_contacts_bear_enough_is_left_alone():
-    system, *of = two_pulled((0.4, 0.3), (0.3, 0.2))
-    found = borne_nearby(system, *of, NONE_CRITICAL)
-    assert (found.dual, found.motion) == (None, None)
+@pytest.mark.parametrize("excess", [-1e-2, -1e-10, -1e-12, 0.0, 1e-12], ids=str)
+def test_two_contacts_too_weak_for_it_or_at_their_limit_are_no_proof(excess):
+    friction = (0.3, 0.2 + excess, 0.5)
+    assert not borne(*pulled(), friction, [-0.29, -0.19, -0.5], [False, False, True])[1]
 
 
 @pytest.mark.parametrize("beyond", [False, True])
-def test_nothing_is_borne_where_a_critical_contact_bears_more_than_its_friction(beyond):
-    system, order, mu, dual, slipping = two_pulled((0.4, 0.3), (0.45, 0.05))
-    mu.parts[0][3], critical = 0.15 if beyond else 0.2, Grouped([np.arange(6) == 3])
-    found = borne_nearby(system, order, mu, dual, slipping, critical)
-    assert (found.dual is None, found.motion) == (beyond, None)
-
-
-@pytest.mark.parametrize(("friction", "moves"), [((0.3, 0.3), False), ((0.25, 0.24), True)], ids=str)
-def test_a_torque_that_is_left_tells_quickly_whether_something_moves(friction, moves):
-    system, *of = two_pulled(friction, (0.2, 0.2))
-    motion = roughly_borne(system, *of).motion
-    assert (motion is not None) == moves
-    assert not moves or (motion[0] > 0 and motion[1] == 0)
-
-
-def test_a_small_torque_is_no_reason_to_look():
-    system, *of = two_pulled((0.25, 0.24), (0.246, 0.248))
-    assert roughly_borne(system, *of).motion is None
-
-
-@pytest.mark.parametrize(
-    ("steps", "among", "found"),
-    [(0, 4, 1), (1, 4, 2), (2, 4, 3), (9, 4, 4), (9, 2, 2), (9, 0, 1)],
-)
-def test_contacts_lead_from_spin_to_spin_but_not_through_driven_planes(steps, among, found):
-    """Of a chain from plane to plane: from its first contact on, among so many."""
-    system, _ = chain((BOTTOM, 0, 0.0), (0, 1, 0.0), (1, 2, 0.0), (2, TOP, 0.0), unknowns=3)
-    first, allowed = (Grouped([np.arange(4) < count]) for count in (1, among))
-    (around,) = system.around(first, steps, allowed)
-    assert around.tolist() == [number < found for number in range(4)]
-
-
-def test_contacts_at_a_spin():
-    system, _ = chain((BOTTOM, 0, 0.0), (0, 1, 0.0), (1, 2, 0.0), (2, TOP, 0.0), unknowns=3)
-    assert [part.tolist() for part in system.at(np.array([False, False, True]))] == [[False, False, True, True]]
+def test_a_critical_contact_bears_its_friction_and_no_more(beyond):
+    system = chain((BOTTOM, 0, 0.0), (BOTTOM, 0, 0.0), (BOTTOM, 0, 0.0), (0, TOP, 1.0))
+    weak = 0.05 if beyond else 0.2
+    friction, dual = (0.2, 0.3, weak, 0.5), [-0.2, -0.2, -0.05, -0.5]
+    found, inside = borne(*system, friction, dual, [False] * 3 + [True], np.arange(4) == 0)
+    assert inside != beyond
+    assert beyond or found[0] == pytest.approx(-0.2, abs=1e-12)
 
 
 def minimum_of(scene, start="linear"):

@@ -320,5 +320,6 @@ def test_the_matrix_of_oblique_contacts_is_that_of_their_slips(kind):
     matrix = NewtonMatrix(oblique(system), elimination(system))
     matrix.factorise(Grouped([stiffness]))
     spins = draw.normal(size=system.unknowns)
-    torques = system.torques(np.einsum("ije,je->ie", stiffness, system.change(spins)))
+    slips = (system.matrix @ spins).reshape(2, -1)
+    torques = system.matrix.T @ np.einsum("ije,je->ie", stiffness, slips).ravel()
     assert np.abs(matrix.solve(torques) - spins).max() < 1e-9

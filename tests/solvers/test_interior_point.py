@@ -1,5 +1,7 @@
 """The interior-point method against exact minima, an independent conic formulation, and its own claims."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -179,6 +181,19 @@ def test_auto_goes_on_with_operator_splitting_where_the_path_ends_early():
     assert solution.gap[0] <= 1e-8
 
 
+def test_splitting_goes_on_with_those_samples_alone_whose_path_ends_early():
+    """A block of eight of these took more than nine minutes, as splitting went on with all until all were certified."""
+    settings = RunSettings(shape=(5, 4, 7), distribution="bimodal:1e-6,1,0.3", seed=1, threads=1, tolerance=1e-6)
+    alone, block = (solve_job(prepare(replace(settings, seed=s, replicas=n))) for s, n in ((2, 1), (1, 2)))
+    assert block.status is Status.CERTIFIED
+    assert (block.gap <= 1e-6).all()
+    assert np.array_equal(block.sample(1).spin, alone.spin)
+    assert np.array_equal(block.sample(1).friction, alone.friction)
+    certified_by_the_path = solve_job(prepare(settings))
+    assert certified_by_the_path.method == "interior-point"
+    assert np.array_equal(block.sample(0).spin, certified_by_the_path.spin)
+
+
 def test_a_scene_whose_spins_are_all_tied_to_the_planes():
     driving = {"direction": (1e-15, 1e-15, 1), "spin_bottom": -0.3}
     scene = make_scene((4, 4, 4), seeds=(75,), distribution="uniform:1e-14,2e-14", **driving)
@@ -225,13 +240,10 @@ def tie_nothing(monkeypatch):
 
 
 @pytest.mark.usefixtures("as_large")
-@pytest.mark.parametrize(
-    ("seed", "wrong", "freed"),
-    [(0, 1, True), (1, 10, True), (2, 10, False)],
-)
-def test_contacts_that_are_wrongly_tied_are_freed(monkeypatch, seed, wrong, freed):
-    """Those that slip least. Where what moves does not tell, the path of the whole is followed: the states are its."""
-    scene, decide, moved = make_scene((8, 8, 8), seeds=(seed,)), LastDecades.decide, []
+@pytest.mark.parametrize(("seed", "wrong"), [(0, 1), (1, 10), (2, 10)])
+def test_contacts_that_are_wrongly_tied_are_freed(monkeypatch, seed, wrong):
+    """Those that slip least. The path of the whole is followed then: the states are its."""
+    scene, decide = make_scene((8, 8, 8), seeds=(seed,)), LastDecades.decide
     with monkeypatch.context() as nothing_tied:
         tie_nothing(nothing_tied)
         whole = minimum_of(scene)
@@ -246,11 +258,7 @@ def test_contacts_that_are_wrongly_tied_are_freed(monkeypatch, seed, wrong, free
     monkeypatch.setattr(LastDecades, "decide", wrongly_decided)
     monkeypatch.setattr(resolution, "DOUBTFUL_SHARE", 0.0)
     monkeypatch.setattr(resolution, "LEAST_DOUBTFUL", 0)
-    for name in ("roughly_borne", "borne_nearby"):
-        look = getattr(resolution, name)
-        monkeypatch.setattr(resolution, name, lambda *of, look=look: moved.append(look(*of)) or moved[-1])
     brief = minimum_of(scene)
-    assert any(of.motion is not None for of in moved) == freed
     assert (whole.states_proven[0], brief.states_proven[0]) == (True, True)
     assert (brief.state == whole.state).all()
 
