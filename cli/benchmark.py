@@ -21,7 +21,7 @@ USED_BY = {"precision": "kernels"} | dict.fromkeys(("law", "seed", "methods", "p
 @click.option("--seed", default="0", show_default=True, metavar="N", help="methods: seed of the disorder.")
 @click.option("--methods", metavar="NAME[,NAME...]", help="methods: those to compare. [default: all]")
 @click.option("--peers/--no-peers", default=True, show_default=True, help="methods: Clarabel and SCS too, if there.")
-@click.option("--time-limit", metavar="SECONDS", help="methods: for each of a scene. [default: 10, --quick 1, --full 60]")
+@click.option("--time-limit", metavar="SECONDS", help="methods: of each. [default: 10, --quick 1, --full 60]")
 @click.option("--precision", metavar="f64|f32", help="kernels: one only. [default: both, --quick f64]")
 @click.option("--shape", multiple=True, metavar="NX,NY[,NZ]", help="Instead of the usual ones; repeatable.")
 @click.option("--threads", metavar="N[,N...]", help="CPUs. [default: 1 and all; --full: 1, 2, 4 ...]")
