@@ -24,8 +24,13 @@ from taichi_bearings.plots.scan import Curve, Look, draw_scan
 from taichi_bearings.plots.style import ENDINGS, save
 from taichi_bearings.plots.symbols import column_label
 from taichi_bearings.runs.run_directory import claimed
-from taichi_bearings.scans.stored_scans import CENSUS_COLUMNS, OF_A_SPANNING_NETWORK, open_scan
-from taichi_bearings.scans.systems import disorder_of, numbered
+from taichi_bearings.scans.stored_scans import (
+    CENSUS_COLUMNS,
+    OF_A_SPANNING_NETWORK,
+    disorder_of,
+    numbered,
+    open_scan,
+)
 from taichi_bearings.words import meant
 
 SIZE = "L"

@@ -31,8 +31,7 @@ from taichi_bearings.runs.run import settings_of
 from taichi_bearings.runs.run_directory import default_run_path, writable_folder
 from taichi_bearings.runs.run_file import StoredRun, file_of
 from taichi_bearings.runs.settings import RunSettings, parse_toml
-from taichi_bearings.scans.stored_scans import is_scan, open_scan
-from taichi_bearings.scans.systems import disorder_of, numbered
+from taichi_bearings.scans.stored_scans import disorder_of, is_scan, numbered, open_scan
 from taichi_bearings.stages import each, stage
 from taichi_bearings.words import meant
 
@@ -89,9 +88,7 @@ def read_source(path: Path) -> Source:
 
 
 def _of_scan(scan: StoredScan) -> Source:
-    table, reasons = scan.table, np.full(scan.samples, "", dtype=object)
-    reasons[scan.failed], reasons[scan.missing] = "failed", "not computed yet"
-    own = np.flatnonzero(reasons == "")
+    table, own = scan.table, np.flatnonzero(scan.reasons == "")
 
     def column(name: str) -> np.ndarray:
         if name not in table:
@@ -105,7 +102,7 @@ def _of_scan(scan: StoredScan) -> Source:
 
     fine = scan.histograms.of(own)
     contacts = fine.contacts.sum(axis=1)
-    return Source(scan.path, reasons, column, contacts, partial(rebinned, fine), disorder, is_scan=True)
+    return Source(scan.path, scan.reasons, column, contacts, partial(rebinned, fine), disorder, is_scan=True)
 
 
 def _of_run(run: StoredRun | PackingRun) -> Source:
