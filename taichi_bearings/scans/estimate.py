@@ -93,7 +93,6 @@ class Kind:
     """
 
     method: str
-    is_estimated: bool
     cost: float
     remaining: int = 0
     done: int = 0
@@ -102,7 +101,7 @@ class Kind:
 
 class WorkLeft:
     """The work that is left of a scan: the samples of each kind are taken to need what those that are done have taken;
-    where none is, their estimated cost, times the ratio of measured to estimated seconds of their method so far.
+    where none is, their cost times the ratio of measured seconds to cost of their method so far.
 
     structure : samples are analysed too.
     """
@@ -112,10 +111,9 @@ class WorkLeft:
         for group in groups_of(samples):
             settings = group[0].settings
             seconds = seconds_of(settings, structure)
-            is_estimated = seconds < math.inf
-            cost = seconds if is_estimated else spheres_of(settings) * (settings.duration or 1.0)
+            cost = seconds if seconds < math.inf else spheres_of(settings) * (settings.duration or 1.0)
             name = row_of(settings).name + " of packings" * settings.is_packing
-            self.kinds.setdefault(kind_of(settings), Kind(name, is_estimated, cost)).remaining += len(group)
+            self.kinds.setdefault(kind_of(settings), Kind(name, cost)).remaining += len(group)
 
     def finish(self, sample: Sample, record: Record) -> None:
         """A sample needs no more work."""
@@ -128,26 +126,17 @@ class WorkLeft:
     def seconds_left(self, running: Sequence[Unit], workers: int, elapsed: float) -> float | None:
         """Time left at the pace so far, which machines and all that is done beside solving set; None while what is
         measured says too little of what is to come. running : in work, which count as half done. elapsed : seconds."""
-        each = self._seconds_each()
-        known, unknown = (
-            math.fsum(kind.remaining * each[kind] for kind in each if kind.remaining and bool(kind.done) == measured)
-            for measured in (True, False)
-        )
-        half = 0.5 * math.fsum(len(unit) * each[self.kinds[kind_of(unit[0].settings)]] for unit in running[:workers])
-        done = math.fsum(kind.seconds for kind in each)
-        if not done or known + unknown == math.inf or (known < unknown and done < BEGUN * (done + known + unknown)):
-            return None
-        return (known + unknown - half) / workers * max(workers * elapsed / (done + half), 1.0)
-
-    def _seconds_each(self) -> dict[Kind, float]:
-        """Of a sample of each kind; infinite where nothing is estimated or measured."""
-        pace = defaultdict[str, list[float]](lambda: [0.0, 0.0])  # by method, of what is done: measured, estimated
+        pace = defaultdict[str, list[float]](lambda: [0.0, 0.0])  # by method, of what is done: seconds and cost
         for kind in self.kinds.values():
             pace[kind.method][0] += kind.seconds
             pace[kind.method][1] += kind.done * kind.cost
-        found = {}
+        each, left = dict[Kind, float](), {True: 0.0, False: 0.0}  # by whether their kind is measured
         for kind in self.kinds.values():
-            measured, estimated = pace[kind.method]
-            ratio = measured / estimated if estimated else 1.0 if kind.is_estimated else math.inf
-            found[kind] = kind.seconds / kind.done if kind.done else kind.cost * ratio
-        return found
+            seconds, cost = pace[kind.method]
+            each[kind] = kind.seconds / kind.done if kind.done else kind.cost * seconds / cost if cost else math.inf
+            left[kind.done > 0] += kind.remaining * each[kind] if kind.remaining else 0.0
+        done, all_left = sum(kind.seconds for kind in self.kinds.values()), sum(left.values())
+        if not done or all_left == math.inf or (left[True] < left[False] and done < BEGUN * (done + all_left)):
+            return None
+        half = 0.5 * sum(len(unit) * each[self.kinds[kind_of(unit[0].settings)]] for unit in running[:workers])
+        return (all_left - half) / workers * max(workers * elapsed / (done + half), 1.0)
