@@ -225,24 +225,20 @@ def _report(histograms: Histograms, by: str | None) -> dict[str, Any]:
     """Numbers for `--json`; those of all histograms together and, with `by`, of each."""
     parts = list(histograms.values())
     edges = parts[0].edges
-    names = ("slipping", "slipless", "undecided", "samples")
-    report: dict[str, Any] = {name: sum(getattr(part, name) for part in parts) for name in names}
-    left_out = sum((Counter(part.left_out) for part in parts), Counter())
-    report |= _census_numbers(Census(report["samples"], dict(left_out)))
-    report |= {
+    report = _numbers_of(parts) | {
         "smallest_power": float(edges[0]) if len(edges) else None,
         "largest_power": float(edges[-1]) if len(edges) else None,
         "units": parts[0].units,
     }
     if by is not None:
-        report["by"] = by
-        report["groups"] = [
-            {by: value, **{name: getattr(part, name) for name in names}, **_census_numbers(part.census)}
-            for value, part in histograms.items()
-        ]
+        report |= {"by": by, "groups": [{by: value, **_numbers_of([part])} for value, part in histograms.items()]}
     return report
 
 
-def _census_numbers(census: Census) -> dict[str, Any]:
-    """`asked`, samples that were asked for; `left_out`, why some are not pooled -> how many; `census`, in words."""
-    return {"asked": census.asked, "left_out": dict(census.left_out), "census": str(census)}
+def _numbers_of(parts: Sequence[PowerHistogram]) -> dict[str, Any]:
+    """Contacts and samples; `asked`, samples that were asked for; `left_out`, why some are not pooled -> how many;
+    `census`, in words."""
+    names = ("slipping", "slipless", "undecided", "samples")
+    counted = {name: sum(getattr(part, name) for part in parts) for name in names}
+    census = Census(counted["samples"], sum((Counter(part.left_out) for part in parts), Counter()))
+    return counted | {"asked": census.asked, "left_out": dict(census.left_out), "census": str(census)}

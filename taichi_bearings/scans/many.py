@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from taichi_bearings.errors import BearingsError, InputError
+from taichi_bearings.errors import BearingsError
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.packing import Packing
 from taichi_bearings.runs.packing_run import PackingJob, PackingRun
@@ -67,8 +67,7 @@ def solve_all(tasks: Sequence[SceneTask], workers: int) -> Iterator[tuple[int, A
             for record in records:
                 task = by_key.pop(record["key"])
                 if "run" not in record:
-                    kind = InputError if record.get("final", False) else BearingsError
-                    raise kind(f"scene {task.label} has no answer: {record['scalars']['error']}")
+                    raise BearingsError(f"scene {task.label} has no answer: {record['scalars']['error']}")
                 run: Any = replace(record["run"], settings=task.settings)
                 if isinstance(run, PackingRun):
                     results = (replace(run.result, packing=task.scene),)  # type: ignore[arg-type]

@@ -81,19 +81,19 @@ def missing_samples(
         )
 
     def is_kept(sample: Sample) -> bool:
-        record, wishes = records.get(sample.key), plan.wishes
+        record, wishes, state = records.get(sample.key), plan.wishes, state_path(folder / STATES, sample.key)
         if record is None or parts.is_failed(record) or (wishes.get("analyse") and not parts.is_analysed(record)):
             return False
-        state = state_path(folder / STATES, sample.key)
-        if wishes.get("keep_states") and state.is_file():
-            from taichi_bearings.runs.packing_run import read_run  # and with it much of SciPy
+        if not wishes.get("keep_states") or not state.is_file():
+            return not wishes.get("keep_states")
+        from taichi_bearings.runs.packing_run import read_run  # and with it much of SciPy
 
-            try:
-                read_run(state)
-            except FileError as error:
-                _say(f"a kept state counts as missing: {error}")
-                return False
-        return not wishes.get("keep_states") or state.is_file()
+        try:
+            read_run(state)
+        except FileError as error:
+            _say(f"a kept state counts as missing: {error}")
+            return False
+        return True
 
     return [sample for sample in parts.part_of(plan, part).samples if not is_kept(sample)], records
 
