@@ -35,18 +35,13 @@ COMMANDS = {  # name -> (module, one line for --help)
 INTERRUPTED = "bearings: interrupted; nothing is kept but what was complete"
 
 
-class Group(click.Group):
-    """A group of commands that suggests the one whose name was mistyped."""
+class LazyGroup(click.Group):
+    """Lists the commands without importing them, so that --help answers at once; suggests the one that was meant."""
 
     def resolve_command(self, context: click.Context, words: list[str]) -> Any:
-        known = self.list_commands(context)
-        if words and words[0] not in known and not words[0].startswith("-"):
-            context.fail(f"No such command {words[0]!r}{meant(words[0], known)}")
+        if words and words[0] not in COMMANDS and not words[0].startswith("-"):
+            context.fail(f"No such command {words[0]!r}{meant(words[0], COMMANDS)}")
         return super().resolve_command(context, words)
-
-
-class LazyGroup(Group):
-    """Lists the commands without importing them, so that --help answers at once."""
 
     def list_commands(self, context: click.Context) -> list[str]:
         return list(COMMANDS)

@@ -1,6 +1,5 @@
 """bearings plot"""
 
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -92,27 +91,21 @@ def _plot_run(
     from taichi_bearings.files.whole_file import refuse_ending
     from taichi_bearings.plots.style import ENDINGS, save, save_small
     from taichi_bearings.runs.figures import draw_figure, draw_figure_of_packing
-    from taichi_bearings.runs.packing_run import PackingRun, read_run
+    from taichi_bearings.runs.packing_run import PackingRun, opened_to_draw
     from taichi_bearings.runs.run import settings_of
-    from taichi_bearings.runs.run_directory import claimed
 
     if given := [name for name, value in of_scan.items() if value]:
-        raise InputError(
-            f"--{given[0].replace('_', '-')} belongs to `bearings plot scan`, not to `bearings plot {kind}`"
-        )
+        raise InputError(f"--{given[0]} belongs to `bearings plot scan`, not to `bearings plot {kind}`")
     refuse_ending(out, *ENDINGS)
-    stored = read_run(run)
-    if isinstance(stored, PackingRun):
-        draw = partial(draw_figure_of_packing, stored.sample(replica).result, kind, time, page)
-    else:
-        slowest = settings_of(stored).slip_threshold
-        draw = partial(draw_figure, kind, stored.solution, replica, time, slowest, page)
-    folder = run if run.is_dir() else run.parent
-    with claimed(out or folder / kind, force or out is None):
-        figure = draw()
+    with opened_to_draw(run, out, kind, force, replica) as (stored, path):
+        if isinstance(stored, PackingRun):
+            figure = draw_figure_of_packing(stored.result, kind, time, page)
+        else:
+            slowest = settings_of(stored).slip_threshold
+            figure = draw_figure(kind, stored.solution, replica, time, slowest, page)
         if out:
             save(figure, out)
-        click.echo(out or save_small(figure, folder / kind))
+        click.echo(out or save_small(figure, path))
 
 
 def _plot_scan(

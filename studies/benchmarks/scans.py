@@ -21,7 +21,7 @@ from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scans.engine import LocalEngine, Work, run_samples
 from taichi_bearings.scans.estimate import units_of
 from taichi_bearings.scans.plan import Sample, sample_key
-from taichi_bearings.scans.sample import failure, solve_samples
+from taichi_bearings.scans.sample import solve_samples
 from taichi_bearings.scene import Scene
 from taichi_bearings.stages import stage
 
@@ -156,7 +156,7 @@ def measure(shape: tuple[int, ...], number: int, rounds: int, workers: int) -> F
 
 
 def _solved(one: Contender, engine: LocalEngine, units: Sequence[tuple[Sample, ...]]) -> Iterator[dict[str, Any]]:
-    for records in run_samples(units, engine, lambda *_: None, failure):
+    for records in run_samples(units, engine):
         for record in records:
             if "error" in record["scalars"]:
                 raise BearingsError(f"{one.name} has no result for a sample: {record['scalars']['error']}")

@@ -20,10 +20,9 @@ from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.quantities import ANALYSED, plain
 from taichi_bearings.runs.run import build_scene
 from taichi_bearings.runs.settings import RunSettings
-from taichi_bearings.scans.engine import LocalEngine, run_samples
+from taichi_bearings.scans.engine import LocalEngine, failure, run_samples
 from taichi_bearings.scans.estimate import bytes_of, paying_workers, seconds_of, units_of
 from taichi_bearings.scans.plan import sample_key
-from taichi_bearings.scans.sample import failure
 from taichi_bearings.scene import Scene, Solution
 from taichi_bearings.scene.initial_spins import cut_of, initial_spin
 from taichi_bearings.solvers import CundallStrack, InteriorPoint, MethodOptions, RigidLimit
@@ -165,7 +164,7 @@ def _records(
         yield from map(_record, parts)
         return
     with closing(LocalEngine(_by_worker, workers)) as engine:
-        for found in run_samples(units, engine, lambda *_: None, failure):
+        for found in run_samples(units, engine):
             yield from found
 
 

@@ -177,6 +177,11 @@ class StoredScan:
         return self.table["status"] == MISSING
 
     @property
+    def reasons(self) -> np.ndarray:
+        """(samples,) why each has no result, in words that follow a number; empty texts for those that have one."""
+        return np.where(self.failed, "failed", np.where(self.missing, "not computed yet", "")).astype(object)
+
+    @property
     def is_complete(self) -> bool:
         """True if there is a row for each sample that the scan asks for."""
         return bool(self.attributes.get("asked") == self.samples)

@@ -11,7 +11,6 @@ import contextlib
 import logging
 import math
 import multiprocessing
-import queue
 import threading
 import time
 import uuid
@@ -29,6 +28,7 @@ if TYPE_CHECKING:
 
 CONNECT = 5.0  # seconds to wait for a scheduler
 UNITS_AHEAD = 2  # units at a time for each thread, so that the next one is there when one is done
+PAUSE = 0.02  # seconds between two looks at units
 LOOK = 1.0  # seconds between two counts of the workers
 LONELY = 10.0  # seconds without any worker after which that is said
 
@@ -72,7 +72,6 @@ class DaskEngine:
     workers: int = 0  # threads at most so far
     _name: str = field(default_factory=lambda: uuid.uuid4().hex)
     _submitted: "dict[str, tuple[Future, Unit]]" = field(default_factory=dict)
-    _finished: "queue.SimpleQueue[Future]" = field(default_factory=queue.SimpleQueue)
     _threads: int = 0
     _looked: float = -LOOK
     _seen: float = field(default_factory=time.monotonic)
@@ -103,24 +102,22 @@ class DaskEngine:
         key = f"bearings-{self._name}-{uuid.uuid4().hex}"
         future = self.client.submit(solve_unit, tuple(sent), self._name, self.work, self.allowed, key=key, pure=False)
         self._submitted[key] = future, unit
-        future.add_done_callback(self._finished.put)
 
     def collect(self, seconds: float) -> list[Outcome]:
-        if self.client.status == "closed":
+        end = time.monotonic() + seconds
+        while not (done := [key for key, (future, _) in self._submitted.items() if future.done()]):
+            if time.monotonic() >= end:
+                break
+            time.sleep(PAUSE)
+        if self.client.status != "running":  # then its units are cancelled
             raise BearingsError("the connection to the Dask scheduler is lost; the same scan again goes on")
-        finished: list[Future] = []
-        with contextlib.suppress(queue.Empty):
-            finished.append(self._finished.get(timeout=seconds))
-            while True:
-                finished.append(self._finished.get(block=False))
-        return [outcome for future in finished if (outcome := self._outcome(future)) is not None]
+        return [outcome for key in done if (outcome := self._outcome(key)) is not None]
 
-    def _outcome(self, future: "Future") -> Outcome | None:
+    def _outcome(self, key: str) -> Outcome | None:
         """What became of a unit; None if its result was lost again, with the worker that had it."""
         import distributed
 
-        key = str(future.key)
-        _, unit = self._submitted[key]
+        future, unit = self._submitted[key]
         records, reason = None, "Dask has cancelled it"
         try:
             if future.status == "finished":
@@ -130,7 +127,6 @@ class DaskEngine:
                 lost = isinstance(error, distributed.KilledWorker)
                 reason = "its Dask workers were lost" if lost else f"{type(error).__name__}: {error}"
         except distributed.TimeoutError:
-            future.add_done_callback(self._finished.put)
             return None
         del self._submitted[key]
         return Outcome(unit, records, reason)

@@ -5,6 +5,7 @@ about units that fail, for every engine alike. The local engine starts its worke
 """
 
 import contextlib
+import logging
 import math
 import multiprocessing
 import multiprocessing.connection
@@ -20,9 +21,9 @@ from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol
 
-from taichi_bearings.errors import BearingsError, WriteError
+from taichi_bearings.errors import BearingsError, InputError, WriteError
 from taichi_bearings.files.scan_file import FAILED
 from taichi_bearings.interrupts import unheard_by_children
 from taichi_bearings.runs.settings import RunSettings
@@ -41,7 +42,6 @@ class Task(Protocol):
     def settings(self) -> RunSettings: ...
 
 
-T = TypeVar("T", bound=Task)
 Unit = tuple[Any, ...]  # of tasks of one kind
 Record = dict[str, Any]  # of a task, as in sample.solve_samples
 Work = Callable[[Sequence[Any]], list[Record]]
@@ -89,14 +89,20 @@ class Engine(Protocol):
         ...
 
 
-def run_samples(
-    units: Sequence[tuple[T, ...]], engine: Engine, retry: Callable[[T, str], None], failure: Callable[[T, str], Record]
-) -> Iterator[list[Record]]:
+def failure(task: Task, reason: Exception | str) -> Record:
+    """The record of a sample that has no result."""
+    words = str(reason) if isinstance(reason, (str, BearingsError)) else f"{type(reason).__name__}: {reason}"
+    if isinstance(reason, Exception):
+        logging.getLogger(__name__).debug("sample %s", task.label, exc_info=reason)
+    record: Record = {"key": task.key, "scalars": {"status": FAILED, "error": words}, "bins": {}}
+    return record | ({"final": True} if isinstance(reason, InputError) else {})
+
+
+def run_samples(units: Sequence[Unit], engine: Engine) -> Iterator[list[Record]]:
     """Solve all units; gives records of finished samples, failed ones too, as they come, and often none of them.
 
-    A unit that fails as a whole is split into its samples; a sample that fails is tried once more, at the end and
-    alone, so that it has all memory for itself.
-    retry : hears of a sample that will be tried again. failure : makes the record of a sample that has no result.
+    A unit that fails as a whole is split into its samples; a sample that fails is named and tried once more, at the end
+    and alone, so that it has all memory for itself.
     Raises BearingsError if worker after worker ends without any result, WriteError if results cannot be written.
     """
     waiting, last, tries = deque(units), deque[Unit](), Counter[str]()
@@ -123,7 +129,8 @@ def run_samples(
                 tries[sample.key] += 1
                 again = record["scalars"]["status"] == FAILED and not record.pop("final", False)
                 if again and tries[sample.key] < TRIES:
-                    retry(sample, record["scalars"]["error"])
+                    words, why = "bearings: sample %s failed and is tried again: %s", record["scalars"]["error"]
+                    logging.getLogger(__name__).warning(words, sample.label, why)
                     last.append((sample,))
                 else:
                     finished.append(record)

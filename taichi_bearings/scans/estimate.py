@@ -10,12 +10,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from taichi_bearings.runs.run import row_of
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scans.engine import Record, Unit
-from taichi_bearings.scans.plan import Sample, ScanPlan, groups_of, spheres_of
+from taichi_bearings.scans.plan import Sample, groups_of, spheres_of
 
 WORKER_START = 1.0  # seconds to start a worker, its imports included
 OVERHEAD = 5e-4  # seconds to summarise a sample and write it down
@@ -30,23 +28,6 @@ KIND_KEYS = (
 )  # fmt: skip
 """Settings of which the time of a sample depends most."""
 BEGUN = 0.1  # share of all work, done, from which on a time left is known, or where most of the rest is of known kinds
-
-
-def unused_keys(plan: ScanPlan) -> list[str]:
-    """What no method and no law of a scan uses although it is given, a sentence each."""
-    found: dict[str, str] = {}
-    used: set[str] = set()
-    for group in groups_of(plan.samples):
-        settings = group[0].settings
-        if settings.is_packing:
-            from taichi_bearings.runs.packing_run import unused_of_packing
-
-            unused = unused_of_packing(settings)
-        else:
-            unused = settings.unused(row_of(settings))
-        found = unused | found
-        used |= settings.given.keys() - unused.keys()
-    return [sentence for key, sentence in found.items() if key not in used]
 
 
 def seconds_of(settings: RunSettings, structure: bool = False) -> float:
@@ -91,10 +72,16 @@ def units_of(samples: Sequence[Sample], structure: bool = False, workers: int = 
     return sorted(units, key=lambda unit: first[kind_of(unit[0].settings)] is not unit)
 
 
+def seconds_in_all(samples: Sequence[Sample], workers: int, structure: bool = False) -> float:
+    """Time that samples take so many workers, of which the longest sample has one of its own; infinite if unknown."""
+    each = [(len(group), seconds_of(group[0].settings, structure)) for group in groups_of(samples)]
+    shared = math.fsum(number * seconds for number, seconds in each) / workers
+    return max([shared, *(seconds for _, seconds in each)])
+
+
 def paying_workers(samples: Sequence[Sample], most: int, structure: bool = False) -> int:
     """How many workers the work pays for, each of which takes a second to start."""
-    work = math.fsum(len(group) * seconds_of(group[0].settings, structure) for group in groups_of(samples))
-    return max(1, int(min(most, len(samples), work / WORKER_START)))
+    return max(1, int(min(most, len(samples), seconds_in_all(samples, 1, structure) / WORKER_START)))
 
 
 @dataclass(eq=False)
@@ -106,7 +93,6 @@ class Kind:
     """
 
     method: str
-    is_estimated: bool
     cost: float
     remaining: int = 0
     done: int = 0
@@ -115,7 +101,7 @@ class Kind:
 
 class WorkLeft:
     """The work that is left of a scan: the samples of each kind are taken to need what those that are done have taken;
-    where none is, their estimated cost, times the ratio of measured to estimated seconds of their method so far.
+    where none is, their cost times the ratio of measured seconds to cost of their method so far.
 
     structure : samples are analysed too.
     """
@@ -125,10 +111,9 @@ class WorkLeft:
         for group in groups_of(samples):
             settings = group[0].settings
             seconds = seconds_of(settings, structure)
-            is_estimated = seconds < math.inf
-            cost = seconds if is_estimated else spheres_of(settings) * (settings.duration or 1.0)
+            cost = seconds if seconds < math.inf else spheres_of(settings) * (settings.duration or 1.0)
             name = row_of(settings).name + " of packings" * settings.is_packing
-            self.kinds.setdefault(kind_of(settings), Kind(name, is_estimated, cost)).remaining += len(group)
+            self.kinds.setdefault(kind_of(settings), Kind(name, cost)).remaining += len(group)
 
     def finish(self, sample: Sample, record: Record) -> None:
         """A sample needs no more work."""
@@ -138,35 +123,20 @@ class WorkLeft:
             kind.done += 1
             kind.seconds += seconds + seconds_beside(sample.settings, self.structure)
 
-    def expected(self, workers: int) -> float | None:
-        """Seconds left as far as can be said; None if nothing can: of methods without an estimate and not measured."""
-        each = {kind: seconds for kind, seconds in self._seconds_each().items() if kind.remaining}
-        shared = math.fsum(kind.remaining * seconds for kind, seconds in each.items()) / workers
-        left = max(shared, max(each.values(), default=0.0))  # the longest sample has a worker of its own
-        return left if left < math.inf else None
-
     def seconds_left(self, running: Sequence[Unit], workers: int, elapsed: float) -> float | None:
-        """The same at the pace so far, which machines and all that is done beside solving set; None while what is
+        """Time left at the pace so far, which machines and all that is done beside solving set; None while what is
         measured says too little of what is to come. running : in work, which count as half done. elapsed : seconds."""
-        each = self._seconds_each()
-        known, unknown = (
-            math.fsum(kind.remaining * each[kind] for kind in each if kind.remaining and bool(kind.done) == measured)
-            for measured in (True, False)
-        )
-        half = 0.5 * math.fsum(len(unit) * each[self.kinds[kind_of(unit[0].settings)]] for unit in running[:workers])
-        done = math.fsum(kind.seconds for kind in each)
-        if not done or known + unknown == math.inf or (known < unknown and done < BEGUN * (done + known + unknown)):
+        pace = defaultdict[str, list[float]](lambda: [0.0, 0.0])  # by method, of what is done: seconds and cost
+        for kind in self.kinds.values():
+            pace[kind.method][0] += kind.seconds
+            pace[kind.method][1] += kind.done * kind.cost
+        each, left = dict[Kind, float](), {True: 0.0, False: 0.0}  # by whether their kind is measured
+        for kind in self.kinds.values():
+            seconds, cost = pace[kind.method]
+            each[kind] = kind.seconds / kind.done if kind.done else kind.cost * seconds / cost if cost else math.inf
+            left[kind.done > 0] += kind.remaining * each[kind] if kind.remaining else 0.0
+        done, all_left = sum(kind.seconds for kind in self.kinds.values()), sum(left.values())
+        if not done or all_left == math.inf or (left[True] < left[False] and done < BEGUN * (done + all_left)):
             return None
-        return (known + unknown - half) / workers * max(workers * elapsed / (done + half), 1.0)
-
-    def _seconds_each(self) -> dict[Kind, float]:
-        """Of a sample of each kind; infinite where nothing is estimated or measured."""
-        pace = defaultdict[str, np.ndarray](lambda: np.zeros(2))
-        for kind in self.kinds.values():
-            pace[kind.method] += kind.seconds, kind.done * kind.cost
-        found = {}
-        for kind in self.kinds.values():
-            measured, estimated = pace[kind.method]
-            ratio = measured / estimated if estimated else 1.0 if kind.is_estimated else math.inf
-            found[kind] = kind.seconds / kind.done if kind.done else kind.cost * ratio
-        return found
+        half = 0.5 * sum(len(unit) * each[self.kinds[kind_of(unit[0].settings)]] for unit in running[:workers])
+        return (all_left - half) / workers * max(workers * elapsed / (done + half), 1.0)

@@ -17,18 +17,24 @@ from taichi_bearings.analysis.statistics import (
     ratio_interval,
 )
 from taichi_bearings.errors import InputError
-from taichi_bearings.files.scan_file import FAILED, MISSING, StoredScan
+from taichi_bearings.files.scan_file import StoredScan
 from taichi_bearings.files.whole_file import refuse_ending, refuse_standing, write_csv
 from taichi_bearings.plots.page import PAGE, Page
 from taichi_bearings.plots.scan import Curve, Look, draw_scan
 from taichi_bearings.plots.style import ENDINGS, save
 from taichi_bearings.plots.symbols import column_label
 from taichi_bearings.runs.run_directory import claimed
-from taichi_bearings.scans.stored_scans import CENSUS_COLUMNS, OF_A_SPANNING_NETWORK, open_scan
-from taichi_bearings.scans.systems import disorder_of, numbered
+from taichi_bearings.scans.stored_scans import (
+    CENSUS_COLUMNS,
+    OF_A_SPANNING_NETWORK,
+    disorder_of,
+    numbered,
+    open_scan,
+)
 from taichi_bearings.words import meant
 
 SIZE = "L"
+REASON = "left out"  # column of why a sample is in no point; empty for one that is
 MOST_CURVES = 24
 Plotted = tuple[float, float, float, float]
 
@@ -93,21 +99,19 @@ def plot_scan(
     with claimed(figure, force or out is None):
         refuse_standing([table], force or out is None)
         columns = columns_of(scan, request)
-        points = points_of(columns, request)
-        reasons = _reasons(columns, request)
+        points, reasons = points_of(columns, request), columns[REASON]
         tell(str(Census.of(reasons.tolist())))
         for part, own in groups(columns, request.by).items() if request.by else ():  # each curve that lacks some
             if (census := Census.of(reasons[own].tolist())).left_out:
                 words = ", ".join(f"{key} {value}" for key, value in zip(request.by, part, strict=True))
                 tell(f"  {words}: {census}")
         save(draw_scan(curves_of(points, request), look_of(scan, columns, points, request), page), figure)
-        names, rows = rows_of(points, request)
-        write_csv(table, names, rows)
+        write_csv(table, *rows_of(points, request))
     return [figure, table]
 
 
 def columns_of(scan: StoredScan, request: Request) -> dict[str, np.ndarray]:
-    """The table of the samples that meet the conditions, with a result or not, and their sizes as L."""
+    """The table of the samples that meet the conditions, with a result or not, their sizes as L, and REASON."""
     table = dict(scan.table)
     if SIZE not in table and "shape" in table:
         heights = [int(text.split("x")[-1]) if text else math.nan for text in table["shape"].tolist()]
@@ -135,7 +139,7 @@ def columns_of(scan: StoredScan, request: Request) -> dict[str, np.ndarray]:
             some = ", ".join(known[:20]) + " ..." * (len(known) > 20)
             raise InputError(f"where is {condition!r}; {key} is one of {some}{meant(value, known)}")
         chosen &= found
-    return {name: values[chosen] for name, values in table.items()}
+    return {name: values[chosen] for name, values in (table | {REASON: _reasons(scan, table, request)}).items()}
 
 
 def points_of(columns: Mapping[str, np.ndarray], request: Request) -> list[Point]:
@@ -147,7 +151,7 @@ def points_of(columns: Mapping[str, np.ndarray], request: Request) -> list[Point
         terms.append(columns[name].astype(float))
     if len(terms) > 2:
         raise InputError(f"y is {request.y!r}; it must be a column, or one over another as in power/power_minimum_cut")
-    reasons, disorder = _reasons(columns, request), numbered(disorder_of(columns))
+    reasons, disorder = columns[REASON], numbered(disorder_of(columns))
     if (reasons != "").all():
         raise InputError(f"no sample has both {request.y} and {request.x}: {Census.of(reasons.tolist()).reasons}")
     known = (value for (value,) in groups(columns, [request.x]) if value not in (None, ""))
@@ -174,49 +178,48 @@ def points_of(columns: Mapping[str, np.ndarray], request: Request) -> list[Point
     return points
 
 
-def _reasons(columns: Mapping[str, np.ndarray], request: Request) -> np.ndarray:
-    """(rows,) why each sample is in no point; empty texts for those that are."""
-    reasons = np.full(len(columns["status"]), "", dtype=object)
-    spans = columns.get("spans")
+def _reasons(scan: StoredScan, table: Mapping[str, np.ndarray], request: Request) -> np.ndarray:
+    """(samples,) why each is in no point; empty texts for those that are."""
+    reasons = np.full(scan.samples, "", dtype=object)
     for name in (request.x, *request.y.split("/")):
-        values = columns[name]
+        values = table[name]
         lacking = values == "" if values.dtype == object else ~np.isfinite(values.astype(float))
         reasons[lacking] = f"without {name}"
-        if name in OF_A_SPANNING_NETWORK and spans is not None:
-            reasons[lacking & (spans == 0)] = "that do not span"
-    for status, reason in ((FAILED, "failed"), (MISSING, "not computed yet")):
-        reasons[columns["status"] == status] = reason
-    return reasons
+        if name in OF_A_SPANNING_NETWORK and "spans" in table:
+            reasons[lacking & (table["spans"] == 0)] = "that do not span"
+    return np.where(scan.reasons == "", reasons, scan.reasons)
 
 
 def _statistics(terms: Sequence[np.ndarray]) -> tuple[dict[str, float], tuple[float, float, float]]:
     """Statistics of a number of the samples, or of the ratio of the means of two; and what is drawn: the point and the
     ends of its bar, of a mean its standard error, if it has enough samples for one."""
+    values, number = terms[0], len(terms[0])
     if len(terms) == 2:
-        found = ratio_interval(terms[0], terms[1])
-        statistics = {"ratio": found.value, "low": found.low, "high": found.high}
-        low, high = found.low, found.high
+        found = ratio_interval(values, terms[1])
+        statistics, (low, high) = {"ratio": found.value}, (found.low, found.high)
     else:
-        values, found = terms[0], mean_interval(terms[0])
-        error = float(values.std(ddof=1) / np.sqrt(len(values))) if len(values) > 1 else np.nan
-        statistics = {"mean": found.value, "standard_error": error, "low": found.low, "high": found.high}
-        low, high = found.value - error, found.value + error
-    return statistics, (found.value, low, high) if len(terms[0]) >= LEAST_SAMPLES else (found.value, math.nan, math.nan)
+        found = mean_interval(values)
+        error = float(values.std(ddof=1) / np.sqrt(number)) if number > 1 else np.nan
+        statistics, (low, high) = (
+            {"mean": found.value, "standard_error": error},
+            (found.value - error, found.value + error),
+        )
+    bar = (low, high) if number >= LEAST_SAMPLES else (math.nan, math.nan)
+    return statistics | {"low": found.low, "high": found.high}, (found.value, *bar)
 
 
 def curves_of(points: Sequence[Point], request: Request) -> list[Curve]:
     """A curve for each value of the parting columns."""
-    parts = list(dict.fromkeys(point.part for point in points))
+    parts: dict[tuple[Any, ...], list[Point]] = {}
+    for point in points:
+        parts.setdefault(point.part, []).append(point)
     if len(parts) > MOST_CURVES:
         raise InputError(f"{', '.join(request.by)} make {len(parts)} curves; a figure has at most {MOST_CURVES}")
     curves = []
-    for part in parts:
-        own = [point for point in points if point.part == part]
+    for part, own in parts.items():
         drawn = np.array([point.plot for point in own if point.number]).reshape(-1, 4)
-        label = ", ".join(map(str, part))
         asked = sum(point.census.asked for point in own)
-        name = label if len(drawn) else f"{label}: none of {asked:,} samples"
-        curves.append(Curve(name, *drawn.T))
+        curves.append(Curve(", ".join(map(str, part)) + f": none of {asked:,} samples" * (not len(drawn)), *drawn.T))
     return curves
 
 
@@ -225,7 +228,7 @@ def look_of(scan: StoredScan, columns: Mapping[str, np.ndarray], points: Sequenc
     used = {request.x, *request.by, *(condition.partition("=")[0] for condition in request.where)}
     used |= {"shape"} if SIZE in used else set()
     over = [key for key in scan.scanned if key in columns and key not in used and len(groups(columns, [key])) > 1]
-    census = Census.of(_reasons(columns, request).tolist())
+    census = Census.of(columns[REASON].tolist())
     number = sum(point.number for point in points)
     alike = f", {number:,} independent" if number < census.used else ""
     left_out = f"\nleft out: {census.reasons}" if census.left_out else ""

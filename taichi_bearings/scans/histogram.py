@@ -31,8 +31,7 @@ from taichi_bearings.runs.run import settings_of
 from taichi_bearings.runs.run_directory import default_run_path, writable_folder
 from taichi_bearings.runs.run_file import StoredRun, file_of
 from taichi_bearings.runs.settings import RunSettings, parse_toml
-from taichi_bearings.scans.stored_scans import is_scan, open_scan
-from taichi_bearings.scans.systems import disorder_of, numbered
+from taichi_bearings.scans.stored_scans import disorder_of, is_scan, numbered, open_scan
 from taichi_bearings.stages import each, stage
 from taichi_bearings.words import meant
 
@@ -89,9 +88,7 @@ def read_source(path: Path) -> Source:
 
 
 def _of_scan(scan: StoredScan) -> Source:
-    table, reasons = scan.table, np.full(scan.samples, "", dtype=object)
-    reasons[scan.failed], reasons[scan.missing] = "failed", "not computed yet"
-    own = np.flatnonzero(reasons == "")
+    table, own = scan.table, np.flatnonzero(scan.reasons == "")
 
     def column(name: str) -> np.ndarray:
         if name not in table:
@@ -105,7 +102,7 @@ def _of_scan(scan: StoredScan) -> Source:
 
     fine = scan.histograms.of(own)
     contacts = fine.contacts.sum(axis=1)
-    return Source(scan.path, reasons, column, contacts, partial(rebinned, fine), disorder, is_scan=True)
+    return Source(scan.path, scan.reasons, column, contacts, partial(rebinned, fine), disorder, is_scan=True)
 
 
 def _of_run(run: StoredRun | PackingRun) -> Source:
@@ -228,24 +225,20 @@ def _report(histograms: Histograms, by: str | None) -> dict[str, Any]:
     """Numbers for `--json`; those of all histograms together and, with `by`, of each."""
     parts = list(histograms.values())
     edges = parts[0].edges
-    names = ("slipping", "slipless", "undecided", "samples")
-    report: dict[str, Any] = {name: sum(getattr(part, name) for part in parts) for name in names}
-    left_out = sum((Counter(part.left_out) for part in parts), Counter())
-    report |= _census_numbers(Census(report["samples"], dict(left_out)))
-    report |= {
+    report = _numbers_of(parts) | {
         "smallest_power": float(edges[0]) if len(edges) else None,
         "largest_power": float(edges[-1]) if len(edges) else None,
         "units": parts[0].units,
     }
     if by is not None:
-        report["by"] = by
-        report["groups"] = [
-            {by: value, **{name: getattr(part, name) for name in names}, **_census_numbers(part.census)}
-            for value, part in histograms.items()
-        ]
+        report |= {"by": by, "groups": [{by: value, **_numbers_of([part])} for value, part in histograms.items()]}
     return report
 
 
-def _census_numbers(census: Census) -> dict[str, Any]:
-    """`asked`, samples that were asked for; `left_out`, why some are not pooled -> how many; `census`, in words."""
-    return {"asked": census.asked, "left_out": dict(census.left_out), "census": str(census)}
+def _numbers_of(parts: Sequence[PowerHistogram]) -> dict[str, Any]:
+    """Contacts and samples; `asked`, samples that were asked for; `left_out`, why some are not pooled -> how many;
+    `census`, in words."""
+    names = ("slipping", "slipless", "undecided", "samples")
+    counted = {name: sum(getattr(part, name) for part in parts) for name in names}
+    census = Census(counted["samples"], sum((Counter(part.left_out) for part in parts), Counter()))
+    return counted | {"asked": census.asked, "left_out": dict(census.left_out), "census": str(census)}

@@ -1,7 +1,6 @@
 """What the run and scan folders below a folder hold, from their summaries and journals alone: `bearings list`."""
 
 import contextlib
-import math
 import re
 import time
 from collections import Counter
@@ -21,12 +20,12 @@ RUN_KIND, SCAN_KIND = "run", "scan"
 OF_A_RUN = ("run.h5", "summary.json", "checkpoint.h5")  # files that hold its results
 RECORD = re.compile(rb'\{"crc32": "[0-9a-f]{8}", "sample": \{"key": "([^"]+)".*?"status": "([^"]*)"')
 TOLD_OF_RUNS = {  # with their kinds, and whether None will do
-    "law": (str, False), "method": (str, False), "seed": (int, False), "status": (str, False), "power": (float, False),
+    "law": (str, False), "method": (str, False), "seed": (int, False), "status": (str, False), "power": (float, True),
     "shape": (int, True), "spheres": (int, True), "gap": (float, True), "power_normalised": (float, True),
     "states_proven": (bool, True), "coefficients": (str, True), "periodic": (str, True), "top": (float, True),
     "bottom": (float, True), "driven": (str, True),
 }  # fmt: skip
-LARGEST_NUMBER = 1e300  # of a number
+LARGEST_NUMBER = 1e300
 
 
 @dataclass(frozen=True)
@@ -46,8 +45,7 @@ class Entry:
         """All of it as JSON can hold it."""
         found = asdict(self)
         found |= found.pop("values")
-        found["modified"] = time.strftime("%Y-%m-%dT%H:%M:%S", time.localtime(self.modified))
-        return {key: _finite(value) for key, value in found.items()}
+        return found | {"modified": time.strftime("%Y-%m-%dT%H:%M:%S", time.localtime(self.modified))}
 
     def words(self) -> str:
         """What it holds, in a line."""
@@ -88,37 +86,33 @@ def _entry(path: Path) -> Entry | None:
             with contextlib.suppress(FileNotFoundError):  # not there, or on its way to another name
                 times.append(file.stat().st_mtime)
         values = _of_scan(path) if kind == SCAN_KIND else _of_run(path)
-    except BearingsError as error:
-        problem = str(error)
-    except OSError as error:
-        problem = error.strerror or str(error)
+    except (BearingsError, OSError) as error:
+        problem = str(error) if isinstance(error, BearingsError) else error.strerror or str(error)
     return Entry(str(path), kind or "folder", values, max(times), problem)
 
 
 def _of_run(path: Path) -> dict[str, Any]:
     """What its summary says."""
-    there = [(path / name).is_file() for name in ("summary.json", "run.h5")]
-    if not any(there):
+    has_summary, has_run = ((path / name).is_file() for name in ("summary.json", "run.h5"))
+    if not has_summary and not has_run:
         return {"status": "unfinished"}
-    if not there[0]:
-        raise InputError("it has a run.h5 but no summary.json")
+    if not has_summary or not has_run:
+        raise InputError(f"it has no {'run.h5' if has_summary else 'summary.json'} beside the other one")
     summary = read_json(path / "summary.json")
     if not isinstance(summary, dict):
         raise InputError("its summary.json is no object")
     for name, (kind, can_lack) in TOLD_OF_RUNS.items():
-        if not _fits(kind, summary.get(name)) and not (can_lack and summary.get(name) is None):
+        if not _fits(summary.get(name), kind, can_lack):
             raise InputError(f"its summary.json has no usable {name}")
-    if not there[1]:
-        raise InputError("it has a summary.json but no run.h5")
     return {name: summary.get(name) for name in TOLD_OF_RUNS}
 
 
-def _fits(kind: type, value: Any) -> bool:
-    """True for a value of a kind, or a list of them; whole numbers are numbers."""
-    parts = value if isinstance(value, list) else [value]
-    kinds = {float, int} if kind is float else {kind}
+def _fits(value: Any, kind: type, can_lack: bool) -> bool:
+    """True for a value of a kind, or a list of them; whole numbers are numbers. can_lack : None will do."""
+    kinds, parts = {float, int} if kind is float else {kind}, listed(value)
     return bool(parts) and all(
-        type(part) in kinds and not (kind is float and abs(part) > LARGEST_NUMBER) for part in parts
+        can_lack if part is None else type(part) in kinds and (kind is not float or abs(part) < LARGEST_NUMBER)
+        for part in parts
     )
 
 
@@ -132,17 +126,9 @@ def _of_scan(path: Path) -> dict[str, Any]:
     states = Counter(status.decode(errors="replace") for status in last.values())
     failed = states.pop(FAILED, 0)
     told = {name: fixed.get(name) for name in ("shape", "law", "method", "seed")}
-    told = {name: v if v is None or isinstance(v, int) or _fits(int, v) else str(v) for name, v in told.items()}
+    told = {name: value if _fits(value, int, True) else str(value) for name, value in told.items()}
     samples = {"samples_asked": asked, "samples_done": states.total(), "samples_failed": failed}
     return {**told, "scanned": list(scanned), **samples, "statuses": dict(states)}
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    if isinstance(value, list):
-        return [_finite(part) for part in value]
-    return {key: _finite(part) for key, part in value.items()} if isinstance(value, dict) else value
 
 
 def _words_of_run(values: Mapping[str, Any]) -> str:
@@ -153,10 +139,9 @@ def _words_of_run(values: Mapping[str, Any]) -> str:
     )
     seed = f"seed {seeds[0]}" if len(seeds) == 1 else f"seeds {seeds[0]}-{seeds[-1]}"
     seed = "coefficients given" if values["coefficients"] else seed
-    mean = sum(powers) / len(powers)
-    power = f"P = {mean:.9g}" if len(powers) == 1 else f"mean P = {mean:.6g}"
-    known = [gap for gap in gaps if isinstance(gap, int | float)]
-    gap = f"gap {max(known):.1e}" if len(known) == len(powers) else "no gap"
+    mean = "not finite" if None in powers else f"{sum(powers) / len(powers):.9g}"
+    power = f"{'mean ' * (len(powers) > 1)}P = {mean}"
+    gap = "no gap" if None in gaps else f"gap {max(gaps):.1e}"
     decided = "states proven" if all(value is True for value in proven) else "states not proven"
     status = ", ".join(f"{many} {state}" if len(states) > 1 else state for state, many in Counter(states).items())
     what = f"{_shape(values)} {values['law']}, {values['method']}, {seed}{driving_words(values)}"

@@ -7,14 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from taichi_bearings.errors import BearingsError, InputError
+from taichi_bearings.errors import BearingsError
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.packing import Packing
 from taichi_bearings.runs.packing_run import PackingJob, PackingRun
 from taichi_bearings.runs.run import AnyRun, Job, job_of
 from taichi_bearings.runs.settings import RunSettings
-from taichi_bearings.scans.engine import LocalEngine, run_samples
-from taichi_bearings.scans.sample import failure
+from taichi_bearings.scans.engine import LocalEngine, failure, run_samples
 from taichi_bearings.scene import Scene
 
 
@@ -64,12 +63,11 @@ def solve_all(tasks: Sequence[SceneTask], workers: int) -> Iterator[tuple[int, A
     by_key = {task.key: task for task in tasks}
     with closing(LocalEngine(solve_tasks, workers)) as engine:
         units = [(task,) for task in tasks]
-        for records in run_samples(units, engine, lambda *_: None, failure):
+        for records in run_samples(units, engine):
             for record in records:
                 task = by_key.pop(record["key"])
                 if "run" not in record:
-                    kind = InputError if record.get("final", False) else BearingsError
-                    raise kind(f"scene {task.label} has no answer: {record['scalars']['error']}")
+                    raise BearingsError(f"scene {task.label} has no answer: {record['scalars']['error']}")
                 run: Any = replace(record["run"], settings=task.settings)
                 if isinstance(run, PackingRun):
                     results = (replace(run.result, packing=task.scene),)  # type: ignore[arg-type]

@@ -1,6 +1,5 @@
 """The samples of a scan as a worker solves them: one by one, or many seeds at once where that changes no bit."""
 
-import logging
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -9,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from taichi_bearings.errors import BearingsError, InputError, WriteError
-from taichi_bearings.files.scan_file import FAILED, bin_of
+from taichi_bearings.errors import InputError, WriteError
+from taichi_bearings.files.scan_file import bin_of
 from taichi_bearings.files.whole_file import make_folder
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.quantities import plain
 from taichi_bearings.runs.run import Run, prepare, row_of, solve_job, summarise, write_state
-from taichi_bearings.scans.engine import Task
+from taichi_bearings.scans.engine import failure
 from taichi_bearings.scans.plan import Sample, files_of, groups_of, sample_key
 
 STATES = "states"  # folder of the full states
@@ -51,15 +50,6 @@ def solve_samples(samples: Sequence[Sample], analyse: bool = False, states: Path
                     found = [record for sample in block for record in solve_samples([sample], analyse, states)]
             records |= {sample.key: record for sample, record in zip(block, found, strict=True)}
     return [records[sample.key] for sample in samples]
-
-
-def failure(task: Task, reason: Exception | str) -> dict[str, Any]:
-    """The record of a sample that has no result."""
-    words = str(reason) if isinstance(reason, (str, BearingsError)) else f"{type(reason).__name__}: {reason}"
-    if isinstance(reason, Exception):
-        logging.getLogger(__name__).debug("sample %s", task.label, exc_info=reason)
-    record: dict[str, Any] = {"key": task.key, "scalars": {"status": FAILED, "error": words}, "bins": {}}
-    return record | ({"final": True} if isinstance(reason, InputError) else {})
 
 
 def _blocks(samples: Sequence[Sample]) -> Iterator[list[Sample]]:

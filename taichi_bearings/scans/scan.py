@@ -1,6 +1,7 @@
 """A scan from its plan: solve what is missing, write every sample down as it comes, and collect them in scan.h5."""
 
 import logging
+import math
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -24,7 +25,7 @@ from taichi_bearings.scans import estimate as cost
 from taichi_bearings.scans import parts
 from taichi_bearings.scans.engine import Engine, LocalEngine, Record, Unit, run_samples
 from taichi_bearings.scans.plan import Sample, ScanPlan, groups_of
-from taichi_bearings.scans.sample import STATES, failure, solve_samples, state_path
+from taichi_bearings.scans.sample import STATES, solve_samples, state_path
 from taichi_bearings.scans.stored_scans import attributes_of, columns_of, histograms_of, outdated_figures
 from taichi_bearings.scene import Status
 
@@ -80,39 +81,47 @@ def missing_samples(
         )
 
     def is_kept(sample: Sample) -> bool:
-        record, wishes = records.get(sample.key), plan.wishes
+        record, wishes, state = records.get(sample.key), plan.wishes, state_path(folder / STATES, sample.key)
         if record is None or parts.is_failed(record) or (wishes.get("analyse") and not parts.is_analysed(record)):
             return False
-        state = state_path(folder / STATES, sample.key)
-        if wishes.get("keep_states") and state.is_file():
-            from taichi_bearings.runs.packing_run import read_run  # and with it much of SciPy
+        if not wishes.get("keep_states") or not state.is_file():
+            return not wishes.get("keep_states")
+        from taichi_bearings.runs.packing_run import read_run  # and with it much of SciPy
 
-            try:
-                read_run(state)
-            except FileError as error:
-                _say(f"a kept state counts as missing: {error}")
-                return False
-        return not wishes.get("keep_states") or state.is_file()
+        try:
+            read_run(state)
+        except FileError as error:
+            _say(f"a kept state counts as missing: {error}")
+            return False
+        return True
 
     return [sample for sample in parts.part_of(plan, part).samples if not is_kept(sample)], records
 
 
-def _refuse(plan: ScanPlan, is_here: bool) -> None:
-    """InputError for samples that cannot be. is_here : they are solved on this machine."""
+def unused_keys(plan: ScanPlan, is_here: bool = False) -> list[str]:
+    """What no method and no law of a scan uses although it is given, a sentence each; InputError for samples that
+    cannot be. is_here : they are solved on this machine."""
+    found, used = dict[str, str](), set[str]()
     for group in groups_of(plan.samples):  # all but their seeds alike
         settings = group[0].settings
         if settings.is_packing:
+            from taichi_bearings.runs.packing_run import unused_of_packing
             from taichi_bearings.scans.packings import refuse_packing
 
             refuse_packing(group)
-        row_of(settings)
+            unused = unused_of_packing(settings)
+        else:
+            unused = settings.unused(row_of(settings))
         if is_here:
             refuse_absent(settings.arch, settings.precision)
+        found = unused | found
+        used |= settings.given.keys() - unused.keys()
+    return [sentence for key, sentence in found.items() if key not in used]
 
 
 def estimate(plan: ScanPlan, folder: Path | None, workers: int = 0, part: parts.Part | None = None) -> dict[str, Any]:
     """What a scan would do, without doing it: `samples`, `missing`, `workers`, `seconds` (None: unknown), `bytes`."""
-    _refuse(plan, is_here=False)
+    unused_keys(plan)  # which refuses what cannot be
     ours = parts.part_of(plan, part).samples
     missing: Sequence[Sample] = ours
     if folder is not None:
@@ -120,13 +129,13 @@ def estimate(plan: ScanPlan, folder: Path | None, workers: int = 0, part: parts.
         missing, _ = missing_samples(plan, folder, part)
     analyse = bool(plan.wishes.get("analyse"))
     number = _number_of_workers(missing, workers, analyse)
-    seconds = cost.WorkLeft(missing, analyse).expected(number)
+    seconds = cost.seconds_in_all(missing, number, analyse) + cost.WORKER_START if missing else 0.0
     return {
         "samples": len(ours),
         "scanned": list(plan.scanned),
         "missing": len(missing),
         "workers": number,
-        "seconds": seconds + cost.WORKER_START if seconds else seconds,
+        "seconds": seconds if seconds < math.inf else None,
         "bytes": number * max((cost.bytes_of(group[0].settings) for group in groups_of(missing)), default=0.0),
     }
 
@@ -157,8 +166,7 @@ def scan(
     Raises InputError or FileError before anything is computed.
     """
     plan = plan.going_on_in(folder)
-    _refuse(plan, is_here=engine is None and client is None)
-    for sentence in cost.unused_keys(plan):
+    for sentence in unused_keys(plan, is_here=engine is None and client is None):
         if not (folder / "scan.toml").is_file():
             raise InputError(sentence)
         _say(f"{sentence}: it changes nothing here")
@@ -223,14 +231,14 @@ class _Course:
     def __init__(
         self, plan: ScanPlan, folder: Path, part: parts.Part | None = None, monitor: Monitor = lambda _: None
     ) -> None:
-        self.began = self.written = time.monotonic()
+        self.began = time.monotonic()
+        self.due = self.began + REWRITE  # when files are to be written again
         self.plan, self.folder, self.monitor = parts.part_of(plan, part), folder, monitor
         self.journal = folder / (JOURNAL if part is None else f"{part.name}.jsonl")
         self.files = [folder / name for name in ("scan.h5", "scan.csv")] if part is None else []  # else by the merge
         self.others = sum(file.stat().st_size for file in parts.journals_in(folder) if file != self.journal)
         missing, self.records = missing_samples(plan, folder, part)
-        self.missing = {sample.key: sample for sample in missing}
-        self.open = set(self.missing)  # samples that still lack something
+        self.missing = {sample.key: sample for sample in missing}  # samples that still lack something
         before = len(self.plan.samples) - len(missing)
         self.progress = ScanProgress(len(self.plan.samples), before, done=before)
         self.removed: list[Path] = []
@@ -239,12 +247,7 @@ class _Course:
         """Have the missing samples solved and written down, until all are or it is stopped."""
         analyse, missing = bool(self.plan.wishes.get("analyse")), list(self.missing.values())
         units, work = cost.units_of(missing, analyse, engine.workers or 1), cost.WorkLeft(missing, analyse)
-        writing = 0.0
-
-        def retry(sample: Sample, reason: str) -> None:
-            _say(f"sample {sample.label} failed and is tried again: {reason}")
-
-        for finished in run_samples(units, engine, retry, failure):
+        for finished in run_samples(units, engine):
             self.progress.seconds = time.monotonic() - self.began
             if finished:
                 self._keep(finished, work, journal)
@@ -255,10 +258,10 @@ class _Course:
             self.monitor(self.progress)
             if stopped.is_set():
                 return
-            if self.files and (began := time.monotonic()) - self.written > max(REWRITE, 50 * writing):
+            if self.files and (began := time.monotonic()) > self.due:
                 self._write()
-                self.written = time.monotonic()
-                writing = self.written - began
+                written = time.monotonic()
+                self.due = written + max(REWRITE, 50 * (written - began))
 
     def _keep(self, finished: Sequence[Record], work: cost.WorkLeft, journal: Journal) -> None:
         news = [record for record in finished if not (parts.is_failed(record) and self._has_result(record["key"]))]
@@ -272,7 +275,7 @@ class _Course:
                 _say(f"sample {sample.label} failed: {record['scalars']['error']}")
             else:
                 self.progress.done += 1
-                self.open.discard(sample.key)
+                del self.missing[sample.key]
 
     def _has_result(self, key: str) -> bool:
         return key in self.records and not parts.is_failed(self.records[key])
@@ -299,7 +302,7 @@ class _Course:
         known = [(sample, self.records[sample.key]) for sample in self.plan.samples if sample.key in self.records]
         solved = [record for _, record in known if not parts.is_failed(record)]
         failed = [(sample, record["scalars"]["error"]) for sample, record in known if parts.is_failed(record)]
-        lacking = sum(map(self._has_result, self.open))
+        lacking = sum(map(self._has_result, self.missing))
         analysed, missing = sum(map(parts.is_analysed, solved)), len(self.plan.samples) - len(known)
         return {
             "samples": len(self.plan.samples),

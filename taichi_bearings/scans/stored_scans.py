@@ -2,9 +2,11 @@
 killed or complete. Commands read scans in no other way."""
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from taichi_bearings.analysis.histogram import SampleCounts
 from taichi_bearings.errors import BearingsError, FileError
@@ -23,12 +25,15 @@ from taichi_bearings.plain_files import read_lines, read_whole
 from taichi_bearings.quantities import COLUMNS
 from taichi_bearings.runs.run import versions
 from taichi_bearings.runs.run_file import refuse_run
-from taichi_bearings.runs.settings import MOST_SETTINGS_TEXT, settings_table
+from taichi_bearings.runs.settings import MOST_SETTINGS_TEXT, RunSettings, settings_table
 from taichi_bearings.scans.parts import journal_bytes, read_journals
 from taichi_bearings.scans.plan import Sample, ScanPlan, read_plan, written
 from taichi_bearings.scene import Scene
+from taichi_bearings.scene.law import COULOMB, LAWS
+from taichi_bearings.solvers import METHODS
 from taichi_bearings.version import VERSION
 
+DRAWN = ("seed", "coefficients")  # what a disorder comes from
 CENSUS_COLUMNS = ("used", "asked", "left_out")  # the last ones of the table beside a figure of a scan
 FIRST_COLUMNS = ("power", "lower_bound", "gap", "status", "method", "slipping", "slipless", "seconds")
 """What comes after the scanned keys."""
@@ -139,3 +144,36 @@ def histograms_of(plan: ScanPlan, records: Mapping[str, Mapping[str, Any]]) -> S
     chosen = [records[sample.key] for sample in plan.samples if sample.key in records]
     bins = [{int(number): many for number, many in record["bins"].items()} for record in chosen]
     return dense_histograms(bins, {name: [r["scalars"].get(name) or 0 for r in chosen] for name in CONTACT_SETS})
+
+
+def disorder_of(columns: Mapping[str, np.ndarray], settings: RunSettings | None = None) -> list[tuple[Any, ...]]:
+    """Names of the disorder of each row of a table of samples, equal for those of one disorder in one system.
+
+    Such samples depend on each other: they differ at most in how they were solved and in settings that their methods or
+    laws know nothing of. Where a table has no seeds every row is alone. settings : of all rows, where no column says
+    them; needed to compare the names of several tables.
+    """
+    rows, table = len(next(iter(columns.values()))), settings_table()
+    of_system = [key for key, item in table.items() if key not in DRAWN and not item.of_solving]
+    if settings is not None:
+        values = {key: written(getattr(settings, key)) for key in of_system}
+        columns = {**{key: np.full(rows, value, dtype=object) for key, value in values.items()}, **columns}
+    seeds = columns.get("seed", np.arange(rows)).tolist()
+    names = [seeds, columns["coefficients"].tolist() if "coefficients" in columns else seeds]
+    methods = columns.get("method_found", columns.get("method", np.full(rows, None))).tolist()
+    laws = columns.get("law", np.full(rows, COULOMB.name)).tolist()
+    solved = list(zip(methods, laws, strict=True))
+    for key in of_system:
+        if key in columns:
+            used = {
+                one: one[0] is None or table[key].is_used_by(METHODS.get(one[0]), LAWS[one[1]]) for one in set(solved)
+            }
+            values_of_key = columns[key].tolist()
+            names.append([value if used[one] else None for value, one in zip(values_of_key, solved, strict=True)])
+    return list(zip(*names, strict=True))
+
+
+def numbered(names: Iterable[Any]) -> np.ndarray:
+    """Equal numbers for equal names."""
+    place: dict[Any, int] = {}
+    return np.array([place.setdefault(name, len(place)) for name in names], dtype=np.int64)

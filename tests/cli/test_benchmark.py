@@ -48,6 +48,8 @@ BAD = {
     "seed": (("accuracy", "--seed", "-1"), "0 or more"),
     "methods": (("peers", "--methods", "magic"), "'magic' is none of"),
     "time limit": (("accuracy", "--time-limit", "0"), "a positive number"),
+    "parts of a part": (("accuracy", "--parts", "kernels"), "--parts belongs to `bearings benchmark speed`"),
+    "option of another part": (("throughput", "--time-limit", "1"), "--time-limit belongs to the part methods"),
     "time limit that is no number": (("accuracy", "--time-limit", "soon"), "a positive number"),
 }
 
@@ -67,4 +69,4 @@ def test_all_four_words_are_there():
     done = bearings("benchmark", "--help")
     for word in ("accuracy", "throughput", "speed", "peers"):
         assert f"  {word} " in done.stdout
-        assert "bearings benchmark" in bearings("benchmark", word, "--help").stdout
+        assert bearings("benchmark", word, "--help").stdout == done.stdout

@@ -6,8 +6,8 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-from taichi_bearings.scans.engine import Outcome
-from taichi_bearings.scans.sample import failure, solve_samples
+from taichi_bearings.scans.engine import Outcome, failure
+from taichi_bearings.scans.sample import solve_samples
 
 OUT_OF_MEMORY, EXITS, HANGS, ABORTS, FLAKY = 3, 5, 7, 8, 11  # seeds
 ROOM = 40_000_000  # bytes of memory

@@ -94,6 +94,7 @@ DAMAGE = {
     "summary.json is not JSON: 'utf-8'": ("summary.json", b"\xff\xfe"),
     "no usable gap": ("summary.json", {"gap": [[1]]}),
     "no usable power": ("summary.json", {"power": 10**400}),
+    "no usable power ": ("summary.json", {"power": float("nan")}),
     "no usable seed": ("summary.json", {"seed": "one"}),
     "maximum recursion": ("summary.json", b"[" * 100_000),
     "not valid TOML": ("scan.toml", b"= ["),
@@ -120,7 +121,7 @@ def test_a_damaged_folder_is_named_in_its_line(sentence, outputs, tmp_path):
     assert len(found) == 2
     words = found.pop(str(broken)).words()
     assert words.startswith("cannot be read: ")
-    assert sentence in words or (sentence == "maximum recursion" and "recursion" in words)
+    assert sentence.strip() in words or (sentence == "maximum recursion" and "recursion" in words)
     assert "\n" not in words
     assert next(iter(found.values())).problem == ""
 
@@ -128,11 +129,11 @@ def test_a_damaged_folder_is_named_in_its_line(sentence, outputs, tmp_path):
 def test_numbers_that_are_none_and_unfinished_runs_are_told(outputs, tmp_path):
     shutil.copytree(outputs / "one", tmp_path / "one")
     summary = json.loads((tmp_path / "one" / "summary.json").read_text())
-    (tmp_path / "one" / "summary.json").write_text(json.dumps(summary | {"power": float("nan"), "gap": None}))
+    (tmp_path / "one" / "summary.json").write_text(json.dumps(summary | {"power": None, "gap": None}))
     (tmp_path / "begun").mkdir()
     (tmp_path / "begun" / "checkpoint.h5").write_bytes(b"")
     told = {entry.path: entry for entry in entries(tmp_path)}
-    assert "no gap" in told[str(tmp_path / "one")].words()
+    assert "P = not finite, no gap" in told[str(tmp_path / "one")].words()
     assert told[str(tmp_path / "one")].as_dict()["power"] is None
     assert "unfinished" in told[str(tmp_path / "begun")].words()
 

@@ -20,10 +20,10 @@ from taichi_bearings.runs.run_file import read_run_file
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scans import engine as scan_engine
 from taichi_bearings.scans.engine import LocalEngine, run_samples
-from taichi_bearings.scans.estimate import paying_workers, units_of, unused_keys
+from taichi_bearings.scans.estimate import paying_workers, units_of
 from taichi_bearings.scans.plan import read_plan
-from taichi_bearings.scans.sample import failure, solve_samples
-from taichi_bearings.scans.scan import estimate, scan
+from taichi_bearings.scans.sample import solve_samples
+from taichi_bearings.scans.scan import estimate, scan, unused_keys
 from tests.scans import scan_faults
 from tests.scans.scan_faults import Here, asking
 
@@ -230,7 +230,7 @@ def test_workers_that_never_work_end_the_scan_in_one_sentence(plan_of, monkeypat
     units = [(sample,) for sample in plan.samples]
     engine = LocalEngine(scan_faults.die, 2)
     with pytest.raises(BearingsError, match="ended one after the other"):
-        list(run_samples(units, engine, lambda *_: None, failure))
+        list(run_samples(units, engine))
     engine.close()
 
 

@@ -167,7 +167,7 @@ def test_the_command_on_a_cluster_and_its_interruption(client, tmp_path):
     process = subprocess.Popen(
         words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
     )  # fmt: skip
-    journal, end = tmp_path / "s" / "samples.jsonl", time.monotonic() + 60
+    journal, end = tmp_path / "s" / "samples.jsonl", time.monotonic() + 180
     while not (journal.exists() and journal.read_bytes().count(b"\n")):
         assert time.monotonic() < end
         assert process.poll() is None

@@ -12,8 +12,7 @@ from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scans.figure import Request, columns_of, look_of, plot_scan, points_of
 from taichi_bearings.scans.histogram import histogram, pooled, read_source
 from taichi_bearings.scans.scan import scan
-from taichi_bearings.scans.stored_scans import open_scan
-from taichi_bearings.scans.systems import disorder_of, system_columns
+from taichi_bearings.scans.stored_scans import disorder_of, open_scan
 from tests.scans.scan_faults import Here, asking
 
 LAWS = "shape = [4, 5]\n[scan]\nlaw = ['coulomb', 'viscous']\nseed = { start = 0, stop = 6 }\n"
@@ -182,11 +181,14 @@ def test_settings_of_a_dynamics_are_systems_to_it_alone(plan_of, tmp_path):
     scan(plan, tmp_path / "scan", engine=Here())
     _, (row,) = told(tmp_path / "scan", "power", "L")
     assert row["number"] == "6"
-    mixed = {"stiffness": np.array([1e4, 1e5]), "method": np.array(["planar-cut", "cundall-strack"])}
-    assert system_columns(mixed) == {"stiffness": [None, 1e5]}
-    assert system_columns(mixed | {"law": np.array(["coulomb", "viscous"])}) == {
-        "law": ["coulomb", "viscous"], "stiffness": [None, None],
-    }  # fmt: skip
+    mixed = {
+        "seed": np.array([3, 3]),
+        "stiffness": np.array([1e4, 1e5]),
+        "method": np.array(["planar-cut", "cundall-strack"]),
+    }
+    assert disorder_of(mixed) == [(3, 3, None), (3, 3, 1e5)]
+    laws = {"law": np.array(["coulomb", "viscous"])}
+    assert disorder_of(mixed | laws) == [(3, 3, "coulomb", None), (3, 3, "viscous", None)]
     table = {"seed": np.array([0, 0]), "stiffness": np.array([1e4, 1e5]), "method": np.array(["cundall-strack"] * 2)}
     assert len(set(disorder_of(table))) == 2
     distributions = [RunSettings(distribution=f"constant:{value}") for value in (1, 2)]

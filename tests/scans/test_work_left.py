@@ -4,6 +4,7 @@ A recording is made by ``python -m tests.scans.test_work_left SCAN.toml RECORDIN
 sample in the plan, how many), when it began and ended, and the seconds of its solves.
 """
 
+import math
 import sys
 import time
 from pathlib import Path
@@ -12,7 +13,7 @@ import pytest
 
 from taichi_bearings.runs.settings import read_toml
 from taichi_bearings.scans.engine import LocalEngine
-from taichi_bearings.scans.estimate import WorkLeft, seconds_of
+from taichi_bearings.scans.estimate import WorkLeft, seconds_in_all, seconds_of
 from taichi_bearings.scans.plan import read_plan
 from taichi_bearings.scans.sample import solve_samples
 from taichi_bearings.scans.scan import scan
@@ -97,11 +98,11 @@ def finish(work, samples, seconds):
 def test_nothing_is_known_before_something_is_measured(plan_of):
     samples = plan_of("shape = [8, 8, 8]\n[scan]\nseed = { start = 0, stop = 96 }\n").samples
     work = WorkLeft(samples)
-    assert work.expected(1) == pytest.approx(96 * seconds_of(samples[0].settings))
+    assert seconds_in_all(samples, 1) == pytest.approx(96 * seconds_of(samples[0].settings))
     assert work.seconds_left([], 1, 0.0) is None
     finish(work, samples[:24], 0.25)
     assert work.seconds_left([], 1, 6.0) == pytest.approx(72 * 0.25, rel=0.01)
-    assert work.expected(2) == pytest.approx(36 * 0.25, rel=0.01)
+    assert work.seconds_left([], 2, 3.0) == pytest.approx(36 * 0.25, rel=0.01)
 
 
 def test_samples_without_an_estimate_are_learnt_kind_by_kind(plan_of):
@@ -109,7 +110,7 @@ def test_samples_without_an_estimate_are_learnt_kind_by_kind(plan_of):
         'shape = [4, 4]\nmethod = "cundall-strack"\n[scan]\nduration = [1.0, 10.0]\nseed = { start = 0, stop = 10 }\n'
     ).samples
     work = WorkLeft(samples)
-    assert work.expected(1) is None
+    assert seconds_in_all(samples, 1) == math.inf
     finish(work, samples[:1], 1.0)
     assert work.seconds_left([], 1, 1.0) is None  # most of the work is of a kind that is not measured
     finish(work, samples[10:11], 30.0)
@@ -119,17 +120,19 @@ def test_samples_without_an_estimate_are_learnt_kind_by_kind(plan_of):
 def test_kinds_that_are_not_measured_take_what_others_of_their_method_say(plan_of):
     samples = plan_of("[scan]\nshape = [[6, 6, 6], [24, 24, 24]]\nseed = [1, 2, 3]\n").samples
     work, small, large = WorkLeft(samples), *(seconds_of(samples[number].settings) for number in (0, 3))
-    assert work.expected(1) == pytest.approx(3 * (small + large))
-    assert work.expected(100) == pytest.approx(large)  # the longest sample is not shared by idle workers
-    finish(work, samples[:1], 10 * small)
-    assert work.expected(1) == pytest.approx(10 * (2 * small + 3 * large), rel=0.02)
+    assert seconds_in_all(samples, 1) == pytest.approx(3 * (small + large))
+    assert seconds_in_all(samples, 100) == pytest.approx(large)  # the longest sample is not shared by idle workers
+    finish(work, samples[3:4], 10 * large)
+    assert work.seconds_left([], 1, 0.0) == pytest.approx(10 * (3 * small + 2 * large), rel=0.02)
 
 
 def test_a_sample_that_failed_needs_no_more_work_and_says_nothing(plan_of):
     samples = plan_of("shape = [16, 16, 16]\n[scan]\nseed = { start = 0, stop = 8 }\n").samples
     work = WorkLeft(samples)
     work.finish(samples[0], {"scalars": {"status": "failed"}})
-    assert work.expected(1) == pytest.approx(7 * seconds_of(samples[0].settings))
+    assert work.seconds_left([], 1, 0.0) is None
+    finish(work, samples[1:2], 2.0)
+    assert work.seconds_left([], 1, 0.0) == pytest.approx(6 * 2.0, rel=0.01)
 
 
 if __name__ == "__main__":
