@@ -92,9 +92,8 @@ def _plot_run(
     from taichi_bearings.files.whole_file import refuse_ending
     from taichi_bearings.plots.style import ENDINGS, save, save_small
     from taichi_bearings.runs.figures import draw_figure, draw_figure_of_packing
-    from taichi_bearings.runs.packing_run import PackingRun, read_run
-    from taichi_bearings.runs.run import settings_of
     from taichi_bearings.runs.run_directory import claimed
+    from taichi_bearings.runs.run_file import read_run
 
     if given := [name for name, value in of_scan.items() if value]:
         raise InputError(
@@ -102,10 +101,10 @@ def _plot_run(
         )
     refuse_ending(out, *ENDINGS)
     stored = read_run(run)
-    if isinstance(stored, PackingRun):
+    if stored.is_packing:
         draw = partial(draw_figure_of_packing, stored.sample(replica).result, kind, time, page)
     else:
-        slowest = settings_of(stored).slip_threshold
+        slowest = stored.settings.slip_threshold
         draw = partial(draw_figure, kind, stored.solution, replica, time, slowest, page)
     folder = run if run.is_dir() else run.parent
     with claimed(out or folder / kind, force or out is None):

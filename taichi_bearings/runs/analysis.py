@@ -13,10 +13,9 @@ from taichi_bearings.errors import InputError
 from taichi_bearings.files.analysis_file import Finding, write_analysis
 from taichi_bearings.files.whole_file import refuse_standing
 from taichi_bearings.quantities import SAMPLES, Answered
-from taichi_bearings.runs.packing_run import PackingRun, analysed, read_run
-from taichi_bearings.runs.run import Run, settings_of
+from taichi_bearings.runs.packing_run import analysed
 from taichi_bearings.runs.run_directory import writable_folder
-from taichi_bearings.runs.run_file import file_of
+from taichi_bearings.runs.run_file import file_of, read_run
 from taichi_bearings.runs.structure_report import findings_of, numbers_of
 from taichi_bearings.scene import Solution
 from taichi_bearings.stages import alike, each, stage
@@ -141,14 +140,13 @@ def analyse(
     with stage("reading"):
         run = read_run(path)
     target = file_of(path) if out is None else out / "analysis.h5"
-    pictures = [target.parent / f"{name}.png" for name in (("network",) if isinstance(run, PackingRun) else FIGURES)]
+    pictures = [target.parent / f"{name}.png" for name in (("network",) if run.is_packing else FIGURES)]
     refuse_standing((target, *(pictures if figures else ())), force or out is None)
     with writable_folder(target.parent):
-        if isinstance(run, PackingRun):
+        if run.is_packing:
             report, arrays, draw = analysed(run, threshold, replica)
         else:
-            ended = [status.value for status in Run(settings_of(run), run.solution).status]
-            found = Analysis(run.solution, ended, threshold, replica)
+            found = Analysis(run.solution, [status.value for status in run.status], threshold, replica)
             report, arrays, draw = found.report, found.arrays, found.plot
         for picture in pictures if out is None or force else ():  # of an earlier analysis
             picture.unlink(missing_ok=True)

@@ -79,6 +79,7 @@ TIME_LIST = Kind(_times, "times such as 0.1,0.2,1 or linear:0,10,101 or log:1e-4
 
 
 BETWEEN_PLANES = "planes"
+SIZES = ("radius", "normal_force")
 OF_DRIVEN = ("shape", "periodic", "spin_top", "spin_bottom", "direction", "top", "bottom", "driven", "coefficients")
 OF_PACKINGS = (
     "packing", "law", "tolerance", "seed", "distribution", "viscosity", "normal_force", "radius", "method", "figures",

@@ -85,7 +85,7 @@ def missing_samples(
             return False
         state = state_path(folder / STATES, sample.key)
         if wishes.get("keep_states") and state.is_file():
-            from taichi_bearings.runs.packing_run import read_run  # and with it much of SciPy
+            from taichi_bearings.runs.run_file import read_run
 
             try:
                 read_run(state)

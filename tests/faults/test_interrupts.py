@@ -13,7 +13,7 @@ from taichi_bearings import interrupts
 from taichi_bearings.conic import descent
 from taichi_bearings.numerics.cholesky.factor import DenseFactor
 from taichi_bearings.runs import run as runs
-from taichi_bearings.runs.run_file import read_run_file
+from taichi_bearings.runs.run_file import read_run
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene import Scene, Status
 from taichi_bearings.scene.initial_spins import initial_spin
@@ -148,7 +148,7 @@ def test_an_interrupt_while_figures_are_drawn_keeps_the_run(tmp_path, monkeypatc
     found = runs.run(RunSettings(shape=(4, 5)), tmp_path / "a")
     assert found.solution.interrupted
     assert found.status == [Status.CERTIFIED]
-    assert read_run_file(tmp_path / "a").solution.power == found.solution.power
+    assert read_run(tmp_path / "a").solution.power == found.solution.power
     assert sorted(file.name for file in tmp_path.iterdir()) == ["a"]
 
 
@@ -157,5 +157,5 @@ def test_an_interrupt_while_files_are_written_waits_for_them_and_spares_the_figu
     monkeypatch.setattr(runs, "publish", lambda *given: (strike(signal.SIGTERM), publish(*given))[1])
     found = runs.run(RunSettings(shape=(4, 5)), tmp_path / "a")
     assert found.solution.interrupted
-    assert read_run_file(tmp_path / "a").solution.power == found.solution.power
+    assert read_run(tmp_path / "a").solution.power == found.solution.power
     assert not list((tmp_path / "a").glob("*.png"))
