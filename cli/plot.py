@@ -91,7 +91,7 @@ def _plot_run(
     from taichi_bearings.errors import InputError
     from taichi_bearings.files.whole_file import refuse_ending
     from taichi_bearings.plots.style import ENDINGS, save, save_small
-    from taichi_bearings.runs.figures import draw_figure, draw_figure_of_packing
+    from taichi_bearings.runs.figures import draw_figure
     from taichi_bearings.runs.run_directory import claimed
     from taichi_bearings.runs.run_file import read_run
 
@@ -101,11 +101,7 @@ def _plot_run(
         )
     refuse_ending(out, *ENDINGS)
     stored = read_run(run)
-    if stored.is_packing:
-        draw = partial(draw_figure_of_packing, stored.sample(replica).result, kind, time, page)
-    else:
-        slowest = stored.settings.slip_threshold
-        draw = partial(draw_figure, kind, stored.solution, replica, time, slowest, page)
+    draw = partial(draw_figure, kind, stored.solution, replica, time, stored.settings.slip_threshold, page)
     folder = run if run.is_dir() else run.parent
     with claimed(out or folder / kind, force or out is None):
         figure = draw()

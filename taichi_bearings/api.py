@@ -261,9 +261,9 @@ class PackingResult(PackingSolution):
         """A figure: "spins", "power", "history", "energy", "domains" or "network". time, page : as of
         :meth:`Result.plot`."""
         from taichi_bearings.plots.page import PAGE
-        from taichi_bearings.runs.figures import draw_figure_of_packing
+        from taichi_bearings.runs.figures import draw_figure
 
-        return draw_figure_of_packing(self, kind, time, page or PAGE)
+        return draw_figure(kind, Packed((self,)), 0, time, page=page or PAGE)
 
 
 OPTIONS = (
@@ -392,8 +392,7 @@ def analyse(result: Result | PackingResult | str | Path, threshold: float | None
         found = found[sample]
     if isinstance(found, PackingResult):
         return PackingStructure.of(found, threshold)
-    run = found._run
-    return Analysis(run.solution, [status.value for status in run.status], threshold, sample)
+    return Analysis(found._run, threshold, sample)
 
 
 def load(path: str | Path) -> Any:

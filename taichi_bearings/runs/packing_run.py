@@ -4,24 +4,18 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from time import perf_counter
 from typing import Any
 
 import numpy as np
 
 from taichi_bearings import runtime
-from taichi_bearings.analysis.packing_structure import PackingStructure
 from taichi_bearings.errors import InputError
-from taichi_bearings.files.analysis_file import Finding
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.options import options_of
 from taichi_bearings.packing import Packing, PackingSolution, solve_packing
 from taichi_bearings.packing.system import System
-from taichi_bearings.quantities import CONTACTS, SPHERES, found_in
-from taichi_bearings.runs.run_file import PACKING_ARRAYS
 from taichi_bearings.runs.settings import OF_DRIVEN, OF_PACKINGS, SIZES, RunSettings, settings_table
-from taichi_bearings.runs.solved import Packed, Run, together
-from taichi_bearings.runs.structure_report import BOTTLENECK_ROWS, SPHERE_BETWEENNESS
+from taichi_bearings.runs.solved import Packed, Run
 from taichi_bearings.runs.torque import refuse_driven, torque_on_packing
 from taichi_bearings.scene import Status
 from taichi_bearings.scene.array_files import read_arrays, read_coefficients
@@ -29,15 +23,9 @@ from taichi_bearings.scene.initial_spins import STARTS
 from taichi_bearings.scene.law import law_named
 from taichi_bearings.scene.ramp import Ramp
 from taichi_bearings.solvers.table import METHODS, InteriorPoint, MethodOptions, row_of_packing
-from taichi_bearings.stages import alike, each, stage
+from taichi_bearings.stages import stage
 from taichi_bearings.words import counted, shown
 
-STRUCTURE_COLUMNS = {
-    "domain": "rigid domain: spheres that slipless contacts make turn as one",
-    "component": "connected piece of the slipless network; a driven body joins its spheres",
-    "above_cut": "on the second body's side of the minimum cut",
-    "on_cut": "on the minimum cut",
-}
 AXES_OF_PACKINGS = {"center": 2, "contact": 2, "normal": 2}  # of arrays of one sample; others have one
 
 
@@ -219,57 +207,3 @@ def _solved(
         runtime.start(**device)
     first = settings.initial if start is None else start
     return follow_packing(packing, method, first, StopRule.of(settings), Recording.of(settings), **others)
-
-
-def columns_of_packing(result: PackingSolution) -> tuple[dict[str, Finding], dict[str, Finding]]:
-    """What is known of the spheres (N, ...) and of the contacts (E, ...), by name, for other programs."""
-    packing, spin = result.packing, result.spin
-    if packing.dimension == 2:  # along z
-        spin = np.column_stack([np.zeros((packing.spheres, 2)), result.spin])
-    spheres = {
-        "spin": Finding(spin, SPHERES["spin"].unit, SPHERES["spin"].text),
-        "radius": Finding(np.asarray(packing.radius), *PACKING_ARRAYS["radius"]),
-        "driven": Finding(packing.driven, *PACKING_ARRAYS["driven"]),
-    }
-    contacts = {row.name: Finding(found, row.unit, row.text) for row, found in found_in(result, CONTACTS)}
-    for name in ("friction", "viscosity", "normal_force"):
-        if getattr(packing, name) is not None:
-            contacts["coefficient" if name == "friction" else name] = Finding(
-                getattr(packing, name), *PACKING_ARRAYS[name]
-            )
-    of_spheres, of_contacts = _of_structure(PackingStructure.of(result))
-    return spheres | of_spheres, contacts | of_contacts
-
-
-def _of_structure(structure: PackingStructure) -> tuple[dict[str, Finding], dict[str, Finding]]:
-    spheres, contacts = (
-        {name: Finding(values, "1", STRUCTURE_COLUMNS[name]) for name, values in columns.items()}
-        for columns in structure.columns
-    )
-    if structure.has_pairs:
-        contacts |= {row.name: Finding(row.of(structure), row.unit, row.text) for row in BOTTLENECK_ROWS}
-        spheres["sphere_betweenness"] = Finding(structure.bottlenecks.visits, "1", SPHERE_BETWEENNESS.text)
-    return spheres, contacts
-
-
-def analysed(
-    found: Run, threshold: float | None = None, replica: int = 0
-) -> tuple[dict[str, Any], list[dict[str, Finding]], Callable[..., Any]]:
-    """Report, arrays of each replica and what draws the figures of one. threshold : as of runs.analysis.Analysis."""
-    from taichi_bearings.plots.packing import draw_packing
-
-    began, drawn = perf_counter(), found.sample(replica)
-    if threshold is not None and not 0 < threshold < np.inf:
-        raise InputError(f"threshold is {threshold}; it must be a positive, finite slip speed")
-    numbers, arrays = [], []
-    for result in each(found.results, "analysing", alike):
-        structure = PackingStructure.of(result, threshold)
-        of_spheres, of_contacts = _of_structure(structure)
-        numbers.append(structure.numbers)
-        arrays.append(of_spheres | of_contacts)
-    proven = "proven" if np.all(found.summary["states_proven"]) else "decided"
-    states = proven if threshold is None else "threshold"
-    told = ("status", "method", "law", "shape", "spheres", "contacts", "seed", "version")
-    report = together(numbers) | {"threshold": threshold, "states": states}
-    report |= {name: found.summary[name] for name in told} | {"seconds": perf_counter() - began}
-    return report, arrays, partial(draw_packing, drawn.result)

@@ -269,8 +269,7 @@ def run(
         stored = job.self_contained(directory.partial)
         write_text(directory.partial / "scene.toml", stored.to_toml())
         write_checkpoint(directory.partial, stored.to_toml(), versions(), {})
-        while not directory.publish():
-            pass
+        directory.publish()
         with in_use(directory.path):
             return _solve_with_checkpoints(directory.path, job, stored, None, monitors, title)
 
@@ -281,12 +280,11 @@ def command() -> str:
 
 
 def publish(directory: RunDirectory, found: Run) -> Run:
-    """Write a run into its directory and give that its name, or a free one if something has taken it meanwhile."""
-    while True:
-        found = replace(found, path=directory.path)
-        write_run(directory.partial, found)
-        if directory.publish():
-            return found
+    """Write a run into its directory and give that its name."""
+    found = replace(found, path=directory.path)
+    write_run(directory.partial, found)
+    directory.publish()
+    return found
 
 
 def kept(found: Run, write: Callable[[], Run], title: bool = True, otherwise: str = "the result is lost") -> Run:

@@ -3,8 +3,6 @@
 import contextlib
 import ctypes
 import errno
-import itertools
-import logging
 import os
 import re
 import secrets
@@ -32,31 +30,20 @@ class RunDirectory:
     partial: Path
     replaced: os.stat_result | None = None
 
-    def publish(self) -> bool:
-        """Give the directory its name in one move, in exchange for the one that it replaces.
-
-        returns : False if something else has taken the name meanwhile. That stays; `path` is then a free neighbouring
-        name, for another call.
-        """
+    def publish(self) -> None:
+        """Give the directory its name in one move, in exchange for the one that it replaces; WriteError if that cannot
+        be, such as if something else has taken the name meanwhile, which stays."""
         try:
             standing = os.lstat(self.path) if os.path.lexists(self.path) else None
             if standing is None or self.replaced is None:
                 self.partial.rename(self.path)  # the system refuses to replace anything but an empty folder
-                return True
-            if os.path.samestat(standing, self.replaced):
+            elif os.path.samestat(standing, self.replaced):
                 exchange(self.partial, self.path)
                 shutil.rmtree(self.partial, ignore_errors=True)
-                self.replaced = None
-                return True
+            else:
+                raise FileExistsError(errno.EEXIST, "something else was created there meanwhile")
         except OSError as error:
-            if not os.path.lexists(self.path) or not self.partial.is_dir():
-                raise WriteError(f"{self.path} cannot be written: {error.strerror or error}") from None
-        free = (self.path.with_name(f"{self.path.name}-{number}") for number in itertools.count(2))
-        taken, self.path, self.replaced = self.path, next(path for path in free if not os.path.lexists(path)), None
-        logging.getLogger(__name__).warning(
-            "bearings: %s was created meanwhile and is kept; the result is written to %s", taken, self.path
-        )
-        return False
+            raise WriteError(f"{self.path} cannot be written: {error.strerror or error}") from None
 
 
 @contextlib.contextmanager

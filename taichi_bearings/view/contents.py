@@ -10,9 +10,9 @@ from taichi_bearings.analysis.packing_structure import PackingStructure
 from taichi_bearings.plots.domains import colour_of_turn
 from taichi_bearings.plots.lattice import SPIN_COLOURS
 from taichi_bearings.proof.contact_state import ContactState, count, critical
-from taichi_bearings.runs.packing_run import columns_of_packing
 from taichi_bearings.runs.points_and_lines import Moments, PointsAndLines, moments_of_packing
 from taichi_bearings.runs.solved import Run
+from taichi_bearings.runs.structure_report import columns_of_packing
 from taichi_bearings.scene.law import Law
 from taichi_bearings.version import VERSION
 from taichi_bearings.words import undecided_kinds
