@@ -14,13 +14,12 @@ from typing import Any
 import h5py
 import numpy as np
 
-from taichi_bearings.files.analysis_file import Finding
 from taichi_bearings.files.whole_file import put, put_attributes, refuse_ending, write_hdf5
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.packing import Packing
 from taichi_bearings.runs.points_and_lines import Moments, moments_of_packing, points_and_lines
 from taichi_bearings.runs.run_file import opened_to_draw
-from taichi_bearings.runs.structure_report import columns_of_packing
+from taichi_bearings.runs.structure_report import Finding, columns_of_packing
 from taichi_bearings.stages import stage
 
 VTK_NAME = "run.vtkhdf"

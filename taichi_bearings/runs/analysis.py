@@ -2,20 +2,21 @@
 not."""
 
 import time
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import h5py
 import numpy as np
 
 from taichi_bearings.analysis.packing_structure import PackingStructure
 from taichi_bearings.analysis.structure import structure_of
 from taichi_bearings.errors import InputError
-from taichi_bearings.files.analysis_file import Finding, write_analysis
-from taichi_bearings.files.whole_file import refuse_standing
+from taichi_bearings.files.whole_file import put, put_attributes, refuse_standing, replace_group, write_hdf5
 from taichi_bearings.runs.run_directory import writable_folder
 from taichi_bearings.runs.run_file import file_of, read_run
 from taichi_bearings.runs.solved import Run, together
-from taichi_bearings.runs.structure_report import columns_of_structure, findings_of, numbers_of
+from taichi_bearings.runs.structure_report import Finding, columns_of_structure, findings_of, numbers_of
 from taichi_bearings.stages import alike, each, stage
 from taichi_bearings.words import html_table, meant
 
@@ -25,6 +26,9 @@ if TYPE_CHECKING:
     from taichi_bearings.plots.page import Page
 
 
+GROUP = "analysis"
+FILL = {"b": 0, "i": -1, "u": 255, "f": np.nan}
+"""What pads arrays of samples that have not the same length, by kind of number."""
 TOLD_OF_RUN = ("status", "method", "law", "shape", "spheres", "contacts", "seed", "spin_top", "spin_bottom", "version")
 
 
@@ -153,3 +157,33 @@ def analyse(
         for picture in each(pictures if figures else [], "drawing figure"):
             save(found.plot(picture.stem, Page(title=title)), picture)
     return found.report | {"run": str(path), "files": [str(target), *(map(str, pictures) if figures else ())]}
+
+
+def write_analysis(
+    path: Path, samples: Sequence[Mapping[str, Finding]], attributes: Mapping[str, Any], into_run: bool
+) -> None:
+    """Write the findings of all samples into the run file `path`, or into a new file that holds nothing else.
+
+    With several samples every array has a leading replica axis, padded where their lengths differ. Attributes that are
+    no numbers, texts or lists of these are left out.
+    """
+
+    def fill(group: h5py.Group) -> None:
+        listed = {key: value if isinstance(value, list) else [value] for key, value in attributes.items()}
+        nested = {key for key, parts in listed.items() if any(isinstance(part, (dict, list)) for part in parts)}
+        put_attributes(group, {key: value for key, value in attributes.items() if key not in nested})
+        for name, finding in samples[0].items():
+            values = [sample[name].values for sample in samples]
+            together = values[0]
+            if len(values) > 1:
+                longest = tuple(max(sizes) for sizes in zip(*(array.shape for array in values), strict=True))
+                together = np.full((len(values), *longest), FILL[together.dtype.kind], dtype=together.dtype)
+                for place, array in zip(together, values, strict=True):
+                    place[tuple(slice(0, size) for size in array.shape)] = array
+            packed = {"compression": "gzip", "shuffle": True} if together.dtype.kind in "biu" and together.size else {}
+            put(group, name, together, finding.units, finding.description, **packed)
+
+    if into_run:
+        replace_group(path, GROUP, fill)
+    else:
+        write_hdf5(path, lambda file: fill(file.create_group(GROUP)))

@@ -11,13 +11,12 @@ import numpy as np
 from taichi_bearings.analysis.domains import RigidDomains
 from taichi_bearings.analysis.structure import Structure, structure_of
 from taichi_bearings.errors import InputError
-from taichi_bearings.files.analysis_file import Finding
 from taichi_bearings.packing import PackingSolution
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.quantities import CONTACTS, found_in
 from taichi_bearings.runs.figures import at_moment, slips_of, snapshot_threshold
 from taichi_bearings.runs.solved import Run
-from taichi_bearings.runs.structure_report import ON_CONTACTS, findings_of
+from taichi_bearings.runs.structure_report import ON_CONTACTS, Finding, findings_of
 from taichi_bearings.scene import Scene, Solution
 from taichi_bearings.stages import stage
 

@@ -17,7 +17,6 @@ import numpy as np
 
 from taichi_bearings import compiler, runtime
 from taichi_bearings.errors import FileError, InputError, WriteError
-from taichi_bearings.files.checkpoint_file import checkpoint_of, read_checkpoint, write_checkpoint
 from taichi_bearings.files.whole_file import write_text
 from taichi_bearings.interrupts import awaited
 from taichi_bearings.lattice import Lattice
@@ -26,10 +25,13 @@ from taichi_bearings.options import options_of
 from taichi_bearings.plain_files import real_path
 from taichi_bearings.runs.run_directory import (
     RunDirectory,
+    checkpoint_of,
     completed,
     default_run_path,
     in_use,
+    read_checkpoint,
     run_directory,
+    write_checkpoint,
 )
 from taichi_bearings.runs.run_file import refuse_scan, write_run_file
 from taichi_bearings.runs.settings import DRIVING_KEYS, RunSettings, parse_toml, settings_table
@@ -342,13 +344,12 @@ def resume(
         if key in RunSettings.keys() and key not in CHANGEABLE:
             raise InputError(f"{key} cannot change when a run is resumed; allowed are {', '.join(CHANGEABLE)}")
     with in_use(path):
-        checkpoint = read_checkpoint(path)
-        stored = RunSettings.from_mapping(parse_toml(checkpoint.scene) | changes, "the options")
+        scene, arrays = read_checkpoint(path)
+        stored = RunSettings.from_mapping(parse_toml(scene) | changes, "the options")
         if stored.checkpoint_every is None:
             raise FileError(f"{checkpoint_of(path)} is damaged or was changed: its scene names no checkpoint_every")
         if "duration" in changes and stored.duration is not None:
-            arrays, duration = checkpoint.arrays or {}, stored.duration
-            ends = ("last_time", "time_step")  # of each replica of a packing
+            duration, ends = stored.duration, ("last_time", "time_step")  # of each replica of a packing
             found = [[v for key, v in arrays.items() if key.rpartition("/")[2] == name] for name in ends]
             reached, step = (float(max(values, default=0.0)) for values in found)
             # steps of fixed length, which the checkpoint then names, end a run by less than one of them late
@@ -357,9 +358,9 @@ def resume(
                 raise InputError(f"duration is {duration:g}, but {words}")
             if stored.torque is not None and Ramp.of(stored.torque).rises:
                 raise InputError(f"duration cannot change: it says how fast the torque of {path} grows")
-        settings = RunSettings.from_mapping(parse_toml(checkpoint.scene, path) | changes, "the options")
+        settings = RunSettings.from_mapping(parse_toml(scene, path) | changes, "the options")
         job = prepare(settings, strict=False)
-        return _solve_with_checkpoints(path, job, stored, checkpoint.arrays, monitors, title)
+        return _solve_with_checkpoints(path, job, stored, arrays or None, monitors, title)
 
 
 def _solve_with_checkpoints(

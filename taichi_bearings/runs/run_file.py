@@ -11,14 +11,13 @@ import h5py
 import numpy as np
 
 from taichi_bearings.errors import FileError, InputError
-from taichi_bearings.files.checkpoint_file import CHECKPOINT_NAME
 from taichi_bearings.files.scan_journal import JOURNAL_NAME
 from taichi_bearings.files.whole_file import attributes_of, put, read_hdf5, write_hdf5
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.lattice.grid import axis_numbers, friction_by_axis
 from taichi_bearings.proof.contact_state import ContactState, nothing_proven
 from taichi_bearings.quantities import CHECK_ROWS, CONTACTS, FINDINGS, FRICTION_QUANTITIES, SPHERES, found_in
-from taichi_bearings.runs.run_directory import claimed
+from taichi_bearings.runs.run_directory import CHECKPOINT_NAME, claimed
 from taichi_bearings.runs.settings import RunSettings, parse_toml, read_toml
 from taichi_bearings.runs.solved import TOLD_OF_RESULT, Packed, Run, stacked
 from taichi_bearings.runtime import HOST, Runtime

@@ -1,16 +1,26 @@
 """The structure of one sample as a report: numbers for people and programs, arrays for /analysis and other programs."""
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from taichi_bearings.analysis.packing_structure import PackingStructure
 from taichi_bearings.analysis.structure import Structure
-from taichi_bearings.files.analysis_file import Finding
 from taichi_bearings.packing import PackingSolution
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.quantities import ANALYSED, CONTACTS, SPHERES, Quantity, found_in, plain
 from taichi_bearings.runs.run_file import AXES, PACKING_ARRAYS
+
+
+@dataclass(frozen=True)
+class Finding:
+    """An array of one sample with its unit and what it is."""
+
+    values: np.ndarray
+    units: str
+    description: str
+
 
 # fmt: off
 BOTTLENECK_ROWS = (
