@@ -146,7 +146,7 @@ def test_dynamics_given_up_amid_a_step_go_on_to_the_same_bits(monkeypatch, optio
 def test_an_interrupt_while_figures_are_drawn_keeps_the_run(tmp_path, monkeypatch):
     monkeypatch.setattr(runs, "_draw", lambda *_: (strike(), for_ever()))
     found = runs.run(RunSettings(shape=(4, 5)), tmp_path / "a")
-    assert found.solution.interrupted
+    assert found.interrupted
     assert found.status == [Status.CERTIFIED]
     assert read_run(tmp_path / "a").solution.power == found.solution.power
     assert sorted(file.name for file in tmp_path.iterdir()) == ["a"]
@@ -156,6 +156,6 @@ def test_an_interrupt_while_files_are_written_waits_for_them_and_spares_the_figu
     publish = runs.publish
     monkeypatch.setattr(runs, "publish", lambda *given: (strike(signal.SIGTERM), publish(*given))[1])
     found = runs.run(RunSettings(shape=(4, 5)), tmp_path / "a")
-    assert found.solution.interrupted
+    assert found.interrupted
     assert read_run(tmp_path / "a").solution.power == found.solution.power
     assert not list((tmp_path / "a").glob("*.png"))
