@@ -90,19 +90,17 @@ def _plot_run(
     from taichi_bearings.errors import InputError
     from taichi_bearings.files.whole_file import refuse_ending
     from taichi_bearings.plots.style import ENDINGS, save, save_small
-    from taichi_bearings.runs.figures import draw_figure, draw_figure_of_packing
-    from taichi_bearings.runs.packing_run import PackingRun, opened_to_draw
-    from taichi_bearings.runs.run import settings_of
+    from taichi_bearings.runs.figures import draw_figure
+    from taichi_bearings.runs.run_directory import claimed
+    from taichi_bearings.runs.run_file import read_run
 
     if given := [name for name, value in of_scan.items() if value]:
         raise InputError(f"--{given[0]} belongs to `bearings plot scan`, not to `bearings plot {kind}`")
     refuse_ending(out, *ENDINGS)
-    with opened_to_draw(run, out, kind, force, replica) as (stored, path):
-        if isinstance(stored, PackingRun):
-            figure = draw_figure_of_packing(stored.result, kind, time, page)
-        else:
-            slowest = settings_of(stored).slip_threshold
-            figure = draw_figure(kind, stored.solution, replica, time, slowest, page)
+    stored = read_run(run)
+    path = (run if run.is_dir() else run.parent) / kind
+    with claimed(out or path, force or out is None):
+        figure = draw_figure(kind, stored.solution, replica, time, stored.settings.slip_threshold, page)
         if out:
             save(figure, out)
         click.echo(out or save_small(figure, path))

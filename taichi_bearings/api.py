@@ -24,9 +24,11 @@ from taichi_bearings.progress import displayed
 from taichi_bearings.quantities import CONTACTS, SAMPLES, SPHERES, Quantity
 from taichi_bearings.runs import run as runs
 from taichi_bearings.runs.analysis import Analysis
-from taichi_bearings.runs.packing_run import PackingJob, PackingRun, minimises, read_run, refuse_unused, used
+from taichi_bearings.runs.packing_run import minimises, refuse_unused, used
 from taichi_bearings.runs.run_directory import run_directory
+from taichi_bearings.runs.run_file import read_run
 from taichi_bearings.runs.settings import RunSettings
+from taichi_bearings.runs.solved import Packed, Run
 from taichi_bearings.runtime import available_threads
 from taichi_bearings.scans.many import SceneTask, solve_all
 from taichi_bearings.scene import Scene, Snapshots
@@ -74,7 +76,7 @@ class Result:
     What lies on contacts is a tuple with an array an axis, x, y(, z), of the shapes of `scene.coefficients`.
     """
 
-    def __init__(self, run: runs.Run) -> None:
+    def __init__(self, run: Run) -> None:
         self._run = run
 
     scene = property(lambda self: self._run.solution.scene, doc="The :class:`Scene` that was solved.")
@@ -159,15 +161,10 @@ class Result:
 
     def __getitem__(self, number: int) -> "Result":
         """One of the samples as if it had been solved alone."""
-        settings, samples = self._run.settings, len(self)
+        samples = len(self)
         if not -samples <= number < samples:
             raise IndexError(f"sample {number} of {samples}")
-        if samples == 1:
-            return self
-        solution, spin = self._run.solution.sample(number % samples), self._run.spin
-        settings = replace(settings, seed=solution.scene.seeds[0], replicas=1)
-        start = None if spin is None else spin[[number % samples]]
-        return Result(replace(self._run, settings=settings, solution=solution, spin=start))
+        return self if samples == 1 else Result(self._run.sample(number % samples))
 
     def __iter__(self) -> Iterator["Result"]:
         return (self[number] for number in range(len(self)))
@@ -256,7 +253,7 @@ class PackingResult(PackingSolution):
         asked: dict[str, Any] = {"torque": self.torque, "slip_threshold": self.slip_threshold or None}
         settings = RunSettings(packing="run.h5", law=str(self.packing.law), **asked)
         with run_directory(Path(path), force) as directory:
-            found = runs.publish(directory, PackingRun(settings, (self,), command="taichi_bearings.solve"))
+            found = runs.publish(directory, Run(settings, Packed((self,)), command="taichi_bearings.solve"))
         assert found.path is not None
         return found.path
 
@@ -264,9 +261,9 @@ class PackingResult(PackingSolution):
         """A figure: "spins", "power", "history", "energy", "domains" or "network". time, page : as of
         :meth:`Result.plot`."""
         from taichi_bearings.plots.page import PAGE
-        from taichi_bearings.runs.figures import draw_figure_of_packing
+        from taichi_bearings.runs.figures import draw_figure
 
-        return draw_figure_of_packing(self, kind, time, page or PAGE)
+        return draw_figure(kind, Packed((self,)), 0, time, page=page or PAGE)
 
 
 OPTIONS = (
@@ -339,10 +336,9 @@ def solve(
         if isinstance(scene, Packing):
             if monitors and minimises(settings):
                 raise InputError(f"callback is given, but method {settings.method} of a packing does not use it")
-            return PackingResult(**vars(PackingJob(settings, (scene,), spin).solve(monitors, **density).result))
+            return PackingResult(**vars(runs.Job(settings, (scene,), spin).solve(monitors, **density).result))
         assert spin is not None
-        solution = runs.solve_job(runs.job_of(settings, scene, spin), monitors)
-        return Result(runs.Run(settings, solution, spin, command="taichi_bearings.solve"))
+        return Result(replace(runs.job_of(settings, scene, spin).solve(monitors), command="taichi_bearings.solve"))
 
 
 def solve_many(
@@ -377,8 +373,8 @@ def solve_many(
     return (_result(replace(run, command="taichi_bearings.solve_many")) for _, run in found)
 
 
-def _result(run: runs.AnyRun) -> Result | PackingResult:
-    return PackingResult(**vars(run.result)) if isinstance(run, PackingRun) else Result(run)
+def _result(run: Run) -> Result | PackingResult:
+    return PackingResult(**vars(run.result)) if run.is_packing else Result(run)
 
 
 def analyse(result: Result | PackingResult | str | Path, threshold: float | None = None, sample: int = 0) -> Any:
@@ -396,8 +392,7 @@ def analyse(result: Result | PackingResult | str | Path, threshold: float | None
         found = found[sample]
     if isinstance(found, PackingResult):
         return PackingStructure.of(found, threshold)
-    run = found._run
-    return Analysis(run.solution, [status.value for status in run.status], threshold, sample)
+    return Analysis(found._run, threshold, sample)
 
 
 def load(path: str | Path) -> Any:
@@ -409,12 +404,10 @@ def load(path: str | Path) -> Any:
     if not isinstance(path, (str, os.PathLike)):
         raise InputError(f"{shown(path)} is not a path; it must name a run directory or its run.h5")
     stored = read_run(Path(path))
-    if isinstance(stored, PackingRun):
+    if stored.is_packing:
         found = [PackingResult(**vars(result)) for result in stored.results]
         return found if len(found) > 1 else found[0]
-    command = str(stored.attributes.get("command", ""))
-    place = stored.path.parent if stored.path.name == "run.h5" else stored.path
-    return Result(runs.Run(runs.settings_of(stored), stored.solution, path=place, command=command))
+    return Result(stored)
 
 
 def _settings(

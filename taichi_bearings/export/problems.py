@@ -22,8 +22,7 @@ from taichi_bearings.errors import InputError
 from taichi_bearings.files.whole_file import write_hdf5, write_text
 from taichi_bearings.packing import Packing
 from taichi_bearings.packing.system import System
-from taichi_bearings.runs.packing_run import PackingRun, opened_to_draw
-from taichi_bearings.runs.run import settings_of
+from taichi_bearings.runs.run_file import opened_to_draw
 from taichi_bearings.scene import Scene
 from taichi_bearings.stages import stage
 from taichi_bearings.version import VERSION
@@ -37,14 +36,12 @@ def export_problem(run: Path, form: str, out: Path | None, force: bool = False, 
     form : "cbf" or "fclib". Raises InputError for a problem that the format cannot say.
     """
     with opened_to_draw(run, out, PROBLEM_NAMES[form], force, replica) as (found, path):
-        if isinstance(found, PackingRun):
+        if found.is_packing:
             return write_problem(found.result.packing, form, path)
-        scene, torque = found.solution.scene, settings_of(found).torque
-        if not 0 <= replica < scene.replicas:
-            raise InputError(f"replica is {replica}; the run has {scene.replicas}, counted from 0")
+        torque = found.settings.torque
         if torque is not None:
             raise InputError(f"the run has a torque of {torque} on its top; only imposed spins can be exported")
-        return write_problem(lattice_as_packing(scene.sample(replica)), form, path)
+        return write_problem(lattice_as_packing(found.solution.scene), form, path)
 
 
 def lattice_as_packing(scene: Scene) -> Packing:

@@ -14,12 +14,12 @@ from typing import Any
 import h5py
 import numpy as np
 
-from taichi_bearings.files.analysis_file import Finding
 from taichi_bearings.files.whole_file import put, put_attributes, refuse_ending, write_hdf5
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.packing import Packing
-from taichi_bearings.runs.packing_run import PackingRun, columns_of_packing, opened_to_draw
 from taichi_bearings.runs.points_and_lines import Moments, moments_of_packing, points_and_lines
+from taichi_bearings.runs.run_file import opened_to_draw
+from taichi_bearings.runs.structure_report import Finding, columns_of_packing
 from taichi_bearings.stages import stage
 
 VTK_NAME = "run.vtkhdf"
@@ -82,14 +82,15 @@ def export(run: Path, out: Path | None = None, force: bool = False, replica: int
     Raises InputError or FileError before anything is computed.
     """
     refuse_ending(out, ".vtkhdf")
+    known: Mapping[str, Any]
     moments, end, more = None, None, dict[str, Any](replica=replica)
     with opened_to_draw(run, out, VTK_NAME, force, replica) as (found, path):
-        if isinstance(found, PackingRun):
+        if found.is_packing:
             geometry, columns = Geometry.of_packing(found.result.packing), columns_of_packing(found.result)
             known, more = found.summary, {"command": found.command}
             moments, end = moments_of_packing(found.result), found.result.time
         else:
-            drawn = points_and_lines(found, replica)
+            drawn = points_and_lines(found)
             geometry, columns = Geometry.of_lattice(drawn.scene.lattice, drawn.ends), (drawn.spheres, drawn.contacts)
             moments, end, known = drawn.moments, drawn.time, found.attributes
         told = {key: known[key] for key in TOLD if key in known} | more

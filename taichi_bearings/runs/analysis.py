@@ -2,23 +2,21 @@
 not."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import h5py
 import numpy as np
 
-from taichi_bearings.analysis.structure import Structure, structure_of
+from taichi_bearings.analysis.packing_structure import PackingStructure
+from taichi_bearings.analysis.structure import structure_of
 from taichi_bearings.errors import InputError
-from taichi_bearings.files.analysis_file import Finding, write_analysis
-from taichi_bearings.files.whole_file import refuse_standing
-from taichi_bearings.quantities import SAMPLES, Answered
-from taichi_bearings.runs.packing_run import PackingRun, analysed, read_run
-from taichi_bearings.runs.run import Run, settings_of
+from taichi_bearings.files.whole_file import put, put_attributes, refuse_standing, replace_group, write_hdf5
 from taichi_bearings.runs.run_directory import writable_folder
-from taichi_bearings.runs.run_file import file_of
-from taichi_bearings.runs.structure_report import findings_of, numbers_of
-from taichi_bearings.scene import Solution
+from taichi_bearings.runs.run_file import file_of, read_run
+from taichi_bearings.runs.solved import Run, together
+from taichi_bearings.runs.structure_report import Finding, columns_of_structure, findings_of, numbers_of
 from taichi_bearings.stages import alike, each, stage
 from taichi_bearings.words import html_table, meant
 
@@ -28,7 +26,10 @@ if TYPE_CHECKING:
     from taichi_bearings.plots.page import Page
 
 
-TOLD_OF_ANSWER = ("method", "law", "contacts", "spin_top", "spin_bottom", "shape", "version")
+GROUP = "analysis"
+FILL = {"b": 0, "i": -1, "u": 255, "f": np.nan}
+"""What pads arrays of samples that have not the same length, by kind of number."""
+TOLD_OF_RUN = ("status", "method", "law", "shape", "spheres", "contacts", "seed", "spin_top", "spin_bottom", "version")
 
 
 class Analysis:
@@ -43,38 +44,39 @@ class Analysis:
     report : all numbers by name.
     """
 
-    def __init__(
-        self, solution: Solution, status: Sequence[str], threshold: float | None = None, sample: int = 0
-    ) -> None:
-        """status : of each sample. sample : the one that is shown. InputError for a threshold or sample that cannot be.
+    def __init__(self, run: Run, threshold: float | None = None, sample: int = 0) -> None:
+        """sample : the one that is shown. InputError for a threshold or sample that cannot be.
 
         threshold : slip speed up to which contacts count as slipless. Default: the contact states of the run.
         """
-        samples = solution.scene.replicas
+        began, solution, is_one = time.perf_counter(), run.solution, len(run.solution.state) == 1
         if threshold is not None and not 0 < threshold < np.inf:
             raise InputError(f"threshold is {threshold}; it must be a positive, finite slip speed")
-        if not 0 <= sample < samples:
-            raise InputError(f"replica is {sample}; the run has {samples}, counted from 0")
-        if not all(np.isfinite(values).all() for values in (solution.spin, solution.slip)):
+        run.sample(sample)
+        if not run.is_packing and not all(np.isfinite(values).all() for values in (solution.spin, solution.slip)):
             raise InputError("the spins or slips of the run are not finite; there is nothing to analyse")
-        began = time.perf_counter()
         self.arrays: list[dict[str, Finding]] = []
         numbers = []
-        for number in each(range(samples), "analysing sample" if samples > 1 else "analysing", alike):
-            structure = structure_of(solution, number, threshold)
+        for number in each(range(len(solution.state)), "analysing" if is_one else "analysing sample", alike):
+            structure: Any
+            if run.is_packing:
+                structure = PackingStructure.of(run.results[number], threshold)
+                of_spheres, of_contacts = columns_of_structure(structure)
+                found, arrays = structure.numbers, of_spheres | of_contacts
+            else:
+                structure = structure_of(solution, number, threshold)
+                found, arrays = numbers_of(structure), findings_of(structure)
             if number == sample:
-                self.structure: Structure = structure
-            numbers.append(numbers_of(structure) | {"status": status[number]})
-            self.arrays.append(findings_of(structure))
-        proven = "proven" if solution.states_proven.all() else "decided"
-        together = {key: [one[key] for one in numbers] for key in numbers[0]} if samples > 1 else numbers[0]
-        answered = Answered(solution, 0.0, None)
+                self.structure = structure
+            numbers.append(found)
+            self.arrays.append(arrays)
+        proven = "proven" if np.all(run.numbers["states_proven"]) else "decided"
         self.report: dict[str, Any] = {
-            **together,
-            "threshold": solution.slip_threshold if threshold is None else threshold,
+            **together(numbers),
+            "threshold": solution.slip_threshold if threshold is None and not run.is_packing else threshold,
             "states": proven if threshold is None else "threshold",
-            **{name: SAMPLES[name].of(answered) for name in TOLD_OF_ANSWER},
-            **{name: list(value) for name in ("periodic", "top", "bottom") if (value := getattr(solution.scene, name))},
+            **{name: run.numbers[name] for name in TOLD_OF_RUN if name in run.numbers},
+            **run.settings.driving,
             "seconds": time.perf_counter() - began,
         }
 
@@ -104,10 +106,11 @@ class Analysis:
         """Names of the figures that :meth:`plot` draws."""
         from taichi_bearings.runs.figures import FIGURES
 
-        return [*FIGURES]
+        return ["network"] if isinstance(self.structure, PackingStructure) else [*FIGURES]
 
     def plot(self, kind: str, page: "Page | None" = None) -> "Figure":
         """One of `figures`, as a matplotlib Figure. page : how it is printed."""
+        from taichi_bearings.plots.packing import draw_packing
         from taichi_bearings.plots.page import PAGE
         from taichi_bearings.runs.figures import FIGURES
 
@@ -115,6 +118,8 @@ class Analysis:
             raise InputError(
                 f"the figure is {kind!r}; allowed are {', '.join(self.figures)}{meant(kind, self.figures)}"
             )
+        if isinstance(self.structure, PackingStructure):
+            return draw_packing(self.structure.result, kind, page or PAGE)
         return FIGURES[kind](self.structure, page or PAGE)
 
 
@@ -141,19 +146,44 @@ def analyse(
     with stage("reading"):
         run = read_run(path)
     target = file_of(path) if out is None else out / "analysis.h5"
-    pictures = [target.parent / f"{name}.png" for name in (("network",) if isinstance(run, PackingRun) else FIGURES)]
+    pictures = [target.parent / f"{name}.png" for name in (("network",) if run.is_packing else FIGURES)]
     refuse_standing((target, *(pictures if figures else ())), force or out is None)
     with writable_folder(target.parent):
-        if isinstance(run, PackingRun):
-            report, arrays, draw = analysed(run, threshold, replica)
-        else:
-            ended = [status.value for status in Run(settings_of(run), run.solution).status]
-            found = Analysis(run.solution, ended, threshold, replica)
-            report, arrays, draw = found.report, found.arrays, found.plot
+        found = Analysis(run, threshold, replica)
         for picture in pictures if out is None or force else ():  # of an earlier analysis
             picture.unlink(missing_ok=True)
         with stage("writing"):
-            write_analysis(target, arrays, report, into_run=out is None)
+            write_analysis(target, found.arrays, found.report, into_run=out is None)
         for picture in each(pictures if figures else [], "drawing figure"):
-            save(draw(picture.stem, page=Page(title=title)), picture)
-    return report | {"run": str(path), "files": [str(target), *(map(str, pictures) if figures else ())]}
+            save(found.plot(picture.stem, Page(title=title)), picture)
+    return found.report | {"run": str(path), "files": [str(target), *(map(str, pictures) if figures else ())]}
+
+
+def write_analysis(
+    path: Path, samples: Sequence[Mapping[str, Finding]], attributes: Mapping[str, Any], into_run: bool
+) -> None:
+    """Write the findings of all samples into the run file `path`, or into a new file that holds nothing else.
+
+    With several samples every array has a leading replica axis, padded where their lengths differ. Attributes that are
+    no numbers, texts or lists of these are left out.
+    """
+
+    def fill(group: h5py.Group) -> None:
+        listed = {key: value if isinstance(value, list) else [value] for key, value in attributes.items()}
+        nested = {key for key, parts in listed.items() if any(isinstance(part, (dict, list)) for part in parts)}
+        put_attributes(group, {key: value for key, value in attributes.items() if key not in nested})
+        for name, finding in samples[0].items():
+            values = [sample[name].values for sample in samples]
+            together = values[0]
+            if len(values) > 1:
+                longest = tuple(max(sizes) for sizes in zip(*(array.shape for array in values), strict=True))
+                together = np.full((len(values), *longest), FILL[together.dtype.kind], dtype=together.dtype)
+                for place, array in zip(together, values, strict=True):
+                    place[tuple(slice(0, size) for size in array.shape)] = array
+            packed = {"compression": "gzip", "shuffle": True} if together.dtype.kind in "biu" and together.size else {}
+            put(group, name, together, finding.units, finding.description, **packed)
+
+    if into_run:
+        replace_group(path, GROUP, fill)
+    else:
+        write_hdf5(path, lambda file: fill(file.create_group(GROUP)))

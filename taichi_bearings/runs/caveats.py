@@ -37,6 +37,11 @@ def caveats(solution: Solution, settings: RunSettings) -> list[str]:
     return [sentence for of in CAVEATS for sentence in of(solution, settings)]
 
 
+def _in_samples(which: np.ndarray) -> str:
+    """Of several samples in how many."""
+    return f" in {int(which.sum()):,} of {len(which):,} samples" if len(which) > 1 else ""
+
+
 def _powerless(solution: Solution, settings: RunSettings) -> Iterator[str]:
     """Why no contact need slip."""
     scene = solution.scene
@@ -47,11 +52,10 @@ def _powerless(solution: Solution, settings: RunSettings) -> Iterator[str]:
             "the least power is 0: the imposed spins point along the height, contacts along the height do not feel "
             "such spins, and every layer turns in a bearing state of its own"
         )
-    elif cut := int(scene.is_cut_off.sum()):
-        of = f" in {cut:,} of {scene.replicas:,} samples" if scene.replicas > 1 else ""
+    elif scene.is_cut_off.any():
         yield (
-            f"the least power is 0{of}: contacts are absent, and no chain of those that are left and feel the imposed "
-            "spins joins bottom and top"
+            f"the least power is 0{_in_samples(scene.is_cut_off)}: contacts are absent, and no chain of those that are "
+            "left and feel the imposed spins joins bottom and top"
         )
 
 
@@ -72,8 +76,8 @@ def _unfinished(solution: Solution, settings: RunSettings) -> Iterator[str]:
     short = ~(solution.gap <= settings.tolerance)
     if short.any():
         worst = float(np.max(np.where(np.isfinite(solution.gap), solution.gap, np.inf)))
-        of = f" in {int(short.sum()):,} of {len(short):,} samples" if len(short) > 1 else ""
-        words = f"{reason} with a proven gap of {worst:.1e}{of}; the tolerance is {settings.tolerance:g}"
+        words = f"{reason} with a proven gap of {worst:.1e}{_in_samples(short)}; "
+        words += f"the tolerance is {settings.tolerance:g}"
         if solution.status is Status.STALLED and solution.running.precision == "f32":
             words += f", which single precision cannot reach here: --precision f64, or a tolerance of {1.5 * worst:.0e}"
         yield words
@@ -86,7 +90,7 @@ def _undecided(solution: Solution, settings: RunSettings) -> Iterator[str]:
     named = (solution.proven == UNPROVEN) & (solution.state != UNPROVEN)
     uneven = too_uneven(solution) & ~named.any(axis=1)
     if uneven.any():
-        of = f" in {int(uneven.sum()):,} of {len(uneven):,} samples" if len(uneven) > 1 else ""
+        of = _in_samples(uneven)
         yield f"what weak contacts dissipate is lost beside the gap or the rest{of}: only proven states are named"
     elif number > 0:
         scene, full = solution.scene, SATURATED * solution.scene.strength

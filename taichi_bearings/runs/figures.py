@@ -20,6 +20,7 @@ from taichi_bearings.plots.power import draw_power
 from taichi_bearings.plots.spins import draw_spins
 from taichi_bearings.plots.symbols import describe, driving, mathematics
 from taichi_bearings.proof.contact_state import ContactState
+from taichi_bearings.runs.solved import Packed
 from taichi_bearings.scene import Scene, Solution
 from taichi_bearings.words import meant
 
@@ -42,6 +43,12 @@ OF_ANSWERS: dict[str, Callable[[Solution, int, Page], Figure]] = {
     "energy": draw_energy,
 }
 FIGURE_KINDS = (*OF_ANSWERS, *FIGURES)
+FIGURES_OF_PACKINGS: dict[str, Callable[..., Figure]] = {
+    **{kind: partial(draw_packing, kind=kind) for kind in PACKING_FIGURES},
+    "history": draw_history,
+    "energy": lambda result, page: draw_energy(result, 0, page),
+    "domains": lambda result, page: draw_domains_of_packing(result, PackingStructure.of(result).rigid_domains, page),
+}
 STRETCHED_SLIP = 1e-3  # of R times the imposed jump: slower contacts may only stretch their springs
 WITH_PLANES = ("spins", "power", "domains")
 WITH_VIEW = ("spins", "domains", "network")
@@ -49,7 +56,7 @@ WITH_VIEW = ("spins", "domains", "network")
 
 def draw_figure(
     kind: str,
-    solution: Solution,
+    solution: Solution | Packed,
     sample: int = 0,
     time: float | None = None,
     slip_threshold: float | None = None,
@@ -60,12 +67,18 @@ def draw_figure(
     time : of the snapshot whose spins are drawn; slip_threshold : that the run was asked for, if it was.
     page : how it is printed.
     """
-    if kind not in FIGURE_KINDS:
-        raise InputError(f"the figure is {kind!r}; allowed are {', '.join(FIGURE_KINDS)}{meant(kind, FIGURE_KINDS)}")
+    kinds = FIGURES_OF_PACKINGS if isinstance(solution, Packed) else FIGURE_KINDS
+    if kind not in kinds:
+        raise InputError(f"the figure is {kind!r}; allowed are {', '.join(kinds)}{meant(kind, kinds)}")
     if time is not None and kind != "spins":
         raise InputError(f"time is {time}, but {kind} does not depend on it; only spins have snapshots")
-    if not 0 <= sample < solution.scene.replicas:
-        raise InputError(f"replica is {sample}; the run has {solution.scene.replicas}, counted from 0")
+    if not 0 <= sample < len(solution.state):
+        raise InputError(f"replica is {sample}; the run has {len(solution.state)}, counted from 0")
+    if isinstance(solution, Packed):
+        if page.planes:
+            raise InputError("plane is given, but a packing has no lattice planes to cut along; --view turns it")
+        result = solution.results[sample]
+        return FIGURES_OF_PACKINGS[kind](result, page=page) if time is None else draw_moment(result, time, page)
     shape = solution.scene.lattice.shape
     if page.planes and kind not in WITH_PLANES:
         raise InputError(f"plane is given, but {kind} shows no planes; these do: {', '.join(WITH_PLANES)}")
@@ -119,28 +132,8 @@ def _nearest(solution: Solution | PackingSolution, time: float) -> tuple[float, 
     return float(kept[nearest]), solution.snapshots.spin[nearest]
 
 
-FIGURES_OF_PACKINGS: dict[str, Callable[..., Figure]] = {
-    **{kind: partial(draw_packing, kind=kind) for kind in PACKING_FIGURES},
-    "history": draw_history,
-    "energy": lambda result, page: draw_energy(result, 0, page),
-    "domains": lambda result, page: draw_domains_of_packing(result, PackingStructure.of(result).rigid_domains, page),
-}
-
-
-def draw_figure_of_packing(
-    result: PackingSolution, kind: str = "spins", time: float | None = None, page: Page = PAGE
-) -> Figure:
-    """The figure called `kind` of a packing, as :func:`draw_figure`."""
-    if kind not in FIGURES_OF_PACKINGS:
-        raise InputError(
-            f"the figure is {kind!r}; allowed are {', '.join(FIGURES_OF_PACKINGS)}{meant(kind, FIGURES_OF_PACKINGS)}"
-        )
-    if page.planes:
-        raise InputError("plane is given, but a packing has no lattice planes to cut along; --view turns it")
-    if time is None:
-        return FIGURES_OF_PACKINGS[kind](result, page=page)
-    if kind != "spins":
-        raise InputError(f"time is {time}, but {kind} does not depend on it; only spins have snapshots")
+def draw_moment(result: PackingSolution, time: float, page: Page = PAGE) -> Figure:
+    """The same of a packing."""
     at, spin = _nearest(result, time)
     return draw_packing(at_moment(result, spin), "spins", page, f", $t = {mathematics(at)}$")
 

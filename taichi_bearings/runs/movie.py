@@ -20,11 +20,9 @@ from taichi_bearings.errors import InputError, WriteError
 from taichi_bearings.files.whole_file import refuse_ending, replace_file
 from taichi_bearings.plots.page import Page
 from taichi_bearings.plots.style import in_our_style
-from taichi_bearings.runs.figures import draw_figure_of_packing, draw_snapshot
-from taichi_bearings.runs.packing_run import PackingRun, read_run
-from taichi_bearings.runs.run import settings_of
+from taichi_bearings.runs.figures import draw_moment, draw_snapshot
 from taichi_bearings.runs.run_directory import claimed
-from taichi_bearings.runs.run_file import file_of
+from taichi_bearings.runs.run_file import file_of, read_run
 from taichi_bearings.stages import alike, each, stage
 
 FILM_ENDINGS = (".mp4", ".gif")
@@ -52,19 +50,16 @@ def movie(
     if not 0 < frames_per_second <= MOST_FRAMES_PER_SECOND:
         raise InputError(f"fps is {frames_per_second:g}; it must be above 0 and at most {MOST_FRAMES_PER_SECOND}")
     with stage("reading"):
-        stored = read_run(run)
+        stored = read_run(run).sample(replica)
     ending = ending or (".gif" if encoder is None else ".mp4")
     path = file_of(run).parent / f"movie{ending}" if out is None else out
-    solution: Any = stored.sample(replica).result if isinstance(stored, PackingRun) else stored.solution
+    solution = stored.answer
     if solution.snapshots is None:
         raise InputError(f"{run} holds no snapshots to film; run a dynamics with --snapshots, such as 0,0.1,1")
     page = Page(title=title)
-    if isinstance(stored, PackingRun):
-        draw: Callable[[float], Any] = partial(draw_figure_of_packing, solution, "spins", page=page)
-    else:
-        if not 0 <= replica < solution.scene.replicas:
-            raise InputError(f"replica is {replica}; the run has {solution.scene.replicas}, counted from 0")
-        draw = partial(draw_snapshot, solution, replica, slip_threshold=settings_of(stored).slip_threshold, page=page)
+    draw: Callable[[float], Any] = partial(draw_moment, solution, page=page)
+    if not stored.is_packing:
+        draw = partial(draw_snapshot, solution, 0, slip_threshold=stored.settings.slip_threshold, page=page)
     times = np.sort(solution.snapshots.time).tolist()
     with claimed(path, force or out is None):
         moments = each(times, "drawing snapshot", alike)

@@ -11,14 +11,12 @@ import numpy as np
 from taichi_bearings.analysis.domains import RigidDomains
 from taichi_bearings.analysis.structure import Structure, structure_of
 from taichi_bearings.errors import InputError
-from taichi_bearings.files.analysis_file import Finding
 from taichi_bearings.packing import PackingSolution
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.quantities import CONTACTS, found_in
 from taichi_bearings.runs.figures import at_moment, slips_of, snapshot_threshold
-from taichi_bearings.runs.run import settings_of
-from taichi_bearings.runs.run_file import StoredRun
-from taichi_bearings.runs.structure_report import ON_CONTACTS, findings_of
+from taichi_bearings.runs.solved import Run
+from taichi_bearings.runs.structure_report import ON_CONTACTS, Finding, findings_of
 from taichi_bearings.scene import Scene, Solution
 from taichi_bearings.stages import stage
 
@@ -65,12 +63,9 @@ class PointsAndLines:
         return self.scene.lattice.ends.T
 
 
-def points_and_lines(run: StoredRun, replica: int = 0) -> PointsAndLines:
+def points_and_lines(run: Run, replica: int = 0) -> PointsAndLines:
     """One sample of a run; InputError if it has no such sample, or is not finite."""
-    samples = run.solution.scene.replicas
-    if not 0 <= replica < samples:
-        raise InputError(f"replica is {replica}; the run has {samples}, counted from 0")
-    solution = run.solution.sample(replica)
+    solution = run.sample(replica).solution
     if not all(np.isfinite(values).all() for values in (solution.spin, solution.slip)):
         raise InputError("the spins or slips of the run are not finite; there is nothing to draw")
     structure = structure_of(solution)
@@ -78,7 +73,7 @@ def points_and_lines(run: StoredRun, replica: int = 0) -> PointsAndLines:
     time = float(solution.history["time"][-1]) if "time" in solution.history else None
     with stage("analysing"):
         spheres, contacts = _sphere_columns(solution, structure), _contact_columns(solution, structure, path)
-    moments = _moments(solution, time, settings_of(run).slip_threshold)
+    moments = _moments(solution, time, run.settings.slip_threshold)
     return PointsAndLines(solution, structure.rigid_domains, spheres, contacts, path, time, moments)
 
 

@@ -11,34 +11,36 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar, Union, cast
+from typing import Any
 
 import numpy as np
 
 from taichi_bearings import compiler, runtime
 from taichi_bearings.errors import FileError, InputError, WriteError
-from taichi_bearings.files.checkpoint_file import checkpoint_of, read_checkpoint, write_checkpoint
-from taichi_bearings.files.whole_file import write_arrays, write_text
+from taichi_bearings.files.whole_file import write_text
 from taichi_bearings.interrupts import awaited
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.memory import refuse_beyond
 from taichi_bearings.options import options_of
 from taichi_bearings.plain_files import real_path
-from taichi_bearings.quantities import Answered, numbers_of
 from taichi_bearings.runs.run_directory import (
     RunDirectory,
+    checkpoint_of,
     completed,
     default_run_path,
     in_use,
+    read_checkpoint,
     run_directory,
+    write_checkpoint,
 )
-from taichi_bearings.runs.run_file import StoredRun, refuse_scan, write_run_file
+from taichi_bearings.runs.run_file import refuse_scan, write_run_file
 from taichi_bearings.runs.settings import DRIVING_KEYS, RunSettings, parse_toml, settings_table
+from taichi_bearings.runs.solved import Run, self_contained
 from taichi_bearings.runs.torque import by_friction, refuse_driven, under_torque
 from taichi_bearings.scene import Scene, Solution, Status
-from taichi_bearings.scene.array_files import read_coefficients, short_name
+from taichi_bearings.scene.array_files import read_coefficients
 from taichi_bearings.scene.disorder import Distribution
-from taichi_bearings.scene.initial_spins import STARTS, initial_spin
+from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.scene.law import law_named
 from taichi_bearings.scene.ramp import Ramp
 from taichi_bearings.solvers.table import (
@@ -50,10 +52,6 @@ from taichi_bearings.solvers.table import (
 )
 from taichi_bearings.stages import stage
 from taichi_bearings.words import counted
-
-if TYPE_CHECKING:
-    from taichi_bearings.analysis.histogram import PowerHistogram
-    from taichi_bearings.runs.packing_run import PackingJob, PackingRun
 
 
 def build_scene(settings: RunSettings) -> Scene:
@@ -84,11 +82,6 @@ def build_scene(settings: RunSettings) -> Scene:
     if has_viscosities:
         given["viscosity"] = read_coefficients(file, "viscosity", len(shape))
     return Scene(coefficients, **given)
-
-
-def settings_of(run: StoredRun) -> RunSettings:
-    """The settings of a stored run; FileError if they are missing."""
-    return RunSettings.from_mapping(parse_toml(str(run.attribute("scene"))), str(run.path))
 
 
 def method_row(settings: RunSettings, scene: Scene) -> type[MethodOptions]:
@@ -124,86 +117,25 @@ MEMORY_ERROR = 3  # up to which factor the memory of a method is known
 
 @dataclass(frozen=True)
 class Job:
-    """A checked run that is ready to be solved."""
+    """A checked run that is ready to be solved. scene : a Scene, or of each replica a Packing. spin : as of Run."""
 
     settings: RunSettings
-    scene: Scene
-    spin: np.ndarray
-    method: Any
+    scene: Any
+    spin: Any
+    method: Any = None
 
     def self_contained(self, folder: Path) -> RunSettings:
         """As of a Run."""
-        return _self_contained(self.settings, self.scene, self.spin, folder)
+        return self_contained(self.settings, self.scene, self.spin, folder)
 
-    def solve(self, monitors: Sequence[Any] = (), checkpoints: Any = None) -> "Run":
-        """As :func:`solve_job`."""
-        return Run(self.settings, solve_job(self, monitors, checkpoints), self.spin)
+    def solve(self, monitors: Sequence[Any] = (), checkpoints: Any = None, **others: Any) -> Run:
+        """On the device that the settings name. checkpoints : a solvers.drive.Checkpoints, for a dynamics."""
+        if isinstance(self.scene, Scene):
+            solution = solve_job(self, monitors, checkpoints)
+            return Run(self.settings, solution, self.spin, interrupted=solution.interrupted)
+        from taichi_bearings.runs.packing_run import solve_packings
 
-
-@dataclass(frozen=True)
-class Run:
-    """A solved run. spin : that it started from; None where that lies in its directory.
-
-    path : of the directory or the file that has the run, if any. command : what made it, for the record.
-    """
-
-    settings: RunSettings
-    solution: Solution
-    spin: np.ndarray | None = None
-    path: Path | None = None
-    command: str = ""
-
-    @property
-    def start(self) -> np.ndarray:
-        """Spins that it started from, (R, *N) or (R, *N, 3), 1/time."""
-        if self.spin is not None:
-            return self.spin
-        named, path = self.settings.initial, self.path
-        beside = named if named in STARTS or path is None else str((path if path.is_dir() else path.parent) / named)
-        return initial_spin(self.solution.scene, beside)
-
-    @property
-    def answered(self) -> Answered:
-        return Answered(self.solution, self.settings.tolerance, self.settings.duration)
-
-    @property
-    def status(self) -> list[Status]:
-        """How each replica ended, (R,)."""
-        return self.answered.status
-
-    @property
-    def interrupted(self) -> bool:
-        return self.solution.interrupted
-
-    def as_interrupted(self) -> "Run":
-        return replace(self, solution=replace(self.solution, interrupted=True))
-
-    def write_answer(self, file: Path, attributes: Mapping[str, Any]) -> None:
-        """Write what was found, with these attributes of the file."""
-        write_run_file(file, self.solution, attributes)
-
-    def self_contained(self, folder: Path) -> RunSettings:
-        """Settings whose files lie in `folder`, so that it can be moved and run again."""
-        return _self_contained(self.settings, self.solution.scene, self.start, folder)
-
-    @property
-    def histogram(self) -> "PowerHistogram":
-        """Of the power over its slipping contacts, of all samples."""
-        from taichi_bearings.analysis.histogram import power_histogram
-
-        solution = self.solution
-        return power_histogram(solution.power_per_contact, solution.state, solution.slip_threshold)
-
-    @property
-    def summary(self) -> dict[str, Any]:
-        """The numbers of the run, as in `--json` of `run`."""
-        running = self.solution.running
-        return summarise(self) | {
-            **self.settings.driving,
-            **{name: getattr(running, name) for name in ("arch", "precision", "threads")},
-            "coefficients": self.settings.coefficients,
-            "run": None if self.path is None else str(self.path),
-        }
+        return solve_packings(self.settings, self.scene, self.spin, monitors, checkpoints, **others)
 
 
 def prepare(settings: RunSettings, strict: bool = True) -> Job:
@@ -211,20 +143,14 @@ def prepare(settings: RunSettings, strict: bool = True) -> Job:
 
     strict : refuse what neither the method nor the law uses; else, as in a scan that compares methods, leave it out.
     """
-    compiler.name()  # refuses one that is unknown or absent
     with stage("reading"):
+        if settings.is_packing:
+            from taichi_bearings.runs.packing_run import packings_to_solve
+
+            return Job(settings, *packings_to_solve(settings))
+        compiler.name()  # refuses one that is unknown or absent
         scene = build_scene(settings)
         return job_of(settings, scene, initial_spin(scene, settings.initial), strict)
-
-
-def _any_job(settings: RunSettings, strict: bool = True) -> "Job | PackingJob":
-    """As :func:`prepare`, of a packing too."""
-    if not settings.is_packing:
-        return prepare(settings, strict)
-    from taichi_bearings.runs.packing_run import PackingJob
-
-    with stage("reading"):
-        return PackingJob.of(settings)
 
 
 def job_of(settings: RunSettings, scene: Scene, spin: np.ndarray, strict: bool = True) -> Job:
@@ -323,13 +249,6 @@ def _better(first: Solution, second: Solution, tolerance: float) -> Solution:
     return answers[gaps[1] <= tolerance < gaps[0] or 2 * gaps[1] < gaps[0]]
 
 
-def summarise(run: Run) -> dict[str, Any]:
-    """The numbers of a run but for its files, by their names in `quantities.SAMPLES`; and what is to be known of it."""
-    from taichi_bearings.runs.caveats import caveats
-
-    return numbers_of(run.answered) | {"warnings": caveats(run.solution, run.settings)}
-
-
 def versions() -> dict[str, str]:
     """Versions of what shapes a result."""
     import platform
@@ -345,14 +264,14 @@ def run(
     force: bool = False,
     monitors: Sequence[Any] = (),
     title: bool = True,
-) -> "AnyRun":
+) -> Run:
     """Solve a scene or a packing and write a run directory: run.h5, summary.json, scene.toml, power_histogram.csv and
     its figures, with words above them where there is to be a title.
 
     With `checkpoint_every` the directory is there from the start, with a checkpoint that :func:`resume` goes on from.
     Raises InputError or FileError before anything is computed or overwritten.
     """
-    job = _any_job(settings)
+    job = prepare(settings)
     with run_directory(out or default_run_path(), force) as directory:
         if settings.checkpoint_every is None:
             found = replace(job.solve(monitors), path=directory.path, command=command())
@@ -360,8 +279,7 @@ def run(
         stored = job.self_contained(directory.partial)
         write_text(directory.partial / "scene.toml", stored.to_toml())
         write_checkpoint(directory.partial, stored.to_toml(), versions(), {})
-        while not directory.publish():
-            pass
+        directory.publish()
         with in_use(directory.path):
             return _solve_with_checkpoints(directory.path, job, stored, None, monitors, title)
 
@@ -371,22 +289,15 @@ def command() -> str:
     return " ".join(["bearings", *sys.argv[1:]])
 
 
-AnyRun = Union[Run, "PackingRun"]
-OneRun = TypeVar("OneRun", bound="Run | PackingRun")
+def publish(directory: RunDirectory, found: Run) -> Run:
+    """Write a run into its directory and give that its name."""
+    found = replace(found, path=directory.path)
+    write_run(directory.partial, found)
+    directory.publish()
+    return found
 
 
-def publish(directory: RunDirectory, found: OneRun) -> OneRun:
-    """Write a run into its directory and give that its name, or a free one if something has taken it meanwhile."""
-    while True:
-        found = replace(found, path=directory.path)
-        write_run(directory.partial, found)
-        if directory.publish():
-            return found
-
-
-def kept(
-    found: OneRun, write: Callable[[], OneRun], title: bool = True, otherwise: str = "the result is lost"
-) -> OneRun:
+def kept(found: Run, write: Callable[[], Run], title: bool = True, otherwise: str = "the result is lost") -> Run:
     """The run as it is written, and its figures; if its path cannot be written, in a temporary folder.
 
     WriteError if not even that is possible. otherwise : what then, for people. An interrupt, now or before, waits for
@@ -399,11 +310,11 @@ def kept(
             raise KeyboardInterrupt
         draw_figures(found, title)
     except KeyboardInterrupt:
-        return cast(OneRun, found.as_interrupted())
+        return replace(found, interrupted=True)
     return found
 
 
-def _rescued(found: OneRun, write: Callable[[], OneRun], otherwise: str) -> OneRun:
+def _rescued(found: Run, write: Callable[[], Run], otherwise: str) -> Run:
     try:
         return write()
     except WriteError as error:
@@ -427,7 +338,7 @@ CHANGEABLE = (
 
 def resume(
     path: Path, changes: Mapping[str, Any] | None = None, monitors: Sequence[Any] = (), title: bool = True
-) -> AnyRun:
+) -> Run:
     """Go on with a run that has a checkpoint, to the same bits as if it had never been stopped.
 
     changes : settings that say when to stop and what to write down, those named in CHANGEABLE.
@@ -441,13 +352,12 @@ def resume(
         if key in RunSettings.keys() and key not in CHANGEABLE:
             raise InputError(f"{key} cannot change when a run is resumed; allowed are {', '.join(CHANGEABLE)}")
     with in_use(path):
-        checkpoint = read_checkpoint(path)
-        stored = RunSettings.from_mapping(parse_toml(checkpoint.scene) | changes, "the options")
+        scene, arrays = read_checkpoint(path)
+        stored = RunSettings.from_mapping(parse_toml(scene) | changes, "the options")
         if stored.checkpoint_every is None:
             raise FileError(f"{checkpoint_of(path)} is damaged or was changed: its scene names no checkpoint_every")
         if "duration" in changes and stored.duration is not None:
-            arrays, duration = checkpoint.arrays or {}, stored.duration
-            ends = ("last_time", "time_step")  # of each replica of a packing
+            duration, ends = stored.duration, ("last_time", "time_step")  # of each replica of a packing
             found = [[v for key, v in arrays.items() if key.rpartition("/")[2] == name] for name in ends]
             reached, step = (float(max(values, default=0.0)) for values in found)
             # steps of fixed length, which the checkpoint then names, end a run by less than one of them late
@@ -456,19 +366,19 @@ def resume(
                 raise InputError(f"duration is {duration:g}, but {words}")
             if stored.torque is not None and Ramp.of(stored.torque).rises:
                 raise InputError(f"duration cannot change: it says how fast the torque of {path} grows")
-        settings = RunSettings.from_mapping(parse_toml(checkpoint.scene, path) | changes, "the options")
-        job = _any_job(settings, strict=False)
-        return _solve_with_checkpoints(path, job, stored, checkpoint.arrays, monitors, title)
+        settings = RunSettings.from_mapping(parse_toml(scene, path) | changes, "the options")
+        job = prepare(settings, strict=False)
+        return _solve_with_checkpoints(path, job, stored, arrays or None, monitors, title)
 
 
 def _solve_with_checkpoints(
     path: Path,
-    job: "Job | PackingJob",
+    job: Job,
     stored: RunSettings,
     arrays: Mapping[str, np.ndarray] | None,
     monitors: Sequence[Any],
     title: bool,
-) -> AnyRun:
+) -> Run:
     """Solve in a run directory that is there already and in our use, and complete it; a KeyboardInterrupt names it.
 
     stored : the settings with files named as in the directory. arrays : the checkpoint to go on from.
@@ -488,7 +398,7 @@ def _solve_with_checkpoints(
         raise KeyboardInterrupt(str(path)) from None
     found = replace(found, path=path, command=command())
 
-    def complete() -> AnyRun:
+    def complete() -> Run:
         with completed(path, _drawn()) as folder:
             write_run(folder, found)
         return found
@@ -507,7 +417,7 @@ def _drawn() -> list[str]:
     return [*pictures, "power_histogram.csv", "power_histogram.h5", *PICTURES]
 
 
-def write_run(folder: Path, found: "Run | PackingRun") -> None:
+def write_run(folder: Path, found: Run) -> None:
     """Write every file of a run but its figures into `folder`, which will be renamed to its path."""
     from taichi_bearings.files.histogram_file import write_table
 
@@ -521,11 +431,11 @@ def write_run(folder: Path, found: "Run | PackingRun") -> None:
         write_table(folder / "power_histogram.csv", {None: found.histogram})
 
 
-def write_state(file: Path, found: "Run | PackingRun", stored: RunSettings) -> None:
+def write_state(file: Path, found: Run, stored: RunSettings) -> None:
     """Write a run in the layout of run.h5. stored : settings that solve it again from where the file is."""
     origin = {"command": found.command, "scene": stored.to_toml()}
     numbers = {key: value for key, value in found.summary.items() if key not in DRIVING_KEYS}  # which the scene holds
-    found.write_answer(file, numbers | origin | versions())
+    write_run_file(file, found.solution, numbers | origin | versions())
 
 
 @contextlib.contextmanager
@@ -537,14 +447,14 @@ def _unless_full() -> Iterator[None]:
         logging.getLogger(__name__).warning("bearings: %s; the run is kept without it", error)
 
 
-def draw_figures(found: "Run | PackingRun", title: bool = True) -> None:
+def draw_figures(found: Run, title: bool = True) -> None:
     """Draw the figures that a run gets into its directory, unless it wants none; title: whether words stand above."""
     if found.settings.figures == "all":
         with _unless_full(), stage("drawing"):
             _draw(found, title)
 
 
-def _draw(found: "Run | PackingRun", title: bool) -> None:
+def _draw(found: Run, title: bool) -> None:
     from taichi_bearings.plots.course import draw_history, has_course
     from taichi_bearings.plots.histogram import draw_histogram
     from taichi_bearings.plots.page import Page
@@ -553,28 +463,5 @@ def _draw(found: "Run | PackingRun", title: bool) -> None:
     assert found.path is not None
     page = Page(title=title)
     save(draw_histogram(found.histogram, page), found.path / "power_histogram.png")
-    solution = found.solution if isinstance(found, Run) else found.result
-    if has_course(solution):
-        save(draw_history(solution, page), found.path / "history.png")
-
-
-def _self_contained(settings: RunSettings, scene: Scene, spin: np.ndarray, folder: Path) -> RunSettings:
-    """Settings whose files lie in the run directory itself, so that it can be moved and run again.
-
-    With checkpoints that must be possible while there is no run.h5 yet.
-    """
-    one = scene.replicas == 1
-    if settings.coefficients is not None and settings.checkpoint_every is None:
-        settings = replace(settings, coefficients="run.h5")
-    elif settings.coefficients is not None:
-        arrays: dict[str, Any] = {
-            short_name(f"{kind}/{axis}"): part
-            for kind, values in scene.named_coefficients.items()
-            for axis, part in zip("xyz", scene.lattice.by_axis(values[0] if one else values), strict=False)
-        }
-        write_arrays(folder / "coefficients.npz", arrays)
-        settings = replace(settings, coefficients="coefficients.npz")
-    if settings.initial not in STARTS:
-        write_arrays(folder / "initial_spin.npz", {"spin": spin[0] if one else spin})
-        settings = replace(settings, initial="initial_spin.npz")
-    return settings
+    if has_course(found.answer):
+        save(draw_history(found.answer, page), found.path / "history.png")

@@ -1,24 +1,29 @@
-"""The directory of a run: there in full under its name, or not at all, and in one process's hands at a time."""
+"""The directory of a run: there in full under its name, or not at all, and in one process's hands at a time; and
+checkpoint.h5 in it, what a dynamics needs to go on with the same bits."""
 
 import contextlib
 import ctypes
 import errno
-import itertools
-import logging
 import os
 import re
 import secrets
 import shutil
 import sys
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import h5py
+import numpy as np
+
 from taichi_bearings.errors import FileError, InputError, WriteError
-from taichi_bearings.files.checkpoint_file import CHECKPOINT_NAME as CHECKPOINT
-from taichi_bearings.files.whole_file import make_folder, refuse_standing, write_text
-from taichi_bearings.plain_files import locked, read_whole, real_path, remove, remove_leftover
+from taichi_bearings.files.whole_file import make_folder, read_hdf5, refuse_standing, write_hdf5
+from taichi_bearings.plain_files import locked, real_path, remove, remove_leftover
+
+CHECKPOINT_SCHEMA = "taichi_bearings.checkpoint"
+CHECKPOINT_VERSION = 1
+CHECKPOINT_NAME = "checkpoint.h5"
 
 LEFTOVER = re.compile(r"\.(?P<name>.+)\.(?P<kind>in-use|partial-\d+-[0-9a-f]{6}(?P<old>-replaced)?)", re.DOTALL)
 """Hidden names beside the file or directory `name`: its lock, an unpublished new one, an old one to be removed."""
@@ -32,31 +37,20 @@ class RunDirectory:
     partial: Path
     replaced: os.stat_result | None = None
 
-    def publish(self) -> bool:
-        """Give the directory its name in one move, in exchange for the one that it replaces.
-
-        returns : False if something else has taken the name meanwhile. That stays; `path` is then a free neighbouring
-        name, for another call.
-        """
+    def publish(self) -> None:
+        """Give the directory its name in one move, in exchange for the one that it replaces; WriteError if that cannot
+        be, such as if something else has taken the name meanwhile, which stays."""
         try:
             standing = os.lstat(self.path) if os.path.lexists(self.path) else None
             if standing is None or self.replaced is None:
                 self.partial.rename(self.path)  # the system refuses to replace anything but an empty folder
-                return True
-            if os.path.samestat(standing, self.replaced):
+            elif os.path.samestat(standing, self.replaced):
                 exchange(self.partial, self.path)
                 shutil.rmtree(self.partial, ignore_errors=True)
-                self.replaced = None
-                return True
+            else:
+                raise FileExistsError(errno.EEXIST, "something else was created there meanwhile")
         except OSError as error:
-            if not os.path.lexists(self.path) or not self.partial.is_dir():
-                raise WriteError(f"{self.path} cannot be written: {error.strerror or error}") from None
-        free = (self.path.with_name(f"{self.path.name}-{number}") for number in itertools.count(2))
-        taken, self.path, self.replaced = self.path, next(path for path in free if not os.path.lexists(path)), None
-        logging.getLogger(__name__).warning(
-            "bearings: %s was created meanwhile and is kept; the result is written to %s", taken, self.path
-        )
-        return False
+            raise WriteError(f"{self.path} cannot be written: {error.strerror or error}") from None
 
 
 @contextlib.contextmanager
@@ -96,7 +90,7 @@ def run_directory(path: Path, force: bool = False) -> Iterator[RunDirectory]:
 
 
 def _is_run(path: Path) -> bool:
-    return any((path / name).is_file() for name in ("run.h5", CHECKPOINT))
+    return any((path / name).is_file() for name in ("run.h5", CHECKPOINT_NAME))
 
 
 def refuse_name(path: Path) -> None:
@@ -173,14 +167,16 @@ def completed(path: Path, outdated: Sequence[str] = ()) -> Iterator[Path]:
     """A folder for files that go together into a directory, which stands and is in our use; others there stay.
 
     Once all are written a kill no longer matters: :func:`in_use` then moves the rest.
-    outdated : names of files in the directory that go.
+    outdated : names of files in the directory, figures of the answer that is replaced, that go right before.
     """
     folder = path / PARTIAL
     try:
         remove(folder)
         folder.mkdir()
         yield folder
-        write_text(folder / OUTDATED, "\n".join(outdated))
+        for name in outdated:
+            with contextlib.suppress(OSError):
+                (path / name).unlink()
         folder.rename(path / COMPLETE)
         _complete(path)
     except OSError as error:
@@ -189,20 +185,14 @@ def completed(path: Path, outdated: Sequence[str] = ()) -> Iterator[Path]:
         remove(folder)
 
 
-PARTIAL, COMPLETE, OUTDATED = ".partial", ".complete", ".outdated"
-MOST_OUTDATED = 2**16  # bytes of a list of names
+PARTIAL, COMPLETE = ".partial", ".complete"
 
 
 def _complete(path: Path) -> None:
     """Move the files of a complete folder into its directory, run.h5 last."""
     folder = path / COMPLETE
-    if (folder / OUTDATED).exists():
-        for name in read_whole(folder / OUTDATED, MOST_OUTDATED).decode(errors="replace").splitlines():
-            with contextlib.suppress(OSError, ValueError):
-                (path / Path(name).name).unlink()  # whoever wrote the list, it reaches nothing outside
     for file in sorted(folder.iterdir(), key=lambda file: (file.name == "run.h5", file.name)):
-        if file.name != OUTDATED:
-            file.replace(path / file.name)
+        file.replace(path / file.name)
     remove(folder)
 
 
@@ -259,3 +249,29 @@ def writable_folder(path: Path, part: str = "") -> Iterator[None]:
 def default_run_path(command: str = "run") -> Path:
     """outputs/<time>-<command>-<id> below the working folder."""
     return Path("outputs") / f"{time.strftime('%Y%m%d-%H%M%S')}-{command}-{secrets.token_hex(2)}"
+
+
+def write_checkpoint(folder: Path, scene: str, versions: Mapping[str, str], arrays: Mapping[str, np.ndarray]) -> None:
+    """Replace the checkpoint of a run directory in one move: a process killed meanwhile leaves the earlier one.
+
+    scene : the settings as TOML. arrays : none before the first step.
+    """
+    layout = {"schema": CHECKPOINT_SCHEMA, "schema_version": CHECKPOINT_VERSION, "scene": scene}
+    write_hdf5(folder / CHECKPOINT_NAME, lambda file: file.update(arrays), layout | dict(versions))
+
+
+def checkpoint_of(folder: Path) -> Path:
+    """The checkpoint of a run directory; FileError if there is none."""
+    path = folder / CHECKPOINT_NAME
+    if not path.is_file():
+        raise FileError(f"{folder} cannot be resumed: there is no {path}; only runs with --checkpoint-every have one")
+    return path
+
+
+def read_checkpoint(folder: Path) -> tuple[str, dict[str, np.ndarray]]:
+    """Scene and arrays of the checkpoint of a run directory, none if the run had not come to its first one; FileError
+    if there is no checkpoint, or one damaged, changed or unknown."""
+    arrays: dict[str, np.ndarray] = {}
+    with read_hdf5(checkpoint_of(folder), CHECKPOINT_SCHEMA, CHECKPOINT_VERSION, "a checkpoint") as file:
+        file.visititems(lambda name, item: arrays.update({name: item[()]}) if isinstance(item, h5py.Dataset) else None)
+        return str(file.attrs["scene"]), arrays

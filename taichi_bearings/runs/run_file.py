@@ -1,95 +1,127 @@
 """run.h5: everything about a run, readable with plain h5py (the layout is part of the public contract)."""
 
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import h5py
 import numpy as np
 
 from taichi_bearings.errors import FileError, InputError
-from taichi_bearings.files.checkpoint_file import CHECKPOINT_NAME
 from taichi_bearings.files.scan_journal import JOURNAL_NAME
 from taichi_bearings.files.whole_file import attributes_of, put, read_hdf5, write_hdf5
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.lattice.grid import axis_numbers, friction_by_axis
 from taichi_bearings.proof.contact_state import ContactState, nothing_proven
-from taichi_bearings.quantities import CHECK_ROWS, CONTACTS, FRICTION_QUANTITIES, SPHERES, found_in
+from taichi_bearings.quantities import CHECK_ROWS, CONTACTS, FINDINGS, FRICTION_QUANTITIES, SPHERES, found_in
+from taichi_bearings.runs.run_directory import CHECKPOINT_NAME, claimed
 from taichi_bearings.runs.settings import RunSettings, parse_toml, read_toml
+from taichi_bearings.runs.solved import TOLD_OF_RESULT, Packed, Run, stacked
 from taichi_bearings.runtime import HOST, Runtime
 from taichi_bearings.scene import Scene, Snapshots, Solution, Status
 from taichi_bearings.scene.solution import is_crossed
+from taichi_bearings.stages import stage
+
+if TYPE_CHECKING:
+    from taichi_bearings.packing import PackingSolution
 
 RUN_SCHEMA = "taichi_bearings.run"
 RUN_VERSION = 1
 RUN_LAYOUT = {"schema": RUN_SCHEMA, "schema_version": RUN_VERSION}
-opened_run = partial(read_hdf5, schema=RUN_SCHEMA, version=RUN_VERSION, kind="a run")
 AXES = "xyz"
 SCAN_NAME = "scan.h5"  # beside the settings and the journal of a scan
-
+PACKING_ARRAYS = {
+    "center": ("length", "centres of the spheres"),
+    "contact": ("1", "first and second sphere of each contact"),
+    "driven": ("1", "-1 for a free sphere, else the number of its driven body"),
+    "spin": ("1/time", "imposed on driven spheres, laboratory frame"),
+    "radius": ("length", "of the spheres"),
+    "normal": ("1", "unit vector of each contact from its first to its second sphere"),
+    "friction": ("1", "coefficient of the law: friction, or with the law viscous damping, force*time/length"),
+    "viscosity": ("force*time/length", "viscosity of the contacts"),
+    "normal_force": ("force", "normal force of the contacts"),
+}
+"""Data sets of the group /packing: unit and words."""
+FRICTION_OF_SECOND = {
+    2: "friction on the second disc, component along z x n",
+    3: "friction on the second sphere, laboratory frame",
+}
+"""By dimension. It is in balance and within the friction limits, so the lower bound follows from it."""
+READ_NUMBERS = ("power", "lower_bound", "gap", "driven_power", "seconds")
+READ_OF_RESULT = (*TOLD_OF_RESULT, "largest_balance_residual", "time", "slip_threshold", *FINDINGS)
 NOT_IN_ALL = ("slip_bound", "proven")  # data sets of contacts that a run file may lack
 WHOLE_SETS = re.compile("/state$|/proven$|^history/")  # data sets that may hold whole numbers
+OF_VECTORS = 5  # axes of friction on cubic lattices, of which a component is 0: replicas, lattice, components
+
+Row = tuple[str, np.ndarray, str, str]
+"""Name, values with an axis of replicas, unit and text of a data set."""
 
 
-def write_run_file(path: Path, solution: Solution, attributes: Mapping[str, Any]) -> None:
+def write_run_file(path: Path, solution: Solution | Packed, attributes: Mapping[str, Any]) -> None:
     """Write run.h5 in full or not at all. With one replica the replica axis is left out."""
-    scene, lattice = solution.scene, solution.scene.lattice
-    one = scene.replicas == 1
-
-    def strip(values: np.ndarray) -> np.ndarray:
-        return values[0] if one else values
-
-    def of_contacts(file: h5py.File, name: str, parts: tuple[np.ndarray, ...], unit: str, text: str) -> None:
-        """name : with {} for the axis, as the text may have. parts : one array an axis."""
-        for axis, part in zip(AXES, parts, strict=False):
-            sparse = part.dtype == np.uint8 or (name.endswith("/friction") and lattice.dimension == 3)
-            packed = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if sparse else {}
-            put(file, name.format(axis), part, unit, text.format(axis), **packed)
+    one = len(solution.state) == 1
+    rows = _rows_of_packings(solution.results) if isinstance(solution, Packed) else _rows_of_lattice(solution)
 
     def fill(file: h5py.File) -> None:
-        for quantity, (group, values) in zip(scene.law.quantities, scene.named_coefficients.items(), strict=True):
-            text = f"{quantity.name} coefficient of the {{}}-contacts"
-            of_contacts(file, f"{group}/{{}}", lattice.by_axis(strip(values)), quantity.unit, text)
-        for row, found in found_in(solution, CONTACTS):
-            of_contacts(file, f"contact/{{}}/{row.name}", lattice.by_axis(strip(found)), row.unit, row.text)
-        friction = friction_by_axis(strip(solution.friction), lattice)
-        of_contacts(file, "contact/{}/friction", friction, "force", FRICTION_QUANTITIES[lattice.dimension])
-        for row, found in found_in(solution, SPHERES):
-            put(file, row.name, strip(found), row.unit, row.text)
-        for key, column in solution.history.items():
-            if one:
-                values = column[:, 0] if column.ndim == 2 else column
-            else:  # a leading replica axis, like everything else
-                values = column.T if column.ndim == 2 else np.tile(column, (scene.replicas, 1))
-            put(file, f"history/{key}", values, CHECK_ROWS[key].unit, CHECK_ROWS[key].text)
-        if solution.snapshots is not None:
-            times, spins = solution.snapshots.time, solution.snapshots.spin
-            if one:
-                spins = spins[:, 0]
-            else:
-                times, spins = np.tile(times, (scene.replicas, 1)), np.moveaxis(spins, 1, 0)
-            put(file, "snapshots/time", times, "time", "simulated time of each snapshot")
-            put(file, "snapshots/spin", spins, SPHERES["spin"].unit, f"{SPHERES['spin'].text} at these times")
+        for name, values, unit, text in rows:
+            sparse = values.dtype == np.uint8 or (name.endswith("/friction") and values.ndim == OF_VECTORS)
+            packed = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if sparse and values.size else {}
+            put(file, name, values[0] if one else values, unit, text, **packed)
 
-    write_hdf5(path, fill, {**RUN_LAYOUT, **attributes, "findings": list(solution.findings)})
+    found = {} if isinstance(solution, Packed) else {"findings": list(solution.findings)}
+    write_hdf5(path, fill, {**RUN_LAYOUT, **attributes, **found})
 
 
-@dataclass(frozen=True)
-class StoredRun:
-    """A run as read back. attributes : of its file, as in `--json` of `run`; and `scene`, its settings as TOML."""
+def _rows_of_lattice(solution: Solution) -> Iterator[Row]:
+    scene, lattice = solution.scene, solution.scene.lattice
+    friction = friction_by_axis(solution.friction, lattice)
+    named = zip(scene.law.quantities, scene.named_coefficients.items(), strict=True)
+    of_contacts = [
+        *((f"{group}/{{}}", lattice.by_axis(values), quantity.unit, f"{quantity.name} coefficient of the {{}}-contacts")
+          for quantity, (group, values) in named),
+        *((f"contact/{{}}/{row.name}", lattice.by_axis(found), row.unit, row.text)
+          for row, found in found_in(solution, CONTACTS)),
+        ("contact/{}/friction", friction, "force", FRICTION_QUANTITIES[lattice.dimension]),
+    ]  # fmt: skip
+    for name, parts, unit, text in of_contacts:
+        for axis, part in zip(AXES, parts, strict=False):
+            yield name.format(axis), part, unit, text.format(axis)
+    for row, found in found_in(solution, SPHERES):
+        yield row.name, found, row.unit, row.text
+    for key, column in solution.history.items():  # a leading axis of replicas, like everything else
+        values = column.T if column.ndim == 2 else np.tile(column, (scene.replicas, 1))
+        yield f"history/{key}", values, CHECK_ROWS[key].unit, CHECK_ROWS[key].text
+    if (kept := solution.snapshots) is not None:
+        yield from _rows_of_snapshots(np.tile(kept.time, (scene.replicas, 1)), np.moveaxis(kept.spin, 1, 0))
 
-    path: Path
-    attributes: dict[str, Any]
-    solution: Solution
 
-    def attribute(self, name: str) -> Any:
-        """An attribute of the file; FileError if it is missing."""
-        if name not in self.attributes:
-            raise FileError(f"{self.path} lacks the attribute {name!r}; it is damaged or was changed")
-        return self.attributes[name]
+def _rows_of_packings(results: Sequence["PackingSolution"]) -> Iterator[Row]:
+    each = [list(_rows_of_packing(result)) for result in results]
+    words = {name: (unit, text) for rows in each for name, _, unit, text in rows}
+    for name, values in stacked([{row[0]: row[1] for row in rows} for rows in each]).items():
+        yield name, values, *words[name]
+
+
+def _rows_of_packing(result: "PackingSolution") -> Iterator[Row]:
+    """Those of one replica, without that axis."""
+    for name, values in result.packing.arrays().items():
+        yield f"packing/{name}", values, *PACKING_ARRAYS[name]
+    yield "spin", result.spin, SPHERES["spin"].unit, SPHERES["spin"].text
+    for row, found in found_in(result, CONTACTS):
+        yield f"contact/{row.name}", found, row.unit, row.text
+    yield "contact/friction", result.friction, "force", FRICTION_OF_SECOND[result.packing.dimension]
+    for name, column in result.history.items():
+        yield f"history/{name}", column, CHECK_ROWS[name].unit, CHECK_ROWS[name].text
+    if result.snapshots is not None:
+        yield from _rows_of_snapshots(result.snapshots.time, result.snapshots.spin)
+
+
+def _rows_of_snapshots(time: np.ndarray, spin: np.ndarray) -> Iterator[Row]:
+    yield "snapshots/time", time, "time", "simulated time of each snapshot"
+    yield "snapshots/spin", spin, SPHERES["spin"].unit, f"{SPHERES['spin'].text} at these times"
 
 
 def refuse_scan(path: Path) -> None:
@@ -124,89 +156,101 @@ def file_of(run: Path) -> Path:
     return run / "run.h5" if run.is_dir() else run
 
 
-def read_run_file(run: Path) -> StoredRun:
-    """Read a run directory or its run.h5; FileError if it is missing, damaged or of an unknown version."""
+def read_run(run: Path) -> Run:
+    """A run of a lattice or a packing, by its directory or its run.h5; FileError if it is missing, damaged, changed or
+    of an unknown version."""
     refuse_scan(run)
     path = file_of(run)
     if not path.is_file():
         unfinished = path.with_name(CHECKPOINT_NAME).is_file()
         hint = f"; it is unfinished, `bearings run --resume {run}` goes on with it" if unfinished else ""
         raise FileError(f"{run} is not a run: there is no {path}{hint}")
-    with opened_run(path) as file:
-        if "packing" in file:
-            raise FileError(f"{run} is a run of a packing, where one of a lattice is wanted")
+    with read_hdf5(path, RUN_SCHEMA, RUN_VERSION, "a run") as file:
         attributes = attributes_of(file)
         told = (np.atleast_1d(attributes.get(name, np.nan)) for name in ("power", "lower_bound", "gap"))
         numbers = [v if v.dtype.kind in "iuf" else np.full(v.shape, np.nan) for v in told]  # no number says nothing
         if any(map(is_crossed, *np.broadcast_arrays(*numbers))):
             raise FileError(f"{path} has a lower bound above its power; it is damaged or was changed")
-        stored = StoredRun(path, attributes, _solution(path, file, attributes))
-    _check_arrays(stored)
-    return stored
+        try:
+            settings = RunSettings.from_mapping(parse_toml(str(attributes["scene"])), "its scene")
+        except FileError as error:
+            raise InputError(str(error)) from None
+        read = _read_packings if "packing" in file else _read_lattice
+        solution = read(path, file, attributes, settings)
+    place = path.parent if path.name == "run.h5" else path
+    return Run(settings, solution, None, place, str(attributes.get("command", "")), attributes=attributes)
 
 
-def read_array(path: Path, file: h5py.File, name: str, shape: tuple[int | None, ...]) -> np.ndarray:
-    """A data set of a run file, None for any length; FileError for another shape or kind of numbers, before it is
-    read."""
-    stored = file[name]
-    fits = len(stored.shape) == len(shape) and all(w in (None, n) for n, w in zip(stored.shape, shape, strict=True))
-    if not fits or stored.dtype.kind not in "fiub":
-        words = f"it has {stored.dtype} of shape {stored.shape}, and must hold finite numbers of shape {shape}"
-        raise FileError(f"{name} in {path} is damaged: {words}")
-    is_whole = stored.dtype.kind == "f" or WHOLE_SETS.search(name)
-    return np.asarray(stored[()] if is_whole else stored[()].astype(np.float64))
+@contextmanager
+def opened_to_draw(run: Path, out: Path | None, name: str, force: bool, replica: int) -> Iterator[tuple[Run, Path]]:
+    """One sample of a run directory or its run.h5, and the file to write, which is ours meanwhile: `out`, or of this
+    name in the run directory.
+
+    Raises FileError if `out` exists, unless `force`; what is in the run directory is replaced. InputError for a sample
+    that the run does not have.
+    """
+    with stage("reading"):
+        found = read_run(run).sample(replica)
+    path = (run if run.is_dir() else run.parent) / name if out is None else out
+    with claimed(path, force or out is None):
+        yield found, path
 
 
-class _Arrays:
-    """Data sets of a run file, with an axis of replicas."""
+class _Sets:
+    """Data sets of a run file. head : the shape of their axis of replicas, () where they have none."""
 
-    def __init__(self, path: Path, file: h5py.File, lattice: Lattice) -> None:
-        self.path, self.file, self.lattice, self.shape = path, file, lattice, lattice.shape
-        first = file["coefficient/x"]
-        self.one = first.ndim == lattice.dimension
-        self.replicas = 1 if self.one else len(first)
-        self.vector = () if lattice.dimension == 2 else (3,)
+    def __init__(self, path: Path, file: h5py.File, head: tuple[int, ...]) -> None:
+        self.path, self.file, self.head = path, file, head
 
     def get(self, name: str, *expected: int | None) -> np.ndarray:
-        """expected : the shape without the axis of replicas, None for any length."""
-        values = read_array(self.path, self.file, name, expected if self.one else (self.replicas, *expected))
-        return values[None] if self.one else values
+        """With an axis of replicas. expected : the shape without it, None for any length; FileError for another one or
+        other kinds of numbers, before they are read."""
+        stored, shape = self.file[name], (*self.head, *expected)
+        fits = len(stored.shape) == len(shape) and all(w in (None, n) for n, w in zip(stored.shape, shape, strict=True))
+        if not fits or stored.dtype.kind not in "fiub":
+            words = f"it has {stored.dtype} of shape {stored.shape}, and must hold finite numbers of shape {shape}"
+            raise FileError(f"{name} in {self.path} is damaged: {words}")
+        is_whole = stored.dtype.kind == "f" or WHOLE_SETS.search(name)
+        values = np.asarray(stored[()] if is_whole else stored[()].astype(np.float64))
+        return values if self.head else values[None]
 
-    def by_axis(self, name: str, *parts: int) -> tuple[np.ndarray, ...]:
+    def by_axis(self, name: str, lattice: Lattice, *parts: int) -> tuple[np.ndarray, ...]:
         """Of the contacts, one array (R, *contacts, *parts) an axis; name : with {} for the axis."""
-        names = [name.format(axis) for axis in AXES[: len(self.shape)]]
+        names = [name.format(axis) for axis in AXES[: lattice.dimension]]
         if lacking := [name for name in names if name not in self.file]:
             raise KeyError(f"it lacks {lacking[0]}")
-        contacts = map(self.lattice.contact_shape, range(self.lattice.dimension))
-        return tuple(self.get(name, *sides, *parts) for name, sides in zip(names, contacts, strict=True))
+        return tuple(self.get(name, *lattice.contact_shape(axis), *parts) for axis, name in enumerate(names))
 
-    def of_contacts(self, key: str, *parts: int) -> np.ndarray:
+    def of_contacts(self, key: str, lattice: Lattice, *parts: int) -> np.ndarray:
         """Of the contacts, (R, E, *parts)."""
-        found = self.by_axis(f"contact/{{}}/{key}", *parts)
-        return np.concatenate([values.reshape(self.replicas, -1, *parts) for values in found], axis=1)
+        found = self.by_axis(f"contact/{{}}/{key}", lattice, *parts)
+        return np.concatenate([values.reshape(len(values), -1, *parts) for values in found], axis=1)
 
-    def snapshots(self) -> Snapshots | None:
-        if "snapshots" not in self.file:
-            return None
-        time, spin = self.get("snapshots/time", None), self.get("snapshots/spin", None, *self.shape, *self.vector)
-        return Snapshots(time[0], np.moveaxis(spin, 0, 1))
+    def check(self, name: str, values: np.ndarray, is_fine: Callable[[np.ndarray], Any] = np.isfinite) -> None:
+        """FileError for numbers that no solve leaves, where what reads them would fail or mislead."""
+        words, known = "", max(ContactState)
+        if not np.all(is_fine(values)):
+            words = "finite numbers"
+        elif name in CONTACTS and (values < 0).any():
+            words = "no negative numbers"
+        elif name == "state" and (values.dtype.kind not in "ui" or (values > known).any()):
+            words = f"whole numbers from 0 to {known}"
+        if words:
+            raise FileError(f"{name} in {self.path} is damaged: it must hold {words}")
 
 
-def _solution(path: Path, file: h5py.File, attributes: Mapping[str, Any]) -> Solution:
+def _read_lattice(path: Path, file: h5py.File, attributes: Mapping[str, Any], settings: RunSettings) -> Solution:
     """What the run came to, with a replica axis. Its status is that of those replicas that are not certified; columns
     of the history are (checks,) or (checks, R)."""
-    settings = scene_settings(attributes)
     shape = tuple(int(side) for side in attributes["shape"])
-    arrays = _Arrays(path, file, Lattice(shape, periodic=axis_numbers(settings.periodic)))
-    viscosity = arrays.by_axis("viscosity/{}") if "viscosity" in file else ()
+    lattice, first = Lattice(shape, periodic=axis_numbers(settings.periodic)), file["coefficient/x"]
+    arrays, vector = _Sets(path, file, first.shape[: first.ndim - len(shape)]), () if len(shape) == 2 else (3,)
+    viscosity = arrays.by_axis("viscosity/{}", lattice) if "viscosity" in file else ()
     seeds = tuple(int(seed) for seed in np.atleast_1d(attributes["seed"]))
     given = {key: getattr(settings, key) for key in ("law", *Scene.PARAMETERS)}
-    scene = Scene(arrays.by_axis("coefficient/{}"), viscosity=viscosity, seeds=seeds, **given)
+    scene = Scene(arrays.by_axis("coefficient/{}", lattice), viscosity=viscosity, seeds=seeds, **given)
     drawn = {key: getattr(settings, key) for key in scene.DRAWN} if settings.coefficients is None else {}
     scene = scene.drawn_from(drawn)
-    there = [name for name in CONTACTS if name not in NOT_IN_ALL or f"contact/x/{name}" in file]
-    sets: dict[str, Any] = {"slip_bound": None} | {name: arrays.of_contacts(name) for name in there}
-    sets.setdefault("proven", nothing_proven(sets["state"]))
 
     def number(name: str) -> np.ndarray:
         """An attribute with one value a replica, (R,); not-a-number where it is missing or says nothing, as "" does."""
@@ -216,61 +260,104 @@ def _solution(path: Path, file: h5py.File, attributes: Mapping[str, Any]) -> Sol
             raise ValueError(f"{name} is {value!r}; it must be a number, for each of its {scene.replicas} samples")
         return np.broadcast_to(values, scene.replicas).copy()
 
+    ended = [Status(name) for name in np.atleast_1d(attributes["status"]).tolist()]
+    status = next((one for one in ended if one is not Status.CERTIFIED), Status.CERTIFIED)
+    there = [name for name in CONTACTS if name not in NOT_IN_ALL or f"contact/x/{name}" in file]
+    sets = {name: arrays.of_contacts(name, lattice) for name in there}
+    sets |= {"friction": arrays.of_contacts("friction", lattice, *vector), "spin": arrays.get("spin", *shape, *vector)}
+    for name, values in sets.items():
+        arrays.check(name, values, np.isfinite if status is not Status.NOT_FINITE else np.isreal)
+    rounding = arrays.get("spin_rounding", *shape, *vector) if "spin_rounding" in file else np.zeros_like(sets["spin"])
+    columns = {key: arrays.get(f"history/{key}", None) for key in file["history"]}
+    needed = {"iteration", "power", "lower_bound"} | (ENERGIES if "energy_residual" in columns else set())
+    lengths = {values.shape[1] for values in columns.values()}
+    if needed - columns.keys() or len(lengths) != 1 or 0 in lengths:
+        raise FileError(f"history in {path} is damaged: it must hold columns of one length, {', '.join(needed)}")
+    kept = None
+    if "snapshots" in file:
+        time, ways = arrays.get("snapshots/time", None)[0], arrays.get("snapshots/spin", None, *shape, *vector)
+        kept = Snapshots(time, np.moveaxis(ways, 0, 1))
+        if len(kept.time) != len(kept.spin):
+            raise FileError(f"snapshots in {path} are damaged: times and spins differ in number")
     numbers: dict[str, Any] = {key: number(key) for key in ("power", "lower_bound", "gap", "largest_balance_residual")}
     numbers |= {key: float(attributes[key]) for key in ("slip_threshold", "seconds", "seconds_compile")}
-    ended = [Status(name) for name in np.atleast_1d(attributes["status"]).tolist()]
-    columns = {key: arrays.get(f"history/{key}", None) for key in file["history"]}
-    spin = arrays.get("spin", *arrays.shape, *arrays.vector)
-    rounding = arrays.get("spin_rounding", *spin.shape[1:]) if "spin_rounding" in file else np.zeros_like(spin)
+    more: dict[str, Any] = {"slip_bound": None, "proven": nothing_proven(sets["state"]), **sets}
     return Solution(
         scene=scene,
         method=str(attributes["method"]),
-        status=next((one for one in ended if one is not Status.CERTIFIED), Status.CERTIFIED),
+        status=status,
         iterations=int(attributes["iterations"]),
-        spin=spin,
         spin_rounding=rounding,
-        power_per_contact=sets.pop("power"),
-        friction=arrays.of_contacts("friction", *arrays.vector),
+        power_per_contact=more.pop("power"),
         states_proven=number("states_proven") == 1,
         objective=number("potential" if scene.law.minimises == "potential" else "power"),
         history={key: column[0] if key in OF_ALL else column.T for key, column in columns.items()},
         findings={name: number(name) for name in attributes["findings"] if name in attributes},
         running=Runtime(**{key: attributes.get(key, value) for key, value in vars(HOST).items()}),
-        snapshots=arrays.snapshots(),
+        snapshots=kept,
         **numbers,
-        **sets,
+        **more,
     )
 
 
 OF_ALL = ("iteration", "seconds", "time")  # columns of the history that are the same for all replicas
-
-
-def scene_settings(attributes: Mapping[str, Any]) -> RunSettings:
-    """Those of a run file; InputError."""
-    try:
-        return RunSettings.from_mapping(parse_toml(str(attributes["scene"])), "its scene")
-    except FileError as error:
-        raise InputError(str(error)) from None
-
-
-def _check_arrays(run: StoredRun) -> None:
-    """FileError for numbers that no solve leaves, where what reads them would fail or mislead."""
-    solution = run.solution
-    ended_finite, samples = solution.status is not Status.NOT_FINITE, solution.scene.replicas
-    of_contacts = ((row.name, values) for row, values in found_in(solution, CONTACTS))
-    for name, values in (("spin", solution.spin), *of_contacts, ("friction", solution.friction)):
-        if len(values) != samples or (ended_finite and not np.isfinite(values).all()):
-            raise FileError(f"{name} in {run.path} is damaged: it must hold finite numbers, of {samples} samples")
-        if name in CONTACTS and (values < 0).any():
-            raise FileError(f"{name} in {run.path} is damaged: it must hold no negative numbers")
-    if solution.state.dtype.kind not in "ui" or (solution.state > max(ContactState)).any():
-        raise FileError(f"state in {run.path} is damaged: it must hold whole numbers from 0 to {max(ContactState)}")
-    history, lengths = solution.history, {len(values) for values in solution.history.values()}
-    needed = {"iteration", "power", "lower_bound"} | (ENERGIES if "energy_residual" in history else set())
-    if needed - history.keys() or len(lengths) != 1 or 0 in lengths:
-        raise FileError(f"history in {run.path} is damaged: it must hold columns of one length, {', '.join(needed)}")
-    if solution.snapshots is not None and len(solution.snapshots.time) != len(solution.snapshots.spin):
-        raise FileError(f"snapshots in {run.path} are damaged: times and spins differ in number")
-
-
 ENERGIES = {"time", "kinetic_energy", "spring_energy", "injected_energy", "dissipated_energy"}
+
+
+def _read_packings(path: Path, file: h5py.File, attributes: Mapping[str, Any], settings: RunSettings) -> Packed:
+    from taichi_bearings.packing import PackingSolution  # and with it much of SciPy
+    from taichi_bearings.runs.packing_run import packings_of
+
+    packings = packings_of(replace(settings, packing=str(path)))
+    packing, several = packings[0], len(packings) > 1
+    arrays, vector = _Sets(path, file, (len(packings),) * several), () if packing.dimension == 2 else (3,)
+    there = [name for name in CONTACTS if name not in NOT_IN_ALL or f"contact/{name}" in file]
+    sets = {name: arrays.get(f"contact/{name}", packing.contacts) for name in there}
+    sets["friction"] = arrays.get("contact/friction", packing.contacts, *vector)
+    sets["spin"] = arrays.get("spin", packing.spheres, *vector)
+    for name, values in sets.items():
+        arrays.check(name, values, _is_number if name == "slip_bound" else np.isfinite)
+    sets["power_per_contact"] = sets.pop("power")
+    history = {name: arrays.get(f"history/{name}", None) for name in CHECK_ROWS if f"history/{name}" in file}
+    sizes: dict[str, tuple[int, ...]] = {"time": (), "spin": packing.spin.shape} if "snapshots" in file else {}
+    ways = {key: arrays.get(f"snapshots/{key}", None, *size) for key, size in sizes.items()}
+    results = []
+    for replica, packing in enumerate(packings):
+        own = {name: _one(attributes[name], replica) for name in READ_OF_RESULT if name in attributes}
+        number: dict[str, Any] = {key: float(own[key]) for key in READ_NUMBERS}
+        motions, way = own["slipless_motions"], _without_repeats(ways, "time", replica)
+        results.append(PackingSolution(
+            packing=packing,
+            potential=float(own.get("potential", number["power"])),
+            proof=str(own["proof"]),
+            status=Status(own["status"]).value,
+            method=str(own["method"]),
+            slipless_motions=None if motions == "" or motions != motions else int(motions),
+            unbalanced=float(own["largest_balance_residual"]),
+            iterations=int(own["iterations"]),
+            history=_without_repeats(history, "iteration", replica),
+            time=None if "time" not in own else float(own["time"]),
+            snapshots=Snapshots(**way) if way and len(way["time"]) else None,
+            slip_threshold=float(own.get("slip_threshold", 0.0)),
+            torque=settings.torque,  # type: ignore[arg-type]
+            findings={name: np.nan if v == "" else v for name in FINDINGS if (v := own.get(name)) is not None},
+            **{name: values[replica] for name, values in sets.items()},
+            **number,
+        ))  # fmt: skip
+    return Packed(tuple(results))
+
+
+def _is_number(values: np.ndarray) -> np.ndarray:
+    return ~np.isnan(values)
+
+
+def _one(value: Any, replica: int) -> Any:
+    """That of one replica of an attribute."""
+    value = value[replica] if isinstance(value, np.ndarray) else value
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def _without_repeats(columns: Mapping[str, np.ndarray], key: str, replica: int) -> dict[str, np.ndarray]:
+    """Columns (R, rows, ...) of one replica without what makes it as long as the longest."""
+    own = {name: values[replica] for name, values in columns.items()}
+    return {name: values[np.diff(own[key], prepend=-1) > 0] for name, values in own.items()}

@@ -79,6 +79,7 @@ TIME_LIST = Kind(_times, "times such as 0.1,0.2,1 or linear:0,10,101 or log:1e-4
 
 
 BETWEEN_PLANES = "planes"
+SIZES = ("radius", "normal_force")
 OF_DRIVEN = ("shape", "periodic", "spin_top", "spin_bottom", "direction", "top", "bottom", "driven", "coefficients")
 OF_PACKINGS = (
     "packing", "law", "tolerance", "seed", "distribution", "viscosity", "normal_force", "radius", "method", "figures",
@@ -296,27 +297,24 @@ class RunSettings:
 
     def unused(self, method: type[MethodOptions]) -> dict[str, str]:
         """The given keys that this method, the law or the lattice does not use, each with a sentence that says so."""
-        table, law, given = settings_table(), LAWS[self.law], self.given
-        unused = {}
-        for key, value in given.items():
+        table, law, unused = settings_table(), LAWS[self.law], {}
+        has_states = self.top is not None or self.bottom is not None
+        for key, value in self.given.items():
             methods, laws = users_of(table[key])
             needs = [] if method.name in methods else [f"--method {' or '.join(methods)}"]
             needs += [] if law.name in laws else [f"--law {' or '.join(laws)}"]
             if needs:
-                words = f"but {method.name} with the law {law.name} does not use it; it needs {' and '.join(needs)}"
-                unused[key] = f"{key} is {value}, {words}"
-        flat = [key for key in given if len(self.shape) not in table[key].dimensions]
-        unused |= {
-            key: f"{key} is {given[key]}, but spins of discs point along z; it needs three sides" for key in flat
-        }
-        beside = [key for key in Scene.BY_SPINS if key in given and (self.top is not None or self.bottom is not None)]
-        unused |= {
-            key: f"{key} is {given[key]}, but the planes have the states top and bottom; leave one of the two out"
-            for key in beside
-        }
-        drawn = [key for key in ("distribution", "viscosity") if key in given and self.coefficients is not None]
-        words = f"but the coefficients are those of {self.coefficients}; leave one of the two out"
-        return unused | {key: f"{key} is {given[key]}, {words}" for key in drawn}
+                why = f"{method.name} with the law {law.name} does not use it; it needs {' and '.join(needs)}"
+            elif len(self.shape) not in table[key].dimensions:
+                why = "spins of discs point along z; it needs three sides"
+            elif key in Scene.BY_SPINS and has_states:
+                why = "the planes have the states top and bottom; leave one of the two out"
+            elif key in ("distribution", "viscosity") and self.coefficients is not None:
+                why = f"the coefficients are those of {self.coefficients}; leave one of the two out"
+            else:
+                continue
+            unused[key] = f"{key} is {value}, but {why}"
+        return unused
 
 
 def users_of(item: Option) -> tuple[tuple[str, ...], tuple[str, ...]]:

@@ -1,14 +1,26 @@
-"""The structure of one sample as a report: numbers for people and programs, arrays for the group /analysis."""
+"""The structure of one sample as a report: numbers for people and programs, arrays for /analysis and other programs."""
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from taichi_bearings.analysis.packing_structure import PackingStructure
 from taichi_bearings.analysis.structure import Structure
-from taichi_bearings.files.analysis_file import Finding
+from taichi_bearings.packing import PackingSolution
 from taichi_bearings.proof.contact_state import ContactState
-from taichi_bearings.quantities import ANALYSED, Quantity, plain
-from taichi_bearings.runs.run_file import AXES
+from taichi_bearings.quantities import ANALYSED, CONTACTS, SPHERES, Quantity, found_in, plain
+from taichi_bearings.runs.run_file import AXES, PACKING_ARRAYS
+
+
+@dataclass(frozen=True)
+class Finding:
+    """An array of one sample with its unit and what it is."""
+
+    values: np.ndarray
+    units: str
+    description: str
+
 
 # fmt: off
 BOTTLENECK_ROWS = (
@@ -46,6 +58,13 @@ ARRAYS = (
 )
 """Of a Structure."""
 # fmt: on
+STRUCTURE_COLUMNS = {
+    "domain": "rigid domain: spheres that slipless contacts make turn as one",
+    "component": "connected piece of the slipless network; a driven body joins its spheres",
+    "above_cut": "on the second body's side of the minimum cut",
+    "on_cut": "on the minimum cut",
+}
+"""Of a PackingStructure."""
 
 
 def numbers_of(structure: Structure) -> dict[str, Any]:
@@ -79,3 +98,36 @@ def findings_of(structure: Structure) -> dict[str, Finding]:
         for axis, part in enumerate(structure.scene.lattice.by_axis(row.of(structure))):
             found[f"{row.name}/{AXES[axis]}"] = Finding(part, row.unit, row.text)
     return found
+
+
+Columns = tuple[dict[str, Finding], dict[str, Finding]]
+"""Of spheres (N, ...) and of contacts (E, ...), by name."""
+
+
+def columns_of_structure(structure: PackingStructure) -> Columns:
+    """The structure of a packing as arrays."""
+    spheres, contacts = (
+        {name: Finding(values, "1", STRUCTURE_COLUMNS[name]) for name, values in columns.items()}
+        for columns in structure.columns
+    )
+    if structure.has_pairs:
+        contacts |= {row.name: Finding(row.of(structure), row.unit, row.text) for row in BOTTLENECK_ROWS}
+        spheres["sphere_betweenness"] = Finding(structure.bottlenecks.visits, "1", SPHERE_BETWEENNESS.text)
+    return spheres, contacts
+
+
+def columns_of_packing(result: PackingSolution) -> Columns:
+    """What is known of a packing, for other programs."""
+    packing, spin = result.packing, result.spin
+    if packing.dimension == 2:  # along z
+        spin = np.column_stack([np.zeros((packing.spheres, 2)), result.spin])
+    spheres, contacts = columns_of_structure(PackingStructure.of(result))
+    contacts |= {row.name: Finding(found, row.unit, row.text) for row, found in found_in(result, CONTACTS)}
+    for name, stored in (("coefficient", "friction"), ("viscosity", "viscosity"), ("normal_force", "normal_force")):
+        if (values := getattr(packing, stored)) is not None:
+            contacts[name] = Finding(values, *PACKING_ARRAYS[stored])
+    return spheres | {
+        "spin": Finding(spin, SPHERES["spin"].unit, SPHERES["spin"].text),
+        "radius": Finding(np.asarray(packing.radius), *PACKING_ARRAYS["radius"]),
+        "driven": Finding(packing.driven, *PACKING_ARRAYS["driven"]),
+    }, contacts

@@ -30,7 +30,7 @@ from taichi_bearings.scene.ramp import Ramp
 from taichi_bearings.solvers.table import MethodOptions
 
 Solve = Callable[[Any], Any]
-"""Of a scene a solution, or of an :class:`Upheld` packing an :class:`Answer`."""
+"""Of a scene a solution, or of an :class:`Upheld` packing a :class:`Motion`."""
 SURELY = 1 + 1e-12  # factor that makes up for the rounding of the power
 ROUNDED_SUM = 1e-13  # relative, of the power of contacts between driven spheres
 HELD_TURN = 1e-4  # of the spin of the bottom, by which a top that counts as held may turn
@@ -58,29 +58,24 @@ def refuse_driven(settings: RunSettings, method: type[MethodOptions]) -> None:
 
 @dataclass(frozen=True)
 class Upheld:
-    """A packing with the words that are asked of a scene: its body of the largest number stands for the top."""
+    """A packing with the words that are asked of a scene: its body of the largest number stands for the top.
+
+    top : (N,) True for its spheres. imposed : largest R omega of the top, and of all others, length/time.
+    """
 
     packing: Packing
+    law: Law
+    contact: Coefficients
+    top: np.ndarray
+    imposed: tuple[float, float]
     replicas: ClassVar[int] = 1
 
-    @property
-    def law(self) -> Law:
-        return self.packing.kind
-
-    @property
-    def top(self) -> np.ndarray:
-        """(N,) True for its spheres."""
-        return np.asarray((self.packing.driven >= 0) & (self.packing.driven == self.packing.driven.max()))
-
-    @property
-    def imposed(self) -> tuple[float, float]:
-        """Largest R omega of the top, and of all others, length/time."""
-        speed, top = np.linalg.norm(self.packing.imposed, axis=1), self.top
-        return float(speed[top].max(initial=0.0)), float(speed[~top].max(initial=0.0))
-
-    @property
-    def contact(self) -> Coefficients:
-        return tuple(values[None] for values in self.packing.coefficients)
+    @classmethod
+    def of(cls, packing: Packing) -> "Upheld":
+        speed, top = np.linalg.norm(packing.imposed, axis=1), packing.driven == max(packing.driven.max(), 0)
+        contact = tuple(values[None] for values in packing.coefficients)
+        imposed = float(speed[top].max(initial=0.0)), float(speed[~top].max(initial=0.0))
+        return cls(packing, packing.kind, contact, top, imposed)
 
     def sample(self, number: int) -> "Upheld":
         return self
@@ -88,58 +83,39 @@ class Upheld:
     def changed(self, **arrays: Any) -> "Upheld":
         """With other arrays; those that are None are left out."""
         given = {"law": self.law, **self.packing.arrays(), **arrays}
-        return Upheld(Packing(**{name: values for name, values in given.items() if values is not None}))
+        return Upheld.of(Packing(**{name: values for name, values in given.items() if values is not None}))
 
 
 @dataclass(frozen=True)
-class Answer:
-    """That of an upheld packing, with what contacts between driven spheres take beside. found : as it was solved."""
+class Motion:
+    """What is asked of a Solution, of an upheld packing."""
 
-    found: PackingSolution
+    scene: Upheld
+    status: Status
+    slip: np.ndarray
+    power: np.ndarray
+    objective: np.ndarray
+    lower_bound: np.ndarray
 
-    @property
-    def scene(self) -> Upheld:
-        return Upheld(self.found.packing)
-
-    @property
-    def status(self) -> Status:
-        return Status(self.found.status)
-
-    @property
-    def slip(self) -> np.ndarray:
-        return self.found.slip[None]
-
-    @property
-    def power(self) -> np.ndarray:
-        return np.array([self.found.power + self.found.driven_power])
-
-    @property
-    def objective(self) -> np.ndarray:
-        return np.array([self.found.potential + self._beside])
-
-    @property
-    def lower_bound(self) -> np.ndarray:
-        low = self.found.lower_bound
-        return np.array([(low + self._beside) * (1 - ROUNDED_SUM) if self._beside else low])
-
-    @property
-    def _beside(self) -> float:
-        packing, among = self.found.packing, self.found.state == ContactState.DRIVEN
-        return float(packing.kind.objective(packing.coefficients, self.found.slip)[among].sum())
+    @classmethod
+    def of(cls, found: PackingSolution) -> "Motion":
+        """With what contacts between driven spheres take beside."""
+        packing, among, low = found.packing, found.state == ContactState.DRIVEN, found.lower_bound
+        beside = float(packing.kind.objective(packing.coefficients, found.slip)[among].sum())
+        low = (low + beside) * (1 - ROUNDED_SUM) if beside else low
+        numbers = (np.array([value]) for value in (found.power + found.driven_power, found.potential + beside, low))
+        return cls(Upheld.of(packing), Status(found.status), found.slip[None], *numbers)
 
 
 def torque_on_packing(found: PackingSolution, torque: float, solve: Callable[[Packing], Any]) -> PackingSolution:
     """As :func:`under_torque`. solve : other packings."""
-    answer = Answer(found)
-    if not answer.scene.imposed[0]:
+    motion = Motion.of(found)
+    if not motion.scene.imposed[0]:
         raise InputError(f"torque is {torque:g}, but no body turns, along whose spins it would act")
-    if answer.scene.imposed[1] and not answer.scene.law.holds:
+    if motion.scene.imposed[1] and not motion.scene.law.holds:
         raise InputError(f"torque is {torque:g}; with the law viscous all bodies but the last must be at rest")
-
-    def again(scene: Upheld) -> Answer:
-        return Answer(solve(scene.packing))
-
-    return replace(found, torque=torque, findings={n: v.item() for n, v in _found(answer, torque, again).items()})
+    findings = _found(motion, torque, lambda scene: Motion.of(solve(scene.packing)))
+    return replace(found, torque=torque, findings={name: values.item() for name, values in findings.items()})
 
 
 def by_friction(solution: Any, solve: Solve) -> Any:

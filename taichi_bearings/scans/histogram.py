@@ -26,11 +26,10 @@ from taichi_bearings.files.scan_file import BINS_PER_DECADE, StoredScan
 from taichi_bearings.files.whole_file import refuse_standing
 from taichi_bearings.interrupts import awaited
 from taichi_bearings.proof.contact_state import ContactState
-from taichi_bearings.runs.packing_run import PackingRun, read_run
-from taichi_bearings.runs.run import settings_of
 from taichi_bearings.runs.run_directory import default_run_path, writable_folder
-from taichi_bearings.runs.run_file import StoredRun, file_of
+from taichi_bearings.runs.run_file import file_of, read_run
 from taichi_bearings.runs.settings import RunSettings, parse_toml
+from taichi_bearings.runs.solved import Run
 from taichi_bearings.scans.stored_scans import disorder_of, is_scan, numbered, open_scan
 from taichi_bearings.stages import each, stage
 from taichi_bearings.words import meant
@@ -105,20 +104,17 @@ def _of_scan(scan: StoredScan) -> Source:
     return Source(scan.path, scan.reasons, column, contacts, partial(rebinned, fine), disorder, is_scan=True)
 
 
-def _of_run(run: StoredRun | PackingRun) -> Source:
-    solution: Any
-    if isinstance(run, PackingRun):
-        assert run.path is not None
-        settings, attributes, solution, path = run.settings, run.summary, run.result, file_of(run.path)
-        power, state = run.power_and_state
+def _of_run(run: Run) -> Source:
+    assert run.path is not None
+    settings, path, given = run.settings, file_of(run.path), list[tuple[np.ndarray, ...]]()
+    attributes = run.summary if run.is_packing else run.attributes
+    power, state = run.solution.power_per_contact, run.solution.state
+    if run.is_packing:
         given = [(found.packing.contact, *found.packing.coefficients) for found in run.results]
-    else:
-        settings, attributes, solution, path = settings_of(run), run.attributes, run.solution, run.path
-        power, state = solution.power_per_contact, solution.state
-        given = [(values,) for values in solution.scene.coefficient] if attributes.get("coefficients") else []
+    elif attributes.get("coefficients"):
+        given = [(values,) for values in run.solution.scene.coefficient]
     replicas = len(state)
-    known = {*attributes, *RunSettings.keys()} - {"scene", "command"}
-    known -= {"shape"} if isinstance(run, PackingRun) else set()
+    known = {*attributes, *RunSettings.keys()} - {"scene", "command", *(["shape"] if run.is_packing else [])}
 
     def column(name: str) -> np.ndarray:
         """An attribute or setting: of the run, or of each replica."""
@@ -137,7 +133,7 @@ def _of_run(run: StoredRun | PackingRun) -> Source:
 
     def disorder() -> list[Any]:
         """By the seed, or by the coefficients where they were given."""
-        table = {"seed": settings.seed + np.arange(replicas), "method": np.full(replicas, solution.method)}
+        table = {"seed": settings.seed + np.arange(replicas), "method": np.full(replicas, run.answer.method)}
         if given:
             digests = [hashlib.sha256(b"".join(v.tobytes() for v in values)).hexdigest() for values in given]
             table["seed"] = np.array(digests, dtype=object)

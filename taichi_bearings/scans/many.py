@@ -10,9 +10,9 @@ import numpy as np
 from taichi_bearings.errors import BearingsError
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.packing import Packing
-from taichi_bearings.runs.packing_run import PackingJob, PackingRun
-from taichi_bearings.runs.run import AnyRun, Job, job_of
+from taichi_bearings.runs.run import Job, job_of
 from taichi_bearings.runs.settings import RunSettings
+from taichi_bearings.runs.solved import Packed, Run
 from taichi_bearings.scans.engine import LocalEngine, failure, run_samples
 from taichi_bearings.scene import Scene
 
@@ -35,11 +35,11 @@ class SceneTask:
     def label(self) -> str:
         return f"number {self.number}, {self.scene}"
 
-    def job(self, threads: int) -> Job | PackingJob:
+    def job(self, threads: int) -> Job:
         """What solves it; InputError for what cannot be. threads : where the settings leave them open."""
         settings = replace(self.settings, threads=self.settings.threads or threads)
         if isinstance(self.scene, Packing):
-            return PackingJob(settings, (self.scene,), self.spin)
+            return Job(settings, (self.scene,), self.spin)
         assert self.spin is not None
         return job_of(settings, self.scene, self.spin)
 
@@ -58,7 +58,7 @@ def solve_tasks(tasks: Sequence[SceneTask]) -> list[dict[str, Any]]:
     return records
 
 
-def solve_all(tasks: Sequence[SceneTask], workers: int) -> Iterator[tuple[int, AnyRun]]:
+def solve_all(tasks: Sequence[SceneTask], workers: int) -> Iterator[tuple[int, Run]]:
     """The number and the answer of each, as they come; BearingsError for the first that has none."""
     by_key = {task.key: task for task in tasks}
     with closing(LocalEngine(solve_tasks, workers)) as engine:
@@ -68,10 +68,9 @@ def solve_all(tasks: Sequence[SceneTask], workers: int) -> Iterator[tuple[int, A
                 task = by_key.pop(record["key"])
                 if "run" not in record:
                     raise BearingsError(f"scene {task.label} has no answer: {record['scalars']['error']}")
-                run: Any = replace(record["run"], settings=task.settings)
-                if isinstance(run, PackingRun):
-                    results = (replace(run.result, packing=task.scene),)  # type: ignore[arg-type]
-                    run = replace(run, results=results)
+                run, scene = record["run"], task.scene
+                if isinstance(scene, Packing):
+                    solution: Any = Packed((replace(run.result, packing=scene),))
                 else:
-                    run = replace(run, solution=replace(run.solution, scene=task.scene))
-                yield task.number, run
+                    solution = replace(run.solution, scene=scene)
+                yield task.number, replace(run, settings=task.settings, solution=solution)

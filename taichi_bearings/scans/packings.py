@@ -10,8 +10,9 @@ from taichi_bearings.analysis.packing_structure import PackingStructure
 from taichi_bearings.errors import InputError
 from taichi_bearings.packing import Packing
 from taichi_bearings.packing.system import System, acting
-from taichi_bearings.runs.packing_run import PackingRun, packing_of, solved_packing, used
+from taichi_bearings.runs.packing_run import packing_of, solved_packing, used
 from taichi_bearings.runs.settings import RunSettings
+from taichi_bearings.runs.solved import Packed, Run
 from taichi_bearings.scans.plan import Sample
 from taichi_bearings.scene import Status
 
@@ -31,11 +32,11 @@ def refuse_packing(group: Sequence[Sample]) -> None:
         )
 
 
-def solve_packing_sample(settings: RunSettings) -> PackingRun:
+def solve_packing_sample(settings: RunSettings) -> Run:
     """What `bearings run` makes of a sample, to the bit."""
     settings = used(settings)
     result = solved_packing(settings, packing_of(settings), _system_of)
-    return PackingRun(settings, (result,), interrupted=result.status == Status.INTERRUPTED.value)
+    return Run(settings, Packed((result,)), interrupted=result.status == Status.INTERRUPTED.value)
 
 
 _last: list[System] = []  # of this worker
@@ -54,7 +55,7 @@ def _alike(one: Packing, other: Packing) -> bool:
     return same and np.array_equal(acting(one), acting(other))
 
 
-def scalars_of(run: PackingRun, analyse: bool) -> dict[str, Any]:
+def scalars_of(run: Run, analyse: bool) -> dict[str, Any]:
     """Numbers and texts of a packing, those of its analysis too."""
     found = run.summary | (PackingStructure.of(run.result).numbers if analyse else {})
     return {name: value for name, value in found.items() if name not in ("shape", "coefficients", "run")}

@@ -14,7 +14,7 @@ from taichi_bearings.files.whole_file import make_folder
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.quantities import plain
-from taichi_bearings.runs.run import Run, prepare, row_of, solve_job, summarise, write_state
+from taichi_bearings.runs.run import prepare, row_of, write_state
 from taichi_bearings.scans.engine import failure
 from taichi_bearings.scans.plan import Sample, files_of, groups_of, sample_key
 
@@ -80,8 +80,8 @@ def _solve_block(block: Sequence[Sample], analyse: bool, states: Path | None) ->
 
         runs = [solve_packing_sample(settings)]
     else:
-        solution = solve_job(prepare(settings, strict=False))
-        runs = [Run(sample.settings, solution.sample(number)) for number, sample in enumerate(block)]
+        found = prepare(settings, strict=False).solve()
+        runs = [replace(found.sample(number), settings=sample.settings) for number, sample in enumerate(block)]
     if any(run.interrupted for run in runs):
         raise Interrupted
     for sample, run in zip(block, runs, strict=True):
@@ -100,7 +100,7 @@ def _record(key: str, run: Any, analyse: bool) -> dict[str, Any]:
 
         answer, scalars = run.result, scalars_of(run, analyse)
     else:
-        answer, scalars = run.solution, summarise(run) | {"slip_threshold": run.solution.slip_threshold}
+        answer, scalars = run.solution, run.numbers | {"slip_threshold": run.solution.slip_threshold}
         if analyse:
             from taichi_bearings.analysis.structure import structure_of
             from taichi_bearings.runs.structure_report import numbers_of

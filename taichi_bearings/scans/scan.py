@@ -86,7 +86,7 @@ def missing_samples(
             return False
         if not wishes.get("keep_states") or not state.is_file():
             return not wishes.get("keep_states")
-        from taichi_bearings.runs.packing_run import read_run  # and with it much of SciPy
+        from taichi_bearings.runs.run_file import read_run
 
         try:
             read_run(state)

@@ -10,8 +10,9 @@ from taichi_bearings.analysis.packing_structure import PackingStructure
 from taichi_bearings.plots.domains import colour_of_turn
 from taichi_bearings.plots.lattice import SPIN_COLOURS
 from taichi_bearings.proof.contact_state import ContactState, count, critical
-from taichi_bearings.runs.packing_run import PackingRun, columns_of_packing
 from taichi_bearings.runs.points_and_lines import Moments, PointsAndLines, moments_of_packing
+from taichi_bearings.runs.solved import Run
+from taichi_bearings.runs.structure_report import columns_of_packing
 from taichi_bearings.scene.law import Law
 from taichi_bearings.version import VERSION
 from taichi_bearings.words import undecided_kinds
@@ -29,9 +30,9 @@ KEPT |= {"betweenness": "f4", "state": "u1"}
 """Columns of the contacts that a page holds where a run has them."""
 
 
-def arrays_of(drawn: PointsAndLines | PackingRun) -> dict[str, np.ndarray]:
+def arrays_of(drawn: PointsAndLines | Run) -> dict[str, np.ndarray]:
     """What is drawn, by name: float32 has the six digits that the page shows."""
-    if isinstance(drawn, PackingRun):
+    if isinstance(drawn, Run):
         return _arrays_of_packing(drawn)
     spheres, contacts = ({k: v.values for k, v in c.items()} for c in (drawn.spheres, drawn.contacts))
     lattice = drawn.scene.lattice
@@ -67,7 +68,7 @@ def _times(moments: Moments | None) -> dict[str, Any]:
     return {"times": moments.time[chosen].tolist(), "left_out": some, "snapshot_threshold": moments.threshold}
 
 
-def _arrays_of_packing(run: PackingRun) -> dict[str, np.ndarray]:
+def _arrays_of_packing(run: Run) -> dict[str, np.ndarray]:
     """The same of a packing; it has no path, and a cut where its structure has one."""
     packing = run.result.packing
     spheres, contacts = ({k: v.values for k, v in c.items()} for c in columns_of_packing(run.result))
@@ -125,9 +126,9 @@ def _shown(moments: Moments) -> np.ndarray:
     return np.unique(np.linspace(0, len(moments.time) - 1, min(most, len(moments.time))).round().astype(int))
 
 
-def facts_of(drawn: PointsAndLines | PackingRun) -> dict[str, Any]:
+def facts_of(drawn: PointsAndLines | Run) -> dict[str, Any]:
     """Numbers and words of the page, as JSON has them."""
-    if isinstance(drawn, PackingRun):
+    if isinstance(drawn, Run):
         return _facts_of_packing(drawn)
     solution, scene, moments = drawn.solution, drawn.scene, drawn.moments
     shares, gap = drawn.contacts["betweenness"].values, solution.gap[0]
@@ -160,7 +161,7 @@ def facts_of(drawn: PointsAndLines | PackingRun) -> dict[str, Any]:
     }
 
 
-def _facts_of_packing(run: PackingRun) -> dict[str, Any]:
+def _facts_of_packing(run: Run) -> dict[str, Any]:
     """The same of a packing."""
     result, packing, law = run.result, run.result.packing, run.result.packing.kind
     radius = np.asarray(packing.radius)

@@ -21,7 +21,7 @@ import taichi_bearings as tb
 from taichi_bearings import interrupts
 from taichi_bearings.files.scan_file import read_scan
 from taichi_bearings.runs import run_directory
-from taichi_bearings.runs.run_file import read_run_file
+from taichi_bearings.runs.run_file import read_run
 from taichi_bearings.scans.plan import read_plan
 from taichi_bearings.scans.scan import scan
 from tests.scans.scan_faults import Here
@@ -139,7 +139,7 @@ def refuse_half_written(folder):
             assert file.read_bytes().endswith(b"IEND\xaeB`\x82"), name
         elif file.suffix in (".csv", ".toml"):
             assert file.read_text().endswith("\n"), name
-    found = read_run_file(folder / "run")
+    found = read_run(folder / "run")
     assert found.solution.power.shape == (1,)
     if (folder / "scan" / "scan.h5").exists():
         read_scan(folder / "scan")

@@ -14,7 +14,7 @@ import taichi_bearings as tb
 from taichi_bearings import checksums, memory
 from taichi_bearings.errors import FileError
 from taichi_bearings.files.scan_file import read_scan
-from taichi_bearings.runs.run_file import read_run_file
+from taichi_bearings.runs.run_file import read_run
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.table import InteriorPoint
@@ -107,7 +107,7 @@ def test_a_clock_that_jumps_by_days_changes_no_duration_and_no_lock(tmp_path):
     assert summary["status"] == "time-limit"
     assert 0.4 < summary["seconds"] < 20
     assert [file.name for file in tmp_path.iterdir()] == ["a"]
-    seconds = read_run_file(tmp_path / "a").solution.history["seconds"]
+    seconds = read_run(tmp_path / "a").solution.history["seconds"]
     assert (seconds[1:] >= seconds[:-1]).all()
 
 
@@ -164,7 +164,7 @@ def test_closed_streams_cost_nothing(tmp_path, streams):
 
     done = subprocess.run([*PROGRAM, "run", *SMALL, "--out", tmp_path / "a"], preexec_fn=close)
     assert done.returncode == 0
-    assert read_run_file(tmp_path / "a").solution.power > 0
+    assert read_run(tmp_path / "a").solution.power > 0
 
 
 def test_a_reader_that_goes_away_is_no_fault(tmp_path):
@@ -173,7 +173,7 @@ def test_a_reader_that_goes_away_is_no_fault(tmp_path):
     done = subprocess.run([*PROGRAM, "run", *SMALL, "--out", tmp_path / "a"], stdout=theirs, stderr=subprocess.PIPE)
     os.close(theirs)
     assert (done.returncode, done.stderr) == (0, b"")
-    assert read_run_file(tmp_path / "a").solution.power > 0
+    assert read_run(tmp_path / "a").solution.power > 0
 
 
 IN_A_WORLD_OF_ITS_OWN = """

@@ -13,7 +13,7 @@ from taichi_bearings import interrupts
 from taichi_bearings.conic import descent
 from taichi_bearings.numerics.cholesky.factor import DenseFactor
 from taichi_bearings.runs import run as runs
-from taichi_bearings.runs.run_file import read_run_file
+from taichi_bearings.runs.run_file import read_run
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene import Scene, Status
 from taichi_bearings.scene.initial_spins import initial_spin
@@ -146,9 +146,9 @@ def test_dynamics_given_up_amid_a_step_go_on_to_the_same_bits(monkeypatch, optio
 def test_an_interrupt_while_figures_are_drawn_keeps_the_run(tmp_path, monkeypatch):
     monkeypatch.setattr(runs, "_draw", lambda *_: (strike(), for_ever()))
     found = runs.run(RunSettings(shape=(4, 5)), tmp_path / "a")
-    assert found.solution.interrupted
+    assert found.interrupted
     assert found.status == [Status.CERTIFIED]
-    assert read_run_file(tmp_path / "a").solution.power == found.solution.power
+    assert read_run(tmp_path / "a").solution.power == found.solution.power
     assert sorted(file.name for file in tmp_path.iterdir()) == ["a"]
 
 
@@ -156,6 +156,6 @@ def test_an_interrupt_while_files_are_written_waits_for_them_and_spares_the_figu
     publish = runs.publish
     monkeypatch.setattr(runs, "publish", lambda *given: (strike(signal.SIGTERM), publish(*given))[1])
     found = runs.run(RunSettings(shape=(4, 5)), tmp_path / "a")
-    assert found.solution.interrupted
-    assert read_run_file(tmp_path / "a").solution.power == found.solution.power
+    assert found.interrupted
+    assert read_run(tmp_path / "a").solution.power == found.solution.power
     assert not list((tmp_path / "a").glob("*.png"))

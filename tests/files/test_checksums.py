@@ -11,7 +11,7 @@ from taichi_bearings.errors import BearingsError, FileError
 from taichi_bearings.files.scan_file import column, dense_histograms, read_scan, write_scan
 from taichi_bearings.runs.analysis import analyse
 from taichi_bearings.runs.run import prepare, run, solve_job
-from taichi_bearings.runs.run_file import read_run_file
+from taichi_bearings.runs.run_file import read_run
 from taichi_bearings.runs.settings import RunSettings, read_toml
 from taichi_bearings.runs.verify import verify
 from taichi_bearings.scans.histogram import read_source
@@ -61,12 +61,12 @@ def change(path, name):
 def test_any_change_is_refused_in_one_sentence(path, thorough):
     whole, names = path.read_bytes(), everything(path)
     assert len(names) > 80
-    read_run_file(path)
+    read_run(path)
     for name in names if thorough else names[::4]:
         path.write_bytes(whole)
         change(path, name)
         with pytest.raises(FileError) as refused:
-            read_run_file(path)
+            read_run(path)
         assert "\n" not in str(refused.value), name
         if "schema" not in name:
             assert "damaged" in str(refused.value), name
@@ -76,7 +76,7 @@ def test_a_file_that_lost_its_version_is_called_damaged(path):
     with h5py.File(path, "r+") as file:
         del file.attrs["schema_version"]
     with pytest.raises(FileError, match="is damaged or was changed: it has lost its layout version"):
-        read_run_file(path)
+        read_run(path)
 
 
 def test_all_who_read_runs_refuse_what_was_changed(path, tmp_path):
@@ -108,7 +108,7 @@ def test_files_without_checksums_are_read(path):
     with h5py.File(path, "r+") as file:
         del file.attrs["sha256"], file["analysis"]
     change(path, "contact/x/power")
-    assert read_run_file(path).solution.spin.shape == (1, 3, 4, 5, 3)
+    assert read_run(path).solution.spin.shape == (1, 3, 4, 5, 3)
     assert verify(path)["unchanged"] is None
     assert verify(path.parent)["contradictions"]
 
@@ -116,7 +116,7 @@ def test_files_without_checksums_are_read(path):
 def test_what_others_add_is_not_looked_at(path):
     with h5py.File(path, "r+") as file:
         file.attrs["note"], file["own"] = "mine", [1, 2]
-    read_run_file(path)
+    read_run(path)
     report = verify(path)
     assert report["verified"]
     assert report["unchanged"]
@@ -135,7 +135,7 @@ def test_a_bound_above_the_power_is_an_error_everywhere(path, tmp_path):
         del file.attrs["sha256"]
         file.attrs["lower_bound"] = 1.001 * file.attrs["power"]
     with pytest.raises(FileError, match="a lower bound above its power"):
-        read_run_file(path)
+        read_run(path)
     scan, empty = tmp_path / "scan.h5", dense_histograms([{}], {"slipping": [0], "slipless": [0], "undecided": [0]})
     columns = [column("status", ["certified"], "", "end"), column("gap", [1e-9], "1", "gap")]
     write_scan(scan, columns, empty, {"scan": "", "scanned": []})

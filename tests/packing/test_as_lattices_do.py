@@ -184,13 +184,13 @@ def test_the_course_is_drawn_shown_and_exported(tmp_path):
     course.save(tmp_path / "run")
     assert (tmp_path / "run" / "run.h5").exists()
     from taichi_bearings.export.vtkhdf import export
-    from taichi_bearings.runs.packing_run import read_packing_run
+    from taichi_bearings.runs.run_file import read_run
 
     assert export(tmp_path / "run")["steps"] == 3
     with h5py.File(tmp_path / "run" / "run.vtkhdf") as file:
         spins = file["VTKHDF/PointData/spin"][()].reshape(3, -1, 3)
     assert np.array_equal(spins[:2], course.snapshots.spin[:2])
-    run = read_packing_run(tmp_path / "run")
+    run = read_run(tmp_path / "run")
     arrays, facts = arrays_of(run), facts_of(run)
     assert facts["times"] == pytest.approx(course.snapshots.time[:2])
     assert np.array_equal(arrays["snapshot_spin"], course.snapshots.spin[:2].astype(np.float32))
@@ -201,9 +201,9 @@ def test_the_page_and_the_figure_of_domains_show_what_analyse_finds(tmp_path):
     best = solve(tb.Packing.lattice("cubic", (6, 5, 6), seed=5, direction=(1.0, 0.0, 0.0)))
     structure = tb.analyse(best)
     assert structure.spans
-    from taichi_bearings.runs.packing_run import read_packing_run
+    from taichi_bearings.runs.run_file import read_run
 
-    run = read_packing_run(best.save(tmp_path / "run"))
+    run = read_run(best.save(tmp_path / "run"))
     arrays, facts = arrays_of(run), facts_of(run)
     share = structure.network.on_contacts(structure.bottlenecks.share)
     assert arrays["betweenness"] == pytest.approx(share.astype(np.float32))

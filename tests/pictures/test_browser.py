@@ -14,9 +14,8 @@ import pytest
 
 from taichi_bearings.analysis.packing_structure import PackingStructure
 from taichi_bearings.analysis.structure import structure_of
-from taichi_bearings.runs.packing_run import read_packing_run
 from taichi_bearings.runs.points_and_lines import points_and_lines
-from taichi_bearings.runs.run_file import read_run_file
+from taichi_bearings.runs.run_file import read_run
 from taichi_bearings.view.view import view
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "msedge")
@@ -113,7 +112,7 @@ def test_a_page_shows_every_view_without_a_word_of_complaint(name, opened, reque
 
 
 def test_states_are_those_of_the_run_first_and_by_the_threshold_of_the_slider_then(minimum, opened):
-    page, solution = opened(minimum), read_run_file(minimum).solution
+    page, solution = opened(minimum), read_run(minimum).solution
     structure = structure_of(solution)
     assert page.ask("bearings.sample.counts.slipless") == structure.contacts_in(0)
     assert page.ask("bearings.sample.counts.spans") is structure.network.spans is True
@@ -135,7 +134,7 @@ def test_states_are_those_of_the_run_first_and_by_the_threshold_of_the_slider_th
 
 
 def test_sliders_of_power_and_slice_leave_what_they_say(minimum, opened):
-    page, solution = opened(minimum), read_run_file(minimum).solution
+    page, solution = opened(minimum), read_run(minimum).solution
     page.press("Slipping")
     shown = "bearings.picture.layers.slipping.count"
     slipping = solution.power_per_contact[solution.state == 1]
@@ -165,7 +164,7 @@ AIM = """([layer, number]) => { const { picture } = bearings, id = picture.layer
 
 
 def test_what_is_pointed_at_says_its_numbers(minimum, opened):
-    page, solution = opened(minimum), read_run_file(minimum).solution
+    page, solution = opened(minimum), read_run(minimum).solution
     page.press("Network")
     asked = 0
     for number in range(0, 40, 4):
@@ -186,11 +185,11 @@ def test_what_is_pointed_at_says_its_numbers(minimum, opened):
 
 
 def test_contacts_across_periodic_sides_are_halves_at_both_sides_and_can_be_pointed_at(periodic, opened):
-    page, rows = opened(periodic), points_and_lines(read_run_file(periodic))
+    page, rows = opened(periodic), points_and_lines(read_run(periodic))
     lattice = rows.scene.lattice
     low, high = (page.ask(f"Array.from(bearings.sample.{end})") for end in ("first", "second"))
     assert np.array_equal(np.column_stack([low, high]), rows.ends)
-    network = structure_of(read_run_file(periodic).solution).network
+    network = structure_of(read_run(periodic).solution).network
     assert page.ask("bearings.sample.counts.spans") == network.spans
     assert page.ask("bearings.sample.counts.reached") == pytest.approx(network.reached_fraction)
     page.press("Network")
@@ -220,7 +219,7 @@ def test_contacts_across_periodic_sides_are_halves_at_both_sides_and_can_be_poin
 
 
 def test_a_packing_is_shown_as_it_is(packed, opened):
-    page, result = opened(packed), read_packing_run(packed).result
+    page, result = opened(packed), read_run(packed).result
     packing, structure = result.packing, PackingStructure.of(result)
     flat, radius, (first, second) = packing.dimension == 2, np.asarray(packing.radius), packing.contact.T
     place, way = (np.array(page.ask(f"Array.from(bearings.sample.{name})")).reshape(-1, 3) for name in ("place", "way"))
@@ -282,7 +281,7 @@ def test_snapshots_play_in_time(dynamics, opened):
     page = opened(dynamics)
     assert page.ask("document.title").endswith("seed 5")
     end = page.pixels()
-    rows = points_and_lines(read_run_file(dynamics)).moments
+    rows = points_and_lines(read_run(dynamics)).moments
     page.move("time", 1)
     assert np.array(page.ask("Array.from(bearings.sample.spinNow)")) == pytest.approx(rows.spin[1].ravel(), rel=1e-6)
     assert page.ask("bearings.sample.counts.slipping") == (rows.state[1] == 1).sum()

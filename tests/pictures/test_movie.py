@@ -15,7 +15,7 @@ from taichi_bearings.errors import FileError, InputError, WriteError
 from taichi_bearings.runs.figures import draw_snapshot
 from taichi_bearings.runs.movie import movie
 from taichi_bearings.runs.run import run
-from taichi_bearings.runs.run_file import read_run_file
+from taichi_bearings.runs.run_file import read_run
 from taichi_bearings.runs.settings import RunSettings
 
 
@@ -29,7 +29,7 @@ def whirl(solved):
 
 def test_a_gif_shows_each_snapshot_for_its_time(whirl, tmp_path):
     report = movie(whirl, tmp_path / "a.gif", frames_per_second=5)
-    solution = read_run_file(whirl).solution
+    solution = read_run(whirl).solution
     with Image.open(tmp_path / "a.gif") as film:
         assert film.n_frames == report["frames"] == len(solution.snapshots.time) == 3
         frames = []

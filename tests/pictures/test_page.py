@@ -10,7 +10,7 @@ import pytest
 
 from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.runs.points_and_lines import points_and_lines
-from taichi_bearings.runs.run_file import read_run_file
+from taichi_bearings.runs.run_file import read_run
 from taichi_bearings.view import contents
 from taichi_bearings.view.view import view
 
@@ -34,7 +34,7 @@ def page_of(run, folder):
 def test_a_page_holds_the_rows_to_the_digits_that_it_shows(name, request, tmp_path):
     run = request.getfixturevalue(name)
     facts, arrays, _ = held_by(page_of(run, tmp_path))
-    rows = points_and_lines(read_run_file(run))
+    rows = points_and_lines(read_run(run))
     for key in ("slip", "power", "force", "coefficient", "betweenness"):
         assert arrays[key] == pytest.approx(rows.contacts[key].values, rel=1e-7, abs=1e-37)
     assert arrays["spin"].reshape(-1, 3) == pytest.approx(rows.spheres["spin"].values, rel=1e-7, abs=1e-37)
@@ -59,7 +59,7 @@ def test_a_page_names_no_address_and_carries_the_licence_of_its_library(minimum,
 
 
 def test_snapshots_beyond_the_room_of_a_page_are_left_out_evenly_and_it_says_so(dynamics, tmp_path, monkeypatch):
-    rows = points_and_lines(read_run_file(dynamics))
+    rows = points_and_lines(read_run(dynamics))
     monkeypatch.setattr(contents, "MOST_BYTES", 4 * 2 * (rows.moments.spin[0].size + rows.moments.slip[0].size))
     facts, arrays, _ = held_by(page_of(dynamics, tmp_path))
     assert facts["times"] == rows.moments.time[[0, 2]].tolist()

@@ -10,7 +10,7 @@ import pytest
 from taichi_bearings.errors import InputError
 from taichi_bearings.runs.analysis import analyse
 from taichi_bearings.runs.points_and_lines import points_and_lines
-from taichi_bearings.runs.run_file import read_run_file
+from taichi_bearings.runs.run_file import read_run
 
 
 def contacts_one_by_one(shape, periodic):
@@ -23,7 +23,7 @@ def contacts_one_by_one(shape, periodic):
 @pytest.mark.parametrize("name", ["minimum", "discs", "ring"])
 def test_rows_are_those_of_the_file(name, request):
     folder = request.getfixturevalue(name)
-    found = points_and_lines(read_run_file(folder))
+    found = points_and_lines(read_run(folder))
     with h5py.File(folder / "run.h5") as file:
         shape = tuple(file.attrs["shape"])
         rows = list(contacts_one_by_one(shape, found.scene.lattice.periodic))
@@ -39,7 +39,7 @@ def test_rows_are_those_of_the_file(name, request):
 
 
 def test_the_path_goes_along_slipless_contacts_from_bottom_to_top(minimum):
-    found = points_and_lines(read_run_file(minimum))
+    found = points_and_lines(read_run(minimum))
     lattice, on_path = found.scene.lattice, found.contacts["on_path"].values
     assert (found.contacts["state"].values[on_path] == 0).all()
     assert {frozenset(pair) for pair in found.ends[on_path].tolist()} == {
@@ -49,13 +49,13 @@ def test_the_path_goes_along_slipless_contacts_from_bottom_to_top(minimum):
 
 
 def test_states_are_said_to_be_proven_where_they_are(minimum, dynamics):
-    proven = points_and_lines(read_run_file(minimum)).contacts
+    proven = points_and_lines(read_run(minimum)).contacts
     assert (proven["proven"].values == (proven["state"].values != 3)).all()  # of no contact between driven spheres
-    assert not points_and_lines(read_run_file(dynamics)).contacts["proven"].values.any()
+    assert not points_and_lines(read_run(dynamics)).contacts["proven"].values.any()
 
 
 def columns(run):
-    found = points_and_lines(read_run_file(run))
+    found = points_and_lines(read_run(run))
     return {**found.spheres, **found.contacts}, found.path
 
 
@@ -69,7 +69,7 @@ def test_the_structure_goes_by_the_contact_states_whatever_was_analysed(minimum,
 
 
 def test_snapshots_have_the_slips_of_their_spins(dynamics):
-    found = points_and_lines(read_run_file(dynamics))
+    found = points_and_lines(read_run(dynamics))
     assert found.moments.time.tolist()[0] == 0
     assert found.moments.time.max() < found.time == pytest.approx(0.05, rel=1e-2)
     unit, radius = np.eye(3), found.scene.lattice.radius
@@ -84,10 +84,10 @@ def test_snapshots_have_the_slips_of_their_spins(dynamics):
 
 def test_each_replica_has_its_own_rows(solved):
     run = solved(shape=(5, 5), seed=4, replicas=3)
-    alone = points_and_lines(read_run_file(solved(shape=(5, 5), seed=6)))
-    third = points_and_lines(read_run_file(run), 2)
+    alone = points_and_lines(read_run(solved(shape=(5, 5), seed=6)))
+    third = points_and_lines(read_run(run), 2)
     for name in ("slip", "on_cut", "betweenness"):
         assert third.contacts[name].values == pytest.approx(alone.contacts[name].values)
     assert third.spheres["domain_kind"].values.tolist() == alone.spheres["domain_kind"].values.tolist()
     with pytest.raises(InputError, match="replica is 3; the run has 3"):
-        points_and_lines(read_run_file(run), 3)
+        points_and_lines(read_run(run), 3)

@@ -11,7 +11,7 @@ import pytest
 from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.export.vtkhdf import export
 from taichi_bearings.runs.points_and_lines import points_and_lines
-from taichi_bearings.runs.run_file import read_run_file
+from taichi_bearings.runs.run_file import read_run
 
 ROOT = Path(__file__).parents[2]
 NO_VTK = "the package vtk, which reads the files back, is not installed; some systems have no wheel of it"
@@ -50,7 +50,7 @@ def same(found, columns):
 def test_vtk_reads_what_we_know_of_each_sphere_and_contact(name, request, read, tmp_path):
     run = request.getfixturevalue(name)
     report = export(run, tmp_path / "a.vtkhdf")
-    rows = points_and_lines(read_run_file(run))
+    rows = points_and_lines(read_run(run))
     points, lines, spheres, contacts, _, steps = read(tmp_path / "a.vtkhdf")
     assert (report["points"], report["lines"], report["steps"]) == (len(points), len(lines), 1)
     assert steps <= 1
@@ -63,7 +63,7 @@ def test_vtk_reads_what_we_know_of_each_sphere_and_contact(name, request, read, 
 
 def test_contacts_across_periodic_sides_lead_to_images_beyond_the_last_spheres(periodic, read, tmp_path):
     report = export(periodic, tmp_path / "a.vtkhdf")
-    rows = points_and_lines(read_run_file(periodic))
+    rows = points_and_lines(read_run(periodic))
     lattice, sites = rows.scene.lattice, rows.scene.lattice.sites
     for step, moment in enumerate(rows.moments.spin):
         points, lines, spheres, contacts, *_ = read(tmp_path / "a.vtkhdf", step)
@@ -81,7 +81,7 @@ def test_contacts_across_periodic_sides_lead_to_images_beyond_the_last_spheres(p
 
 def test_vtk_reads_the_snapshots_as_time_steps_and_the_answer_as_the_last(dynamics, read, tmp_path):
     path = tmp_path / "a.vtkhdf"
-    rows = points_and_lines(read_run_file(dynamics))
+    rows = points_and_lines(read_run(dynamics))
     number = export(dynamics, path)["steps"]
     assert number == len(rows.moments.time) + 1 == 4
     for step, time in enumerate(rows.moments.time):

@@ -31,7 +31,7 @@ def write(folder, text):
 def replace(path):
     with run_directory(path, force=True) as directory:
         write(directory.partial, "new")
-        assert directory.publish()
+        directory.publish()
 
 
 def complete(path):
@@ -43,7 +43,7 @@ def content(path):
     """Old or new; with both or neither AssertionError."""
     found = {(path / name).read_text() for name in FILES}
     assert len(found) == 1, found
-    assert (path / "old.png").exists() == (found == {"old"})
+    assert found == {"old"} or not (path / "old.png").exists()
     return found.pop()
 
 

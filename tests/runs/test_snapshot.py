@@ -6,7 +6,7 @@ import pytest
 from taichi_bearings.errors import InputError
 from taichi_bearings.runs.figures import draw_snapshot
 from taichi_bearings.runs.run import run
-from taichi_bearings.runs.run_file import read_run_file
+from taichi_bearings.runs.run_file import read_run
 from taichi_bearings.runs.settings import RunSettings
 
 
@@ -15,7 +15,7 @@ def stored(tmp_path_factory):
     folder = tmp_path_factory.mktemp("run") / "run"
     run(RunSettings(shape=(4, 5), method="rigid-limit", initial="random", seed=5, replicas=2, duration=2.0,
                     snapshots="0,0.01,1", threads=1, figures="none"), folder)  # fmt: skip
-    return read_run_file(folder).solution
+    return read_run(folder).solution
 
 
 @pytest.mark.parametrize(("time", "nearest"), [(0.0, 0), (0.012, 1), (2.0, 2)])

@@ -10,8 +10,8 @@ from scipy.linalg import expm
 
 import taichi_bearings as tb
 from taichi_bearings.errors import InputError
-from taichi_bearings.files.checkpoint_file import read_checkpoint
 from taichi_bearings.runs.run import resume, run
+from taichi_bearings.runs.run_directory import read_checkpoint
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.runs.verify import verify
 from taichi_bearings.scene import Scene
@@ -139,7 +139,7 @@ def test_it_goes_on_to_the_same_bits(method, tmp_path):
                            checkpoint_every=60.0, **method)  # fmt: skip
     whole = run(replace(settings, checkpoint_every=None), tmp_path / "whole").solution
     run(settings, tmp_path / "part", monitors=[lambda report: report.progress.time > 0.1])
-    assert read_checkpoint(Path(tmp_path / "part")).arrays["time"] < 0.15
+    assert read_checkpoint(Path(tmp_path / "part"))[1]["time"] < 0.15
     with pytest.raises(InputError, match="duration"):
         resume(tmp_path / "part", {"duration": 1.0})
     parts = resume(tmp_path / "part").solution

@@ -8,7 +8,7 @@ import pytest
 
 from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.runs.run import run
-from taichi_bearings.runs.run_file import read_run_file
+from taichi_bearings.runs.run_file import read_run
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scans.histogram import histogram, pooled, read_source
 from tests.stored_scans import stored_scan
@@ -67,7 +67,7 @@ def test_power_is_counted_in_the_mean_of_each_sample(scan):
 
 def test_runs_and_scans_pool_together(scan, block):
     one, other = read_source(block), read_source(scan.path)
-    stored = read_run_file(block).solution
+    stored = read_run(block).solution
     both = pooled([one, other])[None]
     assert both.samples == 3 + other.samples.size
     assert both.slipping == pooled([one])[None].slipping + pooled([other])[None].slipping

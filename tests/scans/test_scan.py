@@ -15,9 +15,10 @@ import pytest
 
 from taichi_bearings.errors import BearingsError, FileError, InputError
 from taichi_bearings.files.scan_file import bin_of, read_scan
-from taichi_bearings.runs.run import Run, prepare, solve_job, summarise
-from taichi_bearings.runs.run_file import read_run_file
+from taichi_bearings.runs.run import prepare, solve_job
+from taichi_bearings.runs.run_file import read_run
 from taichi_bearings.runs.settings import RunSettings
+from taichi_bearings.runs.solved import Run
 from taichi_bearings.scans import engine as scan_engine
 from taichi_bearings.scans.engine import LocalEngine, run_samples
 from taichi_bearings.scans.estimate import paying_workers, units_of
@@ -68,7 +69,7 @@ def test_a_sample_is_what_run_makes_of_it_to_the_last_bit(plan_of, tmp_path, nee
     assert " ".join(stored.table).startswith(names)
     for row, sample in enumerate(plan.samples):
         solution = solve_job(prepare(replace(sample.settings, threads=1)))
-        summary = summarise(Run(sample.settings, solution))
+        summary = Run(sample.settings, solution).numbers
         for name, values in stored.table.items():
             if name in summary and name not in CLOCKS:
                 found = summary[name]
@@ -111,7 +112,7 @@ def test_structure_and_states_are_kept_on_demand(plan_of, tmp_path, caplog):
     assert report["solved_now"] == 3
     stored = read_scan(tmp_path / "scan")
     for row, sample in enumerate(plan.samples):
-        state = read_run_file(tmp_path / "scan" / "states" / f"{sample.key}.h5")
+        state = read_run(tmp_path / "scan" / "states" / f"{sample.key}.h5")
         numbers = numbers_of(structure_of(state.solution))
         for name in (
             "power_minimum_cut",
@@ -136,7 +137,7 @@ def test_structure_and_states_are_kept_on_demand(plan_of, tmp_path, caplog):
         damaged.write_bytes(content)
         assert scan(plan, tmp_path / "scan", engine=Here(True, states))["solved_now"] == 1
         assert f"a kept state counts as missing: {damaged} " in caplog.text
-        read_run_file(damaged)
+        read_run(damaged)
     assert scan(plan, tmp_path / "scan")["solved_now"] == 0
 
 

@@ -14,8 +14,8 @@ from taichi_bearings.files.scan_file import read_scan
 from taichi_bearings.packing import Packing
 from taichi_bearings.packing.system import System
 from taichi_bearings.proof.contact_state import ContactState
-from taichi_bearings.runs.packing_run import read_packing_run
 from taichi_bearings.runs.run import run
+from taichi_bearings.runs.run_file import read_run
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.runs.verify import verify
 from taichi_bearings.scans import packings
@@ -84,7 +84,7 @@ def test_a_packing_over_laws_and_seeds_is_its_runs_to_the_last_bit(plan_of, bcc,
         found = run(settings_of_run(sample), tmp_path / f"run-{row}")
         assert_row_is_run(stored, row, found)
         state = tmp_path / "scan" / "states" / f"{sample.key}.h5"
-        kept = read_packing_run(state).result
+        kept = read_run(state).result
         for item in fields(kept):
             one, other = getattr(kept, item.name), getattr(found.result, item.name)
             if isinstance(one, np.ndarray):

@@ -9,8 +9,8 @@ from scipy.sparse import coo_array, hstack, identity, vstack
 
 from taichi_bearings.errors import InputError
 from taichi_bearings.proof.contact_state import ContactState
-from taichi_bearings.runs.run import Run, summarise
 from taichi_bearings.runs.settings import RunSettings
+from taichi_bearings.runs.solved import Run
 from taichi_bearings.scene import Scene, Status
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import PlanarCut
@@ -186,7 +186,7 @@ def _plane(scene, x):
 
 
 def test_findings_are_in_the_summary():
-    summary = summarise(Run(RunSettings(tolerance=1e-9), solved(make_scene((5, 6), seeds=(1, 2)))))
+    summary = Run(RunSettings(tolerance=1e-9), solved(make_scene((5, 6), seeds=(1, 2)))).numbers
     assert summary["cut_is_unique"] == [True, True]
     assert summary["tied_contacts"] == [0, 0]
     assert min(summary["next_cut_over_minimum"]) > 1

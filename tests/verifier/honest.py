@@ -17,8 +17,9 @@ from pathlib import Path
 import numpy as np
 
 from taichi_bearings.errors import InputError
-from taichi_bearings.runs.run import Run, prepare, resume, run, solve_job, write_state
+from taichi_bearings.runs.run import prepare, resume, run, solve_job, write_state
 from taichi_bearings.runs.settings import RunSettings
+from taichi_bearings.runs.solved import Run
 from taichi_bearings.runs.verify import verify
 from taichi_bearings.scene import Scene
 
