@@ -1,8 +1,8 @@
 """The only iteration loop: it owns the clock, the history, the monitors and the stopping."""
 
 import time
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -10,7 +10,6 @@ import numpy as np
 
 from taichi_bearings import runtime
 from taichi_bearings.errors import DeviceError, FileError, InputError
-from taichi_bearings.fields import Fields, make_layout
 from taichi_bearings.interrupts import GivenUp, Interrupt, while_wanted
 from taichi_bearings.proof.certificate import Forces, relative_gap
 from taichi_bearings.scene import Progress, Scene, Solution, Status
@@ -82,29 +81,43 @@ def solve(
     before the first step KeyboardInterrupt. It and the limit on time end the proof of the contact states too.
     Raises InputError for a scene that the method cannot solve.
     """
-    stop, recording = stop or StopRule(), recording or Recording()
-    began = time.perf_counter()
     if reason := method.options.refusal(scene):
         raise InputError(reason)
+    began = time.perf_counter()
+    with (
+        followed(scene, method, spin, stop or StopRule(), monitors, recording or Recording(), checkpoints) as course,
+        stage("proving contact states"),
+    ):
+        solution = course.answer(slip_threshold)
+    running = runtime.current() if method.options.needs_taichi else runtime.HOST
+    compiling = course.called - began
+    return replace(solution, interrupted=course.interrupt.heard, running=running, seconds_compile=compiling)
+
+
+@contextmanager
+def followed(
+    scene: Any,
+    method: Method,
+    spin: np.ndarray,
+    stop: StopRule,
+    monitors: Sequence[Monitor],
+    recording: Recording,
+    checkpoints: Checkpoints | None,
+) -> "Iterator[Course]":
+    """The course of a method over a scene, or over the network of a packing, at its end. Ctrl-C ends it, and inside
+    nothing else."""
     if method.options.cpu_only and runtime.current().is_gpu:
         raise DeviceError(f"{method.options.name} works in the memory of the CPU; use --arch cpu")
     spec = method.plan(scene, spin)
     with Interrupt() as interrupt:
         with stage("compiling" if method.options.needs_taichi else "preparing"), interrupt.at_once():
-            lattice = scene.lattice
-            fields = Fields(make_layout(scene.replicas, lattice.shape, lattice.periodic), spec) if spec else None
-            method.begin(scene, spin, fields)
+            method.begin(scene, spin, method.on_device(spec) if spec else None)
         if interrupt.heard:  # nothing is reached yet
             raise KeyboardInterrupt
-        compiled = time.perf_counter()
         course = Course(scene, method, stop, recording, checkpoints, interrupt)
         with stage("solving") as solving:
-            status, progress, seconds = course.follow([solving.tell, *monitors])
-        with stage("proving contact states"):
-            solution = course.answer(status, progress, seconds, slip_threshold)
-    running = runtime.current() if method.options.needs_taichi else runtime.HOST
-    compiling = compiled - began
-    return replace(solution, interrupted=interrupt.heard, running=running, seconds_compile=compiling)
+            course.follow([solving.tell, *monitors])
+        yield course
 
 
 def uninterrupted(solution: Solution) -> Solution:
@@ -123,7 +136,14 @@ def _refuse_unlike(stored: Mapping[str, np.ndarray], fresh: Mapping[str, np.ndar
 
 
 class Course:
-    """The loop of :func:`solve` from the start, or from a checkpoint, to the end."""
+    """The loop of :func:`solve` from the start, or from a checkpoint, to the end.
+
+    status, last, seconds : how it ended, the state then, and the wall time it took, that before a checkpoint included.
+    """
+
+    status: Status
+    last: Progress
+    seconds: float
 
     def __init__(
         self,
@@ -167,8 +187,7 @@ class Course:
     def _seconds_of_this_call(self) -> float:
         return time.perf_counter() - self.called
 
-    def follow(self, monitors: Sequence[Monitor]) -> tuple[Status, Progress, float]:
-        """How it ended, the last state, and the seconds it took."""
+    def follow(self, monitors: Sequence[Monitor]) -> None:
         scene, method, stop, best = self.scene, self.method, self.stop, self.best
         iteration = method.iteration if isinstance(method, Dynamics) else 0
         while True:
@@ -193,7 +212,8 @@ class Course:
                 if not on_the_way:
                     self._write(looked=True)
                 self.recorder.add_row(progress, best.bound, elapsed)
-                return status, progress, elapsed
+                self.status, self.last, self.seconds = status, progress, elapsed
+                return
             self._write_if_due(looked=True)
             self._aim(iteration)
 
@@ -221,16 +241,17 @@ class Course:
         self.checkpoints.write(self.method.state() | self.recorder.state() | self.best.state() | own)
         self.written_at = time.perf_counter()
 
-    def answer(self, status: Status, last: Progress, seconds: float, threshold: float | None) -> Solution:
-        """What the best state and the best forces amount to. seconds : in all."""
-        scene, best = self.scene, self.best
+    def answer(self, threshold: float | None) -> Solution:
+        """What the best state and the best forces amount to."""
+        scene, best, status, last, seconds = self.scene, self.best, self.status, self.last, self.seconds
         history, snapshots = self.recorder.history(), self.recorder.snapshots()
+        findings = self.method.findings(last) if isinstance(self.method, Dynamics) else best.progress.findings
         if isinstance(self.method, Dynamics) and (known := self.method.known):
-            known = replace(known, findings={**known.findings, **last.findings}, history=history, snapshots=snapshots)
+            known = replace(known, findings={**known.findings, **findings}, history=history, snapshots=snapshots)
             left, seconds, name = last.largest_balance_residual, known.seconds + seconds, self.method.options.name
             known = replace(known, method=name, iterations=last.iteration, largest_balance_residual=left)
             return replace(known, status=status, seconds=seconds)
-        final = replace(best.progress, iteration=last.iteration, ended=last.ended)
+        final = replace(best.progress, iteration=last.iteration, ended=last.ended, findings=findings)
         found, judgement = answered(scene, self.method, final, best.proof, best.bound, threshold)
         if status in (Status.CERTIFIED, Status.STALLED):
             status = Status.CERTIFIED if (found.gap <= self.stop.tolerance).all() else Status.STALLED

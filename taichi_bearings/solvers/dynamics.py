@@ -12,7 +12,7 @@ from taichi_bearings.fields import FieldSpec
 from taichi_bearings.proof.certificate import relative_gap
 from taichi_bearings.scene import Energy, Progress, Scene, Solution
 from taichi_bearings.scene.scene import vector_length
-from taichi_bearings.solvers.method import OnLattice
+from taichi_bearings.solvers.method import Method
 from taichi_bearings.solvers.table import Motion, Springs
 
 REST_GAP = 1e-4  # proven gap from which a stationary state is believed to be one
@@ -115,7 +115,7 @@ OptionsOfMotion = TypeVar("OptionsOfMotion", bound=Motion)
 OptionsOfSprings = TypeVar("OptionsOfSprings", bound=Springs)
 
 
-class Dynamics(OnLattice, Generic[OptionsOfMotion]):
+class Dynamics(Method, Generic[OptionsOfMotion]):
     """A method whose iterations are steps in time, which can be interrupted and resumed with the same bits.
 
     kept : what its further course depends on, by name, beside the clock; WATCH_NAMES and ENERGY_NAMES if it has them.
@@ -127,13 +127,22 @@ class Dynamics(OnLattice, Generic[OptionsOfMotion]):
     known: Solution | None = None
 
     def __init__(self, options: OptionsOfMotion) -> None:
-        self.options, self.aim = options, np.inf
+        super().__init__(options)
+        self.aim = np.inf
 
     def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
-        self.scene, self.spin_axes = scene, moving_spin_axes(scene, spin)
-        self.inertia: Any = self.options.inertia or default_inertia(scene, self.options.mass)
+        self.scene, self.spin_axes = scene, self.carried(scene, spin)
+        self.inertia = self.inertias(scene)
         self.iteration, self.time, self.halted = 0, 0.0, False
         return ()
+
+    def carried(self, scene: Scene, spin: np.ndarray) -> tuple[int, ...]:
+        """Components that are carried from these laboratory spins on."""
+        return moving_spin_axes(scene, spin)
+
+    def inertias(self, scene: Scene) -> Any:
+        """Of the free spheres."""
+        return self.options.inertia or default_inertia(scene, self.options.mass)
 
     def aim_at(self, time: float) -> None:
         """The next simulated time at which a state is wanted; infinity for none.
@@ -153,6 +162,10 @@ class Dynamics(OnLattice, Generic[OptionsOfMotion]):
             *path, last = name.split(".")
             owner: Any = reduce(getattr, path, self)
             setattr(owner, last, _like(getattr(owner, last), state[name]))
+
+    def findings(self, last: Progress) -> dict[str, np.ndarray]:
+        """What else is found, by name, (R,) each. last : the state at the end."""
+        return {}
 
     def open_books(self, staggered: np.ndarray) -> None:
         """Keep the energy balance from these spins (C, R, *N) on, without a stretched spring."""
@@ -203,17 +216,15 @@ class SpringDynamics(Dynamics[OptionsOfSprings]):
         """The energy balance of now, if it is kept."""
         return self.balance(staggered, spring)
 
-    def findings(self) -> dict[str, np.ndarray]:
-        """What else is found."""
-        return {}
+    def findings(self, last: Progress) -> dict[str, np.ndarray]:
+        """Of the distance that the driven planes have slid past each other, what the longest spring takes up."""
+        slid = self.scene.lattice.radius * self.scene.jump * self.time if self.scene.law.holds else 0.0
+        return {"elastic_share": vector_length(self.motion()[2]).max(axis=1) / slid} if slid > 0 else {}
 
     def progress(self) -> Progress:
         scene, stiffness = self.scene, self.options.stiffness
         staggered, force, stretch = self.motion()
         springs = self.with_viscosity(stiffness * stretch, staggered) if scene.law.holds else force
-        # of the distance that the driven planes have slid past each other, what the longest spring takes up
-        slid = scene.lattice.radius * scene.jump * self.time if scene.law.holds else 0.0
-        elastic_share = {"elastic_share": vector_length(stretch).max(axis=1) / slid} if slid > 0 else {}
         saturation = Saturation.of(scene, force, scene.slips(staggered, self.spin_axes), self.same_force)
         found = self.judged(
             staggered,
@@ -225,7 +236,6 @@ class SpringDynamics(Dynamics[OptionsOfSprings]):
             energy=self.books(staggered, force, stiffness / 2 * replica_sum(stretch**2)),
             slipping=saturation.slipping,
             halted=self.halted,
-            findings=self.findings() | elastic_share,
         )
         self.rest.look(found, self.time, scene.lattice.radius, self.options.rest_tolerance, self.is_believed(found))
         return replace(found, at_rest=self.rest.at_rest)

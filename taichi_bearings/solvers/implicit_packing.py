@@ -15,10 +15,8 @@ from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.packing.motions import order_of
 from taichi_bearings.packing.path import elimination, oblique
 from taichi_bearings.packing.system import System, slips_of
-from taichi_bearings.solvers.dynamics import RestWatch
 from taichi_bearings.solvers.implicit_cundall_strack import ImplicitCundallStrackMethod
 from taichi_bearings.solvers.network import OF_BOUND, Network, OnNetwork
-from taichi_bearings.solvers.table import ImplicitCundallStrack
 
 
 class ImplicitCundallStrackOfPacking(OnNetwork, ImplicitCundallStrackMethod):
@@ -26,16 +24,7 @@ class ImplicitCundallStrackOfPacking(OnNetwork, ImplicitCundallStrackMethod):
 
     kept = (*ImplicitCundallStrackMethod.kept, *OF_BOUND)
 
-    def __init__(self, options: ImplicitCundallStrack, density: Any = None) -> None:
-        super().__init__(options)
-        self.density = density
-
-    def begin_on(self, network: Network, spins: np.ndarray) -> None:
-        """spins : u (C, 1, N)."""
-        self.scene, self.spin_axes = network, tuple(range(network.components))
-        self.inertia = network.inertias(self.options.mass, self.options.inertia, self.density)
-        self.iteration, self.time, self.halted = 0, 0.0, False
-        self.rest = RestWatch(*self.checks, np.full(1, np.inf))
+    def begin(self, network: Any, spins: np.ndarray, fields: Any) -> None:
         self.free = ~network.lattice.is_driven
         self.scale = np.repeat(np.sqrt(self.unit_inertia / self.inertia[self.free]), network.components)
         self.system, self.order = self._contacts(network)

@@ -13,15 +13,14 @@ balance to the rounding of the forces, however large the contrast.
 import numpy as np
 from scipy.sparse import csc_array
 
-from taichi_bearings.fields import Fields, FieldSpec
+from taichi_bearings.fields import Fields
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.lattice.incidence import add_pull, contact_differences, difference
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.numerics.double_double import two_sum
 from taichi_bearings.numerics.graph_laplacian import factorised, graph_laplacian
 from taichi_bearings.scene import Progress, Scene
-from taichi_bearings.solvers.method import judged
-from taichi_bearings.solvers.table import LinearSolver
+from taichi_bearings.solvers.method import Method
 
 BUNDLE_SITES = 250_000  # spheres that are solved for together: about 0.1 GB in planes of 64 x 64
 MOST_CHECKS = 4  # looks at the progress in a run of many bundles
@@ -30,17 +29,10 @@ MOST_SOLUTION_REFINEMENTS = 50  # two or three do, unless the contrast is near t
 Planes = tuple[np.ndarray, np.ndarray]  # replica and layer of each plane of a bundle
 
 
-class LinearSolverMethod:
+class LinearSolverMethod(Method):
     """See the module docstring. An iteration is one bundle of planes, solved to round-off."""
 
-    def __init__(self, options: LinearSolver) -> None:
-        self.options = options
-
-    def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
-        return ()
-
     def begin(self, scene: Scene, spin: np.ndarray, fields: Fields | None) -> None:
-        self.scene, self.spin_axes = scene, scene.minimum_spin_axes
         self.spin = scene.clip_to_box(scene.staggered_spin(spin, self.spin_axes), self.spin_axes)
         self.rest = np.zeros_like(self.spin)
         self.bundles = [(slot, planes) for slot in range(len(self.spin_axes)) for planes in self._planes(slot)]
@@ -105,9 +97,7 @@ class LinearSolverMethod:
         staggered = scene.clip_to_box(self.spin, self.spin_axes)
         differences = (contact_differences(spin, scene.lattice, self.spin_axes) for spin in (self.spin, self.rest))
         force = scene.lattice.radius * scene.acting_coefficient * sum(differences)
-        return judged(
-            scene,
-            self.spin_axes,
+        return self.judged(
             staggered,
             force,
             iteration=self.iteration,
@@ -141,6 +131,3 @@ def _free_torques(
 def _total(load: np.ndarray) -> np.ndarray:
     """Sum of the sizes in each plane, (B,): what the certificate pays for leftover torques."""
     return np.abs(load).sum(axis=(1, 2))
-
-
-__all__ = ["LinearSolver"]

@@ -24,7 +24,6 @@ import numpy as np
 from taichi_bearings.fields import Fields, FieldSpec
 from taichi_bearings.interrupts import look_up
 from taichi_bearings.kernels.splitting import ABSENT_FRICTION, contact_step
-from taichi_bearings.kernels.stencil import Stencil
 from taichi_bearings.lattice.incidence import contact_differences
 from taichi_bearings.memory import refuse_beyond
 from taichi_bearings.proof.certificate import (
@@ -37,7 +36,7 @@ from taichi_bearings.proof.certificate import (
 )
 from taichi_bearings.scene import Progress, Scene
 from taichi_bearings.scene.initial_spins import linear_spin
-from taichi_bearings.solvers.table import OperatorSplitting
+from taichi_bearings.solvers.method import Method
 from taichi_bearings.solvers.torque_balance import TorqueBalance
 
 RELAXATION = 1.9  # alpha
@@ -52,22 +51,19 @@ BYTES_A_SPHERE = 1000.0
 RESOLVED_SLIP = 0.01  # of the imposed jump: contacts that slip more are told from resting ones at any stage
 
 
-class OperatorSplittingMethod:
+class OperatorSplittingMethod(Method):
     """See the module docstring. An iteration is one pass over all contacts and one Poisson solve a spin component.
 
     The fields: `friction` mu F_n, `trial` v, `spring` rho D Omega - (v - 2 f), `potential` rho Omega, `pull` the
     springs of each sphere before the Poisson step.
     """
 
-    def __init__(self, options: OperatorSplitting) -> None:
-        self.options = options
-
     def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
-        self.scene, self.spin_axes = scene, scene.minimum_spin_axes
+        super().plan(scene, spin)
         dimension, components = scene.lattice.dimension, len(self.spin_axes)
         spheres = scene.lattice.sites * scene.replicas
         refuse_beyond(BYTES_A_SPHERE * spheres, f"{self.options.name} of {spheres:,} spheres")
-        forces = Stencil(self.spin_axes, dimension, 1).force_components
+        forces = self.stencil_of(1).force_components
         self.spec = (
             ("friction", dimension),
             ("trial", forces),
@@ -80,7 +76,7 @@ class OperatorSplittingMethod:
     def begin(self, scene: Scene, spin: np.ndarray, fields: Fields | None) -> None:
         assert fields is not None
         lattice, self.fields, self.layout = scene.lattice, fields, fields.layout
-        self.stencil = Stencil(self.spin_axes, lattice.dimension, self.layout.block, self.layout.periodic)
+        self.stencil = self.stencil_of(self.layout.block)
         self.weights = (1.0,) * lattice.height_axis + (HEIGHT_WEIGHT,)
         self.weight = np.array(self.weights)[lattice.axis]
         self.balance = TorqueBalance(self.spec, self.stencil, self.weights, fields)

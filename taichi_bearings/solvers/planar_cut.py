@@ -11,26 +11,19 @@ lightest ring around it, and a general largest flow finds it.
 
 import numpy as np
 
-from taichi_bearings.fields import Fields, FieldSpec
+from taichi_bearings.fields import Fields
 from taichi_bearings.numerics.minimum_cut import ring_cuts
 from taichi_bearings.numerics.planar import minimum_cuts
 from taichi_bearings.proof.certificate import largest_unbalanced_torque, work_and_bound
 from taichi_bearings.proof.contact_state import ContactState, all_slipless
 from taichi_bearings.scene import Progress, Scene
-from taichi_bearings.solvers.table import PlanarCut
+from taichi_bearings.solvers.method import Method
 
 
-class PlanarCutMethod:
+class PlanarCutMethod(Method):
     """See the module docstring. The only iteration cuts all grids."""
 
-    def __init__(self, options: PlanarCut) -> None:
-        self.options = options
-
-    def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
-        return ()
-
     def begin(self, scene: Scene, spin: np.ndarray, fields: Fields | None) -> None:
-        self.scene, self.spin_axes = scene, scene.minimum_spin_axes
         (self.component,) = self.spin_axes
         self.staggered = scene.staggered_spin(spin, self.spin_axes)
         self.force, self.state = np.zeros((1, *scene.coefficient.shape)), all_slipless(scene)
@@ -40,9 +33,6 @@ class PlanarCutMethod:
         self.next_over_minimum = np.full((scene.replicas, planes), np.inf)
         self.absent = bool((scene.coefficient == 0).any())  # then ties are not known exactly
         self.iteration = 0
-
-    def next_check(self, iteration: int) -> int:
-        return iteration + 1
 
     def advance(self, steps: int) -> None:
         """Cut every grid, or turn everything alike where top and bottom agree."""
@@ -104,6 +94,3 @@ class PlanarCutMethod:
             states_proven=unique if cut else None,
             findings=findings if cut and self.top.any() and not self.absent else {},
         )
-
-
-__all__ = ["PlanarCut"]

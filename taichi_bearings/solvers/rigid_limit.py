@@ -89,9 +89,6 @@ class RigidLimitMethod(Dynamics[RigidLimit]):
         beside = scene.viscosity_beside_friction
         return force if beside is None else force + scene.lattice.radius * beside * difference
 
-    def next_check(self, iteration: int) -> int:
-        return iteration + 1
-
     def advance(self, steps: int) -> None:
         with one_thread():  # fronts are shared among threads here, not inside the library
             for _ in range(steps):
@@ -189,16 +186,16 @@ class RigidLimitMethod(Dynamics[RigidLimit]):
             energy=self.balance(self.staggered, np.zeros(scene.replicas)),
             slipping=self.slipping,
         )
-        believed = bool((relative_gap(scene, found.objective, found.lower_bound) <= STILL_GAP).all())
-        return replace(
-            found,
-            at_rest=self.still >= REST_STEPS and believed,
-            exhausted=self.still >= STUCK_STEPS and not believed,
-            findings={
-                "rest_time": np.where(believed, self.rest_time, np.nan),
-                "newton_steps": np.full(scene.replicas, self.newton_steps),
-            },
-        )
+        believed = self._is_believed(found)
+        at_rest, stuck = self.still >= REST_STEPS and believed, self.still >= STUCK_STEPS and not believed
+        return replace(found, at_rest=at_rest, exhausted=stuck)
+
+    def _is_believed(self, found: Progress) -> bool:
+        return bool((relative_gap(self.scene, found.objective, found.lower_bound) <= STILL_GAP).all())
+
+    def findings(self, last: Progress) -> dict[str, np.ndarray]:
+        rest_time = np.where(self._is_believed(last), self.rest_time, np.nan)
+        return {"rest_time": rest_time, "newton_steps": np.full(self.scene.replicas, self.newton_steps)}
 
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
         super().restore(state)

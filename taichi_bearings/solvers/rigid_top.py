@@ -69,19 +69,18 @@ class UnderTorque(SpringDynamics[Any]):
         viscous = scene.law.power(scene.contact, motion.slip).sum(axis=1) - motion.power
         return np.sqrt(2 * inertia * self.softness) + viscous * self.softness
 
-    def findings(self) -> dict[str, np.ndarray]:
+    def findings(self, last: Progress) -> dict[str, np.ndarray]:
         _, turns, start = self.turning()
         when = {"torque_at_yield": self.torque(start), "time_at_yield": start}
         when["torque_at_yield_error"] = abs(self.rate) * self._delay()
-        return super().findings() | {name: np.where(turns, value, np.nan) for name, value in when.items()}
+        return super().findings(last) | {name: np.where(turns, value, np.nan) for name, value in when.items()}
 
     def progress(self) -> Progress:
         """As ever, but that no bound is claimed for a motion of any strength."""
         found = super().progress()
         torque = np.full(self.scene.replicas, self.torque(self.time))
         columns = {"torque": torque, "amplitude": self.turning()[0]}
-        found = replace(found, findings=self.findings(), columns=columns)
-        return replace(found, lower_bound=0 * torque, proof=0 * found.force)
+        return replace(found, columns=columns, lower_bound=0 * torque, proof=0 * found.force)
 
 
 class RigidTopMethod(UnderTorque, CundallStrackMethod):

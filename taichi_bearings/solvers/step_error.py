@@ -84,37 +84,16 @@ class Modes:
         size = np.minimum(np.abs(error), 1.0) * self.amplitude[:, None]
         return np.maximum.accumulate(np.sqrt(np.mean(size**2, axis=0)))
 
-
-class StepError:
-    """Errors of one time step by the time reached, and a shorter step where they are too large."""
-
-    def __init__(self, modes: Modes, order: int, time_step: float) -> None:
-        self.modes, self.order, self.time_step = modes, order, time_step
-        self._errors = modes.errors(order, time_step)
-        self._advised: dict[int, float] = {}
-
-    def within(self, steps: int) -> float:
+    def error(self, order: int, time_step: float, steps: float) -> float:
         """Relative error of the spins in a course of so many steps."""
         reached = int(np.searchsorted(TIMES_IN_STEPS, steps, side="right"))
-        return float(self._errors[reached - 1]) if reached else 0.0
+        return float(self.errors(order, time_step)[reached - 1]) if reached else 0.0
 
-    def accurate_step(self, steps: int) -> float:
+    def accurate_step(self, order: int, time_step: float, steps: int) -> float:
         """A time step, by some halvings, that keeps the error within ACCURATE_ERROR for as long as so many of these
         steps, or up to twice as long; NaN if there is none."""
-        doublings = max(steps, 1).bit_length()
-        if self.within(2**doublings) <= ACCURATE_ERROR:
-            return self.time_step
-        if doublings not in self._advised:
-            self._advised[doublings] = self._halved(2.0**doublings)
-        return self._advised[doublings]
-
-    def _halved(self, steps: float) -> float:
-        for halvings in range(1, HALVINGS + 1):
-            time_step = self.time_step * 0.5**halvings
-            reached = int(np.searchsorted(TIMES_IN_STEPS, steps * 2.0**halvings, side="right"))
-            if self.modes.errors(self.order, time_step)[reached - 1] <= ACCURATE_ERROR:
-                return time_step
+        longest = 2.0 ** max(steps, 1).bit_length()
+        for parts in 2.0 ** np.arange(HALVINGS + 1):
+            if self.error(order, time_step / parts, longest * parts) <= ACCURATE_ERROR:
+                return float(time_step / parts)
         return float("nan")
-
-
-__all__ = ["ACCURATE_ERROR", "Modes", "StepError", "laplacian_spectrum"]
