@@ -18,17 +18,18 @@ from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.solvers.dynamics import WATCH_NAMES, SpringDynamics, default_inertia, replica_sum
 from taichi_bearings.solvers.gear import (
     GEAR_COEFFICIENTS,
+    Modes,
+    laplacian_spectrum,
     largest_laplacian_eigenvalue,
     largest_stable_step,
     largest_weighted_eigenvalue,
 )
-from taichi_bearings.solvers.step_error import Modes, laplacian_spectrum
 from taichi_bearings.solvers.table import CundallStrack
 
 DEFAULT_STEP = 0.8  # of the stability bound
 
 
-class CundallStrackMethod(SpringDynamics[CundallStrack]):
+class CundallStrackMethod(SpringDynamics):
     """See the module docstring. An iteration is one time step."""
 
     kept = WATCH_NAMES
@@ -110,16 +111,18 @@ class CundallStrackMethod(SpringDynamics[CundallStrack]):
         holds = options.static_ratio * scene.normal_force * scene.acting_coefficient
         sticks = options.damping * scene.slips(derivatives[0], self.spin_axes) <= holds
         felt = self.differences(felt)
-        return self.with_viscosity(np.where(sticks, scene.lattice.radius * felt, 0.0), derivatives[-1])
+        force = np.where(sticks, scene.lattice.radius * felt, 0.0)
+        return self.with_viscosity(force, self.differences(derivatives[-1]))
 
     def _damping_force(self, staggered: np.ndarray) -> np.ndarray:
         """Forces (C, R, E) of unstretched contacts: their damper as far as friction holds it, and their viscosity."""
         scene, options = self.scene, self.options
-        force = options.damping * scene.lattice.radius * self.differences(staggered)
+        difference = self.differences(staggered)
+        force = options.damping * scene.lattice.radius * difference
         size, limit = vector_length(force), scene.normal_force * scene.acting_coefficient
         slips = size > limit * options.static_ratio
         force = force * np.divide(limit, size, out=np.ones_like(size), where=slips)
-        return self.with_viscosity(force if scene.law.holds else np.zeros_like(force), staggered)
+        return self.with_viscosity(force if scene.law.holds else np.zeros_like(force), difference)
 
     def next_check(self, iteration: int) -> int:
         wanted = int(np.ceil(self.aim / self.time_step * (1 - 1e-12))) if np.isfinite(self.aim) else np.inf

@@ -151,9 +151,9 @@ class GradientDescentMethod(Method):
         """Contact forces (C, R, E) of the law that the sweeps use."""
         scene = self.scene
         d = self.differences(staggered)
-        held, viscosity = scene.law.holding_force(scene.contact), scene.viscosities
+        held = scene.law.holding_force(scene.contact)
         force = np.zeros_like(d) if held is None else held / np.maximum(vector_length(d), self.width) * d
-        return force if viscosity is None else force + scene.lattice.radius * viscosity * d
+        return self.with_viscosity(force, d)
 
     def _steer(self, staggered: np.ndarray, objective: np.ndarray, bound: np.ndarray) -> None:
         """Restart the momentum where it overshot; halve the width where it causes half the gap or more."""

@@ -40,16 +40,10 @@ class LinearSolverMethod(Method):
 
     def _planes(self, slot: int) -> list[Planes]:
         """The planes of a spin component in bundles."""
-        replicas, layers, *sides = self._by_plane(self.spin[slot], slot).shape
+        replicas, layers, *sides = self.by_plane(self.spin[slot], self.spin_axes[slot]).shape
         replica, layer = (index.ravel() for index in np.indices((replicas, layers)))
         step = max(1, BUNDLE_SITES // int(np.prod(sides)))
         return [(replica[i : i + step], layer[i : i + step]) for i in range(0, replicas * layers, step)]
-
-    def _by_plane(self, values: np.ndarray, slot: int) -> np.ndarray:
-        """View (R, layers, m, n) of spins or contacts (R, ...): one plane a layer along the component, height last."""
-        if self.scene.lattice.dimension == 2:
-            return values[:, None]
-        return np.moveaxis(values, 1 + self.spin_axes[slot], 1)
 
     def next_check(self, iteration: int) -> int:
         return iteration + -(-len(self.bundles) // MOST_CHECKS)
@@ -65,7 +59,7 @@ class LinearSolverMethod(Method):
         scene, component = self.scene, self.spin_axes[slot]
         plane = scene.lattice.across(component)
         first, second = (
-            self._by_plane(values, slot)[planes]
+            self.by_plane(values, component)[planes]
             for axis, values in enumerate(scene.lattice.by_axis(scene.positive_coefficient))
             if axis != component
         )
@@ -73,7 +67,7 @@ class LinearSolverMethod(Method):
             factor = factorised(_laplacian(plane, first, second))
         except RuntimeError:  # a contrast beyond float64: these spins stay as they are
             return
-        spins, rests = self._by_plane(self.spin[slot], slot), self._by_plane(self.rest[slot], slot)
+        spins, rests = self.by_plane(self.spin[slot], component), self.by_plane(self.rest[slot], component)
         spin, rest = spins[planes], rests[planes]
         load = _free_torques(plane, first, second, spin, rest)
         size = _total(load)

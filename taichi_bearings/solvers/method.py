@@ -62,6 +62,11 @@ class Method:
         """Staggered spins (C, R, *N) as they are in the laboratory, not measured from the bottom: for energies."""
         return staggered + self.scene.driving.bottom_state(self.spin_axes)[0]
 
+    def with_viscosity(self, force: np.ndarray, difference: np.ndarray) -> np.ndarray:
+        """The forces and what the viscosity of the contacts, if they have any, adds at these differences."""
+        scene = self.scene
+        return force if scene.viscosities is None else force + scene.lattice.radius * scene.viscosities * difference
+
     def proven_by(self, force: Forces) -> np.ndarray:
         """Lower bound (R,) that follows from forces (C, R, E) which were looked at before."""
         return lower_bound(self.scene, force, self.spin_axes)
@@ -80,6 +85,10 @@ class Method:
             proof=proof,
             **more,
         )
+
+    def by_plane(self, values: np.ndarray, component: int) -> np.ndarray:
+        """View (R, planes, m, n) of spins or contacts (R, ...): one plane a layer along the component, height last."""
+        return values[:, None] if self.scene.lattice.dimension == 2 else np.moveaxis(values, 1 + component, 1)
 
     def specified(self, spheres: dict[str, int], contacts: list[str]) -> Any:
         """Fields with these numbers a sphere, and of these names a contact, and what the law has of each."""

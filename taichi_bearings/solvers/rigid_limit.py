@@ -18,12 +18,10 @@ import numpy as np
 
 from taichi_bearings.conic.proximal import ProximalSteps, Step
 from taichi_bearings.fields import Fields
-from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.proof.certificate import inverse, relative_gap
 from taichi_bearings.scene import Progress, Scene
 from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.solvers.dynamics import ENERGY_NAMES, Dynamics, replica_sum
-from taichi_bearings.solvers.table import RigidLimit
 
 FIRST_ERROR_SHARE = 0.1  # of the error tolerance, in relaxation times
 LEAST_STEP, MOST_STEP = 1e-6, 1e8  # relaxation times
@@ -38,7 +36,7 @@ STILL_GAP = 1e-9  # proven gap from which a state whose power no longer falls is
 REST_STEPS, STUCK_STEPS = 2, 20
 
 
-class RigidLimitMethod(Dynamics[RigidLimit]):
+class RigidLimitMethod(Dynamics):
     """See the module docstring. An iteration is one time step of all replicas together."""
 
     kept = (
@@ -88,11 +86,6 @@ class RigidLimitMethod(Dynamics[RigidLimit]):
         force = scene.strength * scene.acting_coefficient * size * difference
         beside = scene.viscosity_beside_friction
         return force if beside is None else force + scene.lattice.radius * beside * difference
-
-    def advance(self, steps: int) -> None:
-        with one_thread():  # fronts are shared among threads here, not inside the library
-            for _ in range(steps):
-                self._step()
 
     def _step(self) -> None:
         """One step that is accurate enough, or as short as steps may be."""
@@ -145,7 +138,6 @@ class RigidLimitMethod(Dynamics[RigidLimit]):
         self._lay_to_rest()
         self.time, self.last_length = time, duration
         self.slipping, self.creep = step.slipping, step.creep
-        self.iteration += 1
         self.newton_steps += step.newton_steps
         fall = objective_before - scene.objective(self.staggered, self.spin_axes)
         falls = fall > self.options.rest_tolerance * objective_before
