@@ -156,12 +156,8 @@ class Course:
     ) -> None:
         self.scene, self.method, self.stop, self.recording = scene, method, stop, recording
         self.checkpoints, self.interrupt = checkpoints, interrupt
-        self.best, self.recorder, self.pace = (
-            _Best(scene, method),
-            Recorder(scene, recording),
-            _Pace(),
-        )
-        self.target = 0  # iteration of the next look at the progress
+        self.best, self.recorder = _Best(scene, method), Recorder(scene, recording)
+        self.target, self.launch = 0, 64  # iteration of the next look at the progress; iterations at a time
         self.began = self.called = self.written_at = time.perf_counter()
         resume = checkpoints.resume if checkpoints else None
         if resume is not None and isinstance(method, Dynamics):
@@ -192,7 +188,7 @@ class Course:
         iteration = method.iteration if isinstance(method, Dynamics) else 0
         while True:
             with suppress(GivenUp):
-                self.pace.advance(method, self.target - iteration, self._is_ended, self._write_if_due)
+                self._advance(self.target - iteration)
             on_the_way = isinstance(method, Dynamics) and method.iteration < self.target
             if on_the_way:
                 self._write(looked=False)  # before anything is looked at that an undisturbed run would not look at
@@ -216,6 +212,23 @@ class Course:
                 return
             self._write_if_due(looked=True)
             self._aim(iteration)
+
+    def _advance(self, steps: int) -> None:
+        """So many iterations, in launches of about half a second; fewer where the time is over."""
+        while steps > 0 and not self._is_ended():
+            now = min(self.launch, steps)
+            began = time.perf_counter()
+            with while_wanted(self._is_ended):
+                self.method.advance(now)
+                runtime.wait()  # or a GPU would take steps for hours ahead, deaf to any limit
+            steps -= now
+            took = time.perf_counter() - began
+            if took > 1.0:
+                self.launch = max(64, self.launch // 2)
+            elif took < 0.25 and now == self.launch:
+                self.launch *= 2
+            if steps > 0:
+                self._write_if_due()
 
     def _aim(self, iteration: int) -> None:
         """Choose the iteration of the next look. It depends on the state of a dynamics only, not on earlier looks."""
@@ -265,29 +278,6 @@ class Course:
         return replace(found, status=status, seconds=seconds, history=history, snapshots=snapshots)
 
 
-class _Pace:
-    """Splits the iterations between two checks into launches of about half a second."""
-
-    def __init__(self) -> None:
-        self.size = 64
-
-    def advance(self, method: Method, steps: int, ended: Callable[[], bool], between: Callable[[], None]) -> None:
-        while steps > 0 and not ended():
-            now = min(self.size, steps)
-            began = time.perf_counter()
-            with while_wanted(ended):
-                method.advance(now)
-                runtime.wait()  # or a GPU would take steps for hours ahead, deaf to any limit
-            steps -= now
-            took = time.perf_counter() - began
-            if took > 1.0:
-                self.size = max(64, self.size // 2)
-            elif took < 0.25 and now == self.size:
-                self.size *= 2
-            if steps > 0:
-                between()
-
-
 class _Best:
     """The state that counts, replica by replica, and the best lower bound seen.
 
@@ -313,11 +303,15 @@ class _Best:
         return self.keeps_best and iteration > max(STALL_PATIENCE, 5 * self._improved_at)
 
     def take(self, new: Progress) -> None:
-        first = len(self.bound) == 0
+        first, proof = len(self.bound) == 0, new.force if new.proof is None else new.proof
         if first and self.proof.size:  # restored: what was proven before is proven anew
             self.bound = self.method.proven_by(self.proof)
-        self._take_proof(new)
-        self.bound = np.maximum(self.bound, new.lower_bound) if len(self.bound) else new.lower_bound
+        elif first:
+            self.proof, self.bound = proof, new.lower_bound
+        better = new.lower_bound >= self.bound
+        if new.states_proven is not None:  # forces that prove states are worth more than the last digit of the bound
+            better |= new.states_proven & (new.lower_bound >= self.bound * (1 - 1e-11))
+        self.proof, self.bound = np.where(better[:, None], proof, self.proof), np.maximum(self.bound, new.lower_bound)
         if first or not self.keeps_best:
             self.progress = new
             return
@@ -335,15 +329,3 @@ class _Best:
         still = np.zeros((len(spin_axes), self.scene.replicas, *self.scene.lattice.shape))
         if self.proof.shape != self.method.differences(still).shape or not np.isfinite(self.proof).all():
             raise ValueError("proof holds something else than the forces of its contacts")
-
-    def _take_proof(self, new: Progress) -> None:
-        proof = new.force if new.proof is None else new.proof
-        if len(self.bound) == 0:
-            self.proof = proof
-            return
-        better = new.lower_bound >= self.bound
-        if (
-            new.states_proven is not None
-        ):  # forces that prove contact states are worth more than the last digit of the bound
-            better |= new.states_proven & (new.lower_bound >= self.bound * (1 - 1e-11))
-        self.proof = np.where(better[:, None], proof, self.proof)

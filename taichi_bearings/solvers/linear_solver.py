@@ -98,7 +98,6 @@ class LinearSolverMethod(Method):
             rest=np.where(staggered == self.spin, self.rest, 0.0),  # none where clipping has moved a spin
             resolution=float(np.finfo(np.float64).eps) * scene.lattice.radius * scene.fastest,
             exhausted=self.iteration == len(self.bundles),
-            needed=len(self.bundles),
         )
 
 
