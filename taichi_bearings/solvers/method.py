@@ -98,6 +98,7 @@ class Method:
 
     @property
     def of_law(self) -> list[str]:
+        """Fields of the coefficients of the law."""
         return ["coefficient", *(["viscosity"] if self.scene.viscosity_beside_friction is not None else [])]
 
     def stencil_of(self, block: int) -> Stencil:
