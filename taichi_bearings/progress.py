@@ -161,7 +161,7 @@ def displayed(wanted: bool = True) -> AbstractContextManager[Any]:
 
 
 class Forecast:
-    """Where a solve stands, and when it ends at the pace of the last two thirds of its time."""
+    """Where a solve stands, and when a dynamics ends at the pace of the last two thirds of its time."""
 
     def __init__(self) -> None:
         self.points: list[tuple[float, float]] = []  # (seconds, share done) at each report
@@ -171,8 +171,8 @@ class Forecast:
     def look(self, report: Any) -> None:
         """Hear a report of a solve (solvers.drive.Report)."""
         progress, seconds = report.progress, report.seconds
-        share, until = share_of(report)
-        self.points.append((seconds, share))
+        until = f"t = {report.stop.duration:g}"
+        self.points.append((seconds, math.nan if progress.time is None else progress.time / report.stop.duration))
         left = seconds_left([point for point in self.points if point[0] >= seconds / WINDOW])
         if left > FARTHEST * seconds:
             left = math.inf
@@ -188,23 +188,6 @@ class Forecast:
         """Time left and until what, where that is known and not over."""
         left = self.left_then - (now - self.told_at)
         return f"{duration(left)} left to {self.until}" if 0 < left < math.inf else ""
-
-
-def share_of(report: Any) -> tuple[float, str]:
-    """How much of a solve is done, and what ends it; not-a-number where that says nothing of the time.
-
-    The gap of some methods falls by like factors in like times; that of others, and of a dynamics, when it will.
-    """
-    progress, stop = report.progress, report.stop
-    if progress.time is not None:
-        return progress.time / stop.duration, f"t = {stop.duration:g}"
-    if progress.needed is not None:
-        return progress.iteration / max(progress.needed, 1), "the end"
-    gap, aim = float(np.max(report.gap)), stop.tolerance
-    if progress.settles_at is not None and progress.settles_more:
-        aim = min(aim, progress.settles_at)
-    known = progress.geometric and 0 < aim < gap < 1
-    return (math.log(gap) / math.log(aim) if known else math.nan), f"gap {aim:.0e}"
 
 
 def seconds_left(points: Sequence[tuple[float, float]]) -> float:

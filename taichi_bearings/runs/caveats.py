@@ -18,7 +18,7 @@ from taichi_bearings.proof.contact_state import (
 )
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene import Solution, Status
-from taichi_bearings.solvers.step_error import ACCURATE_ERROR
+from taichi_bearings.solvers.gear import ACCURATE_ERROR
 from taichi_bearings.words import counted
 
 SLIPLESS, SLIPPING, UNPROVEN = ContactState.SLIPLESS, ContactState.SLIPPING, ContactState.UNDECIDED

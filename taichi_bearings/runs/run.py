@@ -227,8 +227,7 @@ def _solve_again(job: Job, settings: RunSettings) -> Callable[[Scene], Solution]
 def _rigid_top(job: Job, ramp: Ramp) -> Any:
     """The dynamics of a top under a torque, which knows the motion of strength 1."""
     from taichi_bearings.solvers.drive import uninterrupted
-    from taichi_bearings.solvers.implicit_rigid_top import ImplicitRigidTopMethod
-    from taichi_bearings.solvers.rigid_top import RigidTopMethod
+    from taichi_bearings.solvers.rigid_top import ImplicitRigidTopMethod, RigidTopMethod
 
     kind: Any = RigidTopMethod if isinstance(job.method.options, CundallStrack) else ImplicitRigidTopMethod
     options: Any = dict.fromkeys(("torque", "iterations", "duration", "record", "snapshots"))

@@ -90,9 +90,6 @@ class Progress:
     settled : (R,), True where the states are final. states_proven : (R,), where they are those of a minimum, proven.
     settles_more : going on would settle more contact states, whatever the gap.
     findings : what else the method has found, by name, (R,) each. columns : the same of this check, for the history.
-    geometric : the gap falls by like factors in like times; else roughly like a power of the time.
-    settles_at : gap from which on the method settles contact states, which takes its own time, if it does.
-    needed : iterations of the method in all, where that is known beforehand.
     ended : (R,), iteration with which each replica was done, of a method that steps them apart.
     """
 
@@ -119,9 +116,6 @@ class Progress:
     settles_more: bool = False
     findings: Mapping[str, np.ndarray] = field(default_factory=dict)
     columns: Mapping[str, np.ndarray] = field(default_factory=dict)
-    geometric: bool = False
-    settles_at: float | None = None
-    needed: int | None = None
     ended: np.ndarray | None = None
 
     def where(self, better: np.ndarray, other: "Progress") -> "Progress":

@@ -39,7 +39,8 @@ def answered(
     proof = certifying_forces(scene, forces, final.spin_axes, bound)
     friction = laboratory_forces(proof, scene.lattice, final.spin_axes)
     judgement = _judged(scene, spin, spin_rounding, friction)
-    slip = _slips(scene, final) if judgement is None else judgement.slip
+    slip = scene.slips(final.staggered, final.spin_axes) if final.slip is None else final.slip
+    slip = slip if judgement is None else judgement.slip
     state, resolves, of_all = _told_apart(
         scene, slip, final, threshold, _decided(scene, judgement, method.options.is_dynamics), proof
     )
@@ -160,10 +161,6 @@ def _states(scene: Scene, slip: np.ndarray, final: Progress, threshold: float, a
         fast = (state == ContactState.SLIPLESS) & (slip > threshold)
         state = np.where(slow, ContactState.SLIPLESS, np.where(fast, ContactState.UNDECIDED, state))
     return np.where(scene.idle, ContactState.DRIVEN, state).astype(np.uint8)
-
-
-def _slips(scene: Scene, final: Progress) -> np.ndarray:
-    return scene.slips(final.staggered, final.spin_axes) if final.slip is None else final.slip
 
 
 def _acting(scene: Scene, method: Method, final: Progress, slip: np.ndarray) -> np.ndarray:

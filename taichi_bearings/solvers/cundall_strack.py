@@ -12,24 +12,24 @@ import numpy as np
 from taichi_bearings.errors import InputError
 from taichi_bearings.fields import Fields, FieldSpec, team_size
 from taichi_bearings.kernels.cundall_strack import cundall_strack_steps
-from taichi_bearings.kernels.stencil import Stencil
-from taichi_bearings.kernels.team import Team
+from taichi_bearings.kernels.team import Sweeps, Team
 from taichi_bearings.scene import Energy, Progress, Scene
 from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.solvers.dynamics import WATCH_NAMES, SpringDynamics, default_inertia, replica_sum
 from taichi_bearings.solvers.gear import (
     GEAR_COEFFICIENTS,
+    Modes,
+    laplacian_spectrum,
     largest_laplacian_eigenvalue,
     largest_stable_step,
     largest_weighted_eigenvalue,
 )
-from taichi_bearings.solvers.step_error import Modes, StepError, laplacian_spectrum
 from taichi_bearings.solvers.table import CundallStrack
 
 DEFAULT_STEP = 0.8  # of the stability bound
 
 
-class CundallStrackMethod(SpringDynamics[CundallStrack]):
+class CundallStrackMethod(SpringDynamics):
     """See the module docstring. An iteration is one time step."""
 
     kept = WATCH_NAMES
@@ -39,37 +39,37 @@ class CundallStrackMethod(SpringDynamics[CundallStrack]):
     def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
         super().plan(scene, spin)
         self.held = scene.lattice.is_driven
-        components, dimension = len(self.spin_axes), scene.lattice.dimension
-        forces = Stencil(self.spin_axes, dimension, 1).force_components
-        spec = [(f"gear_{n}", components) for n in range(self.options.gear_order + 1)]
-        spec += [("predicted", components), ("is_free", 1), ("force", forces), ("coefficient", dimension)]
-        if scene.law.holds:
-            spec += [("integral", components), ("elongation", forces)]
-        if scene.viscosity:
-            spec.append(("viscosity", dimension))
-        if self.options.energy:
-            spec += [("work", 1), ("impulse", components)]
-        self.spec = tuple(spec)
+        energy, holds, order = self.options.energy, scene.law.holds, self.options.gear_order
+        moved = [*(f"gear_{n}" for n in range(order + 1)), "predicted", *["integral"] * holds, *["impulse"] * energy]
+        spheres = dict.fromkeys(moved, len(self.spin_axes)) | {"is_free": 1}
+        self.spec = self.specified(spheres, ["force", *["elongation"] * holds, *["work"] * energy])
         return self.spec
 
     def begin(self, scene: Scene, spin: np.ndarray, fields: Fields | None) -> None:
-        assert fields is not None
-        self.fields, layout, options = fields, fields.layout, self.options
-        self.stability_bound = stability_bound(scene, self.spin_axes, options, self.held)
+        options, beside, replicas = self.options, scene.viscosity_beside_friction, scene.replicas
+        # over the radius, as the force of the device law
+        self.use(fields, None if beside is None else scene.lattice.radius * beside)
+        bound = self._largest_step()
+        self.stability_bound = bound if np.isfinite(bound) else 1.0  # where nothing acts any step is right
         self.time_step = choose_time_step(self.stability_bound, options.time_step)
-        modes = sticking_modes(scene, self.spin_axes, options, float(np.abs(spin).max()), self.stability_bound)
-        self.step_error = StepError(modes, options.gear_order, self.time_step)
-        self.stencil = Stencil(self.spin_axes, scene.lattice.dimension, layout.block, layout.periodic)
+        self.start_spin = float(np.abs(spin).max())
         self._load_gear(scene.staggered_spin(spin, self.spin_axes))
-        is_free = np.broadcast_to(~scene.lattice.is_driven, (1, scene.replicas, *scene.lattice.shape))
-        fields.load("is_free", is_free.astype(np.float64))
-        fields.load("coefficient", layout.at_lower_sphere(scene.acting_coefficient))
-        if scene.viscosity_beside_friction is not None:  # over the radius, as the force of the device law
-            beside = layout.at_lower_sphere(scene.viscosity_beside_friction)
-            fields.load("viscosity", scene.lattice.radius * beside)
-        self.team = Team(team_size(layout, self.stencil.components + self.stencil.force_components))
-        self.steps = self.stepping(self.spec, self.stencil, GEAR_COEFFICIENTS[options.gear_order])
-        self.steps.compile(fields, self.team)
+        is_free = np.where(scene.lattice.is_driven, 0.0, self.unit_inertia / self.inertia)
+        self.fields.load("is_free", np.broadcast_to(is_free, (1, replicas, *scene.lattice.shape)))
+        self.team, self.steps = self._kernels(GEAR_COEFFICIENTS[options.gear_order])
+        self.steps.compile(self.fields, self.team)
+
+    @property
+    def unit_inertia(self) -> float:
+        """Inertia of a sphere whose field `is_free` holds 1."""
+        return self.inertia
+
+    def _largest_step(self) -> float:
+        return stability_bound(self.scene, self.spin_axes, self.options, self.held)
+
+    def _kernels(self, corrector: tuple[float, ...]) -> tuple[Team, Sweeps]:
+        numbers = self.stencil.components + self.stencil.force_components
+        return Team(team_size(self.fields.layout, numbers)), self.stepping(self.spec, self.stencil, corrector)
 
     def _load_gear(self, staggered: np.ndarray) -> None:
         """Spins and their derivatives at the start, from the equation of motion. Without those of the sticking springs
@@ -111,16 +111,18 @@ class CundallStrackMethod(SpringDynamics[CundallStrack]):
         holds = options.static_ratio * scene.normal_force * scene.acting_coefficient
         sticks = options.damping * scene.slips(derivatives[0], self.spin_axes) <= holds
         felt = self.differences(felt)
-        return self.with_viscosity(np.where(sticks, scene.lattice.radius * felt, 0.0), derivatives[-1])
+        force = np.where(sticks, scene.lattice.radius * felt, 0.0)
+        return self.with_viscosity(force, self.differences(derivatives[-1]))
 
     def _damping_force(self, staggered: np.ndarray) -> np.ndarray:
         """Forces (C, R, E) of unstretched contacts: their damper as far as friction holds it, and their viscosity."""
         scene, options = self.scene, self.options
-        force = options.damping * scene.lattice.radius * self.differences(staggered)
+        difference = self.differences(staggered)
+        force = options.damping * scene.lattice.radius * difference
         size, limit = vector_length(force), scene.normal_force * scene.acting_coefficient
         slips = size > limit * options.static_ratio
         force = force * np.divide(limit, size, out=np.ones_like(size), where=slips)
-        return self.with_viscosity(force if scene.law.holds else np.zeros_like(force), staggered)
+        return self.with_viscosity(force if scene.law.holds else np.zeros_like(force), difference)
 
     def next_check(self, iteration: int) -> int:
         wanted = int(np.ceil(self.aim / self.time_step * (1 - 1e-12))) if np.isfinite(self.aim) else np.inf
@@ -131,7 +133,7 @@ class CundallStrackMethod(SpringDynamics[CundallStrack]):
         return super().state() | fields | {"time_step": np.array(self.time_step)}
 
     def _changing_fields(self) -> list[str]:
-        return [name for name, _ in self.spec if name not in ("is_free", "across", "coefficient", "viscosity")]
+        return changing(self.spec)
 
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
         if float(state["time_step"]) != self.time_step:
@@ -154,7 +156,7 @@ class CundallStrackMethod(SpringDynamics[CundallStrack]):
             scene.normal_force,
             scene.normal_force * options.static_ratio,
             *options.after_slip(self.time_step),
-            self._response(),
+            self.time_step * radius / self.unit_inertia,
         )
 
     def advance(self, steps: int) -> None:
@@ -162,25 +164,20 @@ class CundallStrackMethod(SpringDynamics[CundallStrack]):
         self.iteration += steps
         self.time = self.iteration * self.time_step
 
-    def _response(self) -> float:
-        """Change of a free spin in a step by a unit of force."""
-        return self.time_step * self.scene.lattice.radius / self.inertia
-
     def spins(self) -> np.ndarray:
         """(C, R, *N), staggered, of now."""
         return self.scene.impose_driving(self.fields.read("gear_0"), self.spin_axes)
 
     def motion(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         staggered = self.spins()
-        force = self._contact_forces("force") if self.iteration else self._damping_force(staggered)
-        return staggered, force, self._contact_forces("elongation") if self.scene.law.holds else np.zeros_like(force)
+        force = self.read_forces("force") if self.iteration else self._damping_force(staggered)
+        return staggered, force, self.read_forces("elongation") if self.scene.law.holds else np.zeros_like(force)
 
-    def findings(self) -> dict[str, np.ndarray]:
-        found = {
-            "step_error": self.step_error.within(self.iteration),
-            "accurate_time_step": self.step_error.accurate_step(self.iteration),
-        }
-        return {name: np.full(self.scene.replicas, value) for name, value in found.items()}
+    def findings(self, last: Progress) -> dict[str, np.ndarray]:
+        modes = sticking_modes(self.scene, self.spin_axes, self.options, self.start_spin, self.stability_bound)
+        of, replicas = (self.options.gear_order, self.time_step, self.iteration), self.scene.replicas
+        found = {"step_error": modes.error(*of), "accurate_time_step": modes.accurate_step(*of)}
+        return super().findings(last) | {name: np.full(replicas, value) for name, value in found.items()}
 
     def _contact_power(self, force: np.ndarray, staggered: np.ndarray) -> np.ndarray:
         """(R,) what the contacts take from the spins, over the radius."""
@@ -205,9 +202,6 @@ class CundallStrackMethod(SpringDynamics[CundallStrack]):
     def _load_force(self, force: np.ndarray) -> None:
         self.fields.load("force", self.stencil.forces_at_lower_sphere(force, self.fields.layout))
 
-    def _contact_forces(self, name: str) -> np.ndarray:
-        return self.stencil.forces_of_contacts(self.fields.read(name), self.fields.layout)
-
     def is_believed(self, found: Progress) -> bool:
         """With mu_s > mu_k, where the certificate need not agree, only after the driven planes could have stretched the
         springs to slipping."""
@@ -231,10 +225,18 @@ def stability_bound(
     inertia = options.inertia or default_inertia(scene, options.mass)
     over = scene.lattice.radius**2 / inertia
     decay = over * largest_weighted_eigenvalue(scene, spin_axes, held) if scene.law.flows else 0.0
-    if not scene.law.holds:
-        return largest_stable_step(options.gear_order, decay, 0.0)
-    stiffest = over * largest_laplacian_eigenvalue(scene.lattice, spin_axes)
-    return largest_stable_step(options.gear_order, options.damping * stiffest + decay, options.stiffness * stiffest)
+    return largest_step(options, scene.law.holds, decay, over * largest_laplacian_eigenvalue(scene.lattice, spin_axes))
+
+
+def largest_step(options: CundallStrack, holds: bool, decay: float, stiffest: float) -> float:
+    """Largest stable time step. decay : of the stiffest mode by viscosity, 1/time. stiffest : R^2 lambda / I of it."""
+    damping, stiffness = (options.damping, options.stiffness) if holds else (0.0, 0.0)
+    return largest_stable_step(options.gear_order, damping * stiffest + decay, stiffness * stiffest)
+
+
+def changing(fields: FieldSpec) -> list[str]:
+    """Names of those that a step changes."""
+    return [name for name, _ in fields if name not in ("is_free", "across", "coefficient", "viscosity")]
 
 
 def sticking_modes(

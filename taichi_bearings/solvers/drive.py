@@ -1,8 +1,8 @@
 """The only iteration loop: it owns the clock, the history, the monitors and the stopping."""
 
 import time
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -10,7 +10,6 @@ import numpy as np
 
 from taichi_bearings import runtime
 from taichi_bearings.errors import DeviceError, FileError, InputError
-from taichi_bearings.fields import Fields, make_layout
 from taichi_bearings.interrupts import GivenUp, Interrupt, while_wanted
 from taichi_bearings.proof.certificate import Forces, relative_gap
 from taichi_bearings.scene import Progress, Scene, Solution, Status
@@ -82,29 +81,43 @@ def solve(
     before the first step KeyboardInterrupt. It and the limit on time end the proof of the contact states too.
     Raises InputError for a scene that the method cannot solve.
     """
-    stop, recording = stop or StopRule(), recording or Recording()
-    began = time.perf_counter()
     if reason := method.options.refusal(scene):
         raise InputError(reason)
+    began = time.perf_counter()
+    with (
+        followed(scene, method, spin, stop or StopRule(), monitors, recording or Recording(), checkpoints) as course,
+        stage("proving contact states"),
+    ):
+        solution = course.answer(slip_threshold)
+    running = runtime.current() if method.options.needs_taichi else runtime.HOST
+    compiling = course.called - began
+    return replace(solution, interrupted=course.interrupt.heard, running=running, seconds_compile=compiling)
+
+
+@contextmanager
+def followed(
+    scene: Any,
+    method: Method,
+    spin: np.ndarray,
+    stop: StopRule,
+    monitors: Sequence[Monitor],
+    recording: Recording,
+    checkpoints: Checkpoints | None,
+) -> "Iterator[Course]":
+    """The course of a method over a scene, or over the network of a packing, at its end. Ctrl-C ends it, and inside
+    nothing else."""
     if method.options.cpu_only and runtime.current().is_gpu:
         raise DeviceError(f"{method.options.name} works in the memory of the CPU; use --arch cpu")
     spec = method.plan(scene, spin)
     with Interrupt() as interrupt:
         with stage("compiling" if method.options.needs_taichi else "preparing"), interrupt.at_once():
-            lattice = scene.lattice
-            fields = Fields(make_layout(scene.replicas, lattice.shape, lattice.periodic), spec) if spec else None
-            method.begin(scene, spin, fields)
+            method.begin(scene, spin, method.on_device(spec) if spec else None)
         if interrupt.heard:  # nothing is reached yet
             raise KeyboardInterrupt
-        compiled = time.perf_counter()
         course = Course(scene, method, stop, recording, checkpoints, interrupt)
         with stage("solving") as solving:
-            status, progress, seconds = course.follow([solving.tell, *monitors])
-        with stage("proving contact states"):
-            solution = course.answer(status, progress, seconds, slip_threshold)
-    running = runtime.current() if method.options.needs_taichi else runtime.HOST
-    compiling = compiled - began
-    return replace(solution, interrupted=interrupt.heard, running=running, seconds_compile=compiling)
+            course.follow([solving.tell, *monitors])
+        yield course
 
 
 def uninterrupted(solution: Solution) -> Solution:
@@ -123,7 +136,14 @@ def _refuse_unlike(stored: Mapping[str, np.ndarray], fresh: Mapping[str, np.ndar
 
 
 class Course:
-    """The loop of :func:`solve` from the start, or from a checkpoint, to the end."""
+    """The loop of :func:`solve` from the start, or from a checkpoint, to the end.
+
+    status, last, seconds : how it ended, the state then, and the wall time it took, that before a checkpoint included.
+    """
+
+    status: Status
+    last: Progress
+    seconds: float
 
     def __init__(
         self,
@@ -136,12 +156,8 @@ class Course:
     ) -> None:
         self.scene, self.method, self.stop, self.recording = scene, method, stop, recording
         self.checkpoints, self.interrupt = checkpoints, interrupt
-        self.best, self.recorder, self.pace = (
-            _Best(scene, method),
-            Recorder(scene, recording),
-            _Pace(),
-        )
-        self.target = 0  # iteration of the next look at the progress
+        self.best, self.recorder = _Best(scene, method), Recorder(scene, recording)
+        self.target, self.launch = 0, 64  # iteration of the next look at the progress; iterations at a time
         self.began = self.called = self.written_at = time.perf_counter()
         resume = checkpoints.resume if checkpoints else None
         if resume is not None and isinstance(method, Dynamics):
@@ -167,13 +183,12 @@ class Course:
     def _seconds_of_this_call(self) -> float:
         return time.perf_counter() - self.called
 
-    def follow(self, monitors: Sequence[Monitor]) -> tuple[Status, Progress, float]:
-        """How it ended, the last state, and the seconds it took."""
+    def follow(self, monitors: Sequence[Monitor]) -> None:
         scene, method, stop, best = self.scene, self.method, self.stop, self.best
         iteration = method.iteration if isinstance(method, Dynamics) else 0
         while True:
             with suppress(GivenUp):
-                self.pace.advance(method, self.target - iteration, self._is_ended, self._write_if_due)
+                self._advance(self.target - iteration)
             on_the_way = isinstance(method, Dynamics) and method.iteration < self.target
             if on_the_way:
                 self._write(looked=False)  # before anything is looked at that an undisturbed run would not look at
@@ -193,9 +208,27 @@ class Course:
                 if not on_the_way:
                     self._write(looked=True)
                 self.recorder.add_row(progress, best.bound, elapsed)
-                return status, progress, elapsed
+                self.status, self.last, self.seconds = status, progress, elapsed
+                return
             self._write_if_due(looked=True)
             self._aim(iteration)
+
+    def _advance(self, steps: int) -> None:
+        """So many iterations, in launches of about half a second; fewer where the time is over."""
+        while steps > 0 and not self._is_ended():
+            now = min(self.launch, steps)
+            began = time.perf_counter()
+            with while_wanted(self._is_ended):
+                self.method.advance(now)
+                runtime.wait()  # or a GPU would take steps for hours ahead, deaf to any limit
+            steps -= now
+            took = time.perf_counter() - began
+            if took > 1.0:
+                self.launch = max(64, self.launch // 2)
+            elif took < 0.25 and now == self.launch:
+                self.launch *= 2
+            if steps > 0:
+                self._write_if_due()
 
     def _aim(self, iteration: int) -> None:
         """Choose the iteration of the next look. It depends on the state of a dynamics only, not on earlier looks."""
@@ -221,16 +254,17 @@ class Course:
         self.checkpoints.write(self.method.state() | self.recorder.state() | self.best.state() | own)
         self.written_at = time.perf_counter()
 
-    def answer(self, status: Status, last: Progress, seconds: float, threshold: float | None) -> Solution:
-        """What the best state and the best forces amount to. seconds : in all."""
-        scene, best = self.scene, self.best
+    def answer(self, threshold: float | None) -> Solution:
+        """What the best state and the best forces amount to."""
+        scene, best, status, last, seconds = self.scene, self.best, self.status, self.last, self.seconds
         history, snapshots = self.recorder.history(), self.recorder.snapshots()
+        findings = self.method.findings(last) if isinstance(self.method, Dynamics) else best.progress.findings
         if isinstance(self.method, Dynamics) and (known := self.method.known):
-            known = replace(known, findings={**known.findings, **last.findings}, history=history, snapshots=snapshots)
+            known = replace(known, findings={**known.findings, **findings}, history=history, snapshots=snapshots)
             left, seconds, name = last.largest_balance_residual, known.seconds + seconds, self.method.options.name
             known = replace(known, method=name, iterations=last.iteration, largest_balance_residual=left)
             return replace(known, status=status, seconds=seconds)
-        final = replace(best.progress, iteration=last.iteration, ended=last.ended)
+        final = replace(best.progress, iteration=last.iteration, ended=last.ended, findings=findings)
         found, judgement = answered(scene, self.method, final, best.proof, best.bound, threshold)
         if status in (Status.CERTIFIED, Status.STALLED):
             status = Status.CERTIFIED if (found.gap <= self.stop.tolerance).all() else Status.STALLED
@@ -242,29 +276,6 @@ class Course:
             found = replace(found, state=above_noise(found))
         found = with_ties_counted(found)
         return replace(found, status=status, seconds=seconds, history=history, snapshots=snapshots)
-
-
-class _Pace:
-    """Splits the iterations between two checks into launches of about half a second."""
-
-    def __init__(self) -> None:
-        self.size = 64
-
-    def advance(self, method: Method, steps: int, ended: Callable[[], bool], between: Callable[[], None]) -> None:
-        while steps > 0 and not ended():
-            now = min(self.size, steps)
-            began = time.perf_counter()
-            with while_wanted(ended):
-                method.advance(now)
-                runtime.wait()  # or a GPU would take steps for hours ahead, deaf to any limit
-            steps -= now
-            took = time.perf_counter() - began
-            if took > 1.0:
-                self.size = max(64, self.size // 2)
-            elif took < 0.25 and now == self.size:
-                self.size *= 2
-            if steps > 0:
-                between()
 
 
 class _Best:
@@ -292,11 +303,15 @@ class _Best:
         return self.keeps_best and iteration > max(STALL_PATIENCE, 5 * self._improved_at)
 
     def take(self, new: Progress) -> None:
-        first = len(self.bound) == 0
+        first, proof = len(self.bound) == 0, new.force if new.proof is None else new.proof
         if first and self.proof.size:  # restored: what was proven before is proven anew
             self.bound = self.method.proven_by(self.proof)
-        self._take_proof(new)
-        self.bound = np.maximum(self.bound, new.lower_bound) if len(self.bound) else new.lower_bound
+        elif first:
+            self.proof, self.bound = proof, new.lower_bound
+        better = new.lower_bound >= self.bound
+        if new.states_proven is not None:  # forces that prove states are worth more than the last digit of the bound
+            better |= new.states_proven & (new.lower_bound >= self.bound * (1 - 1e-11))
+        self.proof, self.bound = np.where(better[:, None], proof, self.proof), np.maximum(self.bound, new.lower_bound)
         if first or not self.keeps_best:
             self.progress = new
             return
@@ -314,15 +329,3 @@ class _Best:
         still = np.zeros((len(spin_axes), self.scene.replicas, *self.scene.lattice.shape))
         if self.proof.shape != self.method.differences(still).shape or not np.isfinite(self.proof).all():
             raise ValueError("proof holds something else than the forces of its contacts")
-
-    def _take_proof(self, new: Progress) -> None:
-        proof = new.force if new.proof is None else new.proof
-        if len(self.bound) == 0:
-            self.proof = proof
-            return
-        better = new.lower_bound >= self.bound
-        if (
-            new.states_proven is not None
-        ):  # forces that prove contact states are worth more than the last digit of the bound
-            better |= new.states_proven & (new.lower_bound >= self.bound * (1 - 1e-11))
-        self.proof = np.where(better[:, None], proof, self.proof)

@@ -4,32 +4,22 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import reduce
 from operator import attrgetter
-from typing import Any, ClassVar, Generic, TypeVar
+from typing import Any, ClassVar
 
 import numpy as np
 
 from taichi_bearings.fields import FieldSpec
+from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.proof.certificate import relative_gap
 from taichi_bearings.scene import Energy, Progress, Scene, Solution
 from taichi_bearings.scene.scene import vector_length
-from taichi_bearings.solvers.method import OnLattice
-from taichi_bearings.solvers.table import Motion, Springs
+from taichi_bearings.solvers.method import Method
 
 REST_GAP = 1e-4  # proven gap from which a stationary state is believed to be one
 REST_SLIP = 1e-6  # of the imposed jump
 REST_CHECKS = 3  # consecutive checks, each 1/16 of the time so far apart, that must agree
 WATCH_NAMES = tuple(f"rest.{name}" for name in ("iteration", "time", "quiet_checks", "last_slipping", "last_objective"))
 ENERGY_NAMES = ("work", "injected", "energy_at_start")
-
-
-def moving_spin_axes(scene: Scene, spin: np.ndarray) -> tuple[int, ...]:
-    """Components a dynamics needs: those of the minimum, and any in which these laboratory spins (R, *N, 3) start
-    unlike the driven planes."""
-    needed = scene.minimum_spin_axes
-    if scene.lattice.dimension == 2:
-        return needed
-    full = scene.staggered_spin(spin, scene.lattice.all_spin_axes)
-    return tuple(k for k in scene.lattice.all_spin_axes if k in needed or full[k].any())
 
 
 def default_inertia(scene: Scene, mass: float) -> float:
@@ -42,25 +32,18 @@ def replica_sum(values: np.ndarray) -> np.ndarray:
     return values.sum(axis=(0, *range(2, values.ndim)))
 
 
-@dataclass(frozen=True)
-class Saturation:
-    """Contacts that bear all the friction they can, to a relative `tolerance`, and so slip; none without friction.
+def saturated(scene: Scene, force: np.ndarray, slip: np.ndarray, tolerance: float) -> tuple[np.ndarray, float]:
+    """How many contacts (R,) bear all the friction they can, to a relative tolerance, and so slip; and the largest slip
+    speed of one that holds, length/time: by less a contact is not known to slip. That is at most REST_SLIP of the
+    imposed jump, so that contacts which slip plainly are told from the first step on.
 
-    slipping : (R,). creep : largest slip speed of a contact that holds, length/time: by less a contact is not known to
-    slip; at most REST_SLIP of the imposed jump, so that contacts which slip plainly are told from the first step on.
+    force : (C, R, E). slip : (R, E).
     """
-
-    slipping: np.ndarray
-    creep: float
-
-    @classmethod
-    def of(cls, scene: Scene, force: np.ndarray, slip: np.ndarray, tolerance: float) -> "Saturation":
-        """force : (C, R, E). slip : (R, E)."""
-        limit, coarsest = scene.law.holding_force(scene.contact), REST_SLIP * scene.lattice.radius * scene.jump
-        if limit is None:
-            return cls(np.zeros(scene.replicas, dtype=np.int64), 0.0)
-        slips = vector_length(force) >= (1 - tolerance) * limit
-        return cls((slips & (limit > 0)).sum(axis=1), min(float(slip[~slips].max(initial=0.0)), coarsest))
+    limit, coarsest = scene.law.holding_force(scene.contact), REST_SLIP * scene.lattice.radius * scene.jump
+    if limit is None:
+        return np.zeros(scene.replicas, dtype=np.int64), 0.0
+    slips = vector_length(force) >= (1 - tolerance) * limit
+    return (slips & (limit > 0)).sum(axis=1), min(float(slip[~slips].max(initial=0.0)), coarsest)
 
 
 @dataclass
@@ -111,11 +94,7 @@ class RestWatch:
         self.time, self.last_objective, self.last_slipping = time, found.objective, slipping
 
 
-OptionsOfMotion = TypeVar("OptionsOfMotion", bound=Motion)
-OptionsOfSprings = TypeVar("OptionsOfSprings", bound=Springs)
-
-
-class Dynamics(OnLattice, Generic[OptionsOfMotion]):
+class Dynamics(Method):
     """A method whose iterations are steps in time, which can be interrupted and resumed with the same bits.
 
     kept : what its further course depends on, by name, beside the clock; WATCH_NAMES and ENERGY_NAMES if it has them.
@@ -125,15 +104,26 @@ class Dynamics(OnLattice, Generic[OptionsOfMotion]):
 
     kept: ClassVar[tuple[str, ...]] = ()
     known: Solution | None = None
-
-    def __init__(self, options: OptionsOfMotion) -> None:
-        self.options, self.aim = options, np.inf
+    aim = np.inf
 
     def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
-        self.scene, self.spin_axes = scene, moving_spin_axes(scene, spin)
-        self.inertia: Any = self.options.inertia or default_inertia(scene, self.options.mass)
+        self.scene, self.spin_axes = scene, self.carried(scene, spin)
+        self.inertia = self.inertias(scene)
         self.iteration, self.time, self.halted = 0, 0.0, False
         return ()
+
+    def carried(self, scene: Scene, spin: np.ndarray) -> tuple[int, ...]:
+        """Components a dynamics needs: those of the minimum, and any in which these laboratory spins (R, *N, 3) start
+        unlike the driven planes."""
+        needed = scene.minimum_spin_axes
+        if scene.lattice.dimension == 2:
+            return needed
+        full = scene.staggered_spin(spin, scene.lattice.all_spin_axes)
+        return tuple(k for k in scene.lattice.all_spin_axes if k in needed or full[k].any())
+
+    def inertias(self, scene: Scene) -> Any:
+        """Of the free spheres."""
+        return self.options.inertia or default_inertia(scene, self.options.mass)
 
     def aim_at(self, time: float) -> None:
         """The next simulated time at which a state is wanted; infinity for none.
@@ -153,6 +143,22 @@ class Dynamics(OnLattice, Generic[OptionsOfMotion]):
             *path, last = name.split(".")
             owner: Any = reduce(getattr, path, self)
             setattr(owner, last, _like(getattr(owner, last), state[name]))
+
+    def findings(self, last: Progress) -> dict[str, np.ndarray]:
+        """What else is found, by name, (R,) each. last : the state at the end."""
+        return {}
+
+    def advance(self, steps: int) -> None:
+        with one_thread():  # fronts are shared among threads here, not inside the library
+            for _ in range(steps):
+                self._step()
+                if self.halted:
+                    return
+                self.iteration += 1
+
+    def _step(self) -> None:
+        """One step, of which `halted` says if it could not be made."""
+        raise NotImplementedError
 
     def open_books(self, staggered: np.ndarray) -> None:
         """Keep the energy balance from these spins (C, R, *N) on, without a stretched spring."""
@@ -182,7 +188,7 @@ def _like(now: Any, stored: np.ndarray) -> Any:
     return type(now)(stored) if isinstance(now, int | float) else np.array(stored)
 
 
-class SpringDynamics(Dynamics[OptionsOfSprings]):
+class SpringDynamics(Dynamics):
     """A dynamics whose contacts have springs: how it is looked at, and when it is at rest.
 
     same_force : relative distance from all the friction it can bear at which a contact slips. checks : see RestWatch.
@@ -203,39 +209,31 @@ class SpringDynamics(Dynamics[OptionsOfSprings]):
         """The energy balance of now, if it is kept."""
         return self.balance(staggered, spring)
 
-    def findings(self) -> dict[str, np.ndarray]:
-        """What else is found."""
-        return {}
+    def findings(self, last: Progress) -> dict[str, np.ndarray]:
+        """Of the distance that the driven planes have slid past each other, what the longest spring takes up."""
+        slid = self.scene.lattice.radius * self.scene.jump * self.time if self.scene.law.holds else 0.0
+        return {"elastic_share": vector_length(self.motion()[2]).max(axis=1) / slid} if slid > 0 else {}
 
     def progress(self) -> Progress:
         scene, stiffness = self.scene, self.options.stiffness
         staggered, force, stretch = self.motion()
-        springs = self.with_viscosity(stiffness * stretch, staggered) if scene.law.holds else force
-        # of the distance that the driven planes have slid past each other, what the longest spring takes up
-        slid = scene.lattice.radius * scene.jump * self.time if scene.law.holds else 0.0
-        elastic_share = {"elastic_share": vector_length(stretch).max(axis=1) / slid} if slid > 0 else {}
-        saturation = Saturation.of(scene, force, scene.slips(staggered, self.spin_axes), self.same_force)
+        springs = force
+        if scene.law.holds:
+            springs = self.with_viscosity(stiffness * stretch, self.differences(staggered))
+        slipping, creep = saturated(scene, force, scene.slips(staggered, self.spin_axes), self.same_force)
         found = self.judged(
             staggered,
             force,
             springs,
             iteration=self.iteration,
-            resolution=saturation.creep,
+            resolution=creep,
             time=self.time,
             energy=self.books(staggered, force, stiffness / 2 * replica_sum(stretch**2)),
-            slipping=saturation.slipping,
+            slipping=slipping,
             halted=self.halted,
-            findings=self.findings() | elastic_share,
         )
         self.rest.look(found, self.time, scene.lattice.radius, self.options.rest_tolerance, self.is_believed(found))
         return replace(found, at_rest=self.rest.at_rest)
-
-    def with_viscosity(self, force: np.ndarray, staggered: np.ndarray) -> np.ndarray:
-        """The forces and what the viscosity of the contacts, if they have any, adds at these spins."""
-        scene = self.scene
-        if scene.viscosities is None:
-            return force
-        return force + scene.lattice.radius * scene.viscosities * self.differences(staggered)
 
     def is_believed(self, found: Progress) -> bool:
         """Rest is believed only if the certificate agrees."""

@@ -20,12 +20,11 @@ import numpy as np
 from taichi_bearings import runtime
 from taichi_bearings.fields import Fields, FieldSpec, team_size
 from taichi_bearings.kernels.descent import descent_sweeps
-from taichi_bearings.kernels.stencil import Stencil
 from taichi_bearings.kernels.team import Sweeps, Team
 from taichi_bearings.lattice.incidence import weights
 from taichi_bearings.scene import Progress, Scene
 from taichi_bearings.scene.scene import vector_length
-from taichi_bearings.solvers.method import OnLattice
+from taichi_bearings.solvers.method import Method
 from taichi_bearings.solvers.table import GradientDescent
 
 FIRST_EPOCH = 64
@@ -37,52 +36,33 @@ RESOLVED_WIDTHS = 100
 CHECKS_AN_EPOCH = 8  # without momentum; the first half of them before the averaging begins
 
 
-class GradientDescentMethod(OnLattice):
+class GradientDescentMethod(Method):
     """See the module docstring. An iteration is one sweep over all contacts; sweeps are made in pairs."""
 
     points: tuple[str, ...] = ("point", "point_next")
-    sweeps: Sweeps
+    forces: tuple[str, ...] = ()
 
     def __init__(self, options: GradientDescent) -> None:
-        self.options, self.momentum = options, options.momentum
+        super().__init__(options)
+        self.momentum = options.momentum
 
     def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
-        self.scene, self.spin_axes = scene, scene.minimum_spin_axes
+        super().plan(scene, spin)
         self.averages = scene.law.holds and not self.momentum
-        components, dimension = len(self.spin_axes), scene.lattice.dimension
-        spec = [(name, components) for name in ("point", "point_next", "inverse_weight")]
-        spec += [("coefficient", dimension), *([("viscosity", dimension)] if scene.viscosity else [])]
-        if self.momentum:
-            spec.append(("spin", components))
-        if self.averages:
-            forces = Stencil(self.spin_axes, dimension, 1).force_components
-            spec += [("spin_sum", components), ("force_sum", forces)]
-        self.spec = tuple(spec)
+        names = [*self.points, "inverse_weight"] + self.momentum * ["spin"] + self.averages * ["spin_sum"]
+        spheres = dict.fromkeys(names, len(self.spin_axes))
+        self.spec = self.specified(spheres, [*self.forces, *(["force_sum"] if self.averages else [])])
         return self.spec
 
     def begin(self, scene: Scene, spin: np.ndarray, fields: Fields | None) -> None:
-        assert fields is not None
-        self.fields, layout = fields, fields.layout
+        beside = scene.viscosity_beside_friction  # in units of the coefficients:
+        self.viscosity = None if beside is None else scene.lattice.radius / scene.strength * beside
+        self.use(fields, self.viscosity)
         self._load_spins(scene.clip_to_box(scene.staggered_spin(spin, self.spin_axes), self.spin_axes))
-        fields.load("coefficient", layout.at_lower_sphere(scene.acting_coefficient))
-        self.viscosity = self._viscosity()
-        if self.viscosity is not None:
-            fields.load("viscosity", layout.at_lower_sphere(self.viscosity))
         box = np.zeros((2, 3))  # lower and upper ends
         box[:, : len(self.spin_axes)] = scene.box(self.spin_axes)
         self.box = box.ravel().tolist()
-        self.stencil = Stencil(self.spin_axes, scene.lattice.dimension, layout.block, layout.periodic)
-        self.team = Team(team_size(layout, self.stencil.components))
-        self.sweeps = descent_sweeps(self.spec, self.stencil, scene.law.name)
-        self._begin()
-
-    def _viscosity(self) -> np.ndarray | None:
-        """Beside friction, (R, E), in units of the coefficients."""
-        beside = self.scene.viscosity_beside_friction
-        return None if beside is None else self.scene.lattice.radius / self.scene.strength * beside
-
-    def _begin(self) -> None:
-        scene = self.scene
+        self.team, self.sweeps = self._kernels()
         self.sweeps.compile(self.fields, self.team)
         jump = scene.jump or 1.0
         precision = np.float64 if runtime.current().precision == "f64" else np.float32
@@ -93,6 +73,10 @@ class GradientDescentMethod(OnLattice):
         self.last_smooth = np.full(scene.replicas, np.inf)
         self._load_weights()
         self._begin_epoch(FIRST_EPOCH)
+
+    def _kernels(self) -> tuple[Team, Sweeps]:
+        team = Team(team_size(self.fields.layout, self.stencil.components))
+        return team, descent_sweeps(self.spec, self.stencil, self.scene.law.name)
 
     def _load_weights(self) -> None:
         """The metric: friction, and so much of the viscosity as makes the curvature of both at this stage even."""
@@ -146,7 +130,7 @@ class GradientDescentMethod(OnLattice):
         scene = self.scene
         if self.averaged:
             staggered = scene.impose_driving(self.fields.read("spin_sum") / self.averaged, self.spin_axes)
-            force = self._averaged_force()
+            force = self.read_forces("force_sum") * (scene.normal_force / self.averaged)
         else:
             staggered = scene.impose_driving(self.fields.read("spin" if self.momentum else "point"), self.spin_axes)
             force = self._force_at(staggered)
@@ -167,13 +151,9 @@ class GradientDescentMethod(OnLattice):
         """Contact forces (C, R, E) of the law that the sweeps use."""
         scene = self.scene
         d = self.differences(staggered)
-        held, viscosity = scene.law.holding_force(scene.contact), scene.viscosities
+        held = scene.law.holding_force(scene.contact)
         force = np.zeros_like(d) if held is None else held / np.maximum(vector_length(d), self.width) * d
-        return force if viscosity is None else force + scene.lattice.radius * viscosity * d
-
-    def _averaged_force(self) -> np.ndarray:
-        mean = self.fields.read("force_sum") * (self.scene.normal_force / self.averaged)
-        return self.stencil.forces_of_contacts(mean, self.fields.layout)
+        return self.with_viscosity(force, d)
 
     def _steer(self, staggered: np.ndarray, objective: np.ndarray, bound: np.ndarray) -> None:
         """Restart the momentum where it overshot; halve the width where it causes half the gap or more."""

@@ -25,7 +25,6 @@ from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.numerics.cholesky import dissect
 from taichi_bearings.scene import Scene
 from taichi_bearings.solvers.dynamics import ENERGY_NAMES, WATCH_NAMES, SpringDynamics
-from taichi_bearings.solvers.table import ImplicitCundallStrack
 
 GAMMA = 1 - np.sqrt(0.5)  # length of a stage in steps
 ERROR_SAFETY, SHRINK, GROW = 0.9, 0.2, 4.0  # of the step that the error allows, and limits to its change
@@ -50,7 +49,7 @@ class _Tried:
     error: float
 
 
-class ImplicitCundallStrackMethod(SpringDynamics[ImplicitCundallStrack]):
+class ImplicitCundallStrackMethod(SpringDynamics):
     """See the module docstring. An iteration is one time step, the same for all replicas.
 
     staggered : (C, R, *N). elongation, force : (C, R, E), at the end of the last step.
@@ -160,14 +159,6 @@ class ImplicitCundallStrackMethod(SpringDynamics[ImplicitCundallStrack]):
 
     def next_check(self, iteration: int) -> int:
         return iteration + 1 if np.isfinite(self.aim) else self.rest.next_check
-
-    def advance(self, steps: int) -> None:
-        with one_thread():  # fronts are shared among threads here, not inside the library
-            for _ in range(steps):
-                self._step()
-                if self.halted:
-                    return
-                self.iteration += 1
 
     def _step(self) -> None:
         """One accepted step: as long as planned, unless the aim, the error or Newton's method asks for less."""

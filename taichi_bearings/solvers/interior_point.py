@@ -167,8 +167,6 @@ class InteriorPointMethod(Descent):
             findings=findings,
             states_proven=np.array([sample.resolved is not None and sample.resolved.borne for sample in self.samples]),
             settles_more=self.options.settle and self.frustrated and not all(sample.done for sample in self.samples),
-            geometric=True,
-            settles_at=self.settles_at,
             ended=np.array([sample.steps for sample in self.samples]),
         )
 

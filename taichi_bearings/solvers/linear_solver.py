@@ -13,15 +13,14 @@ balance to the rounding of the forces, however large the contrast.
 import numpy as np
 from scipy.sparse import csc_array
 
-from taichi_bearings.fields import Fields, FieldSpec
+from taichi_bearings.fields import Fields
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.lattice.incidence import add_pull, contact_differences, difference
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.numerics.double_double import two_sum
 from taichi_bearings.numerics.graph_laplacian import factorised, graph_laplacian
 from taichi_bearings.scene import Progress, Scene
-from taichi_bearings.solvers.method import judged
-from taichi_bearings.solvers.table import LinearSolver
+from taichi_bearings.solvers.method import Method
 
 BUNDLE_SITES = 250_000  # spheres that are solved for together: about 0.1 GB in planes of 64 x 64
 MOST_CHECKS = 4  # looks at the progress in a run of many bundles
@@ -30,17 +29,10 @@ MOST_SOLUTION_REFINEMENTS = 50  # two or three do, unless the contrast is near t
 Planes = tuple[np.ndarray, np.ndarray]  # replica and layer of each plane of a bundle
 
 
-class LinearSolverMethod:
+class LinearSolverMethod(Method):
     """See the module docstring. An iteration is one bundle of planes, solved to round-off."""
 
-    def __init__(self, options: LinearSolver) -> None:
-        self.options = options
-
-    def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
-        return ()
-
     def begin(self, scene: Scene, spin: np.ndarray, fields: Fields | None) -> None:
-        self.scene, self.spin_axes = scene, scene.minimum_spin_axes
         self.spin = scene.clip_to_box(scene.staggered_spin(spin, self.spin_axes), self.spin_axes)
         self.rest = np.zeros_like(self.spin)
         self.bundles = [(slot, planes) for slot in range(len(self.spin_axes)) for planes in self._planes(slot)]
@@ -48,16 +40,10 @@ class LinearSolverMethod:
 
     def _planes(self, slot: int) -> list[Planes]:
         """The planes of a spin component in bundles."""
-        replicas, layers, *sides = self._by_plane(self.spin[slot], slot).shape
+        replicas, layers, *sides = self.by_plane(self.spin[slot], self.spin_axes[slot]).shape
         replica, layer = (index.ravel() for index in np.indices((replicas, layers)))
         step = max(1, BUNDLE_SITES // int(np.prod(sides)))
         return [(replica[i : i + step], layer[i : i + step]) for i in range(0, replicas * layers, step)]
-
-    def _by_plane(self, values: np.ndarray, slot: int) -> np.ndarray:
-        """View (R, layers, m, n) of spins or contacts (R, ...): one plane a layer along the component, height last."""
-        if self.scene.lattice.dimension == 2:
-            return values[:, None]
-        return np.moveaxis(values, 1 + self.spin_axes[slot], 1)
 
     def next_check(self, iteration: int) -> int:
         return iteration + -(-len(self.bundles) // MOST_CHECKS)
@@ -73,7 +59,7 @@ class LinearSolverMethod:
         scene, component = self.scene, self.spin_axes[slot]
         plane = scene.lattice.across(component)
         first, second = (
-            self._by_plane(values, slot)[planes]
+            self.by_plane(values, component)[planes]
             for axis, values in enumerate(scene.lattice.by_axis(scene.positive_coefficient))
             if axis != component
         )
@@ -81,7 +67,7 @@ class LinearSolverMethod:
             factor = factorised(_laplacian(plane, first, second))
         except RuntimeError:  # a contrast beyond float64: these spins stay as they are
             return
-        spins, rests = self._by_plane(self.spin[slot], slot), self._by_plane(self.rest[slot], slot)
+        spins, rests = self.by_plane(self.spin[slot], component), self.by_plane(self.rest[slot], component)
         spin, rest = spins[planes], rests[planes]
         load = _free_torques(plane, first, second, spin, rest)
         size = _total(load)
@@ -105,16 +91,13 @@ class LinearSolverMethod:
         staggered = scene.clip_to_box(self.spin, self.spin_axes)
         differences = (contact_differences(spin, scene.lattice, self.spin_axes) for spin in (self.spin, self.rest))
         force = scene.lattice.radius * scene.acting_coefficient * sum(differences)
-        return judged(
-            scene,
-            self.spin_axes,
+        return self.judged(
             staggered,
             force,
             iteration=self.iteration,
             rest=np.where(staggered == self.spin, self.rest, 0.0),  # none where clipping has moved a spin
             resolution=float(np.finfo(np.float64).eps) * scene.lattice.radius * scene.fastest,
             exhausted=self.iteration == len(self.bundles),
-            needed=len(self.bundles),
         )
 
 
@@ -141,6 +124,3 @@ def _free_torques(
 def _total(load: np.ndarray) -> np.ndarray:
     """Sum of the sizes in each plane, (B,): what the certificate pays for leftover torques."""
     return np.abs(load).sum(axis=(1, 2))
-
-
-__all__ = ["LinearSolver"]

@@ -1,56 +1,54 @@
 """What every method offers to the common loop in drive.py."""
 
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
-from taichi_bearings.fields import Fields, FieldSpec
+from taichi_bearings.fields import Fields, FieldSpec, make_layout
+from taichi_bearings.kernels.stencil import Stencil
 from taichi_bearings.lattice.incidence import contact_differences, torques
 from taichi_bearings.proof.certificate import Forces, largest_unbalanced_torque, lower_bound
 from taichi_bearings.scene import Progress, Scene
-from taichi_bearings.solvers.table import MethodOptions
 
 
-class Method(Protocol):
+class Method:
     """One way to reach the state of least dissipation: its steps and what they mean, nothing else.
 
-    A method never prints, times, opens a file or decides when to stop.
+    A method never prints, times, opens a file or decides when to stop. options : the row of the table that it was built
+    from. What it asks of its contacts is answered here for lattices, for packings in solvers/network.py.
     """
 
-    @property
-    def options(self) -> MethodOptions:
-        """The row of the table that it was built from."""
-        ...
+    scene: Scene
+    spin_axes: tuple[int, ...]
+    spec: Any
+    fields: Any
 
-    def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
+    def __init__(self, options: Any) -> None:
+        self.options = options
+
+    def plan(self, scene: Scene, spin: np.ndarray) -> Any:
         """Fields needed for this scene from these laboratory spins; fixes the spin components that are carried.
 
         Without fields the method works in NumPy alone.
         """
-        ...
+        self.scene, self.spin_axes = scene, scene.minimum_spin_axes
+        return ()
 
     def begin(self, scene: Scene, spin: np.ndarray, fields: Fields | None) -> None:
         """Load the fields and compile the kernels."""
-        ...
+        raise NotImplementedError
 
     def next_check(self, iteration: int) -> int:
         """Iteration at which to look at the progress next."""
-        ...
+        return iteration + 1
 
     def advance(self, steps: int) -> None:
         """Do `steps` iterations; a method on Taichi fields reads nothing back."""
-        ...
+        raise NotImplementedError
 
     def progress(self) -> Progress:
         """Where the method stands, judged by the certificate; the only device-to-host read."""
-        ...
-
-
-class OnLattice:
-    """What methods ask of the contacts that their spins meet at; those of a packing answer in solvers/network.py."""
-
-    scene: Scene
-    spin_axes: tuple[int, ...]
+        raise NotImplementedError
 
     def differences(self, staggered: np.ndarray) -> np.ndarray:
         """(C, R, *N) -> (C, R, E); the slip over the radius."""
@@ -64,31 +62,60 @@ class OnLattice:
         """Staggered spins (C, R, *N) as they are in the laboratory, not measured from the bottom: for energies."""
         return staggered + self.scene.driving.bottom_state(self.spin_axes)[0]
 
+    def with_viscosity(self, force: np.ndarray, difference: np.ndarray) -> np.ndarray:
+        """The forces and what the viscosity of the contacts, if they have any, adds at these differences."""
+        scene = self.scene
+        return force if scene.viscosities is None else force + scene.lattice.radius * scene.viscosities * difference
+
     def proven_by(self, force: Forces) -> np.ndarray:
         """Lower bound (R,) that follows from forces (C, R, E) which were looked at before."""
         return lower_bound(self.scene, force, self.spin_axes)
 
     def judged(self, staggered: np.ndarray, force: Forces, proof: Forces | None = None, **more: Any) -> Progress:
-        return judged(self.scene, self.spin_axes, staggered, force, proof, **more)
+        """Progress of spins (C, R, *N) and contact forces (C, R, E), with what follows from them: what is minimised,
+        its lower bound from `proof`, or from the forces themselves if None, and the torque that the forces leave."""
+        scene, axes = self.scene, self.spin_axes
+        return Progress(
+            staggered=staggered,
+            spin_axes=axes,
+            force=force,
+            objective=scene.objective(staggered, axes),
+            lower_bound=lower_bound(scene, force if proof is None else proof, axes),
+            largest_balance_residual=largest_unbalanced_torque(scene, force, axes),
+            proof=proof,
+            **more,
+        )
 
+    def by_plane(self, values: np.ndarray, component: int) -> np.ndarray:
+        """View (R, planes, m, n) of spins or contacts (R, ...): one plane a layer along the component, height last."""
+        return values[:, None] if self.scene.lattice.dimension == 2 else np.moveaxis(values, 1 + component, 1)
 
-def judged(
-    scene: Scene,
-    spin_axes: tuple[int, ...],
-    staggered: np.ndarray,
-    force: Forces,
-    proof: Forces | None = None,
-    **more: Any,
-) -> Progress:
-    """Progress of spins (C, R, *N) and contact forces (C, R, E), with what follows from them: what is minimised, its
-    lower bound from `proof`, or from the forces themselves if None, and the torque that the forces leave."""
-    return Progress(
-        staggered=staggered,
-        spin_axes=spin_axes,
-        force=force,
-        objective=scene.objective(staggered, spin_axes),
-        lower_bound=lower_bound(scene, force if proof is None else proof, spin_axes),
-        largest_balance_residual=largest_unbalanced_torque(scene, force, spin_axes),
-        proof=proof,
-        **more,
-    )
+    def specified(self, spheres: dict[str, int], contacts: list[str]) -> Any:
+        """Fields with these numbers a sphere, and of these names a contact, and what the law has of each."""
+        dimension, forces = self.scene.lattice.dimension, self.stencil_of(1).force_components
+        counts = {"coefficient": dimension, "viscosity": dimension, "work": 1}
+        return (*spheres.items(), *((name, counts.get(name, forces)) for name in (*contacts, *self.of_law)))
+
+    @property
+    def of_law(self) -> list[str]:
+        """Fields of the coefficients of the law."""
+        return ["coefficient", *(["viscosity"] if self.scene.viscosity_beside_friction is not None else [])]
+
+    def stencil_of(self, block: int) -> Stencil:
+        return Stencil(self.spin_axes, self.scene.lattice.dimension, block, self.scene.lattice.periodic)
+
+    def on_device(self, spec: FieldSpec) -> Any:
+        """The fields of :meth:`plan`."""
+        lattice = self.scene.lattice
+        return Fields(make_layout(self.scene.replicas, lattice.shape, lattice.periodic), spec)
+
+    def use(self, fields: Any, viscosity: np.ndarray | None) -> None:
+        """Load what the contacts are made of. viscosity : beside friction, (R, E), in the units of the kernels."""
+        self.fields, self.stencil = fields, self.stencil_of(fields.layout.block)
+        fields.load("coefficient", fields.layout.at_lower_sphere(self.scene.acting_coefficient))
+        if viscosity is not None:
+            fields.load("viscosity", fields.layout.at_lower_sphere(viscosity))
+
+    def read_forces(self, name: str) -> np.ndarray:
+        """Forces or elongations (C, R, E) in a field."""
+        return self.stencil.forces_of_contacts(self.fields.read(name), self.fields.layout)

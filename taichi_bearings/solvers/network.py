@@ -16,7 +16,7 @@ from scipy.sparse.linalg import cg
 from taichi_bearings.conic.grouped import Grouped, isotropic
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.errors import InputError
-from taichi_bearings.fields.lists import Lists
+from taichi_bearings.fields.lists import ListFields, Lists, ListSpec
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.packing.answer import forces_of, spins_of
@@ -29,7 +29,7 @@ from taichi_bearings.scene import Progress
 from taichi_bearings.scene.given import own_array
 from taichi_bearings.scene.initial_spins import STARTS
 from taichi_bearings.scene.scene import vector_length
-from taichi_bearings.solvers.method import OnLattice
+from taichi_bearings.solvers.method import Method
 from taichi_bearings.verifier.judgement import Judgement
 from taichi_bearings.verifier.network import StoredPacking
 from taichi_bearings.words import meant, shown
@@ -44,14 +44,16 @@ OF_BOUND = ("scene.proven", "scene.witness", "scene.looked")  # what the further
 class Network:
     """A packing with the words of a `Scene` of one sample, spins u (C, 1, N) of all spheres, and contacts that act.
 
-    acting : (E,) their numbers in the packing; shapes below have these. across : T, (d, E, C).
+    density : (N,) or one, mass / length^D; None for that which gives a sphere of the mean radius the mass, or the
+    moment of inertia, of a dynamics. acting : (E,) their numbers in the packing; shapes below have these.
+    across : T, (d, E, C).
     jump : how far imposed u differ, length/time, the natural unit of slips; else the largest u at the start.
     """
 
     replicas, strength, normal_force, imposed = 1, 1.0, 1.0, (0.0,)
 
-    def __init__(self, packing: Packing) -> None:
-        self.packing, self.law, self.acting = packing, packing.kind, acting(packing)
+    def __init__(self, packing: Packing, density: Any = None) -> None:
+        self.packing, self.law, self.acting, self.density = packing, packing.kind, acting(packing), density
         assert packing.normal is not None
         self.across = tangents(packing.normal[self.acting])
         self.contact = tuple(values[None, self.acting] for values in packing.coefficients)
@@ -59,6 +61,7 @@ class Network:
         self.coefficient = self.positive_coefficient = self.acting_coefficient
         self.viscosity_beside_friction = self.viscosities if self.law.holds else None
         self.components, held = packing.imposed.shape[1], packing.driven >= 0
+        self.minimum_spin_axes = tuple(range(self.components))
         self.lattice = SimpleNamespace(radius=1.0, is_driven=held, shape=held.shape, dimension=packing.dimension)
         numbers = np.arange(packing.spheres * self.components).reshape(-1, self.components)
         self.matrix = slips_of(packing, self.acting, numbers)
@@ -105,6 +108,15 @@ class Network:
 
     def power(self, spins: np.ndarray, spin_axes: object = None) -> np.ndarray:
         return self.law.power(self.contact, self.slips(spins)).sum(axis=1)
+
+    def staggered_spin(self, spins: np.ndarray, spin_axes: object = None) -> np.ndarray:
+        """They are given as u."""
+        return spins
+
+    clip_to_box = staggered_spin  # no box holds the spins, which on oblique networks would be wrong
+
+    def box(self, spin_axes: object = None) -> float:
+        return 0.0
 
     def impose_driving(self, spins: np.ndarray, spin_axes: object = None) -> np.ndarray:
         spins[:, 0, self.lattice.is_driven] = self.packing.imposed[self.lattice.is_driven].T
@@ -156,15 +168,11 @@ class Network:
             found[moved], _ = cg(matrix.T @ matrix, -(matrix.T @ (self.matrix @ given)), rtol=START_RESIDUAL)
         return found.reshape(1, -1, self.components).T.swapaxes(1, 2).copy()
 
-    def inertias(self, mass: float, inertia: float | None, density: Any = None) -> np.ndarray:
-        """I / R^2 (N,), mass.
-
-        density : (N,) or one, mass / length^D. If None that which gives a sphere of the mean radius this mass, or this
-        moment of inertia.
-        """
+    def inertias(self, mass: float, inertia: float | None) -> np.ndarray:
+        """I / R^2 (N,), mass."""
         packing, shape = self.packing, 0.5 if self.components == 1 else 0.4
         radius = np.asarray(packing.radius)
-        if density is not None:
+        if (density := self.density) is not None:
             if inertia is not None:
                 raise InputError(f"inertia is {inertia:g} and density is given; one of them says how heavy spheres are")
             volume = np.pi * radius**2 if self.components == 1 else 4 / 3 * np.pi * radius**3
@@ -233,10 +241,38 @@ class Network:
             return force
 
 
-class OnNetwork(OnLattice):
-    """The same questions about contacts in lists."""
+class OnNetwork(Method):
+    """What a method asks of contacts in lists. Fields hold of each T f and what is along its tangents."""
 
     scene: Any
+
+    def carried(self, network: Any, spin: np.ndarray) -> tuple[int, ...]:
+        return network.minimum_spin_axes
+
+    def inertias(self, network: Any) -> np.ndarray:
+        return network.inertias(self.options.mass, self.options.inertia)
+
+    def specified(self, spheres: dict[str, int], contacts: list[str]) -> ListSpec:
+        across, components = self.scene.across, self.scene.components
+        counts = {"force": components, "coefficient": 1, "viscosity": 1, "work": 1}
+        counts["across"] = 6 if components == 3 else 0
+        names = (*contacts, *self.of_law, "across")
+        return tuple(spheres.items()), tuple((name, counts.get(name, len(across))) for name in names)
+
+    def on_device(self, spec: Any) -> ListFields:
+        return ListFields(self.scene.lists, spec)
+
+    def use(self, fields: Any, viscosity: np.ndarray | None) -> None:
+        self.fields, across = fields, self.scene.across
+        if self.scene.components == 3:
+            fields.load("across", across.transpose(0, 2, 1).reshape(6, 1, -1))
+        fields.load("coefficient", self.scene.acting_coefficient[None])
+        if viscosity is not None:
+            fields.load("viscosity", viscosity[None])
+
+    def read_forces(self, name: str) -> np.ndarray:
+        found = self.fields.read(name)
+        return np.einsum("kre,tek->tre", found, self.scene.across) if name == "force" else found
 
     def differences(self, staggered: np.ndarray) -> np.ndarray:
         return self.scene.differences(staggered)

@@ -2,113 +2,61 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from time import perf_counter
 from typing import Any
 
 import numpy as np
+from scipy import sparse
 
-from taichi_bearings import runtime
-from taichi_bearings.errors import DeviceError, InputError
-from taichi_bearings.fields.lists import ListFields, ListSpec
-from taichi_bearings.interrupts import Interrupt
+from taichi_bearings.conic.contact_system import ContactSystem
+from taichi_bearings.conic.newton_matrix import NewtonMatrix
+from taichi_bearings.errors import InputError
 from taichi_bearings.kernels.contact_list import CundallStrackLists, DescentLists, list_sweeps
 from taichi_bearings.kernels.team import Team
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.packing.answer import SLIPLESS, SLIPPING, UNDECIDED, PackingSolution, judged
+from taichi_bearings.packing.motions import order_of
 from taichi_bearings.packing.packing import Packing
-from taichi_bearings.packing.system import Found
+from taichi_bearings.packing.path import elimination, oblique
+from taichi_bearings.packing.system import Found, System, slips_of
 from taichi_bearings.scene import Snapshots, Status
 from taichi_bearings.scene.scene import vector_length
-from taichi_bearings.solvers.cundall_strack import CundallStrackMethod, choose_time_step
-from taichi_bearings.solvers.drive import Checkpoints, Course, Monitor
-from taichi_bearings.solvers.dynamics import RestWatch
-from taichi_bearings.solvers.gear import GEAR_COEFFICIENTS, largest_stable_step
+from taichi_bearings.solvers.cundall_strack import CundallStrackMethod, changing, largest_step
+from taichi_bearings.solvers.drive import Checkpoints, Course, Monitor, followed
 from taichi_bearings.solvers.gradient_descent import GradientDescentMethod
+from taichi_bearings.solvers.implicit_cundall_strack import ImplicitCundallStrackMethod
 from taichi_bearings.solvers.network import OF_BOUND, Network, OnNetwork
 from taichi_bearings.solvers.recording import Recording
 from taichi_bearings.solvers.stopping import StopRule
-from taichi_bearings.solvers.table import CundallStrack, MethodOptions
-from taichi_bearings.stages import stage
+from taichi_bearings.solvers.table import MethodOptions
 
 
-class _OnLists(OnNetwork):
-    """Forces in fields: T f of each contact, and what is along its tangents."""
-
-    def _spec(self, spheres: dict[str, int], contacts: dict[str, int]) -> ListSpec:
-        network: Network = self.scene
-        contacts |= {"force": network.components, "coefficient": 1}
-        contacts["across"] = 6 if network.components == 3 else 0
-        if network.viscosity_beside_friction is not None:
-            contacts["viscosity"] = 1
-        return tuple(spheres.items()), tuple(contacts.items())
-
-    def _load_contacts(self, fields: ListFields) -> None:
-        network: Network = self.scene
-        if network.components == 3:
-            fields.load("across", network.across.transpose(0, 2, 1).reshape(6, 1, -1))
-        fields.load("coefficient", network.acting_coefficient[None])
-        if network.viscosity_beside_friction is not None:
-            fields.load("viscosity", network.viscosity_beside_friction[None])
-
-
-class CundallStrackOfPacking(_OnLists, CundallStrackMethod):
-    """An iteration is one time step."""
+class CundallStrackOfPacking(OnNetwork, CundallStrackMethod):
+    """An iteration is one time step. `is_free` holds 1 / inertia."""
 
     kept = (*CundallStrackMethod.kept, *OF_BOUND)
+    unit_inertia = 1.0
 
-    def __init__(self, options: CundallStrack, density: Any = None) -> None:
-        super().__init__(options)
-        self.density = density
-
-    def begin_on(self, network: Network, spins: np.ndarray) -> None:
-        """spins : u (C, 1, N)."""
-        options, c, d = self.options, network.components, len(network.across)
-        self.scene, self.spin_axes = network, tuple(range(c))
-        self.inertia: Any = network.inertias(options.mass, options.inertia, self.density)
-        self.iteration, self.time, self.halted = 0, 0.0, False
-        self.rest = RestWatch(*self.checks, np.full(1, np.inf))
-        bound = self._stability_bound(network)
-        self.stability_bound = bound if np.isfinite(bound) else 1.0  # where nothing acts any step is right
-        self.time_step = choose_time_step(self.stability_bound, options.time_step)
-        spheres = {f"gear_{n}": c for n in range(options.gear_order + 1)} | {"predicted": c, "is_free": 1}
-        contacts = dict[str, int]()
-        if network.law.holds:
-            spheres, contacts = spheres | {"integral": c}, {"elongation": d}
-        if options.energy:
-            spheres, contacts = spheres | {"impulse": c}, contacts | {"work": 1}
-        spec = self._spec(spheres, contacts)
-        self.spec = (*spec[0], *spec[1])
-        fields: Any = ListFields(network.lists, spec)
-        self.fields = fields
-        self._load_contacts(fields)
-        self.fields.load("is_free", np.where(network.lattice.is_driven, 0.0, 1 / self.inertia)[None, None])
-        self._load_gear(spins)
-        self.team = Team(fields.team_size)
-        steps: Any = list_sweeps(CundallStrackLists, spec, network.law.name, GEAR_COEFFICIENTS[options.gear_order])
-        self.steps = steps
-        steps.compile(self.fields, self.team)
-
-    def _stability_bound(self, network: Network) -> float:
+    def _largest_step(self) -> float:
         """As of lattices, with a proven bound on the stiffest mode in the place of their known one."""
-        options, decay = self.options, 0.0
+        network, options, decay = self.scene, self.options, 0.0
         if network.viscosities is not None:
             decay = network.largest_eigenvalue(network.viscosities[0], self.inertia)
-        if not network.law.holds:
-            return largest_stable_step(options.gear_order, decay, 0.0)
         stiffest = network.largest_eigenvalue(np.ones(len(network.acting)), self.inertia)
-        return largest_stable_step(options.gear_order, options.damping * stiffest + decay, options.stiffness * stiffest)
+        return largest_step(options, network.law.holds, decay, stiffest)
 
-    def _response(self) -> float:
-        return self.time_step
+    def _kernels(self, corrector: tuple[float, ...]) -> Any:
+        return Team(self.fields.team_size), list_sweeps(CundallStrackLists, self.spec, self.scene.law.name, corrector)
+
+    def _changing_fields(self) -> list[str]:
+        spheres, contacts = self.spec
+        return changing((*spheres, *contacts))
 
     def _load_force(self, force: np.ndarray) -> None:
         self.fields.load("force", np.einsum("tre,tek->kre", force, self.scene.across))
 
-    def _contact_forces(self, name: str) -> np.ndarray:
-        found = self.fields.read(name)
-        return found if name == "elongation" else np.einsum("kre,tek->tre", found, self.scene.across)
-
-    def findings(self) -> dict[str, np.ndarray]:
+    def findings(self, last: Any) -> dict[str, np.ndarray]:
         return {}
 
     def is_believed(self, found: Any) -> bool:
@@ -118,28 +66,62 @@ class CundallStrackOfPacking(_OnLists, CundallStrackMethod):
         return super().is_believed(replace(found, lower_bound=np.array([self.scene.proven])))
 
 
-class GradientDescentOfPacking(_OnLists, GradientDescentMethod):
-    """An iteration is one sweep over all contacts; no box holds the spins, which on oblique networks would be wrong."""
+class ImplicitCundallStrackOfPacking(OnNetwork, ImplicitCundallStrackMethod):
+    """An iteration is one time step, with the contacts as one group and spheres of any weight.
 
-    points = ("point",)
+    The unknowns of a stage are w = S^-1 u of the free spheres, S^2 = unit inertia R^2 / I: all have one inertia.
+    """
 
-    def begin_on(self, network: Network, spins: np.ndarray) -> None:
-        c, d = network.components, len(network.across)
-        self.scene, self.spin_axes, self.box = network, tuple(range(c)), [0.0] * 6
-        self.averages = network.law.holds and not self.momentum
-        spheres, contacts = {"point": c, "inverse_weight": c}, dict[str, int]()
-        if self.momentum:
-            spheres["spin"] = c
-        if self.averages:
-            spheres, contacts = spheres | {"spin_sum": c}, {"force_sum": d}
-        spec = self._spec(spheres, contacts)
-        fields: Any = ListFields(network.lists, spec)
-        self.fields = fields
-        self._load_contacts(fields)
-        self._load_spins(spins)
-        self.viscosity = self._viscosity()
-        self.team, self.sweeps = Team(fields.team_size), list_sweeps(DescentLists, spec, network.law.name, ())
-        self._begin()
+    kept = (*ImplicitCundallStrackMethod.kept, *OF_BOUND)
+
+    def begin(self, network: Any, spins: np.ndarray, fields: Any) -> None:
+        self.free = ~network.lattice.is_driven
+        self.scale = np.repeat(np.sqrt(self.unit_inertia / self.inertia[self.free]), network.components)
+        self.system, self.order = self._contacts(network)
+        self._begin(spins)
+
+    def _contacts(self, network: Network) -> tuple[ContactSystem, np.ndarray]:
+        """What a stage asks of its contacts, over w, and the order of elimination. scale : S, of u by component."""
+        packing, free, c = network.packing, np.flatnonzero(self.free), network.components
+        moved = np.full((packing.spheres, c), -1)
+        moved[free] = np.arange(len(free) * c).reshape(-1, c)
+        matrix = slips_of(packing, network.acting, moved)
+        offset, of = network.differences(packing.imposed.T[:, None])[:, 0], tuple(v[0] for v in network.contact)
+        parts, known = partial(order_of, packing, network.acting, self.free), packing.imposed
+        sphere = np.repeat(free, c)
+        system = System(packing, network.acting, moved, None, parts, sphere, known, matrix, offset, of)
+        whole = oblique(system)
+        (group,) = whole.groups
+        operator = sparse.csr_array(group.operator @ sparse.diags_array(self.scale))
+        return replace(whole, groups=(replace(group, operator=operator),)), elimination(system)
+
+    @property
+    def unit_inertia(self) -> float:
+        return float(self.inertia[self.free].mean()) if self.free.any() else 1.0
+
+    def free_spins(self, staggered: np.ndarray) -> np.ndarray:
+        return (staggered[:, 0, self.free].T.ravel() / self.scale)[None]
+
+    def place_free_spins(self, staggered: np.ndarray, replica: int, spins: np.ndarray) -> None:
+        staggered[:, 0, self.free] = (spins * self.scale).reshape(-1, len(staggered)).T
+
+    def _matrix(self) -> NewtonMatrix:
+        return NewtonMatrix(self.system, self.order)
+
+    def _conserved(self) -> np.ndarray:
+        return np.zeros((0, 0), dtype=np.int64)
+
+    def is_believed(self, found: Any) -> bool:
+        return self.scene.proven == 0 or super().is_believed(found)
+
+
+class GradientDescentOfPacking(OnNetwork, GradientDescentMethod):
+    """An iteration is one sweep over all contacts."""
+
+    points, forces = ("point",), ("force",)
+
+    def _kernels(self) -> Any:
+        return Team(self.fields.team_size), list_sweeps(DescentLists, self.spec, self.scene.law.name, ())
 
     def weights(self, bounds: np.ndarray) -> np.ndarray:
         """At each sphere sum b_e P_e with P = T^T T is no larger than the diagonal matrix of its rows' sizes."""
@@ -152,9 +134,6 @@ class GradientDescentOfPacking(_OnLists, GradientDescentMethod):
 
     def _steer(self, staggered: np.ndarray, objective: np.ndarray, bound: np.ndarray) -> None:
         super()._steer(staggered, objective, np.maximum(bound, self.scene.proven))
-
-    def _averaged_force(self) -> np.ndarray:
-        return self.fields.read("force_sum") / self.averaged
 
 
 def follow_packing(
@@ -171,28 +150,20 @@ def follow_packing(
     row = type(method)
     if density is not None and not row.is_dynamics:
         raise InputError(f"density is given, but {row.name} has no use for it; dynamics have")
-    if row.cpu_only and runtime.current().is_gpu:
-        raise DeviceError(f"{row.name} works in the memory of the CPU; use --arch cpu")
-    begun, network = perf_counter(), Network(packing)
-    built = method.build_for_packing(*([density] if row.is_dynamics else []))
-    with Interrupt() as interrupt, one_thread():
-        with stage("preparing"), interrupt.at_once():
-            built.begin_on(network, network.start(start))
-        if interrupt.heard:  # nothing is reached yet
-            raise KeyboardInterrupt
-        scene: Any = network
-        course = Course(scene, built, stop, recording, checkpoints, interrupt)
-        with stage("solving") as solving:
-            status, last, seconds = course.follow([solving.tell, *monitors])
+    begun, network, built = perf_counter(), Network(packing, density), method.build_for_packing()
+    with (
+        one_thread(),
+        followed(network, built, network.start(start), stop, monitors, recording, checkpoints) as course,
+    ):
         found = _answer(network, course, row.name, stop.tolerance, begun)
-    cut_short = np.isfinite(stop.duration) and status in (Status.STEP_LIMIT, Status.TIME_LIMIT)
+    cut_short = np.isfinite(stop.duration) and course.status in (Status.STEP_LIMIT, Status.TIME_LIMIT)
     if found.status != Status.CERTIFIED.value or cut_short:
-        found = replace(found, status=status.value)
+        found = replace(found, status=course.status.value)
     columns = {name: v[:, 0] if v.ndim == 2 else v for name, v in course.recorder.history().items()}
     kept = course.recorder.snapshots()
     snapshots = None if kept is None else Snapshots(kept.time, kept.spin[:, 0])
     found = replace(found, history=columns, snapshots=snapshots)
-    return replace(found, time=last.time, seconds=seconds, iterations=last.iteration)
+    return replace(found, time=course.last.time, seconds=course.seconds, iterations=course.last.iteration)
 
 
 def _answer(network: Network, course: Course, name: str, tolerance: float, begun: float) -> PackingSolution:

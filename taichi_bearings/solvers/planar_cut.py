@@ -11,54 +11,45 @@ lightest ring around it, and a general largest flow finds it.
 
 import numpy as np
 
-from taichi_bearings.fields import Fields, FieldSpec
+from taichi_bearings.fields import Fields
 from taichi_bearings.numerics.minimum_cut import ring_cuts
 from taichi_bearings.numerics.planar import minimum_cuts
 from taichi_bearings.proof.certificate import largest_unbalanced_torque, work_and_bound
 from taichi_bearings.proof.contact_state import ContactState, all_slipless
 from taichi_bearings.scene import Progress, Scene
-from taichi_bearings.solvers.table import PlanarCut
+from taichi_bearings.solvers.method import Method
 
 
-class PlanarCutMethod:
+class PlanarCutMethod(Method):
     """See the module docstring. The only iteration cuts all grids."""
 
-    def __init__(self, options: PlanarCut) -> None:
-        self.options = options
-
-    def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
-        return ()
-
     def begin(self, scene: Scene, spin: np.ndarray, fields: Fields | None) -> None:
-        self.scene, self.spin_axes = scene, scene.minimum_spin_axes
         (self.component,) = self.spin_axes
         self.staggered = scene.staggered_spin(spin, self.spin_axes)
         self.force, self.state = np.zeros((1, *scene.coefficient.shape)), all_slipless(scene)
-        self.top = self._by_plane(scene.top_spin(self.spin_axes)[..., None])[0, :, 0, 0]  # (planes,)
+        self.top = self.by_plane(scene.top_spin(self.spin_axes)[..., None], self.component)[0, :, 0, 0]  # (planes,)
         planes = len(self.top)
         self.tied = np.zeros((scene.replicas, planes), dtype=np.int64)
         self.next_over_minimum = np.full((scene.replicas, planes), np.inf)
         self.absent = bool((scene.coefficient == 0).any())  # then ties are not known exactly
         self.iteration = 0
 
-    def next_check(self, iteration: int) -> int:
-        return iteration + 1
-
     def advance(self, steps: int) -> None:
         """Cut every grid, or turn everything alike where top and bottom agree."""
         self.iteration += 1
-        self._by_plane(self.staggered[0])[:, self.top == 0] = 0.0  # no jump: all turns alike
+        spins = self.by_plane(self.staggered[0], self.component)
+        spins[:, self.top == 0] = 0.0  # no jump: all turns alike
         height = self.scene.lattice.height_axis
         (sideways,) = (axis for axis in range(height) if axis != self.component)
         coefficient = self.scene.lattice.by_axis(self.scene.positive_coefficient)
         replica, plane = (index.ravel() for index in np.indices((self.scene.replicas, len(self.top))))
         replica, plane = replica[self.top[plane] != 0], plane[self.top[plane] != 0]
-        weights = [self._by_plane(coefficient[axis])[replica, plane] for axis in (sideways, height)]
+        weights = [self.by_plane(coefficient[axis], self.component)[replica, plane] for axis in (sideways, height)]
         grid = self.scene.lattice.across(self.component)
         cuts_of = ring_cuts if grid.periodic else minimum_cuts
         for part, cuts in cuts_of(*weights) if len(plane) else ():
             where = replica[part], plane[part]
-            self._by_plane(self.staggered[0])[where] = np.where(cuts.above, self.top[plane[part], None, None], 0.0)
+            spins[where] = np.where(cuts.above, self.top[plane[part], None, None], 0.0)
             beside, rising = (cuts.above[low] != cuts.above[high] for low, high in map(grid.along, range(2)))
             self._store(sideways, where, beside, cuts.sideways_flow, cuts.sideways_tied)
             self._store(height, where, rising, cuts.upward_flow, cuts.upward_tied)
@@ -70,15 +61,9 @@ class PlanarCutMethod:
     ) -> None:
         """Friction and states of the contacts along `axis`; those that slip at some minima only are tied."""
         friction = flow * (np.sign(self.top[where[1], None, None]) * self.scene.normal_force)
-        self._by_plane(self.scene.lattice.by_axis(self.force[0])[axis])[where] = friction
-        states = self._by_plane(self.scene.lattice.by_axis(self.state)[axis])
+        self.by_plane(self.scene.lattice.by_axis(self.force[0])[axis], self.component)[where] = friction
+        states = self.by_plane(self.scene.lattice.by_axis(self.state)[axis], self.component)
         states[where] = np.where(tied, ContactState.TIED, np.where(cut, ContactState.SLIPPING, states[where]))
-
-    def _by_plane(self, values: np.ndarray) -> np.ndarray:
-        """View (R, planes, m, n) of spins or contacts (R, ...): one plane a layer along the component, height last."""
-        if self.scene.lattice.dimension == 2:
-            return values[:, None]
-        return np.moveaxis(values, 1 + self.component, 1)
 
     def progress(self) -> Progress:
         scene, axes, cut = self.scene, self.spin_axes, self.iteration > 0
@@ -104,6 +89,3 @@ class PlanarCutMethod:
             states_proven=unique if cut else None,
             findings=findings if cut and self.top.any() and not self.absent else {},
         )
-
-
-__all__ = ["PlanarCut"]

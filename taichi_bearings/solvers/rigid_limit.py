@@ -18,12 +18,10 @@ import numpy as np
 
 from taichi_bearings.conic.proximal import ProximalSteps, Step
 from taichi_bearings.fields import Fields
-from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.proof.certificate import inverse, relative_gap
 from taichi_bearings.scene import Progress, Scene
 from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.solvers.dynamics import ENERGY_NAMES, Dynamics, replica_sum
-from taichi_bearings.solvers.table import RigidLimit
 
 FIRST_ERROR_SHARE = 0.1  # of the error tolerance, in relaxation times
 LEAST_STEP, MOST_STEP = 1e-6, 1e8  # relaxation times
@@ -38,7 +36,7 @@ STILL_GAP = 1e-9  # proven gap from which a state whose power no longer falls is
 REST_STEPS, STUCK_STEPS = 2, 20
 
 
-class RigidLimitMethod(Dynamics[RigidLimit]):
+class RigidLimitMethod(Dynamics):
     """See the module docstring. An iteration is one time step of all replicas together."""
 
     kept = (
@@ -88,14 +86,6 @@ class RigidLimitMethod(Dynamics[RigidLimit]):
         force = scene.strength * scene.acting_coefficient * size * difference
         beside = scene.viscosity_beside_friction
         return force if beside is None else force + scene.lattice.radius * beside * difference
-
-    def next_check(self, iteration: int) -> int:
-        return iteration + 1
-
-    def advance(self, steps: int) -> None:
-        with one_thread():  # fronts are shared among threads here, not inside the library
-            for _ in range(steps):
-                self._step()
 
     def _step(self) -> None:
         """One step that is accurate enough, or as short as steps may be."""
@@ -148,7 +138,6 @@ class RigidLimitMethod(Dynamics[RigidLimit]):
         self._lay_to_rest()
         self.time, self.last_length = time, duration
         self.slipping, self.creep = step.slipping, step.creep
-        self.iteration += 1
         self.newton_steps += step.newton_steps
         fall = objective_before - scene.objective(self.staggered, self.spin_axes)
         falls = fall > self.options.rest_tolerance * objective_before
@@ -189,16 +178,16 @@ class RigidLimitMethod(Dynamics[RigidLimit]):
             energy=self.balance(self.staggered, np.zeros(scene.replicas)),
             slipping=self.slipping,
         )
-        believed = bool((relative_gap(scene, found.objective, found.lower_bound) <= STILL_GAP).all())
-        return replace(
-            found,
-            at_rest=self.still >= REST_STEPS and believed,
-            exhausted=self.still >= STUCK_STEPS and not believed,
-            findings={
-                "rest_time": np.where(believed, self.rest_time, np.nan),
-                "newton_steps": np.full(scene.replicas, self.newton_steps),
-            },
-        )
+        believed = self._is_believed(found)
+        at_rest, stuck = self.still >= REST_STEPS and believed, self.still >= STUCK_STEPS and not believed
+        return replace(found, at_rest=at_rest, exhausted=stuck)
+
+    def _is_believed(self, found: Progress) -> bool:
+        return bool((relative_gap(self.scene, found.objective, found.lower_bound) <= STILL_GAP).all())
+
+    def findings(self, last: Progress) -> dict[str, np.ndarray]:
+        rest_time = np.where(self._is_believed(last), self.rest_time, np.nan)
+        return {"rest_time": rest_time, "newton_steps": np.full(self.scene.replicas, self.newton_steps)}
 
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
         super().restore(state)

@@ -1,8 +1,9 @@
 """Cundall–Strack dynamics of a torque on the top, which turns as one body: a(t) times its bearing state of strength 1.
 
 I_a da/dt = T(t) - what the contacts hold, with I_a the sum over the spheres of the top of I |state|^2, integrated by
-Gear's method as all spins are, or by implicit steps (implicit_rigid_top.py). The bottom and all spheres are at rest at
-first.
+Gear's method as all spins are, or by implicit steps, to which the strength a is one more unknown of a stage: the last
+one, S a with S^2 = sum of |state|^2 over the spheres of the top, so that its inertia is that of a sphere. The bottom
+and all spheres are at rest at first.
 
 When does it start to turn? Once it has turned farther than springs and friction let it under SAFE of the safe load,
 since it was last no faster than a ramp that needs all its way up to that load for this angle (docs/scenes.md).
@@ -14,12 +15,17 @@ from typing import Any
 
 import numpy as np
 
+from taichi_bearings.conic.contact_system import free_spins, lattice_system, place_free_spins
+from taichi_bearings.conic.grouped import Arrays
+from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.fields import Fields, FieldSpec
 from taichi_bearings.kernels.cundall_strack import BODY_NUMBERS, RigidTopSteps
+from taichi_bearings.numerics.cholesky import dissect
 from taichi_bearings.scene import Energy, Progress, Scene, Solution
 from taichi_bearings.scene.ramp import Ramp
 from taichi_bearings.solvers.cundall_strack import CundallStrackMethod
 from taichi_bearings.solvers.dynamics import SpringDynamics
+from taichi_bearings.solvers.implicit_cundall_strack import GAMMA, ImplicitCundallStrackMethod
 
 SAFE = 0.99  # of the safe load, at which a top is told from one that does not turn
 
@@ -36,7 +42,7 @@ def over(value: np.ndarray, torque: np.ndarray) -> np.ndarray:
     return np.divide(value, torque, out=np.zeros_like(value), where=torque > 0)
 
 
-class UnderTorque(SpringDynamics[Any]):
+class UnderTorque(SpringDynamics):
     """What the explicit and the implicit steps of such a top share.
 
     rate : of the torque, force length/time. known : the motion of strength 1, which the run answers with. friction :
@@ -69,19 +75,18 @@ class UnderTorque(SpringDynamics[Any]):
         viscous = scene.law.power(scene.contact, motion.slip).sum(axis=1) - motion.power
         return np.sqrt(2 * inertia * self.softness) + viscous * self.softness
 
-    def findings(self) -> dict[str, np.ndarray]:
+    def findings(self, last: Progress) -> dict[str, np.ndarray]:
         _, turns, start = self.turning()
         when = {"torque_at_yield": self.torque(start), "time_at_yield": start}
         when["torque_at_yield_error"] = abs(self.rate) * self._delay()
-        return super().findings() | {name: np.where(turns, value, np.nan) for name, value in when.items()}
+        return super().findings(last) | {name: np.where(turns, value, np.nan) for name, value in when.items()}
 
     def progress(self) -> Progress:
         """As ever, but that no bound is claimed for a motion of any strength."""
         found = super().progress()
         torque = np.full(self.scene.replicas, self.torque(self.time))
         columns = {"torque": torque, "amplitude": self.turning()[0]}
-        found = replace(found, findings=self.findings(), columns=columns)
-        return replace(found, lower_bound=0 * torque, proof=0 * found.force)
+        return replace(found, columns=columns, lower_bound=0 * torque, proof=0 * found.force)
 
 
 class RigidTopMethod(UnderTorque, CundallStrackMethod):
@@ -147,3 +152,69 @@ class RigidTopMethod(UnderTorque, CundallStrackMethod):
     def turning(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         turns = self._of_body("angle") > self._of_body("limit")
         return self._of_body("amplitude"), turns, self.time_step * self._of_body("start")
+
+
+class ImplicitRigidTopMethod(UnderTorque, ImplicitCundallStrackMethod):
+    """By implicit steps, with nothing imposed but the bottom at rest.
+
+    amplitude, angle : (R,), a and what the top has turned by in the way of the torque. start : (R,), when it began
+    to turn, as the explicit steps have it.
+    """
+
+    kept = (*ImplicitCundallStrackMethod.kept, "amplitude", "angle", "start")
+
+    def begin(self, scene: Scene, spin: np.ndarray, fields: Fields | None) -> None:
+        axes, nothing = self.spin_axes, np.zeros((len(self.spin_axes), scene.replicas, *scene.lattice.shape))
+        self.take_state(scene)
+        self.share = np.sqrt(self.inertia / self.body_inertia)  # 1 / S
+        own = lattice_system(scene.lattice, axes, scene.top_spin(axes))
+        pairs = zip(own.groups, self.share * own.offset, strict=True)
+        groups = tuple(group.with_one_more(column) for group, column in pairs)
+        self.system = replace(own, unknowns=own.unknowns + 1, groups=groups)
+        self.amplitude, self.angle, self.start = np.zeros((3, scene.replicas))
+        if scene.law.holds:  # the spin at which inertia stretches a spring to what friction holds
+            strongest = scene.strength * float(scene.coefficient.max())
+            fastest = strongest / float(np.sqrt(self.options.stiffness * self.inertia))
+        else:  # that of the steady motion
+            fastest = float(over(np.full(scene.replicas, abs(self.ramp.stop)), self.known.power).max())
+        self._begin(nothing, fastest)
+
+    def driven(self, staggered: np.ndarray) -> np.ndarray:
+        return staggered
+
+    def _matrix(self) -> Any:
+        order = dissect(self.scene.lattice, self.spin_axes)
+        return NewtonMatrix(self.system, np.append(order, len(order)))
+
+    def free_spins(self, staggered: np.ndarray) -> np.ndarray:
+        return np.column_stack([free_spins(staggered), self.amplitude / self.share])
+
+    def place_free_spins(self, staggered: np.ndarray, replica: int, spins: np.ndarray) -> None:
+        place_free_spins(staggered, replica, spins[:-1])
+        self.amplitude[replica] = self.share * spins[-1]
+        staggered[:, replica, ..., -1] = self.amplitude[replica] * self.state_of_top[:, 0]
+
+    def _tried(self, replica: int, spins: np.ndarray, span: float) -> Any:
+        self.torques = [self.torque(self.time + part * span) for part in (1.0, GAMMA)]  # at the ends of stages
+        return super()._tried(replica, spins, span)
+
+    def _stage(self, friction: Any, base: np.ndarray, elongation: Arrays, guess: np.ndarray) -> Any:
+        pushed = base.copy()
+        pushed[-1] += self.share * self.torques.pop() / friction.inertia
+        return super()._stage(friction, pushed, elongation, guess)
+
+    def _take(self, found: list[Any], span: float) -> None:
+        before, self.amplitude, way = self.amplitude, self.amplitude.copy(), np.copysign(1.0, self.ramp.stop)
+        super()._take(found, span)
+        turned = span * (before + self.amplitude) / 2
+        ends = [self.torque(self.time + part * span) for part in (GAMMA, 1.0)]
+        self.injected = self.injected + ((1 - GAMMA) * ends[0] + GAMMA * ends[1]) * turned
+        rests = (self.angle <= self.limit) & (way * self.amplitude <= self.softness * abs(self.rate))
+        self.start = np.where(rests, self.time + span, self.start)
+        self.angle = self.angle + way * turned
+
+    def kinetic_energy(self, staggered: np.ndarray) -> np.ndarray:
+        return super().kinetic_energy(staggered) + self.body_inertia / 2 * self.amplitude**2
+
+    def turning(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        return self.amplitude, self.angle > self.limit, self.start

@@ -78,14 +78,14 @@ class MethodOptions:
         """What does the work, ready for :func:`taichi_bearings.solvers.drive.solve`."""
         return self._load(self.implementation)
 
-    def build_for_packing(self, *more: Any) -> Any:
-        """The same for lists of contacts; more : what it is told beside."""
-        return self._load(self.of_packings, *more)
+    def build_for_packing(self) -> Any:
+        """The same for lists of contacts."""
+        return self._load(self.of_packings)
 
-    def _load(self, place: str, *more: Any) -> Any:
+    def _load(self, place: str) -> Any:
         module, _, attribute = place.partition(":")
         with warnings.catch_warnings():  # SciPy adds filters of its own
-            return getattr(importlib.import_module(module), attribute)(self, *more)
+            return getattr(importlib.import_module(module), attribute)(self)
 
     @classmethod
     def refusal(cls, scene: "Scene") -> str:
@@ -334,7 +334,7 @@ class ImplicitCundallStrack(Springs):
 
     name = "implicit-cundall-strack"
     implementation = "taichi_bearings.solvers.implicit_cundall_strack:ImplicitCundallStrackMethod"
-    of_packings = "taichi_bearings.solvers.implicit_packing:ImplicitCundallStrackOfPacking"
+    of_packings = "taichi_bearings.solvers.packings:ImplicitCundallStrackOfPacking"
     cpu_only = True
     colour, marker = "#7A5230", "*"
     solves = _laws()

@@ -8,11 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from taichi_bearings.errors import InputError
+from taichi_bearings.runs import run as runs
+from taichi_bearings.runs.settings import RunSettings, read_toml
+from taichi_bearings.scans.plan import sample_key
 from taichi_bearings.scene import LAWS, Scene, Status
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
-from taichi_bearings.solvers.table import METHODS, LinearSolver
+from taichi_bearings.solvers.table import METHODS, LinearSolver, register
+from tests.scenes import make_scene
 
 BEARINGS = "import tests.agreement.toy; from taichi_bearings_cli.main import main; main()"
 
@@ -43,6 +48,38 @@ def test_a_new_method_agrees_with_the_old_ones(toy):
     theirs = solve(scene, LinearSolver().build(), initial_spin(scene, "linear"), StopRule(1e-8))
     assert ours.status is Status.CERTIFIED
     assert ours.power == pytest.approx(theirs.power, rel=1e-8)
+    with pytest.raises(InputError, match="method 'minimise' does not solve the law 'coulomb'; it solves viscous"):
+        solve(make_scene((4, 3)), toy.Minimise().build(), initial_spin(make_scene((4, 3)), "zero"))
+
+
+def test_a_name_is_given_once_and_options_are_checked(toy):
+    with pytest.raises(InputError, match="one of that name already"):
+        register(toy.Minimise)
+    with pytest.raises(InputError, match="corrections is '-1'; it must be a positive whole number"):
+        toy.Minimise(corrections=-1)
+
+
+@pytest.mark.usefixtures("needs_f64")
+def test_files_hold_the_options_of_a_method(toy, tmp_path):
+    scene = tmp_path / "scene.toml"
+    scene.write_text('shape = [4, 4]\nlaw = "viscous"\nmethod = "minimise"\ncorrections = 5\nfigures = "none"\n')
+    summary = runs.run(RunSettings.from_mapping(read_toml(scene)), tmp_path / "run").summary
+    assert (summary["method"], summary["status"]) == ("minimise", "certified")
+    assert RunSettings.from_mapping(read_toml(tmp_path / "run")).values["corrections"] == 5
+    with pytest.raises(InputError, match="corrections is 5, but linear-solver with the law viscous does not use it"):
+        runs.run(RunSettings(shape=(4, 4), law="viscous", corrections=5), tmp_path / "other")
+
+
+def test_a_method_renames_no_sample(toy):
+    """An option counts in a name only where it is given."""
+    settings = [{}, {"law": "viscous"}, {"method": "cundall-strack", "stiffness": 2e5}, {"law": "coulomb-viscous"}]
+    row = METHODS.pop("minimise")
+    before = [sample_key(RunSettings(shape=(4, 4), **given)) for given in settings]
+    METHODS["minimise"] = row
+    assert [sample_key(RunSettings(shape=(4, 4), **given)) for given in settings] == before
+    own = [sample_key(RunSettings(law="viscous", method="minimise", **of)) for of in ({}, {"corrections": 5})]
+    assert own[0] != own[1]
+    assert own[0] == sample_key(RunSettings(law="viscous", method="minimise", corrections=10))
 
 
 def run(*words):
@@ -53,12 +90,13 @@ def run(*words):
 def test_the_command_line_has_both(tmp_path):
     done = run(
         "run", "--shape", "5,6", "--law", "shear-thinning", "--method", "minimise", "--tolerance", "1e-4",
-        "--figures", "none", "--json", "--out", tmp_path / "a",
+        "--corrections", 5, "--figures", "none", "--json", "--out", tmp_path / "a",
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     summary = json.loads(done.stdout)
     assert (summary["law"], summary["method"], summary["status"]) == ("shear-thinning", "minimise", "certified")
     assert np.isfinite(summary["gap"])
+    assert "Options of minimise:\n  --corrections N  Changes that it remembers" in run("run", "--help").stdout
     refused = run("run", "--shape", "5,6", "--law", "shear-thinning", "--method", "planar-cut", "--out", tmp_path / "b")
     assert refused.returncode == 2
     assert "it solves coulomb" in refused.stderr

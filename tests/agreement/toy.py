@@ -8,11 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize
 
-from taichi_bearings.lattice.incidence import contact_differences, torques
-from taichi_bearings.proof.certificate import largest_unbalanced_torque, lower_bound
-from taichi_bearings.scene import Progress
+from taichi_bearings.options import Kind, bounded, how, integer
 from taichi_bearings.scene.law import LAWS, Law, Quantity
 from taichi_bearings.scene.scene import vector_length
+from taichi_bearings.solvers.method import Method
 from taichi_bearings.solvers.table import MethodOptions, register
 
 
@@ -46,30 +45,24 @@ class Minimise(MethodOptions):
     implementation = "tests.agreement.toy:Minimiser"
     needs_taichi = False
 
+    corrections: int = how(
+        10, Kind(bounded(integer, 1), "a positive whole number", "N"), "Changes that it remembers the curvature by."
+    )
+
     @staticmethod
     def solves(law):
         return law.flows and not law.holds
 
 
-class Minimiser:
+class Minimiser(Method):
     """One call of L-BFGS, restarted at every iteration."""
 
-    def __init__(self, options):
-        self.options = options
-
-    def plan(self, scene, spin):
-        return ()
-
     def begin(self, scene, spin, fields):
-        self.scene, self.axes, self.iteration = scene, scene.minimum_spin_axes, 0
-        self.spins = scene.staggered_spin(spin, self.axes)
-
-    def next_check(self, iteration):
-        return iteration + 1
+        self.iteration, self.spins = 0, scene.staggered_spin(spin, self.spin_axes)
 
     def forces(self):
         scene = self.scene
-        difference = contact_differences(self.spins, scene.lattice, self.axes)
+        difference = self.differences(self.spins)
         length = vector_length(difference)
         size = scene.law.force(scene.contact, scene.lattice.radius * length)
         return difference * np.divide(size, length, out=np.zeros_like(size), where=length > 0)
@@ -80,26 +73,15 @@ class Minimiser:
 
             def potential(x, free=free, scene=scene):
                 free[...] = x.reshape(free.shape)
-                total = float(scene.law.potential(scene.contact, scene.slips(self.spins, self.axes)).sum())
-                pull = torques(self.forces(), scene.lattice, self.axes)[..., 1:-1]
+                total = float(scene.law.potential(scene.contact, scene.slips(self.spins, self.spin_axes)).sum())
+                pull = self.pulls(self.forces())[..., 1:-1]
                 return total, -scene.lattice.radius * pull.ravel()
 
-            found = minimize(
-                potential, free.ravel().copy(), jac=True, method="L-BFGS-B", options={"gtol": 1e-12, "ftol": 0}
-            )
+            options = {"gtol": 1e-12, "ftol": 0, "maxcor": self.options.corrections}
+            found = minimize(potential, free.ravel().copy(), jac=True, method="L-BFGS-B", options=options)
             free[...] = found.x.reshape(free.shape)
             self.iteration += 1
 
     def progress(self):
-        scene, force = self.scene, self.forces()
-        return Progress(
-            iteration=self.iteration,
-            staggered=self.spins,
-            spin_axes=self.axes,
-            force=force,
-            objective=scene.objective(self.spins, self.axes),
-            lower_bound=lower_bound(scene, force, self.axes),
-            resolution=0.0,
-            largest_balance_residual=largest_unbalanced_torque(scene, force, self.axes),
-            exhausted=self.iteration >= 20,
-        )
+        ended = self.iteration >= 20
+        return self.judged(self.spins, self.forces(), iteration=self.iteration, resolution=0.0, exhausted=ended)

@@ -16,7 +16,7 @@ from taichi_bearings.fields import Fields, make_layout
 from taichi_bearings.kernels.elimination import LANES
 from taichi_bearings.numerics.cholesky.factor import CalledFactor, DenseFactor, LaunchedFactor
 from taichi_bearings.scene.initial_spins import initial_spin
-from taichi_bearings.solvers import METHODS, linear_solver, planar_cut, torque_balance
+from taichi_bearings.solvers import METHODS, linear_solver, operator_splitting, planar_cut
 from tests.scenes import make_scene
 
 
@@ -61,8 +61,8 @@ def counting(monkeypatch):
             watch(kind, "substitute", "solves")
         watch(linear_solver, "factorised", "factorisations")
         watch(planar_cut, "minimum_cuts", "cuts")
-        watch(torque_balance, "_to_modes", "products with sines")
-        watch(torque_balance, "_from_modes", "products with sines")
+        watch(operator_splitting, "_to_modes", "products with sines")
+        watch(operator_splitting, "_from_modes", "products with sines")
         watch(central_path.Path, "step", "Newton steps")
         watch(FrictionStage, "_prepare", "Newton steps with springs")
         yield seen

@@ -7,7 +7,7 @@ import numpy as np
 from taichi_bearings import Packing, runtime, solve
 from taichi_bearings.fields import Fields, make_layout
 from taichi_bearings.scene.initial_spins import initial_spin
-from taichi_bearings.solvers import CundallStrack, GradientDescent, OperatorSplitting, torque_balance
+from taichi_bearings.solvers import CundallStrack, GradientDescent, OperatorSplitting, operator_splitting
 from tests.scenes import make_scene
 
 METHODS = {
@@ -33,7 +33,7 @@ def course(method: str, law: str, shape: tuple[int, ...], periodic: str = "") ->
     scene = make_scene(shape, law, seeds=(1, 2), periodic=tuple(periodic))
     spin, solver = initial_spin(scene, "random"), METHODS[method].build()
     fields = Fields(make_layout(scene.replicas, shape, scene.lattice.periodic), solver.plan(scene, spin))
-    with patch.object(torque_balance, "PRODUCT_TYPE", np.float64):  # as on a GPU
+    with patch.object(operator_splitting, "PRODUCT_TYPE", np.float64):  # as on a GPU
         solver.begin(scene, spin, fields)
     for _ in range(2):  # some change their course at a check
         solver.advance(ITERATIONS // 2)

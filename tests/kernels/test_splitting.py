@@ -9,7 +9,7 @@ from taichi_bearings.lattice import Lattice
 from taichi_bearings.lattice.incidence import contact_differences, torques
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import OperatorSplitting
-from taichi_bearings.solvers.torque_balance import TorqueBalance
+from taichi_bearings.solvers.operator_splitting import TorqueBalance
 from tests.scenes import make_scene
 
 
