@@ -7,7 +7,8 @@ from matplotlib import colormaps
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
-from taichi_bearings.plots.lattice import SPIN_COLOURS, box_driven_rows, colour_bar, draw_contacts, paint_plane
+from taichi_bearings.lattice import Lattice
+from taichi_bearings.plots.bearing import SPIN_COLOURS, Sheet, colour_bar
 from taichi_bearings.plots.style import BLUE, DOUBLE, GREY, ORANGE, in_our_style, new_figure
 
 
@@ -20,14 +21,14 @@ def draw_configurations(viscous: np.ndarray, coulomb: np.ndarray, above: np.ndar
     """
     figure = new_figure(DOUBLE, 2.5)
     parts: Any = figure.subfigures(1, 2, width_ratios=(2.1, 1.1), wspace=0.05)
-    panels = parts[0].subplots(1, 2)
+    panels, sheet = parts[0].subplots(1, 2), Sheet.of_lattice(Lattice(above.shape))
     names = ("(a) viscous", "(b) Coulomb, minimum cut in black")
     for axes, name, speed in zip(panels, names, (viscous, coulomb), strict=True):
-        paint_plane(axes, colormaps[SPIN_COLOURS](speed))
-        box_driven_rows(axes, speed.shape)
+        sheet.paint(axes, colormaps[SPIN_COLOURS](speed).reshape(-1, 4))
+        sheet.box_driven(axes)
         axes.set_title(name)
-    cut = tuple(np.diff(above, axis=axis) for axis in (0, 1))
-    draw_contacts(panels[1], cut, across=True, colors="black", lw=1.0)
+    low, high = above.ravel()[sheet.ends]
+    sheet.draw(panels[1], low != high, across=True, colors="black", lw=1.0)
     colour_bar(parts[0], panels, r"$|\omega|\,/\,\omega_T$", Normalize(0, 1), SPIN_COLOURS, pad=0.05)
     _draw_ranks(parts[1].subplots(), exact[np.argsort(exact.distance)])
     return figure

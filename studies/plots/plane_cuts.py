@@ -4,12 +4,11 @@ from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
-from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from taichi_bearings.analysis.network import SliplessNetwork
-from taichi_bearings.plots import lattice
-from taichi_bearings.plots.page import PAGE, middle_planes
+from taichi_bearings.plots.bearing import SPIN_COLOURS, Sheet, draw_speed_bar, line_on_site, name_cut, speed_of
+from taichi_bearings.plots.page import BELOW, PAGE, middle_planes
 from taichi_bearings.plots.style import GREEN, in_our_style, panels
 
 PLANES = 3
@@ -22,21 +21,19 @@ def draw_plane_cuts(network: SliplessNetwork, spin: np.ndarray, spin_top: float,
     together hold most of the path, or the middle ones if there is none. A circle marks where the path leaves the plane:
     with a dot towards the reader, with a cross away. spin : laboratory frame, (*N, 3), 1/time.
     """
-    speed = lattice.speed_of(spin, spin_top, spin_bottom)
-    path, steps = network.shortest_path, network.path_steps
-    slipless = network.lattice.by_axis(network.slipless)
+    speed, path = speed_of(spin, spin_top, spin_bottom), network.shortest_path
     cuts = planes_of(path) if len(path) else middle_planes(speed.shape)
     tall = float(np.clip(speed.shape[2] / min(speed.shape[:2]), 0.4, 2.0))
     figure, each, width = panels(PAGE, len(cuts), (0.85 * tall, 0.4), 0.25, widest="single")
     for axes, (axis, index) in zip(each, cuts, strict=True):
-        joined, leaves = path_in_plane(path, steps, axis, index)
-        inside = lattice.contacts_in_plane(slipless, axis, index)
-        _draw_plane(axes, np.take(speed, index, axis), inside, joined, leaves, 0.8 * width)
-        held = f"{len(joined)} of {len(path) - 1} contacts of the path" if len(path) else "no path joins bottom and top"
-        lattice.name_cut(axes, axis, index, after=f": {held}")
+        sheet = Sheet.of_lattice(network.lattice, (axis, index))
+        _draw_plane(axes, sheet, np.take(speed, index, axis), network, sheet.site(0.8 * width))
+        _mark_leaves(axes, leaves_of(network, axis, index), sheet.site(0.8 * width))
+        held = f"{network.on_path[sheet.contact].sum()} of {len(path) - 1} contacts of the path"
+        name_cut(axes, axis, index, after=f": {held if len(path) else 'no path joins bottom and top'}")
     if len(path):
         figure.supxlabel("the path leaves the plane towards the reader (dot) or away (cross)", fontsize=7)
-    lattice.draw_speed_bar(figure, figure.axes, spin_top, spin_bottom, len(cuts) < 2)
+    draw_speed_bar(figure, figure.axes, spin_top, spin_bottom, **(BELOW if len(cuts) < 2 else {}))
     return figure
 
 
@@ -58,38 +55,31 @@ def planes_of(path: np.ndarray) -> tuple[tuple[int, int], ...]:
     return tuple(chosen)
 
 
-def path_in_plane(path: np.ndarray, steps: np.ndarray, axis: int, index: int) -> tuple[np.ndarray, np.ndarray]:
-    """The pieces of a path (L, 3) of steps (L - 1, 3) in the plane `index` across `axis`, and where it leaves it.
-
-    returns : ends (n, 2, 2) of its contacts in the plane, over a periodic side outwards; (m, 3) the place in the plane
-        where it leaves, and +1 towards the reader or -1 away.
-    """
-    flat = np.delete(path, axis, axis=1)
-    inside = path[:, axis] == index
-    both = inside[:-1] & inside[1:]
-    joined = np.stack([flat[:-1][both], (flat[:-1] + np.delete(steps, axis, axis=1))[both]], axis=1)
-    side = TOWARDS_READER[axis] * steps[:, axis]
+def leaves_of(network: SliplessNetwork, axis: int, index: int) -> np.ndarray:
+    """(m, 3) places in the plane `index` across `axis` where the path leaves it, +1 towards the reader or -1 away."""
+    lattice = network.lattice
+    ends = lattice.ends[:, network.on_path & (lattice.axis == axis)]
     leaves = []
-    for here, there, way in ((slice(None, -1), slice(1, None), side), (slice(1, None), slice(None, -1), -side)):
-        out = inside[here] & ~inside[there]
-        leaves.append(np.column_stack([flat[here][out], way[out]]))
-    return joined, np.concatenate(leaves)
+    for spheres, way in zip(ends, (1, -1), strict=True):  # a contact leads upwards from its lower sphere
+        place = np.stack(np.unravel_index(spheres, lattice.shape), axis=1)
+        out = np.delete(place[place[:, axis] == index], axis, axis=1)
+        leaves.append(np.column_stack([out, np.full(len(out), way * TOWARDS_READER[axis])]))
+    return np.concatenate(leaves)
 
 
-def _draw_plane(
-    axes: Any, speed: np.ndarray, slipless: Any, joined: np.ndarray, leaves: np.ndarray, width: float
-) -> None:
-    site = lattice.site_on_paper(width, speed.shape)
-    lattice.paint_plane(axes, colormaps[lattice.SPIN_COLOURS](speed))
-    lattice.draw_contacts(axes, slipless, colors="0.35", lw=lattice.line_on_site(site, 0.1, 0.3), zorder=2)
-    joined = lattice.up_to_the_sides(lattice.on_both_sides(joined, speed.shape)[0], speed.shape)
+def _draw_plane(axes: Any, sheet: Sheet, speed: np.ndarray, network: SliplessNetwork, site: float) -> None:
+    sheet.paint(axes, colormaps[SPIN_COLOURS](speed).reshape(-1, 4))
+    sheet.box_driven(axes)
+    sheet.draw(axes, network.slipless, colors="0.35", lw=line_on_site(site, 0.1, 0.3), zorder=2)
     for colour, share in (("white", 0.5), (GREEN, 0.3)):
-        line = lattice.line_on_site(site, share, 4 * share, 12 * share)
-        axes.add_collection(LineCollection(list(joined), colors=colour, lw=line, zorder=3, capstyle="round"))
+        line = line_on_site(site, share, 4 * share, 12 * share)
+        sheet.draw(axes, network.on_path, colors=colour, lw=line, zorder=3, capstyle="round")
+
+
+def _mark_leaves(axes: Any, leaves: np.ndarray, site: float) -> None:
     size = float(np.clip(0.75 * site, 3.0, 9.0))
     axes.plot(*leaves[:, :2].T, "o", mfc="white", mec=GREEN, ms=size, mew=0.12 * size, zorder=4)
     for side, mark in ((1, "o"), (-1, "x")):
         chosen = leaves[leaves[:, 2] == side]
         ms = size * (0.3 if side > 0 else 0.5)
         axes.plot(*chosen[:, :2].T, mark, color=GREEN, ms=ms, mew=0.12 * size, zorder=5)
-    lattice.box_driven_rows(axes, speed.shape)

@@ -10,7 +10,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyArrowPatch
 
-from taichi_bearings.plots.lattice import SPIN_COLOURS, colour_bar, frame_block, limit_block, lit_sphere
+from taichi_bearings.plots.bearing import SPIN_COLOURS, colour_bar, frame_block, limit_block, lit_sphere
 from taichi_bearings.plots.page import View
 from taichi_bearings.plots.style import BLUE, DOUBLE, GREEN, GREY, ORANGE, in_our_style, new_figure
 

@@ -179,23 +179,16 @@ class SliplessNetwork(ContactNetwork):
         up = np.eye(self.lattice.dimension, dtype=int)[-1]
         return np.concatenate([path[:1] - up, path, path[-1:] + up])
 
-    def edges_along(self, path: np.ndarray) -> np.ndarray:
-        """Edge of each step of a path through these spheres (L,), indices in C order; of two between the same spheres,
-        in a ring of two, the first."""
-        place = np.full(self.lattice.sites, -2)
-        place[path] = np.arange(len(path))
-        low, high = place[self.ends]
-        edges = np.flatnonzero(np.abs(low - high) == 1)
-        first: np.ndarray = np.unique(np.minimum(low, high)[edges], return_index=True)[1]
-        return edges[first]
-
     @cached_property
-    def path_steps(self) -> np.ndarray:
-        """Unit vector (L - 1, dimension) of each step of the shortest path: over a periodic side it leads outwards."""
-        path = np.ravel_multi_index(tuple(self.shortest_path.T), self.lattice.shape)
-        edges = self.edges_along(path)
-        way = np.where(self.ends[0, edges] == path[:-1], 1, -1)
-        return way[:, None] * np.eye(self.lattice.dimension, dtype=int)[self.axis[edges]]
+    def on_path(self) -> np.ndarray:
+        """True (contacts,) for those of the shortest path; of two between the same spheres, in a ring of two, the first
+        is."""
+        place, path = np.full(self.lattice.sites, -2), self.shortest_path
+        place[np.ravel_multi_index(tuple(path.T), self.lattice.shape)] = np.arange(len(path))
+        low, high = place[self.ends]
+        steps = np.flatnonzero(np.abs(low - high) == 1)
+        first = np.unique(np.minimum(low, high)[steps], return_index=True)[1]
+        return self.on_contacts(np.isin(np.arange(len(low)), steps[first]))
 
     @property
     def path_planes(self) -> list[int]:

@@ -446,7 +446,7 @@ def analysed(
     found: PackingRun, threshold: float | None = None, replica: int = 0
 ) -> tuple[dict[str, Any], list[dict[str, Finding]], Callable[..., Any]]:
     """Report, arrays of each replica and what draws the figures of one. threshold : as of runs.analysis.Analysis."""
-    from taichi_bearings.plots.packing import draw_packing
+    from taichi_bearings.plots.structure import draw_network_of_packing
 
     began, drawn = perf_counter(), found.sample(replica)
     if threshold is not None and not 0 < threshold < np.inf:
@@ -463,7 +463,7 @@ def analysed(
     told = ("status", "method", "law", "shape", "spheres", "contacts", "seed", "version")
     report = together | {"threshold": threshold, "states": states}
     report |= {name: found.summary[name] for name in told} | {"seconds": perf_counter() - began}
-    return report, arrays, partial(draw_packing, drawn.result)
+    return report, arrays, lambda _, page: draw_network_of_packing(drawn.result, page)
 
 
 def is_packing_run(run: Path) -> bool:

@@ -7,8 +7,8 @@ import numpy as np
 from matplotlib import colormaps
 
 from taichi_bearings.analysis.packing_structure import PackingStructure
-from taichi_bearings.plots.domains import colour_of_turn
-from taichi_bearings.plots.lattice import SPIN_COLOURS
+from taichi_bearings.plots.bearing import SPIN_COLOURS
+from taichi_bearings.plots.structure import colour_of_turn
 from taichi_bearings.proof.contact_state import ContactState, count, critical
 from taichi_bearings.runs.packing_run import PackingRun, columns_of_packing
 from taichi_bearings.runs.points_and_lines import Moments, PointsAndLines, moments_of_packing
