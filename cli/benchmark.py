@@ -111,9 +111,8 @@ def accuracy(context: click.Context, **asked: Any) -> None:
 def _measure(
     context: click.Context, parts: str | None, out: Path | None, force: bool, as_json: bool, **asked: Any
 ) -> None:
-    from taichi_bearings_studies.benchmarks.harness import measure
-    from taichi_bearings_studies.benchmarks.report import as_json as described
-    from taichi_bearings_studies.benchmarks.report import machine, names, text, write
+    from taichi_bearings_studies.benchmarks.harness import as_json as described
+    from taichi_bearings_studies.benchmarks.harness import machine, measure, names, text, write
     from taichi_bearings_studies.benchmarks.table import BENCHMARKS, planned
     from taichi_bearings_studies.report import Files
 

@@ -1,6 +1,5 @@
 """What the page of a run holds: numbers for people, and arrays as small as a picture needs them."""
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -22,7 +21,6 @@ CUT, PATH = 1, 2  # bits of `flags`
 COLOUR_RANGE = (0.12, 0.95)  # of a map of colours that is seen on white
 SLICES = 40  # steps of a slider along each axis of a packing
 AROUND = 6  # neighbours that enclose a sphere of a cubic lattice
-AT_THE_END = {"times": [], "left_out": "", "snapshot_threshold": 0.0}  # of a run without snapshots
 ALONE = ["an island", "touches no slipless contact"]
 KEPT = {"slip": "f4", "power": "f4", "force": "f4", "coefficient": "f4", "viscosity": "f4", "normal_force": "f4"}
 KEPT |= {"betweenness": "f4", "state": "u1"}
@@ -30,74 +28,22 @@ KEPT |= {"betweenness": "f4", "state": "u1"}
 
 
 def arrays_of(drawn: PointsAndLines | PackingRun) -> dict[str, np.ndarray]:
-    """What is drawn, by name: float32 has the six digits that the page shows."""
+    """What is drawn, by name: float32 has the six digits that the page shows. What a lattice repeats packs well:
+    vectors are written one axis after the other, ends as differences."""
     if isinstance(drawn, PackingRun):
-        return _arrays_of_packing(drawn)
-    spheres, contacts = ({k: v.values for k, v in c.items()} for c in (drawn.spheres, drawn.contacts))
-    lattice = drawn.scene.lattice
-    center = np.indices(lattice.shape).reshape(lattice.dimension, -1).T
-    body = np.where(spheres["driven"], np.where(center[:, -1] == 0, 0, 1), -1)
-    normal = np.eye(lattice.dimension)[lattice.axis]
-    found = _drawn(center, np.full(lattice.sites, 0.5), body, drawn.ends, normal, spheres, contacts)
-    turn = colour_of_turn(drawn.domains.turn)[spheres["domain"], :3]
-    found |= {
-        "path": drawn.path.astype(np.int32),
-        "sphere_betweenness": spheres["betweenness"].astype(np.float32),
-        "flags": (CUT * contacts["on_cut"] + PATH * contacts["on_path"]).astype(np.uint8),
-        "kind": spheres["domain_kind"],
-        "turn": np.round(255 * turn).astype(np.uint8),
-    }
-    return found | _way(drawn.moments)
-
-
-def _way(moments: Moments | None) -> dict[str, np.ndarray]:
-    """Spins and slips of the snapshots that are shown."""
-    if moments is None:
-        return {}
-    ways, chosen = {"snapshot_spin": moments.spin, "snapshot_slip": moments.slip}, _shown(moments)
-    return {name: values[chosen].astype(np.float32) for name, values in ways.items()}
-
-
-def _times(moments: Moments | None) -> dict[str, Any]:
-    """Their times, and how many there are beside."""
-    if moments is None:
-        return {}
-    chosen = _shown(moments)
-    some = "" if len(chosen) == len(moments.time) else f" shown, evenly chosen from {len(moments.time)}"
-    return {"times": moments.time[chosen].tolist(), "left_out": some, "snapshot_threshold": moments.threshold}
-
-
-def _arrays_of_packing(run: PackingRun) -> dict[str, np.ndarray]:
-    """The same of a packing; it has no path, and a cut where its structure has one."""
-    packing = run.result.packing
-    spheres, contacts = ({k: v.values for k, v in c.items()} for c in columns_of_packing(run.result))
-    normal = np.asarray(packing.normal)
-    found = _drawn(
-        packing.center - packing.center[0], packing.radius, packing.driven, packing.contact, normal, spheres, contacts
-    )
-    if "on_cut" in contacts:
-        found["flags"] = (CUT * contacts["on_cut"]).astype(np.uint8)
-    if "sphere_betweenness" in spheres:
-        found["sphere_betweenness"] = spheres["sphere_betweenness"].astype(np.float32)
-    return found | _way(moments_of_packing(run.result))
-
-
-def _drawn(
-    center: np.ndarray,
-    radius: np.ndarray,
-    body: np.ndarray,
-    ends: np.ndarray,
-    normal: np.ndarray,
-    spheres: Mapping[str, np.ndarray],
-    contacts: Mapping[str, np.ndarray],
-) -> dict[str, np.ndarray]:
-    """What a page holds of any bearing. center : (N, D) and radius : (N,), in one unit. body : (N,), -1 on free
-    spheres. ends : (E, 2). normal : (E, D). Columns by name. What a lattice
-    repeats packs well: vectors are written one axis after the other, ends as differences."""
+        packing, moments = drawn.result.packing, moments_of_packing(drawn.result)
+        center, radius, body = packing.center - packing.center[0], np.asarray(packing.radius), packing.driven
+        ends, normal, columns = packing.contact, np.asarray(packing.normal), columns_of_packing(drawn.result)
+    else:
+        lattice, ends, moments = drawn.scene.lattice, drawn.ends, drawn.moments
+        center, radius = np.indices(lattice.shape).reshape(lattice.dimension, -1).T, np.full(lattice.sites, 0.5)
+        body = np.where(lattice.is_driven.ravel(), np.where(center[:, -1] == 0, 0, 1), -1)
+        normal, columns = np.eye(lattice.dimension)[lattice.axis], (drawn.spheres, drawn.contacts)
+    spheres, contacts = ({k: v.values for k, v in of.items()} for of in columns)
     found = {name: contacts[name].astype(kind) for name, kind in KEPT.items() if name in contacts}
     found |= {
         "center": center.T.astype(np.float32),
-        "radius": np.asarray(radius, dtype=np.float32),
+        "radius": radius.astype(np.float32),
         "body": body.astype(np.int32),
         "first": np.diff(ends[:, 0], prepend=0).astype(np.int32),
         "second": (ends[:, 1] - ends[:, 0]).astype(np.int32),
@@ -111,6 +57,17 @@ def _drawn(
     }
     if "above_cut" in spheres:
         found["above"] = spheres["above_cut"].astype(np.uint8)
+        found["flags"] = (CUT * contacts["on_cut"] + PATH * contacts.get("on_path", 0)).astype(np.uint8)
+    for name in {"betweenness", "sphere_betweenness"} & spheres.keys():
+        found["sphere_betweenness"] = spheres[name].astype(np.float32)
+    if isinstance(drawn, PointsAndLines):
+        turn = colour_of_turn(drawn.domains.turn)[spheres["domain"], :3]
+        found |= {"kind": spheres["domain_kind"], "path": drawn.path.astype(np.int32)}
+        found["turn"] = np.round(255 * turn).astype(np.uint8)
+    if moments is not None:
+        chosen = _shown(moments)
+        ways = {"snapshot_spin": moments.spin, "snapshot_slip": moments.slip}
+        found |= {name: values[chosen].astype(np.float32) for name, values in ways.items()}
     return found
 
 
@@ -209,7 +166,6 @@ def _facts(law: Law, told: str, proven: bool, undecided: int, critical: int, tie
         "subtitle": f"{told}; contact states {decided}",
         "proven": proven,
         "decided": decided,
-        **AT_THE_END,
         "open": ", ".join(undecided_kinds(undecided, critical, tied)),
         "friction_limit": law.is_rate_independent and law.quantities[0].is_friction,
         "coefficients": [
@@ -222,6 +178,15 @@ def _facts(law: Law, told: str, proven: bool, undecided: int, critical: int, tie
 def _speeds(speed: np.ndarray, largest: float) -> dict[str, Any]:
     """Of spins, or surface speeds, and the largest imposed one; of a sphere of median size."""
     return {"spin_max": largest or 1.0, "beyond": bool((speed > (largest or 1.0) * (1 + 1e-9)).any())}
+
+
+def _times(moments: Moments | None) -> dict[str, Any]:
+    """Of the snapshots that are shown, and how many there are beside."""
+    if moments is None:
+        return {"times": [], "left_out": "", "snapshot_threshold": 0.0}
+    chosen = _shown(moments)
+    some = "" if len(chosen) == len(moments.time) else f" shown, evenly chosen from {len(moments.time)}"
+    return {"times": moments.time[chosen].tolist(), "left_out": some, "snapshot_threshold": moments.threshold}
 
 
 def _minimised(law: Law) -> str:

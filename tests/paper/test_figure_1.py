@@ -8,8 +8,8 @@ import pytest
 from matplotlib import colormaps
 from taichi_bearings_studies.paper import figure_1, reproduce
 from taichi_bearings_studies.paper.claims import Effort, judge, sentences
+from taichi_bearings_studies.paper.figure_1 import draw_configurations
 from taichi_bearings_studies.paper.samples import TIMES, Run, solved
-from taichi_bearings_studies.plots.configurations import draw_configurations
 
 from taichi_bearings.numerics.minimum_cut import flow_cut, next_cut
 from taichi_bearings.plots.bearing import SPIN_COLOURS

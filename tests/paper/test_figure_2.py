@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from taichi_bearings_studies.paper import figure_2
 from taichi_bearings_studies.paper.claims import judge
-from taichi_bearings_studies.paper.figure_2 import intermediate_spheres, names_of, without_idle_spin
+from taichi_bearings_studies.paper.figure_2 import draw_relaxation, intermediate_spheres, names_of, without_idle_spin
 from taichi_bearings_studies.paper.samples import Run, Table, minima_of, relax, relax_rigidly
-from taichi_bearings_studies.plots.relaxation import draw_relaxation
 
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.initial_spins import initial_spin

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from matplotlib.collections import LineCollection
 from matplotlib.text import Text
+from taichi_bearings_studies.benchmarks.methods import draw_accuracy
+from taichi_bearings_studies.paper.figure_1 import draw_configurations
+from taichi_bearings_studies.paper.figure_2 import draw_relaxation
+from taichi_bearings_studies.paper.network import THRESHOLDS, draw_sizes
 from taichi_bearings_studies.paper.samples import Run, Table
-from taichi_bearings_studies.plots.accuracy import draw_accuracy
-from taichi_bearings_studies.plots.configurations import draw_configurations
-from taichi_bearings_studies.plots.minima import THRESHOLDS, draw_sizes
-from taichi_bearings_studies.plots.relaxation import draw_relaxation
 
 import taichi_bearings as tb
 from taichi_bearings.errors import InputError
