@@ -12,9 +12,8 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
-from matplotlib.patches import FancyArrowPatch
 
-from taichi_bearings.plots.bearing import SPIN_COLOURS, colour_bar, frame_block, limit_block, lit_sphere
+from taichi_bearings.plots.bearing import SPIN_COLOURS, colour_bar, frame_block, paint_spheres
 from taichi_bearings.plots.page import View
 from taichi_bearings.plots.style import BLUE, DOUBLE, GREEN, GREY, ORANGE, in_our_style, new_figure
 from taichi_bearings.scene import Scene
@@ -34,6 +33,7 @@ SPRINGS: Any = tuple({"color": colour, "lw": 1.3} for colour in (BLUE, ORANGE)) 
 RIGID: Any = tuple({"color": colour, "lw": 0.8, "ls": (0, (4, 1.5))} for colour in ("#0b2545", "#6b2d00"))
 DRAWN_RADIUS = 0.36  # of the spacing: touching spheres would hide those behind
 SEEN = View(20, -60)
+ARROW, LEAST_ARROW = 0.84, 0.02  # length of that of the imposed spin, and the spin that has none
 
 
 def study(folder: Path, effort: Effort) -> Found:
@@ -195,19 +195,12 @@ def _draw_spheres(axes: Any, spin: np.ndarray) -> None:
     """Shaded spheres from the back to the front with their spins as arrows, the driven planes in boxes."""
     shape, spins = spin.shape[:-1], spin.reshape(-1, 3)
     frame_block(axes, shape, SEEN)
-    seen = SEEN.seen(np.moveaxis(np.indices(shape), 0, -1).reshape(-1, 3))
-    length = np.linalg.norm(spins, axis=1)
-    light = lit_sphere()
-    for order, n in enumerate(np.argsort(seen[:, 2])):
-        (x, y), r = seen[n, :2], DRAWN_RADIUS
-        colour = np.array(colormaps[SPIN_COLOURS](min(length[n], 1.0)))
-        image = np.clip(light[..., :1] * colour[:3] + light[..., 1:2], 0, 1)
-        axes.imshow(
-            np.concatenate([image, light[..., 2:]], axis=-1),
-            extent=(x - r, x + r, y - r, y + r), origin="lower", zorder=2 + 2 * order, interpolation="bilinear",
-        )  # fmt: skip
-        if length[n] > 0.02:
-            across = SEEN.seen(spins[n])[:2] * 0.42
-            look: Any = {"arrowstyle": "-|>", "mutation_scale": 5, "lw": 0.8, "color": "black", "zorder": 3 + 2 * order}
-            axes.add_patch(FancyArrowPatch((x, y) - across, (x, y) + across, shrinkA=0, shrinkB=0, **look))
-    limit_block(axes, shape, SEEN)
+    seen, length = SEEN.seen(np.argwhere(np.ones(shape, dtype=bool))), np.linalg.norm(spins, axis=1)
+    order = np.argsort(seen[:, 2])
+    colour = colormaps[SPIN_COLOURS](np.minimum(length, 1.0))
+    paint_spheres(axes, seen[order, :2], colour[order], DRAWN_RADIUS)
+    turning = length > LEAST_ARROW
+    axes.quiver(
+        *seen[turning, :2].T, *SEEN.seen(spins[turning])[:, :2].T, pivot="mid", angles="xy", scale_units="xy",
+        scale=1 / ARROW, units="xy", width=0.035, headwidth=4, headlength=5, zorder=5,
+    )  # fmt: skip

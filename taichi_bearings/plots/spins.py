@@ -9,20 +9,9 @@ from matplotlib.figure import Figure
 
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.packing import Packing, PackingSolution
-from taichi_bearings.plots.bearing import (
-    BELOW,
-    MOST_LINES,
-    PALE,
-    SPIN_COLOURS,
-    Sheet,
-    colour_bar,
-    line_on_site,
-    name_cut,
-    one_panel,
-    paint_block,
-    speed_of,
-)
-from taichi_bearings.plots.page import NARROW, PAGE, VIEW, Page, columns_on, middle_planes
+from taichi_bearings.plots import bearing
+from taichi_bearings.plots.bearing import SPIN_COLOURS, Sheet
+from taichi_bearings.plots.page import BELOW, NARROW, PAGE, VIEW, Page, columns_on, middle_planes
 from taichi_bearings.plots.style import (
     BLUE,
     ORANGE,
@@ -45,35 +34,35 @@ FAINT_SHARE = 0.02  # share of the contacts that are below the range of the colo
 
 @in_our_style
 def draw_spins(
-    bearing: Scene | Packing, spin: np.ndarray, state: np.ndarray, page: Page = PAGE, title: str = "", note: str = ""
+    system: Scene | Packing, spin: np.ndarray, state: np.ndarray, page: Page = PAGE, title: str = "", note: str = ""
 ) -> Figure:
     """|spin| over the larger imposed spin, of a packing R |spin| over the largest such, as colour; slipping contacts in
-    black, of cubic lattices in cuts. If many slip, and nearly all, or the bearing is no plane, they are counted alone.
+    black, of cubic lattices in cuts. If many slip, and nearly all, or the system is no plane, they are counted alone.
 
     spin : laboratory frame, (*N) or (*N, 3). state : (E,), of the contacts. note : what black lines mean.
     """
     slips, movable = state == ContactState.SLIPPING, int((state != ContactState.DRIVEN).sum())
     counted = f"{int(slips.sum()):,} of {movable:,} contacts slip"
     drawn = slips & (slips.sum() <= max(MOST_SLIPS * movable, FEW_SLIPS))
-    if isinstance(bearing, Packing):
-        place: Any = bearing
-        surface = spin.reshape(bearing.spheres, -1) * np.asarray(bearing.radius)[:, None]
-        fastest = float(np.linalg.norm(bearing.imposed, axis=1).max(initial=0.0)) or 1.0
+    if isinstance(system, Packing):
+        place: Any = system
+        surface = spin.reshape(system.spheres, -1) * np.asarray(system.radius)[:, None]
+        fastest = float(np.linalg.norm(system.imposed, axis=1).max(initial=0.0)) or 1.0
         speed, label = np.linalg.norm(surface, axis=1) / fastest, r"$R\,|\omega|$ over the largest imposed"
     else:
-        place, speed = bearing.lattice, speed_of(spin, *bearing.imposed)
-        label = rf"$|\omega|\,/\,{larger_spin(*bearing.imposed)}$"
+        place, speed = system.lattice, bearing.speed_of(spin, *system.imposed)
+        label = rf"$|\omega|\,/\,{larger_spin(*system.imposed)}$"
     colour = colormaps[SPIN_COLOURS](speed)
     if speed.ndim == 3:
         figure = _draw_block(place, colour, drawn, page)
         look = BELOW if columns_on(page, len(figure.axes), NARROW) < 3 else {}
     else:
-        figure, axes, sheet, site, look = one_panel(place, page)
+        figure, axes, sheet, site, look = bearing.one_panel(place, page)
         drawn = drawn & sheet.is_flat
         _paint(axes, sheet, colour.reshape(-1, 4), drawn, site)
     black = note or f"{counted}, in black"
-    put_title(figure, f"{title or describe(bearing)}\n{black if drawn.any() else counted}", page)
-    colour_bar(figure, figure.axes, label, Normalize(0, 1), SPIN_COLOURS, **look)
+    put_title(figure, f"{title or describe(system)}\n{black if drawn.any() else counted}", page)
+    bearing.colour_bar(figure, figure.axes, label, Normalize(0, 1), SPIN_COLOURS, **look)
     return figure
 
 
@@ -81,7 +70,7 @@ def _paint(axes: Any, sheet: Sheet, colour: np.ndarray, slips: np.ndarray, site:
     """Discs of one plane and the slipping contacts between them."""
     sheet.paint(axes, colour)
     sheet.box_driven(axes)
-    sheet.draw(axes, slips, across=True, colors="black", lw=line_on_site(site, 0.15))
+    sheet.draw(axes, slips, across=True, colors="black", lw=bearing.line_on_site(site, 0.15))
 
 
 def _draw_block(lattice: Lattice, colour: np.ndarray, slips: np.ndarray, page: Page) -> Figure:
@@ -90,12 +79,12 @@ def _draw_block(lattice: Lattice, colour: np.ndarray, slips: np.ndarray, page: P
     planes = page.planes or middle_planes(shape)
     tall = float(np.clip(shape[2] / max(shape[:2]), 0.5, 2.0))
     figure, (block, *cuts), width = panels(page, 1 + len(planes), (0.85 * tall, 0.25), 0.1, NARROW)
-    paint_block(block, colour, page.view or VIEW)
+    bearing.paint_block(block, colour, page.view or VIEW)
     block.set_title("from outside")
     for axes, plane in zip(cuts, planes, strict=True):
         sheet = Sheet.of_lattice(lattice, plane)
         _paint(axes, sheet, np.take(colour, plane[1], plane[0]).reshape(-1, 4), slips, sheet.site(0.85 * width))
-        name_cut(axes, *plane)
+        bearing.name_cut(axes, *plane)
     return figure
 
 
@@ -107,28 +96,28 @@ def draw_power(answer: Solution | PackingSolution, replica: int = 0, page: Page 
     Where more contacts slip than lines can show, each disc has the colour of the power of its contacts, half of each.
     """
     if isinstance(answer, PackingSolution):
-        bearing: Any = answer.packing
-        place, state, power = bearing, answer.state, answer.power_per_contact
+        system: Any = answer.packing
+        place, state, power = system, answer.state, answer.power_per_contact
     else:
-        bearing, state, power = answer.scene, answer.state[replica], answer.power_per_contact[replica]
-        place = bearing.lattice
-    unit, symbol = power_unit(bearing)
+        system, state, power = answer.scene, answer.state[replica], answer.power_per_contact[replica]
+        place = system.lattice
+    unit, symbol = power_unit(system)
     power = np.where(state == ContactState.SLIPPING, power / unit, 0.0)
     if isinstance(place, Lattice) and place.dimension == 3:
         figure = _draw_cuts(place, power, page, symbol)
     else:
-        figure, axes, sheet, site, look = one_panel(place, page)
-        lines = (power > 0).sum() <= MOST_LINES or not sheet.is_flat
+        figure, axes, sheet, site, look = bearing.one_panel(place, page)
+        lines = (power > 0).sum() <= bearing.MOST_LINES or not sheet.is_flat
         if lines:
-            sheet.paint(axes, PALE if sheet.is_flat else PALE * [1, 1, 1, 0.25])
+            sheet.paint(axes, bearing.PALE if sheet.is_flat else bearing.PALE * [1, 1, 1, 0.25])
             norm = _draw_lines(axes, sheet, power, site)
         else:
             shown = np.bincount(sheet.ends.ravel(), np.tile(power / 2, 2), len(sheet.place))
             norm = _norm(shown)
-            sheet.paint(axes, np.where((shown > 0)[:, None], colormaps[POWER_COLOURS](norm(shown)), PALE))
+            sheet.paint(axes, np.where((shown > 0)[:, None], colormaps[POWER_COLOURS](norm(shown)), bearing.PALE))
         label = over("P_{ij}" if lines else "P_i", symbol, "energy / time")
-        colour_bar(figure, axes, label, norm, POWER_COLOURS, extend="min", **look)
-    put_title(figure, describe(bearing, replica), page)
+        bearing.colour_bar(figure, axes, label, norm, POWER_COLOURS, extend="min", **look)
+    put_title(figure, describe(system, replica), page)
     return figure
 
 
@@ -143,7 +132,7 @@ def _draw_lines(axes: Any, sheet: Sheet, power: np.ndarray, site: float) -> LogN
     """Slipping contacts as lines between the centres."""
     norm = _norm(power)
     look: dict[str, Any] = {"array": power, "cmap": POWER_COLOURS, "norm": norm}
-    sheet.draw(axes, power > 0, lw=line_on_site(site, 0.3, 0.8, 3.0), **look)
+    sheet.draw(axes, power > 0, lw=bearing.line_on_site(site, 0.3, 0.8, 3.0), **look)
     return norm
 
 
@@ -155,12 +144,12 @@ def _draw_cuts(lattice: Lattice, power: np.ndarray, page: Page, symbol: str) -> 
     figure, (*cuts, layers), width = panels(page, 1 + len(planes), (0.85 * tall, 0.35))
     for cut, plane in zip(cuts, planes, strict=True):
         sheet = Sheet.of_lattice(lattice, plane)
-        sheet.paint(cut, PALE)
+        sheet.paint(cut, bearing.PALE)
         norm = _draw_lines(cut, sheet, power, sheet.site(0.8 * width))
-        name_cut(cut, *plane)
+        bearing.name_cut(cut, *plane)
     look: dict[str, Any] = {"location": "left"} if columns_on(page, len(figure.axes)) > 1 else BELOW
     label = over("P_{ij}", symbol, "energy / time")
-    colour_bar(figure, cuts, label, norm, POWER_COLOURS, extend="min", **look)
+    bearing.colour_bar(figure, cuts, label, norm, POWER_COLOURS, extend="min", **look)
     along_x, along_y, upright = lattice.by_axis(power)
     inside = along_x.sum(axis=(0, 1)) + along_y.sum(axis=(0, 1))
     layers.step(inside, np.arange(nz), where="mid", color=BLUE, label="within a layer")

@@ -19,21 +19,8 @@ from taichi_bearings.analysis.domains import LOCKS, RigidDomains
 from taichi_bearings.analysis.network import SliplessNetwork
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.packing import PackingSolution
-from taichi_bearings.plots.bearing import (
-    MOST_LINES,
-    PALE,
-    SPIN_COLOURS,
-    Sheet,
-    colour_bar,
-    draw_speed_bar,
-    frame_block,
-    line_on_site,
-    name_cut,
-    one_panel,
-    paint_block,
-    paint_spheres,
-    speed_of,
-)
+from taichi_bearings.plots import bearing
+from taichi_bearings.plots.bearing import SPIN_COLOURS, Sheet
 from taichi_bearings.plots.page import AXES, BELOW, PAGE, VIEW, Page, View, columns_on, middle_planes
 from taichi_bearings.plots.style import GREEN, GREY, describe, in_our_style, label_in_plain_text, panels, put_title
 from taichi_bearings.proof.contact_state import ContactState
@@ -61,14 +48,14 @@ def draw_domains(domains: RigidDomains, page: Page = PAGE) -> Figure:
     tall = float(np.clip(shape[-1] / max(shape[:-1]), 0.8, 1.5))
     figure, (block, *cuts, values), width = panels(page, 2 + len(planes), (0.85 * tall, 0.6), least=OF_A_KEY)
     if planes:
-        paint_block(block, colour, page.view or VIEW)
+        bearing.paint_block(block, colour, page.view or VIEW)
     else:
         _paint(block, Sheet.of_lattice(lattice), colour, domains.domain, domains, 0.85 * width)
     block.set_title("(a) rigid domains" + ("" if planes else ", their boundaries in black"))
     for letter, axes, (axis, index) in zip(DOMAIN_LETTERS, cuts, planes, strict=False):
         plane, labels = (np.take(every, index, axis) for every in (colour, domains.domain))
         _paint(axes, Sheet.of_lattice(lattice, (axis, index)), plane, labels, domains, 0.85 * width)
-        name_cut(axes, axis, index, f"({letter}) ")
+        bearing.name_cut(axes, axis, index, f"({letter}) ")
     _draw_values(values, domains)
     values.set_title(f"({DOMAIN_LETTERS[len(planes)]}) turn: the key to the colours")
     return figure
@@ -78,20 +65,20 @@ def draw_domains(domains: RigidDomains, page: Page = PAGE) -> Figure:
 def draw_domains_of_packing(result: PackingSolution, domains: RigidDomains, page: Page = PAGE) -> Figure:
     """Rigid domains: with two bodies in bearing states as they turn between them, blue as the first and red as the
     second, else each of the largest in a colour of its own; of discs walls between domains in black."""
-    figure, axes, sheet, site, look = one_panel(result.packing, page)
+    figure, axes, sheet, site, look = bearing.one_panel(result.packing, page)
     moving = np.flatnonzero(domains.jump.any(axis=0))
     if len(moving):
         colour = colour_of_turn(domains.turn[:, moving])
     else:
         own = colormaps["tab20"](np.minimum(np.arange(domains.number), 19))
-        colour = np.where((domains.spheres > 1)[:, None], own, PALE)
+        colour = np.where((domains.spheres > 1)[:, None], own, bearing.PALE)
     sheet.paint(axes, colour[domains.domain])
     first, second = domains.domain[sheet.ends]
     if sheet.is_flat:
-        sheet.draw(axes, first != second, across=True, colors="black", lw=line_on_site(site, 0.1, 0.25, 1.0))
+        sheet.draw(axes, first != second, across=True, colors="black", lw=bearing.line_on_site(site, 0.1, 0.25, 1.0))
     if len(moving) and domains.jump.shape[1] == 1:
         label = "turn, from the first body to the second"
-        colour_bar(figure, axes, label, Normalize(0, 1), SPIN_COLOURS, **look)
+        bearing.colour_bar(figure, axes, label, Normalize(0, 1), SPIN_COLOURS, **look)
     kinds = ", ".join(f"{count:,} {kind}" for kind, count in domains.domains_of_kind().items() if count)
     put_title(figure, f"{describe(result.packing)}\n{domains.number:,} rigid domains, locked to: {kinds}", page)
     return figure
@@ -116,7 +103,7 @@ def _paint(
     site, (first, second) = sheet.site(width), domains.domain.ravel()[domains.lattice.ends]  # type: ignore[union-attr]
     sheet.paint(axes, colour.reshape(-1, 4))
     sheet.box_driven(axes)
-    sheet.draw(axes, first != second, across=True, colors="black", lw=line_on_site(site, 0.1, 0.25, 1.0))
+    sheet.draw(axes, first != second, across=True, colors="black", lw=bearing.line_on_site(site, 0.1, 0.25, 1.0))
     partly = np.argwhere(domains.kind[domain] == LOCKS.index("partly"))
     axes.plot(*partly.T, ".", color="black", ms=max(0.35 * site, 0.8), mew=0)
 
@@ -143,7 +130,7 @@ def _draw_values(axes: Any, domains: RigidDomains) -> None:
         if name in LOCK_COLOURS:
             draw(s=45, color=LOCK_COLOURS[name], edgecolors="white", clip_on=False, zorder=3)
         else:
-            alpha, many = 0.7 if sphere > 2 else 0.35, domains.number > MOST_LINES
+            alpha, many = 0.7 if sphere > 2 else 0.35, domains.number > bearing.MOST_LINES
             draw(s=sphere * domains.spheres[chosen], color="black", lw=0, alpha=alpha, rasterized=many)
     names = [AXES[component] for component in domains.spin_axes]
     labels = [rf"$(\Omega_{n} - \Omega_{{B{n}}})\,/\,(\Omega_{{T{n}}} - \Omega_{{B{n}}})$" for n in names]
@@ -169,7 +156,7 @@ def draw_network(
     spin : laboratory frame, N or (*N, 3), 1/time. Where no path joins bottom and top the figure says so, and contacts
     joined to the bottom are blue, those joined to the top red.
     """
-    path, speed = network.shortest_path, speed_of(spin, spin_top, spin_bottom)
+    path, speed = network.shortest_path, bearing.speed_of(spin, spin_top, spin_bottom)
     flat, some = spin.ndim == 2, len(network.ends.T) > 0
     drawn = ["spheres"] * (not flat) + ["contacts"] * (flat or some) + ["path"] * (len(path) > 0)
     view = page.view or VIEW
@@ -180,13 +167,13 @@ def draw_network(
     for letter, panel, axes in zip("abc", drawn, each, strict=False):
         axes.set_title(f"({letter}) {PANELS[panel]}" if len(drawn) > 1 else "")
         if panel == "spheres":
-            paint_block(axes, colormaps[SPIN_COLOURS](speed), view)
+            bearing.paint_block(axes, colormaps[SPIN_COLOURS](speed), view)
         elif panel == "contacts":
             words += _draw_contacts(axes, network, view, 0.85 * width)
         else:
             _draw_turning(axes, network, spin / (max(abs(spin_top), abs(spin_bottom)) or 1.0), speed, view)
     if not flat or len(path):
-        draw_speed_bar(figure, each, spin_top, spin_bottom, **({"shrink": 0.6} | (BELOW if below else {})))
+        bearing.draw_speed_bar(figure, each, spin_top, spin_bottom, **({"shrink": 0.6} | (BELOW if below else {})))
     if some and not network.spans:
         colours: dict[str, Any] = {**REACHED_COLOURS, "neither": GREY}
         marks = [Line2D([], [], color=colour, label=end) for end, colour in colours.items()]
@@ -198,10 +185,10 @@ def draw_network(
 @in_our_style
 def draw_network_of_packing(result: PackingSolution, page: Page = PAGE) -> Figure:
     """The slipless contacts of a packing, over its spheres."""
-    figure, axes, sheet, site, _ = one_panel(result.packing, page)
+    figure, axes, sheet, site, _ = bearing.one_panel(result.packing, page)
     slipless, acts = result.state == ContactState.SLIPLESS, int((result.state != ContactState.DRIVEN).sum())
-    sheet.paint(axes, PALE if sheet.is_flat else PALE * [1, 1, 1, 0.25])
-    sheet.draw(axes, slipless, colors=GREY, lw=line_on_site(site, 0.12, 0.3))
+    sheet.paint(axes, bearing.PALE if sheet.is_flat else bearing.PALE * [1, 1, 1, 0.25])
+    sheet.draw(axes, slipless, colors=GREY, lw=bearing.line_on_site(site, 0.12, 0.3))
     words = f"{int(slipless.sum()):,} of {acts:,} contacts do not slip"
     put_title(figure, f"{describe(result.packing)}\n{words}", page)
     return figure
@@ -235,13 +222,13 @@ def _draw_contacts(axes: Any, network: SliplessNetwork, view: View, width: float
     if lattice.dimension == 2:
         sheet.frame(axes)
         sheet.box_driven(axes)
-        line = line_on_site(sheet.site(width, width), 0.12, 0.2)
+        line = bearing.line_on_site(sheet.site(width, width), 0.12, 0.2)
     else:
-        frame_block(axes, lattice.shape, view)
-        line = line_on_site(72 * width / max(lattice.shape) / 1.6, 0.12, 0.3, 1.0)
+        bearing.frame_block(axes, lattice.shape, view)
+        line = bearing.line_on_site(72 * width / max(lattice.shape) / 1.6, 0.12, 0.3, 1.0)
         depth = sheet.depth[sheet.ends].mean(axis=0)
         colour[chosen, 3] = 0.2 + 0.6 * np.argsort(np.argsort(depth[chosen])) / max(chosen.sum() - 1, 1)
-        if chosen.sum() > MOST_LINES:
+        if chosen.sum() > bearing.MOST_LINES:
             chosen, words = chosen & behind(lattice, view), "; drawn: the sides behind"
             colour[:, 3] = 0.7
     if not chosen.any():
@@ -272,14 +259,14 @@ def _draw_turning(axes: Any, network: SliplessNetwork, spin: np.ndarray, speed: 
             turn = "" if value == 0 else "↺" if value > 0 else "↻"
             axes.text(x, y, turn, ha="center", va="center", fontsize=max(3.0, 60 / max(shape)))
         return
-    frame_block(axes, shape, view)
+    bearing.frame_block(axes, shape, view)
     sideways, which = sheet.lines(network.on_path & (lattice.axis < 2))
     down = np.unravel_index(lattice.ends[0, which], shape)[2] + 0.5
     shadow = sideways - (down[:, None] * view.seen(np.eye(3)[2])[:2])[:, None]
     axes.add_collection(LineCollection(list(shadow), colors=GREEN, alpha=0.4, lw=1.0, zorder=1))
     placed = view.seen(path)
     order = np.argsort(placed[:, 2])
-    paint_spheres(axes, placed[order][:, :2], colour[order])
+    bearing.paint_spheres(axes, placed[order][:, :2], colour[order])
     arrow = 1.6 * view.seen(spin[of_path])[order]
     axes.quiver(
         *placed[order][:, :2].T, *arrow[:, :2].T, angles="xy", scale_units="xy", scale=1, zorder=5, units="xy",
