@@ -37,7 +37,7 @@ def draw_spins(
     system: Scene | Packing, spin: np.ndarray, state: np.ndarray, page: Page = PAGE, title: str = "", note: str = ""
 ) -> Figure:
     """|spin| over the larger imposed spin, of a packing R |spin| over the largest such, as colour; slipping contacts in
-    black, of cubic lattices in cuts. If many slip, and nearly all, or the system is no plane, they are counted alone.
+    black, of cubic lattices in cuts. If many slip, and nearly all, or it is no plane, they are counted alone.
 
     spin : laboratory frame, (*N) or (*N, 3). state : (E,), of the contacts. note : what black lines mean.
     """
@@ -60,8 +60,8 @@ def draw_spins(
         figure, axes, sheet, site, look = bearing.one_panel(place, page)
         drawn = drawn & sheet.is_flat
         _paint(axes, sheet, colour.reshape(-1, 4), drawn, site)
-    black = note or f"{counted}, in black"
-    put_title(figure, f"{title or describe(system)}\n{black if drawn.any() else counted}", page)
+    told = counted if slips.any() and not drawn.any() else note or f"{counted}, in black"
+    put_title(figure, f"{title or describe(system)}\n{told}", page)
     bearing.colour_bar(figure, figure.axes, label, Normalize(0, 1), SPIN_COLOURS, **look)
     return figure
 

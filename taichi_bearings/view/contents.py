@@ -95,9 +95,10 @@ def facts_of(drawn: PointsAndLines | PackingRun) -> dict[str, Any]:
     told = f"{solution.method}: {solution.status.value}; P = {solution.power[0]:.6g}{natural}, {bound}"
     undecided = int(count(solution.state, ContactState.UNDECIDED)[0])
     tied = int(solution.findings.get("tied_contacts", [0])[0])
+    proven, kinds = bool(solution.states_proven[0]), undecided_kinds(undecided, int(critical(solution)[0]), tied)
     return {
-        **_facts(scene.law, told, bool(solution.states_proven[0]), undecided, int(critical(solution)[0]), tied),
-        **_speeds(np.linalg.norm(spins, axis=-1), scene.fastest),
+        **_facts(scene.law, told, proven, kinds),
+        **_shown_numbers(np.linalg.norm(spins, axis=-1), scene.fastest, shares, moments),
         "title": title_of(drawn),
         "shape": list(scene.lattice.shape),
         "origin": [0] * scene.lattice.dimension,
@@ -110,10 +111,7 @@ def facts_of(drawn: PointsAndLines | PackingRun) -> dict[str, Any]:
         "jump_name": "R Δω",
         "jump_speed": scene.lattice.radius * scene.jump,
         "normal_force": scene.normal_force,
-        "bottleneck_share": float(np.sort(shares)[-min(BOTTLENECKS, len(shares))]),
-        "busiest_share": float(shares.max()),
         "time": drawn.time,
-        **_times(moments),
     }
 
 
@@ -136,8 +134,8 @@ def _facts_of_packing(run: PackingRun) -> dict[str, Any]:
     what = "discs" if packing.dimension == 2 else "spheres"
     undecided = int((result.state == ContactState.UNDECIDED).sum())
     return {
-        **_facts(law, told, False, undecided, result.critical, 0),
-        **_speeds(speed / median, fastest / median),
+        **_facts(law, told, False, undecided_kinds(undecided, result.critical, 0)),
+        **_shown_numbers(speed / median, fastest / median, shares, moments),
         "title": f"{packing.spheres:,} {what}, {run.summary['contacts']:,} contacts, {law}",
         "shape": None,
         "origin": packing.center[0].tolist(),  # float32 has the digits of what lies around the first
@@ -150,15 +148,12 @@ def _facts_of_packing(run: PackingRun) -> dict[str, Any]:
         "jump_name": "R ω max",
         "jump_speed": fastest,
         "normal_force": None,
-        "bottleneck_share": float(np.sort(shares)[-min(BOTTLENECKS, len(shares))]),
-        "busiest_share": float(shares.max()),
         "time": result.time,
-        **_times(moments),
     }
 
 
-def _facts(law: Law, told: str, proven: bool, undecided: int, critical: int, tied: int) -> dict[str, Any]:
-    """What the law and the states lead to. told : of method and power."""
+def _facts(law: Law, told: str, proven: bool, kinds: list[str]) -> dict[str, Any]:
+    """What the law and the states lead to. told : of method and power. kinds : of undecided contacts."""
     decided = "proven" if proven else f"decided by {'slip and friction' if law.holds else 'slip'}, not proven"
     keys = ("coefficient", "viscosity")[: len(law.quantities)]
     return {
@@ -166,7 +161,7 @@ def _facts(law: Law, told: str, proven: bool, undecided: int, critical: int, tie
         "subtitle": f"{told}; contact states {decided}",
         "proven": proven,
         "decided": decided,
-        "open": ", ".join(undecided_kinds(undecided, critical, tied)),
+        "open": ", ".join(kinds),
         "friction_limit": law.is_rate_independent and law.quantities[0].is_friction,
         "coefficients": [
             {"key": key, "name": f"{quantity.name} coefficient", "unit": quantity.unit}
@@ -175,18 +170,21 @@ def _facts(law: Law, told: str, proven: bool, undecided: int, critical: int, tie
     }
 
 
-def _speeds(speed: np.ndarray, largest: float) -> dict[str, Any]:
-    """Of spins, or surface speeds, and the largest imposed one; of a sphere of median size."""
-    return {"spin_max": largest or 1.0, "beyond": bool((speed > (largest or 1.0) * (1 + 1e-9)).any())}
-
-
-def _times(moments: Moments | None) -> dict[str, Any]:
-    """Of the snapshots that are shown, and how many there are beside."""
+def _shown_numbers(speed: np.ndarray, largest: float, shares: np.ndarray, moments: Moments | None) -> dict[str, Any]:
+    """Ends of scales, and the snapshots that are shown. speed, largest : of spins, or surface speeds of a sphere of
+    median size, and the largest imposed one. shares : of the shortest paths, by contact."""
+    found = {
+        "spin_max": largest or 1.0,
+        "beyond": bool((speed > (largest or 1.0) * (1 + 1e-9)).any()),
+        "bottleneck_share": float(np.sort(shares)[-min(BOTTLENECKS, len(shares))]),
+        "busiest_share": float(shares.max()),
+    }
     if moments is None:
-        return {"times": [], "left_out": "", "snapshot_threshold": 0.0}
+        return found | {"times": [], "left_out": "", "snapshot_threshold": 0.0}
     chosen = _shown(moments)
     some = "" if len(chosen) == len(moments.time) else f" shown, evenly chosen from {len(moments.time)}"
-    return {"times": moments.time[chosen].tolist(), "left_out": some, "snapshot_threshold": moments.threshold}
+    times = {"times": moments.time[chosen].tolist(), "left_out": some}
+    return found | times | {"snapshot_threshold": moments.threshold}
 
 
 def _minimised(law: Law) -> str:
