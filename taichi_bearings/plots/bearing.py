@@ -85,7 +85,7 @@ class Sheet:
 
     @property
     def is_flat(self) -> bool:
-        return not self.depth.any()
+        return not np.ptp(self.depth)
 
     def site(self, width: float, height: float = np.inf) -> float:
         """Points between the centres of two discs, on so many inches."""
