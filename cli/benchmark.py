@@ -54,9 +54,8 @@ def command(
       bearings benchmark speed --parts kernels,scans --shape 64,64,64 --threads 1,2
       bearings benchmark accuracy --shape 24,24,24 --methods gradient-descent --no-peers
     """
-    from taichi_bearings_studies.benchmarks.harness import measure
-    from taichi_bearings_studies.benchmarks.report import as_json as described
-    from taichi_bearings_studies.benchmarks.report import machine, names, text, write
+    from taichi_bearings_studies.benchmarks.harness import as_json as described
+    from taichi_bearings_studies.benchmarks.harness import machine, measure, names, text, write
     from taichi_bearings_studies.benchmarks.table import BENCHMARKS, planned
     from taichi_bearings_studies.report import Files
 

@@ -18,7 +18,7 @@ FLOOR = {
 }  # fmt: skip
 FILES = sorted((ROOT / "taichi_bearings").rglob("*.py"))
 STUDIES = sorted((ROOT / "studies").rglob("*.py"))
-SHARED = {"plots", "report"}  # by all studies, which otherwise do not know each other
+SHARED = {"report"}  # by all studies, which otherwise do not know each other
 
 
 def floor_name(path: Path) -> str:

@@ -19,8 +19,7 @@ from taichi_bearings.files.whole_file import make_folder, write_csv
 from taichi_bearings.scene import Scene
 
 from ..report import markdown
-from .conic import conic_programme
-from .peers import find_peers
+from .peers import conic_programme, find_peers
 
 SIDES = (6, 8, 10, 16, 32, 64)
 KINDS: dict[str, dict[str, Any]] = {

@@ -25,9 +25,8 @@ from taichi_bearings.scans.sample import solve_samples
 from taichi_bearings.scene import Scene
 from taichi_bearings.stages import stage
 
-from .conic import ConicProgramme, conic_programme
 from .harness import Found, Times, in_turns
-from .peers import HOW_TO_INSTALL, Peer, find_peers
+from .peers import HOW_TO_INSTALL, ConicProgramme, Peer, conic_programme, find_peers
 
 TOLERANCE = 1e-8
 BATCH = 24  # samples that moreau is given at a time

@@ -12,8 +12,6 @@ from taichi_bearings.options import chosen
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.solvers import METHODS
 
-from ..plots.accuracy import draw_accuracy
-from ..plots.throughput import draw_throughput
 from ..report import duration, scaled, short
 from . import dynamics, kernels, methods, scans
 from .baselines import find_compiler
@@ -96,7 +94,7 @@ BENCHMARKS = {
             "sweep is": SLOWER["this program is"],
         },
         missing=lambda: {} if find_compiler() else {"C sweep": "no C compiler was found; apt install gcc, or set CC"},
-        figure=draw_throughput,
+        figure=kernels.draw_throughput,
     ),
     "methods": Benchmark(
         "Run time against error: time to prove each relative gap, beside conic solvers",
@@ -111,7 +109,7 @@ BENCHMARKS = {
         missing=lambda: find_peers()[1],
         together=methods.judged,
         faults=methods.contradictions,
-        figure=lambda rows: draw_accuracy(list(methods.shown(rows))),
+        figure=lambda rows: methods.draw_accuracy(list(methods.shown(rows))),
     ),
     "scans": Benchmark(
         "Samples a second, beside conic solvers",

@@ -8,14 +8,18 @@ and Henley, Phys. Rev. Lett. 54, 1985). With both ends held, -E follows the Trac
 lightest of many that are nearly independent, and extreme-value statistics take over: Gumbel, skewness -1.1395.
 """
 
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
-from ..plots.questions import draw_exponents
+from taichi_bearings.plots.style import BLUE, GREY, ORANGE, in_our_style, new_figure
+
 from .claims import Effort
+from .drawing import draw_growth, name_sizes, spread_and_error
 from .fits import exponent, skewness
 from .samples import Found, Table, drawn
 from .sweeps import crossings
@@ -70,3 +74,42 @@ def row_of(point: tuple[Any, ...], found: dict[str, np.ndarray]) -> dict[str, An
     numbers = (len(found["weight"]), found["weight"].mean(), found["weight"].std(), found["middle"].std())
     names = ("ends", "length", "height", "samples", "mean_weight", "sd_weight", "sd_middle", "skewness", "its_error")
     return dict(zip(names, (*point, *numbers, *skewness(found["weight"])), strict=True))
+
+
+@in_our_style
+def draw_exponents(
+    weight: Mapping[int, np.ndarray], middle: Mapping[int, np.ndarray], theta: Any, zeta: Any, held: Any, free: Any
+) -> Figure:
+    """(a) standard deviations of the weight and of the height in the middle of held cuts against their length, with the
+    fitted laws; (b) skewness of the weight, held ends against the length and free ends against the height.
+
+    weight, middle : length -> (samples,). theta, zeta : Exponent. held, free : the points.
+    """
+    figure = new_figure(7.1, 2.8)
+    left, right = figure.subplots(1, 2)
+    for found, fit, color, text in (
+        (weight, theta, BLUE, r"weight, $\theta$"),
+        (middle, zeta, ORANGE, r"middle, $\zeta$"),
+    ):
+        sizes = np.array(sorted(found))
+        left.errorbar(sizes, *spread_and_error([found[L] for L in sizes]), fmt="o", ms=3, color=color, lw=0.8)
+        draw_growth(left, sizes, fit, color, f"{text} = {fit.value:.3f} ± {fit.total:.3f}")
+    left.set(yscale="log", ylabel="standard deviation")
+    name_sizes(left, sizes[:: max(1, len(sizes) // 5)], "length of the cut, discs")
+    left.set_title("(a) held ends")
+    left.legend(loc="upper left")
+    for table, x, color, text in (
+        (held, held.length, BLUE, "held ends, against the length"),
+        (free, free.height, ORANGE, f"free ends, length {free.length[0]}, against the height"),
+    ):
+        right.errorbar(x, table.skewness, table.its_error, fmt="o-", ms=3, lw=0.8, color=color, label=text)
+    for value, text in ((-0.2241, "Tracy–Widom"), (-1.1395, "Gumbel")):
+        right.axhline(value, color=GREY, lw=0.8)
+        right.annotate(
+            text, (1.0, value), xycoords=("axes fraction", "data"), ha="right", va="bottom", color=GREY, fontsize=7
+        )
+    right.set(xscale="log", xlabel="length or height, discs", ylabel="skewness of the weight")
+    right.set_title("(b) distribution of the weight")
+    right.set_ylim(-1.7, 0.3)
+    right.legend(loc="lower left")
+    return figure

@@ -8,7 +8,7 @@ from functools import lru_cache, partial
 from pathlib import Path
 
 from taichi_bearings.analysis.structure import Structure
-from taichi_bearings.plots.network import draw_network
+from taichi_bearings.plots.structure import draw_network
 from taichi_bearings.runs.settings import RunSettings
 
 from .claims import Effort

@@ -1,6 +1,7 @@
-"""Exponents with their errors: laws fitted from each smallest size on, resampled over the disorder."""
+"""Exponents and limits of large samples with their errors: laws of the size, fitted from each smallest size on and
+resampled over the disorder."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +14,10 @@ LEAST_SIZES, LEAST_CURVES = 5, 3  # that a fit and a collapse take
 POSSIBLE = {True: (0.05, 1.5), False: (-1.0, 1.5)}  # exponents of standard deviations, with a constant and without
 FINELY = 500  # how many of them are tried
 LEAST_GOODNESS = 0.05  # probability of a misfit as large as that of a fit that counts
+STATED = 1.0  # w: a surface over its volume
+OTHERS = (0.5, 2.0)  # w that it might be; they count where they fit as well
+LEAST_OF_LIMIT, LEAST_SAMPLES = 3, 3  # sizes that its fit takes, and samples that a size needs
+ROUND_OFF = 1e-12  # of the mean, which a spread exceeds
 
 
 @dataclass(frozen=True)
@@ -107,6 +112,43 @@ def _grown(sizes: np.ndarray, spread: np.ndarray, offset: bool, columns: np.ndar
     bend = np.maximum(before - 2 * here + after, np.finfo(float).tiny)
     shift = np.clip((before - after) / (2 * bend), -1, 1)
     return trials[at] + shift * (trials[1] - trials[0]), float(here[0] - shift[0] ** 2 * bend[0] / 2)
+
+
+@dataclass(frozen=True)
+class Limit(Fitted):
+    """Of a mean: q(L) = value + amplitude L^-w, w = STATED.
+
+    systematic : also where the last size that is left out is not, or with w of OTHERS. sizes : number of those fitted.
+    """
+
+    sizes: int
+
+
+def limit(samples: Mapping[int, np.ndarray]) -> Limit | None:
+    """Of the mean of samples, size -> (samples,), from the smallest size on from which the law fits, or of the largest
+    three sizes. None where there are not three with a spread."""
+    known = {L: samples[L] for L in sorted(samples) if len(samples[L]) >= LEAST_SAMPLES}
+    mean = np.array([of.mean() for of in known.values()])
+    spread = np.array([of.std(ddof=1) / len(of) ** 0.5 for of in known.values()])
+    if len(known) < LEAST_OF_LIMIT or (spread <= ROUND_OFF * np.abs(mean)).any():
+        return None
+    rng, sizes = np.random.default_rng(0), np.array(list(known))
+    drawn = np.array([rng.choice(of, (RESAMPLES, len(of))).mean(axis=1) for of in known.values()]) - mean[:, None]
+    unbiased = np.array([(len(of) / (len(of) - 1)) ** 0.5 for of in known.values()])
+    again = mean[:, None] + drawn * unbiased[:, None]
+    parts = [slice(first, None) for first in range(len(sizes) - LEAST_OF_LIMIT + 1)]
+    fits = [line_through(sizes[part] ** -STATED, spread[part], mean[part]) for part in parts]
+    chosen = first_that_fits([goodness for _, goodness in fits])
+    part, ((value, amplitude), goodness) = parts[chosen], fits[chosen]
+    error = line_through(sizes[part] ** -STATED, spread[part], again[part])[0][0].std(ddof=1)
+    beside = [line_through(sizes[part] ** -w, spread[part], mean[part]) for w in OTHERS]
+    values = [found[0] for found, _ in fits[max(chosen - 1, 0) : chosen + 3]]
+    values += [found[0] for found, fit in beside if fit >= LEAST_GOODNESS]
+    return Limit(
+        float(value), float(error), float(np.abs(np.array(values) - value).max()), int(sizes[chosen]), goodness,
+        float(amplitude), {int(L): float(found[0]) for L, (found, _) in zip(sizes, fits, strict=False)},
+        len(sizes[part]),
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 The scans in examples/studies have the samples, and anybody can start them alone: the paper's bearing from 4^3 to 48^3,
 and beside it, one thing at a time, periodic sides, another state of the top, a rate C, other distributions of friction.
-Every share q is taken to its limit by q(L) = q_inf + a L^-w (:mod:`.extrapolation`): the driven planes and the free
+Every share q is taken to its limit by q(L) = q_inf + a L^-w (:func:`.fits.limit`): the driven planes and the free
 sides are a share 1/L of a sample, so w = 1 is stated and not fitted.
 """
 
@@ -11,12 +11,16 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from matplotlib.figure import Figure
+
+from taichi_bearings.plots.style import BLUE, DOUBLE, GREEN, ORANGE, in_our_style, new_figure
 from taichi_bearings.runs.settings import RunSettings, read_toml
 from taichi_bearings.scans.plan import read_plan
 
-from ..plots.limits import draw_limits
 from .claims import SAMPLES, Effort
-from .extrapolation import Limit, limit
+from .drawing import draw_means, name_sizes
+from .fits import Limit, limit
 from .network import LARGE, sample_of
 from .samples import Found, Table, measured
 
@@ -107,3 +111,56 @@ def system_of(settings: RunSettings) -> str:
         settings.distribution: settings.distribution != RunSettings().distribution,
     }  # fmt: skip
     return ", ".join(word for word, differs in words.items() if differs) or PAPER
+
+
+@in_our_style
+def draw_limits(of_systems: Mapping[str, Table], limits: Mapping[str, Mapping[str, Limit]]) -> Figure:
+    """(a, b, c) shares against 1/L of the first system and of the second one, with the fitted laws and, at 1/L = 0,
+    their limits with all errors; (d) samples that span, (e) shortest paths and busiest links against L, of the first
+    system; (f) least power of all systems over that of the cut, at the largest size that all have.
+
+    of_systems, limits : samples and limits by the system, in its order.
+    """
+    figure = new_figure(DOUBLE, 4.6)
+    panels: Any = figure.subplots(2, 3).ravel()
+    shares = {
+        "power_over_cut": r"$P_\mathrm{min} / P_\mathrm{cut}$",
+        "slipless_fraction": "slipless contacts / all",
+        "domains_a_sphere": "rigid domains / spheres",
+    }
+    for axes, letter, (name, label) in zip(panels, "abc", shares.items(), strict=False):
+        for system, colour in zip(of_systems, (BLUE, ORANGE), strict=False):
+            found = of_systems[system].by(name)
+            draw_means(axes, found, 1 / np.array(list(found)), fmt="o", color=colour, label=system)
+            _draw_limit(axes, limits[system].get(name), colour)
+        axes.set(xlabel="$1/L$", xlim=(-0.01, 0.26), ylabel=label)
+        axes.set_title(f"({letter})")
+    panels[0].legend(loc="lower right")
+    paper = next(iter(of_systems.values()))
+    spanning = paper[paper.spans]
+    for system, colour in zip(of_systems, (BLUE, ORANGE), strict=False):
+        draw_means(panels[3], of_systems[system].by("spans"), color=colour, label=system)
+    draw_means(panels[4], spanning.by("path_over_height"), color=BLUE, label="shortest path / height")
+    draw_means(panels[4], paper.by("disjoint_paths"), color=GREEN, label="disjoint paths")
+    draw_means(panels[4], spanning.by("busiest_link_share"), color=ORANGE, label="share of the busiest link")
+    for axes in panels[3:5]:
+        name_sizes(axes, list(paper.by("side")), "$L$")
+    panels[3].set(ylabel="samples that span", ylim=(-0.03, 1.04), title="(d)")
+    panels[4].set(yscale="symlog", ylim=(0, 60), title="(e)")
+    panels[4].set_yticks([0, 1, 3, 10, 30], ["0", "1", "3", "10", "30"])
+    panels[4].legend(loc="upper left")
+    common = min(of.side.max() for of in of_systems.values())
+    for row, of in enumerate(reversed(list(of_systems.values()))):
+        values = of.power_over_cut[of.side == common]
+        panels[5].plot(values, row + np.linspace(-0.22, 0.22, len(values)), ".", color=BLUE, ms=3, alpha=0.4, mew=0)
+        panels[5].plot([values.mean()] * 2, [row - 0.32, row + 0.32], color=BLUE, lw=1.6)
+    panels[5].set_yticks(range(len(of_systems)), list(of_systems)[::-1])
+    panels[5].set(xlabel=r"$P_\mathrm{min} / P_\mathrm{cut}$", title=f"(f) $L = {common}$")
+    return figure
+
+
+def _draw_limit(axes: Any, limit: Limit | None, colour: str) -> None:
+    if limit is not None and limit.follows:
+        x = np.array([0, 1 / limit.smallest])
+        axes.plot(x, limit.value + limit.amplitude * x, color=colour, lw=0.8)
+        axes.errorbar(0, limit.value, limit.total, fmt="s", ms=3, lw=0.8, capsize=2, mfc="white", color=colour)

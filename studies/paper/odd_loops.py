@@ -10,19 +10,22 @@ alike at equal n / L^(1/3), and in large samples a vanishing density stops the b
 by cuts of the double cover. Contacts across the squares of cubic lattices of spheres are put beside: proven minima.
 """
 
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 from scipy.spatial import cKDTree
 
 from taichi_bearings.numerics.minimum_cut import largest_flow, within_reach
 from taichi_bearings.packing import Packing
 from taichi_bearings.packing.answer import solve_packing
+from taichi_bearings.plots.style import BLUE, GREY, in_our_style, new_figure, shades
 
-from ..plots.questions import draw_odd_loops
 from .claims import Effort
+from .drawing import draw_means, name_sizes
 from .fits import collapse
 from .samples import Found, Table, drawn
 
@@ -171,3 +174,45 @@ def study(folder: Path, effort: Effort) -> Found:
         "size": turned, "landscape": LANDSCAPE, "dimension": DIMENSION,
     }  # fmt: skip
     return Found({".csv": Table.of(rows)}, partial(draw_odd_loops, rolling, ruled, resting), named)
+
+
+@in_our_style
+def draw_odd_loops(
+    rolling: Mapping[str, Mapping[int, Mapping[int, np.ndarray]]],
+    ruled: Mapping[str, Any],
+    resting: Mapping[str, Mapping[float, np.ndarray]],
+) -> Figure:
+    """A row a lattice: (a) share of the discs that roll with the top against the number n of odd contacts, (b) against
+    n / L^a, with the exponent a at which three or more sizes lie closest together; (c) share of the discs that rest,
+    against the bottom's speed.
+
+    rolling : L -> n -> (samples,). ruled : Collapse. resting : omega_B / omega_T -> (samples,), with as many odd
+    contacts as are drawn in (a) at most; all by lattice.
+    """
+    figure = new_figure(7.1, 2.4 * len(rolling))
+    rows: Any = figure.subplots(len(rolling), 3, squeeze=False)
+    for panels, (lattice, curves) in zip(rows, rolling.items(), strict=True):
+        rule = ruled[lattice].value
+        for (L, of), color in zip(curves.items(), shades(len(curves)), strict=True):
+            n = np.array([odd for odd in of if odd])
+            panels[0].axhline(of[0].mean(), color=color, lw=0.6, ls=":")
+            for axes, x in ((panels[0], n), (panels[1], n / L**rule))[: 1 + (len(curves) > 2)]:
+                draw_means(axes, {odd: of[odd] for odd in n}, x, color=color, label=f"L = {L}")
+        name_sizes(panels[0], n, "odd contacts n")
+        panels[0].set(ylabel="share of discs that roll", ylim=(0, 0.85))
+        panels[0].set_title(f"{lattice}; dotted: none")
+        panels[0].legend(loc="upper right", ncols=2)
+        if len(curves) > 2:
+            panels[1].set(xscale="log", xlabel=f"$n / L^{{{rule:.2f}}}$", ylim=(0, None))
+            panels[1].set_title("the sizes together")
+        else:
+            panels[1].set_axis_off()
+        if lattice not in resting:
+            panels[2].set_axis_off()
+            continue
+        bottoms = np.array(list(resting[lattice]))
+        panels[2].plot(bottoms, [values.mean() for values in resting[lattice].values()], "o-", color=BLUE, ms=3)
+        panels[2].axhline(1.0, color=GREY, lw=0.8)
+        panels[2].set(xlabel=r"$\omega_B / \omega_T$", ylabel="share of discs that rest", ylim=(0, 1.05))
+        panels[2].set_title("most odd contacts")
+    return figure

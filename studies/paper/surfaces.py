@@ -9,21 +9,25 @@ weight of one and its spin changes within a share L^(zeta - 1) of the layers; if
 contacts by 1/L, the power fluctuates like L^(1/2), and the spin changes within a constant share of the layers.
 """
 
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, ScalarFormatter
 
 from taichi_bearings.analysis.structure import structure_of
 from taichi_bearings.numerics.minimum_cut import minimum_cut
+from taichi_bearings.plots.style import BLUE, GREY, ORANGE, in_our_style, new_figure, shades
 from taichi_bearings.runs.run import build_scene
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.solvers import InteriorPoint
 from taichi_bearings.solvers.stopping import StopRule
 
-from ..plots.questions import draw_surfaces
 from .claims import Effort
+from .drawing import draw_growth, draw_means, mean_and_error, name_sizes, spread_and_error
 from .fits import exponent
 from .samples import Found, Table, drawn, solved
 
@@ -148,3 +152,49 @@ def row_of(point: tuple[Any, ...], found: dict[str, np.ndarray]) -> dict[str, An
         of = found.get(name)
         row |= {f"mean_{name}": None if of is None else of.mean(), f"sd_{name}": None if of is None else of.std()}
     return row
+
+
+@in_our_style
+def draw_surfaces(
+    weight: Mapping[int, np.ndarray], theta: Any, zeta: Any, flat: Mapping[float, Mapping[int, np.ndarray]],
+    cubes: Mapping[int, Mapping[str, np.ndarray]], towers: Mapping[int, Mapping[str, np.ndarray]],
+) -> Figure:  # fmt: skip
+    """(a) standard deviation of the weight of cut surfaces, (b) their width by the lowest friction, against the side;
+    (c) standard deviations of the least power and of that of the cut, (d) layers in which the spin changes, of minima.
+
+    weight : L -> (samples,). flat : lowest friction -> L -> variances of the height (samples,). cubes, towers : by side
+    and by height the samples.
+    """
+    figure = new_figure(7.1, 5.0)
+    (a, b), (c, d) = figure.subplots(2, 2)
+    sizes = np.array(sorted(weight))
+    a.errorbar(sizes, *spread_and_error([weight[L] for L in sizes]), fmt="o", ms=3, color=BLUE, lw=0.8)
+    draw_growth(a, sizes, theta, BLUE, rf"$\theta$ = {theta.value:.2f} ± {theta.total:.2f}")
+    a.set(ylabel="sd of the weight of cuts", title="(a) friction in [0, 1]")
+    for (lowest, of), color in zip(flat.items(), shades(len(flat)), strict=True):
+        mean, error = mean_and_error(of.values())
+        width = np.sqrt(mean)
+        above = np.sqrt(mean + error) - width
+        b.errorbar(list(of), width, above, fmt="o-", ms=3, lw=0.8, color=color, label=f"[{lowest:g}, 1]")
+    draw_growth(b, np.array(sorted(flat[0.0])), zeta, GREY, rf"$\zeta$ = {zeta.value:.2f} ± {zeta.total:.2f}")
+    b.set(ylabel="width of cuts, spheres", title="(b) by the friction")
+    sides = np.array(sorted(cubes))
+    for name, color, text in (("cut", ORANGE, "minimum cut"), ("power", BLUE, "minimum")):
+        spread = spread_and_error([cubes[L][name] for L in sides])
+        c.errorbar(sides, *spread, fmt="o-", ms=3, lw=0.8, color=color, label=text)
+    c.set(ylabel="sd of the power", title="(c) friction in [0.1, 1], cubes")
+    for found, color, text in (
+        (cubes, BLUE, "cubes, against the side"),
+        (towers, ORANGE, "towers, against the height"),
+    ):
+        x = sorted(found)
+        draw_means(d, {L: found[L]["layers"] for L in x}, color=color, label=text)
+    d.set(ylabel="layers in which the spin changes", title="(d) minima")
+    for axes, ticks in ((a, sizes), (b, sizes), (c, sides), (d, sorted({*cubes, *towers}))):
+        axes.set_yscale("linear" if axes is b else "log")
+        name_sizes(axes, ticks, "spheres")
+        if axes is not b:
+            axes.yaxis.set_major_locator(LogLocator(subs=(1, 1.5, 2, 3, 5)))
+            axes.yaxis.set_major_formatter(ScalarFormatter())
+        axes.legend()
+    return figure

@@ -10,10 +10,9 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.sparse import csr_array
+from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components, maximum_flow
 
-from taichi_bearings.analysis.winding import winding
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.lattice.incidence import number_bodies
 from taichi_bearings.proof.contact_state import ContactState
@@ -179,23 +178,16 @@ class SliplessNetwork(ContactNetwork):
         up = np.eye(self.lattice.dimension, dtype=int)[-1]
         return np.concatenate([path[:1] - up, path, path[-1:] + up])
 
-    def edges_along(self, path: np.ndarray) -> np.ndarray:
-        """Edge of each step of a path through these spheres (L,), indices in C order; of two between the same spheres,
-        in a ring of two, the first."""
-        place = np.full(self.lattice.sites, -2)
-        place[path] = np.arange(len(path))
-        low, high = place[self.ends]
-        edges = np.flatnonzero(np.abs(low - high) == 1)
-        first: np.ndarray = np.unique(np.minimum(low, high)[edges], return_index=True)[1]
-        return edges[first]
-
     @cached_property
-    def path_steps(self) -> np.ndarray:
-        """Unit vector (L - 1, dimension) of each step of the shortest path: over a periodic side it leads outwards."""
-        path = np.ravel_multi_index(tuple(self.shortest_path.T), self.lattice.shape)
-        edges = self.edges_along(path)
-        way = np.where(self.ends[0, edges] == path[:-1], 1, -1)
-        return way[:, None] * np.eye(self.lattice.dimension, dtype=int)[self.axis[edges]]
+    def on_path(self) -> np.ndarray:
+        """True (contacts,) for those of the shortest path; of two between the same spheres, in a ring of two, the first
+        is."""
+        place, path = np.full(self.lattice.sites, -2), self.shortest_path
+        place[np.ravel_multi_index(tuple(path.T), self.lattice.shape)] = np.arange(len(path))
+        low, high = place[self.ends]
+        steps = np.flatnonzero(np.abs(low - high) == 1)
+        first = np.unique(np.minimum(low, high)[steps], return_index=True)[1]
+        return self.on_contacts(np.isin(np.arange(len(low)), steps[first]))
 
     @property
     def path_planes(self) -> list[int]:
@@ -206,3 +198,37 @@ class SliplessNetwork(ContactNetwork):
 def network_of(lattice: Lattice, state: np.ndarray) -> SliplessNetwork:
     """The network of the contacts in state SLIPLESS; state : (contacts,)."""
     return SliplessNetwork(lattice, state == ContactState.SLIPLESS)
+
+
+def winding(nodes: int, ends: np.ndarray, turns: np.ndarray) -> np.ndarray:
+    """True (nodes,) for those of pieces of a graph with a closed way along which the turns do not add up to 0.
+
+    ends : (2, E) of the edges. turns : (E,) whole numbers, how often an edge goes around from its first end to the
+    second. A piece without such a way can be unrolled: its nodes have places whose differences are the turns.
+    """
+    still = turns == 0
+    pairs = (np.ones(still.sum()), tuple(ends[:, still]))
+    pieces, piece = connected_components(coo_array(pairs, shape=(nodes, nodes)), directed=False)
+    above, place, winds = list(range(pieces)), [0] * pieces, [False] * pieces
+
+    def root_of(one: int) -> tuple[int, int]:
+        """Root of a piece in the tree of those that are joined already, and its place as that root has it."""
+        way = []
+        while above[one] != one:
+            way.append(one)
+            one = above[one]
+        total = 0
+        for passed in reversed(way):
+            total += place[passed]
+            above[passed], place[passed] = one, total
+        return one, total
+
+    for first, second, turn in zip(*piece[ends[:, ~still]].tolist(), turns[~still].tolist(), strict=True):
+        (one, at_one), (other, at_other) = root_of(first), root_of(second)
+        off = at_one + turn - at_other
+        if one == other:
+            winds[one] |= off != 0
+        else:
+            above[other], place[other] = one, off
+            winds[one] |= winds[other]
+    return np.array([winds[root_of(one)[0]] for one in range(pieces)])[piece]

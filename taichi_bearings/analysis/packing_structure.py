@@ -9,16 +9,17 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from scipy.sparse.csgraph import dijkstra
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components, dijkstra, laplacian
+from scipy.sparse.linalg import spsolve
 
 from taichi_bearings.analysis.bottlenecks import Bottlenecks
 from taichi_bearings.analysis.domains import Lock, RigidDomains, refined
 from taichi_bearings.analysis.network import ContactNetwork
-from taichi_bearings.analysis.torque_flow import PackingFlow, flow_through
 from taichi_bearings.packing import Packing, PackingSolution
 from taichi_bearings.packing.interface import SAME_STATE, Interface, bearing_states, nodes_of
 from taichi_bearings.packing.structure import self_stress_of
-from taichi_bearings.packing.system import along_axes, odd_parts
+from taichi_bearings.packing.system import acting, along_axes, odd_parts
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.quantities import STRUCTURE, plain
 from taichi_bearings.scene.scene import vector_length
@@ -45,6 +46,19 @@ class PackingNetwork(ContactNetwork):
     @property
     def names(self) -> dict[str, np.ndarray]:
         return {"contact": np.flatnonzero(self.slipless), "spheres": self.ends.T}
+
+
+@dataclass(frozen=True)
+class PackingFlow:
+    """total : torque, signs of a sublattice taken away, that drives the second of two bodies, by component (C,); with
+    fewer or more that of each, (bodies, C); force * length. power : that each body spends, (bodies,), energy/time.
+    slipless_share : of the power from the first of two bodies to the second what slipless contacts carry, None where
+    these are in no bearing states of their own; 0 without power.
+    """
+
+    total: np.ndarray
+    power: np.ndarray
+    slipless_share: float | None
 
 
 @dataclass(frozen=True)
@@ -217,3 +231,42 @@ def _alike(piece: np.ndarray, values: np.ndarray, near: float) -> np.ndarray:
     label = np.empty(len(piece), dtype=np.int64)
     label[order] = np.cumsum(new) - 1
     return label
+
+
+def flow_through(
+    packing: Packing, node: np.ndarray, sign: np.ndarray, pull: np.ndarray, slipless: np.ndarray
+) -> PackingFlow:
+    """node : (N,) of each sphere, a body being one. sign : (N,) of the sublattice. pull : (E, C) of each contact on
+    R omega of both its ends; force, 0 between driven spheres. slipless : (E,).
+
+    s pull is a current of each component, from one end of a contact to the other, as T_k of lattices, and layers are
+    those of a height that is 0 on the first body, 1 on the second and in between the mean of that of the neighbours.
+    """
+    held, (first, second) = np.flatnonzero(packing.driven >= 0), packing.contact.T
+    drive = np.zeros(packing.imposed.shape)
+    for end in (first, second):
+        np.add.at(drive, end, pull)
+    bodies, body = np.unique(packing.driven[held], return_inverse=True)
+    total, spent = np.zeros((len(bodies), pull.shape[1])), (drive * packing.imposed).sum(axis=1)
+    np.add.at(total, body, (sign * packing.radius)[held, None] * drive[held])
+    power, states, share = np.bincount(body, spent[held], len(bodies)), bearing_states(packing), None
+    if states is not None:
+        height = _height(node, node[packing.contact[acting(packing)]].T)
+        fall = (sign[first] * (height[first] - height[second]))[:, None] * (states[1][1] - states[1][0])[first]
+        carried = (pull * fall).sum(axis=1)
+        share = float(carried[slipless].sum() / carried.sum()) if carried.sum() else 0.0
+    return PackingFlow(total[-1] if len(bodies) == 2 else total, power, share)
+
+
+def _height(node: np.ndarray, ends: np.ndarray) -> np.ndarray:
+    """(N,) 0 at node 0, 1 at the last node, elsewhere the mean of the neighbours; 0 where these two do not reach."""
+    size = int(node.max()) + 1
+    ones = np.ones(ends.shape[1])
+    graph = csr_array((np.tile(ones, 2), np.append(ends, ends[::-1], axis=1)), shape=(size, size))
+    label = connected_components(graph, directed=False)[1]
+    inside = np.flatnonzero(np.isin(label, label[[0, -1]])[1:-1]) + 1
+    matrix, height = (laplacian(graph))[inside], np.zeros(size)
+    height[-1] = 1.0
+    if len(inside):
+        height[inside] = spsolve(matrix[:, inside].tocsc(), -matrix[:, [-1]].toarray()[:, 0])
+    return height[node]

@@ -1,79 +1,160 @@
-"""The spins of a run: discs in 2D, spheres and cuts in 3D (paper Figs. 1, 3a and 4)."""
+"""How fast the spheres of a run turn, and where its power is dissipated (paper Figs. 1, 3a and 4)."""
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
+from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 
-from taichi_bearings.plots import lattice
-from taichi_bearings.plots.page import NARROW, PAGE, VIEW, Page, columns_on, middle_planes
-from taichi_bearings.plots.style import in_our_style, new_figure, panels, put_title
-from taichi_bearings.plots.symbols import describe
+from taichi_bearings.lattice import Lattice
+from taichi_bearings.packing import Packing, PackingSolution
+from taichi_bearings.plots import bearing
+from taichi_bearings.plots.bearing import SPIN_COLOURS, Sheet
+from taichi_bearings.plots.page import BELOW, NARROW, PAGE, VIEW, Page, columns_on, middle_planes
+from taichi_bearings.plots.style import (
+    BLUE,
+    ORANGE,
+    describe,
+    in_our_style,
+    larger_spin,
+    over,
+    panels,
+    power_unit,
+    put_title,
+)
 from taichi_bearings.proof.contact_state import ContactState
-from taichi_bearings.scene import Scene
+from taichi_bearings.scene import Scene, Solution
 
 # share of more contacts than a few: lines at nearly all would hide the spins and say nothing
 MOST_SLIPS, FEW_SLIPS = 0.9, 1_000
-BAR = 0.75  # inches of a colour bar with its label
+POWER_COLOURS = "viridis_r"  # what dissipates most stands out on paper
+FAINT_SHARE = 0.02  # share of the contacts that are below the range of the colours
 
 
 @in_our_style
 def draw_spins(
-    scene: Scene, spin: np.ndarray, state: Sequence[np.ndarray], page: Page = PAGE, title: str = "", note: str = ""
+    system: Scene | Packing, spin: np.ndarray, state: np.ndarray, page: Page = PAGE, title: str = "", note: str = ""
 ) -> Figure:
-    """|spin| over the larger imposed spin, as colour; slipping contacts in black (2D and cuts).
+    """|spin| over the larger imposed spin, of a packing R |spin| over the largest such, as colour; slipping contacts in
+    black, of cubic lattices in cuts. If many slip, and nearly all, or it is no plane, they are counted alone.
 
-    If many slip, and nearly all, they are counted in the title instead.
-
-    spin : laboratory frame, (*N) or (*N, 3). state : of the contacts, one array (*contacts) an axis.
-    note : what black lines mean.
+    spin : laboratory frame, (*N) or (*N, 3). state : (E,), of the contacts. note : what black lines mean.
     """
-    speed = lattice.speed_of(spin, *scene.imposed)
-    colour = colormaps[lattice.SPIN_COLOURS](speed)
-    slips = tuple(values == ContactState.SLIPPING for values in state)
-    slipping = sum(int(values.sum()) for values in slips)
-    movable = sum(int((values != ContactState.DRIVEN).sum()) for values in state)
-    note = note or "slipping contacts in black"
-    if slipping > max(MOST_SLIPS * movable, FEW_SLIPS):
-        note = f"{slipping:,} of {movable:,} contacts slip"
-        slips = tuple(np.zeros_like(values) for values in slips)
-    figure = _draw_discs(colour, slips, page) if speed.ndim == 2 else _draw_spheres(colour, slips, page)
-    put_title(figure, f"{title or describe(scene)}\n{note}", page)
-    below = speed.ndim == 3 and columns_on(page, len(figure.axes), NARROW) < 3
-    lattice.draw_speed_bar(figure, figure.axes, *scene.imposed, below)
+    slips, movable = state == ContactState.SLIPPING, int((state != ContactState.DRIVEN).sum())
+    counted = f"{int(slips.sum()):,} of {movable:,} contacts slip"
+    drawn = slips & (slips.sum() <= max(MOST_SLIPS * movable, FEW_SLIPS))
+    if isinstance(system, Packing):
+        place: Any = system
+        surface = spin.reshape(system.spheres, -1) * np.asarray(system.radius)[:, None]
+        fastest = float(np.linalg.norm(system.imposed, axis=1).max(initial=0.0)) or 1.0
+        speed, label = np.linalg.norm(surface, axis=1) / fastest, r"$R\,|\omega|$ over the largest imposed"
+    else:
+        place, speed = system.lattice, bearing.speed_of(spin, *system.imposed)
+        label = rf"$|\omega|\,/\,{larger_spin(*system.imposed)}$"
+    colour = colormaps[SPIN_COLOURS](speed)
+    if speed.ndim == 3:
+        figure = _draw_block(place, colour, drawn, page)
+        look = BELOW if columns_on(page, len(figure.axes), NARROW) < 3 else {}
+    else:
+        figure, axes, sheet, site, look = bearing.one_panel(place, page)
+        drawn = drawn & sheet.is_flat
+        _paint(axes, sheet, colour.reshape(-1, 4), drawn, site)
+    told = counted if slips.any() and not drawn.any() else note or f"{counted}, in black"
+    put_title(figure, f"{title or describe(system)}\n{told}", page)
+    bearing.colour_bar(figure, figure.axes, label, Normalize(0, 1), SPIN_COLOURS, **look)
     return figure
 
 
-def _draw_discs(colour: np.ndarray, slips: tuple[np.ndarray, ...], page: Page) -> Figure:
-    nx, ny = colour.shape[:2]
-    width = page.inches("single")
-    height = (width - BAR) * min(2.0, max(0.4, ny / nx))
-    figure = new_figure(width, height + 0.1, page.dpi)
-    axes = figure.add_subplot()
-    _paint(axes, colour, slips, lattice.site_on_paper(width - BAR, (nx, ny), height))
-    lattice.box_driven_rows(axes, (nx, ny))
-    return figure
-
-
-def _paint(axes: Any, colour: np.ndarray, slips: tuple[np.ndarray, ...], site: float) -> None:
+def _paint(axes: Any, sheet: Sheet, colour: np.ndarray, slips: np.ndarray, site: float) -> None:
     """Discs of one plane and the slipping contacts between them."""
-    lattice.paint_plane(axes, colour)
-    lattice.draw_contacts(axes, slips, across=True, colors="black", lw=lattice.line_on_site(site, 0.15))
+    sheet.paint(axes, colour)
+    sheet.box_driven(axes)
+    sheet.draw(axes, slips, across=True, colors="black", lw=bearing.line_on_site(site, 0.15))
 
 
-def _draw_spheres(colour: np.ndarray, slips: tuple[np.ndarray, ...], page: Page) -> Figure:
+def _draw_block(lattice: Lattice, colour: np.ndarray, slips: np.ndarray, page: Page) -> Figure:
     """The block of spheres from outside, and cuts with the slipping contacts."""
-    shape = colour.shape[:3]
+    shape = lattice.shape
     planes = page.planes or middle_planes(shape)
     tall = float(np.clip(shape[2] / max(shape[:2]), 0.5, 2.0))
     figure, (block, *cuts), width = panels(page, 1 + len(planes), (0.85 * tall, 0.25), 0.1, NARROW)
-    lattice.paint_block(block, colour, page.view or VIEW)
+    bearing.paint_block(block, colour, page.view or VIEW)
     block.set_title("from outside")
-    for axes, (axis, index) in zip(cuts, planes, strict=True):
-        plane = np.take(colour, index, axis)
-        inside = lattice.contacts_in_plane(slips, axis, index)
-        _paint(axes, plane, inside, lattice.site_on_paper(0.85 * width, plane.shape[:2]))
-        lattice.name_cut(axes, axis, index)
+    for axes, plane in zip(cuts, planes, strict=True):
+        sheet = Sheet.of_lattice(lattice, plane)
+        _paint(axes, sheet, np.take(colour, plane[1], plane[0]).reshape(-1, 4), slips, sheet.site(0.85 * width))
+        bearing.name_cut(axes, *plane)
+    return figure
+
+
+@in_our_style
+def draw_power(answer: Solution | PackingSolution, replica: int = 0, page: Page = PAGE) -> Figure:
+    """The slipping contacts by their power; of a cubic lattice those of two cuts, and the power of each layer of the
+    height.
+
+    Where more contacts slip than lines can show, each disc has the colour of the power of its contacts, half of each.
+    """
+    if isinstance(answer, PackingSolution):
+        system: Any = answer.packing
+        place, state, power = system, answer.state, answer.power_per_contact
+    else:
+        system, state, power = answer.scene, answer.state[replica], answer.power_per_contact[replica]
+        place = system.lattice
+    unit, symbol = power_unit(system)
+    power = np.where(state == ContactState.SLIPPING, power / unit, 0.0)
+    if isinstance(place, Lattice) and place.dimension == 3:
+        figure = _draw_cuts(place, power, page, symbol)
+    else:
+        figure, axes, sheet, site, look = bearing.one_panel(place, page)
+        lines = (power > 0).sum() <= bearing.MOST_LINES or not sheet.is_flat
+        if lines:
+            sheet.paint(axes, bearing.PALE if sheet.is_flat else bearing.PALE * [1, 1, 1, 0.25])
+            norm = _draw_lines(axes, sheet, power, site)
+        else:
+            shown = np.bincount(sheet.ends.ravel(), np.tile(power / 2, 2), len(sheet.place))
+            norm = _norm(shown)
+            sheet.paint(axes, np.where((shown > 0)[:, None], colormaps[POWER_COLOURS](norm(shown)), bearing.PALE))
+        label = over("P_{ij}" if lines else "P_i", symbol, "energy / time")
+        bearing.colour_bar(figure, axes, label, norm, POWER_COLOURS, extend="min", **look)
+    put_title(figure, describe(system, replica), page)
+    return figure
+
+
+def _norm(power: np.ndarray) -> LogNorm:
+    slipping = power[power > 0]
+    if not len(slipping):
+        return LogNorm(1e-1, 1)
+    return LogNorm(float(np.quantile(slipping, FAINT_SHARE)), float(slipping.max()))
+
+
+def _draw_lines(axes: Any, sheet: Sheet, power: np.ndarray, site: float) -> LogNorm:
+    """Slipping contacts as lines between the centres."""
+    norm = _norm(power)
+    look: dict[str, Any] = {"array": power, "cmap": POWER_COLOURS, "norm": norm}
+    sheet.draw(axes, power > 0, lw=bearing.line_on_site(site, 0.3, 0.8, 3.0), **look)
+    return norm
+
+
+def _draw_cuts(lattice: Lattice, power: np.ndarray, page: Page, symbol: str) -> Figure:
+    """Planes of a cubic lattice, and the power of the contacts in each layer and to the next one."""
+    shape = lattice.shape
+    planes, nz = page.planes or middle_planes(shape), shape[-1]
+    tall = float(np.clip(nz / max(shape[:2]), 0.5, 2.0))
+    figure, (*cuts, layers), width = panels(page, 1 + len(planes), (0.85 * tall, 0.35))
+    for cut, plane in zip(cuts, planes, strict=True):
+        sheet = Sheet.of_lattice(lattice, plane)
+        sheet.paint(cut, bearing.PALE)
+        norm = _draw_lines(cut, sheet, power, sheet.site(0.8 * width))
+        bearing.name_cut(cut, *plane)
+    look: dict[str, Any] = {"location": "left"} if columns_on(page, len(figure.axes)) > 1 else BELOW
+    label = over("P_{ij}", symbol, "energy / time")
+    bearing.colour_bar(figure, cuts, label, norm, POWER_COLOURS, extend="min", **look)
+    along_x, along_y, upright = lattice.by_axis(power)
+    inside = along_x.sum(axis=(0, 1)) + along_y.sum(axis=(0, 1))
+    layers.step(inside, np.arange(nz), where="mid", color=BLUE, label="within a layer")
+    layers.step(upright.sum(axis=(0, 1)), np.arange(nz - 1) + 0.5, where="mid", color=ORANGE, label="to the next")
+    layers.set(ylabel="height $z$", xlabel=over("P_z", symbol, "energy / time"))
+    layers.set(xlim=(0, None), ylim=(-0.5, nz - 0.5))
+    layers.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, columnspacing=1.0)
     return figure

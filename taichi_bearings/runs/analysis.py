@@ -110,16 +110,15 @@ class Analysis:
 
     def plot(self, kind: str, page: "Page | None" = None) -> "Figure":
         """One of `figures`, as a matplotlib Figure. page : how it is printed."""
-        from taichi_bearings.plots.packing import draw_packing
         from taichi_bearings.plots.page import PAGE
-        from taichi_bearings.runs.figures import FIGURES
+        from taichi_bearings.runs.figures import FIGURES, FIGURES_OF_PACKINGS
 
         if kind not in self.figures:
             raise InputError(
                 f"the figure is {kind!r}; allowed are {', '.join(self.figures)}{meant(kind, self.figures)}"
             )
         if isinstance(self.structure, PackingStructure):
-            return draw_packing(self.structure.result, kind, page or PAGE)
+            return FIGURES_OF_PACKINGS[kind](self.structure.result, page=page or PAGE)
         return FIGURES[kind](self.structure, page or PAGE)
 
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -11,14 +10,11 @@ from taichi_bearings.analysis.packing_structure import PackingStructure
 from taichi_bearings.analysis.structure import Structure, structure_of
 from taichi_bearings.errors import InputError
 from taichi_bearings.packing import PackingSolution
-from taichi_bearings.plots.course import draw_energy, draw_history
-from taichi_bearings.plots.domains import draw_domains
-from taichi_bearings.plots.network import draw_network
-from taichi_bearings.plots.packing import PACKING_FIGURES, draw_domains_of_packing, draw_packing
+from taichi_bearings.plots.curves import draw_energy, draw_history
 from taichi_bearings.plots.page import PAGE, Page, check_planes
-from taichi_bearings.plots.power import draw_power
-from taichi_bearings.plots.spins import draw_spins
-from taichi_bearings.plots.symbols import describe, driving, mathematics
+from taichi_bearings.plots.spins import draw_power, draw_spins
+from taichi_bearings.plots.structure import draw_domains, draw_domains_of_packing, draw_network, draw_network_of_packing
+from taichi_bearings.plots.style import describe, driving, mathematics
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.runs.solved import Packed
 from taichi_bearings.scene import Scene, Solution
@@ -33,7 +29,7 @@ FIGURES: dict[str, Callable[[Structure, Page], Figure]] = {
 
 def _draw_spins(solution: Solution, sample: int, page: Page) -> Figure:
     one = solution.sample(sample)
-    return draw_spins(one.scene, one.spin[0], one.scene.lattice.by_axis(one.state[0]), page)
+    return draw_spins(one.scene, one.spin[0], one.state[0], page)
 
 
 OF_ANSWERS: dict[str, Callable[[Solution, int, Page], Figure]] = {
@@ -44,7 +40,9 @@ OF_ANSWERS: dict[str, Callable[[Solution, int, Page], Figure]] = {
 }
 FIGURE_KINDS = (*OF_ANSWERS, *FIGURES)
 FIGURES_OF_PACKINGS: dict[str, Callable[..., Figure]] = {
-    **{kind: partial(draw_packing, kind=kind) for kind in PACKING_FIGURES},
+    "spins": lambda result, page: draw_spins(result.packing, result.spin, result.state, page),
+    "power": draw_power,
+    "network": draw_network_of_packing,
     "history": draw_history,
     "energy": lambda result, page: draw_energy(result, 0, page),
     "domains": lambda result, page: draw_domains_of_packing(result, PackingStructure.of(result).rigid_domains, page),
@@ -106,7 +104,7 @@ def draw_snapshot(
     scene, spin = solution.sample(replica).scene, spins[replica]
     threshold = snapshot_threshold(solution, slip_threshold)
     slips = np.where(slips_of(scene, spin) > threshold, ContactState.SLIPPING, ContactState.SLIPLESS)
-    state = scene.lattice.by_axis(np.where(scene.lattice.between_driven, ContactState.DRIVEN, slips))
+    state = np.where(scene.lattice.between_driven, ContactState.DRIVEN, slips)
     unit, symbol = driving(scene)
     when = f"$t = {mathematics(at)}$" + ("" if unit == 1 else rf", ${symbol}\,t = {mathematics(unit * at)}$")
     note = f"black: contacts that slip faster than ${mathematics(threshold, 2)}"
@@ -135,7 +133,8 @@ def _nearest(solution: Solution | PackingSolution, time: float) -> tuple[float, 
 def draw_moment(result: PackingSolution, time: float, page: Page = PAGE) -> Figure:
     """The same of a packing."""
     at, spin = _nearest(result, time)
-    return draw_packing(at_moment(result, spin), "spins", page, f", $t = {mathematics(at)}$")
+    moment, title = at_moment(result, spin), f"{describe(result.packing)}, $t = {mathematics(at)}$"
+    return draw_spins(moment.packing, moment.spin, moment.state, page, title)
 
 
 def at_moment(result: PackingSolution, spin: np.ndarray) -> PackingSolution:

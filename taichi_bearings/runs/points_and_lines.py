@@ -72,7 +72,7 @@ def points_and_lines(run: Run, replica: int = 0) -> PointsAndLines:
     path = np.ravel_multi_index(tuple(structure.network.shortest_path.T), solution.scene.lattice.shape)
     time = float(solution.history["time"][-1]) if "time" in solution.history else None
     with stage("analysing"):
-        spheres, contacts = _sphere_columns(solution, structure), _contact_columns(solution, structure, path)
+        spheres, contacts = _sphere_columns(solution, structure), _contact_columns(solution, structure)
     moments = _moments(solution, time, run.settings.slip_threshold)
     return PointsAndLines(solution, structure.rigid_domains, spheres, contacts, path, time, moments)
 
@@ -101,7 +101,7 @@ def _spin_rows(spin: np.ndarray) -> np.ndarray:
     return rows
 
 
-def _contact_columns(solution: Solution, structure: Structure, path: np.ndarray) -> dict[str, Finding]:
+def _contact_columns(solution: Solution, structure: Structure) -> dict[str, Finding]:
     scene = solution.scene
     columns = {"axis": Finding(scene.lattice.axis.astype(np.uint8), "1", "0 along x, 1 along y, 2 along z")}
     columns |= {row.name: Finding(values[0], row.unit, row.text) for row, values in found_in(solution, CONTACTS)}
@@ -112,9 +112,8 @@ def _contact_columns(solution: Solution, structure: Structure, path: np.ndarray)
     for row in ON_CONTACTS:
         name = "on_cut" if row.name == "minimum_cut" else row.name
         columns[name] = Finding(row.of(structure), row.unit, row.text)
-    on_path = np.zeros(scene.lattice.all_contacts, dtype=bool)
-    on_path[np.flatnonzero(structure.network.slipless)[structure.network.edges_along(path)]] = True
-    columns["on_path"] = Finding(on_path, "1", "on one shortest slipless path from bottom to top")
+    path = structure.network.on_path
+    columns["on_path"] = Finding(path, "1", "on one shortest slipless path from bottom to top")
     return columns
 
 

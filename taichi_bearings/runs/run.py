@@ -454,8 +454,7 @@ def draw_figures(found: Run, title: bool = True) -> None:
 
 
 def _draw(found: Run, title: bool) -> None:
-    from taichi_bearings.plots.course import draw_history, has_course
-    from taichi_bearings.plots.histogram import draw_histogram
+    from taichi_bearings.plots.curves import draw_histogram, draw_history, has_course
     from taichi_bearings.plots.page import Page
     from taichi_bearings.plots.style import save
 

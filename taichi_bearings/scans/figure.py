@@ -19,10 +19,9 @@ from taichi_bearings.analysis.statistics import (
 from taichi_bearings.errors import InputError
 from taichi_bearings.files.scan_file import StoredScan
 from taichi_bearings.files.whole_file import refuse_ending, refuse_standing, write_csv
+from taichi_bearings.plots.curves import Curve, Look, draw_scan
 from taichi_bearings.plots.page import PAGE, Page
-from taichi_bearings.plots.scan import Curve, Look, draw_scan
-from taichi_bearings.plots.style import ENDINGS, save
-from taichi_bearings.plots.symbols import column_label
+from taichi_bearings.plots.style import ENDINGS, column_label, save
 from taichi_bearings.runs.run_directory import claimed
 from taichi_bearings.scans.stored_scans import (
     CENSUS_COLUMNS,

@@ -205,7 +205,7 @@ def histogram(
         found = pooled(sources, bins_per_decade, normalise, by)
     with writable_folder(folder):
         with stage("drawing"):
-            from taichi_bearings.plots.histogram import draw_histogram, draw_overlay  # loads matplotlib
+            from taichi_bearings.plots.curves import draw_histogram, draw_overlay  # loads matplotlib
             from taichi_bearings.plots.page import Page
             from taichi_bearings.plots.style import save
 

@@ -1,14 +1,13 @@
 """What the page of a run holds: numbers for people, and arrays as small as a picture needs them."""
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
 
 from taichi_bearings.analysis.packing_structure import PackingStructure
-from taichi_bearings.plots.domains import colour_of_turn
-from taichi_bearings.plots.lattice import SPIN_COLOURS
+from taichi_bearings.plots.bearing import SPIN_COLOURS
+from taichi_bearings.plots.structure import colour_of_turn
 from taichi_bearings.proof.contact_state import ContactState, count, critical
 from taichi_bearings.runs.points_and_lines import Moments, PointsAndLines, moments_of_packing
 from taichi_bearings.runs.solved import Run
@@ -23,7 +22,6 @@ CUT, PATH = 1, 2  # bits of `flags`
 COLOUR_RANGE = (0.12, 0.95)  # of a map of colours that is seen on white
 SLICES = 40  # steps of a slider along each axis of a packing
 AROUND = 6  # neighbours that enclose a sphere of a cubic lattice
-AT_THE_END = {"times": [], "left_out": "", "snapshot_threshold": 0.0}  # of a run without snapshots
 ALONE = ["an island", "touches no slipless contact"]
 KEPT = {"slip": "f4", "power": "f4", "force": "f4", "coefficient": "f4", "viscosity": "f4", "normal_force": "f4"}
 KEPT |= {"betweenness": "f4", "state": "u1"}
@@ -31,74 +29,22 @@ KEPT |= {"betweenness": "f4", "state": "u1"}
 
 
 def arrays_of(drawn: PointsAndLines | Run) -> dict[str, np.ndarray]:
-    """What is drawn, by name: float32 has the six digits that the page shows."""
+    """What is drawn, by name: float32 has the six digits that the page shows. What a lattice repeats packs well:
+    vectors are written one axis after the other, ends as differences."""
     if isinstance(drawn, Run):
-        return _arrays_of_packing(drawn)
-    spheres, contacts = ({k: v.values for k, v in c.items()} for c in (drawn.spheres, drawn.contacts))
-    lattice = drawn.scene.lattice
-    center = np.indices(lattice.shape).reshape(lattice.dimension, -1).T
-    body = np.where(spheres["driven"], np.where(center[:, -1] == 0, 0, 1), -1)
-    normal = np.eye(lattice.dimension)[lattice.axis]
-    found = _drawn(center, np.full(lattice.sites, 0.5), body, drawn.ends, normal, spheres, contacts)
-    turn = colour_of_turn(drawn.domains.turn)[spheres["domain"], :3]
-    found |= {
-        "path": drawn.path.astype(np.int32),
-        "sphere_betweenness": spheres["betweenness"].astype(np.float32),
-        "flags": (CUT * contacts["on_cut"] + PATH * contacts["on_path"]).astype(np.uint8),
-        "kind": spheres["domain_kind"],
-        "turn": np.round(255 * turn).astype(np.uint8),
-    }
-    return found | _way(drawn.moments)
-
-
-def _way(moments: Moments | None) -> dict[str, np.ndarray]:
-    """Spins and slips of the snapshots that are shown."""
-    if moments is None:
-        return {}
-    ways, chosen = {"snapshot_spin": moments.spin, "snapshot_slip": moments.slip}, _shown(moments)
-    return {name: values[chosen].astype(np.float32) for name, values in ways.items()}
-
-
-def _times(moments: Moments | None) -> dict[str, Any]:
-    """Their times, and how many there are beside."""
-    if moments is None:
-        return {}
-    chosen = _shown(moments)
-    some = "" if len(chosen) == len(moments.time) else f" shown, evenly chosen from {len(moments.time)}"
-    return {"times": moments.time[chosen].tolist(), "left_out": some, "snapshot_threshold": moments.threshold}
-
-
-def _arrays_of_packing(run: Run) -> dict[str, np.ndarray]:
-    """The same of a packing; it has no path, and a cut where its structure has one."""
-    packing = run.result.packing
-    spheres, contacts = ({k: v.values for k, v in c.items()} for c in columns_of_packing(run.result))
-    normal = np.asarray(packing.normal)
-    found = _drawn(
-        packing.center - packing.center[0], packing.radius, packing.driven, packing.contact, normal, spheres, contacts
-    )
-    if "on_cut" in contacts:
-        found["flags"] = (CUT * contacts["on_cut"]).astype(np.uint8)
-    if "sphere_betweenness" in spheres:
-        found["sphere_betweenness"] = spheres["sphere_betweenness"].astype(np.float32)
-    return found | _way(moments_of_packing(run.result))
-
-
-def _drawn(
-    center: np.ndarray,
-    radius: np.ndarray,
-    body: np.ndarray,
-    ends: np.ndarray,
-    normal: np.ndarray,
-    spheres: Mapping[str, np.ndarray],
-    contacts: Mapping[str, np.ndarray],
-) -> dict[str, np.ndarray]:
-    """What a page holds of any bearing. center : (N, D) and radius : (N,), in one unit. body : (N,), -1 on free
-    spheres. ends : (E, 2). normal : (E, D). Columns by name. What a lattice
-    repeats packs well: vectors are written one axis after the other, ends as differences."""
+        packing, moments = drawn.result.packing, moments_of_packing(drawn.result)
+        center, radius, body = packing.center - packing.center[0], np.asarray(packing.radius), packing.driven
+        ends, normal, columns = packing.contact, np.asarray(packing.normal), columns_of_packing(drawn.result)
+    else:
+        lattice, ends, moments = drawn.scene.lattice, drawn.ends, drawn.moments
+        center, radius = np.indices(lattice.shape).reshape(lattice.dimension, -1).T, np.full(lattice.sites, 0.5)
+        body = np.where(lattice.is_driven.ravel(), np.where(center[:, -1] == 0, 0, 1), -1)
+        normal, columns = np.eye(lattice.dimension)[lattice.axis], (drawn.spheres, drawn.contacts)
+    spheres, contacts = ({k: v.values for k, v in of.items()} for of in columns)
     found = {name: contacts[name].astype(kind) for name, kind in KEPT.items() if name in contacts}
     found |= {
         "center": center.T.astype(np.float32),
-        "radius": np.asarray(radius, dtype=np.float32),
+        "radius": radius.astype(np.float32),
         "body": body.astype(np.int32),
         "first": np.diff(ends[:, 0], prepend=0).astype(np.int32),
         "second": (ends[:, 1] - ends[:, 0]).astype(np.int32),
@@ -112,6 +58,17 @@ def _drawn(
     }
     if "above_cut" in spheres:
         found["above"] = spheres["above_cut"].astype(np.uint8)
+        found["flags"] = (CUT * contacts["on_cut"] + PATH * contacts.get("on_path", 0)).astype(np.uint8)
+    for name in {"betweenness", "sphere_betweenness"} & spheres.keys():
+        found["sphere_betweenness"] = spheres[name].astype(np.float32)
+    if isinstance(drawn, PointsAndLines):
+        turn = colour_of_turn(drawn.domains.turn)[spheres["domain"], :3]
+        found |= {"kind": spheres["domain_kind"], "path": drawn.path.astype(np.int32)}
+        found["turn"] = np.round(255 * turn).astype(np.uint8)
+    if moments is not None:
+        chosen = _shown(moments)
+        ways = {"snapshot_spin": moments.spin, "snapshot_slip": moments.slip}
+        found |= {name: values[chosen].astype(np.float32) for name, values in ways.items()}
     return found
 
 
@@ -139,9 +96,10 @@ def facts_of(drawn: PointsAndLines | Run) -> dict[str, Any]:
     told = f"{solution.method}: {solution.status.value}; P = {solution.power[0]:.6g}{natural}, {bound}"
     undecided = int(count(solution.state, ContactState.UNDECIDED)[0])
     tied = int(solution.findings.get("tied_contacts", [0])[0])
+    proven, kinds = bool(solution.states_proven[0]), undecided_kinds(undecided, int(critical(solution)[0]), tied)
     return {
-        **_facts(scene.law, told, bool(solution.states_proven[0]), undecided, int(critical(solution)[0]), tied),
-        **_speeds(np.linalg.norm(spins, axis=-1), scene.fastest),
+        **_facts(scene.law, told, proven, kinds),
+        **_shown_numbers(np.linalg.norm(spins, axis=-1), scene.fastest, shares, moments),
         "title": title_of(drawn),
         "shape": list(scene.lattice.shape),
         "origin": [0] * scene.lattice.dimension,
@@ -154,10 +112,7 @@ def facts_of(drawn: PointsAndLines | Run) -> dict[str, Any]:
         "jump_name": "R Δω",
         "jump_speed": scene.lattice.radius * scene.jump,
         "normal_force": scene.normal_force,
-        "bottleneck_share": float(np.sort(shares)[-min(BOTTLENECKS, len(shares))]),
-        "busiest_share": float(shares.max()),
         "time": drawn.time,
-        **_times(moments),
     }
 
 
@@ -180,8 +135,8 @@ def _facts_of_packing(run: Run) -> dict[str, Any]:
     what = "discs" if packing.dimension == 2 else "spheres"
     undecided = int((result.state == ContactState.UNDECIDED).sum())
     return {
-        **_facts(law, told, False, undecided, result.critical, 0),
-        **_speeds(speed / median, fastest / median),
+        **_facts(law, told, False, undecided_kinds(undecided, result.critical, 0)),
+        **_shown_numbers(speed / median, fastest / median, shares, moments),
         "title": f"{packing.spheres:,} {what}, {run.summary['contacts']:,} contacts, {law}",
         "shape": None,
         "origin": packing.center[0].tolist(),  # float32 has the digits of what lies around the first
@@ -194,15 +149,12 @@ def _facts_of_packing(run: Run) -> dict[str, Any]:
         "jump_name": "R ω max",
         "jump_speed": fastest,
         "normal_force": None,
-        "bottleneck_share": float(np.sort(shares)[-min(BOTTLENECKS, len(shares))]),
-        "busiest_share": float(shares.max()),
         "time": result.time,
-        **_times(moments),
     }
 
 
-def _facts(law: Law, told: str, proven: bool, undecided: int, critical: int, tied: int) -> dict[str, Any]:
-    """What the law and the states lead to. told : of method and power."""
+def _facts(law: Law, told: str, proven: bool, kinds: list[str]) -> dict[str, Any]:
+    """What the law and the states lead to. told : of method and power. kinds : of undecided contacts."""
     decided = "proven" if proven else f"decided by {'slip and friction' if law.holds else 'slip'}, not proven"
     keys = ("coefficient", "viscosity")[: len(law.quantities)]
     return {
@@ -210,8 +162,7 @@ def _facts(law: Law, told: str, proven: bool, undecided: int, critical: int, tie
         "subtitle": f"{told}; contact states {decided}",
         "proven": proven,
         "decided": decided,
-        **AT_THE_END,
-        "open": ", ".join(undecided_kinds(undecided, critical, tied)),
+        "open": ", ".join(kinds),
         "friction_limit": law.is_rate_independent and law.quantities[0].is_friction,
         "coefficients": [
             {"key": key, "name": f"{quantity.name} coefficient", "unit": quantity.unit}
@@ -220,9 +171,21 @@ def _facts(law: Law, told: str, proven: bool, undecided: int, critical: int, tie
     }
 
 
-def _speeds(speed: np.ndarray, largest: float) -> dict[str, Any]:
-    """Of spins, or surface speeds, and the largest imposed one; of a sphere of median size."""
-    return {"spin_max": largest or 1.0, "beyond": bool((speed > (largest or 1.0) * (1 + 1e-9)).any())}
+def _shown_numbers(speed: np.ndarray, largest: float, shares: np.ndarray, moments: Moments | None) -> dict[str, Any]:
+    """Ends of scales, and the snapshots that are shown. speed, largest : of spins, or surface speeds of a sphere of
+    median size, and the largest imposed one. shares : of the shortest paths, by contact."""
+    found = {
+        "spin_max": largest or 1.0,
+        "beyond": bool((speed > (largest or 1.0) * (1 + 1e-9)).any()),
+        "bottleneck_share": float(np.sort(shares)[-min(BOTTLENECKS, len(shares))]),
+        "busiest_share": float(shares.max()),
+    }
+    if moments is None:
+        return found | {"times": [], "left_out": "", "snapshot_threshold": 0.0}
+    chosen = _shown(moments)
+    some = "" if len(chosen) == len(moments.time) else f" shown, evenly chosen from {len(moments.time)}"
+    times = {"times": moments.time[chosen].tolist(), "left_out": some}
+    return found | times | {"snapshot_threshold": moments.threshold}
 
 
 def _minimised(law: Law) -> str:

@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from taichi_bearings.analysis.interface import find_interface
+from taichi_bearings.analysis.structure import find_interface
 from taichi_bearings.runs.run import run
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.runs.verify import verify

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from taichi_bearings.analysis.interface import find_interface
+from taichi_bearings.analysis.structure import find_interface
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.initial_spins import initial_spin

@@ -33,8 +33,7 @@ def test_a_ring_of_slipless_contacts_is_one_domain_with_one_state_of_self_stress
 def test_a_path_may_lead_over_a_periodic_side():
     found = Bottlenecks(OVER)
     assert OVER.shortest_path.tolist() == [[0, 0], [0, 1], [3, 1], [3, 2], [2, 2], [2, 3], [2, 4]]
-    assert OVER.path_steps.tolist() == [[0, 1], [-1, 0], [0, 1], [-1, 0], [0, 1], [0, 1]]
-    assert OVER.edges_along(np.array([0, 1, 16, 17, 12, 13, 14])).tolist() == [2, 1, 5, 0, 3, 4]
+    assert np.array_equal(OVER.on_path, OVER.slipless)
     assert OVER.path_planes == [3]
     assert found.parting.all()
     assert (OVER.disjoint_paths, found.betweenness.mean_distance) == (1, 6)
@@ -52,9 +51,9 @@ def test_the_two_contacts_of_a_ring_of_two_are_two_links():
     assert found.parting.tolist() == [False, False, True, True, True]
     assert network.disjoint_paths == 1
     assert self_stress(network, (2,)).tolist() == [1]
-    assert network.path_steps.tolist() == [[0, 1], [1, 0], [0, 1], [0, 1]]  # by the first of the two
+    assert network.on_path[slipless].tolist() == [True, False, True, True, True]  # by the first of the two
     along_x[0, 1] = False
-    assert SliplessNetwork(lattice, slipless).path_steps.tolist() == [[0, 1], [-1, 0], [0, 1], [0, 1]]
+    assert SliplessNetwork(lattice, slipless).on_path[slipless].all()
 
 
 @pytest.mark.parametrize(("shape", "sides"), CLOSED, ids=str)

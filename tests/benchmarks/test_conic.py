@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 from scipy.optimize import linprog
-from taichi_bearings_studies.benchmarks.conic import conic_programme
-from taichi_bearings_studies.benchmarks.peers import Peer, find_peers
+from taichi_bearings_studies.benchmarks.peers import Peer, conic_programme, find_peers
 
 from taichi_bearings.errors import InputError
 from taichi_bearings.proof.certificate import lower_bound

@@ -5,8 +5,17 @@ import time
 
 import pytest
 from taichi_bearings_studies.benchmarks import kernels, scans, table
-from taichi_bearings_studies.benchmarks.harness import Benchmark, Report, measure, timed
-from taichi_bearings_studies.benchmarks.report import as_json, machine, names, text, write
+from taichi_bearings_studies.benchmarks.harness import (
+    Benchmark,
+    Report,
+    as_json,
+    machine,
+    measure,
+    names,
+    text,
+    timed,
+    write,
+)
 from taichi_bearings_studies.benchmarks.table import BENCHMARKS, QUICK, chosen_threads, planned
 from taichi_bearings_studies.report import Files
 

@@ -4,11 +4,17 @@ import csv
 
 import numpy as np
 import pytest
-from taichi_bearings_studies.benchmarks.harness import Report
-from taichi_bearings_studies.benchmarks.methods import contradictions, judged, measure, shown
-from taichi_bearings_studies.benchmarks.report import text, write
+from taichi_bearings_studies.benchmarks.harness import Report, text, write
+from taichi_bearings_studies.benchmarks.methods import (
+    PEERS,
+    contradictions,
+    draw_accuracy,
+    judged,
+    look_of,
+    measure,
+    shown,
+)
 from taichi_bearings_studies.benchmarks.table import BENCHMARKS
-from taichi_bearings_studies.plots.accuracy import PEERS, draw_accuracy, look_of
 from taichi_bearings_studies.report import Files
 
 from taichi_bearings.errors import InputError

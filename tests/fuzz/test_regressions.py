@@ -256,7 +256,7 @@ def test_an_interrupted_histogram_leaves_nothing(corpus, tmp_path, monkeypatch):
     def interrupted(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("taichi_bearings.plots.histogram.draw_histogram", interrupted)
+    monkeypatch.setattr("taichi_bearings.plots.curves.draw_histogram", interrupted)
     assert answer_to("histogram", corpus.folder / "flat", "--out", tmp_path / "out").code == 130
     assert not list((tmp_path / "out").iterdir())
 

@@ -8,11 +8,11 @@ import pytest
 from matplotlib import colormaps
 from taichi_bearings_studies.paper import figure_1, reproduce
 from taichi_bearings_studies.paper.claims import Effort, judge, sentences
+from taichi_bearings_studies.paper.figure_1 import draw_configurations
 from taichi_bearings_studies.paper.samples import TIMES, Run, solved
-from taichi_bearings_studies.plots.configurations import draw_configurations
 
 from taichi_bearings.numerics.minimum_cut import flow_cut, next_cut
-from taichi_bearings.plots.lattice import SPIN_COLOURS
+from taichi_bearings.plots.bearing import SPIN_COLOURS
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.initial_spins import cut_of, cut_weights, initial_spin
 from taichi_bearings.solvers import GradientDescent, LinearSolver, PlanarCut

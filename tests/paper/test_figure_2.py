@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from taichi_bearings_studies.paper import figure_2
 from taichi_bearings_studies.paper.claims import judge
-from taichi_bearings_studies.paper.figure_2 import intermediate_spheres, names_of, without_idle_spin
+from taichi_bearings_studies.paper.figure_2 import draw_relaxation, intermediate_spheres, names_of, without_idle_spin
 from taichi_bearings_studies.paper.samples import Run, Table, minima_of, relax, relax_rigidly
-from taichi_bearings_studies.plots.relaxation import draw_relaxation
 
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.initial_spins import initial_spin
@@ -138,4 +137,5 @@ def test_the_figure_shows_the_numbers():
     [legend] = figure.legends
     assert [text.get_text().split(",")[0] for text in legend.get_texts()[:2]] == [f"from {name}" for name in names]
     snapshots = [axes for axes in figure.subfigs[1].axes if axes.images]
-    assert [len(axes.images) for axes in snapshots] == [2 * 3 * 2] * 4
+    arrows = [drawn for axes in snapshots for drawn in axes.collections if hasattr(drawn, "XY")]
+    assert [len(drawn.XY) for drawn in arrows] == [2 * 3 * 2] * 4

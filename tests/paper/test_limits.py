@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from taichi_bearings_studies.paper import limits, reproduce
 from taichi_bearings_studies.paper.claims import Effort, judged
-from taichi_bearings_studies.paper.extrapolation import limit
+from taichi_bearings_studies.paper.fits import limit
 from taichi_bearings_studies.paper.samples import Table
 
 from taichi_bearings.scans.plan import Sample, sample_key

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from taichi_bearings_studies.paper import figure_3, network, reproduce, samples
 from taichi_bearings_studies.paper.claims import Effort, judged, mean
+from taichi_bearings_studies.paper.drawing import mean_and_error
 from taichi_bearings_studies.paper.samples import Table
-from taichi_bearings_studies.plots.minima import mean_and_error
 
 from taichi_bearings.lattice import Lattice
 

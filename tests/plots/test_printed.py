@@ -9,22 +9,20 @@ import numpy as np
 import pytest
 from matplotlib.collections import LineCollection
 from matplotlib.text import Text
+from taichi_bearings_studies.benchmarks.methods import draw_accuracy
+from taichi_bearings_studies.paper.figure_1 import draw_configurations
+from taichi_bearings_studies.paper.figure_2 import draw_relaxation
+from taichi_bearings_studies.paper.network import THRESHOLDS, draw_sizes
 from taichi_bearings_studies.paper.samples import Run, Table
-from taichi_bearings_studies.plots.accuracy import draw_accuracy
-from taichi_bearings_studies.plots.configurations import draw_configurations
-from taichi_bearings_studies.plots.minima import THRESHOLDS, draw_sizes
-from taichi_bearings_studies.plots.relaxation import draw_relaxation
 
 import taichi_bearings as tb
 from taichi_bearings.errors import InputError
-from taichi_bearings.plots.course import draw_energy
-from taichi_bearings.plots.lattice import MOST_LINES, line_on_site, site_on_paper
-from taichi_bearings.plots.network import behind, draw_network
+from taichi_bearings.plots.bearing import MOST_LINES, Sheet, line_on_site
+from taichi_bearings.plots.curves import draw_energy
 from taichi_bearings.plots.page import Page, View, read_plane, read_view, read_width
-from taichi_bearings.plots.power import draw_power
-from taichi_bearings.plots.spins import draw_spins
-from taichi_bearings.plots.style import MOST_VECTOR, save, save_small
-from taichi_bearings.plots.symbols import column_label
+from taichi_bearings.plots.spins import draw_power, draw_spins
+from taichi_bearings.plots.structure import behind, draw_network
+from taichi_bearings.plots.style import MOST_VECTOR, column_label, save, save_small
 from taichi_bearings.runs.figures import FIGURE_KINDS, draw_figure
 from taichi_bearings.scene import Solution
 from taichi_bearings.solvers import METHODS
@@ -155,14 +153,15 @@ def test_what_cannot_be_printed_is_refused_in_a_sentence(read, text):
 def test_lines_on_large_lattices_leave_the_spins_to_be_seen():
     scene = make_scene((200, 100), law="viscous")
     spin = np.zeros(scene.lattice.shape)
-    slips = [np.ones(scene.lattice.contact_shape(axis), dtype=np.int8) for axis in range(2)]
-    figure = draw_spins(scene, spin, slips)
+    state = np.ones(scene.lattice.all_contacts, dtype=np.int8)
+    slips = scene.lattice.by_axis(state)
+    figure = draw_spins(scene, spin, state)
     assert not any(c.get_segments() for c in drawn(figure.axes[0]))
     assert "contacts slip" in figure.get_suptitle()
     slips[1][:, 50:] = 0
     slips[0][:] = 0
-    site = site_on_paper(figure.get_figwidth(), scene.lattice.shape)
-    (walls,) = [c for c in drawn(draw_spins(scene, spin, slips).axes[0]) if c.get_segments()]
+    site = Sheet.of_lattice(scene.lattice).site(figure.get_figwidth())
+    (walls,) = [c for c in drawn(draw_spins(scene, spin, state).axes[0]) if c.get_segments()]
     assert walls.get_linewidth()[0] < site
     assert walls.get_rasterized() == (len(walls.get_segments()) > MOST_LINES)
     assert line_on_site(20, 0.15) > line_on_site(5, 0.15)
@@ -177,7 +176,7 @@ def test_of_a_dense_network_the_contacts_behind_the_path_are_drawn():
     assert beyond(draw_network(case.network, case.spin, *case.driving, Page(view=View(30.0, 30.0)))) < 0.01
     (grey,) = [c for c in axes.collections if c.get_label() == "slipless contacts"]
     points = np.stack(np.unravel_index(case.network.ends, (20,) * 3), axis=-1).swapaxes(0, 1)
-    on_side = behind(points, (20,) * 3, View())
+    on_side = behind(case.scene.lattice, View())[case.network.slipless]
     assert len(grey.get_segments()) == on_side.sum()
     far = (points[on_side][:, :, 0] == 0) | (points[on_side][:, :, 1] == 19) | (points[on_side][:, :, 2] == 0)
     assert far.any(axis=1).all()  # seen from large x, small y and above

@@ -6,24 +6,18 @@ import itertools
 import numpy as np
 import pytest
 from matplotlib import colormaps
-from matplotlib.collections import LineCollection, PatchCollection
+from matplotlib.collections import EllipseCollection, LineCollection
 from matplotlib.colors import to_rgba
-from taichi_bearings_studies.plots.plane_cuts import draw_plane_cuts, path_in_plane, planes_of
+from taichi_bearings_studies.paper.figure_4 import draw_plane_cuts, leaves_of, planes_of
 
 from taichi_bearings.analysis.domains import LOCKS, Lock, rigid_domains
 from taichi_bearings.analysis.network import SliplessNetwork
-from taichi_bearings.plots.domains import colour_of_turn, draw_domains
-from taichi_bearings.plots.lattice import (
-    SPIN_COLOURS,
-    box_edges,
-    broken,
-    ends_of,
-    on_both_sides,
-    up_to_the_sides,
-)
-from taichi_bearings.plots.network import REACHED_COLOURS, contact_colours, draw_network
+from taichi_bearings.lattice import Lattice
+from taichi_bearings.packing import Packing
+from taichi_bearings.plots.bearing import SPIN_COLOURS, Sheet, box_edges
 from taichi_bearings.plots.page import VIEW
 from taichi_bearings.plots.spins import draw_spins
+from taichi_bearings.plots.structure import REACHED_COLOURS, colour_of_turn, contact_colours, draw_domains, draw_network
 from taichi_bearings.plots.style import GREEN, GREY
 from tests.scenes import make_scene
 
@@ -116,11 +110,13 @@ def test_the_domain_figure_has_the_endpoints_colours_where_domains_are_locked():
 def test_the_plane_of_the_domain_figure_is_coloured_and_parted_by_domain():
     case = Case((7, 4), parted=True)
     plane = draw_domains(case.domains).axes[0]
-    (discs,) = collections(plane, PatchCollection)
+    (discs,) = collections(plane, EllipseCollection)
     expected = np.where(np.arange(4)[None, :, None] < 2, BOTTOM, TOP) * np.ones((7, 1, 1))
     assert np.allclose(discs.get_facecolors().reshape(7, 4, 4), expected)
     (walls,) = collections(plane, LineCollection, "black")
-    assert sorted(map(np.ndarray.tolist, walls.get_segments())) == [[[x - 0.5, 1.5], [x + 0.5, 1.5]] for x in range(7)]
+    assert sorted(sorted(line.tolist()) for line in walls.get_segments()) == [
+        [[x - 0.5, 1.5], [x + 0.5, 1.5]] for x in range(7)
+    ]
 
 
 @pytest.mark.parametrize("shape", [(7, 4), (5, 9, 14)], ids=str)
@@ -139,9 +135,13 @@ def test_the_network_figure_has_a_segment_for_each_slipless_contact_and_the_path
     assert drawn.shape == (network.ends.shape[1], 2, 2)
     key = lambda lines: sorted(map(tuple, np.round(lines.reshape(-1, 4), 9) + 0.0))  # noqa: E731
     assert np.allclose(key(drawn), key(expected))
-    (green,) = [line for line in left.lines if line.get_label() == "path"]
+    (green,) = [c for c in left.collections if c.get_label() == "path"]
     path = network.shortest_path
-    assert np.allclose(green.get_xydata(), path if flat else VIEW.seen(path)[:, :2])
+    places = path if flat else VIEW.seen(path)[:, :2]
+    lines = [sorted(map(tuple, line)) for line in np.round([*itertools.pairwise(places), *green.get_segments()], 9)]
+    assert np.allclose(key(np.array(lines[: len(path) - 1])), key(np.array(lines[len(path) - 1 :])))
+    (ends,) = [line for line in left.lines if line.get_marker() == "o"]
+    assert np.allclose(ends.get_xydata(), places[[0, -1]])
     if not flat:
         (arrows,) = [c for c in right.collections if hasattr(c, "XY")]
         order = np.argsort(VIEW.seen(path)[:, 2])
@@ -168,28 +168,21 @@ def test_without_a_path_the_figures_say_so_and_the_pieces_have_colours():
     assert np.allclose(contact_colours(spanning), to_rgba(GREY))
 
 
-def drawn_length(lines):
-    """Of lines (n, points, 2), without what not-a-number breaks."""
-    return np.nansum(np.linalg.norm(np.diff(lines, axis=-2), axis=-1))
-
-
 @pytest.mark.parametrize(("shape", "sides"), [((4, 6), ("x",)), ((2, 7), ("x",)), ((4, 3, 6), ("x",))], ids=str)
 def test_contacts_across_periodic_sides_are_drawn_half_at_one_side_and_half_at_the_other(shape, sides):
     case = Case(shape, levels=(0.0, 1.0), seed=5, periodic=sides)
-    assert (case.network.ends[0] > case.network.ends[1]).any()
-    ends, which = ends_of(case.scene.lattice.by_axis(case.network.slipless))
-    low, high = np.array(np.unravel_index(case.network.ends, shape)).swapaxes(0, 2).swapaxes(0, 1)
-    once, twice = low < high, np.bincount(which) == 2
-    assert np.array_equal(once.any(axis=1), ~twice)
-    assert np.array_equal(ends[: len(low)][~twice], np.stack([low, high], axis=1)[~twice])
-    first, second = ends[: len(low)][twice], ends[len(low) :]
-    assert np.array_equal(first[:, 0], low[twice])
-    assert np.array_equal(second[:, 1], high[twice])
-    assert np.array_equal((first - second) % shape, np.zeros(first.shape))
-    lines = up_to_the_sides(ends, shape)
-    assert np.abs(lines[:, 1] - lines[:, 0]).sum() == len(low)
+    lattice, slipless = case.scene.lattice, case.network.slipless
+    plane = None if len(shape) == 2 else (1, 1)
+    sheet = Sheet.of_lattice(lattice, plane)
+    inside = slipless[sheet.contact]
+    low, high = np.array(np.unravel_index(lattice.ends[:, sheet.contact[inside]], shape))[[0, -1]].swapaxes(0, 1)
+    over = (low > high).any(axis=0)
+    assert over.any()
+    lines, which = sheet.lines(slipless)
+    assert np.array_equal(np.bincount(which, minlength=len(inside))[inside], 1 + over)
+    assert np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1).sum() == inside.sum()
     assert (lines >= -0.5).all()
-    assert (lines <= np.array(shape) - 0.5).all()
+    assert (lines <= np.array(shape)[[0, -1]] - 0.5).all()
 
 
 def test_figures_of_discs_draw_across_periodic_sides_what_they_draw_elsewhere():
@@ -197,7 +190,7 @@ def test_figures_of_discs_draw_across_periodic_sides_what_they_draw_elsewhere():
     sliding = case.slips[0][-1]  # the contacts from the last disc to the first
     assert sliding[1:-1].any()
     assert not sliding[1:-1].all()
-    state = [np.where(slips, 1, 0) for slips in case.slips]
+    state = case.scene.lattice.flat([np.where(slips, 1, 0) for slips in case.slips])
     (walls,) = collections(draw_spins(case.scene, case.spin, state).axes[0], LineCollection)
     (bounds,) = collections(draw_domains(case.domains).axes[0], LineCollection, "black")
     upright = [[[x, y - 0.5], [x, y + 0.5]] for y in np.flatnonzero(sliding) for x in (-0.5, 5.5)]
@@ -208,20 +201,34 @@ def test_figures_of_discs_draw_across_periodic_sides_what_they_draw_elsewhere():
     assert len(walls.get_segments()) == sum(int(values.sum()) for values in case.slips) + int(sliding.sum())
 
 
+def along(path, shape, periodic=()):
+    """The network of the contacts along a path alone."""
+    lattice = Lattice(shape, periodic=periodic)
+    spheres = np.ravel_multi_index(path.T, shape)
+    steps = {frozenset(pair) for pair in itertools.pairwise(spheres.tolist())}
+    return SliplessNetwork(lattice, np.array([frozenset(pair) in steps for pair in lattice.ends.T.tolist()]))
+
+
 def test_a_path_over_periodic_sides_is_broken_there_and_as_long_as_it_is():
-    """Over the sides of x and back, and of a ring of two spheres along y by both its contacts."""
+    """Over the sides of x and back."""
     path = np.array([[3, 0, 0], [3, 0, 1], [0, 0, 1], [0, 1, 1], [0, 1, 2], [0, 0, 2], [3, 0, 2], [3, 0, 3]])
-    steps = np.array([[0, 0, 1], [1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 1, 0], [-1, 0, 0], [0, 0, 1]])
-    line = broken(path, steps)
-    assert drawn_length(line) == len(steps)
-    assert line[1:6].tolist()[:2] == [[3, 0, 1], [3.5, 0, 1]]
-    assert np.isnan(line[3]).all()
-    assert line[4:6].tolist() == [[-0.5, 0, 1], [0, 0, 1]]
-    assert np.isnan(line).all(axis=1).sum() == 3
-    joined, leaves = path_in_plane(path, steps, 1, 0)
-    assert joined.tolist() == [[[3, 0], [3, 1]], [[3, 1], [4, 1]], [[0, 2], [-1, 2]], [[3, 2], [3, 3]]]
-    assert leaves.tolist() == [[0, 1, -1], [0, 2, 1]]  # up along y, away from the reader; and down to where it came
-    assert drawn_length(up_to_the_sides(on_both_sides(joined, (4, 4))[0], (4, 4))) == 4
+    network = along(path, (4, 2, 4), (0,))
+    assert np.array_equal(network.shortest_path, path)
+    sheet = Sheet.of_lattice(network.lattice, (1, 0))
+    lines, _ = sheet.lines(network.on_path)
+    expected = [[[3, 0], [3, 1]], [[3, 1], [3.5, 1]], [[-0.5, 1], [0, 1]], [[-0.5, 2], [0, 2]], [[3, 2], [3.5, 2]]]
+    found = sorted(sorted(line) for line in lines.tolist())
+    assert found == sorted([*expected, [[3, 2], [3, 3]]])
+    assert sorted(leaves_of(network, 1, 0).tolist()) == [[0, 1, -1], [0, 2, -1]]  # up along y, away from the reader
+
+
+def test_contacts_of_packings_are_drawn_as_those_of_lattices_are():
+    """Along and across, over a periodic side too, in diameters."""
+    packing, lattice = Packing.lattice("square", (4, 5), periodic=("x",), seed=1), Lattice((4, 5), periodic=(0,))
+    own, theirs = Sheet.of_packing(packing), Sheet.of_lattice(lattice)
+    middle = [sheet.lines(np.ones(len(sheet.contact), dtype=bool))[0].mean(axis=1) for sheet in (own, theirs)]
+    apart = [np.ptp(places, axis=0) for places in middle]
+    assert apart[0] / own.pitch == pytest.approx(apart[1])
 
 
 PATH = np.array([[1, 2, 0], [1, 2, 1], [1, 3, 1], [2, 3, 1], [3, 3, 1], [3, 3, 2], [3, 2, 2], [3, 2, 3]])
@@ -232,16 +239,12 @@ def test_planes_are_those_that_hold_most_of_the_path():
     assert planes_of(PATH[:2]) == ((0, 1),)  # no plane that adds nothing
 
 
-def test_the_path_in_a_plane_and_where_it_leaves():
-    joined, leaves = path_in_plane(
-        PATH, np.diff(PATH, axis=0), 1, 3
-    )  # reader at small y, towards whom the path comes and goes
-    assert joined.tolist() == [[[1, 1], [2, 1]], [[2, 1], [3, 1]], [[3, 1], [3, 2]]]
-    assert sorted(leaves.tolist()) == [[1, 1, 1], [3, 2, 1]]
-    joined, leaves = path_in_plane(PATH, np.diff(PATH, axis=0), 0, 1)  # reader at large x
-    assert joined.tolist() == [[[2, 0], [2, 1]], [[2, 1], [3, 1]]]
-    assert leaves.tolist() == [[3, 1, 1]]
-    assert path_in_plane(PATH, np.diff(PATH, axis=0), 0, 3)[1].tolist() == [[3, 1, -1]]
+def test_where_a_path_leaves_a_plane():
+    network = along(PATH, (5, 4, 4))
+    assert np.array_equal(network.shortest_path, PATH)
+    assert sorted(leaves_of(network, 1, 3).tolist()) == [[1, 1, 1], [3, 2, 1]]  # the reader is at small y
+    assert leaves_of(network, 0, 1).tolist() == [[3, 1, 1]]  # and at large x
+    assert leaves_of(network, 0, 3).tolist() == [[3, 1, -1]]
 
 
 def test_a_plane_cut_shows_the_slipless_contacts_of_its_plane():

@@ -9,11 +9,9 @@ import numpy as np
 import pytest
 
 from taichi_bearings.analysis.histogram import power_histogram
-from taichi_bearings.plots.histogram import draw_overlay
+from taichi_bearings.plots.curves import Curve, Look, draw_overlay, draw_scan
 from taichi_bearings.plots.page import Page
-from taichi_bearings.plots.scan import Curve, Look, draw_scan
-from taichi_bearings.plots.style import TITLE_LINE, new_figure, plain_figure, put_title
-from taichi_bearings.plots.symbols import mathematics
+from taichi_bearings.plots.style import TITLE_LINE, mathematics, new_figure, plain_figure, put_title
 
 DRAW_ALL = """
 import sys
@@ -33,7 +31,7 @@ for kind in kinds:
     done = CliRunner().invoke(command, [kind, folder], catch_exceptions=False) if kind != "scan" else None
     drawn += [kind] if done and not done.exit_code else []
 import numpy as np
-from taichi_bearings.plots.scan import Curve, Look, draw_scan
+from taichi_bearings.plots.curves import Curve, Look, draw_scan
 x = np.arange(3.0)
 draw_scan([Curve("", x, x, x, x)], Look("x", "y"))
 after = state()

@@ -1,6 +1,8 @@
-"""How a run went: power and lower bound as they approached each other, and the energy of a dynamics."""
+"""Curves: how a run went, the distribution of power over the contacts, and numbers of the samples of a scan."""
 
 import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
 
@@ -8,11 +10,12 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
+from taichi_bearings.analysis.histogram import ENERGY_PER_TIME, PowerHistogram
 from taichi_bearings.errors import InputError
 from taichi_bearings.packing import PackingSolution
 from taichi_bearings.plots import style
 from taichi_bearings.plots.page import PAGE, Page
-from taichi_bearings.plots.symbols import describe, driving, energy_unit, over, power_unit, time_label
+from taichi_bearings.plots.style import as_text, describe, driving, energy_unit, over, power_unit, time_label
 from taichi_bearings.scene import Solution
 from taichi_bearings.words import counted
 
@@ -154,3 +157,132 @@ def _scale(axes: Any, energy: np.ndarray) -> None:
     axes.yaxis.set_minor_locator(NullLocator())
     axes.axhline(0.0, color="black", lw=0.6)
     axes.set_ylim(1.6 * energy.min(), 1.6 * energy.max())
+
+
+POWER_SYMBOL = "P_{ij}"
+MATHEMATICS = {
+    "F_n R omega_T": r"F_n R\,\omega_T",
+    "the mean power of a contact of the sample": r"\langle P_{ij} \rangle",
+}
+
+
+@style.in_our_style
+def draw_histogram(histogram: PowerHistogram, page: Page = PAGE) -> Figure:
+    """Number of slipping contacts against their power, logarithmic, with standard errors; no empty bins."""
+    figure = style.plain_figure(height=2.2)
+    axes = figure.add_subplot()
+    axes.set(xscale="log", yscale="log", xlabel=_label(histogram), ylabel="slipping contacts per bin")
+    style.label_in_plain_text(axes.xaxis, axes.yaxis)
+    filled = histogram.count > 0
+    if filled.any():
+        centre, count, error = _centre(histogram)[filled], histogram.count[filled], histogram.standard_error[filled]
+        low, width = histogram.edges[:-1][filled], np.diff(histogram.edges)[filled]
+        axes.bar(low, count, width, align="edge", color=style.BLUE, alpha=0.25, linewidth=0)
+        axes.errorbar(centre, count, error, fmt="o", ms=2.5, color=style.BLUE, elinewidth=0.8)
+        axes.set_ylim(0.5, 2 * histogram.count.max())
+    else:
+        axes.text(0.5, 0.5, "no contact slips", transform=axes.transAxes, ha="center")
+    whose = f" in {histogram.census}\n" if histogram.census.asked > 1 else " "
+    threshold = f"; threshold {histogram.slip_threshold:.1e}" if histogram.slip_threshold > 0 else ""
+    outside = f"({_outside(histogram)}{threshold})"
+    style.put_title(figure, f"{histogram.slipping:,} slipping contacts{whose}{outside}", page)
+    return figure
+
+
+@style.in_our_style
+def draw_overlay(histograms: Mapping[Any, PowerHistogram], by: str) -> Figure:
+    """Share of the slipping contacts per decade of their power, with bands of a standard error up and down."""
+    rows = -(-len(histograms) // (1 if len(histograms) < 9 else 2))
+    figure = style.new_figure(style.DOUBLE if len(histograms) > 8 else 5.0, 3.0 + 0.15 * rows)
+    axes = figure.add_subplot()
+    first = next(iter(histograms.values()))
+    axes.set(xscale="log", yscale="log", xlabel=_label(first), ylabel="share of slipping contacts a decade")
+    for (value, found), colour in zip(histograms.items(), style.shades(len(histograms)), strict=True):
+        empty, centre, error = found.count == 0, _centre(found), found.density_error
+        density = np.where(empty, np.nan, found.density)  # no line leads over empty bins
+        label = f"{as_text(value)}: {found.slipping:,} slipping, {_outside(found)}; {found.census}"
+        axes.plot(centre, density, "o-", ms=2.5, lw=1.2, color=colour, label=label)
+        low = np.maximum(density - error, 0.1 * density)  # a band that reaches zero has no end on this scale
+        axes.fill_between(centre, low, density + error, color=colour, alpha=0.2, linewidth=0)
+    figure.legend(title=as_text(by), loc="outside lower center", ncols=1 if len(histograms) < 9 else 2)
+    return figure
+
+
+def _centre(histogram: PowerHistogram) -> np.ndarray:
+    return np.sqrt(histogram.edges[:-1] * histogram.edges[1:])
+
+
+def _label(histogram: PowerHistogram) -> str:
+    if histogram.units == ENERGY_PER_TIME:
+        return f"power of a contact, ${POWER_SYMBOL}$ (energy / time)"
+    return "power of a contact, " + over(POWER_SYMBOL, MATHEMATICS[histogram.units], "")
+
+
+def _outside(histogram: PowerHistogram) -> str:
+    return f"{histogram.slipless:,} slipless" + (f", {histogram.undecided:,} undecided" if histogram.undecided else "")
+
+
+MARKERS = "osD^vP*X"
+MOST_NAMED_TICKS = 8  # values of a logarithmic axis that are named one by one
+BESIDE = 0.5  # of the distance of two names on an axis, over which curves stand beside each other
+
+
+@dataclass(frozen=True)
+class Curve:
+    """x, y : (P,) points. low, high : (P,) ends of the bars; not-a-number where there are none."""
+
+    label: str
+    x: np.ndarray
+    y: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+
+
+@dataclass(frozen=True)
+class Look:
+    """log : the axes that are logarithmic, of "x", "y", "xy". ticks : names at x = 0, 1, ... if x has no numbers."""
+
+    x_label: str
+    y_label: str
+    title: str = ""
+    legend: str = ""
+    log: str = ""
+    ticks: Sequence[str] = ()
+
+
+@style.in_our_style
+def draw_scan(curves: Sequence[Curve], look: Look, page: Page = PAGE) -> Figure:
+    """Points with bars, joined along each curve where x has numbers."""
+    width = page.inches("single")
+    entries = len(curves) if len(curves) > 1 else 0
+    longest = max(len(curve.label) for curve in curves)
+    across = max(1, min(entries, int(style.LETTERS_AN_INCH * width / (longest + 6))))
+    rows = -(-entries // across) + (entries > 0)
+    figure = style.new_figure(width, 0.68 * min(width, 5.0) + 0.15 * rows, page.dpi)
+    axes = figure.add_subplot()
+    for name in look.log:
+        axes.set(**{f"{name}scale": "log"})
+        style.label_in_plain_text(getattr(axes, f"{name}axis"))
+    colours = style.shades(len(curves)) if len(curves) > 1 else [style.BLUE]
+    beside = BESIDE * (np.arange(len(curves)) / len(curves) - 0.5 + 0.5 / len(curves)) * bool(look.ticks)
+    for number, (curve, colour) in enumerate(zip(curves, colours, strict=True)):
+        bars = np.nan_to_num([curve.y - curve.low, curve.high - curve.y])
+        axes.errorbar(
+            curve.x + beside[number], curve.y, bars, color=colour, label=as_text(curve.label or "samples"),
+            lw=0.0 if look.ticks else 0.9, elinewidth=0.8, capsize=1.5, marker=MARKERS[number % len(MARKERS)], ms=3.5,
+            mfc="none" if number % 2 else colour,
+        )  # fmt: skip
+    axes.set(xlabel=look.x_label, ylabel=look.y_label)
+    values = np.unique(np.concatenate([curve.x for curve in curves]))
+    if look.ticks:
+        long = sum(map(len, look.ticks)) + 2 * len(look.ticks) > style.LETTERS_AN_INCH * (width - 0.8)
+        turned: dict[str, Any] = {"rotation": 30, "ha": "right", "rotation_mode": "anchor"} if long else {}
+        axes.set_xticks(range(len(look.ticks)), [as_text(tick) for tick in look.ticks], **turned)
+        axes.set_xlim(-0.5, len(look.ticks) - 0.5)
+    elif "x" in look.log and len(values) <= MOST_NAMED_TICKS:
+        axes.set_xticks(values, [f"{value:g}" for value in values])
+        axes.xaxis.set_minor_locator(NullLocator())
+    if entries:
+        figure.legend(title=as_text(look.legend) or None, loc="outside lower center", ncols=across)
+    style.put_title(figure, as_text(look.title), page)
+    return figure

@@ -1,0 +1,39 @@
+"""What the figures of several studies draw: means and deviations of samples against their size, and fitted laws."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+
+def spread_and_error(samples: Iterable[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Standard deviations and their errors."""
+    pairs = [(of.std(), of.std() / (2 * len(of)) ** 0.5) for of in samples]
+    return np.array([spread for spread, _ in pairs]), np.array([error for _, error in pairs])
+
+
+def draw_growth(axes: Any, sizes: np.ndarray, fit: Any, color: str, text: str) -> None:
+    """The fitted growth of a standard deviation; fit : Exponent."""
+    sizes = sizes[sizes >= fit.smallest]
+    law = np.sqrt(np.maximum(fit.amplitude * sizes ** (2 * fit.value) + fit.offset, 0.0))
+    axes.plot(sizes, law, color=color, lw=1, label=text)
+
+
+def mean_and_error(values: Iterable[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Of each array the mean and its standard error, 0 for a single sample."""
+    pairs = [(of.mean(), of.std(ddof=1) / np.sqrt(len(of)) if len(of) > 1 else 0.0) for of in values]
+    mean, error = np.array(pairs).reshape(-1, 2).T
+    return mean, error
+
+
+def draw_means(axes: Any, found: Mapping[Any, np.ndarray], x: Any = None, **look: Any) -> None:
+    """Means of samples with their errors against what the samples are of, or x. look : as of errorbar."""
+    at = np.array(list(found)) if x is None else x
+    axes.errorbar(at, *mean_and_error(found.values()), **{"fmt": "o-", "ms": 3, "lw": 0.8, **look})
+
+
+def name_sizes(axes: Any, sizes: Sequence[int] | np.ndarray, label: str) -> None:
+    """A logarithmic axis of sizes, each by its number."""
+    axes.set(xscale="log", xlabel=label)
+    axes.set_xticks(sizes, [str(size) for size in sizes])
+    axes.minorticks_off()

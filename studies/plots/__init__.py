@@ -1,1 +1,0 @@
-"""Figures of the studies: arrays in, Figure out."""

@@ -1,0 +1,294 @@
+"""A bearing on paper: discs and contacts of a lattice, of a plane through it or of a packing, and a block from outside.
+
+A plane has its first index to the right and its second one up. Lines are as wide as a site on paper asks for.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import EllipseCollection, LineCollection
+from matplotlib.colors import LogNorm, Normalize
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+
+from taichi_bearings.lattice import Lattice
+from taichi_bearings.packing import Packing
+from taichi_bearings.plots.page import AXES, BELOW, VIEW, Page, View
+from taichi_bearings.plots.style import label_in_plain_text, larger_spin, new_figure
+
+SPIN_COLOURS = "coolwarm"
+MOST_DISCS = 2_500  # beyond, a plane is an image
+MOST_LINES = 5_000  # beyond, lines are dots in files of vectors too
+SHADE = 0.55  # of the colour of spheres that lie farthest behind
+BAR = 0.75  # inches of a colour bar with its label
+LEAST_HEIGHT = 0.6  # of a panel, of its width, beside which a colour bar has room for its labels
+PALE = np.array([0.93, 0.93, 0.93, 1.0])  # of discs that only carry contacts
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """N discs and E contacts as they lie on paper.
+
+    place : (N, 2), radius : (N,), rim : (N,) points, of the discs. depth : (N,), towards the reader.
+    ends : (2, E) discs of each contact. way : (2, E, 2), from each of the two to the middle of the contact; over a
+    periodic side both lead outwards. wall : (E,), half of a line across. contact : (E,), their numbers in the bearing.
+    corners : (2, 2), lowest and highest of what is shown. pitch : between two discs. grid : discs along each axis of a
+    plane of a lattice, none elsewhere; rows : of these the driven ones.
+    """
+
+    place: np.ndarray
+    radius: np.ndarray
+    rim: np.ndarray
+    depth: np.ndarray
+    ends: np.ndarray
+    way: np.ndarray
+    wall: np.ndarray
+    contact: np.ndarray
+    corners: np.ndarray
+    pitch: float = 1.0
+    grid: tuple[int, ...] = ()
+    rows: tuple[int, ...] = ()
+
+    @classmethod
+    def of_lattice(cls, lattice: Lattice, plane: tuple[int, int] | None = None, view: View = VIEW) -> "Sheet":
+        """A flat lattice, the plane (axis, index) of a cubic one, or all of that as it is seen."""
+        across, index = plane or (-1, 0)
+        center = np.argwhere(np.ones(lattice.shape, dtype=bool))
+        inside = center[:, across] == index if plane else np.ones(lattice.sites, dtype=bool)
+        contact = np.flatnonzero((lattice.axis != across) & inside[lattice.ends[0]])
+        kept = [axis for axis in range(lattice.dimension) if axis != across]
+        place, depth = _seen(center[inside][:, kept], view)
+        half = _seen(np.eye(lattice.dimension)[lattice.axis[contact]][:, kept] / 2, view)[0]
+        grid = tuple(lattice.shape[axis] for axis in kept)
+        return cls(
+            place, np.full(len(place), 0.47), np.zeros(len(place)), depth,
+            ends=(np.cumsum(inside) - 1)[lattice.ends[:, contact]], way=np.stack([half, -half]),
+            wall=np.full(len(contact), 0.5), contact=contact, corners=np.array([[-0.7] * 2, np.array(grid[:2]) - 0.3]),
+            grid=grid if len(grid) == 2 else (),
+            rows=(0, grid[-1] - 1) if across != lattice.height_axis else (),
+        )  # fmt: skip
+
+    @classmethod
+    def of_packing(cls, packing: Packing, view: View = VIEW) -> "Sheet":
+        """All of it, as it is seen; driven spheres have a rim."""
+        radius, ends = np.asarray(packing.radius), packing.contact.T
+        (place, depth), (normal, _) = _seen(packing.center, view), _seen(np.asarray(packing.normal), view)
+        way = radius[ends][..., None] * np.stack([normal, -normal])
+        corners = np.stack([(place - radius[:, None]).min(axis=0), (place + radius[:, None]).max(axis=0)])
+        return cls(
+            place, radius, np.where(packing.driven >= 0, 0.6, 0.1), depth, ends=ends, way=way,
+            wall=0.7 * radius[ends].min(axis=0), contact=np.arange(packing.contacts), corners=corners,
+            pitch=2 * float(np.median(radius)),
+        )  # fmt: skip
+
+    @property
+    def is_flat(self) -> bool:
+        return not np.ptp(self.depth)
+
+    def site(self, width: float, height: float = np.inf) -> float:
+        """Points between the centres of two discs, on so many inches."""
+        return 72 * float((np.array([width, height]) / np.diff(self.corners, axis=0)[0]).min()) * self.pitch
+
+    def frame(self, axes: Any) -> None:
+        """The limits of the picture, without ticks."""
+        (x0, y0), (x1, y1) = self.corners
+        axes.set(xlim=(x0, x1), ylim=(y0, y1), aspect="equal", xticks=[], yticks=[])
+        for side in axes.spines.values():
+            side.set_visible(False)
+
+    def paint(self, axes: Any, colour: np.ndarray) -> None:
+        """The discs from the back to the front, those behind darker. colour : (N, 4), or (4,) of all."""
+        colour = np.broadcast_to(colour, (len(self.place), 4))
+        self.frame(axes)
+        if self.grid and len(colour) > MOST_DISCS:
+            axes.imshow(np.swapaxes(colour.reshape(*self.grid, 4), 0, 1), origin="lower", interpolation="nearest")
+            self.frame(axes)
+        else:
+            order = np.argsort(self.depth, kind="stable")
+            colour, size = colour[order].copy(), 2 * self.radius[order]
+            if not self.is_flat:
+                near = (self.depth[order] - self.depth.min()) / np.ptp(self.depth)
+                colour[:, :3] *= (SHADE + (1 - SHADE) * near)[:, None]
+            discs = EllipseCollection(
+                size, size, np.zeros(len(size)), units="xy", offsets=self.place[order], transOffset=axes.transData,
+                facecolors=colour, edgecolors="black", linewidths=self.rim[order], rasterized=len(size) > MOST_LINES,
+            )  # fmt: skip
+            axes.add_collection(discs)
+
+    def box_driven(self, axes: Any) -> None:
+        """Boxes around the driven rows of a plane of a lattice."""
+        for y in self.rows:
+            width = 0.8 if self.grid[1] <= 50 else 0.4
+            axes.add_patch(Rectangle((-0.55, y - 0.55), self.grid[0] + 0.1, 1.1, fill=False, lw=width))
+
+    def lines(self, chosen: np.ndarray, across: bool = False) -> tuple[np.ndarray, np.ndarray]:
+        """Lines (n, 2, 2) along some contacts, between the two centres, or across them, between the two discs; and the
+        contact of each. One over a periodic side has half a line at either side, or a line across at both.
+
+        chosen : bool, of all contacts of the bearing.
+        """
+        which = np.flatnonzero(chosen[self.contact])
+        which = which[np.argsort(self.depth[self.ends[:, which]].mean(axis=0), kind="stable")]
+        start, middle = self.place[self.ends[:, which]], (self.place[self.ends] + self.way)[:, which]
+        over = np.linalg.norm(middle[0] - middle[1], axis=1) > self.pitch / 2
+        twice = np.append(which, which[over])
+        if across:
+            way = self.way[0, twice]
+            length = np.maximum(np.linalg.norm(way, axis=1, keepdims=True), np.finfo(float).tiny)
+            side = way[:, ::-1] * [-1, 1] * (self.wall[twice, None] / length)
+            center = np.concatenate([middle[0], middle[1, over]])
+            return np.stack([center - side, center + side], axis=1), twice
+        stop = np.where(over[:, None], middle[0], start[1])
+        first = np.concatenate([start[0], middle[1, over]])
+        return np.stack([first, np.concatenate([stop, start[1, over]])], axis=1), twice
+
+    def draw(self, axes: Any, chosen: np.ndarray, across: bool = False, **look: Any) -> None:
+        """These lines. look : arrays have an entry for each contact of the bearing."""
+        lines, which = self.lines(chosen, across)
+        which = self.contact[which]
+        look = {name: value[which] if isinstance(value, np.ndarray) else value for name, value in look.items()}
+        axes.add_collection(LineCollection(list(lines), rasterized=len(lines) > MOST_LINES, **look))
+
+
+def _seen(points: np.ndarray, view: View) -> tuple[np.ndarray, np.ndarray]:
+    """Places (..., 2) on paper and depths (...) of points (..., 2 or 3)."""
+    if points.shape[-1] == 2:
+        return points.astype(float), np.zeros(points.shape[:-1])
+    seen = view.seen(points)
+    return seen[..., :2], seen[..., 2]
+
+
+def one_panel(bearing: Lattice | Packing, page: Page) -> tuple[Figure, Any, Sheet, float, dict[str, Any]]:
+    """A figure of a flat lattice or a packing: its axes, what lies on them, points of a site, and where a colour bar
+    has room."""
+    is_packing = isinstance(bearing, Packing)
+    sheet = Sheet.of_packing(bearing, page.view or VIEW) if is_packing else Sheet.of_lattice(bearing)  # type: ignore[arg-type]
+    wide, tall = np.diff(sheet.corners, axis=0)[0]
+    below = tall < LEAST_HEIGHT * wide
+    width = page.inches("single")
+    room = width - BAR * (not below)
+    height = room * float(np.clip(tall / wide, 0.2, 2.0))
+    figure = new_figure(width, height + (0.5 if below else 0.1), page.dpi)
+    axes = figure.add_subplot()
+    sheet.frame(axes)
+    return figure, axes, sheet, sheet.site(room, height), BELOW if below else {}
+
+
+def line_on_site(site: float, share: float, least: float = 0.4, most: float = 1.5) -> float:
+    """Width of a line that takes a share of a site, in points."""
+    return float(np.clip(share * site, least, most))
+
+
+def speed_of(spin: np.ndarray, spin_top: float, spin_bottom: float) -> np.ndarray:
+    """|spin| over the larger imposed spin, shape N; spin : N or (*N, 3), laboratory frame."""
+    length = np.abs(spin) if spin.ndim == 2 else np.linalg.norm(spin, axis=-1)
+    speed: np.ndarray = length / (max(abs(spin_top), abs(spin_bottom)) or 1.0)
+    return speed
+
+
+def draw_speed_bar(figure: Any, axes: Any, spin_top: float, spin_bottom: float, **look: Any) -> None:
+    """The colour bar of spheres coloured by :func:`speed_of`."""
+    label = rf"$|\omega|\,/\,{larger_spin(spin_top, spin_bottom)}$"
+    colour_bar(figure, axes, label, Normalize(0, 1), SPIN_COLOURS, **look)
+
+
+def colour_bar(figure: Any, axes: Any, label: str, norm: Normalize, colours: str, **look: Any) -> None:
+    """What the colours of a map say."""
+    bar = figure.colorbar(ScalarMappable(norm, colours), ax=axes, label=label, **{"shrink": 0.8, "pad": 0.02, **look})
+    if isinstance(norm, LogNorm):
+        label_in_plain_text(bar.ax.xaxis if bar.orientation == "horizontal" else bar.ax.yaxis)
+
+
+def name_cut(axes: Any, axis: int, index: int, before: str = "", after: str = "") -> None:
+    """Title and axes of the plane `index` across `axis`."""
+    axes.set_title(f"{before}${AXES[axis]} = {index}${after}")
+    right, up = (name for name in AXES if name != AXES[axis])
+    axes.set(xlabel=f"${right}$", ylabel=f"${up}$")
+
+
+def paint_block(axes: Any, colour: np.ndarray, view: View = VIEW) -> None:
+    """The spheres of a cubic lattice from outside, the driven planes in boxes; colour : (nx, ny, nz, 4)."""
+    outside = np.zeros(colour.shape[:3], dtype=bool)
+    for axis in range(3):
+        np.moveaxis(outside, axis, 0)[-1 if view.faces(axis) else 0] = True
+    placed = view.seen(np.argwhere(outside))
+    order = np.argsort(placed[:, 2])
+    limit_block(axes, colour.shape[:3], view)
+    paint_spheres(axes, placed[order, :2], colour[outside][order])
+    for z in (0, colour.shape[2] - 1):
+        lid = (z > 0) == view.faces(2)  # the other planes are seen from the side alone
+        edges = view.seen(box_edges(*plane_box(colour.shape[:3], z)))[are_near(view, lid)][..., :2]
+        axes.add_collection(LineCollection(list(edges), colors="black", lw=0.6, zorder=3))
+
+
+def box_edges(low: Any, high: Any) -> np.ndarray:
+    """The twelve edges (12, 2, 3) of an upright box."""
+    corners = np.array([[(low, high)[n >> a & 1][a] for a in range(3)] for n in range(8)], dtype=float)
+    return corners[[(n, n | 1 << axis) for n, axis in EDGES]]
+
+
+EDGES = [(n, axis) for n in range(8) for axis in range(3) if not n >> axis & 1]
+"""Edges of a box: their first corner, bit a of which says whether it is at the end of axis a, and their axis."""
+
+
+def are_near(view: View, lid: bool) -> np.ndarray:
+    """True for those of the twelve edges of a box that bound a side which faces the reader.
+
+    lid : whether its lid, or its floor where that faces the reader, is open to the view.
+    """
+    sides = range(3 if lid else 2)
+    return np.array([any((n >> a & 1) == view.faces(a) for a in sides if a != axis) for n, axis in EDGES])
+
+
+def plane_box(shape: tuple[int, ...], z: int) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest corner of the box around the spheres of one layer."""
+    return np.array([-0.5, -0.5, z - 0.5]), np.array([shape[0] - 0.5, shape[1] - 0.5, z + 0.5])
+
+
+def frame_block(axes: Any, shape: tuple[int, ...], view: View = VIEW) -> None:
+    """Boxes around the driven planes of a cubic lattice, seen from outside, and the limits of the picture."""
+    for z in (0, shape[2] - 1):
+        edges = view.seen(box_edges(*plane_box(shape, z)))[..., :2]
+        axes.add_collection(LineCollection(list(edges), colors="black", lw=0.5, zorder=1))
+    limit_block(axes, shape, view)
+
+
+def limit_block(axes: Any, shape: tuple[int, ...], view: View) -> None:
+    """The limits of a picture of a whole cubic lattice, without axes."""
+    corners = view.seen(box_edges((-0.5,) * 3, np.array(shape) - 0.5)).reshape(-1, 3)
+    low, high = corners[:, :2].min(axis=0), corners[:, :2].max(axis=0)
+    margin = 0.02 * (high - low).max()
+    axes.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin), aspect="equal")
+    axes.set_axis_off()
+
+
+def paint_spheres(axes: Any, centre: np.ndarray, colour: np.ndarray, radius: float = 0.5) -> None:
+    """Shaded spheres as one image, later ones in front; centre : (n, 2) as seen. colour : (n, 4)."""
+    (x0, x1), (y0, y1) = axes.get_xlim(), axes.get_ylim()
+    pixel = max(x1 - x0, y1 - y0) / 1000
+    light = lit_sphere(max(5, round(2 * radius / pixel)))
+    size = len(light)
+    canvas = np.zeros((int((y1 - y0) / pixel) + size, int((x1 - x0) / pixel) + size, 4))
+    corner = np.rint((centre - radius - [x0, y0]) / pixel).astype(int)
+    for (left, low), tint in zip(corner, colour, strict=True):
+        under = canvas[low : low + size, left : left + size]
+        painted = np.clip(light[..., :1] * tint[:3] + light[..., 1:2], 0, 1)
+        opacity = light[..., 2:]
+        under[..., :3] = opacity * painted + (1 - opacity) * np.where(under[..., 3:] > 0, under[..., :3], painted)
+        under[..., 3:] = np.maximum(under[..., 3:], opacity)
+    extent = (x0, x0 + canvas.shape[1] * pixel, y0, y0 + canvas.shape[0] * pixel)
+    axes.imshow(canvas, extent=extent, origin="lower", interpolation="bilinear", zorder=2)
+    axes.set(xlim=(x0, x1), ylim=(y0, y1))
+
+
+def lit_sphere(pixels: int = 96) -> np.ndarray:
+    """Diffuse light, gloss and opacity of a unit sphere seen from the front, (pixels, pixels, 3)."""
+    x, y = np.meshgrid(*2 * (np.linspace(-1.0, 1.0, pixels),))
+    square = x**2 + y**2
+    z = np.sqrt(np.clip(1 - square, 0, None))
+    towards = np.array([-0.45, 0.55, 0.70])
+    cosine = np.clip((x * towards[0] + y * towards[1] + z * towards[2]) / np.linalg.norm(towards), 0, 1)
+    opacity = np.clip((1 - np.sqrt(square)) * pixels / 4, 0, 1)
+    return np.stack([0.55 + 0.5 * cosine, 0.35 * cosine**24, opacity], axis=-1)

@@ -1,0 +1,275 @@
+"""Rigid domains and the slipless network: where they are, how they turn, and a path from bottom to top (paper Figs. 3b
+and 3c, and its intermediate bearing states).
+
+Colours of domains say how one turns between the two driven planes, in every component that the driving needs: 0 with
+the bottom, 1 with the top. With two components the values panel is the key to the colours.
+"""
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.collections import LineCollection
+from matplotlib.colors import Normalize, to_rgb, to_rgba
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from taichi_bearings.analysis.domains import LOCKS, RigidDomains
+from taichi_bearings.analysis.network import SliplessNetwork
+from taichi_bearings.lattice import Lattice
+from taichi_bearings.packing import PackingSolution
+from taichi_bearings.plots import bearing
+from taichi_bearings.plots.bearing import SPIN_COLOURS, Sheet
+from taichi_bearings.plots.page import AXES, BELOW, PAGE, VIEW, Page, View, columns_on, middle_planes
+from taichi_bearings.plots.style import GREEN, GREY, describe, in_our_style, label_in_plain_text, panels, put_title
+from taichi_bearings.proof.contact_state import ContactState
+
+FIRST_AHEAD, SECOND_AHEAD = to_rgb("#e8b400"), to_rgb("#0d8a6f")  # one component has followed the top, the other not
+LOCK_COLOURS = {"bottom": colormaps[SPIN_COLOURS](0.0), "top": colormaps[SPIN_COLOURS](1.0)}
+MARKS = dict(zip(LOCKS, "v^Dsdo", strict=True))
+OF_A_KEY = 2.2  # inches that the values need
+DOMAIN_LETTERS = "bcdefghijklmnopqrstuvwxyz"
+NO_PATH = "no path from bottom to top"
+PANELS = {"spheres": "from outside", "contacts": "slipless contacts", "path": "spheres of the path, their spins"}
+REACHED_COLOURS = {"bottom": colormaps[SPIN_COLOURS](0.05), "top": colormaps[SPIN_COLOURS](0.95)}
+
+
+@in_our_style
+def draw_domains(domains: RigidDomains, page: Page = PAGE) -> Figure:
+    """2D: discs by domain. 3D: the block from outside and cuts. Below: how they turn.
+
+    Black lines are boundaries of rigid domains. Black dots mark spheres that are locked in some components only.
+    """
+    assert domains.lattice is not None
+    lattice, shape = domains.lattice, domains.domain.shape
+    colour = colour_of_turn(domains.turn)[domains.domain]
+    planes = () if len(shape) == 2 else page.planes or middle_planes(shape)
+    tall = float(np.clip(shape[-1] / max(shape[:-1]), 0.8, 1.5))
+    figure, (block, *cuts, values), width = panels(page, 2 + len(planes), (0.85 * tall, 0.6), least=OF_A_KEY)
+    if planes:
+        bearing.paint_block(block, colour, page.view or VIEW)
+    else:
+        _paint(block, Sheet.of_lattice(lattice), colour, domains.domain, domains, 0.85 * width)
+    block.set_title("(a) rigid domains" + ("" if planes else ", their boundaries in black"))
+    for letter, axes, (axis, index) in zip(DOMAIN_LETTERS, cuts, planes, strict=False):
+        plane, labels = (np.take(every, index, axis) for every in (colour, domains.domain))
+        _paint(axes, Sheet.of_lattice(lattice, (axis, index)), plane, labels, domains, 0.85 * width)
+        bearing.name_cut(axes, axis, index, f"({letter}) ")
+    _draw_values(values, domains)
+    values.set_title(f"({DOMAIN_LETTERS[len(planes)]}) turn: the key to the colours")
+    return figure
+
+
+@in_our_style
+def draw_domains_of_packing(result: PackingSolution, domains: RigidDomains, page: Page = PAGE) -> Figure:
+    """Rigid domains: with two bodies in bearing states as they turn between them, blue as the first and red as the
+    second, else each of the largest in a colour of its own; of discs walls between domains in black."""
+    figure, axes, sheet, site, look = bearing.one_panel(result.packing, page)
+    moving = np.flatnonzero(domains.jump.any(axis=0))
+    if len(moving):
+        colour = colour_of_turn(domains.turn[:, moving])
+    else:
+        own = colormaps["tab20"](np.minimum(np.arange(domains.number), 19))
+        colour = np.where((domains.spheres > 1)[:, None], own, bearing.PALE)
+    sheet.paint(axes, colour[domains.domain])
+    first, second = domains.domain[sheet.ends]
+    if sheet.is_flat:
+        sheet.draw(axes, first != second, across=True, colors="black", lw=bearing.line_on_site(site, 0.1, 0.25, 1.0))
+    if len(moving) and domains.jump.shape[1] == 1:
+        label = "turn, from the first body to the second"
+        bearing.colour_bar(figure, axes, label, Normalize(0, 1), SPIN_COLOURS, **look)
+    kinds = ", ".join(f"{count:,} {kind}" for kind, count in domains.domains_of_kind().items() if count)
+    put_title(figure, f"{describe(result.packing)}\n{domains.number:,} rigid domains, locked to: {kinds}", page)
+    return figure
+
+
+def colour_of_turn(turn: np.ndarray) -> np.ndarray:
+    """Colour (..., 4) of turn (..., C): blue with the bottom, red with the top; yellow or green as the first or the
+    second component is nearer to the top than the other."""
+    turn = np.clip(turn, 0.0, 1.0)
+    colour: np.ndarray = colormaps[SPIN_COLOURS](turn.mean(axis=-1))
+    ahead = turn[..., 0] - turn[..., -1]
+    for share, target in ((ahead, FIRST_AHEAD), (-ahead, SECOND_AHEAD)):
+        part = np.clip(share, 0.0, None)[..., None]
+        colour[..., :3] += part * (np.array(target) - colour[..., :3])
+    return colour
+
+
+def _paint(
+    axes: Any, sheet: Sheet, colour: np.ndarray, domain: np.ndarray, domains: RigidDomains, width: float
+) -> None:
+    """The discs of a plane by domain, on so many inches. colour : (*plane, 4). domain : label, (*plane)."""
+    site, (first, second) = sheet.site(width), domains.domain.ravel()[domains.lattice.ends]  # type: ignore[union-attr]
+    sheet.paint(axes, colour.reshape(-1, 4))
+    sheet.box_driven(axes)
+    sheet.draw(axes, first != second, across=True, colors="black", lw=bearing.line_on_site(site, 0.1, 0.25, 1.0))
+    partly = np.argwhere(domains.kind[domain] == LOCKS.index("partly"))
+    axes.plot(*partly.T, ".", color="black", ms=max(0.35 * site, 0.8), mew=0)
+
+
+def _draw_values(axes: Any, domains: RigidDomains) -> None:
+    """Every domain at its turn: two components against each other, or one against the number of spheres."""
+    turn, margin = domains.turn, 0.04
+    along = np.linspace(-margin, 1 + margin, 200)
+    plane = turn.shape[1] > 1
+    if plane:
+        low, high, height, key = -margin, 1 + margin, turn[:, 1], np.stack(np.meshgrid(along, along), axis=-1)
+    else:
+        low, high, height, key = 0.7, 1.5 * domains.spheres.max(), domains.spheres, along[None, :, None]
+        axes.set_yscale("log")
+    axes.imshow(colour_of_turn(key), extent=(-margin, 1 + margin, low, high), origin="lower", aspect="auto")
+    sphere = 4.0 if domains.number < 2000 else 0.5  # area of one, points squared
+    spheres = domains.spheres_of_kind(np.ones(domains.domain.shape, dtype=bool))
+    for kind, name in reversed(list(enumerate(LOCKS))):
+        chosen = domains.kind == kind
+        if not chosen.any():
+            continue
+        label = f"{name}\n{spheres[name]:,} spheres\ndomains: {int(chosen.sum()):,}"
+        draw = partial(axes.scatter, turn[chosen, 0], height[chosen], marker=MARKS[name], label=label)
+        if name in LOCK_COLOURS:
+            draw(s=45, color=LOCK_COLOURS[name], edgecolors="white", clip_on=False, zorder=3)
+        else:
+            alpha, many = 0.7 if sphere > 2 else 0.35, domains.number > bearing.MOST_LINES
+            draw(s=sphere * domains.spheres[chosen], color="black", lw=0, alpha=alpha, rasterized=many)
+    names = [AXES[component] for component in domains.spin_axes]
+    labels = [rf"$(\Omega_{n} - \Omega_{{B{n}}})\,/\,(\Omega_{{T{n}}} - \Omega_{{B{n}}})$" for n in names]
+    axes.set(xlabel=labels[0], ylabel=labels[1] if plane else "spheres of the domain")
+    axes.set(xlim=(-margin, 1 + margin), ylim=(low, high), box_aspect=1)
+    if not plane:
+        label_in_plain_text(axes.yaxis)
+    look: dict[str, Any] = {"ncols": 2, "labelspacing": 0.8, "title": "locked to"}
+    legend = axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), **look)
+    for handle in legend.legend_handles:  # of one size, however small the domains are
+        handle.set_sizes([40.0])
+        handle.set_alpha(1.0)
+
+
+@in_our_style
+def draw_network(
+    network: SliplessNetwork, spin: np.ndarray, spin_top: float, spin_bottom: float, page: Page = PAGE
+) -> Figure:
+    """3D: the spheres from outside; slipless contacts in grey and one shortest path in green; the spheres of the path
+    with their spins. 2D: the last two.
+
+    Of more contacts than can be told apart those on the sides behind the path are drawn: nothing hides it then.
+    spin : laboratory frame, N or (*N, 3), 1/time. Where no path joins bottom and top the figure says so, and contacts
+    joined to the bottom are blue, those joined to the top red.
+    """
+    path, speed = network.shortest_path, bearing.speed_of(spin, spin_top, spin_bottom)
+    flat, some = spin.ndim == 2, len(network.ends.T) > 0
+    drawn = ["spheres"] * (not flat) + ["contacts"] * (flat or some) + ["path"] * (len(path) > 0)
+    view = page.view or VIEW
+    figure, each, width = panels(
+        page, len(drawn), (0.9, 0.3), 0.4 if (below := columns_on(page, len(drawn)) == 1) else 0.0, widest="single"
+    )
+    words = f"{network.ends.shape[1]:,} slipless contacts, {f'a path of {len(path) - 1}' if len(path) else NO_PATH}"
+    for letter, panel, axes in zip("abc", drawn, each, strict=False):
+        axes.set_title(f"({letter}) {PANELS[panel]}" if len(drawn) > 1 else "")
+        if panel == "spheres":
+            bearing.paint_block(axes, colormaps[SPIN_COLOURS](speed), view)
+        elif panel == "contacts":
+            words += _draw_contacts(axes, network, view, 0.85 * width)
+        else:
+            _draw_turning(axes, network, spin / (max(abs(spin_top), abs(spin_bottom)) or 1.0), speed, view)
+    if not flat or len(path):
+        bearing.draw_speed_bar(figure, each, spin_top, spin_bottom, **({"shrink": 0.6} | (BELOW if below else {})))
+    if some and not network.spans:
+        colours: dict[str, Any] = {**REACHED_COLOURS, "neither": GREY}
+        marks = [Line2D([], [], color=colour, label=end) for end, colour in colours.items()]
+        figure.legend(handles=marks, title="joined to", loc="outside lower center", ncols=3)
+    put_title(figure, words, page)
+    return figure
+
+
+@in_our_style
+def draw_network_of_packing(result: PackingSolution, page: Page = PAGE) -> Figure:
+    """The slipless contacts of a packing, over its spheres."""
+    figure, axes, sheet, site, _ = bearing.one_panel(result.packing, page)
+    slipless, acts = result.state == ContactState.SLIPLESS, int((result.state != ContactState.DRIVEN).sum())
+    sheet.paint(axes, bearing.PALE if sheet.is_flat else bearing.PALE * [1, 1, 1, 0.25])
+    sheet.draw(axes, slipless, colors=GREY, lw=bearing.line_on_site(site, 0.12, 0.3))
+    words = f"{int(slipless.sum()):,} of {acts:,} contacts do not slip"
+    put_title(figure, f"{describe(result.packing)}\n{words}", page)
+    return figure
+
+
+def contact_colours(network: SliplessNetwork) -> np.ndarray:
+    """Colour (E, 4) of each slipless contact."""
+    colour = np.tile(to_rgba(GREY), (network.ends.shape[1], 1))
+    if not network.spans:
+        piece = network.component.ravel()
+        of_edge = piece[network.ends[0]]
+        colour[of_edge == piece[0]] = REACHED_COLOURS["bottom"]
+        colour[of_edge == piece[-1]] = REACHED_COLOURS["top"]
+    return colour
+
+
+def behind(lattice: Lattice, view: View) -> np.ndarray:
+    """True (E,) for contacts within the sides of a cubic lattice that are farthest from the reader."""
+    far = np.array([0 if view.faces(axis) else n - 1 for axis, n in enumerate(lattice.shape)])
+    on_side = np.argwhere(np.ones(lattice.shape, dtype=bool)) == far
+    inside: np.ndarray = on_side[lattice.ends].all(axis=0).any(axis=1)
+    return inside
+
+
+def _draw_contacts(axes: Any, network: SliplessNetwork, view: View, width: float) -> str:
+    """The contacts and the path on so many inches; returns which contacts are drawn, in words, if not all."""
+    lattice, chosen, words = network.lattice, network.slipless, ""
+    sheet = Sheet.of_lattice(lattice, view=view)
+    colour = np.ones((lattice.all_contacts, 4))
+    colour[chosen] = contact_colours(network)
+    if lattice.dimension == 2:
+        sheet.frame(axes)
+        sheet.box_driven(axes)
+        line = bearing.line_on_site(sheet.site(width, width), 0.12, 0.2)
+    else:
+        bearing.frame_block(axes, lattice.shape, view)
+        line = bearing.line_on_site(72 * width / max(lattice.shape) / 1.6, 0.12, 0.3, 1.0)
+        depth = sheet.depth[sheet.ends].mean(axis=0)
+        colour[chosen, 3] = 0.2 + 0.6 * np.argsort(np.argsort(depth[chosen])) / max(chosen.sum() - 1, 1)
+        if chosen.sum() > bearing.MOST_LINES:
+            chosen, words = chosen & behind(lattice, view), "; drawn: the sides behind"
+            colour[:, 3] = 0.7
+    if not chosen.any():
+        axes.text(0.5, 0.5, "every contact slips", transform=axes.transAxes, ha="center", va="center")
+    sheet.draw(axes, chosen, colors=colour, lw=line, label="slipless contacts")
+    if len(path := network.shortest_path):
+        wide = float(np.clip(20.0 / max(lattice.shape), 0.9, 1.8))
+        look: dict[str, Any] = {"capstyle": "round"}
+        sheet.draw(axes, network.on_path, colors="white", lw=2 * wide, zorder=3, **look)
+        sheet.draw(axes, network.on_path, colors=GREEN, lw=wide, zorder=4, label="path", **look)
+        ends = sheet.place[np.ravel_multi_index(tuple(path[[0, -1]].T), lattice.shape)]
+        axes.plot(*ends.T, "o", color=GREEN, mec="white", mew=0.8, ms=3 * wide, zorder=4)
+    return words
+
+
+def _draw_turning(axes: Any, network: SliplessNetwork, spin: np.ndarray, speed: np.ndarray, view: View) -> None:
+    """The spheres of the path from the back to the front, an arrow of the spin from each centre, and the path's shadow
+    on the bottom."""
+    path, lattice, shape = network.shortest_path, network.lattice, network.lattice.shape
+    of_path, sheet = tuple(path.T), Sheet.of_lattice(network.lattice, view=view)
+    colour = colormaps[SPIN_COLOURS](speed[of_path])
+    if len(shape) == 2:
+        every = np.ones((*shape, 4))
+        every[of_path] = colour
+        sheet.paint(axes, every.reshape(-1, 4))
+        sheet.box_driven(axes)
+        for (x, y), value in zip(path, spin[of_path], strict=True):
+            turn = "" if value == 0 else "↺" if value > 0 else "↻"
+            axes.text(x, y, turn, ha="center", va="center", fontsize=max(3.0, 60 / max(shape)))
+        return
+    bearing.frame_block(axes, shape, view)
+    sideways, which = sheet.lines(network.on_path & (lattice.axis < 2))
+    down = np.unravel_index(lattice.ends[0, which], shape)[2] + 0.5
+    shadow = sideways - (down[:, None] * view.seen(np.eye(3)[2])[:2])[:, None]
+    axes.add_collection(LineCollection(list(shadow), colors=GREEN, alpha=0.4, lw=1.0, zorder=1))
+    placed = view.seen(path)
+    order = np.argsort(placed[:, 2])
+    bearing.paint_spheres(axes, placed[order][:, :2], colour[order])
+    arrow = 1.6 * view.seen(spin[of_path])[order]
+    axes.quiver(
+        *placed[order][:, :2].T, *arrow[:, :2].T, angles="xy", scale_units="xy", scale=1, zorder=5, units="xy",
+        width=0.02 * np.sqrt(max(shape)), color="black", edgecolor="white", lw=0.3, headwidth=3.5, headlength=4,
+        minlength=0.5,
+    )  # fmt: skip
