@@ -37,34 +37,3 @@ def test_the_table_of_accuracy_is_printed(tmp_path):
     assert done.stdout.count("| gradient-descent |") == 2
     assert "cundall-strack" not in done.stdout
     assert (tmp_path / "report.md").read_text(encoding="utf-8").strip() in done.stdout
-
-
-BAD = {
-    "shape": (("speed", "--shape", "3"), "two or three whole numbers"),
-    "threads": (("throughput", "--threads", "0"), "this process may use 1 to"),
-    "precision": (("throughput", "--precision", "f16"), "f64, f32"),
-    "parts": (("speed", "--parts", "magic"), "'magic' is none of"),
-    "law": (("accuracy", "--law", "dry"), "one of coulomb, viscous"),
-    "seed": (("accuracy", "--seed", "-1"), "0 or more"),
-    "methods": (("peers", "--methods", "magic"), "'magic' is none of"),
-    "time limit": (("accuracy", "--time-limit", "0"), "a positive number"),
-    "time limit that is no number": (("accuracy", "--time-limit", "soon"), "a positive number"),
-}
-
-
-@pytest.mark.parametrize("name", BAD)
-def test_bad_input_is_one_sentence_and_exit_code_2(name, tmp_path):
-    words, expected = BAD[name]
-    done = bearings("benchmark", *words, "--out", tmp_path / "a", cwd=tmp_path)
-    assert done.returncode == 2, done.stderr
-    assert done.stdout == ""
-    assert expected in done.stderr
-    assert len(done.stderr.strip().splitlines()) == 1
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_all_four_words_are_there():
-    done = bearings("benchmark", "--help")
-    for word in ("accuracy", "throughput", "speed", "peers"):
-        assert f"  {word} " in done.stdout
-        assert "bearings benchmark" in bearings("benchmark", word, "--help").stdout

@@ -1,18 +1,14 @@
 """What the commands say where something is not what it seems: one sentence that names it and the command that fits."""
 
 import json
-import re
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from taichi_bearings_cli.progress import Display
 
 from taichi_bearings.devices import find
-from taichi_bearings.stages import stage
 from tests.cli.commands import bearings
-from tests.cli.test_time_left import reports
 
 SCAN = "shape = [4, 5]\n[scan]\nseed = [1, 2]\n"
 RUN = ("run", "--shape", "4,5", "--figures", "none")
@@ -225,13 +221,3 @@ if sys.platform != "win32":
         assert all(len(line) <= 60 for line in lines)
         told = " ".join(line.strip() for line in lines)
         assert "whether the contact states are proven to be those of every minimum: yes" in told
-
-    def test_a_narrow_terminal_keeps_the_time_left_of_a_dynamics():
-        with Display() as display, stage("solving") as solving:
-            for report in reports(np.arange(1.0, 11.0), time=np.linspace(0.1, 1.0, 10), duration=3.0):
-                report.objective, report.stop.seconds = np.array([442.34366]), np.inf
-                report.progress.iteration *= 12_345
-                solving.tell(report)
-            line = display.line()
-        assert len(line) > 60  # and so it is cut
-        assert re.match("solving, (19|20) s left to t = 3, 123,450 iterations, ", line[:58])

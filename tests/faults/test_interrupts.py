@@ -17,7 +17,7 @@ from taichi_bearings.runs.run_file import read_run_file
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene import Scene, Status
 from taichi_bearings.scene.initial_spins import initial_spin
-from taichi_bearings.solvers import drive, interior_point
+from taichi_bearings.solvers import drive
 from taichi_bearings.solvers.drive import Checkpoints, solve
 from taichi_bearings.solvers.recording import Recording
 from taichi_bearings.solvers.stopping import StopRule
@@ -74,22 +74,6 @@ def test_a_module_that_swallows_exceptions_while_it_is_loaded_does_not_swallow_a
 
     with pytest.raises(KeyboardInterrupt):
         load_and_wait()
-
-
-def test_before_the_first_step_there_is_nothing_to_save(monkeypatch):
-    monkeypatch.setattr(interior_point, "dissect", lambda *_: (strike(), for_ever()))
-    with pytest.raises(KeyboardInterrupt):
-        minimum()
-
-
-@pytest.mark.parametrize("what", interrupts.SIGNALS)
-def test_the_proof_of_contact_states_is_given_up(monkeypatch, what):
-    monkeypatch.setattr(drive, "proven", lambda *_: (strike(what), for_ever()))
-    found = minimum()
-    assert found.interrupted
-    assert found.status is Status.CERTIFIED
-    assert not found.states_proven.any()
-    assert found.gap.max() < 1e-12
 
 
 def test_a_limit_of_time_ends_the_proof_too_and_is_no_interrupt(monkeypatch):

@@ -3,7 +3,6 @@
 import json
 import os
 import shutil
-import subprocess
 import sys
 import zlib
 
@@ -252,31 +251,9 @@ def test_things_of_a_run_that_are_something_else(corpus, tmp_path, name, change)
         assert answer.code == 2 or words[0] == "verify"
 
 
-def test_an_interrupted_histogram_leaves_nothing(corpus, tmp_path, monkeypatch):
-    def interrupted(*_):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("taichi_bearings.plots.histogram.draw_histogram", interrupted)
-    assert answer_to("histogram", corpus.folder / "flat", "--out", tmp_path / "out").code == 130
-    assert not list((tmp_path / "out").iterdir())
-
-
-def test_a_reader_that_goes_away_is_no_failure(corpus, tmp_path):
-    command = [sys.executable, "-m", "taichi_bearings_cli", "verify", corpus.folder / "flat"]
-    done = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=tmp_path, text=True)
-    done.stdout.close()
-    assert done.stderr.read() == ""
-    done.stderr.close()
-    assert done.wait() == 0
-
-
 @pytest.mark.parametrize("words", [(), ("--coefficients",), ("--initial",)])
 def test_names_that_no_file_can_have(tmp_path, words):
     assert "too long" in refused("run", *words, "9" * 5000, "--shape", "4,5", "--out", tmp_path / "out")
-
-
-def test_a_part_of_no_name(corpus):
-    assert "it must be i/n" in refused("scan", corpus.folder / "scan", "--dry-run", "--part", "")
 
 
 @pytest.mark.parametrize("number", ["slipping", "power"])
@@ -309,14 +286,6 @@ def test_texts_of_data_sets_that_are_lost(corpus, tmp_path):
     assert "is damaged" in refused("analyse", tmp_path, "--no-figures")
 
 
-def test_scales_of_data_sets_are_no_harm(corpus, tmp_path):
-    shutil.copyfile(corpus.folder / "flat" / "run.h5", tmp_path / "run.h5")
-    with h5py.File(tmp_path / "run.h5", "r+") as file:
-        file["history/iteration"].make_scale("iteration")
-        file["history/power"].dims[0].attach_scale(file["history/iteration"])
-    assert answer_to("analyse", tmp_path, "--no-figures").code == 0
-
-
 NONE = [["a", "b"], "a", 1j, [np.nan, np.nan], h5py.Empty("f8")]
 
 
@@ -330,15 +299,6 @@ def test_numbers_of_a_run_that_are_none(corpus, tmp_path, name, value):
     with h5py.File(tmp_path / "run.h5", "r+") as file:
         unsealed(file).attrs[name] = value
     assert f"{name} is " in refused("analyse", tmp_path, "--no-figures")
-
-
-@pytest.mark.parametrize("value", ["a", ["a", "b"], 1j, h5py.Empty("f8")], ids=str)
-def test_a_power_of_a_run_that_is_no_number(corpus, tmp_path, value):
-    shutil.copyfile(corpus.folder / "flat" / "run.h5", tmp_path / "run.h5")
-    with h5py.File(tmp_path / "run.h5", "r+") as file:
-        unsealed(file).attrs["power"] = value
-    words = ["histogram", tmp_path, "--out", tmp_path / "out", "--normalise", "mean"]
-    assert "power is " in refused(*words)
 
 
 @pytest.mark.parametrize(

@@ -20,12 +20,11 @@ from taichi_bearings_studies.paper.claims import Claim
 from taichi_bearings_studies.paper.reproduce import FIGURES
 
 import taichi_bearings as tb
-from taichi_bearings import compiler, hdf5
-from taichi_bearings.errors import BearingsError, FileError
+from taichi_bearings import compiler
+from taichi_bearings.errors import BearingsError
 from taichi_bearings.files.scan_journal import read_journal
 from taichi_bearings.files.whole_file import write_csv
 from taichi_bearings.plain_files import read_lines
-from taichi_bearings.runs.run_directory import claimed, in_use
 from taichi_bearings.runs.settings import parse_toml
 from taichi_bearings.runs.verify import verify
 from taichi_bearings.scans.listing import entries
@@ -224,37 +223,6 @@ def test_a_list_without_end_is_seen(stranger):
         assert "does not terminate" in refused(*words, stranger)
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="played in a fork")
-@pytest.mark.parametrize(("harm", "words"), [("hang", "does not terminate"), ("crash", "crashes HDF5")])
-def test_what_hdf5_does_to_a_damaged_file_stays_in_a_child(stranger, monkeypatch, harm, words):
-    """HDF5 that hangs or crashes at a file, played by a faulty reader."""
-
-    def fail(*_):
-        if harm == "crash":
-            os.abort()
-        while True:
-            pass
-
-    monkeypatch.setattr(hdf5, "SECONDS", 0.2)
-    monkeypatch.setattr(hdf5, "reason_against", fail)
-    hdf5._reason_found.cache_clear()
-    with pytest.raises(FileError, match=words):
-        tb.load(stranger)
-    monkeypatch.undo()
-    hdf5._reason_found.cache_clear()
-    assert tb.load(stranger).power > 0
-
-
-def test_where_there_is_no_fork_a_file_is_looked_through_all_the_same(solved, stranger, monkeypatch):
-    monkeypatch.setattr(sys, "platform", "darwin")
-    hdf5._reason_found.cache_clear()
-    assert tb.load(stranger).power > 0
-    with h5py.File(stranger / "run.h5", "r+") as file:
-        lead_out(file, "spin", solved / "run.h5")
-    with pytest.raises(FileError, match="not followed"):
-        tb.load(stranger)
-
-
 def test_a_message_does_nothing_to_a_terminal():
     text = str(BearingsError("\x1b[2J\x07 in\n" + "x" * 10**6))
     assert text.startswith(r"\x1b[2J\x07 in\nxx")
@@ -307,48 +275,6 @@ def test_a_lock_is_a_regular_file(stranger, tmp_path, command, kind):
     assert "is a link out of its folder" in said or "is not a regular file" in said or "Is a directory" in said
 
 
-@pytest.mark.parametrize("command", ["view", "export", "plot"])
-def test_of_two_writers_of_one_file_the_second_is_refused(stranger, tmp_path, command):
-    words = [word.format(stranger) for word in WRITERS[command][:-1]]
-    file = tmp_path / WRITERS[command][-1].removeprefix("{}/")
-    with claimed(file):
-        assert f"{file} is in use" in refused(*words, file)
-    with in_use(stranger):
-        assert f"{stranger} is in use" in refused(*words[:-1])
-    assert answer_to(*words, file).code == 0
-
-
-def zeros(file, shape):
-    """A file of a lattice of this shape in which nothing is but zeros, packed."""
-    for name in list(file):
-        del file[name]
-    contacts = [tuple(n - (a == axis) for a, n in enumerate(shape)) for axis in range(len(shape))]
-    sets = {
-        f"contact/{'xyz'[a]}/{name}": sides
-        for a, sides in enumerate(contacts)
-        for name in ("slip", "power", "force", "friction")
-    }
-    sets |= {f"coefficient/{'xyz'[a]}": sides for a, sides in enumerate(contacts)} | {"spin": shape}
-    for name, sides in sets.items():
-        file.create_dataset(
-            name, sides, "f8", chunks=(min(sides[0], 4096), sides[1]), compression="gzip", fillvalue=1.0
-        )
-        file[name][:1] = 0.5
-
-
-@pytest.mark.parametrize("command", [*WRITERS, "verify", "histogram", "as coefficients"])
-def test_a_lattice_of_nothing_takes_little_memory(stranger, tmp_path, command):
-    with h5py.File(stranger / "run.h5", "r+") as file:
-        zeros(file, (2**17, 32))
-        file.attrs["shape"] = (2**17, 32)
-    given = {
-        "verify": ["verify", stranger],
-        "as coefficients": ["run", "--shape", "131072,32", "--coefficients", stranger],
-    }
-    words = given.get(command) or [word.format(stranger) for word in WRITERS[command]]
-    assert "claims to hold" in refused(*words) if command != "run" else True
-
-
 BOMBS = {
     "dots": "a." * 30_000 + "a = 1",
     "dots between": "[" + " . ".join(["a", '"b"', "'c'"] * 20_000) + "]",
@@ -395,14 +321,6 @@ def test_what_a_scan_holds_is_neither_waited_for_nor_endless(scanned, tmp_path, 
         assert not answer.fault, answer
 
 
-def test_a_part_of_no_parts_is_none(scanned, tmp_path):
-    shutil.copytree(scanned, tmp_path / "scan")
-    for name in ("part-1-of-0.jsonl", "part-3-of-2.jsonl", "part-1-of-999999.jsonl"):
-        (tmp_path / "scan" / name).touch()
-    answer = answer_to("scan", tmp_path / "scan", "--merge")
-    assert (answer.code, answer.fault) == (0, ""), answer
-
-
 def test_a_line_of_a_journal_has_an_end(scanned, tmp_path, caplog):
     journal = tmp_path / "samples.jsonl"
     journal.write_bytes(b"x" * 2**25 + b"\n" + (scanned / "samples.jsonl").read_bytes())
@@ -430,21 +348,6 @@ def test_texts_in_tables_are_no_formulas(tmp_path):
     cells = [line.split(",") for line in (tmp_path / "a.csv").read_text().splitlines()[1:]]
     assert {number for number, _ in cells} == {"-1.5"}
     assert [text for _, text in cells] == ["'=1+1", "'@sum", "'+cmd", "'-x", "'\t=1", "plain", "-1.5", "+inf"]
-
-
-def test_friction_in_whole_numbers_and_spins_of_nothing(stranger, tmp_path):
-    with h5py.File(stranger / "run.h5", "r+") as file:
-        del file.attrs["sha256"]
-        for axis in "xy":
-            values = file[f"contact/{axis}/friction"][()].astype(np.int64)
-            del file[f"contact/{axis}/friction"]
-            file[f"contact/{axis}/friction"] = values
-        file["empty/spin"] = h5py.Empty("f8")
-    assert answer_to("analyse", stranger, "--no-figures", "--out", tmp_path / "out").code == 0
-    with h5py.File(stranger / "run.h5", "r+") as file:
-        del file["spin"]
-        file["spin"] = h5py.Empty("f8")
-    assert "spin in" in refused("run", "--shape", "4,5", "--initial", stranger / "run.h5", "--out", tmp_path / "new")
 
 
 SCRIPT = "<script>alert(1)</script>@@ARRAYS@@"
@@ -504,21 +407,6 @@ def test_kernels_are_kept_where_nobody_else_can_write(tmp_path, monkeypatch, spo
     assert third.parent.parent not in (second.parent.parent, ours.parent.parent)
     assert third.parent.parent.stat().st_mode & 0o077 == 0
     compiler._fresh_home.cache_clear()
-
-
-@pytest.mark.skipif(not hasattr(os, "getuid"), reason="folders have no owner here")
-def test_kernels_that_can_be_kept_nowhere_leave_no_folder(tmp_path):
-    """The home cannot be written and the temporary folder is one that others can write in."""
-    strange = tmp_path / f"taichi_bearings-cache-{os.getuid()}"
-    strange.mkdir()
-    strange.chmod(0o777)
-    (tmp_path / "file").touch()
-    places = {"XDG_CACHE_HOME": str(tmp_path / "file" / "cache"), "TMPDIR": str(tmp_path)}
-    words = ("run", "--shape", "4,5", "--method", "cundall-strack", "--iterations", "1", "--figures", "none")
-    command = [sys.executable, "-m", "taichi_bearings_cli", *words, "--out", str(tmp_path / "run")]
-    assert subprocess.run(command, env=os.environ | places, capture_output=True).returncode == 1
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "run", strange.name]
-    assert not any(strange.iterdir())
 
 
 def test_a_lock_that_a_killed_compiler_has_left_goes(tmp_path, monkeypatch):
@@ -613,24 +501,6 @@ def test_holes_are_not_read(stranger, name):
     assert time.process_time() - began < 3
 
 
-@pytest.mark.parametrize("name", ["view.html", ".in-use", ".view.html.in-use", "run.h5", "."])
-def test_a_link_in_a_circle_is_one_sentence(stranger, name):
-    place = stranger / name
-    if name == ".":
-        shutil.rmtree(stranger)
-        place = stranger
-    place.unlink(missing_ok=True)
-    place.symlink_to(place.name)
-    for words in (
-        ["view", stranger],
-        ["verify", stranger],
-        ["run", "--shape", "4,5", "--out", stranger],
-        ["list", stranger],
-    ):
-        answer = answer_to(*words)
-        assert not answer.fault, answer
-
-
 EVIL = "=cmd\n=1+1, $\\frac{$ \x1b[2J"
 
 
@@ -667,15 +537,6 @@ def test_texts_of_a_scan_are_lines_and_no_mathematics(scanned, tmp_path, column)
         assert (answer.code, answer.fault) == (0, ""), answer
     for table in (tmp_path / "counts" / "power_histogram.csv", tmp_path / "a.csv", tmp_path / "scan" / "scan.csv"):
         assert not any(line.startswith("=") for line in table.read_text().split("\n")), table
-
-
-def test_a_table_with_control_characters_is_refused(scanned, tmp_path):
-    shutil.copytree(scanned, tmp_path / "scan")
-    with h5py.File(tmp_path / "scan" / "scan.h5", "r+") as file:
-        del file.attrs["sha256"]
-        file["table/version"][0] = EVIL
-    (tmp_path / "scan" / "samples.jsonl").unlink()
-    assert "its column version holds something else" in refused("histogram", tmp_path / "scan", "--by", "version")
 
 
 @pytest.mark.skipif(sys.version_info < (3, 11), reason="Python 3.10 cannot be told to leave out the working folder")
