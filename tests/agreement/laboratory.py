@@ -1,23 +1,16 @@
 """The least power in the laboratory frame, with all components of all spins, as a cone programme for Clarabel.
 
-    python -m tests.agreement.laboratory --scenes 500 --seed 0
-
 Nothing is shared with the package but the scene: no staggered spins, no reduction to the components that a minimum
-needs, no jump. As a program it draws scenes in 2D and 3D, of all laws, between spins and bearing states, with and
-without periodic sides, with ties and contrasts, and compares bounds, power and contact states. Prints what is false;
-the exit code is 1 if anything is.
+needs, no jump. `draw_scene` draws scenes in 2D and 3D, of all laws, between spins and bearing states, with and without
+periodic sides, with ties and contrasts; `falsehoods` compares bounds, power and contact states.
 """
 
-import argparse
-import sys
-from collections import Counter
 from dataclasses import dataclass
 
 import clarabel
 import numpy as np
 from scipy import sparse
 
-import taichi_bearings as tb
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.law import LAWS
@@ -154,32 +147,3 @@ def falsehoods(scene, best, truth):
             if (state == ContactState.SLIPLESS and speed > clear) or abs(own - speed) > clear:
                 found.append(f"contact {site} along {axis}: state {state}, slip {own:.3g} instead of {speed:.3g}")
     return found, compared
-
-
-def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--scenes", type=int, default=500)
-    parser.add_argument("--seed", type=int, default=0)
-    given, counts, false = parser.parse_args(), Counter(), 0
-    for number in range(given.scenes):
-        scene = draw_scene(given.seed, number)
-        best, truth = tb.solve(scene, threads=1), laboratory_minimum(scene)
-        counts[f"{scene.lattice.dimension}D {scene.law.name}"] += 1
-        counts["periodic"] += bool(scene.periodic)
-        counts["not solved by Clarabel"] += not truth.solved
-        said, compared = falsehoods(scene, best, truth) if truth.solved else ([], 0)
-        if said:  # where the minimum is flat, slips of the programme are off by far more than its power
-            sharper = laboratory_minimum(scene, SHARPER)
-            said = falsehoods(scene, best, sharper)[0] if sharper.solved else said
-        counts["certified"] += int(best.gap <= 1e-8)
-        counts["states proven"] += int(best.states_proven)
-        counts["contact states compared"] += compared
-        for sentence in said:
-            print(f"scene {number}: {sentence}", flush=True)
-        false += bool(said)
-    print(", ".join(f"{count:,} {name}" for name, count in counts.items()), f"{false} false", sep="\n")
-    return 1 if false else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

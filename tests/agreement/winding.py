@@ -1,13 +1,8 @@
 """Periodic discs: the cut against the shortest ring of the dual graph, found by itself, and against a general flow.
 
-    python -m tests.agreement.winding --scenes 1000
-
 Nothing is shared with the package but the coefficients: NetworkX finds the flow, and SciPy's Dijkstra method the
 shortest way around in an unrolled dual graph.
 """
-
-import argparse
-import sys
 
 import networkx
 import numpy as np
@@ -67,19 +62,3 @@ def differences(scene):
     unit = scene.normal_force * scene.lattice.radius * scene.jump
     truths = [unit * truth(*scene.coefficients) for truth in (shortest_ring, largest_flow)]
     return [abs(said / truth - 1) for said in (best.power, best.lower_bound) for truth in truths]
-
-
-def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--scenes", type=int, default=1000)
-    parser.add_argument("--shape", default="10,10")
-    given = parser.parse_args()
-    shape = tuple(map(int, given.shape.split(",")))
-    worst = [max(differences(tb.Scene.random(shape, seed=seed, periodic="x"))) for seed in range(given.scenes)]
-    false = sum(not error <= SAME for error in worst)
-    print(f"{given.scenes} scenes, largest difference {max(worst):.2g}, {false} beyond {SAME:g}")
-    return 1 if false else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

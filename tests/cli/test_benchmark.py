@@ -28,12 +28,3 @@ def test_throughput_is_one_object_and_the_files_are_there(tmp_path):
     again = bearings("benchmark", "speed", "--out", tmp_path / "a")
     assert again.returncode == 2
     assert "already exists" in again.stderr
-
-
-def test_the_table_of_accuracy_is_printed(tmp_path):
-    tiny = ("--shape", "3,4", "--time-limit", "0.2", "--threads", "1", "--law", "coulomb", "--law", "viscous")
-    done = bearings("benchmark", "accuracy", *tiny, "--methods", "gradient-descent", "--no-peers", "--out", tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.count("| gradient-descent |") == 2
-    assert "cundall-strack" not in done.stdout
-    assert (tmp_path / "report.md").read_text(encoding="utf-8").strip() in done.stdout

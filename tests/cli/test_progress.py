@@ -5,9 +5,8 @@ import sys
 import time
 
 import pytest
-from taichi_bearings_cli.progress import Display, describe_scan
+from taichi_bearings_cli.progress import Display
 
-from taichi_bearings.scans.scan import ScanProgress
 from taichi_bearings.stages import alike, each, stage
 from tests.cli.commands import bearings
 
@@ -48,13 +47,6 @@ def test_stages_in_parts_foretell_their_end_from_the_parts_that_are_done():
     assert seen[6] == "sample 7 of 12, 0 s left · solving"
 
 
-def test_parts_that_may_differ_foretell_nothing():
-    display = Display()
-    with display:
-        for _ in each(("short", "long", "longer"), "method"):
-            assert display.line() == f"method {display.stages[0].number} of 3"
-
-
 @pytest.mark.parametrize("columns", [60, 140])
 def test_the_line_of_a_scan_fits_its_terminal(tmp_path, columns):
     file = tmp_path / "scan.toml"
@@ -68,14 +60,3 @@ def test_the_line_of_a_scan_fits_its_terminal(tmp_path, columns):
     assert lines
     assert all(len(line) <= columns for line in lines)
     assert any(line.endswith("…") for line in lines) == (columns < 140)
-
-
-def test_a_time_left_that_is_not_known_is_not_shown():
-    progress = ScanProgress(50, before=1, done=4, seconds=2.6)
-    assert describe_scan(progress) == "4 of 50 samples  1.15/s"
-    progress.seconds_left = 40.2
-    assert describe_scan(progress) == "4 of 50 samples  1.15/s  40 s left"
-
-
-def test_a_scan_whose_samples_are_done_is_writing():
-    assert describe_scan(ScanProgress(4, 0, done=3, failed=1)).endswith("writing")

@@ -1,6 +1,5 @@
 """Minimum cuts of lattices against all sides of tiny ones, planar grids and linear programmes; ties; the next cut."""
 
-import sys
 from dataclasses import replace
 from itertools import product
 
@@ -121,23 +120,6 @@ def test_the_weight_is_that_of_a_linear_programme(decades, flows):
     assert minimum_cut(weight).weight[0] == pytest.approx(found.fun, rel=1e-7)
 
 
-@pytest.mark.parametrize("bits", [12, 20])
-def test_rounds_of_few_bits_end_at_the_same_cut(bits, monkeypatch):
-    weight = random_weights((5, 6, 7), 4, decades=2.0)
-    monkeypatch.setattr(module, "flow_finder", lambda: module.flow_by_scipy)
-    whole = minimum_cut(weight)
-    monkeypatch.setattr(module, "FLOW_BITS", bits)
-    parts = minimum_cut(weight)
-    assert (parts.above == whole.above).all()
-    assert (parts.lower_bound == whole.lower_bound).all()
-
-
-def test_the_bound_leaves_no_more_than_a_unit_a_contact(flows):
-    cut = minimum_cut(random_weights((12, 11, 10), 6))
-    assert (cut.lower_bound <= cut.weight).all()
-    assert (cut.weight - cut.lower_bound <= 1e-13 * cut.weight).all()
-
-
 def test_flows_balance_within_the_capacities_and_fill_the_cut(flows):
     rng = np.random.default_rng(12)
     ends = np.array([(low, high) for low in range(40) for high in range(low + 1, 40) if rng.random() < 0.2]).T
@@ -151,12 +133,6 @@ def test_flows_balance_within_the_capacities_and_fill_the_cut(flows):
     assert not out[1:-1].any()
     below = module.within_reach(ends, np.stack([capacity - flow, capacity + flow]), 0)
     assert capacity[below[ends[0]] != below[ends[1]]].sum() == out[0] == -out[-1]
-
-
-def test_scipy_serves_where_ortools_is_missing(monkeypatch):
-    monkeypatch.setitem(sys.modules, "ortools", None)
-    monkeypatch.setitem(sys.modules, "ortools.graph.python.max_flow", None)
-    assert module.flow_finder() is module.flow_by_scipy
 
 
 def test_one_light_layer_between_heavy_ones(flows):

@@ -172,31 +172,6 @@ def test_a_callback_hears_and_stops_and_many_are_solved():
             assert np.array_equal(answer.spin, solve(packings[number], method, **options).spin)
 
 
-def test_the_course_is_drawn_shown_and_exported(tmp_path):
-    packing = tb.Packing.lattice("bcc", (3, 3, 3), seed=2)
-    course = solve(packing, tb.CundallStrack(energy=True), start="random", duration=0.01, snapshots=[0, 0.005, 0.01])
-    top, bottom = course.plot("history").axes
-    assert np.array_equal(top.lines[0].get_ydata(), course.history["power"][1:])
-    assert bottom.get_xlabel() == "time"
-    curves = {line.get_label(): line.get_ydata() for line in course.plot("energy").axes[0].lines}
-    for name in ("injected", "dissipated", "kinetic", "spring"):
-        assert np.array_equal(curves[name], course.history[f"{name}_energy"][1:])
-    course.save(tmp_path / "run")
-    assert (tmp_path / "run" / "run.h5").exists()
-    from taichi_bearings.export.vtkhdf import export
-    from taichi_bearings.runs.packing_run import read_packing_run
-
-    assert export(tmp_path / "run")["steps"] == 3
-    with h5py.File(tmp_path / "run" / "run.vtkhdf") as file:
-        spins = file["VTKHDF/PointData/spin"][()].reshape(3, -1, 3)
-    assert np.array_equal(spins[:2], course.snapshots.spin[:2])
-    run = read_packing_run(tmp_path / "run")
-    arrays, facts = arrays_of(run), facts_of(run)
-    assert facts["times"] == pytest.approx(course.snapshots.time[:2])
-    assert np.array_equal(arrays["snapshot_spin"], course.snapshots.spin[:2].astype(np.float32))
-    assert arrays["snapshot_slip"][1] == pytest.approx(packing.slips(course.snapshots.spin[1]), rel=1e-6)
-
-
 def test_the_page_and_the_figure_of_domains_show_what_analyse_finds(tmp_path):
     best = solve(tb.Packing.lattice("cubic", (6, 5, 6), seed=5, direction=(1.0, 0.0, 0.0)))
     structure = tb.analyse(best)

@@ -21,7 +21,6 @@ from taichi_bearings.view.view import view
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "msedge")
 BARE = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]
-SLOWEST = 3000  # milliseconds of a frame, on a busy machine without a graphics card
 
 
 @pytest.fixture(scope="module")
@@ -295,31 +294,6 @@ def test_snapshots_play_in_time(dynamics, opened):
     assert page.is_quiet(), (page.complaints, page.requests)
 
 
-def test_keys_turn_the_picture(minimum, opened):
-    page = opened(minimum)
-    before = page.pixels()
-    page.tab.locator("#canvas").press("ArrowLeft")
-    assert (page.pixels() != before).any(axis=2).mean() > 0.05
-    page.tab.locator("#canvas").press("Home")
-    assert (page.pixels() == before).mean() > 0.999
-
-
-def test_what_is_known_of_the_end_alone_is_not_drawn_of_a_snapshot(dynamics, opened):
-    page = opened(dynamics)
-    page.tab.locator("#colour").select_option("domain")
-    page.tab.get_by_text("domain boundaries", exact=False).first.click()
-    drawn = "bearings.picture.layers.walls.count"
-    assert page.ask(drawn) > 0
-    page.move("time", 1)
-    assert page.ask(drawn) == 0
-    assert page.tab.locator("#colour").input_value() == "spin"
-    assert page.tab.locator("#colour option[value=domain]").is_disabled()
-    assert "shortest path" not in page.tab.locator("#legend").inner_text()
-    page.move("time", 4)
-    assert page.ask(drawn) > 0
-    assert page.tab.locator("#colour").input_value() == "domain"
-
-
 def test_the_address_keeps_the_view_and_a_wrong_one_does_no_harm(minimum, opened):
     page = opened(minimum)
     page.press("Network")
@@ -339,34 +313,3 @@ def test_the_address_keeps_the_view_and_a_wrong_one_does_no_harm(minimum, opened
     assert page.ask("[bearings.choices.low, bearings.choices.high]") == [[0, 0, 0], [4, 1, 1]]
     assert page.is_quiet(), (page.complaints, page.requests)
     assert kept != wrong
-
-
-def test_on_a_phone_words_stand_above_the_picture_and_axes_are_named(minimum, opened):
-    page = opened(minimum, "", (390, 844))
-    words, picture = (page.tab.locator(which).bounding_box() for which in ("header", "#canvas"))
-    assert words["y"] + words["height"] <= picture["y"]
-    assert picture["height"] > 200
-    names = page.tab.locator("#axes span").all()
-    assert [name.inner_text() for name in names] == ["x = 4", "y = 4", "z = 4", "0, 0, 0"]
-    for name in names:
-        box = name.bounding_box()
-        assert picture["x"] <= box["x"] < box["x"] + box["width"] <= picture["x"] + picture["width"]
-        assert picture["y"] <= box["y"] < box["y"] + box["height"] <= picture["y"] + picture["height"]
-
-
-@pytest.mark.slow
-def test_a_large_lattice_turns(solved, opened, record_property):
-    page = opened(solved(shape=(32, 32, 32), method="gradient-descent", iterations=5))
-    milliseconds = {
-        name: page.ask("bearings.frameTime(3)") for name in ("Spins", "Network") if page.press(name) is None
-    }
-    record_property("frame_milliseconds", milliseconds)
-    print(f"32x32x32: loaded in {page.seconds:.1f} s; a frame takes", milliseconds)
-    assert page.ask("bearings.picture.layers.network.count") > 10_000
-    opacity = "bearings.picture.layers.network.mesh.material.uniforms.opacity.value"
-    assert page.ask(opacity) < 1
-    for end in ("from", "to"):
-        page.move(f"slice-y-{end}", 16)
-    assert page.ask(opacity) == 1
-    assert 0 < max(milliseconds.values()) < SLOWEST
-    assert page.is_quiet(), (page.complaints, page.requests)

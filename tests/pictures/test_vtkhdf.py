@@ -8,7 +8,6 @@ import h5py
 import numpy as np
 import pytest
 
-from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.export.vtkhdf import export
 from taichi_bearings.runs.points_and_lines import points_and_lines
 from taichi_bearings.runs.run_file import read_run_file
@@ -127,12 +126,3 @@ def test_a_picture_is_drawn_of_it_without_a_window(minimum, tmp_path):
     assert (red - blue > 0.4).mean() > 0.005  # spheres of the top plane
     assert (blue - red > 0.2).mean() > 0.01  # those of the bottom, and strong contacts
     assert ((red > 0.98) & (green > 0.98) & (blue > 0.98)).mean() > 0.2  # the paper
-
-
-def test_files_are_replaced_as_those_of_other_commands(minimum, tmp_path):
-    export(minimum, tmp_path / "a.vtkhdf")
-    with pytest.raises(FileError, match="already exists"):
-        export(minimum, tmp_path / "a.vtkhdf")
-    assert export(minimum)["file"] == str(minimum / "run.vtkhdf")
-    with pytest.raises(InputError, match=r"a\.vtk'; it must end in \.vtkhdf"):
-        export(minimum, tmp_path / "a.vtk")

@@ -1,21 +1,19 @@
 """The figures of the slipless network and of the rigid domains show what they say."""
 
 import io
-import itertools
 
 import numpy as np
 import pytest
 from matplotlib import colormaps
 from matplotlib.collections import LineCollection, PatchCollection
 from matplotlib.colors import to_rgba
-from taichi_bearings_studies.plots.plane_cuts import draw_plane_cuts, path_in_plane, planes_of
+from taichi_bearings_studies.plots.plane_cuts import draw_plane_cuts, path_in_plane
 
-from taichi_bearings.analysis.domains import LOCKS, Lock, rigid_domains
+from taichi_bearings.analysis.domains import rigid_domains
 from taichi_bearings.analysis.network import SliplessNetwork
-from taichi_bearings.plots.domains import colour_of_turn, draw_domains
+from taichi_bearings.plots.domains import draw_domains
 from taichi_bearings.plots.lattice import (
     SPIN_COLOURS,
-    box_edges,
     broken,
     ends_of,
     on_both_sides,
@@ -24,7 +22,7 @@ from taichi_bearings.plots.lattice import (
 from taichi_bearings.plots.network import REACHED_COLOURS, contact_colours, draw_network
 from taichi_bearings.plots.page import VIEW
 from taichi_bearings.plots.spins import draw_spins
-from taichi_bearings.plots.style import GREEN, GREY
+from taichi_bearings.plots.style import GREY
 from tests.scenes import make_scene
 
 BOTTOM, TOP = colormaps[SPIN_COLOURS](0.0), colormaps[SPIN_COLOURS](1.0)
@@ -97,20 +95,6 @@ def test_every_figure_draws_any_lattice(shape, setting):
     assert not (case.network.spans and setting.get("parted"))
     for figure in case.figures():
         assert rendered(figure)
-
-
-def test_the_domain_figure_has_the_endpoints_colours_where_domains_are_locked():
-    domains = Case((9, 8, 3), levels=(0.0, 0.0, 0.5, 1.0, 1.0)).domains
-    assert all(number > 0 for kind, number in domains.domains_of_kind().items() if kind != "both")
-    colour = colour_of_turn(domains.turn)
-    kind = np.array(LOCKS)[domains.kind]
-    assert (colour[kind == "bottom"] == BOTTOM).all()
-    assert (colour[kind == "top"] == TOP).all()
-    mixed = colour[kind == "mixed"]
-    bottom_first = domains.lock[kind == "mixed", 0] == Lock.BOTTOM
-    yellow, green = to_rgba("#e8b400"), to_rgba("#0d8a6f")
-    assert np.allclose(mixed[bottom_first], green)
-    assert np.allclose(mixed[~bottom_first], yellow)
 
 
 def test_the_plane_of_the_domain_figure_is_coloured_and_parted_by_domain():
@@ -222,47 +206,3 @@ def test_a_path_over_periodic_sides_is_broken_there_and_as_long_as_it_is():
     assert joined.tolist() == [[[3, 0], [3, 1]], [[3, 1], [4, 1]], [[0, 2], [-1, 2]], [[3, 2], [3, 3]]]
     assert leaves.tolist() == [[0, 1, -1], [0, 2, 1]]  # up along y, away from the reader; and down to where it came
     assert drawn_length(up_to_the_sides(on_both_sides(joined, (4, 4))[0], (4, 4))) == 4
-
-
-PATH = np.array([[1, 2, 0], [1, 2, 1], [1, 3, 1], [2, 3, 1], [3, 3, 1], [3, 3, 2], [3, 2, 2], [3, 2, 3]])
-
-
-def test_planes_are_those_that_hold_most_of_the_path():
-    assert planes_of(PATH) == ((0, 3), (0, 1), (1, 3))  # 3 contacts, 2 more, the last 2
-    assert planes_of(PATH[:2]) == ((0, 1),)  # no plane that adds nothing
-
-
-def test_the_path_in_a_plane_and_where_it_leaves():
-    joined, leaves = path_in_plane(
-        PATH, np.diff(PATH, axis=0), 1, 3
-    )  # reader at small y, towards whom the path comes and goes
-    assert joined.tolist() == [[[1, 1], [2, 1]], [[2, 1], [3, 1]], [[3, 1], [3, 2]]]
-    assert sorted(leaves.tolist()) == [[1, 1, 1], [3, 2, 1]]
-    joined, leaves = path_in_plane(PATH, np.diff(PATH, axis=0), 0, 1)  # reader at large x
-    assert joined.tolist() == [[[2, 0], [2, 1]], [[2, 1], [3, 1]]]
-    assert leaves.tolist() == [[3, 1, 1]]
-    assert path_in_plane(PATH, np.diff(PATH, axis=0), 0, 3)[1].tolist() == [[3, 1, -1]]
-
-
-def test_a_plane_cut_shows_the_slipless_contacts_of_its_plane():
-    case = Case((5, 9, 14), levels=(0.0, 1.0))
-    path = case.network.shortest_path
-    figure = draw_plane_cuts(case.network, case.spin, *case.driving)
-    cuts = planes_of(path)
-    assert 1 < len(cuts) <= 3
-    for axes, (axis, index) in zip(figure.axes, cuts, strict=False):
-        slipless = case.scene.lattice.by_axis(case.network.slipless)
-        inside = [np.take(values, index, axis) for a, values in enumerate(slipless) if a != axis]
-        (grey,) = collections(axes, LineCollection, "0.35")
-        assert len(grey.get_segments()) == sum(int(values.sum()) for values in inside)
-        (green,) = collections(axes, LineCollection, GREEN)
-        held = sum((a[axis], b[axis]) == (index, index) for a, b in itertools.pairwise(path))
-        assert len(green.get_segments()) == held
-        assert f"{held} of {len(path) - 1}" in axes.get_title()
-
-
-def test_boxes_have_twelve_unlike_edges_of_the_right_length():
-    edges = box_edges((0, 0, 0), (1, 2, 4))
-    length = np.abs(edges[:, 1] - edges[:, 0]).sum(axis=1)
-    assert sorted(length) == [1] * 4 + [2] * 4 + [4] * 4
-    assert len({tuple(edge.ravel()) for edge in edges}) == 12

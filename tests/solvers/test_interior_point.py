@@ -6,7 +6,6 @@ import pytest
 from taichi_bearings.conic import resolution
 from taichi_bearings.conic.grouped import each
 from taichi_bearings.conic.last_decades import LastDecades
-from taichi_bearings.errors import InputError
 from taichi_bearings.proof.certificate import lower_bound, relative_gap
 from taichi_bearings.proof.contact_state import ContactState, separate
 from taichi_bearings.runs.run import prepare, solve_job
@@ -162,12 +161,6 @@ def test_friction_and_viscosity_together_bear_every_force():
     assert solution.force[slips] == pytest.approx((friction + viscosity * solution.slip)[slips], rel=1e-7)
     assert (solution.force[rests] < friction[rests] * (1 + 1e-9)).all()
     assert not (solution.state == ContactState.UNDECIDED).any()
-
-
-def test_the_viscous_law_is_refused():
-    scene = make_scene((4, 4, 5), law="viscous")
-    with pytest.raises(InputError, match="does not solve the law 'viscous'"):
-        minimum_of(scene)
 
 
 def test_auto_goes_on_with_operator_splitting_where_the_path_ends_early():

@@ -8,8 +8,6 @@ import pytest
 from scipy.optimize import linprog
 from scipy.sparse import bmat, identity
 
-from taichi_bearings import memory
-from taichi_bearings.errors import InputError
 from taichi_bearings.fields import Fields, make_layout
 from taichi_bearings.lattice.incidence import torques
 from taichi_bearings.proof.certificate import dual_value
@@ -150,12 +148,6 @@ def test_single_precision_proves_a_gap_it_can_reach(entry):
     assert solution.lower_bound[0] <= exact <= solution.power[0] * (1 + 1e-12)
 
 
-def test_viscous_scenes_are_refused():
-    scene = make_scene((3, 4, 5), "viscous")
-    with pytest.raises(InputError, match="viscous"):
-        split(scene, 1e-3)
-
-
 THREADS = """
 import sys
 from taichi_bearings import runtime
@@ -182,11 +174,3 @@ def test_threads_do_not_change_the_bits():
 def test_a_start_far_outside_a_small_jump(start):
     scene = make_scene((6, 6, 6), spin_bottom=0.99)
     assert split(scene, 1e-3, start, 3_000).status is Status.CERTIFIED
-
-
-def test_what_cannot_fit_is_refused_before_it_is_allocated(monkeypatch):
-    monkeypatch.setattr(memory, "free_bytes", lambda: 6e7)
-    monkeypatch.setattr(Fields, "__init__", lambda *_: pytest.fail("fields were allocated"))
-    scene = make_scene((48, 48, 48))
-    with pytest.raises(MemoryError, match=r"^operator-splitting of 110,592 spheres needs 0.1 GB; 0.1 GB are free$"):
-        split(scene, 1e-3)

@@ -23,7 +23,6 @@ from taichi_bearings_studies.stress.cells import (
 from taichi_bearings_studies.stress.truth import least
 
 from taichi_bearings.files.scan_journal import Journal, read_journal
-from taichi_bearings.runs.run_directory import writable_folder
 from taichi_bearings.solvers import METHODS
 
 LAWS = ("coulomb", "viscous", "coulomb-viscous")
@@ -164,20 +163,3 @@ def test_a_sweep_goes_on_from_its_journal_and_a_wrong_cell_fails_it(tmp_path):
     again = sweep(tmp_path)
     assert again.exit_code == 0, again.output  # solved anew
     assert len((tmp_path / "cells.jsonl").read_bytes().splitlines()) == len(kept) + 1 + 2 * len(strange)
-
-
-def test_a_folder_of_something_else_is_left_alone(tmp_path):
-    (tmp_path / "summary.json").write_text("{}")
-    assert "is not the folder of a stress report" in str(sweep(tmp_path).exception)
-    assert (tmp_path / "summary.json").read_text() == "{}"
-
-
-def test_two_sweeps_in_one_folder_are_one_too_many(tmp_path):
-    with writable_folder(tmp_path / "out"):
-        assert "is in use" in str(sweep(tmp_path / "out").exception)
-
-
-def test_bad_options_are_one_sentence(tmp_path):
-    result = CliRunner().invoke(bearings, ["stress", "--only", "contrast,colour", "--out", str(tmp_path / "new")])
-    assert "only is 'contrast,colour'; 'colour' is none of" in str(result.exception)
-    assert not (tmp_path / "new").exists()
