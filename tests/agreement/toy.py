@@ -9,6 +9,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from taichi_bearings.lattice.incidence import contact_differences, torques
+from taichi_bearings.options import POSITIVE, how
 from taichi_bearings.proof.certificate import largest_unbalanced_torque, lower_bound
 from taichi_bearings.scene import Progress
 from taichi_bearings.scene.law import LAWS, Law, Quantity
@@ -45,6 +46,8 @@ class Minimise(MethodOptions):
     name = "minimise"
     implementation = "tests.agreement.toy:Minimiser"
     needs_taichi = False
+
+    leftover: float = how(1e-12, POSITIVE, "Slope at which L-BFGS ends.")
 
     @staticmethod
     def solves(law):
@@ -84,9 +87,8 @@ class Minimiser:
                 pull = torques(self.forces(), scene.lattice, self.axes)[..., 1:-1]
                 return total, -scene.lattice.radius * pull.ravel()
 
-            found = minimize(
-                potential, free.ravel().copy(), jac=True, method="L-BFGS-B", options={"gtol": 1e-12, "ftol": 0}
-            )
+            options = {"gtol": self.options.leftover, "ftol": 0}
+            found = minimize(potential, free.ravel().copy(), jac=True, method="L-BFGS-B", options=options)
             free[...] = found.x.reshape(free.shape)
             self.iteration += 1
 

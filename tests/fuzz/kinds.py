@@ -10,67 +10,18 @@ from unittest import mock
 from taichi_bearings.runs.settings import settings_table
 from tests.fuzz.answers import Answer, answer_to
 from tests.fuzz.corpus import SCAN, SCENE, Corpus
-from tests.fuzz.damage import TEXTS, bytes_changed, hdf5_changed, journal_changed, npy_made, npz_made, toml_changed
+from tests.fuzz.damage import bytes_changed, hdf5_changed, journal_changed, npy_made, npz_made, toml_changed
 
 KEYS = [*settings_table(), "out", "force", "analyse", "keep_states", "sample_timeout", "scan", "nonsense"]
 WORDS = [
-    "",
-    "0",
-    "-1",
-    "1",
-    "2",
-    "3",
-    "1e-3",
-    "nan",
-    "inf",
-    "1e999",
-    "9" * 5000,
-    "true",
-    "4,5",
-    "3,3,4",
-    "4x5",
-    "-4,5",
-    "1,1",
-    "100000,100000,100000",
-    "4,5,6,7",
-    "random",
-    "zero",
-    "minimum-cut",
-    "auto",
-    "gradient-descent",
-    "cundall-strack",
-    "coulomb",
-    "viscous",
-    "none",
-    "cpu",
-    "f32",
-    "uniform:1,2",
-    "constant:0",
-    "lognormal:1,0.5",
+    "", "0", "-1", "1", "2", "3", "1e-3", "nan", "inf", "1e999", "9" * 5000, "true", "4,5", "3,3,4", "4x5", "-4,5",
+    "1,1", "100000,100000,100000", "4,5,6,7", "random", "zero", "minimum-cut", "auto", "gradient-descent",
+    "cundall-strack", "coulomb", "viscous", "none", "cpu", "f32", "uniform:1,2", "constant:0", "lognormal:1,0.5",
     "log:1e-4,1,5",
-    "linear:0,1,1e18",
-    "0.1,0.2",
-    "/",
-    ".",
-    "/dev/zero",
-    "\x00",
-    "\x1b[0m",
-    "é",
-    "a\nb",
-    "0x10",
-    "1_000",
-    "٣",
-    "1e18",
+    "linear:0,1,1e18", "0.1,0.2", "/", ".", "/dev/zero", "\x00", "\x1b[0m", "é", "a\nb", "0x10", "1_000", "٣", "1e18",
     "4294967296",
-]
-FIGURES = [
-    "spins",
-    "power",
-    "history",
-    "energy",
-    "domains",
-    "network",
-]
+]  # fmt: skip
+FIGURES = ["spins", "power", "history", "energy", "domains", "network"]
 
 
 @contextlib.contextmanager
@@ -207,21 +158,23 @@ def _as_arrays(file: Path, folder: Path, draw: random.Random) -> Answer:
         )
 
 
-def run_bytes(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
-    file = folder / "run.h5"
-    file.write_bytes(bytes_changed((draw.choice(corpus.runs) / "run.h5").read_bytes(), draw))
-    return _as_run(file, folder, draw, figures=0.02)
+def stored_runs(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
+    return _as_run(_changed(draw.choice(corpus.runs) / "run.h5", corpus, folder, draw), folder, draw)
 
 
-def run_content(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
-    file = folder / "run.h5"
-    shutil.copyfile(draw.choice(corpus.runs) / "run.h5", file)
-    hdf5_changed(file, draw, corpus.folder / "flat" / "run.h5")
-    return _as_run(file, folder, draw, figures=0.15)
+def _changed(good: Path, corpus: Corpus, folder: Path, draw: random.Random) -> Path:
+    """A copy of a good HDF5 file with its content changed, or its bytes."""
+    file = folder / good.name
+    file.write_bytes(good.read_bytes())
+    if draw.random() < 0.6:
+        hdf5_changed(file, draw, corpus.folder / "flat" / "run.h5")
+    else:
+        file.write_bytes(bytes_changed(file.read_bytes(), draw))
+    return file
 
 
-def _as_run(file: Path, folder: Path, draw: random.Random, figures: float) -> Answer:
-    if draw.random() < figures:
+def _as_run(file: Path, folder: Path, draw: random.Random) -> Answer:
+    if draw.random() < 0.05:
         return answer_to("plot", draw.choice(FIGURES), file, "--out", folder / "out.png")
     match draw.randrange(6):
         case 0:
@@ -244,25 +197,13 @@ def _as_run(file: Path, folder: Path, draw: random.Random, figures: float) -> An
                 return answer_to("plot", draw.choice(FIGURES), file, "--out", folder / "out.png")
 
 
-def checkpoint_bytes(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
-    (folder / "checkpoint.h5").write_bytes(bytes_changed((corpus.resumable / "checkpoint.h5").read_bytes(), draw))
+def checkpoints(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
+    _changed(corpus.resumable / "checkpoint.h5", corpus, folder, draw)
     return answer_to("run", "--resume", folder, "--time-limit", "1")
 
 
-def checkpoint_content(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
-    shutil.copyfile(corpus.resumable / "checkpoint.h5", folder / "checkpoint.h5")
-    hdf5_changed(folder / "checkpoint.h5", draw, corpus.folder / "flat" / "run.h5")
-    return answer_to("run", "--resume", folder, "--time-limit", "1")
-
-
-def scan_bytes(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
-    (folder / "scan.h5").write_bytes(bytes_changed((corpus.scan / "scan.h5").read_bytes(), draw))
-    return _as_scan(corpus, folder, draw)
-
-
-def scan_content(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
-    shutil.copyfile(corpus.scan / "scan.h5", folder / "scan.h5")
-    hdf5_changed(folder / "scan.h5", draw, corpus.folder / "flat" / "run.h5")
+def stored_scans(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
+    _changed(corpus.scan / "scan.h5", corpus, folder, draw)
     return _as_scan(corpus, folder, draw)
 
 
@@ -297,11 +238,8 @@ def _as_scan(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
 
 def kept_states(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
     shutil.copytree(corpus.scan, folder / "scan")
-    state = draw.choice(sorted((folder / "scan" / "states").iterdir()))
-    if draw.random() < 0.5:
-        state.write_bytes(bytes_changed(state.read_bytes(), draw))
-    else:
-        hdf5_changed(state, draw, corpus.folder / "flat" / "run.h5")
+    states = folder / "scan" / "states"
+    _changed(draw.choice(sorted((corpus.scan / "states").iterdir())), corpus, states, draw)
     return answer_to("scan", folder / "scan", "--dry-run")
 
 
@@ -318,21 +256,9 @@ def journals(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
             return _as_scan(corpus, folder, draw)
 
 
-def _changed_copy(corpus: Corpus, name: str, folder: Path, draw: random.Random, content: float) -> Path:
-    """A good HDF5 file with its content changed in so many of all cases, else its bytes."""
-    file = folder / Path(name).name
-    file.write_bytes((corpus.folder / name).read_bytes())
-    if draw.random() < content:
-        hdf5_changed(file, draw, corpus.folder / "flat" / "run.h5")
-    else:
-        file.write_bytes(bytes_changed(file.read_bytes(), draw))
-    return file
-
-
 def histogram_files(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
     """power_histogram.h5, which no command reads, where a run or a scan should be."""
-    file = _changed_copy(corpus, "histogram/power_histogram.h5", folder, draw, 0.5)
-    return _as_run(file, folder, draw, figures=0)
+    return _as_run(_changed(corpus.folder / "histogram" / "power_histogram.h5", corpus, folder, draw), folder, draw)
 
 
 def packings(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
@@ -350,7 +276,7 @@ def packings(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
 
 
 def packing_runs(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
-    file = _changed_copy(corpus, "bearing/run.h5", folder, draw, 0.7)
+    file = _changed(corpus.folder / "bearing" / "run.h5", corpus, folder, draw)
     words = [
         ("verify", file), ("analyse", file, "--no-figures"), ("export", file), ("list", folder), ("view", file),
         ("run", file, "--out", folder / "out", "--figures", "none"),
@@ -370,13 +296,9 @@ KINDS: dict[str, tuple[Callable[[Corpus, Path, random.Random], Answer], int]] = 
     "packings": (packings, 60),
     "run.h5 of a packing": (packing_runs, 40),
     "journals": (journals, 30),
-    "run.h5, bytes": (run_bytes, 15),
-    "run.h5, content": (run_content, 20),
-    "scan.h5, bytes": (scan_bytes, 8),
-    "scan.h5, content": (scan_content, 8),
-    "checkpoint.h5, bytes": (checkpoint_bytes, 3),
-    "checkpoint.h5, content": (checkpoint_content, 4),
+    "run.h5": (stored_runs, 35),
+    "scan.h5": (stored_scans, 16),
+    "checkpoint.h5": (checkpoints, 7),
     "kept states": (kept_states, 3),
     "histogram.h5": (histogram_files, 3),
 }
-assert len(TEXTS) > 1
