@@ -5,7 +5,7 @@ import csv
 import numpy as np
 import pytest
 from taichi_bearings_studies.benchmarks.harness import Report
-from taichi_bearings_studies.benchmarks.methods import contradictions, judged, measure, shown
+from taichi_bearings_studies.benchmarks.methods import contradictions, judged, measure
 from taichi_bearings_studies.benchmarks.report import text, write
 from taichi_bearings_studies.benchmarks.table import BENCHMARKS
 from taichi_bearings_studies.report import Files
@@ -74,12 +74,3 @@ def test_files_hold_every_checkpoint(rows, tmp_path):
     assert {line["shape"] for line in found} == {"3x3x3", "5x4"}
     assert figure.read_bytes()[:4] == b"\x89PNG"
     assert f"| {FIRST_TWO[0]} " in text(chosen, report, here)
-
-
-def test_the_figure_shows_the_fastest_linear_solver_and_its_progress_only():
-    slow = made_up("clarabel", [2.0, 4.0, 3.0], [11.0, 10.001, 10.5], [9.0, 10.0, 9.9], "clarabel (qdldl)")
-    quick = made_up("clarabel", [1.0, 9.0, 2.0], [11.0, 10.5, 10.001], [9.0, 9.0, 10.0], "clarabel (faer)")
-    loose = made_up("clarabel", [0.1], [11.0], [9.0], "clarabel (mkl)")
-    ((title, (curve,)),) = shown(judged([slow, quick, loose]))
-    assert (title, curve["what"]) == ("3x4 coulomb", "clarabel (faer)")
-    assert curve["seconds"] == [1.0, 2.0]

@@ -17,7 +17,6 @@ from taichi_bearings.runs.verify import verify
 from taichi_bearings.scans.histogram import pooled, read_source
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers.network import Network
-from taichi_bearings.view.contents import arrays_of, facts_of
 from tests.cli.commands import bearings
 
 pytestmark = pytest.mark.usefixtures("needs_f64")
@@ -170,21 +169,6 @@ def test_a_callback_hears_and_stops_and_many_are_solved():
         for answer in tb.solve_many(packings, method, workers=1, **options):
             number = next(n for n, packing in enumerate(packings) if packing is answer.packing)
             assert np.array_equal(answer.spin, solve(packings[number], method, **options).spin)
-
-
-def test_the_page_and_the_figure_of_domains_show_what_analyse_finds(tmp_path):
-    best = solve(tb.Packing.lattice("cubic", (6, 5, 6), seed=5, direction=(1.0, 0.0, 0.0)))
-    structure = tb.analyse(best)
-    assert structure.spans
-    from taichi_bearings.runs.packing_run import read_packing_run
-
-    run = read_packing_run(best.save(tmp_path / "run"))
-    arrays, facts = arrays_of(run), facts_of(run)
-    share = structure.network.on_contacts(structure.bottlenecks.share)
-    assert arrays["betweenness"] == pytest.approx(share.astype(np.float32))
-    assert facts["busiest_share"] == share.max() > 0
-    colours = best.plot("domains").axes[0].collections[0].get_facecolor()
-    assert len(np.unique(colours[:, 0] > colours[:, 2])) == 2  # one turns with the bottom, one with the top
 
 
 @pytest.mark.parametrize(("call", "sentence"), [

@@ -147,41 +147,12 @@ def test_sliders_of_power_and_slice_leave_what_they_say(minimum, opened):
     assert page.ask("bearings.picture.shown.reduce((a, b) => a + b)") == 5 * 2 * 5
 
 
-def place_of(lattice, contact):
-    """Axis and lower sphere of a contact, as the page writes them."""
-    for axis, span in zip("xyz", lattice.spans, strict=True):
-        if contact < span.stop:
-            place = np.unravel_index(contact - span.start, lattice.contact_shape("xyz".index(axis)))
-            return f"contact {axis}", f"({', '.join(map(str, place))})"
-
-
 AIM = """([layer, number]) => { const { picture } = bearings, id = picture.layers[layer].ids[number];
     picture.mark(layer === "spheres" ? { sphere: id } : { contact: id });
     const place = picture.marker.position.clone().project(picture.camera);
     const box = picture.canvas.getBoundingClientRect();
     const x = (place.x + 1) / 2 * box.width, y = (1 - place.y) / 2 * box.height;
     return [id, picture.pick(x, y), x + box.left, y + box.top]; }"""
-
-
-def test_what_is_pointed_at_says_its_numbers(minimum, opened):
-    page, solution = opened(minimum), read_run_file(minimum).solution
-    page.press("Network")
-    asked = 0
-    for number in range(0, 40, 4):
-        contact, found, x, y = page.tab.evaluate(AIM, ["network", number])
-        if found == {"contact": contact}:  # others may lie before it
-            page.tab.mouse.move(x, y)
-            axis, at = place_of(solution.scene.lattice, contact)
-            page.tab.wait_for_function(
-                f"document.getElementById('numbers').innerText.includes('{axis} of sphere {at}')"
-            )
-            text = page.tab.locator("#numbers").inner_text()
-            assert "slipless, proven" in text
-            shown = re.search(r"force \|f\|\s+(\S+) force", text)[1]
-            assert float(shown) == pytest.approx(solution.force[0, contact], rel=6e-6)
-            assert len(shown.replace(".", "").lstrip("0")) <= 6
-            asked += 1
-    assert asked >= 3
 
 
 def test_contacts_across_periodic_sides_are_halves_at_both_sides_and_can_be_pointed_at(periodic, opened):

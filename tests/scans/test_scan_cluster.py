@@ -8,14 +8,11 @@ import subprocess
 import sys
 import time
 from functools import partial
-from pathlib import Path
 
 import pytest
 
 from taichi_bearings.errors import BearingsError
-from taichi_bearings.files.scan_file import read_scan
 from taichi_bearings.scans.cluster import DaskEngine, connected
-from taichi_bearings.scans.plan import read_plan
 from taichi_bearings.scans.scan import scan
 from tests.scans import scan_faults
 from tests.scans.test_scan import MIXED, assert_same_but_for_the_clock
@@ -90,19 +87,6 @@ def test_killed_workers_lose_nothing(client, plan_of, tmp_path, whom):
     assert (report["reached"], report["failed"], report["missing"]) == (40, 0, 0)
     scan(plan, tmp_path / "undisturbed", engine=scan_faults.Here())
     assert_same_but_for_the_clock(tmp_path / "scan", tmp_path / "undisturbed")
-
-
-def test_files_are_found_and_states_kept_wherever_workers_run(client, plan_of, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    plan = plan_of("shape = [3, 3, 3]\n[scan]\nseed = [1]\n")
-    assert scan(scan_faults.asking(plan, keep_states=True), tmp_path / "first", client=client)["reached"] == 1
-    state = next((tmp_path / "first" / "states").iterdir())
-    state.rename(tmp_path / "start.h5")
-    (tmp_path / "scan.toml").write_text('shape = [3, 3, 3]\ncoefficients = "start.h5"\nkeep_states = true\n')
-    assert scan(read_plan(Path("scan.toml")), Path("second"), client=client)["reached"] == 1
-    assert len(list((tmp_path / "second" / "states").iterdir())) == 1
-    powers = [read_scan(tmp_path / name).table["power"][0] for name in ("first", "second")]
-    assert powers[0] == powers[1]
 
 
 @pytest.mark.slow

@@ -1,18 +1,14 @@
 """The interior-point method against exact minima, an independent conic formulation, and its own claims."""
 
-import numpy as np
 import pytest
 
-from taichi_bearings.conic import resolution
-from taichi_bearings.conic.grouped import each
-from taichi_bearings.conic.last_decades import LastDecades
 from taichi_bearings.proof.certificate import lower_bound, relative_gap
 from taichi_bearings.proof.contact_state import ContactState, separate
 from taichi_bearings.runs.run import prepare, solve_job
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene import Scene, Status
 from taichi_bearings.scene.initial_spins import initial_spin
-from taichi_bearings.solvers import GradientDescent, InteriorPoint, LinearSolver, interior_point
+from taichi_bearings.solvers import GradientDescent, InteriorPoint, LinearSolver
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
 from tests.scenes import make_scene, minima, name_of, scene_of
@@ -202,50 +198,6 @@ def test_a_sample_with_slips_of_all_sizes_is_settled():
     solution = minimum_of(make_scene((16, 16, 16), seeds=(31,)))
     assert solution.states_proven[0]
     assert (solution.state == ContactState.SLIPPING).sum() == 3641
-
-
-@pytest.fixture
-def as_large(monkeypatch):
-    """Small samples are settled as large ones are."""
-    monkeypatch.setattr(interior_point, "BATCHED_SITES", 0)
-
-
-def tie_nothing(monkeypatch):
-    """The last decades of the path are followed as a whole."""
-    over_tied = resolution._over_tied
-    whole = lambda at, path, sticking, *of: over_tied(at, path, each(np.zeros_like, sticking), *of)  # noqa: E731
-    monkeypatch.setattr(resolution, "_over_tied", whole)
-
-
-@pytest.mark.usefixtures("as_large")
-@pytest.mark.parametrize(
-    ("seed", "wrong", "freed"),
-    [(0, 1, True), (1, 10, True), (2, 10, False)],
-)
-def test_contacts_that_are_wrongly_tied_are_freed(monkeypatch, seed, wrong, freed):
-    """Those that slip least. Where what moves does not tell, the path of the whole is followed: the states are its."""
-    scene, decide, moved = make_scene((8, 8, 8), seeds=(seed,)), LastDecades.decide, []
-    with monkeypatch.context() as nothing_tied:
-        tie_nothing(nothing_tied)
-        whole = minimum_of(scene)
-
-    def wrongly_decided(path, *doubtful, **how):
-        slipping = decide(path, *doubtful, **how)
-        if doubtful:
-            mask, slip = slipping.parts[0], path.point.difference.length().parts[0]
-            path.sticking.parts[0][np.flatnonzero(mask)[np.argsort(slip[mask])[:wrong]]] = True
-        return slipping
-
-    monkeypatch.setattr(LastDecades, "decide", wrongly_decided)
-    monkeypatch.setattr(resolution, "DOUBTFUL_SHARE", 0.0)
-    monkeypatch.setattr(resolution, "LEAST_DOUBTFUL", 0)
-    for name in ("roughly_borne", "borne_nearby"):
-        look = getattr(resolution, name)
-        monkeypatch.setattr(resolution, name, lambda *of, look=look: moved.append(look(*of)) or moved[-1])
-    brief = minimum_of(scene)
-    assert any(of.motion is not None for of in moved) == freed
-    assert (whole.states_proven[0], brief.states_proven[0]) == (True, True)
-    assert (brief.state == whole.state).all()
 
 
 def test_contacts_that_only_rounding_lets_slip_are_looked_at_again():

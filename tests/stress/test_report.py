@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner
 from taichi_bearings_cli.main import bearings
 from taichi_bearings_studies.stress import cells
-from taichi_bearings_studies.stress.axes import AXES, ROWS, Cell, Row, cells_of, rows_of, unchanged
+from taichi_bearings_studies.stress.axes import AXES, Cell, Row
 from taichi_bearings_studies.stress.cells import (
     CRASH,
     NOT_REACHED,
@@ -23,7 +23,6 @@ from taichi_bearings_studies.stress.cells import (
 from taichi_bearings_studies.stress.truth import least
 
 from taichi_bearings.files.scan_journal import Journal, read_journal
-from taichi_bearings.solvers import METHODS
 
 LAWS = ("coulomb", "viscous", "coulomb-viscous")
 CELL = Cell("friction-scale", 1.0, Row("planar-cut", "coulomb", 2), 0, True, 1.0)
@@ -106,19 +105,6 @@ def test_a_cell_beyond_the_memory_is_refused(monkeypatch):
     row = JUDGE.row(CELL, solve_cells([CELL])[0])
     assert row["outcome"] == REFUSED
     assert "it needs about 0.2 GB, more than 0.0 GB" in row["reason"]
-
-
-def test_every_method_law_and_axis_is_tried():
-    rows = rows_of(list(ROWS), LAWS)
-    every = cells_of(rows, list(AXES), 0, False, 1.0)
-    here = {(cell.row.method, cell.row.law, cell.row.dimension) for cell in every}
-    assert {method for method, *_ in here} == {"auto", *METHODS}
-    for row in rows:
-        assert ((row.method, row.law, row.dimension) in here) == (unchanged(row, 0, False) is not None)
-    assert len({cell.key for cell in every}) == len(every)
-    quick = cells_of(rows, list(AXES), 0, True, 1.0)
-    assert {cell.axis for cell in quick} == set(AXES)
-    assert {cell.row for cell in quick} == {cell.row for cell in every}
 
 
 @pytest.mark.parametrize("name", [name for name in AXES if name.endswith("-scale")])
