@@ -1,10 +1,9 @@
-"""Periodic discs: the cut against the shortest ring of the dual graph, found by itself, and against a general flow.
+"""Periodic discs: the cut against the shortest ring of the dual graph.
 
-Nothing is shared with the package but the coefficients: NetworkX finds the flow, and SciPy's Dijkstra method the
-shortest way around in an unrolled dual graph.
+Nothing is shared with the package but the coefficients: SciPy's Dijkstra method finds the shortest way around in an
+unrolled dual graph.
 """
 
-import networkx
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
@@ -35,30 +34,8 @@ def shortest_ring(sideways, upward):
     return min(distance[gap, face(3 * columns, gap)] for gap in range(gaps))
 
 
-def largest_flow(sideways, upward):
-    """From the bottom to the top of the same lattice, each of them one node."""
-    columns, gaps = upward.shape
-    graph = networkx.DiGraph()
-
-    def node(column, height):
-        return "bottom" if height == 0 else "top" if height == gaps else (column % columns, height)
-
-    def join(low, high, weight):
-        for a, b in ((low, high), (high, low)):
-            before = graph.get_edge_data(a, b, {"capacity": 0.0})["capacity"]
-            graph.add_edge(a, b, capacity=before + weight)
-
-    for column in range(columns):
-        for height in range(gaps):
-            join(node(column, height), node(column, height + 1), upward[column, height])
-            if height:
-                join(node(column, height), node(column + 1, height), sideways[column, height])
-    return networkx.maximum_flow_value(graph, "bottom", "top")
-
-
 def differences(scene):
-    """Relative distances of the power and of the lower bound from either truth, in units of the power."""
+    """Relative distances of the power and of the lower bound from the truth."""
     best = tb.solve(scene, threads=1)
-    unit = scene.normal_force * scene.lattice.radius * scene.jump
-    truths = [unit * truth(*scene.coefficients) for truth in (shortest_ring, largest_flow)]
-    return [abs(said / truth - 1) for said in (best.power, best.lower_bound) for truth in truths]
+    truth = scene.normal_force * scene.lattice.radius * scene.jump * shortest_ring(*scene.coefficients)
+    return [abs(said / truth - 1) for said in (best.power, best.lower_bound)]

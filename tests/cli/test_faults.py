@@ -9,7 +9,6 @@ import time
 import pytest
 
 from taichi_bearings.runs.run_file import read_run_file
-from taichi_bearings.runs.settings import RunSettings, parse_toml
 from tests.cli.commands import bearings
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals, mounts and names of POSIX")
@@ -151,12 +150,3 @@ def test_a_scene_file_and_a_folder_with_any_name_are_written_down(tmp_path):
     done = bearings("run", scene.name, "--out", "a", cwd=folder)
     assert done.returncode == 0, done.stderr
     assert r"caf\udce9.toml" in read_run_file(folder / "a").attribute("command")
-
-
-def test_control_characters_come_back_from_a_run(tmp_path):
-    done = bearings("run", *SHORT, "--distribution", "uniform:0.1,1.0\n", "--out", "a\n1", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    again = bearings("run", "a\n1", "--out", "b", cwd=tmp_path)
-    assert again.returncode == 0, again.stderr
-    settings = RunSettings(distribution="".join(map(chr, range(1, 160))) + '"\\é€')
-    assert parse_toml(settings.to_toml())["distribution"] == settings.distribution

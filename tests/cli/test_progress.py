@@ -47,16 +47,15 @@ def test_stages_in_parts_foretell_their_end_from_the_parts_that_are_done():
     assert seen[6] == "sample 7 of 12, 0 s left · solving"
 
 
-@pytest.mark.parametrize("columns", [60, 140])
-def test_the_line_of_a_scan_fits_its_terminal(tmp_path, columns):
+def test_the_line_of_a_scan_fits_its_terminal(tmp_path):
     file = tmp_path / "scan.toml"
     file.write_text(
         'shape = [10, 10, 10]\nlaw = "coulomb"\n[scan]\nseed = { start = 0, stop = 12 }\nspin_bottom = [0.1, 0.25]\n'
         'distribution = ["uniform:0.1,1.0", "lognormal:0.4,1.0"]\ndirection = [[1, 1, 0], [1, 0, 0]]\n'
     )
-    session = on_terminal("scan", file, "--out", tmp_path / "s", "--workers", "1", columns=columns, stop="now")
+    session = on_terminal("scan", file, "--out", tmp_path / "s", "--workers", "1", columns=60, stop="now")
     assert session.returncode == 130
     lines = [line for _, line in session.frames if "samples" in line]
     assert lines
-    assert all(len(line) <= columns for line in lines)
-    assert any(line.endswith("…") for line in lines) == (columns < 140)
+    assert all(len(line) <= 60 for line in lines)
+    assert any(line.endswith("…") for line in lines)

@@ -16,7 +16,7 @@ from tests.cli.commands import bearings
 
 DRAWN = ("--shape", "3,3,4", "--method", "cundall-strack", "--initial", "random", "--threads", "1")
 SCENE = (*DRAWN, "--figures", "none")
-COURSE = ("--duration", "20", "--record", "linear:0,20,31", "--snapshots", "0,1,20", "--checkpoint-every", "0.001")
+COURSE = ("--duration", "20", "--record", "linear:0,20,31", "--snapshots", "0,1,20", "--checkpoint-every", "0.02")
 
 
 def arrays_of(run):
@@ -46,7 +46,7 @@ def packing_scene(folder, *method):
     del arrays["friction"]
     np.savez(folder / "bcc.npz", **arrays)
     words = ("--packing", folder / "bcc.npz", "--replicas", "2", "--initial", "random", "--threads", "1", *method)
-    return *words, "--record", "linear:0,0.3,31", "--snapshots", "0,0.1,0.3", "--checkpoint-every", "0.001"
+    return *words, "--record", "linear:0,0.3,31", "--snapshots", "0,0.1,0.3", "--checkpoint-every", "0.02"
 
 
 @pytest.mark.usefixtures("needs_f64")
@@ -179,7 +179,7 @@ def test_a_full_disk_costs_the_file_and_not_the_run(tmp_path, tmp_path_factory):
     def small_files():
         resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, 40_000))
 
-    words = (*SCENE, "--duration", "1", "--checkpoint-every", "0.001", "--snapshots", "linear:0,1,200")
+    words = (*SCENE, "--duration", "1", "--checkpoint-every", "0.005", "--snapshots", "linear:0,1,200")
     done = bearings("run", *words, "--out", tmp_path / "run", preexec_fn=small_files, env=elsewhere)
     assert done.returncode == 2
     assert "the run goes on" in done.stderr

@@ -4,7 +4,6 @@ import os
 import shutil
 import subprocess
 import sys
-import textwrap
 
 import h5py
 import pytest
@@ -12,7 +11,6 @@ import pytest
 import taichi_bearings as tb
 from taichi_bearings import checksums
 from taichi_bearings.errors import FileError
-from taichi_bearings.files.scan_file import read_scan
 from taichi_bearings.runs.run_file import read_run_file
 from tests.cli.commands import bearings
 
@@ -59,20 +57,6 @@ def test_a_file_of_another_layout_is_refused_by_its_number(stored, tmp_path):
     with pytest.raises(FileError, match=f"layout version {version}"):
         tb.load(run)
     assert [file.name for file in tmp_path.iterdir()] == ["run"]
-
-
-def test_a_scan_whose_table_is_of_a_newer_layout_is_made_anew_from_its_journal(tmp_path):
-    (tmp_path / "scan.toml").write_text("shape = [4, 5]\n[scan]\nseed = [1, 2]\n")
-    scan = tmp_path / "scan"
-    assert bearings("scan", tmp_path / "scan.toml", "--workers", "1", "--out", scan).returncode == 0
-    power = read_scan(scan).table["power"]
-    with h5py.File(scan / "scan.h5", "a") as file:
-        file.attrs["schema_version"] = 2
-        checksums.seal(file)
-    with pytest.raises(FileError, match="layout version 2"):
-        read_scan(scan)
-    assert bearings("scan", scan).returncode == 0
-    assert (read_scan(scan).table["power"] == power).all()
 
 
 def limited(bytes_of_memory):
@@ -126,28 +110,3 @@ def test_a_reader_that_goes_away_is_no_fault(tmp_path):
     os.close(theirs)
     assert (done.returncode, done.stderr) == (0, b"")
     assert read_run_file(tmp_path / "a").solution.power > 0
-
-
-IN_A_WORLD_OF_ITS_OWN = """
-mount -t tmpfs -o size=64k none /dev/shm && mount -o remount,ro /dev/shm || exit 77
-mount --bind {folder}/read-only {folder}/read-only && mount -o remount,bind,ro {folder}/read-only || exit 77
-cd {folder}
-for words in "run --shape 4,5 --figures none --out read-only/b" "analyse read-only/a --no-figures" \\
-        "scan scan.toml --workers 1 --out read-only/s" "run --resume read-only/a"; do
-    {program} $words > out 2> err; echo "$? $(wc -l < err) $(grep -c 'Read-only file system' err)"
-done
-{program} scan scan.toml --workers 2 --out scan > out 2> err; echo "$? $(wc -l < err)"
-"""
-
-
-@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root can mount")
-def test_read_only_folders_and_no_shared_memory(tmp_path, stored):
-    shutil.copytree(stored, tmp_path / "read-only" / "a")
-    (tmp_path / "scan.toml").write_text("shape = [4, 5]\n[scan]\nseed = [1, 2]\n")
-    text = IN_A_WORLD_OF_ITS_OWN.format(folder=tmp_path, program=" ".join(PROGRAM))
-    done = subprocess.run(["unshare", "-m", "sh", "-c", textwrap.dedent(text)], capture_output=True, text=True)
-    if done.returncode == 77:
-        pytest.skip("this system lets not even root mount a file system")
-    *refused, scan = done.stdout.splitlines()
-    assert refused == ["2 1 1"] * 4, done.stdout
-    assert scan == "0 0"

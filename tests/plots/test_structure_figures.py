@@ -7,21 +7,18 @@ import pytest
 from matplotlib import colormaps
 from matplotlib.collections import LineCollection, PatchCollection
 from matplotlib.colors import to_rgba
-from taichi_bearings_studies.plots.plane_cuts import draw_plane_cuts, path_in_plane
+from taichi_bearings_studies.plots.plane_cuts import draw_plane_cuts
 
 from taichi_bearings.analysis.domains import rigid_domains
 from taichi_bearings.analysis.network import SliplessNetwork
 from taichi_bearings.plots.domains import draw_domains
 from taichi_bearings.plots.lattice import (
     SPIN_COLOURS,
-    broken,
     ends_of,
-    on_both_sides,
     up_to_the_sides,
 )
 from taichi_bearings.plots.network import REACHED_COLOURS, contact_colours, draw_network
 from taichi_bearings.plots.page import VIEW
-from taichi_bearings.plots.spins import draw_spins
 from taichi_bearings.plots.style import GREY
 from tests.scenes import make_scene
 
@@ -152,11 +149,6 @@ def test_without_a_path_the_figures_say_so_and_the_pieces_have_colours():
     assert np.allclose(contact_colours(spanning), to_rgba(GREY))
 
 
-def drawn_length(lines):
-    """Of lines (n, points, 2), without what not-a-number breaks."""
-    return np.nansum(np.linalg.norm(np.diff(lines, axis=-2), axis=-1))
-
-
 @pytest.mark.parametrize(("shape", "sides"), [((4, 6), ("x",)), ((2, 7), ("x",)), ((4, 3, 6), ("x",))], ids=str)
 def test_contacts_across_periodic_sides_are_drawn_half_at_one_side_and_half_at_the_other(shape, sides):
     case = Case(shape, levels=(0.0, 1.0), seed=5, periodic=sides)
@@ -174,35 +166,3 @@ def test_contacts_across_periodic_sides_are_drawn_half_at_one_side_and_half_at_t
     assert np.abs(lines[:, 1] - lines[:, 0]).sum() == len(low)
     assert (lines >= -0.5).all()
     assert (lines <= np.array(shape) - 0.5).all()
-
-
-def test_figures_of_discs_draw_across_periodic_sides_what_they_draw_elsewhere():
-    case = Case((6, 7), levels=(0.0, 0.5, 1.0), seed=3, periodic=("x",))
-    sliding = case.slips[0][-1]  # the contacts from the last disc to the first
-    assert sliding[1:-1].any()
-    assert not sliding[1:-1].all()
-    state = [np.where(slips, 1, 0) for slips in case.slips]
-    (walls,) = collections(draw_spins(case.scene, case.spin, state).axes[0], LineCollection)
-    (bounds,) = collections(draw_domains(case.domains).axes[0], LineCollection, "black")
-    upright = [[[x, y - 0.5], [x, y + 0.5]] for y in np.flatnonzero(sliding) for x in (-0.5, 5.5)]
-    for lines in (walls, bounds):
-        found = [sorted(line) for line in np.array(lines.get_segments()).tolist() if line[0][0] == line[1][0]]
-        assert all(line in found for line in upright)
-        assert sum(line[0][0] in (-0.5, 5.5) for line in found) == len(upright)
-    assert len(walls.get_segments()) == sum(int(values.sum()) for values in case.slips) + int(sliding.sum())
-
-
-def test_a_path_over_periodic_sides_is_broken_there_and_as_long_as_it_is():
-    """Over the sides of x and back, and of a ring of two spheres along y by both its contacts."""
-    path = np.array([[3, 0, 0], [3, 0, 1], [0, 0, 1], [0, 1, 1], [0, 1, 2], [0, 0, 2], [3, 0, 2], [3, 0, 3]])
-    steps = np.array([[0, 0, 1], [1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 1, 0], [-1, 0, 0], [0, 0, 1]])
-    line = broken(path, steps)
-    assert drawn_length(line) == len(steps)
-    assert line[1:6].tolist()[:2] == [[3, 0, 1], [3.5, 0, 1]]
-    assert np.isnan(line[3]).all()
-    assert line[4:6].tolist() == [[-0.5, 0, 1], [0, 0, 1]]
-    assert np.isnan(line).all(axis=1).sum() == 3
-    joined, leaves = path_in_plane(path, steps, 1, 0)
-    assert joined.tolist() == [[[3, 0], [3, 1]], [[3, 1], [4, 1]], [[0, 2], [-1, 2]], [[3, 2], [3, 3]]]
-    assert leaves.tolist() == [[0, 1, -1], [0, 2, 1]]  # up along y, away from the reader; and down to where it came
-    assert drawn_length(up_to_the_sides(on_both_sides(joined, (4, 4))[0], (4, 4))) == 4

@@ -20,7 +20,7 @@ from taichi_bearings.scans import engine as scan_engine
 from taichi_bearings.scans.engine import LocalEngine, run_samples
 from taichi_bearings.scans.estimate import unused_keys
 from taichi_bearings.scans.plan import read_plan
-from taichi_bearings.scans.sample import failure, solve_samples
+from taichi_bearings.scans.sample import failure
 from taichi_bearings.scans.scan import estimate, scan
 from tests.scans import scan_faults
 from tests.scans.scan_faults import Here, asking
@@ -296,17 +296,3 @@ def test_a_scan_runs_in_a_thread_too(plan_of, tmp_path):
     thread.start()
     thread.join()
     assert reports[0]["reached"] == 1
-
-
-def test_a_sample_is_the_same_beside_others_and_alone(plan_of):
-    """Solved side by side: every number but the time, to the last bit."""
-    plan = plan_of("shape = [9, 9, 9]\n[scan]\nseed = { start = 0, stop = 11 }\n")
-    together = solve_samples(plan.samples, analyse=True)
-    assert {record["scalars"]["status"] for record in together} == {"certified"}
-    assert len({record["scalars"]["iterations"] for record in together}) > 1
-    for sample, record in zip(plan.samples, together, strict=True):
-        (alone,) = solve_samples([sample], analyse=True)
-        for found in (record, alone):
-            for name in ("seconds", "seconds_compile"):
-                found["scalars"].pop(name)
-        assert record == alone

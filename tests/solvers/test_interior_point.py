@@ -8,7 +8,7 @@ from taichi_bearings.runs.run import prepare, solve_job
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene import Scene, Status
 from taichi_bearings.scene.initial_spins import initial_spin
-from taichi_bearings.solvers import GradientDescent, InteriorPoint, LinearSolver
+from taichi_bearings.solvers import InteriorPoint, LinearSolver
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
 from tests.scenes import make_scene, minima, name_of, scene_of
@@ -72,23 +72,6 @@ def test_every_start_leads_to_the_same_minimum(start):
     assert (one.state == other.state).all()
 
 
-def test_replicas_give_what_they_give_alone():
-    together = minimum_of(make_scene((4, 5, 6), seeds=(3, 4, 5)))
-    for number, seed in enumerate((3, 4, 5)):
-        alone = minimum_of(make_scene((4, 5, 6), seeds=(seed,)))
-        assert alone.power[0] == together.power[number]
-        assert (alone.spin[0] == together.spin[number]).all()
-
-
-def test_it_agrees_with_gradient_descent():
-    scene = make_scene((6, 5, 7), spin_bottom=0.2)
-    descent = solve(scene, GradientDescent().build(), initial_spin(scene, "linear"), StopRule(1e-6))
-    solution = minimum_of(scene)
-    assert solution.lower_bound[0] <= descent.power[0]
-    assert descent.lower_bound[0] <= solution.power[0]
-    assert descent.power[0] == pytest.approx(solution.power[0], rel=1e-6)
-
-
 def test_reported_forces_hold_the_spheres_and_prove_the_bound():
     scene = make_scene((6, 6, 6))
     method = InteriorPoint().build()
@@ -115,13 +98,6 @@ def test_without_settling_it_stops_at_the_tolerance():
     assert quick.status is Status.CERTIFIED
     assert 1e-8 < quick.gap[0] < 1e-4
     assert quick.iterations < minimum_of(scene, 1e-4).iterations
-
-
-def test_nothing_to_do_without_frustration():
-    scene = make_scene((4, 4, 5), spin_bottom=1.0)
-    solution = minimum_of(scene, start="random")
-    assert solution.status is Status.CERTIFIED
-    assert solution.power[0] < 1e-25
 
 
 @pytest.mark.parametrize("shape", [(10, 10), (5, 4, 6)], ids=str)
