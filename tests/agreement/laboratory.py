@@ -7,13 +7,12 @@ periodic sides, with ties and contrasts; `falsehoods` compares bounds, power and
 
 from dataclasses import dataclass
 
-import clarabel
 import numpy as np
-from scipy import sparse
 
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.law import LAWS
+from tests.clarabel_twin import least
 from tests.kernels.twins import is_driven, neighbours
 
 TOLERANCE, SHARPER = 1e-11, 1e-13  # of Clarabel
@@ -74,36 +73,13 @@ def laboratory_minimum(scene, tolerance=TOLERANCE):
                     matrix[:, column[site, k]] += turned
         slips.append(matrix)
         known.append(fixed)
-    number, holds = len(contacts), scene.law.holds
+    holds = scene.law.holds
     friction = [scene.normal_force * scene.coefficients[axis][site] if holds else 0.0 for site, axis in contacts]
     viscous = scene.viscosity or (() if holds else scene.coefficients)
     eta = np.array([viscous[axis][site] if viscous else 0.0 for site, axis in contacts])
-    # unknowns: spins, a bound of each slip, and each slip itself, for the quadratic part
-    unknowns = spins + number + 3 * number
-    quadratic = sparse.diags_array(np.concatenate([np.zeros(spins + number), np.repeat(eta, 3)])).tocsc()
-    cost = np.concatenate([np.zeros(spins), friction, np.zeros(3 * number)])
-    whole, right = sparse.csc_matrix(np.vstack(slips)), np.concatenate(known)
-    equal = sparse.hstack([-whole, sparse.csc_matrix((3 * number, number)), sparse.eye_array(3 * number)])
-    rows, bounds = [], []
-    for contact in range(number):
-        cone = sparse.lil_matrix((4, unknowns))
-        cone[0, spins + contact] = -1.0
-        for part in range(3):
-            cone[1 + part, spins + number + 3 * contact + part] = -1.0
-        rows.append(cone.tocsc())
-        bounds.append(np.zeros(4))
-    settings = clarabel.DefaultSettings()
-    settings.verbose, settings.max_threads = False, 1
-    settings.tol_gap_rel = settings.tol_gap_abs = settings.tol_feas = tolerance
-    found = clarabel.DefaultSolver(
-        sparse.csc_matrix(quadratic), cost, sparse.csc_matrix(sparse.vstack([equal, *rows])),
-        np.concatenate([right, *bounds]),
-        [clarabel.ZeroConeT(3 * number)] + [clarabel.SecondOrderConeT(4)] * number, settings,
-    ).solve()  # fmt: skip
-    values = np.linalg.norm(np.array(found.x)[spins + number :].reshape(number, 3), axis=1)
-    return Minimum(
-        found.obj_val, dict(zip(contacts, values, strict=True)), str(found.status) in ("Solved", "AlmostSolved")
-    )
+    found = least(np.vstack(slips), np.array(known), np.array(friction), eta, tolerance)
+    slip = dict(zip(contacts, found.slip, strict=True))
+    return Minimum(found.objective, slip, found.status in ("Solved", "AlmostSolved"))
 
 
 def draw_scene(seed, number):

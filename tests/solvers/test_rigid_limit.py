@@ -2,10 +2,8 @@
 
 from dataclasses import replace
 
-import clarabel
 import numpy as np
 import pytest
-from scipy import sparse
 from scipy.linalg import expm
 
 from taichi_bearings.lattice.grid import tangential
@@ -17,6 +15,7 @@ from taichi_bearings.solvers import InteriorPoint, PlanarCut, RigidLimit
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
 from tests.agreement.test_independent_solvers import incidence
+from tests.clarabel_twin import least
 from tests.scenes import make_scene
 
 pytestmark = pytest.mark.usefixtures("needs_f64")
@@ -85,30 +84,16 @@ def conic_step(scene, axes, before, weight):
     free = ~scene.lattice.is_driven.ravel()
     sites, contacts = int(free.sum()), len(where)
     flat = before.reshape(len(axes), -1)
-    rows, offsets, cones = [], [], []
-    cost = np.zeros(len(axes) * sites + contacts)
-    for number, (axis, site) in enumerate(where):
-        cost[len(axes) * sites + number] = scene.coefficients[axis][0][site]
-        bound = sparse.csr_matrix(([-1.0], ([0], [len(axes) * sites + number])), shape=(1, len(cost)))
-        rows.append(bound)
-        offsets.append(0.0)
+    slips, fixed = np.zeros((contacts, len(axes), len(axes) * sites)), np.zeros((contacts, len(axes)))
+    for number, (axis, _) in enumerate(where):
         for slot in tangential(axis, axes):
-            row = sparse.lil_matrix((1, len(cost)))
-            row[0, slot * sites : (slot + 1) * sites] = -matrix[number][:, free].toarray()
-            rows.append(row.tocsr())
-            offsets.append((matrix[number][:, ~free] @ flat[slot, ~free])[0])
-        cones.append(clarabel.SecondOrderConeT(1 + len(tangential(axis, axes))))
+            slips[number, slot, slot * sites : (slot + 1) * sites] = matrix[number][:, free].toarray()
+            fixed[number, slot] = (matrix[number][:, ~free] @ flat[slot, ~free])[0]
+    friction = np.array([scene.coefficients[axis][0][site] for axis, site in where])
     own = flat[:, free].ravel()
-    cost[: len(own)] = -weight * own
-    quadratic = sparse.diags(np.concatenate([np.full(len(own), weight), np.zeros(contacts)]), format="csc")
-    settings = clarabel.DefaultSettings()
-    settings.verbose = False
-    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-12
-    answer = clarabel.DefaultSolver(
-        quadratic, cost, sparse.vstack(rows, format="csc"), np.array(offsets), cones, settings
-    ).solve()
+    found = least(slips.reshape(-1, len(own)), fixed, friction, np.zeros(contacts), 1e-12, weight, own)
     after = flat.copy()
-    after[:, free] = np.array(answer.x)[: len(own)].reshape(len(axes), -1)
+    after[:, free] = found.spins.reshape(len(axes), -1)
     return after.reshape(before.shape)
 
 
