@@ -254,12 +254,6 @@ def test_a_thread_that_is_not_the_main_one_solves(precision):
     assert found[0].reached
 
 
-def test_another_precision_in_the_same_process_is_refused_with_what_to_do(precision):
-    other = {"f64": "f32", "f32": "f64"}[precision]
-    with pytest.raises(tb.DeviceError, match=r"by taichi_bearings\.solve_many"):
-        tb.solve(tb.Scene.random((3, 4)), "gradient-descent", precision=other)
-
-
 def test_scenes_and_answers_are_pickled(solved):
     again = pickle.loads(pickle.dumps(solved))
     assert same(again.power, solved.power)

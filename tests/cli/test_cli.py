@@ -96,17 +96,8 @@ def test_a_run_can_be_run_again_from_what_it_stored(finished_run, tmp_path):
 
 def test_coefficients_and_spins_from_a_file_travel_with_the_run(finished_run, tmp_path):
     folder, summary = finished_run
-    first = bearings(
-        "run",
-        *SMALL,
-        "--coefficients",
-        folder / "run.h5",
-        "--initial",
-        folder / "run.h5",
-        "--out",
-        tmp_path / "a",
-        "--json",
-    )
+    files = ("--coefficients", folder / "run.h5", "--initial", folder / "run.h5")
+    first = bearings("run", *SMALL, *files, "--out", tmp_path / "a", "--json")
     assert first.returncode == 0, first.stderr
     os.rename(tmp_path / "a", tmp_path / "moved")
     second = bearings("run", tmp_path / "moved", "--out", tmp_path / "b", "--json")
@@ -118,28 +109,15 @@ def test_coefficients_and_spins_from_a_file_travel_with_the_run(finished_run, tm
 def test_options_win_over_the_file_and_both_mean_the_same(tmp_path):
     (tmp_path / "scene.toml").write_text('shape = [4, 5]\nlaw = "viscous"\nseed = 9\ntolerance = 1e-6\n')
     done = bearings("run", tmp_path / "scene.toml", "--seed", 5, "--out", tmp_path / "a", "--json")
-    other = bearings(
-        "run",
-        "--shape",
-        "4x5",
-        "--law",
-        "viscous",
-        "--seed",
-        5,
-        "--tolerance",
-        "1e-6",
-        "--out",
-        tmp_path / "b",
-        "--json",
-    )
+    words = ["--shape", "4x5", "--law", "viscous", "--seed", "5", "--tolerance", "1e-6"]
+    other = bearings("run", *words, "--out", tmp_path / "b", "--json")
     assert json.loads(done.stdout)["power"] == json.loads(other.stdout)["power"]
     assert json.loads(done.stdout)["seed"] == 5
 
 
 def test_replicas_give_lists_and_a_replica_axis(tmp_path):
-    done = bearings(
-        "run", "--shape", "4,5", "--replicas", 3, "--seed", 2, "--tolerance", "1e-3", "--out", tmp_path / "r", "--json"
-    )
+    words = ["--shape", "4,5", "--replicas", "3", "--seed", "2", "--tolerance", "1e-3"]
+    done = bearings("run", *words, "--out", tmp_path / "r", "--json")
     summary = json.loads(done.stdout)
     assert summary["seed"] == [2, 3, 4]
     assert len(summary["power"]) == 3

@@ -57,7 +57,7 @@ def test_a_run_says_what_is_promised_and_holds_the_arrays(folder):
 def test_coefficients_are_drawn_as_promised(folder):
     found = tb.load(folder / "bare").packing
     assert np.array_equal(found.friction, np.random.default_rng(5).uniform(0.1, 1.0, found.contacts))
-    words = (
+    words = [
         "--law",
         "coulomb-viscous",
         "--viscosity",
@@ -66,7 +66,7 @@ def test_coefficients_are_drawn_as_promised(folder):
         "0.5",
         "--distribution",
         "constant:1",
-    )
+    ]
     done = bearings("run", "--packing", "bare.npz", *words, "--seed", "7", "--out", "viscous", cwd=folder)
     assert done.returncode == 0, done.stderr
     found = tb.load(folder / "viscous").packing
@@ -134,9 +134,8 @@ def test_paraview_gets_every_sphere_and_contact_and_images_over_periodic_sides(f
         assert np.array_equal(file["VTKHDF/CellData/slip"], tb.load(folder / "bare").slip)
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_its_structure_is_that_of_the_same_lattice(seed, tmp_path):
-    scene = tb.Scene.random((6, 6, 6), seed=seed, spin_bottom=0.2)
+def test_its_structure_is_that_of_the_same_lattice(tmp_path):
+    scene = tb.Scene.random((6, 6, 6), seed=1, spin_bottom=0.2)
     expected = tb.analyse(tb.solve(scene, threads=1)).report
     friction = np.concatenate([values.ravel() for values in scene.coefficients])
     found = tb.solve(tb.Packing.lattice("cubic", (6, 6, 6), friction=friction, spin_bottom=0.2))

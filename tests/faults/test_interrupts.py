@@ -15,7 +15,7 @@ from taichi_bearings.numerics.cholesky.factor import DenseFactor
 from taichi_bearings.runs import run as runs
 from taichi_bearings.runs.run_file import read_run_file
 from taichi_bearings.runs.settings import RunSettings
-from taichi_bearings.scene import Scene, Status
+from taichi_bearings.scene import Scene
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import drive
 from taichi_bearings.solvers.drive import Checkpoints, solve
@@ -125,15 +125,6 @@ def test_dynamics_given_up_amid_a_step_go_on_to_the_same_bits(monkeypatch, optio
     assert np.array_equal(found.spin, undisturbed.spin)
     for name in set(undisturbed.history) - {"seconds"}:
         assert np.array_equal(found.history[name], undisturbed.history[name], equal_nan=True), name
-
-
-def test_an_interrupt_while_figures_are_drawn_keeps_the_run(tmp_path, monkeypatch):
-    monkeypatch.setattr(runs, "_draw", lambda *_: (strike(), for_ever()))
-    found = runs.run(RunSettings(shape=(4, 5)), tmp_path / "a")
-    assert found.solution.interrupted
-    assert found.status == [Status.CERTIFIED]
-    assert read_run_file(tmp_path / "a").solution.power == found.solution.power
-    assert sorted(file.name for file in tmp_path.iterdir()) == ["a"]
 
 
 def test_an_interrupt_while_files_are_written_waits_for_them_and_spares_the_figures(tmp_path, monkeypatch):

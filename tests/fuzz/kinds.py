@@ -42,13 +42,8 @@ def options(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
         words += [f"--{key.replace('_', '-')}", draw.choice(WORDS)]
     if draw.random() < 0.2:
         scan = draw.choice([corpus.scan, corpus.folder / "scan.toml"])
-        words = [
-            "scan",
-            str(scan),
-            "--dry-run",
-            "--set",
-            f"{draw.choice(['', 'scan.'])}{draw.choice(KEYS)}={draw.choice(WORDS)}",
-        ]
+        setting = f"{draw.choice(['', 'scan.'])}{draw.choice(KEYS)}={draw.choice(WORDS)}"
+        words = ["scan", str(scan), "--dry-run", "--set", setting]
         words += [draw.choice(["--part", "--sample-timeout", "--workers", "--out"]), draw.choice(WORDS)]
     with unsolved():
         return answer_to(*words)
@@ -57,60 +52,30 @@ def options(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
 def other_options(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
     """Of the commands that read, with values that they may not have."""
     run = str(draw.choice([*corpus.runs, corpus.scan, corpus.folder, folder / "nowhere"]))
-    words = draw.choice(
-        [
-            ["verify", run],
-            ["histogram", run, "--by", draw.choice(WORDS)],
-            ["plot", draw.choice([*FIGURES, "x"]), run, "--replica", draw.choice(WORDS)],
-            [
-                "plot",
-                "scan",
-                str(corpus.scan),
-                "--y",
-                draw.choice(["power", "power/gap", "x", "/", "status"]),
-                "--x",
-                draw.choice(["seed", "spin_bottom", "L", "law"]),
-            ],
-            ["analyse", run, "--threshold", draw.choice(WORDS)],
-            ["plot", "spins", run, "--time", draw.choice(WORDS)],
-        ]
-    )
-    given = {
-        "histogram": ["--bins-per-decade", "--normalise"],
-        "plot": ["--by", "--where", "--log"],
-    }
+    y, x = draw.choice(["power", "power/gap", "x", "/", "status"]), draw.choice(["seed", "spin_bottom", "L", "law"])
+    kinds = [
+        ["verify", run],
+        ["histogram", run, "--by", draw.choice(WORDS)],
+        ["plot", draw.choice([*FIGURES, "x"]), run, "--replica", draw.choice(WORDS)],
+        ["plot", "scan", str(corpus.scan), "--y", y, "--x", x],
+        ["analyse", run, "--threshold", draw.choice(WORDS)],
+        ["plot", "spins", run, "--time", draw.choice(WORDS)],
+    ]
+    words = draw.choice(kinds)
+    given = {"histogram": ["--bins-per-decade", "--normalise"], "plot": ["--by", "--where", "--log"]}
     if words[0] in given and draw.random() < 0.7:
         words += [
             draw.choice(given[words[0]]),
             draw.choice([*WORDS, "unit", "mean", "seed=1", "power=nan", "1,2", "xy"]),
         ]
-    return answer_to(
-        *words,
-        *(
-            ["--out", folder / "out.png"]
-            if words[0] == "plot"
-            else ["--out", folder / "out"]
-            if words[0] != "verify"
-            else []
-        ),
-    )
+    where = {"verify": [], "plot": ["--out", folder / "out.png"]}.get(words[0], ["--out", folder / "out"])
+    return answer_to(*words, *where)
 
 
 def tiny_runs(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
     """True runs with random options."""
-    words = [
-        "run",
-        "--shape",
-        draw.choice(["2,3", "3,4", "2,2,3"]),
-        "--figures",
-        "none",
-        "--threads",
-        "1",
-        "--time-limit",
-        "1",
-        "--iterations",
-        "200",
-    ]
+    words = ["run", "--shape", draw.choice(["2,3", "3,4", "2,2,3"])]
+    words += ["--figures", "none", "--threads", "1", "--time-limit", "1", "--iterations", "200"]
     for key in draw.sample(KEYS[1:-7], 2):
         if key not in ("replicas", "threads", "time_limit", "arch", "precision", "iterations", "figures", "duration"):
             words += [f"--{key.replace('_', '-')}", draw.choice(WORDS)]
@@ -146,16 +111,8 @@ def arrays(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
 def _as_arrays(file: Path, folder: Path, draw: random.Random) -> Answer:
     law = draw.choice([[], ["--law", "coulomb-viscous"]])
     with unsolved():
-        return answer_to(
-            "run",
-            "--shape",
-            draw.choice(["4,5", "3,3,4"]),
-            draw.choice(["--coefficients", "--initial"]),
-            file,
-            *law,
-            "--out",
-            folder / "out",
-        )
+        words = ["run", "--shape", draw.choice(["4,5", "3,3,4"]), draw.choice(["--coefficients", "--initial"]), file]
+        return answer_to(*words, *law, "--out", folder / "out")
 
 
 def stored_runs(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
@@ -211,29 +168,12 @@ def _as_scan(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
     if draw.random() < 0.2:
         for name in ("samples.jsonl", "scan.toml"):
             shutil.copyfile(corpus.scan / name, folder / name)
-    drawn = (
-        mock.patch("taichi_bearings.scans.figure.save"),
-        mock.patch("taichi_bearings.plots.style.save"),
-    )
-    with drawn[0], drawn[1]:
+    with mock.patch("taichi_bearings.scans.figure.save"), mock.patch("taichi_bearings.plots.style.save"):
         if draw.random() < 0.5:
-            return answer_to(
-                "histogram",
-                folder,
-                "--out",
-                folder / "out",
-                *draw.choice([[], ["--by", "seed"], ["--normalise", "mean"]]),
-            )
-        return answer_to(
-            "plot",
-            "scan",
-            folder,
-            "--y",
-            draw.choice(["power", "gap", "power/slipping"]),
-            "--x",
-            draw.choice(["seed", "spin_bottom", "L"]),
-            *draw.choice([[], ["--by", "spin_bottom"]]),
-        )
+            how = draw.choice([[], ["--by", "seed"], ["--normalise", "mean"]])
+            return answer_to("histogram", folder, "--out", folder / "out", *how)
+        y, x = draw.choice(["power", "gap", "power/slipping"]), draw.choice(["seed", "spin_bottom", "L"])
+        return answer_to("plot", "scan", folder, "--y", y, "--x", x, *draw.choice([[], ["--by", "spin_bottom"]]))
 
 
 def kept_states(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:

@@ -130,13 +130,3 @@ def test_the_command_lists_them_for_people_and_programs(outputs, tmp_path):
     assert (refused.returncode, len(refused.stderr.splitlines())) == (2, 1)
     with pytest.raises(InputError):
         entries(outputs / "notes.txt")
-
-
-def test_what_strangers_write_does_nothing_to_a_terminal(outputs, tmp_path):
-    shutil.copytree(outputs / "one", tmp_path / "a\n\x1b[2J")
-    shutil.copytree(outputs / "scan", tmp_path / "scan")
-    (tmp_path / "scan" / "scan.toml").write_text('law = 2020-01-01\nmethod = [[1]]\nshape = "\\u001b[2J"\n')
-    told = bearings("list", tmp_path)
-    assert (told.returncode, len(told.stdout.splitlines())) == (0, 2)
-    assert "\x1b" not in told.stdout
-    assert len(json.loads(bearings("list", tmp_path, "--json").stdout)["entries"]) == 2

@@ -108,17 +108,11 @@ def test_structure_and_states_are_kept_on_demand(plan_of, tmp_path, caplog):
     report = scan(asking(plan, analyse=True, keep_states=True), tmp_path / "scan", engine=Here(True, states))
     assert report["solved_now"] == 3
     stored = read_scan(tmp_path / "scan")
+    names = ("power_minimum_cut", "spans", "domains", "slipless_fraction", "reached_fraction", "disjoint_paths")
     for row, sample in enumerate(plan.samples):
         state = read_run_file(tmp_path / "scan" / "states" / f"{sample.key}.h5")
         numbers = numbers_of(structure_of(state.solution))
-        for name in (
-            "power_minimum_cut",
-            "spans",
-            "domains",
-            "slipless_fraction",
-            "reached_fraction",
-            "disjoint_paths",
-        ):
+        for name in names:
             assert stored.table[name][row] == numbers[name], name
     assert scan(asking(plan, analyse=True, keep_states=True), tmp_path / "scan")["solved_now"] == 0
     damaged = tmp_path / "scan" / "states" / f"{plan.samples[1].key}.h5"
