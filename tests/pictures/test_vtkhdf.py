@@ -4,7 +4,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pytest
 
@@ -97,19 +96,6 @@ def test_vtk_reads_the_snapshots_as_time_steps_and_the_answer_as_the_last(dynami
     assert time == rows.time
     same(spheres, rows.spheres)
     same(contacts, rows.contacts)
-
-
-def test_arrays_say_their_units_and_those_that_stay_are_written_once(dynamics, tmp_path):
-    export(dynamics, tmp_path / "a.vtkhdf")
-    with h5py.File(tmp_path / "a.vtkhdf") as file:
-        root = file["VTKHDF"]
-        assert root.attrs["Type"] == b"PolyData"
-        assert root["CellData/slip"].attrs["units"] == "length/time"
-        assert len(root["CellData/slip"]) == 4 * len(root["CellData/coefficient"])
-        assert root["Steps/CellDataOffsets/coefficient"][()].tolist() == [0] * 4
-        assert root.attrs["method"] == "cundall-strack"
-        slip, state = (root[f"CellData/{name}"][: len(root["CellData/axis"])] for name in ("slip", "state"))
-        assert ((slip > root.attrs["snapshot_threshold"]) == (state == 1))[state != 3].all()
 
 
 def test_a_picture_is_drawn_of_it_without_a_window(minimum, tmp_path):

@@ -1,7 +1,6 @@
 """Figures as a journal prints them: of the size that was asked for, nothing clipped, letters legible and letters."""
 
 import io
-import itertools
 import re
 from dataclasses import replace
 
@@ -12,7 +11,6 @@ from matplotlib.text import Text
 
 import taichi_bearings as tb
 from taichi_bearings.errors import InputError
-from taichi_bearings.plots.course import draw_energy
 from taichi_bearings.plots.page import Page, View, read_plane, read_view, read_width
 from taichi_bearings.plots.power import draw_power
 from taichi_bearings.plots.style import save
@@ -74,22 +72,6 @@ def test_letters_are_embedded_as_letters(solved, tmp_path):
     own = io.BytesIO()
     figure.savefig(own, format="pdf")  # from a notebook, outside of our files
     assert b"/Type3" not in own.getvalue()
-
-
-def test_negative_energy_is_seen_on_an_axis_whose_labels_have_room(solved):
-    axes = draw_energy(solved).axes[0]
-    (line,) = [line for line in axes.lines if line.get_label() == "dissipated"]
-    assert line.get_ydata()[0] == pytest.approx(-0.02 / (50 * 0.5))
-    axes.figure.draw_without_rendering()
-    low, high = axes.get_ylim()
-    assert low < line.get_ydata()[0] < 0 < line.get_ydata()[-1] < high
-    boxes = sorted((t.get_window_extent() for t in axes.get_yticklabels()), key=lambda box: box.y0)
-    assert len(boxes) > 4
-    assert all(a.y1 < b.y0 for a, b in itertools.pairwise(boxes))
-    places = axes.transData.transform([(1.0, tick) for tick in axes.get_yticks()])[:, 1]
-    assert np.diff(np.sort(places)).min() > 0
-    positive = replace(solved, history=solved.history | {"dissipated_energy": np.full((3, 1), 0.5)})
-    assert draw_energy(positive).axes[0].get_yscale() == "log"
 
 
 def test_the_planes_and_the_view_that_were_asked_for_are_shown(solved):
