@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
-import clarabel
 import numpy as np
+import pytest
 from scipy import sparse
 
 
@@ -22,15 +22,16 @@ class Least:
 def least(slips, fixed, held, viscosity, tolerance=1e-11, inertia=0.0, before=0.0):
     """Spins that minimise sum held |v| + viscosity |v|^2 / 2 with v = slips @ spins + fixed, (E, k), and
     inertia / 2 |spins - before|^2."""
+    clarabel = pytest.importorskip("clarabel")
     (contacts, k), unknowns = fixed.shape, slips.shape[1]
     slips, every, known = sparse.csc_matrix(slips), np.repeat(viscosity, k), fixed.ravel()
     bends = slips.T @ sparse.diags(every) @ slips + inertia * sparse.identity(unknowns)
     quadratic = sparse.block_diag([bends, sparse.csc_matrix((contacts, contacts))])
     linear = np.concatenate([slips.T @ (every * known) - inertia * np.broadcast_to(before, unknowns), held])
-    first, rest = np.arange(contacts) * (k + 1), np.flatnonzero(np.arange(contacts * (k + 1)) % (k + 1))
-    shape = contacts * (k + 1)
-    place = sparse.csc_matrix((np.ones(k * contacts), (rest, range(k * contacts))), (shape, k * contacts))
-    heights = sparse.csc_matrix((np.ones(contacts), (first, range(contacts))), (shape, contacts))
+    rows = contacts * (k + 1)  # a bound of |v| and v itself, contact by contact
+    first, rest = np.arange(contacts) * (k + 1), np.flatnonzero(np.arange(rows) % (k + 1))
+    place = sparse.csc_matrix((np.ones(k * contacts), (rest, range(k * contacts))), (rows, k * contacts))
+    heights = sparse.csc_matrix((np.ones(contacts), (first, range(contacts))), (rows, contacts))
     settings = clarabel.DefaultSettings()
     settings.verbose, settings.max_threads, settings.max_iter = False, 1, 300
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = tolerance
