@@ -36,8 +36,8 @@ SCAN = "[scan]\nshape = [[6, 6], [3, 3, 4]]\nseed = { start = 0, stop = 3 }\n"
 STEPS = {  # column of the table -> commands of `bearings`, each of which must end well and complain about nothing
     "run": ["run --shape 10,10 --out plane --json", "run --shape 6,6,7 --out block --json"],
     "resume": [
-        "run --shape 4,5 --method cundall-strack --duration 0.1 --checkpoint-every 60 --figures none --out course",
-        "run --resume course --duration 0.2",
+        "run --shape 4,5 --method cundall-strack --duration 0.2 --checkpoint-every 60 --figures none --out course",
+        "run --resume course --duration 0.3",
     ],
     "scan": ["scan scan.toml --out scan"],
     "packing": ["run --packing bcc.npz --out packing --json", "verify packing"],
