@@ -1,8 +1,5 @@
 """Kernels that are prepared once."""
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 
@@ -39,15 +36,3 @@ def test_two_of_a_kernel_keep_their_own_arguments():
     for start in starts:
         start()
     assert [vectors[:, -1].tolist() for vectors in found] == [[0.0, 1.0, 2.0], [1.0, 2.0, 0.0]]
-
-
-def test_what_another_compiler_made_is_started_as_ever_and_the_loss_of_speed_is_said_once():
-    """In a process of its own, as a user sees it."""
-    code = (
-        "from taichi_bearings.launch import prepared\nseen = []\n"
-        "for number in (1, 2):\n    prepared(lambda *arguments: seen.append(arguments), number)()\nprint(seen)"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout == "[(1,), (2,)]\n"
-    (line,) = done.stderr.splitlines()
-    assert "small samples can take many times as long" in line

@@ -1,9 +1,9 @@
 """Every Python and every package promised, tried: `make versions`, or `python -m tests.versions [3.10 ...]`.
 
 Each interpreter that pyproject.toml promises and this machine has gets a new environment with the newest packages, and
-the oldest one also an environment with each package exactly at its floor. Both come from pyproject.toml: there is no
-other list. Every environment does the whole of the program's work in small; the floors and the newest Python, between
-which the others lie, run the quick tests, too.
+the oldest one also an environment with each package exactly at its floor. Both come from pyproject.toml, with the
+compiler of each Python: there is no other list. Every environment does the main work in small: all modules, runs, a
+resume, a scan, a packing, proofs and a figure; the floors run the quick tests of the physics, too.
 """
 
 import glob
@@ -27,25 +27,30 @@ except ModuleNotFoundError:
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 TOOLS = {"pytest", "hypothesis", "networkx"}  # of `dev`, for the quick tests
-LONG = ("verifier/test_honest_runs.py", "verifier/test_verdict.py", "files/test_checksums.py")  # a minute between them
-FOLDERS = ("laws", "scene", "files", "proof", "conic", "lattice", "numerics", "analysis", "verifier")
-QUICK = ["-m", "pytest", "-q", "-m", "not slow", "-p", "no:cacheprovider", *(f"tests/{name}" for name in FOLDERS)]
+QUICK = [
+    "-m", "pytest", "-q", "-m", "not slow", "-p", "no:cacheprovider",
+    "-W", "ignore::DeprecationWarning",  # of packages that call each other by names that are going out of use
+    *(f"tests/{name}" for name in ("laws", "lattice", "scene", "proof")),
+]  # fmt: skip
 SCAN = "[scan]\nshape = [[6, 6], [3, 3, 4]]\nseed = { start = 0, stop = 3 }\n"
 STEPS = {  # column of the table -> commands of `bearings`, each of which must end well and complain about nothing
-    "run 2D": ["run --shape 10,10 --out plane --json"],
-    "run 3D": ["run --shape 6,6,7 --out block --json"],
-    "scan": ["scan scan.toml --out scan"],
-    "packing": ["run --packing bcc.npz --out packing --json"],
-    "verify": ["verify plane", "verify block", "verify packing"],
-    "plot": [
-        "analyse block",
-        "plot spins plane",
-        "plot spins block",
-        "plot domains plane",
-        "plot scan scan --y power --x seed",
-        "histogram plane block scan --out histogram",
+    "run": ["run --shape 10,10 --out plane --json", "run --shape 6,6,7 --out block --json"],
+    "resume": [
+        "run --shape 4,5 --method cundall-strack --duration 0.2 --checkpoint-every 60 --figures none --out course",
+        "run --resume course --duration 0.3",
     ],
+    "scan": ["scan scan.toml --out scan"],
+    "packing": ["run --packing bcc.npz --out packing --json", "verify packing"],
+    "verify": ["verify block", "analyse block --no-figures"],
+    "figure": ["plot network block"],
 }
+IMPORTS = """
+import importlib, pkgutil
+for package in ("taichi_bearings", "taichi_bearings_studies", "taichi_bearings_cli"):
+    for module in pkgutil.walk_packages(importlib.import_module(package).__path__, package + "."):
+        if not module.name.endswith("__main__"):
+            importlib.import_module(module.name)
+"""
 PACKING = "import taichi_bearings as tb; tb.Packing.lattice('bcc', (2, 2, 3), seed=1).save('bcc.npz')"
 LONGEST = 900  # seconds
 
@@ -56,7 +61,6 @@ class Trial:
 
     python: str
     packages: str
-    has_tests: bool
     seconds: dict[str, float | None] = field(default_factory=dict)
     answers: list[tuple] = field(default_factory=list)
 
@@ -115,17 +119,14 @@ def attempt(trial: Trial, place: str, wheel: Path) -> None:
         home = Path(folder, "environment")
         programs = home / ("Scripts" if sys.platform == "win32" else "bin")
         pip = [programs / "python", "-m", "pip", "install", "--quiet", "--only-binary", ":all:", wheel]
-        tests = [programs / "python", *QUICK, *(f"--ignore=tests/{name}" for name in LONG)]
-        if trial.packages == "floors":  # what they themselves call by names that are going out of use
-            tests += ["-W", "ignore::DeprecationWarning"]
-        bearings = {step: [[programs / "bearings", *line.split()] for line in lines] for step, lines in STEPS.items()}
         commands = {
             "install": [[place, "-m", "venv", home], [*pip, *requirements(trial.packages)]],
-            **bearings,
+            "import": [[programs / "python", "-c", IMPORTS]],
+            **{step: [[programs / "bearings", *line.split()] for line in lines] for step, lines in STEPS.items()},
         }
         commands["packing"].insert(0, [programs / "python", "-c", PACKING])
-        if trial.has_tests:
-            commands["quick tests"] = [tests]
+        if trial.packages == "floors":
+            commands["quick tests"] = [[programs / "python", *QUICK]]
         Path(folder, "scan.toml").write_text(SCAN)
         for step, listed in commands.items():
             began = time.monotonic()
@@ -159,7 +160,7 @@ def call(trial: Trial, command: list, folder: Path, step: str) -> bool:
 
 def table(trials: list[Trial]) -> str:
     """Seconds of each step in each environment."""
-    steps = ["install", *STEPS, "quick tests"]
+    steps = ["install", "import", *STEPS, "quick tests"]
     rows = [["Python", "packages", *steps]]
     for trial in trials:
         taken = {step: "FAILED" if value is None else f"{value:.1f} s" for step, value in trial.seconds.items()}
@@ -175,8 +176,7 @@ def main(wanted: list[str]) -> None:
     here = [version for version, place in found.items() if place]
     if not here:
         sys.exit("no Python that is promised is here")
-    trials = [Trial(here[0], "floors", True), *(Trial(version, "newest", version == here[-1]) for version in here)]
-    trials.sort(key=lambda trial: not trial.has_tests)  # the longest first, side by side
+    trials = [Trial(here[0], "floors"), *(Trial(version, "newest") for version in here)]  # the longest first
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(2) as pool:
         wheel = build_wheel(Path(folder))
         list(pool.map(lambda trial: attempt(trial, found[trial.python], wheel), trials))

@@ -1,26 +1,18 @@
 """The least power in the laboratory frame, with all components of all spins, as a cone programme for Clarabel.
 
-    python -m tests.agreement.laboratory --scenes 500 --seed 0
-
 Nothing is shared with the package but the scene: no staggered spins, no reduction to the components that a minimum
-needs, no jump. As a program it draws scenes in 2D and 3D, of all laws, between spins and bearing states, with and
-without periodic sides, with ties and contrasts, and compares bounds, power and contact states. Prints what is false;
-the exit code is 1 if anything is.
+needs, no jump. `draw_scene` draws scenes in 2D and 3D, of all laws, between spins and bearing states, with and without
+periodic sides, with ties and contrasts; `falsehoods` compares bounds, power and contact states.
 """
 
-import argparse
-import sys
-from collections import Counter
 from dataclasses import dataclass
 
-import clarabel
 import numpy as np
-from scipy import sparse
 
-import taichi_bearings as tb
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.law import LAWS
+from tests.clarabel_twin import least
 from tests.kernels.twins import is_driven, neighbours
 
 TOLERANCE, SHARPER = 1e-11, 1e-13  # of Clarabel
@@ -81,36 +73,13 @@ def laboratory_minimum(scene, tolerance=TOLERANCE):
                     matrix[:, column[site, k]] += turned
         slips.append(matrix)
         known.append(fixed)
-    number, holds = len(contacts), scene.law.holds
+    holds = scene.law.holds
     friction = [scene.normal_force * scene.coefficients[axis][site] if holds else 0.0 for site, axis in contacts]
     viscous = scene.viscosity or (() if holds else scene.coefficients)
     eta = np.array([viscous[axis][site] if viscous else 0.0 for site, axis in contacts])
-    # unknowns: spins, a bound of each slip, and each slip itself, for the quadratic part
-    unknowns = spins + number + 3 * number
-    quadratic = sparse.diags_array(np.concatenate([np.zeros(spins + number), np.repeat(eta, 3)])).tocsc()
-    cost = np.concatenate([np.zeros(spins), friction, np.zeros(3 * number)])
-    whole, right = sparse.csc_matrix(np.vstack(slips)), np.concatenate(known)
-    equal = sparse.hstack([-whole, sparse.csc_matrix((3 * number, number)), sparse.eye_array(3 * number)])
-    rows, bounds = [], []
-    for contact in range(number):
-        cone = sparse.lil_matrix((4, unknowns))
-        cone[0, spins + contact] = -1.0
-        for part in range(3):
-            cone[1 + part, spins + number + 3 * contact + part] = -1.0
-        rows.append(cone.tocsc())
-        bounds.append(np.zeros(4))
-    settings = clarabel.DefaultSettings()
-    settings.verbose, settings.max_threads = False, 1
-    settings.tol_gap_rel = settings.tol_gap_abs = settings.tol_feas = tolerance
-    found = clarabel.DefaultSolver(
-        sparse.csc_matrix(quadratic), cost, sparse.csc_matrix(sparse.vstack([equal, *rows])),
-        np.concatenate([right, *bounds]),
-        [clarabel.ZeroConeT(3 * number)] + [clarabel.SecondOrderConeT(4)] * number, settings,
-    ).solve()  # fmt: skip
-    values = np.linalg.norm(np.array(found.x)[spins + number :].reshape(number, 3), axis=1)
-    return Minimum(
-        found.obj_val, dict(zip(contacts, values, strict=True)), str(found.status) in ("Solved", "AlmostSolved")
-    )
+    found = least(np.vstack(slips), np.array(known), np.array(friction), eta, tolerance)
+    slip = dict(zip(contacts, found.slip, strict=True))
+    return Minimum(found.objective, slip, found.status in ("Solved", "AlmostSolved"))
 
 
 def draw_scene(seed, number):
@@ -154,32 +123,3 @@ def falsehoods(scene, best, truth):
             if (state == ContactState.SLIPLESS and speed > clear) or abs(own - speed) > clear:
                 found.append(f"contact {site} along {axis}: state {state}, slip {own:.3g} instead of {speed:.3g}")
     return found, compared
-
-
-def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--scenes", type=int, default=500)
-    parser.add_argument("--seed", type=int, default=0)
-    given, counts, false = parser.parse_args(), Counter(), 0
-    for number in range(given.scenes):
-        scene = draw_scene(given.seed, number)
-        best, truth = tb.solve(scene, threads=1), laboratory_minimum(scene)
-        counts[f"{scene.lattice.dimension}D {scene.law.name}"] += 1
-        counts["periodic"] += bool(scene.periodic)
-        counts["not solved by Clarabel"] += not truth.solved
-        said, compared = falsehoods(scene, best, truth) if truth.solved else ([], 0)
-        if said:  # where the minimum is flat, slips of the programme are off by far more than its power
-            sharper = laboratory_minimum(scene, SHARPER)
-            said = falsehoods(scene, best, sharper)[0] if sharper.solved else said
-        counts["certified"] += int(best.gap <= 1e-8)
-        counts["states proven"] += int(best.states_proven)
-        counts["contact states compared"] += compared
-        for sentence in said:
-            print(f"scene {number}: {sentence}", flush=True)
-        false += bool(said)
-    print(", ".join(f"{count:,} {name}" for name, count in counts.items()), f"{false} false", sep="\n")
-    return 1 if false else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -93,17 +93,6 @@ def test_coulomb_discs_equal_a_linear_programme(shape, distribution):
     assert solution.lower_bound[0] <= exact * (1 + 1e-12)
 
 
-@pytest.mark.usefixtures("needs_f64")
-def test_replicas_together_equal_replicas_alone():
-    together = make_scene((3, 4, 5), seeds=(5, 6, 7))
-    spins = initial_spin(together, "random")
-    batch = solve(together, CundallStrack().build(), spins, StopRule(1e-4, 3_000))
-    for n, seed in enumerate(together.seeds):
-        alone = make_scene((3, 4, 5), seeds=(seed,))
-        single = solve(alone, CundallStrack().build(), initial_spin(alone, "random"), StopRule(1e-12, batch.iterations))
-        assert (batch.spin[n] == single.spin[0]).all()
-
-
 @pytest.mark.parametrize(
     "driving",
     [{"spin_bottom": 0.7}, {"spin_bottom": -2.0}, {"direction": (1, 0, 0)}, {"direction": (1, -2, 3)}],
@@ -116,11 +105,3 @@ def test_other_drivings_are_certified_by_both_methods_alike(driving, precision):
     dynamics = solve(scene, CundallStrack().build(), start, StopRule(2e-3, 200_000))
     assert descent.status is dynamics.status is Status.CERTIFIED
     assert max(descent.lower_bound[0], dynamics.lower_bound[0]) <= min(descent.power[0], dynamics.power[0])
-
-
-def test_spins_about_the_height_cost_nothing():
-    """Driven about z, every layer is a bearing of its own: the power vanishes and the gap still makes sense."""
-    scene = make_scene((4, 3, 5), direction=(0, 0, 1), spin_bottom=-0.5)
-    solution = solve(scene, GradientDescent().build(), initial_spin(scene, "linear"), StopRule(1e-6, 100_000))
-    assert solution.status is Status.CERTIFIED
-    assert solution.power[0] == pytest.approx(0, abs=1e-9)

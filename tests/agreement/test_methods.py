@@ -22,8 +22,15 @@ LEAST_METHODS = {"coulomb": 6, "viscous": 4, "coulomb-viscous": 3}
 
 
 @pytest.mark.usefixtures("needs_f64")
-@pytest.mark.parametrize("driving", DRIVINGS)
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize(
+    ("law", "driving"),
+    [
+        (law, driving)
+        for law in LAWS
+        for driving in DRIVINGS
+        if law == "coulomb" or driving.split()[-1] in ("bottom", "axis")
+    ],
+)
 def test_every_method_agrees_with_the_others(law, driving):
     answers = assert_agreement(Scene.random(law=law, seed=4711, **DRIVINGS[driving]))
     assert len(answers) >= LEAST_METHODS[law]

@@ -1,15 +1,9 @@
-"""Periodic discs: the cut against the shortest ring of the dual graph, found by itself, and against a general flow.
+"""Periodic discs: the cut against the shortest ring of the dual graph.
 
-    python -m tests.agreement.winding --scenes 1000
-
-Nothing is shared with the package but the coefficients: NetworkX finds the flow, and SciPy's Dijkstra method the
-shortest way around in an unrolled dual graph.
+Nothing is shared with the package but the coefficients: SciPy's Dijkstra method finds the shortest way around in an
+unrolled dual graph.
 """
 
-import argparse
-import sys
-
-import networkx
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
@@ -40,46 +34,8 @@ def shortest_ring(sideways, upward):
     return min(distance[gap, face(3 * columns, gap)] for gap in range(gaps))
 
 
-def largest_flow(sideways, upward):
-    """From the bottom to the top of the same lattice, each of them one node."""
-    columns, gaps = upward.shape
-    graph = networkx.DiGraph()
-
-    def node(column, height):
-        return "bottom" if height == 0 else "top" if height == gaps else (column % columns, height)
-
-    def join(low, high, weight):
-        for a, b in ((low, high), (high, low)):
-            before = graph.get_edge_data(a, b, {"capacity": 0.0})["capacity"]
-            graph.add_edge(a, b, capacity=before + weight)
-
-    for column in range(columns):
-        for height in range(gaps):
-            join(node(column, height), node(column, height + 1), upward[column, height])
-            if height:
-                join(node(column, height), node(column + 1, height), sideways[column, height])
-    return networkx.maximum_flow_value(graph, "bottom", "top")
-
-
 def differences(scene):
-    """Relative distances of the power and of the lower bound from either truth, in units of the power."""
+    """Relative distances of the power and of the lower bound from the truth."""
     best = tb.solve(scene, threads=1)
-    unit = scene.normal_force * scene.lattice.radius * scene.jump
-    truths = [unit * truth(*scene.coefficients) for truth in (shortest_ring, largest_flow)]
-    return [abs(said / truth - 1) for said in (best.power, best.lower_bound) for truth in truths]
-
-
-def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--scenes", type=int, default=1000)
-    parser.add_argument("--shape", default="10,10")
-    given = parser.parse_args()
-    shape = tuple(map(int, given.shape.split(",")))
-    worst = [max(differences(tb.Scene.random(shape, seed=seed, periodic="x"))) for seed in range(given.scenes)]
-    false = sum(not error <= SAME for error in worst)
-    print(f"{given.scenes} scenes, largest difference {max(worst):.2g}, {false} beyond {SAME:g}")
-    return 1 if false else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    truth = scene.normal_force * scene.lattice.radius * scene.jump * shortest_ring(*scene.coefficients)
+    return [abs(said / truth - 1) for said in (best.power, best.lower_bound)]

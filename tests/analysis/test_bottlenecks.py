@@ -139,13 +139,6 @@ def test_more_paths_than_a_float_can_count():
     assert (found.link > 0.9).sum() == squares + 1
 
 
-def test_batches_change_nothing(monkeypatch):
-    network = RANDOM[3]
-    whole = betweenness(network)
-    monkeypatch.setattr(bottlenecks, "BATCH_WORK", 1)
-    np.testing.assert_allclose(betweenness(network).link, whole.link, rtol=1e-12, atol=1e-12)
-
-
 def test_too_much_work_is_sampled_without_bias(monkeypatch):
     network = random_network((6, 6, 7), 0.45, 21)
     exact, generator = betweenness(network), np.random.default_rng

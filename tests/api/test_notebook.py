@@ -1,14 +1,8 @@
 """What a notebook shows: a table of everything that can be shown, and while it waits how far a solve is."""
 
 import re
-import sys
-from types import SimpleNamespace
-
-import numpy as np
-import pytest
 
 import taichi_bearings as tb
-from taichi_bearings import progress
 from taichi_bearings.words import MOST_ROWS, html_table
 
 
@@ -36,50 +30,3 @@ def test_what_is_shown_is_escaped_and_long_tables_end():
     assert not re.search("<(script|i|a)>", table)
     assert table.count("&lt;script&gt;") == MOST_ROWS
     assert table.endswith("and 7 more")
-
-
-class Notebook:
-    """Stands for the kernel: keeps what one line is told to show."""
-
-    def __init__(self):
-        self.told = []
-
-    def display(self, data, raw, display_id):
-        assert raw
-        assert display_id
-        self.update(data, raw)
-        return self
-
-    def update(self, data, raw):
-        self.told.append(data["text/plain"])
-
-
-@pytest.fixture
-def notebook(monkeypatch):
-    made = Notebook()
-    monkeypatch.setattr(progress, "QUIET_SECONDS", 0.0)
-    monkeypatch.setitem(sys.modules, "IPython.display", SimpleNamespace(display=made.display))
-    monkeypatch.setitem(sys.modules, "IPython", SimpleNamespace(get_ipython=lambda: SimpleNamespace(kernel=1)))
-    return made
-
-
-def slowly(check):
-    """So that there is time to look."""
-    return np.isfinite(check.power) and not progress.threading.Event().wait(0.05) and check.iteration > 300
-
-
-def test_a_notebook_is_told_how_far_a_solve_is_until_it_ends(notebook, needs_f64, capfd):
-    scene = tb.Scene.random((5, 5), seed=1)
-    tb.solve(scene, "gradient-descent", 1e-9, callback=slowly, threads=1)
-    assert notebook.told[-1] == ""
-    assert any(re.search(r"solving.*iterations, P = [\d.]+, gap", line) for line in notebook.told)
-    assert capfd.readouterr() == ("", "")
-    before = len(notebook.told)
-    tb.solve(scene, "gradient-descent", 1e-9, callback=slowly, progress=False, threads=1)
-    assert len(notebook.told) == before
-
-
-def test_nothing_is_shown_in_a_pipe(monkeypatch, capfd, needs_f64):
-    monkeypatch.setattr(progress, "QUIET_SECONDS", 0.0)
-    tb.solve(tb.Scene.random((5, 5), seed=1), "gradient-descent", 1e-9, callback=slowly, threads=1)
-    assert capfd.readouterr() == ("", "")

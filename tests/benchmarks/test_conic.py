@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 from scipy.optimize import linprog
-from taichi_bearings_studies.benchmarks.peers import Peer, conic_programme, find_peers
+from taichi_bearings_studies.benchmarks.peers import Peer, conic_programme
 
-from taichi_bearings.errors import InputError
 from taichi_bearings.proof.certificate import lower_bound
 from tests.scenes import make_scene, minima, name_of, scene_of
 
 DRIVINGS = [{}, {"spin_bottom": -0.4}, {"direction": (1, 0, 0)}, {"direction": (1, -2, 3), "spin_bottom": 0.3}]
+
+
 SHAPES_AND_DRIVINGS = [((4, 6), {"spin_bottom": 0.7}), *(((3, 4, 5), driving) for driving in DRIVINGS)]
 
 
@@ -66,21 +67,6 @@ def test_discs_are_a_linear_programme(entry):
     assert bound == pytest.approx(entry["power_minimum"], rel=1e-10)
 
 
-def test_another_sample_changes_the_costs_alone():
-    scene, other = (make_scene((4, 5, 6), seeds=(seed,)) for seed in (1, 2))
-    found, true = conic_programme(scene).with_friction(other), conic_programme(other)
-    assert found.scene is other
-    assert (found.linear == true.linear).all()
-    assert (found.linear != conic_programme(scene).linear).any()
-    assert (found.matrix != true.matrix).nnz == 0
-    assert (found.offset == true.offset).all()
-
-
-def test_replicas_are_refused():
-    with pytest.raises(InputError, match="3 replicas"):
-        conic_programme(make_scene((3, 4), seeds=(1, 2, 3)))
-
-
 @pytest.mark.parametrize("name", ["clarabel", "scs"])
 @pytest.mark.parametrize("law", ["coulomb", "viscous"])
 @pytest.mark.parametrize(
@@ -101,18 +87,3 @@ def test_a_peer_finds_the_exact_minimum(name, entry):
     answer = Peer(name, "qdldl").solve(conic_programme(scene_of(entry)), 1e-9, 20.0, threads=1)
     assert answer.lower_bound <= entry["power_minimum"] * (1 + 1e-12)
     assert entry["power_minimum"] * (1 - 1e-12) <= answer.power <= entry["power_minimum"] * (1 + 1e-7)
-
-
-def test_a_peer_says_when_the_time_is_up():
-    pytest.importorskip("clarabel")
-    answer = Peer("clarabel", "qdldl").solve(conic_programme(make_scene((12, 12, 12))), 1e-10, 0.02, threads=1)
-    assert not answer.done
-    assert answer.status == "time-limit"
-    assert answer.lower_bound <= answer.power
-
-
-def test_peers_that_do_not_work_here_are_named(monkeypatch):
-    monkeypatch.setattr("taichi_bearings_studies.benchmarks.peers.find_spec", lambda name: None)
-    here, missing = find_peers()
-    assert here == []
-    assert set(missing) == {"clarabel", "scs"}

@@ -4,7 +4,7 @@ import csv
 import time
 
 import pytest
-from taichi_bearings_studies.benchmarks import kernels, scans, table
+from taichi_bearings_studies.benchmarks import scans, table
 from taichi_bearings_studies.benchmarks.harness import (
     Benchmark,
     Report,
@@ -16,7 +16,7 @@ from taichi_bearings_studies.benchmarks.harness import (
     timed,
     write,
 )
-from taichi_bearings_studies.benchmarks.table import BENCHMARKS, QUICK, chosen_threads, planned
+from taichi_bearings_studies.benchmarks.table import BENCHMARKS, QUICK, planned
 from taichi_bearings_studies.report import Files
 
 from taichi_bearings.errors import BearingsError, FileError, InputError
@@ -41,13 +41,6 @@ def test_things_are_timed_in_turns_after_a_warm_up():
     assert long["quickest"] >= 4e-4
     assert long["quickest"] <= long["seconds"] <= long["slowest"]
     assert long["seconds_processor"] < long["seconds"]  # it slept
-
-
-def test_lattices_that_do_not_fit_are_left_out_before_they_are_made(monkeypatch, needs_f64):
-    monkeypatch.setattr(kernels, "free_bytes", lambda: 1e9)
-    monkeypatch.setattr(kernels, "Scene", None)  # nothing is made
-    plan = planned("quick", shape=["512,512,512"])
-    assert list(kernels.measure(plan, "f64", 1)) == ["512x512x512 is left out: it needs 241.6 GB, 0.8 GB may be taken"]
 
 
 def test_contenders_of_a_scan_solve_the_same_samples():
@@ -80,13 +73,6 @@ def test_what_is_asked_for_is_planned_and_what_is_not_there_refused():
     assert {law for _, law in planned(None, law=["viscous"]).scenes} == {"viscous"}
     assert {law for _, law in planned(None).scenes} == {"coulomb", "viscous"}
     assert planned(None).seconds == table.USUAL.seconds
-
-
-def test_threads_in_between_take_the_time_for_all(monkeypatch):
-    monkeypatch.setattr("taichi_bearings.runtime.available_threads", lambda: 12)
-    assert chosen_threads(None, full=False) == (1, 12)
-    assert chosen_threads(None, full=True) == (1, 2, 4, 8, 12)
-    assert chosen_threads("3,5", full=True) == (3, 5)
 
 
 def broken(error):

@@ -6,20 +6,14 @@ import numpy as np
 import pytest
 from taichi_bearings_studies.benchmarks.harness import Report, text, write
 from taichi_bearings_studies.benchmarks.methods import (
-    PEERS,
     contradictions,
-    draw_accuracy,
     judged,
-    look_of,
     measure,
-    shown,
 )
 from taichi_bearings_studies.benchmarks.table import BENCHMARKS
 from taichi_bearings_studies.report import Files
 
-from taichi_bearings.errors import InputError
 from taichi_bearings.runs.settings import RunSettings
-from taichi_bearings.solvers import METHODS, PlanarCut
 from tests.scenes import minima
 
 FIRST_TWO = ("gradient-descent", "cundall-strack")
@@ -72,22 +66,6 @@ def test_a_bound_above_a_power_is_a_contradiction():
     assert line == "3x4 coulomb: b proves 11.0, a has 10.0"
 
 
-def test_a_method_that_cannot_solve_a_scene_is_left_out_with_its_reason(monkeypatch, needs_f64):
-    class OnlyDiscs(PlanarCut):
-        name = "only-discs"
-
-        @classmethod
-        def refusal(cls, scene):
-            return "method is 'only-discs'; it needs two dimensions"
-
-    monkeypatch.setitem(METHODS, "only-discs", OnlyDiscs)
-    settings = RunSettings(shape=(3, 3, 3), threads=1, time_limit=0.1)
-    found = measure(settings, ["only-discs"], with_peers=False, rounds=1)
-    assert next(found) == "3x3x3 coulomb: only-discs is left out: method is 'only-discs'; it needs two dimensions"
-    with pytest.raises(InputError, match="nothing can solve 3x3x3 coulomb"):
-        next(found)
-
-
 def test_files_hold_every_checkpoint(rows, tmp_path):
     chosen, report = {"methods": BENCHMARKS["methods"]}, Report({"methods": rows})
     here = {"processor": "some", "threads": "1", "load": None}
@@ -99,29 +77,3 @@ def test_files_hold_every_checkpoint(rows, tmp_path):
     assert {line["shape"] for line in found} == {"3x3x3", "5x4"}
     assert figure.read_bytes()[:4] == b"\x89PNG"
     assert f"| {FIRST_TWO[0]} " in text(chosen, report, here)
-
-
-def test_the_figure_shows_the_fastest_linear_solver_and_its_progress_only():
-    slow = made_up("clarabel", [2.0, 4.0, 3.0], [11.0, 10.001, 10.5], [9.0, 10.0, 9.9], "clarabel (qdldl)")
-    quick = made_up("clarabel", [1.0, 9.0, 2.0], [11.0, 10.5, 10.001], [9.0, 9.0, 10.0], "clarabel (faer)")
-    loose = made_up("clarabel", [0.1], [11.0], [9.0], "clarabel (mkl)")
-    ((title, (curve,)),) = shown(judged([slow, quick, loose]))
-    assert (title, curve["what"]) == ("3x4 coulomb", "clarabel (faer)")
-    assert curve["seconds"] == [1.0, 2.0]
-
-
-@pytest.mark.parametrize("scenes", [1, 3, 4])
-def test_every_scene_has_two_panels(scenes):
-    x = np.geomspace(1e-3, 1, 50)
-    curve = {"seconds": x, "error": 1e-3 / x, "gap": 1e-2 / x, "reference_gap": 1e-9}
-    curves = [curve | {"method": name, "what": name} for name in ("gradient-descent", "clarabel")]
-    figure = draw_accuracy([(f"scene {n}", curves) for n in range(scenes)])
-    panels = [axes for axes in figure.get_axes() if axes.axison]
-    assert len(panels) == 2 * scenes
-    assert all(axes.get_xscale() == axes.get_yscale() == "log" for axes in panels)
-    figure.canvas.draw()
-
-
-def test_every_method_has_a_look_of_its_own():
-    looks = [(look_of(name)["color"], look_of(name)["marker"]) for name in (*METHODS, *PEERS)]
-    assert len(set(looks)) == len(looks)

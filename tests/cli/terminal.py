@@ -60,19 +60,3 @@ def on_terminal(*words, columns=100, stop=None, by=2, report=False, cwd=None):
     os.close(ours)
     session.returncode, session.seconds = process.returncode, time.monotonic() - began
     return session
-
-
-def show(session, every=1.0):
-    """Print what was on the terminal, a writing at a time."""
-    last = -every
-    for seconds, line in session.frames:
-        if seconds - last >= every:
-            print(f"{seconds:7.1f} s  {line}")
-            last = seconds
-
-
-if __name__ == "__main__":
-    seen = on_terminal(*sys.argv[2:], columns=int(sys.argv[1]))
-    show(seen, seen.seconds / 40)
-    print(f"took {seen.seconds:.1f} s, exit code {seen.returncode}")
-    print(seen.stdout, end="")

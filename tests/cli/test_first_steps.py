@@ -26,11 +26,6 @@ def test_coefficients_written_as_documented_are_read(tmp_path):
     assert "coefficients from mine.npz" in done.stdout
 
 
-def test_help_names_the_arrays_of_a_coefficients_file():
-    text = " ".join(bearings("run", "--help").stdout.split())
-    assert "arrays x (NX-1,NY,NZ), y (NX,NY-1,NZ) and z (NX,NY,NZ-1)" in text
-
-
 @pytest.mark.skipif(shutil.which("make") is None, reason="needs make")
 @pytest.mark.parametrize(("system", "call"), [("", ".venv/bin/bearings"), ("Windows_NT", r".venv\Scripts\bearings")])
 def test_make_run_ends_by_saying_how_to_call_the_program(system, call):

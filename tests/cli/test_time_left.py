@@ -33,18 +33,3 @@ def test_a_dynamics_goes_by_its_simulated_time_and_without_a_duration_by_nothing
     assert all(left == pytest.approx(50 - now) for now, left in shown)
     assert foretold(reports(seconds, time=time)) == []
     assert foretold(reports(seconds)) == []
-
-
-def test_steps_that_grow_foretell_nothing_of_simulated_time():
-    seconds = np.arange(1.0, 11.0)
-    assert foretold(reports(seconds, time=1e-3 * 3.0**seconds, duration=1e6)) == []
-    nearly = 1e-4 * seconds * (1 + 1e-3 * seconds)  # hours at this pace; a rigid limit takes half a minute
-    assert foretold(reports(seconds, time=nearly, duration=5.0)) == []
-
-
-def test_a_limit_of_time_that_comes_first_is_told():
-    forecast = Forecast()
-    for report in reports(np.arange(1.0, 9.0)):
-        report.stop.seconds = 12.0
-        forecast.look(report)
-    assert forecast.left(forecast.told_at) == "4 s left to the time limit"

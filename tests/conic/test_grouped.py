@@ -4,36 +4,8 @@ import numpy as np
 import pytest
 
 from taichi_bearings.conic.contact_system import free_spins, lattice_system, place_free_spins
-from taichi_bearings.conic.grouped import Grouped, each, isotropic, where
+from taichi_bearings.conic.grouped import Grouped
 from tests.scenes import make_scene
-
-
-@pytest.fixture
-def vectors():
-    rng = np.random.default_rng(4)
-    return Grouped([rng.standard_normal((1, 5)), rng.standard_normal((2, 3))])
-
-
-def test_arithmetic_is_that_of_the_groups(vectors):
-    scalars = vectors.length()
-    found = 2 * vectors - scalars * vectors / 3
-    for part, v in zip(found, vectors, strict=True):
-        assert (part == 2 * v - np.linalg.norm(v, axis=0) * v / 3).all()
-    assert (np.float64(2) * vectors).sum() == pytest.approx(2 * sum(v.sum() for v in vectors))
-    assert scalars.max() == max(np.linalg.norm(v, axis=0).max() for v in vectors)
-
-
-def test_chosen_contacts_go_back_to_their_places(vectors):
-    chosen = vectors.length() > 1.0
-    assert (vectors.placed(chosen, vectors[chosen]) == vectors).all()
-    assert (where(chosen, vectors, 0.0) == each(np.zeros_like, vectors).placed(chosen, vectors[chosen])).all()
-    assert not (vectors[chosen].length() <= 1.0).any()
-
-
-def test_isotropic_stiffness_resists_in_every_direction(vectors):
-    stiffness = isotropic(vectors, vectors.length())
-    for k, v in zip(stiffness, vectors, strict=True):
-        assert np.einsum("ijn,jn->in", k, v) == pytest.approx(np.linalg.norm(v, axis=0) * v)
 
 
 @pytest.mark.parametrize("shape", [(4, 5), (3, 4, 5)], ids=str)

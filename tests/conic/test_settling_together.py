@@ -5,7 +5,7 @@ import pytest
 
 from taichi_bearings.conic.contact_system import lattice_system
 from taichi_bearings.conic.contraction import Contraction
-from taichi_bearings.conic.grouped import Grouped, apart, each, isotropic, one_by_one, side_by_side, together, where
+from taichi_bearings.conic.grouped import Grouped, each, isotropic, together, where
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.numerics.cholesky import dissect
@@ -52,14 +52,6 @@ def test_sets_of_tied_spins_are_those_of_each_sample_alone(system, order, tied, 
         assert sorted(alone.order(0).tolist()) == list(range(alone.unknowns))
 
 
-def test_large_samples_are_dissected_anew_alone_as_together(system, order, tied, contraction, monkeypatch):
-    monkeypatch.setattr("taichi_bearings.conic.contraction.OWN_ORDER_UNKNOWNS", 1)
-    for number, mask in enumerate(tied[:-1]):
-        alone = Contraction(system, order, mask)
-        assert contraction.order(number).tolist() == alone.order(0).tolist()
-        assert sorted(alone.order(0).tolist()) == list(range(alone.unknowns))
-
-
 def test_contacts_that_loops_leave_no_slip_are_tied_too(system, tied, contraction):
     rng = np.random.default_rng(5)
     spins, _ = contraction.expanded((rng.random(contraction.unknowns), np.zeros(contraction.unknowns)))
@@ -72,19 +64,6 @@ def test_contacts_that_loops_leave_no_slip_are_tied_too(system, tied, contractio
         assert (left == (slip > 0))[consistent].all()
         looped += int((~left & ~mask)[consistent].sum())
     assert looped > 0
-
-
-def test_largest_numbers_are_found_sample_by_sample(contraction):
-    owners, rng = contraction.owners, np.random.default_rng(2)
-    values = each(lambda own: rng.random((2, len(own))), owners.contacts)
-    expected = [
-        max(part[:, own == n].max(initial=0.0) for own, part in zip(owners.contacts, values, strict=True))
-        for n in range(4)
-    ]
-    assert owners.largest(values).tolist() == expected
-    assert expected[-1] == 0  # nothing is left there
-    spins = rng.random(contraction.unknowns)
-    assert owners.largest_of_spins(spins).tolist() == [spins[owners.spins == n].max(initial=0.0) for n in range(4)]
 
 
 def blocks_of(tied):
@@ -108,14 +87,3 @@ def test_a_singular_block_is_no_matter_to_the_others(system, order, tied, contra
         block = blocks_of(alone)
         block.factorise_each(isotropic(alone.system.offset, of_sample), np.ones(1, dtype=bool))
         assert (found[own] == block.solve(right[own], np.ones(1, dtype=bool))).all()
-
-
-def test_values_go_side_by_side_and_back(system):
-    rng = np.random.default_rng(4)
-    samples = [each(lambda offset: rng.random(offset.shape), system.offset) for _ in range(3)]
-    joint = together(samples)
-    for number, sample in enumerate(apart(joint, 3)):
-        for part, lane, own in zip(sample, side_by_side(joint, 3), samples[number], strict=True):
-            assert (part == own).all()
-            assert (lane[..., number] == own).all()
-    assert all((a == b).all() for a, b in zip(one_by_one(side_by_side(joint, 3)), joint, strict=True))

@@ -25,7 +25,8 @@ OF_RUNS = (
     "proving contact states", "writing", "drawing",
 )  # fmt: skip
 STAGES = (*OF_RUNS, "analysing", "drawing figure", "proving")
-SMALL = "8x8x8"  # at one moment only
+SMALL = "8x8x8"  # at one moment only, and in the longer stages
+LONGER = ("compiling", "solving", "settling contact states", "proving contact states", "drawing")
 COMMANDS = {
     SMALL: "run --shape 8,8,8",
     "16x16x16": "run --shape 16,16,16",
@@ -93,7 +94,7 @@ def measure(folder, name):
     found, moments = {}, (0.02,) if name == SMALL else MOMENTS
     words = COMMANDS[name].format(folder).split()
     words += ["--out", f"{folder}/struck", "--force"] if words[0] != "verify" else []
-    for stage in OF_RUNS if words[0] == "run" else STAGES:
+    for stage in LONGER if name == SMALL else OF_RUNS if words[0] == "run" else STAGES:
         for after in moments:
             took = seconds_to_exit(words, stage, after)
             if took is None:  # it is over by then, or there is no such stage

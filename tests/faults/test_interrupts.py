@@ -15,15 +15,17 @@ from taichi_bearings.numerics.cholesky.factor import DenseFactor
 from taichi_bearings.runs import run as runs
 from taichi_bearings.runs.run_file import read_run
 from taichi_bearings.runs.settings import RunSettings
-from taichi_bearings.scene import Scene, Status
+from taichi_bearings.scene import Scene
 from taichi_bearings.scene.initial_spins import initial_spin
-from taichi_bearings.solvers import drive, interior_point
+from taichi_bearings.solvers import drive
 from taichi_bearings.solvers.drive import Checkpoints, solve
 from taichi_bearings.solvers.recording import Recording
 from taichi_bearings.solvers.stopping import StopRule
 from taichi_bearings.solvers.table import ImplicitCundallStrack, InteriorPoint, RigidLimit
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
+
+
 SCENE = Scene.random((4, 4, 4), seed=2)
 
 
@@ -76,22 +78,6 @@ def test_a_module_that_swallows_exceptions_while_it_is_loaded_does_not_swallow_a
         load_and_wait()
 
 
-def test_before_the_first_step_there_is_nothing_to_save(monkeypatch):
-    monkeypatch.setattr(interior_point, "dissect", lambda *_: (strike(), for_ever()))
-    with pytest.raises(KeyboardInterrupt):
-        minimum()
-
-
-@pytest.mark.parametrize("what", interrupts.SIGNALS)
-def test_the_proof_of_contact_states_is_given_up(monkeypatch, what):
-    monkeypatch.setattr(drive, "proven", lambda *_: (strike(what), for_ever()))
-    found = minimum()
-    assert found.interrupted
-    assert found.status is Status.CERTIFIED
-    assert not found.states_proven.any()
-    assert found.gap.max() < 1e-12
-
-
 def test_a_limit_of_time_ends_the_proof_too_and_is_no_interrupt(monkeypatch):
     minimum()  # compiled
     monkeypatch.setattr(drive, "proven", for_ever)
@@ -141,15 +127,6 @@ def test_dynamics_given_up_amid_a_step_go_on_to_the_same_bits(monkeypatch, optio
     assert np.array_equal(found.spin, undisturbed.spin)
     for name in set(undisturbed.history) - {"seconds"}:
         assert np.array_equal(found.history[name], undisturbed.history[name], equal_nan=True), name
-
-
-def test_an_interrupt_while_figures_are_drawn_keeps_the_run(tmp_path, monkeypatch):
-    monkeypatch.setattr(runs, "_draw", lambda *_: (strike(), for_ever()))
-    found = runs.run(RunSettings(shape=(4, 5)), tmp_path / "a")
-    assert found.interrupted
-    assert found.status == [Status.CERTIFIED]
-    assert read_run(tmp_path / "a").solution.power == found.solution.power
-    assert sorted(file.name for file in tmp_path.iterdir()) == ["a"]
 
 
 def test_an_interrupt_while_files_are_written_waits_for_them_and_spares_the_figures(tmp_path, monkeypatch):

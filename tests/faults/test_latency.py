@@ -16,5 +16,5 @@ def test_every_stage_ends_soon(name):
     done = subprocess.run([sys.executable, "-m", "tests.faults.latency", name], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     longest = [float(line.split()[0]) for line in done.stdout.splitlines() if f" s  {name}: " in line]
-    assert len(longest) >= 4
+    assert len(longest) >= 3
     assert max(longest) < SOON

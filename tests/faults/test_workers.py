@@ -54,34 +54,3 @@ def test_an_interrupt_of_all_processes_while_workers_start_is_quiet(scan_file, t
     assert err == ""
     assert "done" in out or "result" in out
     assert not [name for name in os.listdir(tmp_path / "s") if "in-use" in name]
-
-
-START_INTERRUPTED = """
-import multiprocessing.util, signal, sys, threading, time
-import taichi_bearings as tb
-from taichi_bearings import interrupts
-
-if __name__ == "__main__":
-    interrupts.heard_at_once()
-    threading.Thread(target=time.sleep, args=(60,), daemon=True).start()
-    other, start = threading.enumerate()[-1], multiprocessing.util.spawnv_passfds
-
-    def interrupted(program, words, *more):
-        number = start(program, words, *more)
-        if "spawn_main" in str(words):  # a worker is there, and waits for what it is to do
-            signal.pthread_kill(other.ident, signal.SIGINT)
-        return number
-
-    multiprocessing.util.spawnv_passfds = interrupted
-    try:
-        list(tb.solve_many([tb.Scene.random((4, 5), seed=1)], workers=1))
-    except KeyboardInterrupt:
-        sys.exit(130)
-"""
-
-
-def test_an_interrupt_between_a_start_and_its_orders_is_quiet(tmp_path):
-    """A thread without the mask hears of it, so that the main thread would be torn out of the start of a worker."""
-    (tmp_path / "mine.py").write_text(START_INTERRUPTED)
-    done = subprocess.run([sys.executable, tmp_path / "mine.py"], capture_output=True, text=True, timeout=60)
-    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")

@@ -35,29 +35,17 @@ class Corpus:
 
 
 def make_corpus(folder: Path) -> Corpus:
+    dynamics = "--shape 3,4 --method rigid-limit --initial random --duration 0.01 --snapshots 0,0.005"
     runs = {
-        "flat": ("--shape", "4,5", "--seed", "3"),
-        "cubic": ("--shape", "3,3,4", "--seed", "1"),
-        "block": ("--shape", "3,4", "--replicas", "2", "--law", "viscous"),
-        "lubricated": ("--shape", "3,4", "--law", "coulomb-viscous"),
-        "resumable": (
-            "--shape",
-            "3,4",
-            "--method",
-            "rigid-limit",
-            "--initial",
-            "random",
-            "--duration",
-            "0.01",
-            "--snapshots",
-            "0,0.005",
-            "--checkpoint-every",
-            "1e-3",
-        ),
-        "springs": ("--shape", "3,4", "--method", "cundall-strack", "--duration", "0.001", "--energy"),
+        "flat": "--shape 4,5 --seed 3",
+        "cubic": "--shape 3,3,4 --seed 1",
+        "block": "--shape 3,4 --replicas 2 --law viscous",
+        "lubricated": "--shape 3,4 --law coulomb-viscous",
+        "resumable": f"{dynamics} --checkpoint-every 1e-3",
+        "springs": "--shape 3,4 --method cundall-strack --duration 0.001 --energy",
     }
     for name, words in runs.items():
-        _made("run", *words, "--figures", "none", "--threads", "1", "--out", folder / name)
+        _made("run", *words.split(), "--figures", "none", "--threads", "1", "--out", folder / name)
     _made("analyse", folder / "cubic", "--no-figures")
     _made("histogram", folder / "flat", "--out", folder / "histogram")
     (folder / "scan.toml").write_text(SCAN)

@@ -46,18 +46,8 @@ def bytes_changed(content: bytes, draw: random.Random) -> bytes:
 
 
 TEXTS = [
-    "",
-    "\x00",
-    "é€\U0001f600",
-    "\x1b[31m",
-    "a" * 70_000,
-    "nan",
-    "../../x",
-    "[" * 3000,
-    "coulomb",
-    "certified",
-    "[1, 2",
-]
+    "", "\x00", "é€\U0001f600", "\x1b[31m", "a" * 70_000, "nan", "../../x", "[" * 3000, "coulomb", "certified", "[1, 2",
+]  # fmt: skip
 
 
 def hdf5_changed(path: Path, draw: random.Random, elsewhere: Path) -> None:
@@ -102,39 +92,14 @@ def _attribute_changed(item: h5py.HLObject, draw: random.Random) -> None:
         item.attrs[name] = old[:place] + draw.choice([*TEXTS, "=", "\n", "9", '"']) + old[place + draw.randrange(3) :]
         return
     item.attrs.pop(name, None)
-    item.attrs[name] = draw.choice(
-        [
-            *TEXTS[:1],
-            *TEXTS[2:],
-            np.bytes_(b"\xff\xfe"),
-            0,
-            -1,
-            2,
-            10**18,
-            np.nan,
-            np.inf,
-            -1e308,
-            1e-320,
-            True,
-            1j,
-            np.zeros(0),
-            np.zeros((2, 2)),
-            [3, 4],
-            [3, 4, 5],
-            [10**9] * 3,
-            [-4, 5],
-            [4.5, 5.5],
-            ["a", "b"],
-            np.zeros(2000),
-            np.uint64(2**64 - 1),
-            np.array([1, 2], dtype=">i8"),
-            h5py.Empty("f8"),
-            h5py.Empty("S4"),
-            item.ref,
-        ]
-    )
+    item.attrs[name] = draw.choice([*STRANGE, item.ref])
 
 
+STRANGE = [
+    *TEXTS[:1], *TEXTS[2:], np.bytes_(b"\xff\xfe"), 0, -1, 2, 10**18, np.nan, np.inf, -1e308, 1e-320, True, 1j,
+    np.zeros(0), np.zeros((2, 2)), [3, 4], [3, 4, 5], [10**9] * 3, [-4, 5], [4.5, 5.5], ["a", "b"], np.zeros(2000),
+    np.uint64(2**64 - 1), np.array([1, 2], dtype=">i8"), h5py.Empty("f8"), h5py.Empty("S4"),
+]  # fmt: skip
 VALUES = [np.nan, np.inf, -np.inf, -1.0, 0.0, 1e308, 1e-320, 57, 3.0, 1e18]
 KINDS = ["f4", ">f8", "f2", "i8", "u1", ">i4", "c16", "S10", "?", "V8", [("a", "f8"), ("b", "i4")], "u8"]
 
@@ -248,64 +213,23 @@ def npy_made(draw: random.Random, shape: tuple[int, ...]) -> bytes:
 
 
 TOML = [
-    "nan",
-    "inf",
-    "-inf",
-    "1e400",
-    "-0.0",
-    "0",
-    "-1",
-    "2",
-    "true",
-    "[]",
-    "{}",
-    "[[]]",
-    "[1, [2]]",
-    "{ a = 1 }",
-    '""',
-    '"\\u0000"',
-    '"a\\nb"',
-    "'''x'''",
-    "1979-05-27",
-    "07:32:00",
-    "1979-05-27T07:32:00Z",
-    "9" * 30,
-    "9" * 5000,
-    "0x" + "f" * 5000,
-    "0xffffffffffffffff",
-    "[" * 3000,
-    "[" * 90 + "]" * 90,
-    "{ start = 0, stop = 3 }",
-    "{ start = 0, stop = 1e308 }",
-    "{ start = 0, stop = 9223372036854775807 }",
-    "{ start = -1e308, stop = 1e308, step = 1e-308 }",
-    "{ start = 0, stop = 3, step = 0 }",
-    "{ start = 1, stop = 2, number = 5000001 }",
-    "{ start = 1, stop = 2, number = 3, spacing = 'log' }",
-    "{ start = nan, stop = 1 }",
-    "{ start = 0, stop = 3, number = 0x7fffffffffffffff }",
-    "[1, 2, 3]",
-    "[1, 1]",
-    "['a', 'b']",
-    "[1, 'a', true]",
-    '"random"',
-    '"coulomb"',
-    '"nowhere.npz"',
-    '"/dev/zero"',
-    '"/"',
-    '"../../etc/passwd"',
-    '"' + "x" * 300 + '"',
-    "[3, 4]",
-    "[100000, 100000, 100000]",
-    '"uniform:0.1,1.0"',
+    "nan", "inf", "-inf", "1e400", "-0.0", "0", "-1", "2", "true", "[]", "{}", "[[]]", "[1, [2]]", "{ a = 1 }", '""',
+    '"\\u0000"', '"a\\nb"', "'''x'''", "1979-05-27", "07:32:00", "1979-05-27T07:32:00Z", "9" * 30, "9" * 5000,
+    "0x" + "f" * 5000, "0xffffffffffffffff", "[" * 3000, "[" * 90 + "]" * 90, "{ start = 0, stop = 3 }",
+    "{ start = 0, stop = 1e308 }", "{ start = 0, stop = 9223372036854775807 }",
+    "{ start = -1e308, stop = 1e308, step = 1e-308 }", "{ start = 0, stop = 3, step = 0 }",
+    "{ start = 1, stop = 2, number = 5000001 }", "{ start = 1, stop = 2, number = 3, spacing = 'log' }",
+    "{ start = nan, stop = 1 }", "{ start = 0, stop = 3, number = 0x7fffffffffffffff }", "[1, 2, 3]", "[1, 1]",
+    "['a', 'b']", "[1, 'a', true]", '"random"', '"coulomb"', '"nowhere.npz"', '"/dev/zero"', '"/"',
+    '"../../etc/passwd"', '"' + "x" * 300 + '"', "[3, 4]", "[100000, 100000, 100000]", '"uniform:0.1,1.0"',
     '"uniform:nan,inf"',
-    '"constant:1e999"',
-    '"bimodal:1,2,0.5,6"',
-    '"log:1e-4,10,50"',
-    '"linear:0,1,1e18"',
-    "1e-300",
-    "3.5",
-]
+    '"constant:1e999"', '"bimodal:1,2,0.5,6"', '"log:1e-4,10,50"', '"linear:0,1,1e18"', "1e-300", "3.5",
+]  # fmt: skip
+
+
+LINES = [
+    "[scan]", "[[scan.zip]]", "[a.b.c]", "scan = 3", "[scan.zip]", "a.b.c = 1", "out = 3", "force = true",
+]  # fmt: skip
 
 
 def toml_changed(text: str, keys: list[str], draw: random.Random) -> str:
@@ -322,24 +246,15 @@ def toml_changed(text: str, keys: list[str], draw: random.Random) -> str:
                 at, letter = draw.randrange(len(lines[place]) + 1), draw.choice("\"[]{}=\n\x00\x07\x1b.,#\\é9e-_'")
                 lines[place] = lines[place][:at] + letter + lines[place][at + draw.randrange(2) :]
             case 4:
-                lines.insert(
-                    place,
-                    draw.choice(
-                        [
-                            "[scan]",
-                            "[[scan.zip]]",
-                            "[a.b.c]",
-                            "scan = 3",
-                            "[scan.zip]",
-                            "a.b.c = 1",
-                            "out = 3",
-                            "force = true",
-                        ]
-                    ),
-                )
+                lines.insert(place, draw.choice(LINES))
             case 5 if place < len(lines):
                 del lines[place]
     return "\n".join(lines)
+
+
+def line_of(text: bytes) -> bytes:
+    """A line of a journal whose checksum is right."""
+    return b'{"crc32": "%08x", "sample": ' % zlib.crc32(text) + text + b"}\n"
 
 
 def journal_changed(content: bytes, draw: random.Random) -> bytes:
@@ -363,7 +278,7 @@ def journal_changed(content: bytes, draw: random.Random) -> bytes:
         text = json.dumps(record).encode()
         if draw.random() < 0.1:
             text = draw.choice([b"[" * 5000, b"9" * 5000, b"null", b"NaN", b"[]", b'"key"', text + b" " * 10**6])
-        lines[place] = b'{"crc32": "%08x", "sample": ' % zlib.crc32(text) + text + b"}\n"
+        lines[place] = line_of(text)
     return b"".join(lines)
 
 

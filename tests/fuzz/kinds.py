@@ -10,67 +10,18 @@ from unittest import mock
 from taichi_bearings.runs.settings import settings_table
 from tests.fuzz.answers import Answer, answer_to
 from tests.fuzz.corpus import SCAN, SCENE, Corpus
-from tests.fuzz.damage import TEXTS, bytes_changed, hdf5_changed, journal_changed, npy_made, npz_made, toml_changed
+from tests.fuzz.damage import bytes_changed, hdf5_changed, journal_changed, npy_made, npz_made, toml_changed
 
 KEYS = [*settings_table(), "out", "force", "analyse", "keep_states", "sample_timeout", "scan", "nonsense"]
 WORDS = [
-    "",
-    "0",
-    "-1",
-    "1",
-    "2",
-    "3",
-    "1e-3",
-    "nan",
-    "inf",
-    "1e999",
-    "9" * 5000,
-    "true",
-    "4,5",
-    "3,3,4",
-    "4x5",
-    "-4,5",
-    "1,1",
-    "100000,100000,100000",
-    "4,5,6,7",
-    "random",
-    "zero",
-    "minimum-cut",
-    "auto",
-    "gradient-descent",
-    "cundall-strack",
-    "coulomb",
-    "viscous",
-    "none",
-    "cpu",
-    "f32",
-    "uniform:1,2",
-    "constant:0",
-    "lognormal:1,0.5",
+    "", "0", "-1", "1", "2", "3", "1e-3", "nan", "inf", "1e999", "9" * 5000, "true", "4,5", "3,3,4", "4x5", "-4,5",
+    "1,1", "100000,100000,100000", "4,5,6,7", "random", "zero", "minimum-cut", "auto", "gradient-descent",
+    "cundall-strack", "coulomb", "viscous", "none", "cpu", "f32", "uniform:1,2", "constant:0", "lognormal:1,0.5",
     "log:1e-4,1,5",
-    "linear:0,1,1e18",
-    "0.1,0.2",
-    "/",
-    ".",
-    "/dev/zero",
-    "\x00",
-    "\x1b[0m",
-    "é",
-    "a\nb",
-    "0x10",
-    "1_000",
-    "٣",
-    "1e18",
+    "linear:0,1,1e18", "0.1,0.2", "/", ".", "/dev/zero", "\x00", "\x1b[0m", "é", "a\nb", "0x10", "1_000", "٣", "1e18",
     "4294967296",
-]
-FIGURES = [
-    "spins",
-    "power",
-    "history",
-    "energy",
-    "domains",
-    "network",
-]
+]  # fmt: skip
+FIGURES = ["spins", "power", "history", "energy", "domains", "network"]
 
 
 @contextlib.contextmanager
@@ -91,13 +42,8 @@ def options(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
         words += [f"--{key.replace('_', '-')}", draw.choice(WORDS)]
     if draw.random() < 0.2:
         scan = draw.choice([corpus.scan, corpus.folder / "scan.toml"])
-        words = [
-            "scan",
-            str(scan),
-            "--dry-run",
-            "--set",
-            f"{draw.choice(['', 'scan.'])}{draw.choice(KEYS)}={draw.choice(WORDS)}",
-        ]
+        setting = f"{draw.choice(['', 'scan.'])}{draw.choice(KEYS)}={draw.choice(WORDS)}"
+        words = ["scan", str(scan), "--dry-run", "--set", setting]
         words += [draw.choice(["--part", "--sample-timeout", "--workers", "--out"]), draw.choice(WORDS)]
     with unsolved():
         return answer_to(*words)
@@ -106,60 +52,30 @@ def options(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
 def other_options(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
     """Of the commands that read, with values that they may not have."""
     run = str(draw.choice([*corpus.runs, corpus.scan, corpus.folder, folder / "nowhere"]))
-    words = draw.choice(
-        [
-            ["verify", run],
-            ["histogram", run, "--by", draw.choice(WORDS)],
-            ["plot", draw.choice([*FIGURES, "x"]), run, "--replica", draw.choice(WORDS)],
-            [
-                "plot",
-                "scan",
-                str(corpus.scan),
-                "--y",
-                draw.choice(["power", "power/gap", "x", "/", "status"]),
-                "--x",
-                draw.choice(["seed", "spin_bottom", "L", "law"]),
-            ],
-            ["analyse", run, "--threshold", draw.choice(WORDS)],
-            ["plot", "spins", run, "--time", draw.choice(WORDS)],
-        ]
-    )
-    given = {
-        "histogram": ["--bins-per-decade", "--normalise"],
-        "plot": ["--by", "--where", "--log"],
-    }
+    y, x = draw.choice(["power", "power/gap", "x", "/", "status"]), draw.choice(["seed", "spin_bottom", "L", "law"])
+    kinds = [
+        ["verify", run],
+        ["histogram", run, "--by", draw.choice(WORDS)],
+        ["plot", draw.choice([*FIGURES, "x"]), run, "--replica", draw.choice(WORDS)],
+        ["plot", "scan", str(corpus.scan), "--y", y, "--x", x],
+        ["analyse", run, "--threshold", draw.choice(WORDS)],
+        ["plot", "spins", run, "--time", draw.choice(WORDS)],
+    ]
+    words = draw.choice(kinds)
+    given = {"histogram": ["--bins-per-decade", "--normalise"], "plot": ["--by", "--where", "--log"]}
     if words[0] in given and draw.random() < 0.7:
         words += [
             draw.choice(given[words[0]]),
             draw.choice([*WORDS, "unit", "mean", "seed=1", "power=nan", "1,2", "xy"]),
         ]
-    return answer_to(
-        *words,
-        *(
-            ["--out", folder / "out.png"]
-            if words[0] == "plot"
-            else ["--out", folder / "out"]
-            if words[0] != "verify"
-            else []
-        ),
-    )
+    where = {"verify": [], "plot": ["--out", folder / "out.png"]}.get(words[0], ["--out", folder / "out"])
+    return answer_to(*words, *where)
 
 
 def tiny_runs(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
     """True runs with random options."""
-    words = [
-        "run",
-        "--shape",
-        draw.choice(["2,3", "3,4", "2,2,3"]),
-        "--figures",
-        "none",
-        "--threads",
-        "1",
-        "--time-limit",
-        "1",
-        "--iterations",
-        "200",
-    ]
+    words = ["run", "--shape", draw.choice(["2,3", "3,4", "2,2,3"])]
+    words += ["--figures", "none", "--threads", "1", "--time-limit", "1", "--iterations", "200"]
     for key in draw.sample(KEYS[1:-7], 2):
         if key not in ("replicas", "threads", "time_limit", "arch", "precision", "iterations", "figures", "duration"):
             words += [f"--{key.replace('_', '-')}", draw.choice(WORDS)]
@@ -195,33 +111,27 @@ def arrays(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
 def _as_arrays(file: Path, folder: Path, draw: random.Random) -> Answer:
     law = draw.choice([[], ["--law", "coulomb-viscous"]])
     with unsolved():
-        return answer_to(
-            "run",
-            "--shape",
-            draw.choice(["4,5", "3,3,4"]),
-            draw.choice(["--coefficients", "--initial"]),
-            file,
-            *law,
-            "--out",
-            folder / "out",
-        )
+        words = ["run", "--shape", draw.choice(["4,5", "3,3,4"]), draw.choice(["--coefficients", "--initial"]), file]
+        return answer_to(*words, *law, "--out", folder / "out")
 
 
-def run_bytes(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
-    file = folder / "run.h5"
-    file.write_bytes(bytes_changed((draw.choice(corpus.runs) / "run.h5").read_bytes(), draw))
-    return _as_run(file, folder, draw, figures=0.02)
+def stored_runs(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
+    return _as_run(_changed(draw.choice(corpus.runs) / "run.h5", corpus, folder, draw), folder, draw)
 
 
-def run_content(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
-    file = folder / "run.h5"
-    shutil.copyfile(draw.choice(corpus.runs) / "run.h5", file)
-    hdf5_changed(file, draw, corpus.folder / "flat" / "run.h5")
-    return _as_run(file, folder, draw, figures=0.15)
+def _changed(good: Path, corpus: Corpus, folder: Path, draw: random.Random) -> Path:
+    """A copy of a good HDF5 file with its content changed, or its bytes."""
+    file = folder / good.name
+    file.write_bytes(good.read_bytes())
+    if draw.random() < 0.6:
+        hdf5_changed(file, draw, corpus.folder / "flat" / "run.h5")
+    else:
+        file.write_bytes(bytes_changed(file.read_bytes(), draw))
+    return file
 
 
-def _as_run(file: Path, folder: Path, draw: random.Random, figures: float) -> Answer:
-    if draw.random() < figures:
+def _as_run(file: Path, folder: Path, draw: random.Random) -> Answer:
+    if draw.random() < 0.05:
         return answer_to("plot", draw.choice(FIGURES), file, "--out", folder / "out.png")
     match draw.randrange(6):
         case 0:
@@ -244,25 +154,13 @@ def _as_run(file: Path, folder: Path, draw: random.Random, figures: float) -> An
                 return answer_to("plot", draw.choice(FIGURES), file, "--out", folder / "out.png")
 
 
-def checkpoint_bytes(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
-    (folder / "checkpoint.h5").write_bytes(bytes_changed((corpus.resumable / "checkpoint.h5").read_bytes(), draw))
+def checkpoints(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
+    _changed(corpus.resumable / "checkpoint.h5", corpus, folder, draw)
     return answer_to("run", "--resume", folder, "--time-limit", "1")
 
 
-def checkpoint_content(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
-    shutil.copyfile(corpus.resumable / "checkpoint.h5", folder / "checkpoint.h5")
-    hdf5_changed(folder / "checkpoint.h5", draw, corpus.folder / "flat" / "run.h5")
-    return answer_to("run", "--resume", folder, "--time-limit", "1")
-
-
-def scan_bytes(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
-    (folder / "scan.h5").write_bytes(bytes_changed((corpus.scan / "scan.h5").read_bytes(), draw))
-    return _as_scan(corpus, folder, draw)
-
-
-def scan_content(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
-    shutil.copyfile(corpus.scan / "scan.h5", folder / "scan.h5")
-    hdf5_changed(folder / "scan.h5", draw, corpus.folder / "flat" / "run.h5")
+def stored_scans(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
+    _changed(corpus.scan / "scan.h5", corpus, folder, draw)
     return _as_scan(corpus, folder, draw)
 
 
@@ -270,38 +168,18 @@ def _as_scan(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
     if draw.random() < 0.2:
         for name in ("samples.jsonl", "scan.toml"):
             shutil.copyfile(corpus.scan / name, folder / name)
-    drawn = (
-        mock.patch("taichi_bearings.scans.figure.save"),
-        mock.patch("taichi_bearings.plots.style.save"),
-    )
-    with drawn[0], drawn[1]:
+    with mock.patch("taichi_bearings.scans.figure.save"), mock.patch("taichi_bearings.plots.style.save"):
         if draw.random() < 0.5:
-            return answer_to(
-                "histogram",
-                folder,
-                "--out",
-                folder / "out",
-                *draw.choice([[], ["--by", "seed"], ["--normalise", "mean"]]),
-            )
-        return answer_to(
-            "plot",
-            "scan",
-            folder,
-            "--y",
-            draw.choice(["power", "gap", "power/slipping"]),
-            "--x",
-            draw.choice(["seed", "spin_bottom", "L"]),
-            *draw.choice([[], ["--by", "spin_bottom"]]),
-        )
+            how = draw.choice([[], ["--by", "seed"], ["--normalise", "mean"]])
+            return answer_to("histogram", folder, "--out", folder / "out", *how)
+        y, x = draw.choice(["power", "gap", "power/slipping"]), draw.choice(["seed", "spin_bottom", "L"])
+        return answer_to("plot", "scan", folder, "--y", y, "--x", x, *draw.choice([[], ["--by", "spin_bottom"]]))
 
 
 def kept_states(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
     shutil.copytree(corpus.scan, folder / "scan")
-    state = draw.choice(sorted((folder / "scan" / "states").iterdir()))
-    if draw.random() < 0.5:
-        state.write_bytes(bytes_changed(state.read_bytes(), draw))
-    else:
-        hdf5_changed(state, draw, corpus.folder / "flat" / "run.h5")
+    states = folder / "scan" / "states"
+    _changed(draw.choice(sorted((corpus.scan / "states").iterdir())), corpus, states, draw)
     return answer_to("scan", folder / "scan", "--dry-run")
 
 
@@ -318,21 +196,9 @@ def journals(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
             return _as_scan(corpus, folder, draw)
 
 
-def _changed_copy(corpus: Corpus, name: str, folder: Path, draw: random.Random, content: float) -> Path:
-    """A good HDF5 file with its content changed in so many of all cases, else its bytes."""
-    file = folder / Path(name).name
-    file.write_bytes((corpus.folder / name).read_bytes())
-    if draw.random() < content:
-        hdf5_changed(file, draw, corpus.folder / "flat" / "run.h5")
-    else:
-        file.write_bytes(bytes_changed(file.read_bytes(), draw))
-    return file
-
-
 def histogram_files(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
     """power_histogram.h5, which no command reads, where a run or a scan should be."""
-    file = _changed_copy(corpus, "histogram/power_histogram.h5", folder, draw, 0.5)
-    return _as_run(file, folder, draw, figures=0)
+    return _as_run(_changed(corpus.folder / "histogram" / "power_histogram.h5", corpus, folder, draw), folder, draw)
 
 
 def packings(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
@@ -350,7 +216,7 @@ def packings(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
 
 
 def packing_runs(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
-    file = _changed_copy(corpus, "bearing/run.h5", folder, draw, 0.7)
+    file = _changed(corpus.folder / "bearing" / "run.h5", corpus, folder, draw)
     words = [
         ("verify", file), ("analyse", file, "--no-figures"), ("export", file), ("list", folder), ("view", file),
         ("run", file, "--out", folder / "out", "--figures", "none"),
@@ -370,13 +236,9 @@ KINDS: dict[str, tuple[Callable[[Corpus, Path, random.Random], Answer], int]] = 
     "packings": (packings, 60),
     "run.h5 of a packing": (packing_runs, 40),
     "journals": (journals, 30),
-    "run.h5, bytes": (run_bytes, 15),
-    "run.h5, content": (run_content, 20),
-    "scan.h5, bytes": (scan_bytes, 8),
-    "scan.h5, content": (scan_content, 8),
-    "checkpoint.h5, bytes": (checkpoint_bytes, 3),
-    "checkpoint.h5, content": (checkpoint_content, 4),
+    "run.h5": (stored_runs, 35),
+    "scan.h5": (stored_scans, 16),
+    "checkpoint.h5": (checkpoints, 7),
     "kept states": (kept_states, 3),
     "histogram.h5": (histogram_files, 3),
 }
-assert len(TEXTS) > 1

@@ -3,18 +3,21 @@
 import json
 import os
 import shutil
-import subprocess
 import sys
-import zlib
+from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
 
 from tests.fuzz.answers import answer_to
-from tests.fuzz.damage import claiming
+from tests.fuzz.damage import claiming, line_of
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="fuzzed on POSIX")
+RUN, SCAN, CHECKPOINT = "flat/run.h5", "scan/scan.h5", "resumable/checkpoint.h5"
+ANALYSE, VERIFY = ("analyse", "{}", "--no-figures"), ("verify", "{}")
+RESUME = ("run", "--resume", "{}", "--time-limit", "1")
+HISTOGRAM, FIGURE = ("histogram", "{}", "--out", "{}/out"), ("plot", "scan", "{}", "--y", "gap", "--x", "L")
 
 
 def refused(*words):
@@ -24,46 +27,158 @@ def refused(*words):
     return answer.errors
 
 
+@pytest.fixture
+def changed(corpus, tmp_path):
+    """A function that copies an HDF5 file of the corpus, without its checksums and changed by a function of it."""
+
+    def change(name, function):
+        copy = shutil.copyfile(corpus.folder / name, tmp_path / Path(name).name)
+        with h5py.File(copy, "r+") as file:
+            file.attrs.pop("sha256", None)
+            function(file)
+        return tmp_path
+
+    return change
+
+
+def put(name, value):
+    """Another data set of that name; a group counts as one."""
+
+    def change(file):
+        marks = dict(file[name].attrs) if name in file else {}
+        if name in file:
+            del file[name]
+        file[name] = value
+        file[name].attrs.update(marks)
+
+    return change
+
+
+def mark(name, value):
+    """Another attribute of that name, or none."""
+
+    def change(file):
+        file.attrs.pop(name, None)
+        if value is not None:
+            file.attrs[name] = value
+
+    return change
+
+
+def entry(name, value):
+    return lambda file: file[name].__setitem__((1, 1), value)
+
+
+def column(name, of):
+    return lambda file: put(name, of(file[name][()]))(file)
+
+
+def without_checkpoints(file):
+    lines = file.attrs["scene"].splitlines()
+    file.attrs["scene"] = "\n".join(line for line in lines if not line.startswith("checkpoint"))
+
+
+NONE = [["a", "b"], "a", 1j, [np.nan, np.nan], h5py.Empty("f8")]
+FORGED = [  # file, change, commands that refuse it, and their words
+    *((CHECKPOINT, put(name, value), [RESUME], "checkpoint") for name, value in (
+        ("snapshots/spin", np.zeros((2, 4))), ("snapshots/time", np.zeros(7)), ("history/power", np.zeros(3)),
+        ("history/nothing", np.zeros((1, 1))), ("staggered", np.zeros((1, 1, 3, 4), dtype=int)),
+        ("force", np.zeros((1, 1, 13))), ("proof", np.zeros(3)), ("proof", np.zeros((2, 1, 17))), ("work", np.zeros(2)),
+        ("elapsed", np.zeros(2)),
+    )),
+    *((CHECKPOINT, lambda file, name=name: file.__delitem__(f"history/{name}"), [RESUME], "history has other columns")
+      for name in ("iteration", "power")),
+    (CHECKPOINT, without_checkpoints, [RESUME[:3]], "names no checkpoint_every"),
+    *((RUN, entry(name, value), [ANALYSE, HISTOGRAM], "is damaged") for name, value in (
+        ("contact/x/power", -1.0), ("contact/y/slip", np.nan), ("contact/x/force", np.inf), ("contact/y/state", 57),
+        ("spin", np.inf), ("contact/x/friction", np.nan),
+    )),
+    *((RUN, lambda file, name=name: mark(name, file["spin"].ref)(file), [VERIFY, ANALYSE],
+       f"{name} of / in it is neither a number nor a text") for name in ("slipping", "power")),
+    *((RUN, mark("lower_bound", value), [ANALYSE], "lower_bound is ") for value in NONE),
+    (RUN, mark("gap", "a"), [ANALYSE], "gap is "),
+    (RUN, mark("states_proven", ["a", "b"]), [ANALYSE], "states_proven is "),
+    *((SCAN, mark(name, value), [HISTOGRAM, FIGURE], f"its attribute {name} ") for name, value in (
+        ("scan", None), ("scan", [3, 4]), ("asked", np.zeros(2)), ("journals", np.zeros(2000)), ("asked", "a"),
+    )),
+    *((SCAN, column(name, of), [HISTOGRAM], words) for name, of, words in (
+        ("histogram/edges", lambda v: np.full(v.shape, np.inf), "edges of its histograms"),
+        ("histogram/edges", lambda v: v.astype(complex), "edges of its histograms"),
+        ("histogram/count", lambda v: -v - 1, "histograms count"),
+        ("histogram/count", lambda v: v + 0.5, "histograms count"),
+        ("histogram/slipless", lambda v: v.astype(complex), "histograms count"),
+        ("table/power", lambda v: v.astype(complex), "column power"),
+        ("table/seed", lambda v: np.zeros(v.shape, dtype="V8"), "column seed"),
+        ("table/slip_threshold", lambda v: np.full(v.shape, b"text"), "slip_threshold is no number"),
+    )),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "change", "commands", "words"), FORGED, ids=range(len(FORGED)))
+def test_files_whose_numbers_are_something_else_are_refused(changed, name, change, commands, words):
+    folder = changed(name, change)
+    for command in commands:
+        assert words in refused(*(word.format(folder) for word in command))
+
+
+THINGS = ["contact/x/power", "contact/y/state", "coefficient/y", "spin", "history/power", "history"]
+CHANGES = ["group", "empty", "shape", "kind", "lost", "cycle"]
+
+
 @pytest.mark.parametrize(
-    "line",
-    [
-        "seed = 0x" + "f" * 5000,
-        "seed = " + "9" * 5000,
-        "record = " + "[" * 3000,
-        "record = " + "[" * 90 + "]" * 90,
-        "initial = 1979-05-27",
-        "initial = 1979-05-27T07:32:00Z",
-        "coefficients = 07:32:00",
-        "out = 3",
-        'distribution = "\\u0007\\u001b[2J"',
-        "shape = [4, nan]",
-        "shape = [1e400, 4]",
-        "force = 1",
-        "force = true",
-    ],
-    ids=lambda line: line[:30],
+    ("name", "change"), [(name, CHANGES[(i + n) % 6]) for n in (0, 3) for i, name in enumerate(THINGS)]
 )
+def test_things_of_a_run_that_are_something_else(changed, name, change):
+    def replace(file):
+        values = file[name][()] if name != "history" else np.zeros((2, 3))
+        del file[name]
+        if change == "group":
+            file.create_group(name)
+        elif change != "lost":
+            made = {"empty": h5py.Empty("f8"), "shape": values[None, :-1], "kind": np.full(values.shape, b"text")}
+            file[name] = h5py.SoftLink("/") if change == "cycle" else made[change]
+
+    folder = changed(RUN, replace)
+    for words in (VERIFY, ANALYSE, ("plot", "history", "{}", "--out", "{}/a.png")):
+        answer = answer_to(*(word.format(folder) for word in words))
+        assert not answer.fault, answer.fault
+        assert answer.code == 2 or words[0] == "verify"
+
+
+@pytest.mark.parametrize("scanned", [["."], ["seed", "nowhere"]])
+def test_a_scan_without_its_columns(changed, scanned):
+    answer = answer_to(*(word.format(changed(SCAN, mark("scanned", scanned))) for word in FIGURE))
+    assert not answer.fault, answer.fault
+
+
+def test_a_scan_whose_table_is_damaged_is_read_from_the_journal_beside_it(changed, corpus, tmp_path):
+    changed(SCAN, mark("asked", "a"))
+    for copied in ("samples.jsonl", "scan.toml"):
+        shutil.copyfile(corpus.scan / copied, tmp_path / copied)
+    assert answer_to("histogram", tmp_path, "--out", tmp_path / "out").code == 0
+
+
+SCENES = [
+    "seed = 0x" + "f" * 5000, "seed = " + "9" * 5000, "record = " + "[" * 3000, "record = " + "[" * 90 + "]" * 90,
+    "initial = 1979-05-27", "initial = 1979-05-27T07:32:00Z", "coefficients = 07:32:00", "out = 3",
+    'distribution = "\\u0007\\u001b[2J"', "shape = [4, nan]", "shape = [1e400, 4]", "force = 1", "force = true",
+]  # fmt: skip
+RANGES = [
+    "seed = { start = -1e308, stop = 1e308, step = 1e-308 }", "seed = { start = 0, stop = 9223372036854775807 }",
+    "seed = { start = 0, stop = 0x" + "f" * 5000 + " }", "seed = { start = 0, stop = 3, step = -1 }",
+    "\n".join(f"{key} = {{ start = 0, stop = 100000 }}" for key in ("seed", "iterations", "spin_top", "spin_bottom")),
+    "seed = " + "[" * 90 + "]" * 90, "[[scan.zip]]\nzip = 3",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("line", SCENES, ids=lambda line: line[:30])
 def test_scene_files(tmp_path, line):
     (tmp_path / "scene.toml").write_text(f"{line}\n")
     refused("run", tmp_path / "scene.toml", "--out", tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize(
-    "line",
-    [
-        "seed = { start = -1e308, stop = 1e308, step = 1e-308 }",
-        "seed = { start = 0, stop = 9223372036854775807 }",
-        "seed = { start = 0, stop = 0x" + "f" * 5000 + " }",
-        "seed = { start = 0, stop = 3, step = -1 }",
-        "\n".join(
-            f"{key} = {{ start = 0, stop = 100000 }}" for key in ("seed", "iterations", "spin_top", "spin_bottom")
-        ),
-        "seed = " + "[" * 90 + "]" * 90,
-        "[[scan.zip]]\nzip = 3",
-    ],
-    ids=lambda line: line[:40],
-)
+@pytest.mark.parametrize("line", RANGES, ids=lambda line: line[:40])
 def test_scan_files(tmp_path, line):
     (tmp_path / "scan.toml").write_text(f"shape = [4, 5]\n[scan]\n{line}\n")
     refused("scan", tmp_path / "scan.toml", "--dry-run")
@@ -77,119 +192,39 @@ def test_a_file_that_is_none_is_not_waited_for(tmp_path):
     assert "is not a file" in refused("run", "--coefficients", tmp_path / "fifo", "--out", tmp_path / "out")
 
 
-@pytest.mark.parametrize(
-    ("part", "name", "value"),
-    [
-        ("scalars", "slipping", "failed"),
-        ("scalars", "slipless", 1e308),
-        ("scalars", "undecided", 2**70),
-        ("scalars", "status", 3),
-        ("scalars", "power", []),
-        ("scalars", "power", "text"),
-        ("scalars", "slip_threshold", "certified"),
-        ("scalars", "normal_force", "x"),
-        ("scalars", "shape", True),
-        ("scalars", "law", 3),
-        ("scalars", "method", 3),
-        ("scalars", "error", "\ud800"),
-        ("scalars", "method", "a\0"),
-        ("scalars", "", 1),
-        ("scalars", ".", 1),
-        ("scalars", "a/b", 1),
-        ("scalars", "\ud800", 1),
-        ("scalars", "sample", 1),
-        ("bins", "1000000000000", 1),
-        ("bins", "-99999", 1),
-        ("bins", "a", 1),
-        ("bins", "3", 2**40),
-        ("", "scalars", None),
-        ("", "key", []),
-        ("", "bins", [1]),
-    ],
-)
-def test_lines_of_a_journal_that_are_no_samples_count_as_missing(corpus, tmp_path, part, name, value, caplog):
-    shutil.copyfile(corpus.scan / "scan.toml", tmp_path / "scan.toml")
+def journal_with(corpus, folder, change):
+    """A scan without its table whose first sample is changed, by a checksum that is right."""
+    shutil.copyfile(corpus.scan / "scan.toml", folder / "scan.toml")
     first, *others = (corpus.scan / "samples.jsonl").read_bytes().splitlines(keepends=True)
     record = json.loads(first)["sample"]
-    (record[part] if part else record)[name] = value
-    text = json.dumps(record).encode()
-    changed = b'{"crc32": "%08x", "sample": ' % zlib.crc32(text) + text + b"}\n"
-    (tmp_path / "samples.jsonl").write_bytes(changed + b"".join(others))
-    commands = [["scan", tmp_path, "--merge"]]
-    commands += [["histogram", tmp_path, "--out", tmp_path / "out"]] if part == "bins" else []
-    for words in commands:
-        answer = answer_to(*words)
-        assert not answer.fault, answer.fault
-        assert answer.code == (1 if "--merge" in words else 0)
-        assert "is damaged; its sample counts as missing" in caplog.text
-        caplog.clear()
+    change(record)
+    (folder / "samples.jsonl").write_bytes(line_of(json.dumps(record).encode()) + b"".join(others))
+
+
+NO_SAMPLES = [
+    ("scalars", "slipping", "failed"), ("scalars", "slipless", 1e308), ("scalars", "undecided", 2**70),
+    ("scalars", "status", 3), ("scalars", "power", []), ("scalars", "power", "text"),
+    ("scalars", "slip_threshold", "certified"), ("scalars", "normal_force", "x"), ("scalars", "shape", True),
+    ("scalars", "law", 3), ("scalars", "method", 3), ("scalars", "error", "\ud800"), ("scalars", "method", "a\0"),
+    ("scalars", "", 1), ("scalars", ".", 1), ("scalars", "a/b", 1), ("scalars", "\ud800", 1), ("scalars", "sample", 1),
+    ("bins", "1000000000000", 1), ("bins", "-99999", 1), ("bins", "a", 1), ("bins", "3", 2**40), ("", "scalars", None),
+    ("", "key", []), ("", "bins", [1]),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("part", "name", "value"), NO_SAMPLES)
+def test_lines_of_a_journal_that_are_no_samples_count_as_missing(corpus, tmp_path, part, name, value, caplog):
+    journal_with(corpus, tmp_path, lambda record: (record[part] if part else record).update({name: value}))
+    answer = answer_to("scan", tmp_path, "--merge")
+    assert not answer.fault, answer.fault
+    assert answer.code == 1
+    assert "is damaged; its sample counts as missing" in caplog.text
 
 
 @pytest.mark.parametrize(("name", "value"), [("law", "\x1b\n"), ("shape", "4x"), ("law", "springs")])
 def test_a_journal_of_another_system_is_refused(corpus, tmp_path, name, value):
-    shutil.copyfile(corpus.scan / "scan.toml", tmp_path / "scan.toml")
-    first, *others = (corpus.scan / "samples.jsonl").read_bytes().splitlines(keepends=True)
-    record = json.loads(first)["sample"]
-    record["scalars"][name] = value
-    text = json.dumps(record).encode()
-    changed = b'{"crc32": "%08x", "sample": ' % zlib.crc32(text) + text + b"}\n"
-    (tmp_path / "samples.jsonl").write_bytes(changed + b"".join(others))
+    journal_with(corpus, tmp_path, lambda record: record["scalars"].update({name: value}))
     assert f"column {name}" in refused("plot", "scan", tmp_path, "--y", "power", "--x", "L")
-
-
-def unsealed(file):
-    file.attrs.pop("sha256", None)
-    return file
-
-
-@pytest.mark.parametrize("scanned", [["."], ["seed", "nowhere"]])
-def test_a_scan_without_its_columns(corpus, tmp_path, scanned):
-    shutil.copyfile(corpus.scan / "scan.h5", tmp_path / "scan.h5")
-    with h5py.File(tmp_path / "scan.h5", "r+") as file:
-        unsealed(file).attrs["scanned"] = scanned
-    answer = answer_to("plot", "scan", tmp_path, "--y", "gap", "--x", "L")
-    assert not answer.fault, answer.fault
-
-
-@pytest.mark.parametrize(
-    ("name", "values"),
-    [
-        ("snapshots/spin", np.zeros((2, 4))),
-        ("snapshots/time", np.zeros(7)),
-        ("history/power", np.zeros(3)),
-        ("history/nothing", np.zeros((1, 1))),
-        ("staggered", np.zeros((1, 1, 3, 4), dtype=int)),
-        ("force", np.zeros((1, 1, 13))),
-        ("proof", np.zeros(3)),
-        ("proof", np.zeros((2, 1, 17))),
-        ("work", np.zeros(2)),
-        ("elapsed", np.zeros(2)),
-    ],
-)
-def test_checkpoints_of_something_else(corpus, tmp_path, name, values):
-    shutil.copyfile(corpus.resumable / "checkpoint.h5", tmp_path / "checkpoint.h5")
-    with h5py.File(tmp_path / "checkpoint.h5", "r+") as file:
-        if name in unsealed(file):
-            del file[name]
-        file[name] = values
-    assert "checkpoint" in refused("run", "--resume", tmp_path, "--time-limit", "1")
-
-
-@pytest.mark.parametrize("name", ["iteration", "power"])
-@pytest.mark.parametrize("duration", [[], ["--duration", "0.02"]])
-def test_a_checkpoint_whose_history_lacks_a_column(corpus, tmp_path, name, duration):
-    shutil.copyfile(corpus.resumable / "checkpoint.h5", tmp_path / "checkpoint.h5")
-    with h5py.File(tmp_path / "checkpoint.h5", "r+") as file:
-        del unsealed(file)[f"history/{name}"]
-    assert "history has other columns" in refused("run", "--resume", tmp_path, "--time-limit", "1", *duration)
-
-
-def test_a_checkpoint_whose_scene_has_none(corpus, tmp_path):
-    shutil.copyfile(corpus.resumable / "checkpoint.h5", tmp_path / "checkpoint.h5")
-    with h5py.File(tmp_path / "checkpoint.h5", "r+") as file:
-        lines = unsealed(file).attrs["scene"].splitlines()
-        file.attrs["scene"] = "\n".join(line for line in lines if not line.startswith("checkpoint"))
-    assert "names no checkpoint_every" in refused("run", "--resume", tmp_path)
 
 
 @pytest.mark.parametrize("header", [b"(", b"{" * 5000, b"[" * 9000, b"\x00" * 50, b"{'shape': (1,)}"])
@@ -208,178 +243,30 @@ def test_numbers_of_no_size_are_without_number(tmp_path, ending, kind):
     assert "cannot be read" in refused("run", "--shape", "4,5", "--initial", file, "--out", tmp_path / "b")
 
 
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("contact/x/power", -1.0), ("contact/y/slip", np.nan), ("contact/x/force", np.inf), ("contact/y/state", 57),
-        ("spin", np.inf), ("contact/x/friction", np.nan),
-    ],
-)  # fmt: skip
-def test_numbers_that_no_solve_leaves(corpus, tmp_path, name, value):
-    shutil.copyfile(corpus.folder / "flat" / "run.h5", tmp_path / "run.h5")
-    with h5py.File(tmp_path / "run.h5", "r+") as file:
-        unsealed(file)[name][1, 1] = value
-    for words in (["analyse"], ["plot", "power"], ["histogram"]):
-        assert "is damaged" in refused(*words, tmp_path, "--out", tmp_path / "out.png")
-
-
-THINGS = ["contact/x/power", "contact/y/state", "coefficient/y", "spin", "history/power", "history"]
-CHANGES = ["group", "empty", "shape", "kind", "lost", "cycle"]
-
-
-@pytest.mark.parametrize(
-    ("name", "change"), [(name, CHANGES[(i + n) % 6]) for n in (0, 3) for i, name in enumerate(THINGS)]
-)
-def test_things_of_a_run_that_are_something_else(corpus, tmp_path, name, change):
-    shutil.copyfile(corpus.folder / "flat" / "run.h5", tmp_path / "run.h5")
-    with h5py.File(tmp_path / "run.h5", "r+") as file:
-        values = unsealed(file)[name][()] if name != "history" else np.zeros((2, 3))
-        del file[name]
-        if change == "group":
-            file.create_group(name)
-        elif change == "cycle":
-            file[name] = h5py.SoftLink("/")
-        elif change != "lost":
-            made = {"empty": h5py.Empty("f8"), "shape": values[None, :-1], "kind": np.full(values.shape, b"text")}
-            file[name] = made[change]
-    for words in (["verify"], ["analyse", "--out", tmp_path / "out"], ["plot", "history", "--out", tmp_path / "a.png"]):
-        answer = (
-            answer_to(words[0], *words[1:2], tmp_path, *words[2:])
-            if words[0] == "plot"
-            else answer_to(words[0], tmp_path, *words[1:])
-        )
-        assert not answer.fault, answer.fault
-        assert answer.code == 2 or words[0] == "verify"
-
-
-def test_an_interrupted_histogram_leaves_nothing(corpus, tmp_path, monkeypatch):
-    def interrupted(*_):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("taichi_bearings.plots.curves.draw_histogram", interrupted)
-    assert answer_to("histogram", corpus.folder / "flat", "--out", tmp_path / "out").code == 130
-    assert not list((tmp_path / "out").iterdir())
-
-
-def test_a_reader_that_goes_away_is_no_failure(corpus, tmp_path):
-    command = [sys.executable, "-m", "taichi_bearings_cli", "verify", corpus.folder / "flat"]
-    done = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=tmp_path, text=True)
-    done.stdout.close()
-    assert done.stderr.read() == ""
-    done.stderr.close()
-    assert done.wait() == 0
-
-
 @pytest.mark.parametrize("words", [(), ("--coefficients",), ("--initial",)])
 def test_names_that_no_file_can_have(tmp_path, words):
     assert "too long" in refused("run", *words, "9" * 5000, "--shape", "4,5", "--out", tmp_path / "out")
 
 
-def test_a_part_of_no_name(corpus):
-    assert "it must be i/n" in refused("scan", corpus.folder / "scan", "--dry-run", "--part", "")
-
-
-@pytest.mark.parametrize("number", ["slipping", "power"])
-def test_numbers_that_are_references(corpus, tmp_path, number):
-    shutil.copyfile(corpus.folder / "flat" / "run.h5", tmp_path / "run.h5")
-    with h5py.File(tmp_path / "run.h5", "r+") as file:
-        unsealed(file).attrs[number] = file["spin"].ref
-    for command in ("verify", "analyse"):
-        assert f"{number} of / in it is neither a number nor a text" in refused(command, tmp_path)
-
-
 @pytest.mark.parametrize("change", [b"\xe9", b"\xff\xfe"])
 def test_texts_that_are_not_utf_8(corpus, tmp_path, change):
-    content = (corpus.folder / "flat" / "run.h5").read_bytes()
+    content = (corpus.folder / RUN).read_bytes()
     assert b"shape = " in content
     (tmp_path / "run.h5").write_bytes(content.replace(b"shape = ", change + b"shape = "[len(change) :]))
-    for words in (("verify",), ("analyse", "--no-figures")):
-        assert "scene of / in it is neither a number nor a text in UTF-8" in refused(words[0], tmp_path, *words[1:])
+    for words in (VERIFY, ANALYSE):
+        said = refused(*(word.format(tmp_path) for word in words))
+        assert "scene of / in it is neither a number nor a text in UTF-8" in said
 
 
-def test_texts_of_data_sets_that_are_lost(corpus, tmp_path):
+def test_texts_of_data_sets_that_are_lost(changed, tmp_path):
     """Texts lie in a heap of their own, which HDF5 looks for only when it reads or copies."""
-    shutil.copyfile(corpus.folder / "flat" / "run.h5", tmp_path / "run.h5")
-    with h5py.File(tmp_path / "run.h5", "r+") as file:
-        for item in (file["spin"], file["contact/x/slip"]):
-            item.attrs["description"] = "to be lost"
+
+    def describe(file):
+        for name in ("spin", "contact/x/slip"):
+            file[name].attrs["description"] = "to be lost"
+
+    changed(RUN, describe)
     content = (tmp_path / "run.h5").read_bytes()
     place = content.rindex(b"to be lost") - 16  # number of the text in its heap
     (tmp_path / "run.h5").write_bytes(content[:place] + b"\x07\x77" + content[place + 2 :])
     assert "is damaged" in refused("analyse", tmp_path, "--no-figures")
-
-
-def test_scales_of_data_sets_are_no_harm(corpus, tmp_path):
-    shutil.copyfile(corpus.folder / "flat" / "run.h5", tmp_path / "run.h5")
-    with h5py.File(tmp_path / "run.h5", "r+") as file:
-        file["history/iteration"].make_scale("iteration")
-        file["history/power"].dims[0].attach_scale(file["history/iteration"])
-    assert answer_to("analyse", tmp_path, "--no-figures").code == 0
-
-
-NONE = [["a", "b"], "a", 1j, [np.nan, np.nan], h5py.Empty("f8")]
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [*(("lower_bound", value) for value in NONE), ("gap", "a"), ("states_proven", ["a", "b"])],
-    ids=str,
-)
-def test_numbers_of_a_run_that_are_none(corpus, tmp_path, name, value):
-    shutil.copyfile(corpus.folder / "flat" / "run.h5", tmp_path / "run.h5")
-    with h5py.File(tmp_path / "run.h5", "r+") as file:
-        unsealed(file).attrs[name] = value
-    assert f"{name} is " in refused("analyse", tmp_path, "--no-figures")
-
-
-@pytest.mark.parametrize("value", ["a", ["a", "b"], 1j, h5py.Empty("f8")], ids=str)
-def test_a_power_of_a_run_that_is_no_number(corpus, tmp_path, value):
-    shutil.copyfile(corpus.folder / "flat" / "run.h5", tmp_path / "run.h5")
-    with h5py.File(tmp_path / "run.h5", "r+") as file:
-        unsealed(file).attrs["power"] = value
-    words = ["histogram", tmp_path, "--out", tmp_path / "out", "--normalise", "mean"]
-    assert "power is " in refused(*words)
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [("scan", None), ("scan", [3, 4]), ("asked", np.zeros(2)), ("journals", np.zeros(2000)), ("asked", "a")],
-    ids=["lost", "list", "asked", "journals", "text"],
-)
-def test_a_scan_whose_attributes_are_something_else(corpus, tmp_path, name, value):
-    shutil.copyfile(corpus.scan / "scan.h5", tmp_path / "scan.h5")
-    with h5py.File(tmp_path / "scan.h5", "r+") as file:
-        del unsealed(file).attrs[name]
-        if value is not None:
-            file.attrs[name] = value
-    for words in (
-        ["histogram", tmp_path, "--out", tmp_path / "out"],
-        ["plot", "scan", tmp_path, "--y", "gap", "--x", "L"],
-    ):
-        assert f"its attribute {name} " in refused(*words)
-    for copied in ("samples.jsonl", "scan.toml"):
-        shutil.copyfile(corpus.scan / copied, tmp_path / copied)
-    assert answer_to("histogram", tmp_path, "--out", tmp_path / "out").code == 0  # from the journal beside it
-
-
-@pytest.mark.parametrize(
-    ("name", "change", "words"),
-    [
-        ("histogram/edges", lambda v: np.full(v.shape, np.inf), "edges of its histograms"),
-        ("histogram/edges", lambda v: v.astype(complex), "edges of its histograms"),
-        ("histogram/count", lambda v: -v - 1, "histograms count"),
-        ("histogram/count", lambda v: v + 0.5, "histograms count"),
-        ("histogram/slipless", lambda v: v.astype(complex), "histograms count"),
-        ("table/power", lambda v: v.astype(complex), "column power"),
-        ("table/seed", lambda v: np.zeros(v.shape, dtype="V8"), "column seed"),
-        ("table/slip_threshold", lambda v: np.full(v.shape, b"text"), "slip_threshold is no number"),
-    ],
-)  # fmt: skip
-def test_a_scan_whose_columns_are_something_else(corpus, tmp_path, name, change, words):
-    shutil.copyfile(corpus.scan / "scan.h5", tmp_path / "scan.h5")
-    with h5py.File(tmp_path / "scan.h5", "r+") as file:
-        values, marks = unsealed(file)[name][()], dict(file[name].attrs)
-        del file[name]
-        file[name] = change(values)
-        file[name].attrs.update(marks)
-    assert words in refused("histogram", tmp_path, "--out", tmp_path / "out")

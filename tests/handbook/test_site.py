@@ -76,9 +76,3 @@ def test_every_file_of_the_packages_is_in_the_wheel():
     for name in listed.stdout.splitlines():
         is_code = name.endswith(".py") and name.rpartition("/")[0].replace("/", ".") in settings["packages"]
         assert is_code or any(fnmatch(name, pattern) for pattern in data), name
-
-
-def test_the_citation_names_this_version_and_licence():
-    citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
-    assert f"\nversion: {taichi_bearings.__version__}\n" in citation
-    assert "\nlicense: MIT\n" in citation

@@ -13,10 +13,11 @@ from tests.kernels.twins import cundall_strack_step, neighbours
 from tests.scenes import make_scene
 
 LATTICES = [((4, 5), ()), ((3, 2, 5), ()), ((4, 5), "x"), ((3, 2, 5), "y"), ((2, 4, 3), "xy")]
-CASES = [  # every pair of a lattice, a start, a law and an order
+CASES = [  # every lattice, start, law and order, and half of their pairs
     (*lattice, ("random", "linear")[(i // 2 + n) % 2], tuple(LAWS)[(i + n) % 3], order)
     for i, lattice in enumerate(LATTICES)
     for n, order in enumerate(sorted(GEAR_COEFFICIENTS))
+    if (i + n) % 2 == 0
 ]
 
 

@@ -32,7 +32,7 @@ def three_components(scene: Scene, spin):
 
 @pytest.mark.parametrize(
     ("shape", "direction", "periodic", "law", "momentum"),
-    [(*case, law, (i + n) % 2 == 1) for i, case in enumerate(CASES) for n, law in enumerate(LAWS) if (i + n) % 3],
+    [(*case, law, i % 2 == 1) for i, case in enumerate(CASES) for n, law in enumerate(LAWS) if not (i and (i + n) % 3)],
 )
 def test_sweeps_equal_plain_loops(shape, direction, periodic, law, momentum, precision):
     driving = {"direction": direction, "spin_bottom": -0.2, "periodic": tuple(periodic)}
@@ -66,7 +66,7 @@ def test_sweeps_equal_plain_loops(shape, direction, periodic, law, momentum, pre
     assert np.abs(found - omega).max() <= accuracy
 
 
-@pytest.mark.parametrize(("shape", "direction", "periodic"), CASES)
+@pytest.mark.parametrize(("shape", "direction", "periodic"), CASES[::2] + CASES[-1:])
 def test_averages_equal_plain_loops(shape, direction, periodic, precision):
     """From random spins: contacts near rest would turn rounding of the spins into forces, in any precision."""
     scene = make_scene(shape, direction=direction, periodic=tuple(periodic))

@@ -12,13 +12,7 @@ from scipy.optimize import linprog
 from scipy.sparse import coo_array, hstack, identity, vstack
 
 from taichi_bearings.numerics import minimum_cut as module
-from taichi_bearings.numerics.minimum_cut import (
-    flow_cut,
-    largest_flow,
-    minimum_cut,
-    next_cut,
-    weight_of_cut,
-)
+from taichi_bearings.numerics.minimum_cut import flow_cut, largest_flow, minimum_cut, next_cut, weight_of_cut
 from taichi_bearings.scene.initial_spins import cut_weights
 from tests.kernels.twins import neighbours
 from tests.scenes import make_scene
@@ -126,23 +120,6 @@ def test_the_weight_is_that_of_a_linear_programme(decades, flows):
     assert minimum_cut(weight).weight[0] == pytest.approx(found.fun, rel=1e-7)
 
 
-@pytest.mark.parametrize("bits", [12, 20])
-def test_rounds_of_few_bits_end_at_the_same_cut(bits, monkeypatch):
-    weight = random_weights((5, 6, 7), 4, decades=2.0)
-    hide_ortools(monkeypatch)
-    whole = minimum_cut(weight)
-    monkeypatch.setattr(module, "FLOW_BITS", bits)
-    parts = minimum_cut(weight)
-    assert (parts.above == whole.above).all()
-    assert (parts.lower_bound == whole.lower_bound).all()
-
-
-def test_the_bound_leaves_no_more_than_a_unit_a_contact(flows):
-    cut = minimum_cut(random_weights((12, 11, 10), 6))
-    assert (cut.lower_bound <= cut.weight).all()
-    assert (cut.weight - cut.lower_bound <= 1e-13 * cut.weight).all()
-
-
 def test_flows_balance_within_the_capacities_and_fill_the_cut(flows):
     rng = np.random.default_rng(12)
     ends = np.array([(low, high) for low in range(40) for high in range(low + 1, 40) if rng.random() < 0.2]).T
@@ -179,32 +156,6 @@ def test_layers_that_weigh_the_same_tie(idle, flows):
     assert next_cut(weight, cut)[1] == pytest.approx(cut.weight, rel=1e-15)
 
 
-@pytest.mark.parametrize("idle", [None, 1])
-def test_two_equal_levels_enclose_what_lies_between(idle, flows):
-    weight = tuple(values + 1 for values in random_weights((3, 4, 7), 2))
-    weight[2][:, :, :, [1, 4]] = 0.01
-    weight = without(weight, idle)
-    cut = minimum_cut(weight)
-    assert (cut.between == (np.arange(7) >= 2) & (np.arange(7) <= 4)).all()
-    weight[2][1, :, :, 4] *= 1.001
-    again = minimum_cut(weight)
-    assert (again.unique == [False, True]).all()
-    assert (again.above[1] == (np.arange(7) >= 2)).all()
-    rows = 3 if idle == 1 else 12  # the upper level's contacts of one plane; where planes are joined, of all
-    assert next_cut(weight, again)[1][1] - again.weight[1] == pytest.approx(rows * 1e-5, rel=1e-9)
-
-
-def test_flat_ties_leave_a_strip_between():
-    weight = (np.ones((2, 5, 7)), np.ones((2, 6, 6)))
-    weight[1][:, :, [1, 4]] = 0.25
-    weight[1][1, 2, 4] = 0.2
-    cut = minimum_cut(weight)
-    assert (cut.unique == [False, True]).all()
-    assert (cut.between[0] == (np.arange(7) >= 2) & (np.arange(7) <= 4)).all()
-    assert not cut.between[1].any()
-    assert cut.next_weight[1] - cut.weight[1] == pytest.approx(0.05, rel=1e-12)
-
-
 @pytest.mark.parametrize("shape", [(2, 2, 4), (3, 2, 3), (3, 4)], ids=str)
 def test_what_lies_between_ties_is_what_their_sides_differ_in(shape):
     """Small whole numbers tie often; none is 0, so that no contact is in a cut for nothing."""
@@ -236,16 +187,6 @@ def test_the_next_cut_is_the_second_of_all_choices_in_one_piece(shape, idle):
 def _stacked_in_one_piece(above, idle):
     planes = np.moveaxis(above, idle, 0)
     return all(in_one_piece(plane) and in_one_piece(~plane) for plane in planes)
-
-
-def test_paths_and_flows_agree_on_the_next_cut():
-    weight = random_weights((5, 6), 31)
-    expected = minimum_cut(weight).next_weight
-    assert next_cut(weight, minimum_cut(weight))[1] == pytest.approx(expected, rel=1e-13)
-    box = tuple(np.stack([values] * 2, axis=1) for values in weight)  # two equal grids, joined too firmly to part
-    joined = (np.full((2, 1, 5, 6), 50.0), *box)
-    assert minimum_cut(joined).weight == pytest.approx(2 * minimum_cut(weight).weight, rel=1e-13)
-    assert next_cut(joined, minimum_cut(joined))[1] == pytest.approx(2 * expected, rel=1e-13)
 
 
 def test_weights_of_a_jump():

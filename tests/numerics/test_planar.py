@@ -11,7 +11,6 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import maximum_flow
 
 from taichi_bearings.numerics.planar import MinimumCuts, minimum_cuts
-from taichi_bearings.numerics.planar import cuts as module
 
 
 def cuts_of(sideways, upward):
@@ -219,13 +218,3 @@ def test_flows_balance_and_are_admissible_without_any_rounding(columns, rows, de
         assert least == pytest.approx(cuts.weight[n], rel=1e-14)
         assert cuts.weight[n] <= least * (1 + 1e-15)
     assert (cuts.next_weight >= cuts.weight).all()
-
-
-def test_bundles_change_nothing(monkeypatch):
-    sideways, upward = random_weights(6, 7, 8, batch=10, decades=3.0)
-    whole = cuts_of(sideways, upward)
-    monkeypatch.setattr(module, "BUNDLE_FACES", 80)
-    assert len(list(minimum_cuts(sideways, upward))) == 5
-    parts = cuts_of(sideways, upward)
-    for name in MinimumCuts.__dataclass_fields__:
-        assert (getattr(whole, name) == getattr(parts, name)).all()

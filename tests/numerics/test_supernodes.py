@@ -4,11 +4,9 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from taichi_bearings.conic.contact_system import lattice_system
 from taichi_bearings.kernels import elimination_tree
-from taichi_bearings.lattice import Lattice
-from taichi_bearings.numerics.cholesky import dissect, tuning
-from taichi_bearings.numerics.cholesky.fronts import analyse, supernodes
+from taichi_bearings.numerics.cholesky import tuning
+from taichi_bearings.numerics.cholesky.fronts import supernodes
 
 pytestmark = pytest.mark.usefixtures("taichi_runtime")
 
@@ -63,21 +61,3 @@ def test_parts_hold_the_factor_and_come_after_their_children(size, share, price)
             assert below[0] >= ends[above] - parts.own[above]
     if price == (1e9, 0, 0):  # nothing else counts: one part for each piece of the graph
         assert len(parts.own) == sparse.csgraph.connected_components(sparse.csr_matrix(coupled))[0]
-
-
-@pytest.mark.parametrize(
-    ("shape", "price", "most_operations", "most_entries", "fronts"),
-    [
-        ((10, 10, 10), tuning.LAUNCH_PRICE, 4.1e6, 90_000, 160),
-        ((16, 16, 16), tuning.LAUNCH_PRICE, 9.0e7, 700_000, 700),
-        ((32, 32, 32), tuning.CALLS_PRICE, 8.6e9, 1.7e7, 2_000),
-    ],
-)
-def test_dense_blocks_hold_few_zeros(shape, price, most_operations, most_entries, fronts):
-    """Planes of the dissection as blocks: 6.6, 121 and 10 600 million operations."""
-    lattice = Lattice(shape)
-    system = lattice_system(lattice, (0, 1), np.ones(2))
-    pattern = analyse(dissect(lattice, (0, 1)), *system.couplings(), price)
-    assert pattern.operations < most_operations
-    assert pattern.factor_entries < most_entries
-    assert len(pattern.own) < fronts

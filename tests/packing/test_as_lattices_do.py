@@ -17,12 +17,17 @@ from taichi_bearings.runs.verify import verify
 from taichi_bearings.scans.histogram import pooled, read_source
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers.network import Network
-from taichi_bearings.view.contents import arrays_of, facts_of
 from tests.cli.commands import bearings
 
 pytestmark = pytest.mark.usefixtures("needs_f64")
+
+
 solve = partial(tb.solve, threads=1)
+
+
 DRIVINGS = [{"spin_bottom": 0.2}, {"direction": (1.0, 0.0, 0.0)}, {"top": (1.0, 0.3, 0.0, 0.5)}]
+
+
 FREE_CHOICE = {"most_loaded", "mean_saturation"}  # the first of equals, and forces that are not unique
 
 
@@ -170,46 +175,6 @@ def test_a_callback_hears_and_stops_and_many_are_solved():
         for answer in tb.solve_many(packings, method, workers=1, **options):
             number = next(n for n, packing in enumerate(packings) if packing is answer.packing)
             assert np.array_equal(answer.spin, solve(packings[number], method, **options).spin)
-
-
-def test_the_course_is_drawn_shown_and_exported(tmp_path):
-    packing = tb.Packing.lattice("bcc", (3, 3, 3), seed=2)
-    course = solve(packing, tb.CundallStrack(energy=True), start="random", duration=0.01, snapshots=[0, 0.005, 0.01])
-    top, bottom = course.plot("history").axes
-    assert np.array_equal(top.lines[0].get_ydata(), course.history["power"][1:])
-    assert bottom.get_xlabel() == "time"
-    curves = {line.get_label(): line.get_ydata() for line in course.plot("energy").axes[0].lines}
-    for name in ("injected", "dissipated", "kinetic", "spring"):
-        assert np.array_equal(curves[name], course.history[f"{name}_energy"][1:])
-    course.save(tmp_path / "run")
-    assert (tmp_path / "run" / "run.h5").exists()
-    from taichi_bearings.export.vtkhdf import export
-    from taichi_bearings.runs.run_file import read_run
-
-    assert export(tmp_path / "run")["steps"] == 3
-    with h5py.File(tmp_path / "run" / "run.vtkhdf") as file:
-        spins = file["VTKHDF/PointData/spin"][()].reshape(3, -1, 3)
-    assert np.array_equal(spins[:2], course.snapshots.spin[:2])
-    run = read_run(tmp_path / "run")
-    arrays, facts = arrays_of(run), facts_of(run)
-    assert facts["times"] == pytest.approx(course.snapshots.time[:2])
-    assert np.array_equal(arrays["snapshot_spin"], course.snapshots.spin[:2].astype(np.float32))
-    assert arrays["snapshot_slip"][1] == pytest.approx(packing.slips(course.snapshots.spin[1]), rel=1e-6)
-
-
-def test_the_page_and_the_figure_of_domains_show_what_analyse_finds(tmp_path):
-    best = solve(tb.Packing.lattice("cubic", (6, 5, 6), seed=5, direction=(1.0, 0.0, 0.0)))
-    structure = tb.analyse(best)
-    assert structure.spans
-    from taichi_bearings.runs.run_file import read_run
-
-    run = read_run(best.save(tmp_path / "run"))
-    arrays, facts = arrays_of(run), facts_of(run)
-    share = structure.network.on_contacts(structure.bottlenecks.share)
-    assert arrays["betweenness"] == pytest.approx(share.astype(np.float32))
-    assert facts["busiest_share"] == share.max() > 0
-    colours = best.plot("domains").axes[0].collections[0].get_facecolor()
-    assert len(np.unique(colours[:, 0] > colours[:, 2])) == 2  # one turns with the bottom, one with the top
 
 
 @pytest.mark.parametrize(("call", "sentence"), [

@@ -11,8 +11,6 @@ from taichi_bearings.errors import InputError
 from taichi_bearings.fields.lists import Lists
 from taichi_bearings.packing.structure import structure_of
 from taichi_bearings.packing.system import odd_parts
-from taichi_bearings.runs.run import prepare
-from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import drive
 from taichi_bearings.solvers.network import Network
@@ -22,6 +20,8 @@ from tests.packing.twins import random_packing
 from tests.scenes import some_of
 
 LAWS = ("coulomb", "viscous", "coulomb-viscous")
+
+
 EXPLICIT, VISCOUS = (tb.CundallStrack(energy=True, time_step=step) for step in (2e-5, 0.02))
 
 
@@ -268,33 +268,6 @@ def test_snapshots_of_a_lattice_given_as_packing_are_those_of_its_scene(needs_f6
     assert found.time == pytest.approx(times)
     assert (found.time == twin.time).all()
     assert found.spin == pytest.approx(twin.spin.reshape(found.spin.shape), abs=60 * 1e-13)
-
-
-def test_replicas_that_are_interrupted_go_on_to_the_same_bits(tmp_path, needs_f64):
-    """In the first replica: without checkpoints what was begun is the run, with them all go on from there."""
-    arrays = tb.Packing.lattice("triangular", (4, 3)).arrays()
-    del arrays["friction"]
-    np.savez(tmp_path / "bare.npz", **arrays)
-    course = {"method": "cundall-strack", "initial": "random", "duration": 0.02, "record": "linear:0,0.02,9"}
-    settings = RunSettings(packing=str(tmp_path / "bare.npz"), replicas=2, figures="none", **course)
-    whole = prepare(settings).solve()
-
-    def fourth(report):
-        return report.progress.time > 0.006
-
-    cut = prepare(settings).solve([fourth])
-    assert (cut.interrupted, len(cut.results), cut.settings.replicas) == (True, 1, 1)
-    assert cut.result.status == "interrupted"
-    kept = {}
-    with pytest.raises(KeyboardInterrupt):
-        prepare(settings).solve([fourth], drive.Checkpoints(np.inf, kept.update))
-    assert {name.split("/")[0] for name in kept} == {"0"}
-    again = prepare(settings).solve((), drive.Checkpoints(np.inf, kept.update, dict(kept)))
-    assert {name.split("/")[0] for name in kept} == {"0", "1"}
-    for one, other in zip(whole.results, again.results, strict=True):
-        for name in ("spin", "slip", "friction", "state"):
-            np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
-        np.testing.assert_array_equal(one.history["lower_bound"], other.history["lower_bound"])
 
 
 def test_times_asked_for_are_rows_of_the_history():

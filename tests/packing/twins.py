@@ -4,6 +4,7 @@ import numpy as np
 from scipy import sparse
 
 import taichi_bearings as tb
+from tests.clarabel_twin import least
 
 
 def cross_matrix(n):
@@ -34,45 +35,18 @@ def laboratory_slips(packing):
 
 
 def clarabel_least(packing):
-    """Least potential, and slips (E,), by Clarabel to 1e-11 or so."""
-    import clarabel
-
+    """Least potential, slips (E,), and Clarabel's word."""
     matrix, constant = laboratory_slips(packing)
-    free = (packing.driven[packing.contact] < 0).any(axis=1)
-    k, e = constant.shape[1], int(free.sum())
-    rows = np.repeat(free, k)
-    matrix, constant = matrix[rows], constant[free]
-    of = [values[free] for values in packing.coefficients]
-    law = packing.law.name
-    held = of[0] if law != "viscous" else np.zeros(e)
-    viscosity = of[-1] if law != "coulomb" else np.zeros(e)
-    unknowns = matrix.shape[1]
-    # variables omega, v (k e), t (e)
-    size = unknowns + k * e + e
-    quadratic = sparse.diags_array(np.concatenate([np.zeros(unknowns), np.repeat(viscosity, k), np.zeros(e)]))
-    linear = np.concatenate([np.zeros(unknowns + k * e), held])
-    equal = sparse.hstack([matrix, -sparse.eye_array(k * e), sparse.csc_array((k * e, e))])
-    picks = []
-    for m in range(e):
-        picks += [unknowns + k * e + m, *(unknowns + k * m + np.arange(k))]
-    cone = -sparse.csc_array((np.ones(len(picks)), (np.arange(len(picks)), picks)), shape=(len(picks), size))
-    settings = clarabel.DefaultSettings()
-    settings.verbose, settings.max_iter = False, 300
-    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-11
-    cones = [clarabel.ZeroConeT(k * e), *(clarabel.SecondOrderConeT(k + 1) for _ in range(e))]
-    solver = clarabel.DefaultSolver(
-        sparse.csc_matrix(quadratic),
-        linear,
-        sparse.csc_matrix(sparse.vstack([equal, cone])),
-        np.concatenate([-constant.ravel(), np.zeros(len(picks))]),
-        cones,
-        settings,
-    )
-    found = solver.solve()
+    acts, law = (packing.driven[packing.contact] < 0).any(axis=1), packing.law.name
+    of = [values[acts] for values in packing.coefficients]
+    nothing = np.zeros(acts.sum())
+    found = least(
+        matrix[np.repeat(acts, constant.shape[1])], constant[acts], nothing if law == "viscous" else of[0],
+        nothing if law == "coulomb" else of[-1],
+    )  # fmt: skip
     slip = np.zeros(packing.contacts)
-    v = np.array(found.x)[unknowns : unknowns + k * e].reshape(-1, k)
-    slip[free] = np.linalg.norm(v, axis=1)
-    return found.obj_val, found.obj_val_dual, slip, str(found.status), found.solve_time
+    slip[acts] = found.slip
+    return found.objective, slip, found.status
 
 
 def random_packing(rng, dimension, law="coulomb", spheres=None, contrast=None, levels=None):

@@ -5,14 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from matplotlib import colormaps
 from taichi_bearings_studies.paper import figure_1, reproduce
 from taichi_bearings_studies.paper.claims import Effort, judge, sentences
-from taichi_bearings_studies.paper.figure_1 import draw_configurations
-from taichi_bearings_studies.paper.samples import TIMES, Run, solved
+from taichi_bearings_studies.paper.samples import solved
 
 from taichi_bearings.numerics.minimum_cut import flow_cut, next_cut
-from taichi_bearings.plots.bearing import SPIN_COLOURS
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.initial_spins import cut_of, cut_weights, initial_spin
 from taichi_bearings.solvers import GradientDescent, LinearSolver, PlanarCut
@@ -104,22 +101,6 @@ def test_a_descent_that_errs_where_cuts_nearly_tie_is_explained(exact, monkeypat
     assert counted(exact, rank >= 7, 1.0) == "refuted"
 
 
-def test_a_start_that_leads_elsewhere_refutes(monkeypatch):
-    scene = Scene.random(SHAPE, 3, replicas=12)
-    ends = cut_of(scene).above.astype(float)[None]
-    for shift, verdict in ((0.0, True), (1e-5, False)):
-        last = ends.copy()
-        last[0, 3, 2, 2] += shift
-        monkeypatch.setattr(figure_1, "relax", lambda _, start, last=last: Run(start, TIMES, TIMES, ends, last))
-        apart = figure_1.apart_from_cut(scene)
-        assert judge("fig1.any_start", apart=apart, few_samples=12).confirmed == verdict
-
-
-def test_pairs_in_order():
-    assert figure_1.share_above(np.array([3.0, 1.0]), np.array([2.0, 0.5])) == 0.75
-    assert figure_1.share_above(np.array([3.0]), np.zeros(0)) == 1.0
-
-
 def test_two_boundaries_are_the_lightest_two_cuts(cuts, exact):
     minimum, cut, _ = cuts
     scene = minimum.scene
@@ -148,21 +129,6 @@ def test_an_excess_of_power_bounds_the_slip_off_the_cut(steps, cuts, exact, monk
         share = found.excess / found.distance
         assert (share[found.differs] >= visible).all()
     assert (share < 0.02).any() or steps == 200
-
-
-def test_the_figure_shows_the_numbers(cuts, exact):
-    spin, above = np.abs(cuts[0].spin), cuts[1].above[1]
-    figure = draw_configurations(spin[0], spin[1], above, exact | {"differs": np.arange(12) == 4})
-    viscous, coulomb = figure.subfigs[0].axes[:2]
-    for axes, values in ((viscous, spin[0]), (coulomb, spin[1])):
-        assert np.allclose(axes.collections[0].get_facecolor(), colormaps[SPIN_COLOURS](values.ravel()))
-    assert len(viscous.collections) == 1
-    assert len(coulomb.collections[1].get_segments()) == exact.contacts_of_cut[1]
-    assert [len(axes.patches) for axes in (viscous, coulomb)] == [2, 2]
-    [ranks] = figure.subfigs[1].axes
-    drawn = np.concatenate([line.get_ydata() for line in ranks.lines[:2]])
-    assert np.sort(drawn) == pytest.approx(np.sort(exact.distance))
-    assert ranks.lines[1].get_ydata() == exact.distance[4]
 
 
 def test_files_and_claims_of_a_small_effort(tmp_path, monkeypatch, needs_f64):

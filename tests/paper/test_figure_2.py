@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from taichi_bearings_studies.paper import figure_2
 from taichi_bearings_studies.paper.claims import judge
-from taichi_bearings_studies.paper.figure_2 import draw_relaxation, intermediate_spheres, names_of, without_idle_spin
+from taichi_bearings_studies.paper.figure_2 import intermediate_spheres, names_of, without_idle_spin
 from taichi_bearings_studies.paper.samples import Run, Table, minima_of, relax, relax_rigidly
 
 from taichi_bearings.scene import Scene
@@ -121,21 +121,3 @@ def test_relaxations_are_seen_from_their_first_step_to_their_certified_end(needs
         assert rigid.power[-1] == pytest.approx(minima.power, rel=1e-9)
         assert rigid.power[-1] < 0.96 * minima.cut_power
         assert all((of.last[..., [0, -1]] == of.first[..., [0, -1]]).all() for of in (run, rigid))
-
-
-def test_the_figure_shows_the_numbers():
-    runs = [run_of(8, 4, 2), run_of(4, 2, 1.2)]
-    rigid = replace(run_of(8, 6, 3, 2), time=np.array([0.0, 0.5, 2.0, 3.0]))
-    spins = np.random.default_rng(5).uniform(-1, 1, (2, 2, 2, 3, 2, 3))
-    names = ["random spins", "minimum cut"]
-    figure = draw_relaxation(names, runs, [rigid, rigid], spins, minima_like(1.0, 1.5), 0)
-    curves = figure.subfigs[0].axes[0].lines
-    for line, run in zip(curves, [*runs, rigid, rigid], strict=False):
-        assert (line.get_xdata() == run.time[1:]).all()
-        assert (line.get_ydata() == run.power[1:, 0] / 8).all()
-    assert [line.get_ydata()[0] for line in curves[4:]] == [1.5 / 8, 1.0 / 8]
-    [legend] = figure.legends
-    assert [text.get_text().split(",")[0] for text in legend.get_texts()[:2]] == [f"from {name}" for name in names]
-    snapshots = [axes for axes in figure.subfigs[1].axes if axes.images]
-    arrows = [drawn for axes in snapshots for drawn in axes.collections if hasattr(drawn, "XY")]
-    assert [len(drawn.XY) for drawn in arrows] == [2 * 3 * 2] * 4

@@ -9,9 +9,6 @@ from taichi_bearings_studies.paper.claims import Effort, judged
 from taichi_bearings_studies.paper.fits import limit
 from taichi_bearings_studies.paper.samples import Table
 
-from taichi_bearings.scans.plan import Sample, sample_key
-from taichi_bearings.scans.sample import solve_samples
-
 pytestmark = pytest.mark.usefixtures("needs_f64")
 
 SIZES = (4, 6, 8, 12, 16, 24, 32)
@@ -81,12 +78,6 @@ def test_the_scans_have_what_is_asked():
     assert {limits.system_of(settings) for settings in quick} == set(SYSTEMS)
 
 
-def test_c_turns_samples_of_all_sizes_alike():
-    rates = [of for of in limits.chosen(Effort(samples=1)) if limits.system_of(of) == SYSTEMS[-1]]
-    assert len({of.shape for of in rates}) == 6
-    assert all(of.top[3] * (of.shape[0] - 1) == pytest.approx(1, rel=1e-12) for of in rates)
-
-
 SHARES = (
     "slipless_fraction", "intermediate", "domains_a_sphere", "largest_share", "busiest_link_share", "reached_fraction"
 )  # fmt: skip
@@ -121,15 +112,6 @@ def test_the_study_in_a_small_form(small, tmp_path):
         }
     assert "too few samples" in {claim.verdict for claim in claims}
     assert all(claim.finding and claim.ours and claim.uncertainty for claim in claims)
-
-
-def test_the_scans_alone_give_the_numbers_of_the_study(small, tmp_path):
-    chosen = [settings for settings in limits.chosen(small) if settings.shape[0] == 4 and settings.seed == 2]
-    records = solve_samples([Sample(sample_key(settings), settings, {}) for settings in chosen], analyse=True)
-    for settings, record in zip(chosen, records, strict=True):
-        found = limits.measured([settings], limits.sample_of, tmp_path / "journal")[0]
-        for name in ("power_over_cut", "slipless_fraction", "power", "spans", "domains"):
-            assert record["scalars"][name] == pytest.approx(found[name], rel=1e-6), (settings, name)
 
 
 ROW = {

@@ -5,8 +5,7 @@ import csv
 import numpy as np
 import pytest
 from taichi_bearings_studies.paper import figure_3, network, reproduce, samples
-from taichi_bearings_studies.paper.claims import Effort, judged, mean
-from taichi_bearings_studies.paper.drawing import mean_and_error
+from taichi_bearings_studies.paper.claims import Effort, judged
 from taichi_bearings_studies.paper.samples import Table
 
 from taichi_bearings.lattice import Lattice
@@ -18,8 +17,14 @@ GOOD = {
     "largest_intermediate": 8, "shortest_path": 60, "planes_x": 5, "planes_y": 6, "disjoint_paths": 2,
     "busiest_link_share": 0.8, "effective_links": 50.0, "parting_links": 0, "plane_spans": False,
 }  # fmt: skip
+
+
 MANY = [GOOD] * 5
+
+
 PARTED = GOOD | {"side": 10, "spans": False, "spanning_fraction": 0.0, "shortest_path": 0, "planes_x": 0, "planes_y": 0}
+
+
 CUT = PARTED | {"side": 3, "below_cut": False, "power_over_cut": 1.0}
 
 
@@ -91,15 +96,6 @@ def test_thresholds_matter_where_they_change_what_is_seen():
     assert found([merged] * 5) == ["confirmed", "confirmed"]
 
 
-def test_means_come_with_their_standard_errors():
-    assert mean([1.0, 2.0, 3.0]) == "2.0 +- 0.6"
-    assert [mean(values) for values in ([1.0, 1.0], [100.0, 170.0], [1.0] * 3)] == ["1", "135", "1"]
-    assert mean([4.0]) == "4"
-    found = Table.of([GOOD, GOOD | {"power_over_cut": 0.95}, CUT]).by("power_over_cut")
-    assert list(found) == [3, 24]
-    assert np.array(mean_and_error(found.values())) == pytest.approx(np.array([[1.0, 0.96], [0.0, 0.01]]))
-
-
 def test_the_study_writes_its_table_and_figure(small, tmp_path):
     claims = reproduce.FIGURES["network"].reproduce(tmp_path, Effort(seed=3, samples=2))
     assert sorted(path.name for path in tmp_path.iterdir()) == ["network.csv", "network.pdf", "network.png"]
@@ -135,13 +131,6 @@ def test_samples_that_an_interrupted_study_has_kept_are_not_solved_again(small, 
     assert samples.measured(chosen, interrupted, tmp_path / "a") == undisturbed
     assert solved == [4]
     assert list(tmp_path.iterdir()) == []
-
-
-def test_workers_find_the_same_numbers_in_the_same_order(small, tmp_path, monkeypatch):
-    chosen = [network.RunSettings(shape=(3, 3, 4), seed=seed) for seed in range(4)]
-    here = samples.measured(chosen, numbers_of, tmp_path / "a")
-    monkeypatch.setattr(samples, "paying_workers", lambda *_, **__: 2)
-    assert samples.measured(chosen, numbers_of, tmp_path / "a") == here
 
 
 def test_figures_3_and_4_show_a_sample_that_spans(small, tmp_path):

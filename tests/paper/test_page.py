@@ -86,17 +86,3 @@ def test_every_claim_is_there_with_all_that_it_has(report):
             assert f"#{name}-{number}" in read.loaded
     assert [read.words.count(cell) for cell in ("< 1", "0.97", "1,200")] == [4, 4, 2]  # in the table and below it
     assert all(f"{report[verdict.replace(' ', '_')]} {verdict}" in read.text for verdict in VERDICTS)
-
-
-def test_plain_text_gets_its_symbols():
-    assert typeset("10x12: 0.1 <= mu <= 1, P 2.0 +- 0.6, 10^-11, omega_T, Omega_x, mux <x>") == (
-        "10\u00d712: 0.1 \u2264 \u03bc \u2264 1, P 2.0 \u00b1 0.6, 10\u207b\u00b9\u00b9, \u03c9_T, \u03a9_x, mux <x>"
-    )
-
-
-def test_the_page_says_how_it_was_computed(report):
-    read = Reader(page(report, {}))
-    assert report["command"] == "bearings reproduce fig1 fig2 supplement --quick --seed 7 --samples 20"
-    assert all(word in read.text for word in (report["command"], "the quick form", "Not done yet: fig2"))
-    assert all(value in read.text for value in report["environment"].values())
-    assert {"taichi_bearings", "numpy", "processor", "threads"} <= report["environment"].keys()

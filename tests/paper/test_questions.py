@@ -141,11 +141,6 @@ def test_studies_in_a_small_form(tmp_path, monkeypatch):
     assert written == {f"{name}.{ending}" for name in asked for ending in ("csv", "pdf", "png")}
 
 
-def test_long_cuts_are_among_those_that_are_drawn():
-    assert max(exponents.SIZES) >= exponents.LONG
-    assert max(exponents.QUICK_SIZES) >= exponents.QUICK_LONG
-
-
 def test_distances_are_those_of_other_codes():
     rng = np.random.default_rng(4)
     sideways, upward = (rng.uniform(0.1, 1, shape) ** 6 for shape in ((200, 8, 7), (200, 9, 6)))  # paths turn back

@@ -11,7 +11,6 @@ from taichi_bearings_studies.paper.samples import solved
 from taichi_bearings_studies.paper.supplement import Ending
 
 from taichi_bearings.files.scan_journal import read_journal
-from taichi_bearings.plain_files import MOST_LINE
 from taichi_bearings.scene import Scene
 from taichi_bearings.solvers import InteriorPoint
 from taichi_bearings.solvers.stopping import StopRule
@@ -76,14 +75,6 @@ def test_slips_are_known_as_closely_as_is_said(taichi_runtime, needs_f64):
     apart = np.abs(slips[1][moves] / slips[0][moves] - 1).max()
     assert apart <= sum(errors) + 8 * np.finfo(float).eps
     assert supplement.largest_slip_error(replace(found[0], states_proven=np.array([False]))) is None
-
-
-def test_what_is_kept_of_a_sample_is_not_too_long_for_a_line_of_a_journal():
-    power = np.random.default_rng(0).random(3 * 32**3 - 3 * 32**2 - 2 * (2 * 31 * 32))  # contacts that can slip
-    texts = [supplement.packed(values) for values in (power, power > 0.5)]
-    assert sum(map(len, texts)) < 0.99 * MOST_LINE
-    assert (supplement.unpacked(texts[0], float) == power).all()
-    assert (supplement.unpacked(texts[1], bool) == (power > 0.5)).all()
 
 
 def test_a_small_study_and_what_it_keeps(tmp_path, monkeypatch, taichi_runtime, needs_f64):

@@ -1,6 +1,5 @@
 """`bearings movie`: a frame a snapshot, as GIF by Pillow and as MP4 by ffmpeg where that is installed."""
 
-import os
 import shutil
 import subprocess
 from itertools import pairwise
@@ -11,7 +10,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from PIL import Image
 
 import taichi_bearings as tb
-from taichi_bearings.errors import FileError, InputError, WriteError
+from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.runs.figures import draw_snapshot
 from taichi_bearings.runs.movie import movie
 from taichi_bearings.runs.run import run
@@ -73,19 +72,6 @@ def test_a_film_of_a_packing_shows_its_snapshots(tmp_path):
         movie(path, tmp_path / "b.gif", replica=2)
 
 
-def test_words_above_what_a_run_and_a_film_draw_can_be_left_out(whirl, tmp_path):
-    height = {}
-    settings = RunSettings(shape=(5, 4), method="gradient-descent", iterations=200, seed=5, threads=1)
-    for title in (True, False):
-        folder = tmp_path / str(title)
-        run(settings, folder, title=title)
-        movie(whirl, folder / "a.gif", title=title)
-        for picture in ("a.gif", "history.png", "power_histogram.png"):
-            with Image.open(folder / picture) as image:
-                height[picture, title] = image.height
-    assert all(height[picture, False] < tall for (picture, title), tall in height.items() if title)
-
-
 @pytest.mark.skipif(not shutil.which("ffprobe"), reason="ffmpeg, which makes MP4, is not installed")
 def test_an_mp4_lasts_as_long_as_its_snapshots(whirl, tmp_path):
     movie(whirl, tmp_path / "a.mp4", frames_per_second=2)
@@ -93,24 +79,6 @@ def test_an_mp4_lasts_as_long_as_its_snapshots(whirl, tmp_path):
     told = subprocess.run([*words, tmp_path / "a.mp4"], capture_output=True, text=True).stdout.strip().split(",")
     assert told[:2] == ["h264", "yuv420p"]
     assert float(told[2]) == pytest.approx(3 / 2, abs=0.1)
-
-
-@pytest.mark.skipif(os.name == "nt", reason="a shell script stands for the encoder")
-def test_an_encoder_that_fails_leaves_no_film_and_says_why(whirl, tmp_path, monkeypatch):
-    encoder = tmp_path / "ffmpeg"
-    encoder.write_text("#!/bin/sh\necho 'Unknown encoder' >&2\nexit 1\n")
-    encoder.chmod(0o755)
-    monkeypatch.setenv("PATH", str(tmp_path))
-    with pytest.raises(WriteError, match=r"made no film: Unknown encoder; a \.gif needs none"):
-        movie(whirl, tmp_path / "a.mp4")
-    assert not (tmp_path / "a.mp4").exists()
-
-
-def test_without_an_encoder_the_film_is_a_gif(whirl, tmp_path, monkeypatch):
-    monkeypatch.setenv("PATH", str(tmp_path))
-    assert movie(whirl)["file"] == str(whirl / "movie.gif")
-    with pytest.raises(InputError, match="there is no ffmpeg"):
-        movie(whirl, tmp_path / "a.mp4")
 
 
 def test_what_cannot_be_filmed_is_said_before_anything_is_drawn(discs, whirl, tmp_path):

@@ -8,10 +8,9 @@ import re
 import numpy as np
 import pytest
 
-from taichi_bearings.errors import FileError, InputError
+from taichi_bearings.errors import InputError
 from taichi_bearings.runs.points_and_lines import points_and_lines
 from taichi_bearings.runs.run_file import read_run
-from taichi_bearings.view import contents
 from taichi_bearings.view.view import view
 
 
@@ -56,31 +55,6 @@ def test_a_page_names_no_address_and_carries_the_licence_of_its_library(minimum,
     assert "three.js authors" in page
     assert "Copyright 2010-2026 Three.js Authors" in held_by(page)[2]
     assert "@@" not in page
-
-
-def test_snapshots_beyond_the_room_of_a_page_are_left_out_evenly_and_it_says_so(dynamics, tmp_path, monkeypatch):
-    rows = points_and_lines(read_run(dynamics))
-    monkeypatch.setattr(contents, "MOST_BYTES", 4 * 2 * (rows.moments.spin[0].size + rows.moments.slip[0].size))
-    facts, arrays, _ = held_by(page_of(dynamics, tmp_path))
-    assert facts["times"] == rows.moments.time[[0, 2]].tolist()
-    assert facts["left_out"] == " shown, evenly chosen from 3"
-    assert arrays["snapshot_slip"].reshape(2, -1) == pytest.approx(rows.moments.slip[[0, 2]], rel=1e-7)
-
-
-def test_an_earlier_page_is_replaced_only_where_it_is_ours(minimum, tmp_path):
-    mine = tmp_path / "mine.html"
-    mine.write_text("mine")
-    with pytest.raises(FileError, match="already exists"):
-        view(minimum, mine)
-    assert mine.read_text() == "mine"
-    assert view(minimum, mine, force=True)["bytes"] > 100_000
-    assert view(minimum) == view(minimum)  # the default lies in the run and is replaced
-    assert (minimum / "view.html").is_file()
-
-
-def test_a_page_needs_its_ending(minimum, tmp_path):
-    with pytest.raises(InputError, match=r"page\.png'; it must end in \.html"):
-        view(minimum, tmp_path / "page.png")
 
 
 def test_a_run_of_a_packing_has_one_sample(packed, tmp_path):

@@ -4,11 +4,9 @@ import subprocess
 import sys
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pytest
 
-from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.export.vtkhdf import export
 from taichi_bearings.runs.points_and_lines import points_and_lines
 from taichi_bearings.runs.run_file import read_run
@@ -100,19 +98,6 @@ def test_vtk_reads_the_snapshots_as_time_steps_and_the_answer_as_the_last(dynami
     same(contacts, rows.contacts)
 
 
-def test_arrays_say_their_units_and_those_that_stay_are_written_once(dynamics, tmp_path):
-    export(dynamics, tmp_path / "a.vtkhdf")
-    with h5py.File(tmp_path / "a.vtkhdf") as file:
-        root = file["VTKHDF"]
-        assert root.attrs["Type"] == b"PolyData"
-        assert root["CellData/slip"].attrs["units"] == "length/time"
-        assert len(root["CellData/slip"]) == 4 * len(root["CellData/coefficient"])
-        assert root["Steps/CellDataOffsets/coefficient"][()].tolist() == [0] * 4
-        assert root.attrs["method"] == "cundall-strack"
-        slip, state = (root[f"CellData/{name}"][: len(root["CellData/axis"])] for name in ("slip", "state"))
-        assert ((slip > root.attrs["snapshot_threshold"]) == (state == 1))[state != 3].all()
-
-
 def test_a_picture_is_drawn_of_it_without_a_window(minimum, tmp_path):
     pytest.importorskip("vtkmodules.vtkRenderingOpenGL2", reason=NO_VTK)
     export(minimum, tmp_path / "a.vtkhdf")
@@ -127,12 +112,3 @@ def test_a_picture_is_drawn_of_it_without_a_window(minimum, tmp_path):
     assert (red - blue > 0.4).mean() > 0.005  # spheres of the top plane
     assert (blue - red > 0.2).mean() > 0.01  # those of the bottom, and strong contacts
     assert ((red > 0.98) & (green > 0.98) & (blue > 0.98)).mean() > 0.2  # the paper
-
-
-def test_files_are_replaced_as_those_of_other_commands(minimum, tmp_path):
-    export(minimum, tmp_path / "a.vtkhdf")
-    with pytest.raises(FileError, match="already exists"):
-        export(minimum, tmp_path / "a.vtkhdf")
-    assert export(minimum)["file"] == str(minimum / "run.vtkhdf")
-    with pytest.raises(InputError, match=r"a\.vtk'; it must end in \.vtkhdf"):
-        export(minimum, tmp_path / "a.vtk")

@@ -1,7 +1,6 @@
 """Figures as a journal prints them: of the size that was asked for, nothing clipped, letters legible and letters."""
 
 import io
-import itertools
 import re
 from dataclasses import replace
 
@@ -9,25 +8,14 @@ import numpy as np
 import pytest
 from matplotlib.collections import LineCollection
 from matplotlib.text import Text
-from taichi_bearings_studies.benchmarks.methods import draw_accuracy
-from taichi_bearings_studies.paper.figure_1 import draw_configurations
-from taichi_bearings_studies.paper.figure_2 import draw_relaxation
-from taichi_bearings_studies.paper.network import THRESHOLDS, draw_sizes
-from taichi_bearings_studies.paper.samples import Run, Table
 
 import taichi_bearings as tb
 from taichi_bearings.errors import InputError
-from taichi_bearings.plots.bearing import MOST_LINES, Sheet, line_on_site
-from taichi_bearings.plots.curves import draw_energy
 from taichi_bearings.plots.page import Page, View, read_plane, read_view, read_width
-from taichi_bearings.plots.spins import draw_power, draw_spins
-from taichi_bearings.plots.structure import behind, draw_network
-from taichi_bearings.plots.style import MOST_VECTOR, column_label, save, save_small
+from taichi_bearings.plots.spins import draw_power
+from taichi_bearings.plots.style import column_label, save
 from taichi_bearings.runs.figures import FIGURE_KINDS, draw_figure
 from taichi_bearings.scene import Solution
-from taichi_bearings.solvers import METHODS
-from tests.plots.test_structure_figures import Case
-from tests.scenes import make_scene
 
 INCH = 2.54
 
@@ -85,31 +73,6 @@ def test_letters_are_embedded_as_letters(solved, tmp_path):
     assert b"/Type3" not in own.getvalue()
 
 
-def test_without_a_name_a_figure_is_vectors_unless_they_are_many(solved, tmp_path, monkeypatch):
-    figure = draw_figure("history", solved)
-    assert save_small(figure, tmp_path / "a") == tmp_path / "a.pdf"
-    assert (tmp_path / "a.pdf").stat().st_size <= MOST_VECTOR
-    monkeypatch.setattr("taichi_bearings.plots.style.MOST_VECTOR", 1000)
-    assert save_small(figure, tmp_path / "b") == tmp_path / "b.png"
-    assert not (tmp_path / "b.pdf").exists()
-
-
-def test_negative_energy_is_seen_on_an_axis_whose_labels_have_room(solved):
-    axes = draw_energy(solved).axes[0]
-    (line,) = [line for line in axes.lines if line.get_label() == "dissipated"]
-    assert line.get_ydata()[0] == pytest.approx(-0.02 / (50 * 0.5))
-    axes.figure.draw_without_rendering()
-    low, high = axes.get_ylim()
-    assert low < line.get_ydata()[0] < 0 < line.get_ydata()[-1] < high
-    boxes = sorted((t.get_window_extent() for t in axes.get_yticklabels()), key=lambda box: box.y0)
-    assert len(boxes) > 4
-    assert all(a.y1 < b.y0 for a, b in itertools.pairwise(boxes))
-    places = axes.transData.transform([(1.0, tick) for tick in axes.get_yticks()])[:, 1]
-    assert np.diff(np.sort(places)).min() > 0
-    positive = replace(solved, history=solved.history | {"dissipated_energy": np.full((3, 1), 0.5)})
-    assert draw_energy(positive).axes[0].get_yscale() == "log"
-
-
 def test_the_planes_and_the_view_that_were_asked_for_are_shown(solved):
     page = Page(planes=(read_plane("z=2"), read_plane("x=0")), view=read_view("-30,40"))
     axes = draw_figure("spins", solved, page=page).axes
@@ -150,38 +113,6 @@ def test_what_cannot_be_printed_is_refused_in_a_sentence(read, text):
         read(text)
 
 
-def test_lines_on_large_lattices_leave_the_spins_to_be_seen():
-    scene = make_scene((200, 100), law="viscous")
-    spin = np.zeros(scene.lattice.shape)
-    state = np.ones(scene.lattice.all_contacts, dtype=np.int8)
-    slips = scene.lattice.by_axis(state)
-    figure = draw_spins(scene, spin, state)
-    assert not any(c.get_segments() for c in drawn(figure.axes[0]))
-    assert "contacts slip" in figure.get_suptitle()
-    slips[1][:, 50:] = 0
-    slips[0][:] = 0
-    site = Sheet.of_lattice(scene.lattice).site(figure.get_figwidth())
-    (walls,) = [c for c in drawn(draw_spins(scene, spin, state).axes[0]) if c.get_segments()]
-    assert walls.get_linewidth()[0] < site
-    assert walls.get_rasterized() == (len(walls.get_segments()) > MOST_LINES)
-    assert line_on_site(20, 0.15) > line_on_site(5, 0.15)
-
-
-def test_of_a_dense_network_the_contacts_behind_the_path_are_drawn():
-    case = Case((20, 20, 20), levels=(0.0, 1.0))
-    assert case.network.ends.shape[1] > MOST_LINES
-    figure = draw_network(case.network, case.spin, *case.driving)
-    axes = figure.axes[1]
-    assert "behind" in figure.get_suptitle()
-    assert beyond(draw_network(case.network, case.spin, *case.driving, Page(view=View(30.0, 30.0)))) < 0.01
-    (grey,) = [c for c in axes.collections if c.get_label() == "slipless contacts"]
-    points = np.stack(np.unravel_index(case.network.ends, (20,) * 3), axis=-1).swapaxes(0, 1)
-    on_side = behind(case.scene.lattice, View())[case.network.slipless]
-    assert len(grey.get_segments()) == on_side.sum()
-    far = (points[on_side][:, :, 0] == 0) | (points[on_side][:, :, 1] == 19) | (points[on_side][:, :, 2] == 0)
-    assert far.any(axis=1).all()  # seen from large x, small y and above
-
-
 def test_power_is_in_units_on_its_axis(solved):
     figure = draw_power(solved)
     labels = [a.get_ylabel() for a in figure.axes]
@@ -191,59 +122,3 @@ def test_power_is_in_units_on_its_axis(solved):
     assert np.concatenate(lines).max() <= solved.power_per_contact.max() / unit * (1 + 1e-12)
     assert column_label("power/power_minimum_cut") == r"$\langle P \rangle\,/\,\langle P_\mathrm{cut} \rangle$"
     assert column_label("largest_spread") == "largest_spread"
-
-
-DRAW = np.random.default_rng(3)
-T = np.geomspace(1e-4, 1, 20)
-NAMES = ("power_over_cut", "reached_fraction", "intermediate", "slipless_fraction", "shortest_path", "disjoint_paths")
-
-
-def draw_fig2():
-    runs = [Run("", T, 0.3 + np.exp(-rate * T)[:, None], T, T) for rate in (300, 400)]
-    minima = Table({"power": [0.29], "cut_power": [0.31]})
-    names = ("random spins", "the minimum cut")
-    return draw_relaxation(names, runs, runs, DRAW.random((2, 2, 2, 2, 3, 3)), minima, 0)
-
-
-def draw_fig1():
-    exact = Table({"distance": DRAW.random(50) + 1e-5, "differs": DRAW.random(50) > 0.5})
-    return draw_configurations(*DRAW.random((2, 10, 10)), DRAW.random((10, 10)) > 0.5, exact)
-
-
-def draw_study():
-    columns = {name: DRAW.random(15) for name in (*NAMES, "largest_intermediate")}
-    table = Table(columns | {"side": np.repeat([3, 4, 6], 5), "spans": DRAW.random(15) > 0.5})
-    numbers = {name: DRAW.random((5, len(THRESHOLDS) + 1)) for name in ("spans", "slipless", "domains")}
-    return draw_sizes(table, {6: numbers | {"largest_intermediate": numbers["domains"]}})
-
-
-def draw_benchmark():
-    curve = {"seconds": T, "error": T**2, "gap": T**3, "reference_gap": 1e-13}
-    curves = [curve | {"method": method, "what": method} for method in METHODS]
-    return draw_accuracy([(f"10x10x10 Coulomb {number}", curves) for number in range(2)])
-
-
-@pytest.mark.parametrize("draw", [draw_fig1, draw_fig2, draw_study, draw_benchmark])
-def test_figures_of_the_paper_and_of_benchmarks_fit_on_two_columns(draw):
-    figure = draw()
-    assert figure.get_figwidth() * INCH == pytest.approx(17.8)
-    assert beyond(figure) < 0.01
-    assert min(text.get_fontsize() for text in figure.findobj(Text) if text.get_text().strip()) >= 7
-
-
-def test_one_step_is_no_history_and_few_are_drawn_on_a_plain_axis(solved):
-    first = {name: values[:1] for name, values in solved.history.items()}
-    one = replace(solved, history=first | {"iteration": np.array([1])})
-    with pytest.raises(InputError, match="the run kept 1 step of gradient-descent; a history is drawn of 2 or more"):
-        draw_figure("history", one)
-    few = {name: values[1:] for name, values in solved.history.items()} | {"time": np.array([0.5, 1.0])}
-    assert draw_figure("history", replace(solved, history=few)).axes[1].get_xscale() == "linear"
-    assert draw_figure("history", solved).axes[1].get_xscale() == "log"
-
-
-def test_an_odd_panel_takes_the_room_that_would_stay_empty(solved):
-    figure = draw_figure("spins", solved, page=Page(width=read_width("single")))
-    block, left, right, _ = figure.axes
-    spans = [axes.get_subplotspec() for axes in (block, left, right)]
-    assert [list(spec.colspan) for spec in spans] == [[0, 1], [0], [1]]
-    assert [list(spec.rowspan) for spec in spans] == [[0], [1], [1]]

@@ -8,17 +8,16 @@ import pytest
 from matplotlib import colormaps
 from matplotlib.collections import EllipseCollection, LineCollection
 from matplotlib.colors import to_rgba
-from taichi_bearings_studies.paper.figure_4 import draw_plane_cuts, leaves_of, planes_of
+from taichi_bearings_studies.paper.figure_4 import draw_plane_cuts
 
-from taichi_bearings.analysis.domains import LOCKS, Lock, rigid_domains
+from taichi_bearings.analysis.domains import rigid_domains
 from taichi_bearings.analysis.network import SliplessNetwork
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.packing import Packing
-from taichi_bearings.plots.bearing import SPIN_COLOURS, Sheet, box_edges
+from taichi_bearings.plots.bearing import SPIN_COLOURS, Sheet
 from taichi_bearings.plots.page import VIEW
-from taichi_bearings.plots.spins import draw_spins
-from taichi_bearings.plots.structure import REACHED_COLOURS, colour_of_turn, contact_colours, draw_domains, draw_network
-from taichi_bearings.plots.style import GREEN, GREY
+from taichi_bearings.plots.structure import REACHED_COLOURS, contact_colours, draw_domains, draw_network
+from taichi_bearings.plots.style import GREY
 from tests.scenes import make_scene
 
 BOTTOM, TOP = colormaps[SPIN_COLOURS](0.0), colormaps[SPIN_COLOURS](1.0)
@@ -91,20 +90,6 @@ def test_every_figure_draws_any_lattice(shape, setting):
     assert not (case.network.spans and setting.get("parted"))
     for figure in case.figures():
         assert rendered(figure)
-
-
-def test_the_domain_figure_has_the_endpoints_colours_where_domains_are_locked():
-    domains = Case((9, 8, 3), levels=(0.0, 0.0, 0.5, 1.0, 1.0)).domains
-    assert all(number > 0 for kind, number in domains.domains_of_kind().items() if kind != "both")
-    colour = colour_of_turn(domains.turn)
-    kind = np.array(LOCKS)[domains.kind]
-    assert (colour[kind == "bottom"] == BOTTOM).all()
-    assert (colour[kind == "top"] == TOP).all()
-    mixed = colour[kind == "mixed"]
-    bottom_first = domains.lock[kind == "mixed", 0] == Lock.BOTTOM
-    yellow, green = to_rgba("#e8b400"), to_rgba("#0d8a6f")
-    assert np.allclose(mixed[bottom_first], green)
-    assert np.allclose(mixed[~bottom_first], yellow)
 
 
 def test_the_plane_of_the_domain_figure_is_coloured_and_parted_by_domain():
@@ -185,41 +170,12 @@ def test_contacts_across_periodic_sides_are_drawn_half_at_one_side_and_half_at_t
     assert (lines <= np.array(shape)[[0, -1]] - 0.5).all()
 
 
-def test_figures_of_discs_draw_across_periodic_sides_what_they_draw_elsewhere():
-    case = Case((6, 7), levels=(0.0, 0.5, 1.0), seed=3, periodic=("x",))
-    sliding = case.slips[0][-1]  # the contacts from the last disc to the first
-    assert sliding[1:-1].any()
-    assert not sliding[1:-1].all()
-    state = case.scene.lattice.flat([np.where(slips, 1, 0) for slips in case.slips])
-    (walls,) = collections(draw_spins(case.scene, case.spin, state).axes[0], LineCollection)
-    (bounds,) = collections(draw_domains(case.domains).axes[0], LineCollection, "black")
-    upright = [[[x, y - 0.5], [x, y + 0.5]] for y in np.flatnonzero(sliding) for x in (-0.5, 5.5)]
-    for lines in (walls, bounds):
-        found = [sorted(line) for line in np.array(lines.get_segments()).tolist() if line[0][0] == line[1][0]]
-        assert all(line in found for line in upright)
-        assert sum(line[0][0] in (-0.5, 5.5) for line in found) == len(upright)
-    assert len(walls.get_segments()) == sum(int(values.sum()) for values in case.slips) + int(sliding.sum())
-
-
 def along(path, shape, periodic=()):
     """The network of the contacts along a path alone."""
     lattice = Lattice(shape, periodic=periodic)
     spheres = np.ravel_multi_index(path.T, shape)
     steps = {frozenset(pair) for pair in itertools.pairwise(spheres.tolist())}
     return SliplessNetwork(lattice, np.array([frozenset(pair) in steps for pair in lattice.ends.T.tolist()]))
-
-
-def test_a_path_over_periodic_sides_is_broken_there_and_as_long_as_it_is():
-    """Over the sides of x and back."""
-    path = np.array([[3, 0, 0], [3, 0, 1], [0, 0, 1], [0, 1, 1], [0, 1, 2], [0, 0, 2], [3, 0, 2], [3, 0, 3]])
-    network = along(path, (4, 2, 4), (0,))
-    assert np.array_equal(network.shortest_path, path)
-    sheet = Sheet.of_lattice(network.lattice, (1, 0))
-    lines, _ = sheet.lines(network.on_path)
-    expected = [[[3, 0], [3, 1]], [[3, 1], [3.5, 1]], [[-0.5, 1], [0, 1]], [[-0.5, 2], [0, 2]], [[3, 2], [3.5, 2]]]
-    found = sorted(sorted(line) for line in lines.tolist())
-    assert found == sorted([*expected, [[3, 2], [3, 3]]])
-    assert sorted(leaves_of(network, 1, 0).tolist()) == [[0, 1, -1], [0, 2, -1]]  # up along y, away from the reader
 
 
 def test_contacts_of_packings_are_drawn_as_those_of_lattices_are():
@@ -229,43 +185,3 @@ def test_contacts_of_packings_are_drawn_as_those_of_lattices_are():
     middle = [sheet.lines(np.ones(len(sheet.contact), dtype=bool))[0].mean(axis=1) for sheet in (own, theirs)]
     apart = [np.ptp(places, axis=0) for places in middle]
     assert apart[0] / own.pitch == pytest.approx(apart[1])
-
-
-PATH = np.array([[1, 2, 0], [1, 2, 1], [1, 3, 1], [2, 3, 1], [3, 3, 1], [3, 3, 2], [3, 2, 2], [3, 2, 3]])
-
-
-def test_planes_are_those_that_hold_most_of_the_path():
-    assert planes_of(PATH) == ((0, 3), (0, 1), (1, 3))  # 3 contacts, 2 more, the last 2
-    assert planes_of(PATH[:2]) == ((0, 1),)  # no plane that adds nothing
-
-
-def test_where_a_path_leaves_a_plane():
-    network = along(PATH, (5, 4, 4))
-    assert np.array_equal(network.shortest_path, PATH)
-    assert sorted(leaves_of(network, 1, 3).tolist()) == [[1, 1, 1], [3, 2, 1]]  # the reader is at small y
-    assert leaves_of(network, 0, 1).tolist() == [[3, 1, 1]]  # and at large x
-    assert leaves_of(network, 0, 3).tolist() == [[3, 1, -1]]
-
-
-def test_a_plane_cut_shows_the_slipless_contacts_of_its_plane():
-    case = Case((5, 9, 14), levels=(0.0, 1.0))
-    path = case.network.shortest_path
-    figure = draw_plane_cuts(case.network, case.spin, *case.driving)
-    cuts = planes_of(path)
-    assert 1 < len(cuts) <= 3
-    for axes, (axis, index) in zip(figure.axes, cuts, strict=False):
-        slipless = case.scene.lattice.by_axis(case.network.slipless)
-        inside = [np.take(values, index, axis) for a, values in enumerate(slipless) if a != axis]
-        (grey,) = collections(axes, LineCollection, "0.35")
-        assert len(grey.get_segments()) == sum(int(values.sum()) for values in inside)
-        (green,) = collections(axes, LineCollection, GREEN)
-        held = sum((a[axis], b[axis]) == (index, index) for a, b in itertools.pairwise(path))
-        assert len(green.get_segments()) == held
-        assert f"{held} of {len(path) - 1}" in axes.get_title()
-
-
-def test_boxes_have_twelve_unlike_edges_of_the_right_length():
-    edges = box_edges((0, 0, 0), (1, 2, 4))
-    length = np.abs(edges[:, 1] - edges[:, 0]).sum(axis=1)
-    assert sorted(length) == [1] * 4 + [2] * 4 + [4] * 4
-    assert len({tuple(edge.ravel()) for edge in edges}) == 12

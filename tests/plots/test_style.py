@@ -1,93 +1,18 @@
-"""Figures come and go without a trace in matplotlib's settings."""
+"""Numbers and axes of figures."""
 
-import subprocess
-import sys
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
-import pytest
 
 from taichi_bearings.analysis.histogram import power_histogram
 from taichi_bearings.plots.curves import Curve, Look, draw_overlay, draw_scan
-from taichi_bearings.plots.page import Page
-from taichi_bearings.plots.style import TITLE_LINE, mathematics, new_figure, plain_figure, put_title
-
-DRAW_ALL = """
-import sys
-import matplotlib
-folder = sys.argv[1]
-def state():
-    return dict.__getitem__(matplotlib.rcParams, "backend"), dict(matplotlib.rcParams.copy())
-matplotlib.rcParams["font.size"] = 13.0
-before = state()
-from click.testing import CliRunner
-from taichi_bearings_cli.plot import command
-from taichi_bearings_cli.run import command as run
-kinds = next(p for p in command.params if p.name == "kind").type.choices
-CliRunner().invoke(run, [*"--shape 3,4,5 --method cundall-strack --iterations 500 --energy --out".split(), folder])
-drawn = []
-for kind in kinds:
-    done = CliRunner().invoke(command, [kind, folder], catch_exceptions=False) if kind != "scan" else None
-    drawn += [kind] if done and not done.exit_code else []
-import numpy as np
-from taichi_bearings.plots.curves import Curve, Look, draw_scan
-x = np.arange(3.0)
-draw_scan([Curve("", x, x, x, x)], Look("x", "y"))
-after = state()
-print(len(kinds) - len(drawn), "matplotlib.pyplot" in sys.modules, after == before)
-"""
-
-
-def test_drawing_every_kind_leaves_backend_and_settings_as_they_were(tmp_path):
-    done = subprocess.run(
-        [sys.executable, "-c", DRAW_ALL, str(tmp_path / "run")],
-        capture_output=True,
-        text=True,
-        cwd=Path(__file__).parents[2],
-    )
-    assert done.stderr == ""
-    assert done.stdout.split() == ["1", "False", "True"]  # all but scan, which is drawn beside it
-
-
-def words_of(figure):
-    return figure.get_suptitle().split("\n")
-
-
-def test_titles_are_broken_between_words_but_not_within_a_percentage_or_mathematics_and_can_be_left_out():
-    percent, spaced = "mean with 95 % intervals " * 4, r"a $x + y \,/\, z$ " * 8
-    for width in np.linspace(2.0, 4.0, 9):
-        figure, tall = new_figure(width, 2.0), 2.0
-        put_title(figure, f"{percent}\n{spaced}")
-        lines = words_of(figure)
-        assert len(lines) > 2
-        assert not any(line.startswith("%") or line.count("$") % 2 for line in lines)
-        assert " ".join(lines).replace("\u00a0", " ").split() == f"{percent} {spaced}".split()
-        assert figure.get_figheight() == pytest.approx(tall + TITLE_LINE * (len(lines) + 0.5))
-    for figure in (new_figure(), plain_figure()):
-        before = figure.get_figheight()
-        put_title(figure, "words", Page(title=False))
-        assert (figure.get_suptitle(), figure.get_figheight()) == ("", before)
+from taichi_bearings.plots.style import mathematics
 
 
 def test_small_numbers_are_powers_of_ten_within_mathematics():
     assert [mathematics(x) for x in (5e-12, -2.5e20, 0.25, 1234567.0, 0.0)] == [
         r"5\times10^{-12}", r"-2.5\times10^{20}", "0.25", r"1.23457\times10^{6}", "0",
     ]  # fmt: skip
-
-
-def test_names_on_an_axis_have_room_and_no_line_joins_them():
-    x, names = np.arange(4.0), ["power-law:0.01,1,-1.5", "uniform:0.1,1.0", "lognormal:0.5,1.0", "constant:1"]
-    figure = draw_scan([Curve(c, x, x + 1, x, x + 2) for c in "ab"], Look("distribution", "P", ticks=names))
-    figure.draw_without_rendering()
-    (axes,) = figure.axes
-    assert all(container[0].get_linewidth() == 0 for container in axes.containers)
-    places = [container[0].get_xdata() for container in axes.containers]
-    assert (np.abs(places - x) < 0.5).all()
-    assert (places[0] != places[1]).all()
-    ends = [text.get_window_extent().x1 for text in axes.get_xticklabels()]
-    assert np.diff(ends).min() > 7  # points of a letter: turned names do not lie over each other
-    assert max(ends) <= figure.bbox.x1
 
 
 def test_a_logarithmic_axis_names_few_ticks_and_no_line_crosses_an_empty_bin():

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 from decimal import Decimal
 from fractions import Fraction
 
-import clarabel
 import networkx
 import numpy as np
 from scipy import sparse
 from taichi_bearings_studies.stress import truth as decimals
 
 from taichi_bearings.verifier.samples import Samples
+from tests.clarabel_twin import least as least_by_clarabel
 from tests.kernels.twins import is_driven, neighbours
 from tests.properties.scenes import arrays_of
 from tests.verifier.laboratory import Laboratory
@@ -146,8 +146,8 @@ def by_clarabel(scene):
     motion = kinematics(scene)
     held, viscosity = _strengths(scene, motion.acting)
     unit = float(np.max(held + viscosity))
-    spins, forces = _minimised(motion.turning, motion.fixed, held / unit, viscosity / unit)
-    return _stored(scene, motion, spins, forces * unit)
+    found = least_by_clarabel(motion.turning, motion.fixed.reshape(-1, 3), held / unit, viscosity / unit, 1e-13)
+    return _stored(scene, motion, found.spins.reshape(-1, 3), found.force * unit)
 
 
 def _strengths(scene, acting):
@@ -159,27 +159,6 @@ def _strengths(scene, acting):
     if scene.law.name == "viscous":
         return 0 * first, first * speed
     return first * scene.normal_force, sum(beside, 0 * first) * speed
-
-
-def _minimised(slips, fixed, held, viscosity):
-    """Spins that minimise sum held |v| + viscosity |v|^2 / 2 with v = slips @ spins + fixed, and forces along v."""
-    contacts, unknowns = len(held), slips.shape[1]
-    every = np.repeat(viscosity, 3)
-    quadratic = sparse.block_diag([slips.T @ sparse.diags(every) @ slips, sparse.csc_matrix((contacts, contacts))])
-    linear = np.concatenate([slips.T @ (every * fixed), held])
-    first, rest = np.arange(contacts) * 4, np.setdiff1d(np.arange(4 * contacts), np.arange(contacts) * 4)
-    place = sparse.csc_matrix((np.ones(3 * contacts), (rest, range(3 * contacts))), (4 * contacts, 3 * contacts))
-    heights = sparse.csc_matrix((np.ones(contacts), (first, range(contacts))), (4 * contacts, contacts))
-    settings = clarabel.DefaultSettings()
-    settings.verbose, settings.max_threads = False, 1
-    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-13
-    found = clarabel.DefaultSolver(
-        sparse.triu(quadratic).tocsc(), linear, sparse.hstack([-place @ slips, -heights]).tocsc(), place @ fixed,
-        [clarabel.SecondOrderConeT(4)] * contacts, settings,
-    ).solve()  # fmt: skip
-    spins = np.nan_to_num(np.array(found.x)[:unknowns])
-    friction = -np.nan_to_num(np.array(found.z))[rest]
-    return spins.reshape(-1, 3), (friction + every * (slips @ spins + fixed)).reshape(-1, 3)
 
 
 def _stored(scene, motion, spins, forces):

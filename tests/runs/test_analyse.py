@@ -1,6 +1,5 @@
 """The analysis of stored runs: against plain graph algorithms on run.h5, and where the answer is known by hand."""
 
-import shutil
 from itertools import pairwise
 from pathlib import Path
 
@@ -11,7 +10,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from taichi_bearings.analysis.structure import structure_of
-from taichi_bearings.errors import FileError, InputError
+from taichi_bearings.errors import FileError
 from taichi_bearings.runs.analysis import analyse
 from taichi_bearings.runs.figures import FIGURES
 from taichi_bearings.runs.run import run
@@ -256,17 +255,6 @@ def test_the_group_holds_the_structure_and_the_rest_of_the_file_stays(solved):
     assert (folder / "run.h5").stat().st_size == size
 
 
-def test_no_figure_outlives_its_analysis(solved, tmp_path):
-    folder = tmp_path / "run"
-    shutil.copytree(solved(shape=(3, 4), seed=1), folder)
-    for place, more in ((folder, {}), (tmp_path / "out", {"out": tmp_path / "out", "force": True})):
-        analyse(folder, **more)
-        assert {"domains.png", "network.png"} <= {file.name for file in place.iterdir()}
-        (place / "own.png").write_text("mine")
-        analyse(folder, threshold=0.1, figures=False, **more)
-        assert {file.name for file in place.glob("*.png")} - {"history.png", "power_histogram.png"} == {"own.png"}
-
-
 def contents(path, without):
     """Every data set and attribute of a file as bytes, lists of texts as they are."""
     with h5py.File(path) as file:
@@ -315,64 +303,3 @@ def test_figures_and_files_beside_the_run(solved, tmp_path):
     with pytest.raises(FileError, match="already exists"):
         analyse(folder, out=tmp_path / "beside")
     analyse(folder, out=tmp_path / "beside", force=True)
-
-
-def test_several_samples_are_drawn_together_too(solved, tmp_path):
-    report = analyse(solved(shape=(4, 4, 5), seed=5, replicas=3), out=tmp_path / "beside")
-    names = {Path(file).name for file in report["files"]}
-    assert names == {"analysis.h5", *(f"{name}.png" for name in FIGURES)}
-    assert names == {path.name for path in (tmp_path / "beside").iterdir()}
-
-
-def test_what_cannot_be_analysed_is_refused_in_one_sentence(solved, tmp_path):
-    folder = solved(shape=(4, 5, 7), seed=0)
-    for replica in (1, -1):
-        with pytest.raises(InputError, match=f"replica is {replica}"):
-            analyse(folder, replica=replica)
-    with pytest.raises(FileError, match="not a run"):
-        analyse(tmp_path)
-    (tmp_path / "file").write_text("")
-    with pytest.raises(FileError, match="cannot be written"):
-        analyse(folder, out=tmp_path / "file")
-
-
-def test_a_figure_that_cannot_be_written_is_named_and_leaves_nothing(solved, tmp_path):
-    (tmp_path / "network.png").mkdir()
-    with pytest.raises(FileError, match=r"network\.png cannot be written"):
-        analyse(solved(shape=(4, 5, 7), seed=0), out=tmp_path, force=True)
-    assert not [path for path in tmp_path.iterdir() if path.name.startswith(".")]
-
-
-@pytest.mark.parametrize("damage", ["attribute", "shape", "number"])
-def test_a_damaged_run_is_refused_in_one_sentence(solved, tmp_path, damage):
-    path = tmp_path / "run.h5"
-    path.write_bytes((solved(shape=(4, 5, 7), seed=0) / "run.h5").read_bytes())
-    with h5py.File(path, "r+") as file:
-        if damage == "attribute":
-            del file.attrs["scene"]
-        elif damage == "shape":
-            values = file["spin"][:, :, 1:]
-            del file["spin"]
-            file["spin"] = values
-        else:
-            file["spin"][0, 0, 1] = np.nan
-    before = path.read_bytes()
-    with pytest.raises(FileError, match="damaged"):
-        analysed(path)
-    assert path.read_bytes() == before
-
-
-def test_a_link_to_a_run_file_stays_a_link(solved, tmp_path):
-    real, link = tmp_path / "real.h5", tmp_path / "run.h5"
-    real.write_bytes((solved(shape=(4, 5, 7), seed=0) / "run.h5").read_bytes())
-    link.symlink_to(real)
-    analysed(link)
-    assert link.is_symlink()
-    with h5py.File(real) as file:
-        assert "analysis" in file
-
-
-def test_plot_offers_the_figures_of_the_analysis():
-    from taichi_bearings_cli.plot import STRUCTURE_KINDS
-
-    assert tuple(FIGURES) == STRUCTURE_KINDS

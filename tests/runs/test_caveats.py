@@ -1,8 +1,5 @@
 """What an answer is not is said with the right number, and not where there is nothing to say."""
 
-from dataclasses import replace
-
-import numpy as np
 import pytest
 from taichi_bearings_studies.stress.truth import SLIPPING
 
@@ -12,10 +9,6 @@ from taichi_bearings.runs.caveats import caveats
 from taichi_bearings.runs.run import run
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.runs.verify import verify
-from taichi_bearings.runtime import Runtime
-from taichi_bearings.scans.plan import read_plan
-from taichi_bearings.scans.sample import solve_samples
-from taichi_bearings.scene import Status
 from tests.stress.minima import least_of_all
 
 pytestmark = pytest.mark.usefixtures("needs_f64", "taichi_runtime")
@@ -56,17 +49,6 @@ def test_what_remains_after_a_limit(solved):
     assert f"torques of {found.summary['largest_balance_residual']:.1e} were" in words_of(found, "limit")[0]
 
 
-def test_a_tolerance_beyond_single_precision_is_named(solved):
-    found = solved(method="gradient-descent", iterations=2000)
-    stuck = replace(found.solution, status=Status.STALLED, gap=np.array([2.1e-5]))
-    assert "single precision" not in "".join(caveats(stuck, found.settings))
-    single = replace(stuck, running=Runtime("cpu", "f32", 1))
-    (sentence,) = (s for s in caveats(single, found.settings) if "single precision" in s)
-    assert "a proven gap of 2.1e-05; the tolerance is 1e-08" in sentence
-    assert sentence.endswith("or a tolerance of 3e-05")
-    assert "single precision" not in "".join(caveats(single, replace(found.settings, tolerance=1e-4)))
-
-
 def test_undecided_contacts_are_counted(solved):
     found = solved(method="gradient-descent", iterations=50)
     number = found.summary["undecided"]
@@ -98,17 +80,6 @@ def test_what_rounding_makes_of_slips_is_not_named(solved, settings):
     assert verify(found.path)["contradictions"] == []
 
 
-def test_slips_of_two_kinds_that_mingle(solved):
-    found = solved(shape=(3, 3, 4), method="interior-point")
-    known = found.solution
-    slow, fast = (np.where(known.state == ContactState.SLIPLESS, slip, known.slip) for slip in (1e-20, 1e9))
-    unproven = replace(known, states_proven=np.array([False]))
-    assert caveats(replace(unproven, slip=slow), found.settings) == []
-    (sentence,) = caveats(replace(unproven, slip=fast), found.settings)
-    assert f"at most 1.0e+09, slipping ones at least {found.summary['smallest_slipping_slip']:.1e}" in sentence
-    assert caveats(replace(known, slip=fast), found.settings) == []
-
-
 def test_ties_are_counted(solved):
     found = solved(distribution="constant:1")
     (sentence,) = words_of(found, "tie")
@@ -136,12 +107,3 @@ def test_answers_in_python_have_their_warnings_too():
     answer = tb.solve(scene, threads=1)
     assert any("tie exactly" in sentence for sentence in answer.warnings)
     assert tb.solve(tb.Scene.random((4, 5)), threads=1).warnings == []
-
-
-def test_a_scan_has_them_as_text_where_there_are_any(tmp_path):
-    file = tmp_path / "scan.toml"
-    file.write_text('shape = [4, 5]\n[scan]\ndistribution = ["constant:1", "uniform:0.1,1.0"]\n')
-    tied, other = (record["scalars"] for record in solve_samples(read_plan(file).samples))
-    assert "tie exactly" in tied["warnings"]
-    assert f" {tied['tied_contacts']} contacts" in tied["warnings"]
-    assert "warnings" not in other

@@ -4,13 +4,11 @@ import os
 import signal
 import time
 from dataclasses import replace
-from pathlib import Path
 
 from taichi_bearings.scans.engine import Outcome, failure
 from taichi_bearings.scans.sample import solve_samples
 
 OUT_OF_MEMORY, EXITS, HANGS, ABORTS, FLAKY = 3, 5, 7, 8, 11  # seeds
-ROOM = 40_000_000  # bytes of memory
 
 
 def solve(samples, marks):
@@ -32,21 +30,6 @@ def solve(samples, marks):
         else:
             records += solve_samples([sample])
     return records
-
-
-def solve_in_little_memory(samples, marks):
-    """Solve samples; memory ends at one seed, and the worker at another. marks : folder for the tries of each."""
-    for seed in (sample.settings.seed for sample in samples):
-        with (marks / f"tries-{seed}").open("a") as tries:
-            tries.write("I")
-        if seed == OUT_OF_MEMORY:
-            import resource
-
-            used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-            resource.setrlimit(resource.RLIMIT_AS, (used + ROOM, resource.getrlimit(resource.RLIMIT_AS)[1]))
-        if seed == EXITS:
-            os.kill(os.getpid(), signal.SIGKILL)
-    return solve_samples(samples)
 
 
 def dawdle(samples, seconds):
@@ -87,24 +70,9 @@ class Here:
         pass
 
 
-class NoRoom(Here):
-    """An engine in which no sample has a result."""
-
-    def submit(self, unit):
-        self.outcomes.append(Outcome(unit, [failure(sample, MemoryError("no room")) for sample in unit]))
-
-
 def allowed(unit, seconds):
     """So long for what hangs, and for all else as long as a busy machine may take."""
     return seconds if any(sample.settings.seed == HANGS for sample in unit) else 300.0
-
-
-def end_dask_worker(samples):
-    """Solve samples, but end the process that started this one at one seed."""
-    if any(sample.settings.seed == EXITS for sample in samples):
-        os.kill(os.getppid(), signal.SIGKILL)
-        time.sleep(3600)
-    return solve_samples(samples)
 
 
 def halt(samples):

@@ -3,15 +3,12 @@
 import json
 import os
 import shutil
-import threading
-import time
 
 import pytest
 
 import taichi_bearings as tb
 from taichi_bearings.errors import InputError
 from taichi_bearings.files.scan_journal import Journal
-from taichi_bearings.files.whole_file import write_text
 from taichi_bearings.runs.run import run as run_packing
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scans.listing import entries
@@ -126,28 +123,6 @@ def test_a_damaged_folder_is_named_in_its_line(sentence, outputs, tmp_path):
     assert next(iter(found.values())).problem == ""
 
 
-def test_numbers_that_are_none_and_unfinished_runs_are_told(outputs, tmp_path):
-    shutil.copytree(outputs / "one", tmp_path / "one")
-    summary = json.loads((tmp_path / "one" / "summary.json").read_text())
-    (tmp_path / "one" / "summary.json").write_text(json.dumps(summary | {"power": None, "gap": None}))
-    (tmp_path / "begun").mkdir()
-    (tmp_path / "begun" / "checkpoint.h5").write_bytes(b"")
-    told = {entry.path: entry for entry in entries(tmp_path)}
-    assert "P = not finite, no gap" in told[str(tmp_path / "one")].words()
-    assert told[str(tmp_path / "one")].as_dict()["power"] is None
-    assert "unfinished" in told[str(tmp_path / "begun")].words()
-
-
-def test_a_thousand_folders_take_little_time(outputs, tmp_path):
-    for number in range(1000):
-        (tmp_path / f"{number}").mkdir()
-        for name in ("summary.json", "run.h5"):
-            os.link(outputs / "one" / name, tmp_path / f"{number}" / name)
-    began = time.process_time()
-    assert len(entries(tmp_path)) == 1000
-    assert time.process_time() - began < 3.0
-
-
 def test_the_command_lists_them_for_people_and_programs(outputs, tmp_path):
     done = bearings("list", outputs, "--json")
     assert done.returncode == 0, done.stderr
@@ -161,32 +136,3 @@ def test_the_command_lists_them_for_people_and_programs(outputs, tmp_path):
     assert (refused.returncode, len(refused.stderr.splitlines())) == (2, 1)
     with pytest.raises(InputError):
         entries(outputs / "notes.txt")
-
-
-def test_what_strangers_write_does_nothing_to_a_terminal(outputs, tmp_path):
-    shutil.copytree(outputs / "one", tmp_path / "a\n\x1b[2J")
-    shutil.copytree(outputs / "scan", tmp_path / "scan")
-    (tmp_path / "scan" / "scan.toml").write_text('law = 2020-01-01\nmethod = [[1]]\nshape = "\\u001b[2J"\n')
-    told = bearings("list", tmp_path)
-    assert (told.returncode, len(told.stdout.splitlines())) == (0, 2)
-    assert "\x1b" not in told.stdout
-    assert len(json.loads(bearings("list", tmp_path, "--json").stdout)["entries"]) == 2
-
-
-def test_a_folder_that_is_written_to_meanwhile_can_be_read(outputs, tmp_path):
-    """Files on their way are renamed between being listed and being looked at."""
-    shutil.copytree(outputs / "one", tmp_path / "one")
-    ended = threading.Event()
-
-    def write() -> None:
-        while not ended.is_set():
-            write_text(tmp_path / "one" / "figure.txt", "x")
-
-    writer = threading.Thread(target=write)
-    writer.start()
-    try:
-        for _ in range(1000):
-            assert not entries(tmp_path)[0].problem
-    finally:
-        ended.set()
-        writer.join()

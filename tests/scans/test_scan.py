@@ -3,9 +3,7 @@
 import os
 import random
 import signal
-import sys
 import threading
-import time
 from dataclasses import replace
 from functools import partial
 
@@ -21,9 +19,7 @@ from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.runs.solved import Run
 from taichi_bearings.scans import engine as scan_engine
 from taichi_bearings.scans.engine import LocalEngine, run_samples
-from taichi_bearings.scans.estimate import paying_workers, units_of
 from taichi_bearings.scans.plan import read_plan
-from taichi_bearings.scans.sample import solve_samples
 from taichi_bearings.scans.scan import estimate, scan, unused_keys
 from tests.scans import scan_faults
 from tests.scans.scan_faults import Here, asking
@@ -161,23 +157,6 @@ def test_what_a_scan_was_asked_for_once_is_done_ever_after(plan_of, tmp_path):
     assert read_plan(folder / "scan.toml").wishes == {"analyse": False, "keep_states": False, "sample_timeout": 50}
 
 
-@pytest.mark.parametrize(
-    "line", ["analyse = 1", 'keep_states = "yes"', "sample_timeout = nan", "sample_timeout = true"]
-)
-def test_bad_wishes_are_named(plan_of, line):
-    with pytest.raises(InputError, match=f"{line.split()[0]} is .*; it must be "):
-        plan_of(line)
-
-
-def test_a_sample_that_fails_when_it_is_brought_up_keeps_its_result(plan_of, tmp_path, caplog):
-    plan, folder = plan_of("shape = [5, 5]\n[scan]\nseed = [2]\n"), tmp_path / "scan"
-    scan(plan, folder, engine=Here())
-    report = scan(asking(plan, analyse=True), folder, engine=scan_faults.NoRoom())
-    assert (report["done"], report["failed"], report["lacking"]) == (1, 0, 1)
-    assert caplog.text.count("failed: MemoryError: no room") == 1
-    assert np.isfinite(read_scan(folder).table["power"]).all()
-
-
 def test_samples_that_fail_cost_nothing_but_themselves(plan_of, tmp_path, caplog):
     """One lacks memory, one ends its process, one hangs, one crashes, one fails but once."""
     plan = plan_of("shape = [5, 5]\n[scan]\nseed = { start = 0, stop = 12 }\n")
@@ -198,31 +177,6 @@ def test_samples_that_fail_cost_nothing_but_themselves(plan_of, tmp_path, caplog
     assert (again["solved_now"], again["failed"], again["reached"]) == (4, 0, 12)
     scan(plan, tmp_path / "undisturbed", engine=Here())
     assert_same_but_for_the_clock(tmp_path / "scan", tmp_path / "undisturbed")
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(sys.platform != "linux", reason="needs limits of memory as Linux has them")
-def test_workers_that_run_out_of_memory_cost_their_samples_alone(plan_of, tmp_path, caplog):
-    """The arrays of one sample do not fit, another ends its worker by the signal that the kernel sends."""
-    plan = plan_of("""
-    [[scan.zip]]
-    seed = [0, 1, 2, 3, 4, 5, 6]
-    shape = [[5, 5], [5, 5], [5, 5], [2000, 2000], [5, 5], [5, 5], [5, 5]]
-    """)
-    assert 2000 * 2000 * 8 < scan_faults.ROOM < 2 * 2000 * 2000 * 8  # the second array of coefficients is too much
-    work = partial(scan_faults.solve_in_little_memory, marks=tmp_path)
-    report = scan(plan, tmp_path / "scan", engine=LocalEngine(work, 2))
-    assert (report["reached"], report["failed"], report["missing"]) == (5, 2, 0)
-    reasons = {failure["sample"]: failure["error"] for failure in report["failures"]}
-    for seed, words in ((3, "MemoryError: Unable to allocate"), (5, "ended by SIGKILL (out of memory?)")):
-        (label,) = [label for label in reasons if f"seed = {seed}" in label]
-        assert words in reasons[label]
-        assert f"sample {label} failed and is tried again: {reasons[label]}" in caplog.text
-        assert f"sample {label} failed: {reasons[label]}" in caplog.text
-    assert (tmp_path / "tries-3").read_text() == "II"
-    assert len((tmp_path / "tries-5").read_text()) == 3  # with the samples of its unit, and twice alone
-    power = read_scan(tmp_path / "scan").table["power"]
-    assert np.isnan(power).tolist() == [seed in (3, 5) for seed in range(7)]
 
 
 def test_workers_that_never_work_end_the_scan_in_one_sentence(plan_of, monkeypatch):
@@ -246,16 +200,6 @@ def test_bad_scenes_are_refused_before_anything_is_written(plan_of, tmp_path):
         with pytest.raises(BearingsError):
             scan(plan_of(f"[scan]\n{text}\n"), tmp_path / "scan")
         assert not (tmp_path / "scan").exists()
-
-
-def test_input_errors_of_a_sample_are_not_tried_again(plan_of, tmp_path, caplog):
-    np.savez(tmp_path / "start.npz", spin=np.ones((3, 4)))
-    report = scan(
-        plan_of('shape = [4, 4]\n[scan]\ninitial = ["start.npz", "linear"]\n'), tmp_path / "scan", engine=Here()
-    )
-    assert (report["failed"], report["reached"]) == (1, 1)
-    assert "has shape (3, 4)" in report["failures"][0]["error"]
-    assert "tried again" not in caplog.text
 
 
 def test_killed_workers_lose_nothing(plan_of, tmp_path):
@@ -319,21 +263,6 @@ def test_folders_that_cannot_serve_are_named(plan_of, tmp_path):
             scan(plan, tmp_path / "closed")
 
 
-def test_a_second_scan_in_one_folder_is_refused(plan_of, tmp_path):
-    plan = plan_of("shape = [5, 5]\n[scan]\nseed = { start = 0, stop = 4 }\n")
-    refused = []
-
-    def try_meanwhile(progress):
-        if not refused:
-            with pytest.raises(FileError) as caught:
-                scan(plan, tmp_path / "scan")
-            refused.append(str(caught.value))
-
-    assert scan(plan, tmp_path / "scan", monitor=try_meanwhile, engine=Here())["reached"] == 4
-    assert "is in use by another process" in refused[0]
-    assert "\n" not in refused[0]
-
-
 def test_samples_of_two_precisions_get_workers_of_their_own(plan_of, tmp_path):
     plan = plan_of(
         'shape = [3, 3, 3]\ntolerance = 1e-2\nmethod = "gradient-descent"\n[scan]\n'
@@ -343,40 +272,6 @@ def test_samples_of_two_precisions_get_workers_of_their_own(plan_of, tmp_path):
     power = read_scan(tmp_path / "scan").table["power"]
     assert (power[:2] != power[2:]).all()
     assert np.allclose(power[:2], power[2:], rtol=2e-2)
-
-
-def test_units_hold_like_samples_of_about_a_second(plan_of):
-    plan = plan_of("[scan]\nshape = [[10, 10], [10, 10, 10], [24, 24, 24]]\nseed = { start = 0, stop = 300 }\n")
-    units = units_of(plan.samples)
-    assert sorted(sample.key for unit in units for sample in unit) == sorted(sample.key for sample in plan.samples)
-    assert {len({s.settings.shape for s in unit}) for unit in units} == {1}
-    assert [unit[0].settings.shape for unit in units[:3]] == [(10, 10), (10, 10, 10), (24, 24, 24)]  # one of each kind
-    sizes = {shape: max(len(u) for u in units if u[0].settings.shape == shape) for shape in ((10, 10), (24, 24, 24))}
-    assert sizes == {(10, 10): 150, (24, 24, 24): 1}
-
-
-def test_no_more_workers_than_the_work_pays(plan_of, tmp_path):
-    small = plan_of("shape = [10, 10]\n[scan]\nseed = { start = 0, stop = 1000 }\n")
-    large = plan_of("shape = [16, 16, 16]\n[scan]\nseed = { start = 0, stop = 100 }\n")
-    assert paying_workers(small.samples, 8) == 1
-    assert paying_workers(large.samples, 8) == 8
-    expected = estimate(large, None, workers=4)
-    assert (expected["samples"], expected["missing"], expected["workers"]) == (100, 100, 4)
-    assert 5 < expected["seconds"] < 100
-    assert 4 * 200e6 < expected["bytes"] < 4 * 1e9
-    dynamics = plan_of('shape = [4, 4]\nmethod = "cundall-strack"\nduration = 1.0\n')
-    assert estimate(dynamics, None)["seconds"] is None
-    scan(plan_of("shape = [5, 5]\n[scan]\nseed = [1, 2]\n"), tmp_path / "scan", engine=Here())
-    assert estimate(plan_of("shape = [5, 5]\n[scan]\nseed = [1, 2, 3]\n"), tmp_path / "scan")["missing"] == 1
-
-
-def test_a_scanned_method_stands_beside_the_one_that_solved(plan_of, tmp_path):
-    scan(plan_of('shape = [5, 5]\n[scan]\nmethod = ["auto", "planar-cut"]\n'), tmp_path / "scan", engine=Here())
-    stored = read_scan(tmp_path / "scan")
-    assert stored.table["method"].tolist() == ["auto", "planar-cut"]
-    assert stored.table["method_found"].tolist() == ["planar-cut"] * 2
-    with h5py.File(tmp_path / "scan" / "scan.h5") as file:
-        assert file["table/method"].attrs["description"].startswith("auto is")
 
 
 def test_what_no_sample_uses_is_refused_before_anything_is_computed(plan_of, tmp_path):
@@ -400,27 +295,3 @@ def test_a_scan_runs_in_a_thread_too(plan_of, tmp_path):
     thread.start()
     thread.join()
     assert reports[0]["reached"] == 1
-
-
-def test_records_come_in_the_order_of_the_samples(plan_of):
-    plan = plan_of("shape = [5, 5]\n[scan]\nlaw = ['coulomb', 'viscous']\nseed = [7, 3, 5, 4]\n")
-    mixed = random.Random(1).sample(list(plan.samples), 8)
-    began = time.perf_counter()
-    records = solve_samples(mixed)
-    assert [record["key"] for record in records] == [sample.key for sample in mixed]
-    assert [record["scalars"]["seed"] for record in records] == [sample.settings.seed for sample in mixed]
-    assert sum(record["scalars"]["seconds"] for record in records) < time.perf_counter() - began
-
-
-def test_a_sample_is_the_same_beside_others_and_alone(plan_of):
-    """Solved side by side: every number but the time, to the last bit."""
-    plan = plan_of("shape = [9, 9, 9]\n[scan]\nseed = { start = 0, stop = 11 }\n")
-    together = solve_samples(plan.samples, analyse=True)
-    assert {record["scalars"]["status"] for record in together} == {"certified"}
-    assert len({record["scalars"]["iterations"] for record in together}) > 1
-    for sample, record in zip(plan.samples, together, strict=True):
-        (alone,) = solve_samples([sample], analyse=True)
-        for found in (record, alone):
-            for name in ("seconds", "seconds_compile"):
-                found["scalars"].pop(name)
-        assert record == alone

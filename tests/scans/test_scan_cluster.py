@@ -8,14 +8,11 @@ import subprocess
 import sys
 import time
 from functools import partial
-from pathlib import Path
 
 import pytest
 
-from taichi_bearings.errors import BearingsError, InputError
-from taichi_bearings.files.scan_file import read_scan
+from taichi_bearings.errors import BearingsError
 from taichi_bearings.scans.cluster import DaskEngine, connected
-from taichi_bearings.scans.plan import read_plan
 from taichi_bearings.scans.scan import scan
 from tests.scans import scan_faults
 from tests.scans.test_scan import MIXED, assert_same_but_for_the_clock
@@ -68,22 +65,6 @@ def test_the_same_bits_as_on_this_machine(client, plan_of, tmp_path):
     assert solvers(client) == []  # they end with their scan
 
 
-@pytest.mark.slow
-def test_samples_that_fail_cost_nothing_but_themselves(client, plan, tmp_path, caplog):
-    engine = DaskEngine(client, partial(scan_faults.solve, marks=tmp_path), partial(scan_faults.allowed, seconds=1.0))
-    before = set(client.run(os.getpid).values())
-    report = scan(plan, tmp_path / "scan", engine=engine)
-    assert (report["done"], report["failed"], report["missing"]) == (10, 4, 0)
-    stored = read_scan(tmp_path / "scan")
-    assert stored.table["seed"][stored.failed].tolist() == [3, 5, 7, 8]
-    reasons = " ".join(stored.table["error"])
-    for words in ("exit code 42", "no result within 1 s", "SIGABRT", "MemoryError"):
-        assert words in reasons
-        assert words in caplog.text
-    assert set(client.run(os.getpid).values()) == before  # no sample ends a Dask worker
-    assert scan(plan, tmp_path / "scan", client=client)["solved_now"] == 4
-
-
 @pytest.mark.parametrize("whom", ["solver", "Dask worker"])
 def test_killed_workers_lose_nothing(client, plan_of, tmp_path, whom):
     plan = plan_of("shape = [5, 5]\n[scan]\nseed = { start = 0, stop = 40 }\n")
@@ -106,29 +87,6 @@ def test_killed_workers_lose_nothing(client, plan_of, tmp_path, whom):
     assert (report["reached"], report["failed"], report["missing"]) == (40, 0, 0)
     scan(plan, tmp_path / "undisturbed", engine=scan_faults.Here())
     assert_same_but_for_the_clock(tmp_path / "scan", tmp_path / "undisturbed")
-
-
-@pytest.mark.slow
-def test_a_sample_that_ends_its_dask_worker_each_time_is_reported(plan_of, tmp_path):
-    plan = plan_of("shape = [5, 5]\n[scan]\nseed = [1, 2, 5]\n")
-    with cluster_of(2) as cluster, connected(cluster.scheduler_address) as client:  # which may not outlive it
-        report = scan(plan, tmp_path / "scan", engine=DaskEngine(client, scan_faults.end_dask_worker))
-    assert (report["done"], report["failed"]) == (2, 1)
-    assert "seed = 5" in report["failures"][0]["sample"]
-    assert "Dask workers were lost" in report["failures"][0]["error"]
-
-
-def test_files_are_found_and_states_kept_wherever_workers_run(client, plan_of, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    plan = plan_of("shape = [3, 3, 3]\n[scan]\nseed = [1]\n")
-    assert scan(scan_faults.asking(plan, keep_states=True), tmp_path / "first", client=client)["reached"] == 1
-    state = next((tmp_path / "first" / "states").iterdir())
-    state.rename(tmp_path / "start.h5")
-    (tmp_path / "scan.toml").write_text('shape = [3, 3, 3]\ncoefficients = "start.h5"\nkeep_states = true\n')
-    assert scan(read_plan(Path("scan.toml")), Path("second"), client=client)["reached"] == 1
-    assert len(list((tmp_path / "second" / "states").iterdir())) == 1
-    powers = [read_scan(tmp_path / name).table["power"][0] for name in ("first", "second")]
-    assert powers[0] == powers[1]
 
 
 @pytest.mark.slow
@@ -179,28 +137,3 @@ def test_the_command_on_a_cluster_and_its_interruption(client, tmp_path):
     report = json.loads(out)
     assert report["interrupted"]
     assert 0 < report["done"] == journal.read_bytes().count(b"\n") < 400
-
-
-def test_bad_addresses_are_one_sentence(monkeypatch):
-    monkeypatch.setattr("taichi_bearings.scans.cluster.CONNECT", 1.0)
-    began = time.monotonic()
-    for given, words in (
-        ("tcp://127.0.0.1:1", "no Dask scheduler at 'tcp://127.0.0.1:1': no answer within 1 s"),
-        ("nowhere", "missing port number"),
-        ("foo://bar:7", "unknown address scheme"),
-    ):
-        with pytest.raises(InputError) as caught:
-            connected(given).__enter__()
-        assert words in str(caught.value)
-        assert "\n" not in str(caught.value)
-    assert time.monotonic() - began < 6
-
-
-def test_without_dask_the_extra_is_named(tmp_path):
-    (tmp_path / "scan.toml").write_text("shape = [5, 5]\n")
-    program = "import sys; sys.modules['distributed'] = None; from taichi_bearings_cli.main import main; main()"
-    words = [sys.executable, "-c", program, "scan", tmp_path / "scan.toml", "--scheduler", "tcp://127.0.0.1:1"]
-    done = subprocess.run(words, capture_output=True, text=True)
-    assert done.returncode == 2
-    assert "pip install 'taichi-bearings[cluster]'" in done.stderr
-    assert len(done.stderr.strip().splitlines()) == 1

@@ -7,7 +7,7 @@ import pytest
 
 from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.files.scan_file import read_scan
-from taichi_bearings.scans.figure import Request, columns_of, curves_of, look_of, plot_scan, points_of
+from taichi_bearings.scans.figure import Request, columns_of, plot_scan, points_of
 from tests.stored_scans import stored_scan
 
 SEEDS, BOTTOMS = 9, (0.0, 0.1)
@@ -64,17 +64,6 @@ def test_two_samples_have_no_bar(tmp_path):
         assert np.isnan(ends).tolist() == [[True, True], [False, False]]
 
 
-def test_texts_stand_in_their_natural_order_with_their_names(scan):
-    request = Request("power", "shape", where=("spin_bottom=0",))
-    columns = columns_of(read_scan(scan.path), request)
-    found = points_of(columns, request)
-    assert [point.plot[0] for point in found] == [0, 1, 2]
-    look = look_of(read_scan(scan.path), columns, found, request)
-    assert look.ticks == ["4x4", "8x8", "16x16"]
-    share = f"{3 * SEEDS - 1} of {3 * SEEDS} samples"
-    assert look.title == f"{share} over seed: means with standard errors\nleft out: 1 failed"
-
-
 def test_figure_and_table_hold_the_same_points(scan, tmp_path):
     request = Request("power", "spin_bottom", by=("L",), log="y")
     files = plot_scan(scan.path.parent, request, tmp_path / "figure.png")
@@ -113,10 +102,3 @@ def test_figure_and_table_hold_the_same_points(scan, tmp_path):
 def test_what_cannot_be_drawn_is_refused_in_a_sentence(scan, words, more, sentence):
     with pytest.raises(InputError, match=sentence):
         points(scan, *words, **more)
-
-
-def test_too_many_curves_are_refused(tmp_path):
-    many = stored_scan(tmp_path, sides=(4,), bottoms=(0.0,), seeds=25)
-    request = Request("power", "L", by=("seed",))
-    with pytest.raises(InputError, match="25 curves"):
-        curves_of(points(many, "power", "L", by=("seed",)), request)

@@ -3,7 +3,6 @@
 import math
 from dataclasses import fields
 from functools import partial
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,13 +11,11 @@ from taichi_bearings.analysis.packing_structure import PackingStructure
 from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.files.scan_file import read_scan
 from taichi_bearings.packing import Packing
-from taichi_bearings.packing.system import System
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.runs.run import run
 from taichi_bearings.runs.run_file import read_run
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.runs.verify import verify
-from taichi_bearings.scans import packings
 from taichi_bearings.scans.estimate import units_of
 from taichi_bearings.scans.figure import Request, plot_scan
 from taichi_bearings.scans.histogram import pooled, read_source
@@ -104,42 +101,6 @@ def test_a_packing_over_laws_and_seeds_is_its_runs_to_the_last_bit(plan_of, bcc,
     assert estimate(plan, tmp_path / "scan")["missing"] == 1
 
 
-def scan_of(plan_of, tmp_path, text):
-    """The folder of a scan done in this process."""
-    scan(plan_of(text), tmp_path / "other", engine=Here())
-    return tmp_path / "other"
-
-
-@pytest.mark.parametrize(("kind", "cells"), [("bcc", (3, 2, 3)), ("triangular", (6, 6))])
-def test_seeds_share_what_was_found_of_the_network_and_no_bit_changes(kind, cells, plan_of, tmp_path, monkeypatch):
-    save(tmp_path / "one.npz", Packing.lattice(kind, cells), *DRAWN_OR_GIVEN)
-    turned = Packing.lattice(kind, cells, spin_bottom=0.3)
-    save(tmp_path / "two.npz", turned, *DRAWN_OR_GIVEN)
-    text = '[scan]\npacking = ["one.npz", "two.npz"]\nlaw = ["coulomb", "viscous"]\nseed = [0, 1]\n'
-    plan, found = plan_of(text), []
-    systems = SimpleNamespace(of=lambda packing: found.append(packing) or System.of(packing))
-    monkeypatch.setattr(packings, "System", systems)
-    packings._last.clear()
-    scan(plan, tmp_path / "scan", engine=Here())
-    assert len(found) == 4  # those of each packing together, after the first one of each law
-    for row, sample in enumerate(plan.samples):
-        assert_row_is_run(read_scan(tmp_path / "scan"), row, run(settings_of_run(sample), tmp_path / str(row)))
-    assert len(np.unique(read_scan(tmp_path / "scan").table["power"])) == 8
-
-
-def test_contacts_without_a_coefficient_make_another_network(tmp_path):
-    """Where draws decide which contacts act, nothing is shared."""
-    whole = Packing.lattice("square", (5, 5), seed=1)
-    some = np.where(np.arange(whole.contacts) % 7 == 3, 0.0, whole.friction)
-    given = {name: value for name, value in whole.arrays().items() if name != "friction"}
-    for friction in (whole.friction, some, whole.friction, 2 * whole.friction):
-        packing = Packing(**given, friction=friction)
-        shared, alone = packings._system_of(packing), System.of(packing)
-        assert shared.packing is packing
-        for name in ("contact", "moved", "sphere", "known", "offset", "coefficients"):
-            assert np.array_equal(getattr(shared, name), getattr(alone, name)), name
-
-
 def test_a_scan_that_was_stopped_ends_as_if_it_had_not_been(plan_of, bcc, tmp_path):
     plan = plan_of(LAWS_BY_SEEDS)
     folder, whole = tmp_path / "stopped", tmp_path / "whole"
@@ -175,40 +136,6 @@ def test_keys_of_scans_of_lattices_stay(plan_of):
     plan = plan_of("spin_bottom = 0.5\n[scan]\nshape = [[4, 4], [3, 3, 4]]\nseed = [0, 7]\n")
     kept = ["95c48ffef6932d74", "e0f1a2e4499400c8", "89fceed8dfd88e7b", "9fad00d3cec1f67c"]
     assert [sample.key for sample in plan.samples] == kept
-
-
-def laid_down(coefficients):
-    """Of a square lattice, its x as height."""
-    return {"x": coefficients[1].T, "y": coefficients[0].T}
-
-
-def test_walls_are_planes_of_the_lattice_laid_down(plan_of, tmp_path, needs_f64):
-    from taichi_bearings.lattice import Lattice
-    from taichi_bearings.scene.disorder import Distribution, draw_coefficients
-
-    drawn = draw_coefficients(Lattice((7, 5)), Distribution.parse("uniform:0.1,1.0"), 3)
-    np.savez(tmp_path / "standing.npz", **dict(zip("xy", drawn, strict=True)))
-    np.savez(tmp_path / "laid.npz", **laid_down(drawn))
-    text = """
-    spin_bottom = -0.5
-    [[scan.zip]]
-    driven = ["walls", "planes"]
-    coefficients = ["standing.npz", "laid.npz"]
-    """
-    scan(plan_of(text), tmp_path / "scan", engine=Here())
-    table = read_scan(tmp_path / "scan").table
-    assert table["shape"].tolist() == ["7x5", "5x7"]
-    assert set(table["status"]) == {"certified"}
-    power, lower = table["power"], table["lower_bound"]
-    assert power[0] == pytest.approx(power[1], rel=1e-12)
-    assert (lower <= power).all()
-    assert (power > 0).all()
-    for name in ("slipping", "slipless", "undecided", "contacts", "normal_force", "radius", "spin_top", "spin_bottom"):
-        assert table[name][0] == table[name][1], name
-    count = read_scan(tmp_path / "scan").histograms.count
-    assert np.array_equal(count[0], count[1])
-    assert count.any()
-    assert pooled([read_source(tmp_path / "scan")], normalise="mean")[None].samples == 2
 
 
 def test_driven_bodies_of_a_lattice_are_scanned(plan_of, tmp_path):

@@ -4,16 +4,15 @@ import json
 import math
 from collections import Counter
 from dataclasses import replace
-from itertools import pairwise
 
 import pytest
 
 from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.files.scan_file import read_scan
-from taichi_bearings.scans.parts import Part, part_numbers, part_of
+from taichi_bearings.scans.parts import Part, part_of
 from taichi_bearings.scans.scan import merge, scan
 from tests.cli.commands import bearings
-from tests.scans.scan_faults import Here, NoRoom
+from tests.scans.scan_faults import Here
 from tests.scans.test_scan import MIXED, assert_same_but_for_the_clock
 
 
@@ -29,14 +28,6 @@ def test_parts_are_the_whole_and_alike_whatever_the_order_of_the_keys(plan_of):
             sites = [sum(math.prod(sample.settings.shape) for sample in part) for part in parts]
             assert max(sites) - min(sites) <= 1600 + 729
             assert max(map(len, parts)) - min(map(len, parts)) <= 1
-
-
-def test_seeds_of_one_part_follow_each_other(plan_of):
-    plan = plan_of("shape = [5, 5]\n[scan]\nlaw = ['coulomb', 'viscous']\nseed = { start = 0, stop = 90 }\n")
-    numbers = part_numbers(plan, 4)
-    for law in ("coulomb", "viscous"):
-        of_law = [numbers[sample.key] for sample in plan.samples if sample.settings.law == law]
-        assert sum(a != b for a, b in pairwise(of_law)) == 3
 
 
 def test_parts_and_merge_equal_the_undisturbed_scan(plan_of, tmp_path):
@@ -73,15 +64,6 @@ def test_the_scan_itself_does_what_parts_have_left(plan_of, tmp_path, caplog):
     assert "line 1" in caplog.text
     scan(plan, tmp_path / "undisturbed", engine=Here())
     assert_same_but_for_the_clock(tmp_path / "scan", tmp_path / "undisturbed")
-
-
-def test_a_result_stands_before_a_failure_in_another_journal(plan_of, tmp_path):
-    plan = plan_of("shape = [5, 5]\n[scan]\nseed = [1, 2]\n")
-    assert scan(plan, tmp_path / "scan", part=Part(1, 1), engine=NoRoom())["failed"] == 2
-    assert [part["missing"] for part in merge(plan, tmp_path / "scan")["incomplete_parts"]] == [2]
-    assert scan(plan, tmp_path / "scan", engine=Here())["solved_now"] == 2
-    report = merge(plan, tmp_path / "scan")
-    assert (report["reached"], report["failed"]) == (2, 0)
 
 
 def test_a_part_is_refused_while_it_runs_and_others_are_not(plan_of, tmp_path):

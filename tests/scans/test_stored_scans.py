@@ -6,13 +6,12 @@ import shutil
 import numpy as np
 import pytest
 
-from taichi_bearings.errors import FileError, InputError
+from taichi_bearings.errors import FileError
 from taichi_bearings.files.scan_file import read_scan
-from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scans.figure import Request, columns_of, look_of, plot_scan, points_of
 from taichi_bearings.scans.histogram import histogram, pooled, read_source
 from taichi_bearings.scans.scan import scan
-from taichi_bearings.scans.stored_scans import disorder_of, open_scan
+from taichi_bearings.scans.stored_scans import open_scan
 from tests.scans.scan_faults import Here, asking
 
 LAWS = "shape = [4, 5]\n[scan]\nlaw = ['coulomb', 'viscous']\nseed = { start = 0, stop = 6 }\n"
@@ -62,14 +61,6 @@ def test_a_killed_scan_opens_with_what_it_has(folder):
     }  # fmt: skip
 
 
-def test_a_scan_that_was_killed_before_its_first_sample_has_none(folder):
-    killed(folder, 0)
-    with pytest.raises(InputError, match=r"no sample has both power and law: 12 not computed yet"):
-        told(folder, "power")
-    with pytest.raises(InputError, match="no sample has a result: 12 not computed yet"):
-        pooled([read_source(folder)])
-
-
 def test_a_table_that_is_older_than_the_journal_or_the_scan_is_not_used(folder, plan_of):
     complete = folder / "scan.h5"
     assert open_scan(folder).attributes.keys() == read_scan(folder).attributes.keys()  # schema, and so from the file
@@ -106,16 +97,6 @@ def test_a_scan_whose_file_is_gone_is_read_from_its_table_or_refused(folder, cap
     (folder / "scan.h5").unlink()
     with pytest.raises(FileError, match=r"scan\.toml does not exist"):
         open_scan(folder)
-
-
-def test_a_curve_without_a_single_sample_is_named(folder):
-    lines, rows = told(folder, "power_normalised", by=("law",), x="seed")
-    assert lines == [
-        "6 of 12 samples (6 without power_normalised)",
-        "  law viscous: none of 6 samples (6 without power_normalised)",
-    ]
-    assert [row["number"] for row in rows] == ["1"] * 6 + ["0"] * 6
-    assert {row["mean"] for row in rows[6:]} == {""}
 
 
 def test_what_does_not_span_has_no_path_and_is_not_averaged_in(plan_of, tmp_path):
@@ -169,36 +150,3 @@ def test_one_seed_in_different_systems_is_as_many_samples_and_the_figure_says_so
     assert pooled([read_source(folder)])[None].density_error.any()
     lines, rows = told(folder, "power", "L", by=("shape",))
     assert (lines, [row["number"] for row in rows]) == (["all 9 samples"], ["3", "3", "3"])
-
-
-def test_settings_of_a_dynamics_are_systems_to_it_alone(plan_of, tmp_path):
-    plan = plan_of(
-        "shape = [4, 4]\nmethod = 'planar-cut'\n[scan]\nspin_bottom = [0.0, 0.1]\nstiffness = [1e4, 1e5]\n"
-        "seed = { start = 0, stop = 3 }\n"
-    )
-    (tmp_path / "scan").mkdir()
-    (tmp_path / "scan" / "scan.toml").write_text(plan.text)
-    scan(plan, tmp_path / "scan", engine=Here())
-    _, (row,) = told(tmp_path / "scan", "power", "L")
-    assert row["number"] == "6"
-    mixed = {
-        "seed": np.array([3, 3]),
-        "stiffness": np.array([1e4, 1e5]),
-        "method": np.array(["planar-cut", "cundall-strack"]),
-    }
-    assert disorder_of(mixed) == [(3, 3, None), (3, 3, 1e5)]
-    laws = {"law": np.array(["coulomb", "viscous"])}
-    assert disorder_of(mixed | laws) == [(3, 3, "coulomb", None), (3, 3, "viscous", None)]
-    table = {"seed": np.array([0, 0]), "stiffness": np.array([1e4, 1e5]), "method": np.array(["cundall-strack"] * 2)}
-    assert len(set(disorder_of(table))) == 2
-    distributions = [RunSettings(distribution=f"constant:{value}") for value in (1, 2)]
-    assert len({disorder_of({"seed": np.array([0])}, settings)[0] for settings in distributions}) == 2
-
-
-def test_a_failed_sample_is_counted_where_it_belongs(plan_of, tmp_path):
-    np.savez(tmp_path / "start.npz", spin=np.ones((3, 4)))
-    plan = plan_of('shape = [4, 4]\n[scan]\ninitial = ["start.npz", "linear"]\nseed = [1, 2, 3]\n')
-    scan(plan, tmp_path / "scan", engine=Here())
-    _, rows = told(tmp_path / "scan", "power", "L")
-    assert [(row["L"], row["used"], row["left_out"]) for row in rows] == [("4", "3", "3 failed")]
-    assert read_source(tmp_path / "scan").column("seed").tolist() == [1, 2, 3]

@@ -67,19 +67,6 @@ def test_coefficients_are_read_from_files(tmp_path, kind):
         read_coefficients(path)
 
 
-def test_missing_files_and_arrays_are_named(tmp_path):
-    with pytest.raises(FileError, match="does not exist"):
-        read_coefficients(tmp_path / "none.npz")
-    np.savez(tmp_path / "half.npz", x=np.ones((2, 4)))
-    with pytest.raises(FileError, match="lacks the array y"):
-        read_coefficients(tmp_path / "half.npz")
-    with pytest.raises(InputError, match="initial is"):
-        initial_spin(make_scene((3, 4)), "upside-down")
-    np.save(tmp_path / "spin.npy", np.ones((5, 5)))
-    with pytest.raises(InputError, match="has shape"):
-        initial_spin(make_scene((3, 4)), str(tmp_path / "spin.npy"))
-
-
 def test_a_scene_owns_what_it_is_given():
     """A buffer that is filled anew, or its last value made impossible, changes no scene; nor can a scene be changed."""
     given = [np.full((3, 5), 0.4), np.full((4, 4), 0.4)]
@@ -93,18 +80,6 @@ def test_a_scene_owns_what_it_is_given():
         with pytest.raises(ValueError, match="read-only"):
             values[0] = 1.0
     assert not spin.any()
-
-
-@pytest.mark.parametrize("kind", [np.int64, np.float32, np.longdouble, np.array])
-def test_numbers_of_numpy_are_numbers(kind):
-    scene = make_scene((3, 4), spin_top=kind(2), normal_force=kind(3), direction=(kind(1), kind(0), kind(0)))
-    assert repr((scene.spin_top, scene.normal_force, scene.direction)) == "(2.0, 3.0, (1.0, 0.0, 0.0))"
-    assert (scene.top_spin((2,)) == 2.0).all()
-
-
-def test_a_radius_in_single_precision_is_kept_as_it_is(tmp_path):
-    best = tb.solve(Scene.random((3, 4), radius=np.float32(0.1)), threads=1)
-    assert tb.load(best.save(tmp_path / "run")).scene.radius == float(np.float32(0.1))
 
 
 def test_a_faint_part_of_the_direction_has_a_finite_power(needs_f64):

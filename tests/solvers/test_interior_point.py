@@ -5,17 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from taichi_bearings.conic import resolution
-from taichi_bearings.conic.grouped import each
-from taichi_bearings.conic.last_decades import LastDecades
-from taichi_bearings.errors import InputError
 from taichi_bearings.proof.certificate import lower_bound, relative_gap
 from taichi_bearings.proof.contact_state import ContactState, separate
 from taichi_bearings.runs.run import prepare, solve_job
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene import Scene, Status
 from taichi_bearings.scene.initial_spins import initial_spin
-from taichi_bearings.solvers import GradientDescent, InteriorPoint, LinearSolver, interior_point
+from taichi_bearings.solvers import InteriorPoint, LinearSolver
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
 from tests.scenes import make_scene, minima, name_of, scene_of
@@ -79,23 +75,6 @@ def test_every_start_leads_to_the_same_minimum(start):
     assert (one.state == other.state).all()
 
 
-def test_replicas_give_what_they_give_alone():
-    together = minimum_of(make_scene((4, 5, 6), seeds=(3, 4, 5)))
-    for number, seed in enumerate((3, 4, 5)):
-        alone = minimum_of(make_scene((4, 5, 6), seeds=(seed,)))
-        assert alone.power[0] == together.power[number]
-        assert (alone.spin[0] == together.spin[number]).all()
-
-
-def test_it_agrees_with_gradient_descent():
-    scene = make_scene((6, 5, 7), spin_bottom=0.2)
-    descent = solve(scene, GradientDescent().build(), initial_spin(scene, "linear"), StopRule(1e-6))
-    solution = minimum_of(scene)
-    assert solution.lower_bound[0] <= descent.power[0]
-    assert descent.lower_bound[0] <= solution.power[0]
-    assert descent.power[0] == pytest.approx(solution.power[0], rel=1e-6)
-
-
 def test_reported_forces_hold_the_spheres_and_prove_the_bound():
     scene = make_scene((6, 6, 6))
     method = InteriorPoint().build()
@@ -122,13 +101,6 @@ def test_without_settling_it_stops_at_the_tolerance():
     assert quick.status is Status.CERTIFIED
     assert 1e-8 < quick.gap[0] < 1e-4
     assert quick.iterations < minimum_of(scene, 1e-4).iterations
-
-
-def test_nothing_to_do_without_frustration():
-    scene = make_scene((4, 4, 5), spin_bottom=1.0)
-    solution = minimum_of(scene, start="random")
-    assert solution.status is Status.CERTIFIED
-    assert solution.power[0] < 1e-25
 
 
 @pytest.mark.parametrize("shape", [(10, 10), (5, 4, 6)], ids=str)
@@ -164,12 +136,6 @@ def test_friction_and_viscosity_together_bear_every_force():
     assert solution.force[slips] == pytest.approx((friction + viscosity * solution.slip)[slips], rel=1e-7)
     assert (solution.force[rests] < friction[rests] * (1 + 1e-9)).all()
     assert not (solution.state == ContactState.UNDECIDED).any()
-
-
-def test_the_viscous_law_is_refused():
-    scene = make_scene((4, 4, 5), law="viscous")
-    with pytest.raises(InputError, match="does not solve the law 'viscous'"):
-        minimum_of(scene)
 
 
 def test_auto_goes_on_with_operator_splitting_where_the_path_ends_early():
@@ -224,43 +190,6 @@ def test_a_sample_with_slips_of_all_sizes_is_settled():
     solution = minimum_of(make_scene((16, 16, 16), seeds=(31,)))
     assert solution.states_proven[0]
     assert (solution.state == ContactState.SLIPPING).sum() == 3641
-
-
-@pytest.fixture
-def as_large(monkeypatch):
-    """Small samples are settled as large ones are."""
-    monkeypatch.setattr(interior_point, "BATCHED_SITES", 0)
-
-
-def tie_nothing(monkeypatch):
-    """The last decades of the path are followed as a whole."""
-    over_tied = resolution._over_tied
-    whole = lambda at, path, sticking, *of: over_tied(at, path, each(np.zeros_like, sticking), *of)  # noqa: E731
-    monkeypatch.setattr(resolution, "_over_tied", whole)
-
-
-@pytest.mark.usefixtures("as_large")
-@pytest.mark.parametrize(("seed", "wrong"), [(0, 1), (1, 10), (2, 10)])
-def test_contacts_that_are_wrongly_tied_are_freed(monkeypatch, seed, wrong):
-    """Those that slip least. The path of the whole is followed then: the states are its."""
-    scene, decide = make_scene((8, 8, 8), seeds=(seed,)), LastDecades.decide
-    with monkeypatch.context() as nothing_tied:
-        tie_nothing(nothing_tied)
-        whole = minimum_of(scene)
-
-    def wrongly_decided(path, *doubtful, **how):
-        slipping = decide(path, *doubtful, **how)
-        if doubtful:
-            mask, slip = slipping.parts[0], path.point.difference.length().parts[0]
-            path.sticking.parts[0][np.flatnonzero(mask)[np.argsort(slip[mask])[:wrong]]] = True
-        return slipping
-
-    monkeypatch.setattr(LastDecades, "decide", wrongly_decided)
-    monkeypatch.setattr(resolution, "DOUBTFUL_SHARE", 0.0)
-    monkeypatch.setattr(resolution, "LEAST_DOUBTFUL", 0)
-    brief = minimum_of(scene)
-    assert (whole.states_proven[0], brief.states_proven[0]) == (True, True)
-    assert (brief.state == whole.state).all()
 
 
 def test_contacts_that_only_rounding_lets_slip_are_looked_at_again():

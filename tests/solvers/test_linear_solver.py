@@ -5,11 +5,10 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from taichi_bearings.errors import InputError
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.scene import Scene, Status
 from taichi_bearings.scene.initial_spins import initial_spin
-from taichi_bearings.solvers import GradientDescent, LinearSolver, linear_solver
+from taichi_bearings.solvers import LinearSolver
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
 from tests.agreement.test_independent_solvers import viscous_minimum
@@ -130,57 +129,10 @@ def test_six_decades_balance_to_round_off(shape, distribution):
     assert imbalance(solution) < 1e-12
 
 
-@pytest.mark.usefixtures("needs_f64")
-@pytest.mark.parametrize("shape", [(7, 8), (4, 3, 5)], ids=str)
-def test_it_agrees_with_gradient_descent(shape):
-    scene = make_scene(shape, "viscous", spin_bottom=-0.1)
-    descent = solve(scene, GradientDescent().build(), initial_spin(scene, "zero"), StopRule(1e-11))
-    solution = solved(scene)
-    assert solution.power[0] == pytest.approx(descent.power[0], rel=2e-11)
-    assert solution.slip == pytest.approx(descent.slip, abs=1e-5)
-
-
-@pytest.mark.parametrize("shape", [(6, 9), (3, 4, 5)], ids=str)
-def test_replicas_together_equal_replicas_alone(shape):
-    together = solved(make_scene(shape, "viscous", seeds=(5, 6, 7)))
-    for n, seed in enumerate((5, 6, 7)):
-        alone = solved(make_scene(shape, "viscous", seeds=(seed,)))
-        assert together.spin[n] == pytest.approx(alone.spin[0], abs=1e-14)
-
-
-def test_bundles_lower_the_power_one_after_another(monkeypatch):
-    scene = make_scene((6, 5, 7), "viscous", seeds=(8, 9))
-    whole = solved(scene)
-    monkeypatch.setattr(linear_solver, "BUNDLE_SITES", 2 * 6 * 7)
-    parts = solved(scene)
-    assert whole.iterations == 2
-    assert parts.iterations == 6 + 5  # 12 planes x = const of 35 spheres, 10 planes y = const of 42: two by one
-    assert (np.diff(parts.history["power"], axis=0) <= 0).all()
-    assert parts.spin == pytest.approx(whole.spin, abs=1e-14)
-
-
 def test_the_start_does_not_matter():
     scene = make_scene((4, 5, 6), "viscous", distribution="lognormal:1,2.3")
     spins = [solved(scene, start).spin for start in ("random", "zero", "linear")]
     assert np.ptp(spins, axis=0).max() < 1e-14
-
-
-def test_spins_about_the_height_cost_nothing():
-    scene = make_scene((4, 3, 5), "viscous", direction=(0, 0, 1), spin_bottom=-0.5)
-    solution = solved(scene)
-    assert solution.power[0] == 0
-    assert abs(solution.spin[0, :, :, :, 2]) == pytest.approx(abs(np.linspace(-0.5, 1, 5)) + np.zeros((4, 3, 5)))
-
-
-def test_equal_planes_turn_everything_alike():
-    scene = make_scene((5, 6), "viscous", spin_top=0.3, spin_bottom=0.3)
-    assert (solved(scene).spin[0] == 0.3 * scene.lattice.parity).all()
-
-
-def test_coulomb_friction_is_refused():
-    scene = make_scene((4, 5))
-    with pytest.raises(InputError, match="'coulomb'"):
-        solve(scene, LinearSolver().build(), initial_spin(scene, "zero"))
 
 
 def test_a_contrast_beyond_float64_ends_stalled_and_still_bounded():

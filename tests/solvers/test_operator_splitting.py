@@ -1,15 +1,10 @@
 """Operator splitting against stored exact minima, a linear programme and gradient descent; its forces and its bits."""
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 from scipy.optimize import linprog
 from scipy.sparse import bmat, identity
 
-from taichi_bearings import memory
-from taichi_bearings.errors import InputError
 from taichi_bearings.fields import Fields, make_layout
 from taichi_bearings.lattice.incidence import torques
 from taichi_bearings.proof.certificate import dual_value
@@ -96,26 +91,6 @@ def test_absent_contacts_hold_no_sphere():
 
 
 @pytest.mark.usefixtures("needs_f64")
-@pytest.mark.parametrize("driving", [{"spin_bottom": 1.0}, {"direction": (0, 0, 1)}])
-def test_without_frustration_the_power_vanishes(driving):
-    scene = make_scene((4, 3, 5), **driving)
-    for start in ("linear", "random"):
-        solution = split(scene, 1e-6, start)
-        assert solution.status is Status.CERTIFIED
-        assert solution.power[0] == pytest.approx(0, abs=1e-9)
-
-
-@pytest.mark.parametrize(("shape", "direction"), [((5, 4, 6), (1, 1, 0)), ((3, 4, 5), (1, 2, 3)), ((6, 8), (1, 1, 0))])
-def test_replicas_together_equal_replicas_alone(shape, direction):
-    together = make_scene(shape, seeds=(5, 6, 7), direction=direction)
-    batch = split(together, 1e-300, iterations=400)
-    for n, seed in enumerate(together.seeds):
-        single = split(make_scene(shape, seeds=(seed,), direction=direction), 1e-300, iterations=400)
-        assert (batch.spin[n] == single.spin[0]).all()
-        assert batch.lower_bound[n] == single.lower_bound[0]
-
-
-@pytest.mark.usefixtures("needs_f64")
 def test_spring_forces_are_balanced_and_friction_is_admissible():
     scene = make_scene((4, 6, 5), direction=(1, 2, 3), seeds=(8, 9))
     method = OperatorSplitting().build()
@@ -150,43 +125,7 @@ def test_single_precision_proves_a_gap_it_can_reach(entry):
     assert solution.lower_bound[0] <= exact <= solution.power[0] * (1 + 1e-12)
 
 
-def test_viscous_scenes_are_refused():
-    scene = make_scene((3, 4, 5), "viscous")
-    with pytest.raises(InputError, match="viscous"):
-        split(scene, 1e-3)
-
-
-THREADS = """
-import sys
-from taichi_bearings import runtime
-runtime.start(threads=int(sys.argv[1]))
-from taichi_bearings.scene.initial_spins import initial_spin
-from taichi_bearings.solvers import OperatorSplitting
-from taichi_bearings.solvers.drive import solve
-from taichi_bearings.solvers.stopping import StopRule
-from tests.scenes import make_scene
-scene = make_scene((28, 27, 29))
-solution = solve(scene, OperatorSplitting().build(), initial_spin(scene, "linear"), StopRule(1e-9, 60))
-print(solution.power[0].hex(), solution.lower_bound[0].hex(), float(solution.spin.sum()).hex())
-"""
-
-
-@pytest.mark.usefixtures("needs_f64")
-def test_threads_do_not_change_the_bits():
-    command = [sys.executable, "-c", THREADS]
-    one, two = (subprocess.run([*command, n], capture_output=True, text=True, check=True).stdout for n in ("1", "2"))
-    assert one == two
-
-
 @pytest.mark.parametrize("start", ["zero", "random"])
 def test_a_start_far_outside_a_small_jump(start):
     scene = make_scene((6, 6, 6), spin_bottom=0.99)
     assert split(scene, 1e-3, start, 3_000).status is Status.CERTIFIED
-
-
-def test_what_cannot_fit_is_refused_before_it_is_allocated(monkeypatch):
-    monkeypatch.setattr(memory, "free_bytes", lambda: 6e7)
-    monkeypatch.setattr(Fields, "__init__", lambda *_: pytest.fail("fields were allocated"))
-    scene = make_scene((48, 48, 48))
-    with pytest.raises(MemoryError, match=r"^operator-splitting of 110,592 spheres needs 0.1 GB; 0.1 GB are free$"):
-        split(scene, 1e-3)

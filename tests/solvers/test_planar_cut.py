@@ -7,7 +7,6 @@ import pytest
 from scipy.optimize import linprog
 from scipy.sparse import coo_array, hstack, identity, vstack
 
-from taichi_bearings.errors import InputError
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.runs.solved import Run
@@ -153,27 +152,6 @@ def test_ties_of_one_plane_leave_the_states_of_the_others_proven():
     assert (undecided[:, :2] == (1, 1)).all()
 
 
-def test_constant_friction_takes_no_longer_than_a_few_seconds():
-    for distribution in ("constant:1", "constant:0.3"):
-        solution = solved(make_scene((300, 300), distribution=distribution))
-        assert solution.findings["tied_contacts"][0] == 300 * 299
-        assert solution.seconds < 3
-
-
-def test_replicas_together_equal_replicas_alone_bit_by_bit():
-    seeds = (5, 6, 7)
-    for shape in [(9, 8), (4, 5, 6)]:
-        together = solved(make_scene(shape, seeds=seeds, direction=(1, 0, 0)))
-        for n, seed in enumerate(seeds):
-            alone = solved(make_scene(shape, seeds=(seed,), direction=(1, 0, 0)))
-            assert together.power[n] == alone.power[0]
-            assert (together.spin[n] == alone.spin[0]).all()
-            for name, values in alone.findings.items():
-                assert together.findings[name][n] == values[0]
-            assert (together.force[n] == alone.force[0]).all()
-            assert (together.state[n] == alone.state[0]).all()
-
-
 def test_a_cubic_lattice_is_as_unique_as_its_least_unique_plane():
     scene = make_scene((3, 6, 7), direction=(1, 0, 0))
     planes = [solved(_plane(scene, x)).findings["next_cut_over_minimum"][0] for x in range(3)]
@@ -190,18 +168,3 @@ def test_findings_are_in_the_summary():
     assert summary["cut_is_unique"] == [True, True]
     assert summary["tied_contacts"] == [0, 0]
     assert min(summary["next_cut_over_minimum"]) > 1
-
-
-@pytest.mark.parametrize("driving", [{"spin_bottom": 1.0}, {"direction": (0, 0, 1)}])
-def test_nothing_to_cut(driving):
-    solution = solved(make_scene((3, 4, 5), **driving))
-    assert solution.power[0] == 0
-    assert solution.states_proven[0]
-    assert not solution.findings
-    assert not (solution.state == ContactState.SLIPPING).any()
-
-
-def test_refused_scenes():
-    for scene, reason in [(make_scene((4, 5), "viscous"), "'viscous'"), (make_scene((3, 3, 4)), "direction")]:
-        with pytest.raises(InputError, match=reason):
-            solve(scene, PlanarCut().build(), initial_spin(scene, "zero"))

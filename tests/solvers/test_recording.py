@@ -1,7 +1,5 @@
 """What a dynamics writes down: times as asked for, energy balances that close and mean what they say, resuming."""
 
-import signal
-
 import numpy as np
 import pytest
 
@@ -10,7 +8,7 @@ from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.runs.solved import Run
 from taichi_bearings.scene import Status
 from taichi_bearings.scene.initial_spins import initial_spin
-from taichi_bearings.solvers import CundallStrack, drive
+from taichi_bearings.solvers import CundallStrack
 from taichi_bearings.solvers.cundall_strack import stability_bound
 from taichi_bearings.solvers.drive import Checkpoints, solve
 from taichi_bearings.solvers.recording import Recording, parse_times
@@ -77,17 +75,6 @@ def test_a_limit_before_the_duration_is_told_whatever_the_gap():
     assert (solution.gap <= 1e-3).all()
     assert solution.status is Status.STEP_LIMIT
     assert Run(RunSettings(tolerance=1e-3, duration=1e9), solution).numbers["status"] == "step-limit"
-
-
-def test_an_interrupt_during_the_proof_loses_nothing(monkeypatch):
-    def interrupted(*arguments):
-        signal.raise_signal(signal.SIGINT)
-        return answered(*arguments)
-
-    answered = drive.answered
-    monkeypatch.setattr(drive, "answered", interrupted)
-    solution = run(make_scene((3, 4)), stop=StopRule(1e-3))
-    assert solution.status is Status.CERTIFIED
 
 
 def test_a_time_limit_counts_anew_for_a_run_that_goes_on():

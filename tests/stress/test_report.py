@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner
 from taichi_bearings_cli.main import bearings
 from taichi_bearings_studies.stress import cells
-from taichi_bearings_studies.stress.axes import AXES, ROWS, Cell, Row, cells_of, rows_of, unchanged
+from taichi_bearings_studies.stress.axes import AXES, Cell, Row
 from taichi_bearings_studies.stress.cells import (
     CRASH,
     NOT_REACHED,
@@ -23,8 +23,6 @@ from taichi_bearings_studies.stress.cells import (
 from taichi_bearings_studies.stress.truth import least
 
 from taichi_bearings.files.scan_journal import Journal, read_journal
-from taichi_bearings.runs.run_directory import writable_folder
-from taichi_bearings.solvers import METHODS
 
 LAWS = ("coulomb", "viscous", "coulomb-viscous")
 CELL = Cell("friction-scale", 1.0, Row("planar-cut", "coulomb", 2), 0, True, 1.0)
@@ -109,19 +107,6 @@ def test_a_cell_beyond_the_memory_is_refused(monkeypatch):
     assert "it needs about 0.2 GB, more than 0.0 GB" in row["reason"]
 
 
-def test_every_method_law_and_axis_is_tried():
-    rows = rows_of(list(ROWS), LAWS)
-    every = cells_of(rows, list(AXES), 0, False, 1.0)
-    here = {(cell.row.method, cell.row.law, cell.row.dimension) for cell in every}
-    assert {method for method, *_ in here} == {"auto", *METHODS}
-    for row in rows:
-        assert ((row.method, row.law, row.dimension) in here) == (unchanged(row, 0, False) is not None)
-    assert len({cell.key for cell in every}) == len(every)
-    quick = cells_of(rows, list(AXES), 0, True, 1.0)
-    assert {cell.axis for cell in quick} == set(AXES)
-    assert {cell.row for cell in quick} == {cell.row for cell in every}
-
-
 @pytest.mark.parametrize("name", [name for name in AXES if name.endswith("-scale")])
 def test_scaled_samples_are_the_same_in_other_units(name):
     """Planar cuts and factorisations scale bit for bit, and so does the truth without its knowing."""
@@ -164,20 +149,3 @@ def test_a_sweep_goes_on_from_its_journal_and_a_wrong_cell_fails_it(tmp_path):
     again = sweep(tmp_path)
     assert again.exit_code == 0, again.output  # solved anew
     assert len((tmp_path / "cells.jsonl").read_bytes().splitlines()) == len(kept) + 1 + 2 * len(strange)
-
-
-def test_a_folder_of_something_else_is_left_alone(tmp_path):
-    (tmp_path / "summary.json").write_text("{}")
-    assert "is not the folder of a stress report" in str(sweep(tmp_path).exception)
-    assert (tmp_path / "summary.json").read_text() == "{}"
-
-
-def test_two_sweeps_in_one_folder_are_one_too_many(tmp_path):
-    with writable_folder(tmp_path / "out"):
-        assert "is in use" in str(sweep(tmp_path / "out").exception)
-
-
-def test_bad_options_are_one_sentence(tmp_path):
-    result = CliRunner().invoke(bearings, ["stress", "--only", "contrast,colour", "--out", str(tmp_path / "new")])
-    assert "only is 'contrast,colour'; 'colour' is none of" in str(result.exception)
-    assert not (tmp_path / "new").exists()

@@ -1,17 +1,8 @@
 """Honest runs of every method and law, of scenes that hurt and with any end; none of them may be refuted.
 
-    python -m tests.verifier.honest --runs 2000 --seed 0
-
-A run is drawn from the seed and its number alone, solved, written and verified in this process. Prints a line for each
-one that is refuted, with its settings, and how many there were of each method and law; the exit code is 1 if any is.
+A run is drawn from the seed and its number alone, solved, written and verified in this process.
 """
 
-import argparse
-import contextlib
-import sys
-import tempfile
-import time
-from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -100,31 +91,3 @@ def contradictions(given: dict, folder: Path) -> list[str] | None:
         return verify(folder)["contradictions"]
     except InputError:
         return None
-
-
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--runs", type=int, default=2000, help="that are verified; refused scenes do not count")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--first", type=int, default=0, help="number of the first one")
-    asked, done, refuted = parser.parse_args(), Counter(), 0
-    began, number = time.perf_counter(), asked.first
-    with contextlib.suppress(KeyboardInterrupt):  # what was run until then is told
-        while done.total() < asked.runs:
-            given = drawn(asked.seed, number)
-            with tempfile.TemporaryDirectory() as folder:
-                found = contradictions(given, Path(folder) / "run")
-            if found is not None:
-                done[given["law"], given["method"]] += 1
-            if found:
-                refuted += 1
-                print(f"{number}: {given}\n    " + "\n    ".join(found), flush=True)
-            number += 1
-    for (law, method), count in sorted(done.items()):
-        print(f"{law:16} {method:24} {count:5}")
-    print(f"{done.total()} honest runs verified in {time.perf_counter() - began:.0f} s, {refuted} refuted")
-    return refuted > 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -9,7 +9,6 @@ import h5py
 import networkx
 import numpy as np
 import pytest
-from scipy import sparse
 
 from taichi_bearings.errors import FileError
 from taichi_bearings.runs.verify import verify
@@ -20,6 +19,7 @@ from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
 from taichi_bearings.verifier.judgement import Judgement
 from taichi_bearings.verifier.samples import CRITICAL, SLIPLESS, SLIPPING, TIED, UNPROVEN
+from tests.clarabel_twin import least
 from tests.verifier.honest import contradictions
 from tests.verifier.laboratory import Laboratory, by_axis, cross
 from tests.verifier.test_bounds import samples_of
@@ -117,14 +117,13 @@ def test_bounds_are_those_of_the_laboratory(shape, sides, options, size):
 
 def cone_programme(samples):
     """Least objective, and the slips at a minimum in the middle of all, in the laboratory frame with all components."""
-    clarabel = pytest.importorskip("clarabel")
     truth = Laboratory(samples)
     free = {
         site: 3 * n for n, site in enumerate(site for site in np.ndindex(*samples.shape) if not truth.is_driven(site))
     }
     contacts = list(truth.contacts())
     spins, number = 3 * len(free), len(contacts)
-    slip, fixed = np.zeros((3 * number, spins + number)), np.zeros(3 * number)
+    slip, fixed = np.zeros((3 * number, spins)), np.zeros(3 * number)
     for e, (lower, upper, n, *_) in enumerate(contacts):
         turn = samples.radius * np.array([cross(np.eye(3)[k], np.array(n, dtype=float)) for k in range(3)]).T
         for site in (lower, upper):
@@ -133,20 +132,11 @@ def cone_programme(samples):
             else:
                 slip[3 * e : 3 * e + 3, free[site] : free[site] + 3] += turn
     held, flow = (np.array([contact[place] for contact in contacts], dtype=float) for place in (3, 4))
-    cones, right = np.zeros((4 * number, spins + number)), np.zeros(4 * number)
-    for part in range(3):
-        cones[1 + part :: 4], right[1 + part :: 4] = -slip[part::3], fixed[part::3]
-    cones[4 * np.arange(number), spins + np.arange(number)] = -1.0
-    settings = clarabel.DefaultSettings()
-    settings.verbose, settings.tol_gap_rel, settings.tol_gap_abs, settings.tol_feas = False, 1e-11, 1e-11, 1e-11
-    found = clarabel.DefaultSolver(
-        sparse.diags_array(np.append(np.zeros(spins), flow)).tocsc(), np.append(np.zeros(spins), held),
-        sparse.csc_matrix(cones), right, [clarabel.SecondOrderConeT(4)] * number, settings,
-    ).solve()  # fmt: skip
-    sizes, slips = np.array(found.x)[spins:], [np.zeros(c.shape[1:]) for c in samples.coefficient]
-    for size, (lower, _, n, *_) in zip(sizes, contacts, strict=True):
+    found = least(slip, fixed.reshape(-1, 3), held, flow)
+    slips = [np.zeros(c.shape[1:]) for c in samples.coefficient]
+    for size, (lower, _, n, *_) in zip(found.slip, contacts, strict=True):
         slips[n.index(1)][lower] = size
-    return found.obj_val * (2 if samples.law == "viscous" else 1), slips
+    return found.objective * (2 if samples.law == "viscous" else 1), slips
 
 
 def assert_states_of_cone_programme(samples):
