@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from taichi_bearings import runtime
-from taichi_bearings.errors import InputError
+from taichi_bearings.errors import DeviceError, InputError
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.options import options_of
 from taichi_bearings.packing import Packing, PackingSolution, solve_packing
@@ -196,14 +196,19 @@ def _solved(
     settings: RunSettings, packing: Packing, system_of: Callable[[Packing], System], start: Any, **others: Any
 ) -> PackingSolution:
     row, given = row_of_packing(settings.method), settings.given
+    device = {key: given[key] for key in ON_DEVICE if key in given}
     if row is None:
+        if device.get("arch", "cpu") not in ("cpu", "auto"):
+            raise DeviceError("the least power of a packing is found in the memory of the CPU; use --arch cpu")
+        if threads := device.get("threads"):
+            runtime.start(threads=threads)
         return solve_packing(packing, settings.tolerance, system_of, settings.method)
     from taichi_bearings.solvers.packings import follow_packing  # and with it Taichi's kernels
     from taichi_bearings.solvers.recording import Recording
     from taichi_bearings.solvers.stopping import StopRule
 
     method = row(**{key: value for key in options_of(row) if (value := getattr(settings, key)) is not None})
-    if device := {key: given[key] for key in ON_DEVICE if key in given}:
+    if device:
         runtime.start(**device)
     first = settings.initial if start is None else start
     return follow_packing(packing, method, first, StopRule.of(settings), Recording.of(settings), **others)

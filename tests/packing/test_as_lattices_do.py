@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 import taichi_bearings as tb
+from taichi_bearings import runtime
 from taichi_bearings.analysis.bottlenecks import Bottlenecks
 from taichi_bearings.analysis.packing_structure import PackingNetwork
-from taichi_bearings.errors import InputError
+from taichi_bearings.errors import DeviceError, InputError
 from taichi_bearings.quantities import STRUCTURE
 from taichi_bearings.runs.verify import verify
 from taichi_bearings.scans.histogram import pooled, read_source
@@ -191,3 +192,12 @@ def test_what_cannot_be_is_one_sentence(call, sentence):
         call(tb.Packing.lattice("fcc", (2, 2, 2)))
     assert sentence in str(refused.value)
     assert "\n" not in str(refused.value)
+
+
+def test_a_minimum_is_found_on_the_threads_that_are_given_and_on_no_gpu():
+    packing = tb.Packing.lattice("cubic", (3, 3, 3))
+    with pytest.raises(DeviceError, match="in the memory of the CPU; use --arch cpu"):
+        tb.solve(packing, arch="vulkan")
+    if runtime.available_threads() > 1:
+        with pytest.raises(DeviceError, match="Taichi already runs in this process with cpu, f64, threads 1"):
+            tb.solve(packing, threads=2)
