@@ -3,7 +3,7 @@
 from ast import literal_eval
 from dataclasses import replace
 from decimal import Decimal
-from functools import cache
+from functools import cache, partial
 
 import h5py
 import networkx
@@ -75,7 +75,7 @@ def changed(samples, of_contacts, of_spheres):
 
 def assert_alike(one, other, moved=lambda axis, values: values):
     """Two samples are judged alike, contact by contact; `moved` leads from a contact of one to that of the other."""
-    of_one, of_other = one.by_axis, other.by_axis
+    of_one, of_other = partial(by_axis, one), partial(by_axis, other)
     one, other = Judgement(one), Judgement(other)
     for name in ("power", "objective", "lower_bound", "upper_bound"):
         np.testing.assert_allclose(getattr(one, name), getattr(other, name), rtol=1e-15, err_msg=name)

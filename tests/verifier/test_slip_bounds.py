@@ -29,7 +29,8 @@ def elsewhere(samples, rng, size):
     friction = tuple(values + size * rng.standard_normal(values.shape) for values in samples.friction)
     spin = samples.spin + 1e-3 * size * rng.standard_normal(samples.spin.shape)
     for axis, values in enumerate(friction):
-        values[samples.between_driven(axis)] = 0.0
+        if axis != samples.dimension - 1:
+            values[(slice(None),) * samples.dimension + ([0, -1],)] = 0.0  # contacts within a plane
         if samples.dimension == 3:
             values[..., axis] = 0.0
     return replace(samples, friction=friction, spin=np.where(driven(samples), samples.spin, spin))
