@@ -161,7 +161,7 @@ def displayed(wanted: bool = True) -> AbstractContextManager[Any]:
 
 
 class Forecast:
-    """Where a solve stands, and when a dynamics ends at the pace of the last two thirds of its time."""
+    """Where a solve stands, and when it ends at the pace of the last two thirds of its time."""
 
     def __init__(self) -> None:
         self.points: list[tuple[float, float]] = []  # (seconds, share done) at each report
@@ -171,8 +171,8 @@ class Forecast:
     def look(self, report: Any) -> None:
         """Hear a report of a solve (solvers.drive.Report)."""
         progress, seconds = report.progress, report.seconds
-        until = f"t = {report.stop.duration:g}"
-        self.points.append((seconds, math.nan if progress.time is None else progress.time / report.stop.duration))
+        share, until = share_of(report)
+        self.points.append((seconds, share))
         left = seconds_left([point for point in self.points if point[0] >= seconds / WINDOW])
         if left > FARTHEST * seconds:
             left = math.inf
@@ -188,6 +188,15 @@ class Forecast:
         """Time left and until what, where that is known and not over."""
         left = self.left_then - (now - self.told_at)
         return f"{duration(left)} left to {self.until}" if 0 < left < math.inf else ""
+
+
+def share_of(report: Any) -> tuple[float, str]:
+    """How much of a solve is done, and what ends it; not-a-number where that says nothing of the time."""
+    progress, stop, gap = report.progress, report.stop, float(np.max(report.gap))
+    if progress.time is not None:
+        return progress.time / stop.duration, f"t = {stop.duration:g}"
+    aim = min(stop.tolerance, progress.falls_to)
+    return (math.log(gap) / math.log(aim) if 0 < aim < gap < 1 else math.nan), f"gap {aim:.0e}"
 
 
 def seconds_left(points: Sequence[tuple[float, float]]) -> float:

@@ -150,6 +150,7 @@ class InteriorPointMethod(Descent):
         findings = {} if all(of is None for of in tied) else {"tied_contacts": np.array(counts)}
         slow = where(states == ContactState.SLIPLESS, slips, 0.0)
         creep = np.max([of.reshape(len(units), -1).max(axis=1, initial=0.0) for of in slow], axis=0)
+        settles_more = self.options.settle and self.frustrated and not all(sample.done for sample in self.samples)
         return Progress(
             iteration=self.iteration,
             staggered=staggered,
@@ -166,7 +167,8 @@ class InteriorPointMethod(Descent):
             settled=settled,
             findings=findings,
             states_proven=np.array([sample.resolved is not None and sample.resolved.borne for sample in self.samples]),
-            settles_more=self.options.settle and self.frustrated and not all(sample.done for sample in self.samples),
+            settles_more=settles_more,
+            falls_to=self.settles_at if settles_more else np.inf,
             ended=np.array([sample.steps for sample in self.samples]),
         )
 
