@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 from taichi_bearings import runtime
+from taichi_bearings.kernels import team
+from taichi_bearings.kernels.cundall_strack import cundall_strack_steps
 from taichi_bearings.scene.law import LAWS
 from tests.kernels.courses import course
 
@@ -48,3 +50,15 @@ def test_two_hundred_iterations_end_where_those_of_the_cpu_do(case, on_the_cpu, 
     chatters = case[0] == "plain descent" and case[1] != "viscous"
     single = 1e-2 if chatters else 1e-4
     assert found == pytest.approx(expected, rel=1e-11 if precision == "f64" else single)
+
+
+def test_several_turns_of_one_launch_end_where_single_ones_do(monkeypatch, on_the_cpu, precision):
+    """As on CUDA; 100 steps are no multiple of 3."""
+    if not runtime.current().is_gpu:
+        pytest.skip("a CPU makes all turns in one launch")
+    monkeypatch.setattr(team, "TURNS_A_LAUNCH", {runtime.current().arch: 3})
+    cundall_strack_steps.cache_clear()  # kernels of single turns
+    case = next(case for case in COURSES if case[0] == "cundall-strack")
+    found, expected = np.array(course(*case)), np.array(on_the_cpu[case])
+    cundall_strack_steps.cache_clear()
+    assert found == pytest.approx(expected, rel=1e-11 if precision == "f64" else 1e-4)
