@@ -201,11 +201,17 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
         self, part: ti.template(), values: ti.template(), blocks: ti.template(), row, first, strides: ti.template(),
         numbers: ti.template(), sweep, carried: ti.template(),
     ):  # fmt: skip
-        """The contacts above a block of sites, then its spheres."""
+        """The contacts above a block of sites, then its spheres, then the bodies that are kept in it, if any."""
         if ti.static(part == 0):
             self.contact_pass(values, blocks, row, first, strides, numbers)
-        else:
+        elif ti.static(part == 1):
             self.sphere_pass(values, blocks, row, first, strides, numbers[7])
+        else:
+            self.body_pass(values, row, first, numbers)
+
+    @ti.func
+    def body_pass(self, values: ti.template(), row, first, numbers: ti.template()):
+        """The bodies whose numbers stand in the block of sites from `first` on; of plain steps there are none."""
 
 
 @ti.data_oriented
@@ -230,19 +236,10 @@ class RigidTopSteps(CundallStrackSteps):
         self.below = tuple(zip(stencil.kept[stencil.height], self.force[stencil.height], strict=True))
 
     @ti.func
-    def walk(
-        self, part: ti.template(), values: ti.template(), blocks: ti.template(), row, first, strides: ti.template(),
-        numbers: ti.template(), sweep, carried: ti.template(),
-    ):  # fmt: skip
-        """The contacts above a block of sites, then its spheres, then the bodies that are kept in it."""
-        if ti.static(part == 0):
-            self.contact_pass(values, blocks, row, first, strides, numbers)
-        elif ti.static(part == 1):
-            self.sphere_pass(values, blocks, row, first, strides, numbers[7])
-        else:
-            for m in range(self.block):
-                if values[self.slot["first"] * row + first + m] > 0.0:
-                    self.turn(values, row, first + m, numbers)
+    def body_pass(self, values: ti.template(), row, first, numbers: ti.template()):
+        for m in range(self.block):
+            if values[self.slot["first"] * row + first + m] > 0.0:
+                self.turn(values, row, first + m, numbers)
 
     @ti.func
     def turn(self, values: ti.template(), row, origin, numbers: ti.template()):

@@ -118,17 +118,8 @@ class Sweeps:
 
     def run(self, fields: Fields, team: Team, turns: int, numbers: tuple[float, ...], first: int = 0) -> None:
         """Make `turns` turns from the number `first` on: in one launch, or on a GPU in one for a few of them."""
-        constants = _constants(tuple(map(float, numbers)))
-        team.launch(
-            self.turns,
-            turns,
-            fields.values,
-            fields.blocks,
-            fields.tables,
-            constants,
-            first=first,
-            together=self.together,
-        )
+        arguments = fields.values, fields.blocks, fields.tables, _constants(tuple(map(float, numbers)))
+        team.launch(self.turns, turns, *arguments, first=first, together=self.together)
 
     def compile(self, fields: Fields, team: Team) -> None:
         """Compile the kernel, without a turn."""

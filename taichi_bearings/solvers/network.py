@@ -166,7 +166,7 @@ class Network:
         found = given.copy()
         with one_thread():  # sums do not depend on the number of threads
             found[moved], _ = cg(matrix.T @ matrix, -(matrix.T @ (self.matrix @ given)), rtol=START_RESIDUAL)
-        return found.reshape(1, -1, self.components).T.swapaxes(1, 2).copy()
+        return found.reshape(-1, self.components).T[:, None].copy()
 
     def inertias(self, mass: float, inertia: float | None) -> np.ndarray:
         """I / R^2 (N,), mass."""
