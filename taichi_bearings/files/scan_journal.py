@@ -115,11 +115,13 @@ class Journal:
         return len(whole)
 
     def append(self, samples: Sequence[Mapping[str, Any]]) -> None:
-        """Write samples down for good. On a full disk FileError, and the journal is as it was."""
+        """Write samples down for good. On a full disk FileError, and the samples that found room are kept."""
         lines = b"".join(_line(json.dumps(sample, allow_nan=False).encode()) for sample in samples)
         try:
             write_all(self._file, lines)
         except OSError as error:
+            written = os.fstat(self._file.fileno()).st_size - self._length
+            self._length += lines.rfind(b"\n", 0, written) + 1
             self._file.truncate(self._length)
             raise FileError(f"{self.path} cannot be written: {error.strerror or error}") from None
         self._length += len(lines)

@@ -182,7 +182,7 @@ def scan(
                 course.follow(engine, journal, stopped)
             course.write_files()
         except FileError as error:
-            kept = len(course.records)
+            kept = len(parts.read_journals(folder))  # some of those that were being written too
             raise FileError(f"{error}; {kept:,} samples are kept there, and the same scan again goes on") from None
     return course.report(stopped.is_set()) | {"workers": engine.workers}
 

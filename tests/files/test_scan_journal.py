@@ -74,22 +74,24 @@ def test_of_two_lines_with_one_key_the_later_counts(path):
     assert read_journal(path)[later["key"]] == later
 
 
-def test_a_full_disk_is_told_and_leaves_the_journal_whole(path):
+def test_a_full_disk_is_told_and_keeps_the_samples_that_fit(path):
     """A limit on the size of files stands for the disk: the write that crosses it stores a part and fails."""
     whole, limits = path.read_bytes(), resource.getrlimit(resource.RLIMIT_FSIZE)
+    lines = whole.splitlines(keepends=True)
     before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     try:
         with Journal(path) as journal:
-            resource.setrlimit(resource.RLIMIT_FSIZE, (len(whole) + 50, limits[1]))
-            with pytest.raises(FileError, match="cannot be written"):
-                journal.append(SAMPLES)
-            assert path.read_bytes() == whole
+            for room, fitting in (50, []), (len(lines[0]) + len(lines[1]) + 9, lines[:2]):
+                resource.setrlimit(resource.RLIMIT_FSIZE, (len(whole) + room, limits[1]))
+                with pytest.raises(FileError, match="cannot be written"):
+                    journal.append(SAMPLES)
+                assert path.read_bytes() == b"".join([whole, *fitting])
             resource.setrlimit(resource.RLIMIT_FSIZE, limits)
             journal.append(SAMPLES[:1])
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
         signal.signal(signal.SIGXFSZ, before)
-    assert len(path.read_bytes().splitlines()) == 6
+    assert path.read_bytes() == b"".join([whole, *lines[:2], lines[0]])
 
 
 def test_a_folder_in_its_place_is_named(tmp_path):
