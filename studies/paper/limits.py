@@ -6,7 +6,7 @@ Every share q is taken to its limit by q(L) = q_inf + a L^-w (:func:`.fits.limit
 sides are a share 1/L of a sample, so w = 1 is stated and not fitted.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,20 +15,16 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from taichi_bearings.plots.style import BLUE, DOUBLE, GREEN, ORANGE, in_our_style, new_figure
-from taichi_bearings.runs.settings import RunSettings, read_toml
-from taichi_bearings.scans.plan import read_plan
+from taichi_bearings.runs.settings import RunSettings
 
-from .claims import SAMPLES, Effort
+from .claims import Effort
 from .drawing import draw_means, name_sizes
 from .fits import Limit, limit
 from .network import LARGE, sample_of
-from .samples import Found, Table, measured
+from .samples import Found, Table, measured, planned
 
-HERE = Path(__file__).resolve()
-SCANS = next(filter(Path.is_dir, (HERE.parent / "scans", HERE.parents[2] / "examples/studies")))  # in a wheel, or not
 QUICK = {"limits": 16, "limits-variants": 16, "limits-rate": 16, "limits-large": 24, "limits-largest": 32}
 """Scan -> largest side of its samples in the quick form."""
-LEAST_SEEDS = 4
 PAPER, PERIODIC = "as in the paper", "periodic sides"
 WEAK, BROAD = ("uniform:0.5,1", "uniform:0.9,1"), ("lognormal:0.4,1", "power-law:0.001,1,-1", "bimodal:0.1,1,0.5")
 OF_ALL = ("power_over_cut", "slipless_fraction", "intermediate", "domains_a_sphere", "largest_share")
@@ -37,7 +33,7 @@ OF_SPANNING = ("path_over_height", "busiest_link_share")
 
 def study(folder: Path, effort: Effort) -> Found:
     """Certified samples of all scans, and the limits of their shares."""
-    settings = list(chosen(effort))
+    settings = list(planned(QUICK, effort))
     found = measured(settings, sample_of, folder / "limits.jsonl")
     systems = [{"system": system_of(of)} for of in settings]
     table = with_ratios(Table.of([of | numbers for of, numbers in zip(systems, found, strict=True)]))
@@ -89,18 +85,6 @@ def names_of(of_systems: Mapping[str, Table], limits: Mapping[str, Mapping[str, 
         "variants": {name: of[of.side == common] for name, of in of_systems.items() if name != PAPER},
         "broad": [name for name in BROAD if name in of_systems],
     }  # fmt: skip
-
-
-def chosen(effort: Effort) -> Iterator[RunSettings]:
-    """The samples of the scans: as many seeds, from `effort.seed` on, as its samples are of the usual ones."""
-    for name, largest in QUICK.items():
-        path = SCANS / f"{name}.toml"
-        usual = read_toml(path)["scan"]["seed"]
-        seeds = round((usual["stop"] - usual["start"]) * effort.samples / SAMPLES)
-        stop = effort.seed + max(LEAST_SEEDS, seeds)
-        for sample in read_plan(path, [f"scan.seed={{start={effort.seed}, stop={stop}}}"]).samples:
-            if not effort.quick or sample.settings.shape[0] <= largest:
-                yield sample.settings
 
 
 def system_of(settings: RunSettings) -> str:

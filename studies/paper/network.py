@@ -98,11 +98,8 @@ def by_threshold(views: Sequence[Sequence[Mapping[str, Any]]]) -> dict[str, np.n
 
 
 def sample_of(structure: Structure) -> dict[str, Any]:
-    """The numbers of one sample. intermediate : share of the free spheres that are not locked to a driven plane in all
-    components. reached_by_chance : by as many contacts at random places."""
+    """The numbers of one sample. reached_by_chance : by as many contacts at random places."""
     scene, network = structure.scene, structure.network
-    free = ~scene.lattice.is_driven
-    locked = structure.rigid_domains.spheres_of_kind(free)
     analysed = ("spanning_fraction", "domains", "disjoint_paths", "effective_links", "parting_links")
     shared = told(structure, *analysed)
     planes_x, planes_y = network.path_planes
@@ -113,7 +110,7 @@ def sample_of(structure: Structure) -> dict[str, Any]:
         **shared,
         "unique": structure.minimum_is_unique is True,
         "reached_by_chance": reached_by_chance(scene.lattice, shared["slipless_fraction"]),
-        "intermediate": 1 - (locked["bottom"] + locked["top"]) / int(free.sum()),
+        "intermediate": intermediate_share(structure),
         "largest_intermediate": structure.rigid_domains.largest_intermediate,
         "shortest_path": max(len(network.shortest_path) - 1, 0),
         "planes_x": planes_x,
@@ -121,6 +118,13 @@ def sample_of(structure: Structure) -> dict[str, Any]:
         "busiest_link_share": float(structure.bottlenecks.share.max(initial=0.0)),
         "plane_spans": bool(any(spans_within_planes(network, axis).any() for axis in (0, 1))),
     }
+
+
+def intermediate_share(structure: Structure) -> float:
+    """Share of the free spheres that are not locked to a driven plane in all components."""
+    free = ~structure.scene.lattice.is_driven
+    locked = structure.rigid_domains.spheres_of_kind(free)
+    return 1 - (locked["bottom"] + locked["top"]) / int(free.sum())
 
 
 def spans_within_planes(network: SliplessNetwork, axis: int) -> np.ndarray:

@@ -11,7 +11,7 @@ by cuts of the double cover. Contacts across the squares of cubic lattices of sp
 """
 
 from collections.abc import Mapping
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -32,20 +32,17 @@ from .samples import Found, Table, drawn
 FRICTION = (0.1, 1.0)  # uniform, the paper's
 UNIT_BITS = 40  # of the friction, rounded to whole units for flows
 BLOCK = 5  # samples that are drawn together
+OF_DISCS = {16: 50.0, 32: 50.0, 64: 5.0, 128: 1.0, 256: 0.25, 512: 0.025, 1000: 0.025}
 SIZES = {  # L -> of the samples; those that get less than a block are left out
-    "square": {16: 2.0, 32: 2.0, 64: 1.0, 128: 0.3, 256: 0.02},
-    "triangular": {16: 2.0, 32: 2.0, 64: 1.0, 128: 0.3, 256: 0.02},
-    "cubic": {4: 0.2, 6: 0.2, 8: 0.1, 12: 0.02},
+    "square": OF_DISCS,
+    "triangular": OF_DISCS,
+    "cubic": {4: 0.5, 6: 0.5, 8: 0.25, 12: 0.05},
 }
 QUICK_SIZES = {"square": {8: 1.0, 16: 1.0}, "triangular": {8: 1.0, 16: 1.0}, "cubic": {4: 0.5, 5: 0.5}}
 NUMBERS, QUICK_NUMBERS = (0, 1, 2, 4, 8, 16, 32, 64), (0, 2, 8, 32)  # of odd contacts
 BOTTOMS = (0.0, 0.25, 0.5, 1.0)  # omega_B / omega_T
-TURNED = 16  # L of the squares and triangular lattices in which the bottom turns
-LANDSCAPE = {
-    "square": 1 / 3,
-    "triangular": 1 / 3,
-    "cubic": 0.84,
-}  # a of n / L^a, if the fluctuation of interfaces rules
+TURNED, OF_TURNED = 16, 2.0  # L of the lattices of discs in which the bottom turns, and how many of the samples
+LANDSCAPE = {"square": 1 / 3, "triangular": 1 / 3, "cubic": 0.84}  # a of n / L^a, if that of interfaces rules
 DIMENSION = {"square": 2, "triangular": 2, "cubic": 3}  # the same, if the density rules
 SURE = 1e-6  # relative gap of minima of spheres, and spin of those at rest over that of the top
 
@@ -55,17 +52,9 @@ def network(lattice: str, size: int, odd: int, bottom: float, seed: int) -> Pack
     closes odd loops: between the four discs or spheres of a square a contact across a diagonal, within six of a
     honeycomb the disc that a triangular lattice has there."""
     rng = np.random.default_rng([seed, size, odd])
-    if lattice == "triangular":
-        bare = Packing.lattice("honeycomb", (round(size / 3**0.5), round(size / 3)), spin_bottom=bottom)
-        hole, margin, reach = bare.center[::2] + (0.0, 1.0), np.full(2, 0.75), 1.25
-    else:
-        bare = Packing.lattice(lattice, (size,) * DIMENSION[lattice], spin_bottom=bottom)
-        sides = {"square": np.ones((1, 2)), "cubic": 1 - np.eye(3)}[lattice]  # of squares, by their planes
-        hole, reach = (bare.center[:, None] + 0.5 * sides).reshape(-1, DIMENSION[lattice]), 0.75
-        margin = np.array([-0.25] * (DIMENSION[lattice] - 1) + [0.25])  # not between driven spheres alone
-    whole = (hole > bare.center.min(axis=0) + margin) & (hole < bare.center.max(axis=0) - margin)
-    hole = rng.permutation(hole[whole.all(axis=1)])[:odd]
-    around = np.array([sorted(discs) for discs in cKDTree(bare.center).query_ball_point(hole, reach)], dtype=int)
+    bare, holes, tree, reach = _without_odd_loops(lattice, size, bottom)
+    hole = rng.permutation(holes)[:odd]
+    around = np.array([sorted(discs) for discs in tree.query_ball_point(hole, reach)], dtype=int)
     if lattice != "triangular":
         center, rising = bare.center, rng.random((odd, 1)) < 0.5
         added = np.where(rising, around.reshape(-1, 4)[:, [0, 3]], around.reshape(-1, 4)[:, [1, 2]])
@@ -80,6 +69,22 @@ def network(lattice: str, size: int, odd: int, bottom: float, seed: int) -> Pack
         spin=np.concatenate([bare.spin, np.zeros((more, *bare.spin.shape[1:]))]),
         friction=rng.uniform(*FRICTION, len(contact)),
     )  # fmt: skip
+
+
+@lru_cache(maxsize=4)
+def _without_odd_loops(lattice: str, size: int, bottom: float) -> tuple[Packing, np.ndarray, cKDTree, float]:
+    """The lattice, the places (holes, D) of its whole squares or hexagons, its centres, and how far these are from a
+    hole at most."""
+    if lattice == "triangular":
+        bare = Packing.lattice("honeycomb", (round(size / 3**0.5), round(size / 3)), spin_bottom=bottom)
+        hole, margin, reach = bare.center[::2] + (0.0, 1.0), np.full(2, 0.75), 1.25
+    else:
+        bare = Packing.lattice(lattice, (size,) * DIMENSION[lattice], spin_bottom=bottom)
+        sides = {"square": np.ones((1, 2)), "cubic": 1 - np.eye(3)}[lattice]  # of squares, by their planes
+        hole, reach = (bare.center[:, None] + 0.5 * sides).reshape(-1, DIMENSION[lattice]), 0.75
+        margin = np.array([-0.25] * (DIMENSION[lattice] - 1) + [0.25])  # not between driven spheres alone
+    whole = (hole > bare.center.min(axis=0) + margin) & (hole < bare.center.max(axis=0) - margin)
+    return bare, hole[whole.all(axis=1)], cKDTree(bare.center), reach
 
 
 def least_spins(packing: Packing) -> np.ndarray:
@@ -124,17 +129,9 @@ def draw(lattice: str, size: int, odd: int, bottom: float, samples: int, seed: i
         speed = np.linalg.norm(spin.reshape(len(spin), -1), axis=1)[packing.driven < 0]
         found["rolling"].append(float((speed > 0.5).mean()))
         found["resting"].append(float((speed < SURE).mean()))
-        found["power_over_rest"].append(_power(packing, spin) / _power(packing, at_rest))
+        power, power_at_rest = (float(packing.friction @ packing.slips(of)) for of in (spin, at_rest))
+        found["power_over_rest"].append(power / power_at_rest)
     return found
-
-
-def _power(packing: Packing, spin: np.ndarray) -> float:
-    """In some unit; spin : (N,) or (N, 3)."""
-    together = spin[packing.contact].sum(axis=1)
-    slip = (
-        np.abs(together) if spin.ndim == 1 else np.linalg.norm(np.cross(together, np.asarray(packing.normal)), axis=1)
-    )
-    return float(np.asarray(packing.friction) @ slip)
 
 
 def study(folder: Path, effort: Effort) -> Found:
@@ -145,8 +142,9 @@ def study(folder: Path, effort: Effort) -> Found:
     }
     turned, discs = max(sizes["square"]) if effort.quick else TURNED, ("square", "triangular")
     points = [(lattice, size, odd, 0.0) for lattice in sizes for size in sizes[lattice] for odd in numbers]
-    points += [(lattice, turned, odd, bottom) for lattice in discs for bottom in BOTTOMS[1:] for odd in numbers]
     wanted = {point: round(effort.samples * shares[point[0]][point[1]]) for point in points}
+    points = [(lattice, turned, odd, bottom) for lattice in discs for bottom in BOTTOMS[1:] for odd in numbers]
+    wanted |= dict.fromkeys(points, round(effort.samples * OF_TURNED))
     found = drawn(draw, wanted, BLOCK, effort.seed, folder / "odd-loops.jsonl")
     rows = []
     for (lattice, size, odd, bottom), of in found.items():

@@ -61,7 +61,14 @@ class PaperFigure:
             figure = found.draw() if title else _untitled(found.draw())
             for ending in (".png", ".pdf"):
                 save(figure, folder / f"{self.name}{ending}")
-        return claims_of(self.name, found.named)
+        claims = claims_of(self.name, found.named)
+        self.forget(folder)
+        return claims
+
+    def forget(self, folder: Path) -> None:
+        """What the folder has of samples computed before."""
+        for journal in folder.glob(f"{self.name}*.jsonl"):
+            journal.unlink()
 
 
 def _untitled(figure: Figure) -> Figure:
@@ -91,7 +98,8 @@ FIGURES = {
         PaperFigure("parameters", "Stiffness K, damping A and normal force F_n", "parameters", (60, 50),
                     "The first seed; claims are about all samples."),
         PaperFigure("exponents", "Minimum cuts of discs as directed polymers", "exponents", (900, 60), asked=True),
-        PaperFigure("surfaces", "Cut surfaces and minima of spheres, by size", "surfaces", (1200, 60), asked=True),
+        PaperFigure("surfaces", "Cut surfaces and minima of spheres, by size", "surfaces", (1200, 60), "All samples.",
+                    (".csv", "-minima.csv"), asked=True),
         PaperFigure("odd-loops", "How many odd contacts stop a bearing of discs", "odd_loops", (1200, 60), asked=True),
         PaperFigure("yield", "The torques that a bearing holds", "yield_surface", (1800, 60), asked=True),
         PaperFigure("limits", "What of the picture survives in large samples", "limits", (3600, 120), "All samples.",
@@ -136,7 +144,7 @@ def reproduce(
     expected, interrupted = (lambda name: FIGURES[name].seconds[effort.quick]), False
     with writable_folder(folder):
         for name in chosen if force else ():
-            (folder / f"{name}.jsonl").unlink(missing_ok=True)  # what an interrupted study has kept
+            FIGURES[name].forget(folder)
         _write(folder, effort, done, missing)
         try:
             for name in each([name for name in chosen if name in missing], "figure", expected):

@@ -1,6 +1,6 @@
 """Samples of the studies: followed in time, or computed part by part by the workers of scans, and tables of them."""
 
-from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,10 +19,10 @@ from taichi_bearings.memory import free_bytes
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.quantities import ANALYSED, plain
 from taichi_bearings.runs.run import build_scene
-from taichi_bearings.runs.settings import RunSettings
+from taichi_bearings.runs.settings import RunSettings, read_toml
 from taichi_bearings.scans.engine import LocalEngine, failure, run_samples
 from taichi_bearings.scans.estimate import bytes_of, paying_workers, seconds_of, units_of
-from taichi_bearings.scans.plan import sample_key
+from taichi_bearings.scans.plan import read_plan, sample_key
 from taichi_bearings.scene import Scene, Solution
 from taichi_bearings.scene.initial_spins import cut_of, initial_spin
 from taichi_bearings.solvers import CundallStrack, InteriorPoint, MethodOptions, RigidLimit
@@ -30,6 +30,8 @@ from taichi_bearings.solvers.drive import solve, uninterrupted
 from taichi_bearings.solvers.recording import Recording
 from taichi_bearings.solvers.stopping import StopRule
 from taichi_bearings.stages import each
+
+from .claims import SAMPLES, Effort
 
 TIGHT = StopRule(1e-12)
 STEPS = 1_000_000  # limit; most samples of 3x3x3 are certified within 100 000
@@ -40,6 +42,9 @@ SPARE = 0.7  # share of the free memory that workers may take
 SAME = 1e-6  # relative difference up to which two powers count as the same
 
 
+HERE = Path(__file__).resolve()
+SCANS = next(filter(Path.is_dir, (HERE.parent / "scans", HERE.parents[2] / "examples/studies")))  # in a wheel, or not
+LEAST_SEEDS = 4  # of a scan
 ANY = RunSettings(threads=1)
 
 
@@ -135,7 +140,7 @@ class Part:
 def computed(parts: Sequence[Part], journal: Path, name: str, workers: int = 0) -> list[dict[str, Any]]:
     """What each part gives, by so many worker processes, or here if that is one; 0 for as many as samples pay for.
 
-    journal : keeps what is done where the study is interrupted, until the end; parts that it has are not computed
+    journal : keeps what is done where the study is interrupted, until its end; parts that it has are not computed
     again. name : of a part. Raises BearingsError if one has no result.
     """
     known = read_journal(journal)
@@ -152,7 +157,6 @@ def computed(parts: Sequence[Part], journal: Path, name: str, workers: int = 0) 
                 raise BearingsError(f"{name} {record['key']} of the study has no result: {record['scalars']['error']}")
             kept.append([record])
             known[record["key"]] = record
-    journal.unlink()
     return [known[part.key]["numbers"] for part in parts]
 
 
@@ -195,6 +199,19 @@ def certified(settings: RunSettings) -> Structure:
 def measured(chosen: Iterable[RunSettings], numbers: Numbers, journal: Path) -> list[dict[str, Any]]:
     """`numbers` of the structure of each sample at its certified minimum."""
     return computed([Part(sample_key(s), _measure, (s, numbers), s) for s in chosen], journal, "sample")
+
+
+def planned(scans: Mapping[str, int], effort: Effort) -> Iterator[RunSettings]:
+    """The samples of scans in examples/studies: as many seeds, from `effort.seed` on, as its samples are of the usual
+    ones. scans : name -> largest first side of its samples in the quick form."""
+    for name, largest in scans.items():
+        path = SCANS / f"{name}.toml"
+        usual = read_toml(path)["scan"]["seed"]
+        seeds = round((usual["stop"] - usual["start"]) * effort.samples / SAMPLES)
+        stop = effort.seed + max(LEAST_SEEDS, seeds)
+        for sample in read_plan(path, [f"scan.seed={{start={effort.seed}, stop={stop}}}"]).samples:
+            if not effort.quick or sample.settings.shape[0] <= largest:
+                yield sample.settings
 
 
 def _measure(settings: RunSettings, numbers: Numbers) -> dict[str, Any]:

@@ -18,152 +18,113 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, ScalarFormatter
 
-from taichi_bearings.analysis.structure import structure_of
+from taichi_bearings.analysis.structure import Structure
 from taichi_bearings.numerics.minimum_cut import minimum_cut
 from taichi_bearings.plots.style import BLUE, GREY, ORANGE, in_our_style, new_figure, shades
-from taichi_bearings.runs.run import build_scene
-from taichi_bearings.runs.settings import RunSettings
-from taichi_bearings.solvers import InteriorPoint
-from taichi_bearings.solvers.stopping import StopRule
 
 from .claims import Effort
 from .drawing import draw_growth, draw_means, mean_and_error, name_sizes, spread_and_error
 from .fits import exponent
-from .samples import Found, Table, drawn, solved
+from .network import intermediate_share
+from .samples import Found, Table, drawn, measured, planned
 
 SIDEWAYS = 0.5**0.5  # weight of a contact along x or y over that of one along z: of a jump along x + y
 ROUGHNESS, ENERGY = 0.41, 0.84  # zeta and theta of surfaces
-HEIGHT = 4.0  # of lattices that are cut, over L^ROUGHNESS: so all hold as many independent surfaces
+HELD = 1e3  # friction that a held cut cannot cross
+HEIGHT = 3.0  # of lattices that are cut, over L^ROUGHNESS: beyond what held cuts reach
 PAPER_LOWEST = 0.1  # the paper's friction is uniform in [0.1, 1]
-BLOCK = 10  # samples that are drawn together
-SIZES = {8: 8.0, 12: 8.0, 16: 8.0, 24: 4.0, 32: 3.0, 48: 1.0, 64: 0.6}  # L of cuts, lowest friction 0 -> of the samples
-FLAT = {  # lowest friction -> L of cuts
-    0.1: {8: 2.0, 16: 2.0, 32: 0.5, 64: 0.1},
-    0.2: {8: 2.0, 16: 2.0, 32: 0.5},
-    0.3: {8: 2.0, 16: 2.0, 32: 0.5},
+BLOCK = 10  # cuts that are drawn together
+SIZES = {  # lowest friction -> L of cuts -> of the samples
+    0.0: {8: 20.0, 12: 20.0, 16: 20.0, 24: 10.0, 32: 6.0, 48: 2.5, 64: 1.0, 96: 0.3, 128: 0.1},
+    0.1: {8: 2.0, 16: 2.0, 32: 1.0, 64: 0.3},
+    0.2: {8: 2.0, 16: 2.0, 32: 1.0},
+    0.3: {8: 2.0, 16: 2.0, 32: 1.0},
 }
-SIDES = {4: 4.0, 6: 4.0, 8: 4.0, 10: 3.0, 12: 2.0, 16: 0.6}  # L of minima
-TALL, HEIGHTS = 8, {16: 0.5, 32: 0.5}  # L and H of minima in tall lattices
-QUICK_SIZES = {6: 10.0, 8: 10.0, 12: 10.0, 16: 10.0, 24: 2.0}
-QUICK_FLAT = {0.1: {8: 5.0, 16: 5.0}, 0.3: {8: 5.0, 16: 5.0}}
-QUICK_SIDES, QUICK_HEIGHTS = {4: 5.0, 6: 5.0, 8: 2.0}, {16: 0.5}
-
-
-def draw(kind: str, length: int, other: float, samples: int, seed: int) -> dict[str, Any]:
-    """A block of surfaces or of minima; see :func:`cuts` and :func:`minima`."""
-    return {"cut": cuts, "minimum": minima}[kind](length, other, samples, seed)
+QUICK_SIZES = {0.0: {6: 10.0, 8: 10.0, 12: 10.0, 16: 10.0, 24: 5.0}, 0.1: {8: 5.0, 16: 5.0}, 0.3: {8: 5.0, 16: 5.0}}
+SCANS = {"surfaces": 8, "surfaces-large": 8}  # of minima -> largest side in the quick form
 
 
 def cuts(length: int, lowest: float, samples: int, seed: int) -> dict[str, Any]:
-    """Weights of the minimum cuts between the planes of L x L spheres, periodic in both, in units of the largest
-    friction, and the variance of their height within a sample; friction is uniform in [lowest, 1]."""
-    height = cut_height(length)
+    """Weights of the minimum cuts between the planes of L x L spheres, periodic in both, that pass through one contact
+    in the middle, in units of the largest friction, and the variance of their height within a sample.
+
+    Friction is uniform in [lowest, 1]. A free cut takes the lightest of many surfaces, of fewer the rougher they are,
+    which changes the law up to large sizes; a held one does not choose.
+    """
+    middle = round(HEIGHT / 2 * length**ROUGHNESS)
     rng = np.random.default_rng([seed, length, round(1000 * lowest)])
-    x, y, z = (rng.uniform(lowest, 1.0, (samples, length, length, rows)) for rows in (height, height, height - 1))
+    heights = (2 * middle, 2 * middle, 2 * middle - 1)
+    x, y, z = (rng.uniform(lowest, 1.0, (samples, length, length, height)) for height in heights)
+    z[:, 0, 0] += np.where(np.arange(2 * middle - 1) == middle - 1, 0.0, HELD)
     cut = minimum_cut((SIDEWAYS * x, SIDEWAYS * y, z))
     course = np.count_nonzero(~cut.above, axis=3)
     return {"weight": cut.weight.tolist(), "roughness": course.var(axis=(1, 2)).tolist()}
 
 
-def cut_height(length: int) -> int:
-    return round(HEIGHT * length**ROUGHNESS)
-
-
-def minima(length: int, height: float, samples: int, seed: int) -> dict[str, Any]:
-    """Minima of the paper's L x L x H spheres in certified numbers.
+def numbers_of(structure: Structure) -> dict[str, Any]:
+    """The minimum of a sample in numbers.
 
     power, cut : least power and that of the minimum cut, over F_n R omega_T. layers : in how many layers the spin
     changes, one over the sum of the squares of the shares that each has in the change of the mean staggered spin.
     intermediate : share of the free spheres that are locked to neither plane. largest : spheres of the largest such
     domain. spans, proven : whether slipless contacts join the planes, and whether their states are proven.
     """
-    settings = RunSettings(shape=(length, length, int(height)), seed=seed, replicas=samples, threads=1)
-    scene = build_scene(settings)
-    solution, unit = (
-        solved(scene, InteriorPoint(), StopRule(1e-9)),
-        scene.normal_force * scene.lattice.radius * scene.jump,
-    )
-    found: dict[str, list[Any]] = {}
-    for number in range(samples):
-        structure = structure_of(solution, number)
-        free = ~scene.lattice.is_driven
-        locked = structure.rigid_domains.spheres_of_kind(free)
-        spin = scene.staggered_spin(solution.spin[[number]], scene.minimum_spin_axes)[:, 0]
-        share = np.diff(spin.mean(axis=(0, 1, 2)))
-        numbers = {
-            "power": structure.power / unit, "gap": 1 - structure.lower_bound / structure.power,
-            "cut": structure.interface.power / unit, "layers": float(share.sum() ** 2 / (share**2).sum()),
-            "intermediate": 1 - (locked["bottom"] + locked["top"]) / int(free.sum()),
-            "largest": structure.rigid_domains.largest_intermediate, "spans": structure.network.spans,
-            "proven": structure.states_proven,
-        }  # fmt: skip
-        for name, value in numbers.items():
-            found.setdefault(name, []).append(value)
-    return found
-
-
-def points(quick: bool) -> dict[tuple[str, int, float], float]:
-    """What is drawn -> of how many samples, as a share of those that a claim may take."""
-    sizes, flat = (QUICK_SIZES, QUICK_FLAT) if quick else (SIZES, FLAT)
-    sides, heights = (QUICK_SIDES, QUICK_HEIGHTS) if quick else (SIDES, HEIGHTS)
+    scene = structure.scene
+    unit = scene.normal_force * scene.lattice.radius * scene.jump
+    spin = scene.staggered_spin(structure.spin[None], scene.minimum_spin_axes)[:, 0]
+    share = np.diff(spin.mean(axis=(0, 1, 2)))
     return {
-        **{("minimum", side, side): part for side, part in sides.items()},
-        **{("minimum", TALL, height): part for height, part in heights.items()},
-        **{("cut", size, 0.0): part for size, part in sizes.items()},
-        **{("cut", size, lowest): part for lowest, of in flat.items() for size, part in of.items()},
-    }
+        "side": scene.lattice.shape[0], "height": scene.lattice.shape[2], "power": structure.power / unit,
+        "gap": 1 - structure.lower_bound / structure.power, "cut": structure.interface.power / unit,
+        "layers": float(share.sum() ** 2 / (share**2).sum()), "intermediate": intermediate_share(structure),
+        "largest": structure.rigid_domains.largest_intermediate, "spans": structure.network.spans,
+        "proven": structure.states_proven,
+    }  # fmt: skip
 
 
 def study(folder: Path, effort: Effort) -> Found:
     """Surfaces by their size and the lowest friction, and minima by side and height."""
-    wanted = {point: max(BLOCK, round(part * effort.samples)) for point, part in points(effort.quick).items()}
-    found = drawn(draw, wanted, BLOCK, effort.seed, folder / "surfaces.jsonl")
-    surfaces = {point[1:]: of for point, of in found.items() if point[0] == "cut"}
-    cubes = {side: of for (kind, side, height), of in found.items() if kind == "minimum" and side == height}
-    towers = {height: of for (kind, side, height), of in found.items() if kind == "minimum" and side == TALL}
-    rough = {L: of for (L, lowest), of in surfaces.items() if lowest == 0}
-    flat = {
-        lowest: {L: of["roughness"] for (L, least), of in surfaces.items() if least == lowest}
-        for lowest in dict.fromkeys(lowest for _, lowest in surfaces)
+    sizes = QUICK_SIZES if effort.quick else SIZES
+    wanted = {
+        (L, lowest): max(BLOCK, round(part * effort.samples)) for lowest, of in sizes.items() for L, part in of.items()
     }
-    theta, zeta = exponent({L: of["weight"] for L, of in rough.items()}), exponent(flat[0.0], np.mean)
-    both = {side: np.stack([of["power"], of["cut"]], axis=1) for side, of in cubes.items()}
+    minima = Table.of(measured(planned(SCANS, effort), numbers_of, folder / "surfaces.jsonl"))
+    found = drawn(cuts, wanted, BLOCK, effort.seed, folder / "surfaces-cuts.jsonl")
+    is_cube = minima.side == minima.height
+    cubes = {side: minima[is_cube & (minima.side == side)] for side in np.unique(minima.side[is_cube]).tolist()}
+    towers = minima[~is_cube].by("layers", "height")
+    weight = {L: of["weight"] for (L, lowest), of in found.items() if lowest == 0}
+    flat = {lowest: {L: found[L, lowest]["roughness"] for L in of} for lowest, of in sizes.items()}
+    theta, zeta = exponent(weight), exponent(flat[0.0], np.mean)
+    both = {side: np.stack([of.power, of.cut], axis=1) for side, of in cubes.items()}
     weaker = exponent(both, lambda powers: powers[:, 0].var() / powers[:, 1].var(), offset=False)
-    layers = exponent({side: of["layers"] for side, of in cubes.items()}, lambda of: (of**2).mean(), offset=False)
+    layers = exponent({side: of.layers for side, of in cubes.items()}, lambda of: (of**2).mean(), offset=False)
     named = {
         "theta": theta, "zeta": zeta, "flat": flat, "weaker": weaker, "layers": layers, "cubes": cubes,
-        "towers": towers, "roughness": ROUGHNESS, "energy": ENERGY, "tall": TALL, "paper_lowest": PAPER_LOWEST,
-        "cut_samples": sum(len(of["weight"]) for of in rough.values()), "side_of_largest": max(cubes),
+        "towers": towers, "roughness": ROUGHNESS, "energy": ENERGY, "tall": minima.side[~is_cube].min(),
+        "paper_lowest": PAPER_LOWEST, "cut_samples": sum(map(len, weight.values())), "side_of_largest": max(cubes),
     }  # fmt: skip
-    draw_all = partial(draw_surfaces, {L: of["weight"] for L, of in rough.items()}, theta, zeta, flat, cubes, towers)
-    return Found({".csv": Table.of([row_of(point, of) for point, of in found.items()])}, draw_all, named)
+    rows = Table.of([row_of(point, of) for point, of in found.items()])
+    draw_all = partial(draw_surfaces, weight, theta, zeta, flat, cubes, towers)
+    return Found({".csv": rows, "-minima.csv": minima}, draw_all, named)
 
 
-COLUMNS = ("weight", "roughness", "power", "cut", "layers", "intermediate", "largest", "spans")
-
-
-def row_of(point: tuple[Any, ...], found: dict[str, np.ndarray]) -> dict[str, Any]:
-    """A point in numbers: of each column the mean and the standard deviation over the samples, where it has that."""
-    kind, length, other = point
-    row = {"kind": kind, "length": length, "lowest_friction": other if kind == "cut" else PAPER_LOWEST}
-    row |= {"height": cut_height(length) if kind == "cut" else int(other)}
-    row |= {"samples": len(next(iter(found.values())))}
-    for name in COLUMNS:
-        of = found.get(name)
-        row |= {f"mean_{name}": None if of is None else of.mean(), f"sd_{name}": None if of is None else of.std()}
-    return row
+def row_of(point: tuple[int, float], found: Mapping[str, np.ndarray]) -> dict[str, Any]:
+    """Cuts in numbers: of each quantity the mean and the standard deviation over the samples."""
+    row = {"side": point[0], "lowest_friction": point[1], "samples": len(found["weight"])}
+    return row | {f"{how}_{name}": getattr(of, how)() for name, of in found.items() for how in ("mean", "std")}
 
 
 @in_our_style
 def draw_surfaces(
     weight: Mapping[int, np.ndarray], theta: Any, zeta: Any, flat: Mapping[float, Mapping[int, np.ndarray]],
-    cubes: Mapping[int, Mapping[str, np.ndarray]], towers: Mapping[int, Mapping[str, np.ndarray]],
+    cubes: Mapping[int, Table], towers: Mapping[int, np.ndarray],
 ) -> Figure:  # fmt: skip
     """(a) standard deviation of the weight of cut surfaces, (b) their width by the lowest friction, against the side;
     (c) standard deviations of the least power and of that of the cut, (d) layers in which the spin changes, of minima.
 
-    weight : L -> (samples,). flat : lowest friction -> L -> variances of the height (samples,). cubes, towers : by side
-    and by height the samples.
+    weight : L -> (samples,). flat : lowest friction -> L -> variances of the height (samples,). cubes : samples by
+    side. towers : height -> their layers.
     """
     figure = new_figure(7.1, 5.0)
     (a, b), (c, d) = figure.subplots(2, 2)
@@ -180,15 +141,11 @@ def draw_surfaces(
     b.set(ylabel="width of cuts, spheres", title="(b) by the friction")
     sides = np.array(sorted(cubes))
     for name, color, text in (("cut", ORANGE, "minimum cut"), ("power", BLUE, "minimum")):
-        spread = spread_and_error([cubes[L][name] for L in sides])
+        spread = spread_and_error([getattr(cubes[L], name) for L in sides])
         c.errorbar(sides, *spread, fmt="o-", ms=3, lw=0.8, color=color, label=text)
     c.set(ylabel="sd of the power", title="(c) friction in [0.1, 1], cubes")
-    for found, color, text in (
-        (cubes, BLUE, "cubes, against the side"),
-        (towers, ORANGE, "towers, against the height"),
-    ):
-        x = sorted(found)
-        draw_means(d, {L: found[L]["layers"] for L in x}, color=color, label=text)
+    draw_means(d, {L: cubes[L].layers for L in sides.tolist()}, color=BLUE, label="cubes, against the side")
+    draw_means(d, towers, color=ORANGE, label="towers, against the height")
     d.set(ylabel="layers in which the spin changes", title="(d) minima")
     for axes, ticks in ((a, sizes), (b, sizes), (c, sides), (d, sorted({*cubes, *towers}))):
         axes.set_yscale("linear" if axes is b else "log")

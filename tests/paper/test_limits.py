@@ -4,10 +4,10 @@ import csv
 
 import numpy as np
 import pytest
-from taichi_bearings_studies.paper import limits, reproduce
+from taichi_bearings_studies.paper import limits, reproduce, samples
 from taichi_bearings_studies.paper.claims import Effort, judged
 from taichi_bearings_studies.paper.fits import limit
-from taichi_bearings_studies.paper.samples import Table
+from taichi_bearings_studies.paper.samples import Table, planned
 
 pytestmark = pytest.mark.usefixtures("needs_f64")
 
@@ -66,13 +66,13 @@ SYSTEMS = (
 
 def test_the_scans_have_what_is_asked():
     found = {}
-    for settings in limits.chosen(Effort()):
+    for settings in planned(limits.QUICK, Effort()):
         system = found.setdefault(limits.system_of(settings), {})
         system.setdefault(settings.shape[0], []).append(settings.seed)
     assert tuple(found) == SYSTEMS
     assert set(found["as in the paper"]) == {4, 6, 8, 12, 16, 24, 32, 48}
     assert all(seeds == list(range(len(seeds))) for system in found.values() for seeds in system.values())
-    quick = list(limits.chosen(Effort(seed=7, samples=20, quick=True)))
+    quick = list(planned(limits.QUICK, Effort(seed=7, samples=20, quick=True)))
     assert {settings.shape[0] for settings in quick} == {4, 6, 8, 12, 16, 24, 32}
     assert {settings.seed for settings in quick if settings.shape[0] == 24} == {7, 8, 9, 10}
     assert {limits.system_of(settings) for settings in quick} == set(SYSTEMS)
@@ -88,7 +88,7 @@ def small(taichi_runtime, monkeypatch):
     """The smallest samples of each scan, and the tests' own runtime."""
     monkeypatch.setattr(reproduce.runtime, "start", lambda *_: None)
     monkeypatch.setattr(limits, "QUICK", {"limits": 8, "limits-variants": 4, "limits-rate": 4})
-    monkeypatch.setattr(limits, "LEAST_SEEDS", 3)
+    monkeypatch.setattr(samples, "LEAST_SEEDS", 3)
     return Effort(seed=2, samples=1, quick=True)
 
 

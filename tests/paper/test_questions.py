@@ -7,12 +7,16 @@ import numpy as np
 import pytest
 from scipy import sparse, stats
 from scipy.optimize import linprog
-from taichi_bearings_studies.paper import exponents, fits, odd_loops, reproduce, surfaces, sweeps
+from taichi_bearings_studies.paper import exponents, fits, odd_loops, reproduce, samples, surfaces, sweeps
 from taichi_bearings_studies.paper.claims import Effort
 from taichi_bearings_studies.paper.fits import collapse, exponent, skewness
 
+import taichi_bearings as tb
 from taichi_bearings import runtime
 from taichi_bearings.numerics.planar import minimum_cuts
+from taichi_bearings.runs.run import build_scene
+from taichi_bearings.runs.settings import RunSettings
+from taichi_bearings.scans.plan import read_plan
 
 pytestmark = pytest.mark.usefixtures("needs_f64")
 
@@ -49,6 +53,13 @@ def test_weights_of_cuts(kind):
     truth = [lightest_path(*sample) for sample in zip(sideways, upward, strict=True)]
     assert found["weight"] == pytest.approx(truth, rel=1e-12)
     assert all(1 <= middle <= height - 1 for middle in found["middle"])
+
+
+def test_free_interfaces_are_those_of_the_example_scan():
+    plan = read_plan(samples.SCANS / "exponents.toml", ["scan.seed=[5]", "scan.shape=[[6,7]]"])
+    (scene,) = (build_scene(sample.settings) for sample in plan.samples)
+    power = tb.solve(scene).power / (scene.normal_force * scene.lattice.radius)
+    assert sweeps.crossings(*scene.lattice.by_axis(scene.coefficient), 3).min() == pytest.approx(power, rel=1e-12)
 
 
 @pytest.mark.parametrize("lattice", ["square", "triangular"])
@@ -123,22 +134,22 @@ def test_studies_in_a_small_form(tmp_path, monkeypatch):
     few = {"square": {6: 3.0, 8: 3.0}, "triangular": {6: 3.0, 8: 3.0}, "cubic": {3: 2.5, 4: 2.5}}
     monkeypatch.setattr(odd_loops, "QUICK_SIZES", few)
     monkeypatch.setattr(odd_loops, "QUICK_NUMBERS", (0, 2, 8))
-    monkeypatch.setattr(surfaces, "QUICK_SIZES", {4: 1.0, 6: 1.0})
-    monkeypatch.setattr(surfaces, "QUICK_FLAT", {0.1: {4: 1.0, 6: 1.0}, 0.3: {6: 1.0}})
-    monkeypatch.setattr(surfaces, "QUICK_SIDES", {3: 1.0, 4: 1.0})
-    monkeypatch.setattr(surfaces, "QUICK_HEIGHTS", {4: 1.0})
-    monkeypatch.setattr(surfaces, "TALL", 3)
+    monkeypatch.setattr(surfaces, "QUICK_SIZES", {lowest: {4: 1.0, 6: 1.0} for lowest in (0.0, 0.1, 0.3)})
+    for name, shapes in (("surfaces", "[[3, 3, 3], [4, 4, 4]]"), ("surfaces-large", "[[3, 3, 4]]")):
+        (tmp_path / f"{name}.toml").write_text(f"[scan]\nshape = {shapes}\nseed = {{ start = 0, stop = 400 }}\n")
+    monkeypatch.setattr(samples, "SCANS", tmp_path)
     for name, few in (("RESAMPLES", 20), ("TRIALS", 16), ("COLLAPSES", 3)):
         monkeypatch.setattr(fits, name, few)
     monkeypatch.setattr(runtime, "available_threads", lambda: 1)
     effort = Effort(samples=2, quick=True)
     monkeypatch.setattr(runtime, "start", lambda *_: None)  # the tests' own is running
     asked = ("exponents", "surfaces", "odd-loops")
-    claims = [c for name in asked for c in reproduce.FIGURES[name].reproduce(tmp_path, effort)]
+    (out := tmp_path / "out").mkdir()
+    claims = [c for name in asked for c in reproduce.FIGURES[name].reproduce(out, effort)]
     assert len(claims) == 5 + 7 + 5
     assert {claim.verdict for claim in claims} >= {"too few samples"}
-    written = {path.name for path in tmp_path.iterdir()}
-    assert written == {f"{name}.{ending}" for name in asked for ending in ("csv", "pdf", "png")}
+    written = {f"{name}.{ending}" for name in asked for ending in ("csv", "pdf", "png")}
+    assert {path.name for path in out.iterdir()} == written | {"surfaces-minima.csv"}
 
 
 def test_distances_are_those_of_other_codes():
@@ -152,32 +163,35 @@ def test_distances_are_those_of_other_codes():
     assert crossed[np.arange(200), paths.argmin(axis=1)].all()
 
 
-def test_surfaces_are_lightest_cuts_of_periodic_lattices(monkeypatch):
-    monkeypatch.setattr(surfaces, "cut_height", lambda _: 3)
-    found = surfaces.cuts(4, 0.1, 2, 6)
-    rng = np.random.default_rng([6, 4, 100])
-    x, y, z = (rng.uniform(0.1, 1.0, (2, 4, 4, height)) for height in (3, 3, 2))
-    sides = np.array(list(itertools.product((False, True), repeat=16))).reshape(-1, 4, 4)  # of the free plane
-    for sample in range(2):
-        weight = np.where(sides, z[sample, ..., 0], z[sample, ..., 1]).sum(axis=(1, 2))
+def test_held_surfaces_are_lightest_cuts_through_one_contact(monkeypatch):
+    monkeypatch.setattr(surfaces, "HEIGHT", 4 / 2**surfaces.ROUGHNESS)  # two free planes
+    found = surfaces.cuts(2, 0.1, 3, 6)
+    rng = np.random.default_rng([6, 2, 100])
+    x, y, z = (rng.uniform(0.1, 1.0, (3, 2, 2, height)) for height in (4, 4, 3))
+    sides = np.zeros((2**8, 2, 2, 4), dtype=bool)
+    sides[..., 1:3] = np.array(list(itertools.product((False, True), repeat=8))).reshape(-1, 2, 2, 2)
+    sides[..., 3] = True
+    sides = sides[~sides[:, 0, 0, 1] & sides[:, 0, 0, 2]]
+    for sample in range(3):
+        weight = (z[sample] * np.diff(sides, axis=3)).sum(axis=(1, 2, 3))
         for axis, contacts in ((1, x), (2, y)):
-            weight += 0.5**0.5 * ((sides != np.roll(sides, -1, axis)) * contacts[sample, ..., 1]).sum(axis=(1, 2))
+            weight += 0.5**0.5 * ((sides != np.roll(sides, -1, axis)) * contacts[sample]).sum(axis=(1, 2, 3))
         best = weight.argmin()
         assert found["weight"][sample] == pytest.approx(weight[best], rel=1e-12)
-        assert found["roughness"][sample] == pytest.approx(sides[best].var(), rel=1e-12)
+        assert found["roughness"][sample] == pytest.approx((~sides[best]).sum(axis=2).var(), rel=1e-12)
 
 
 def test_minima_are_between_the_bounds_of_sheets_and_cuts():
-    found = surfaces.minima(3, 4, 3, 2)
-    assert all(gap < 1e-9 for gap in found["gap"])
-    assert all(power <= cut * (1 + 1e-9) for power, cut in zip(found["power"], found["cut"], strict=True))
-    for seed, power in enumerate(found["power"], start=2):
+    for seed in (2, 3):
+        found = surfaces.numbers_of(samples.certified(RunSettings(shape=(3, 3, 4), seed=seed)))
         rng = np.random.default_rng(seed)
         x, y, z = (rng.uniform(0.1, 1.0, shape) for shape in ((2, 3, 4), (3, 2, 4), (3, 3, 3)))
         of_x = sum(lightest_path(y[layer], z[layer]) for layer in range(3)) / 2**0.5
         of_y = sum(lightest_path(x[:, layer], z[:, layer]) for layer in range(3)) / 2**0.5
-        assert np.hypot(of_x, of_y) * (1 - 1e-9) <= power <= (of_x + of_y) * (1 + 1e-9)
-    assert all(1 <= layers <= 3 for layers in found["layers"])
+        assert np.hypot(of_x, of_y) * (1 - 1e-9) <= found["power"] <= (of_x + of_y) * (1 + 1e-9)
+        assert found["power"] <= found["cut"] * (1 + 1e-9)
+        assert found["gap"] < 1e-9
+        assert 1 <= found["layers"] <= 3
 
 
 def test_a_power_law_without_a_constant():
