@@ -3,6 +3,7 @@ resampled over the disorder."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ EXPONENTS, TRIALS, COLLAPSES = (-0.5, 2.5), 151, 50  # of collapses: looked at, 
 LEAST_SIZES, LEAST_CURVES = 5, 3  # that a fit and a collapse take
 POSSIBLE = {True: (0.05, 1.5), False: (-1.0, 1.5)}  # exponents of standard deviations, with a constant and without
 FINELY = 500  # how many of them are tried
+VARIANCE = partial(np.var, ddof=1)  # unbiased
 LEAST_GOODNESS = 0.05  # probability of a misfit as large as that of a fit that counts
 STATED = 1.0  # w: a surface over its volume
 OTHERS = (0.5, 2.0)  # w that it might be; they count where they fit as well
@@ -70,7 +72,7 @@ def line_through(x: np.ndarray, spread: np.ndarray, y: np.ndarray) -> tuple[np.n
 
 
 def exponent(
-    samples: dict[int, np.ndarray], square: Callable[[np.ndarray], Any] = np.var, offset: bool = True
+    samples: Mapping[int, np.ndarray], square: Callable[[np.ndarray], Any] = VARIANCE, offset: bool = True
 ) -> Exponent:
     """Of the deviation of samples, size -> (samples, ...), from the smallest size on from which such a law fits.
 
@@ -79,6 +81,7 @@ def exponent(
     rng, sizes = np.random.default_rng(0), np.array(sorted(samples))
     variance = np.array([square(samples[L]) for L in sizes])
     again = np.array([[square(rng.choice(samples[L], len(samples[L]))) for _ in range(RESAMPLES)] for L in sizes])
+    again = variance[:, None] + (again - variance[:, None]) * _unbiased(samples)[:, None]
     spread, fits = again.std(axis=1, ddof=1), []
     columns = np.concatenate([variance[:, None], again], axis=1)
     for first in range(max(1, len(sizes) - LEAST_SIZES + 1 + (not offset))):
@@ -92,6 +95,12 @@ def exponent(
     beyond = max(abs(fit[1] - value) for fit in fits[chosen : chosen + 3])
     told = {fit[0]: fit[1] for fit in fits}
     return Exponent(value, error, beyond, smallest, goodness, float(amplitude), told, float(constant))
+
+
+def _unbiased(samples: Mapping[int, np.ndarray]) -> np.ndarray:
+    """(sizes,), rising: by how much the errors of resampling are too small."""
+    number = np.array([len(samples[L]) for L in sorted(samples)])
+    return np.sqrt(number / (number - 1))
 
 
 def _rows(sizes: np.ndarray, spread: np.ndarray, offset: bool, values: np.ndarray) -> np.ndarray:
@@ -134,8 +143,7 @@ def limit(samples: Mapping[int, np.ndarray]) -> Limit | None:
         return None
     rng, sizes = np.random.default_rng(0), np.array(list(known))
     drawn = np.array([rng.choice(of, (RESAMPLES, len(of))).mean(axis=1) for of in known.values()]) - mean[:, None]
-    unbiased = np.array([(len(of) / (len(of) - 1)) ** 0.5 for of in known.values()])
-    again = mean[:, None] + drawn * unbiased[:, None]
+    again = mean[:, None] + drawn * _unbiased(known)[:, None]
     parts = [slice(first, None) for first in range(len(sizes) - LEAST_OF_LIMIT + 1)]
     fits = [line_through(sizes[part] ** -STATED, spread[part], mean[part]) for part in parts]
     chosen = first_that_fits([goodness for _, goodness in fits])

@@ -14,7 +14,6 @@ analysis/torque_flow), so the surface has no flat part there.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -32,7 +31,7 @@ from taichi_bearings.solvers.stopping import StopRule
 
 from .claims import Effort
 from .drawing import draw_means, name_sizes
-from .fits import LEAST_GOODNESS, RESAMPLES, line_through
+from .fits import exponent, limit
 from .samples import Found, Part, Table, computed, solved
 
 SHARES = {4: 1.0, 6: 1.0, 8: 0.5, 12: 0.25, 16: 0.25, 24: 0.05}  # side of the cube -> of the samples
@@ -44,7 +43,6 @@ PLANE = [(1.0, slope, 0.0) for slope in SLOPES] + [(slope, 1.0, 0.0) for slope i
 DILATING = [(1.0, 0.0, c) for c in (BESIDE, 0.5, 1.0)] + [(a, 0.0, 1.0) for a in (0.5, BESIDE, 0.0)]
 DIRECTIONS = PLANE + DILATING  # (a_x, a_y, c), by their angles
 PROVEN_GAP = StopRule(1e-10)
-LEAST_SIDES = 3  # of a fit
 SHOWN = 3  # sizes of which the surface is drawn
 
 
@@ -70,36 +68,6 @@ def held(settings: RunSettings) -> dict[str, Any]:
         of_layers[component] = upright[slot].sum(axis=1 - component)
     torque = [*of_layers.sum(axis=1), (of_layers @ offsets(scene.lattice.shape[0])).sum()]
     return {"power": structure.power, "lower_bound": structure.lower_bound, "torque": list(map(float, torque))}
-
-
-@dataclass(frozen=True)
-class Line:
-    """y = value + slope x through means of samples, from the smallest size on from which it fits. error, slope_error :
-    from the disorder. goodness : probability of such a misfit."""
-
-    value: float
-    error: float
-    slope: float
-    slope_error: float
-    smallest: int
-    goodness: float
-
-
-def line(samples: Mapping[int, np.ndarray], power_law: bool = False) -> Line:
-    """Of the means of samples, size L -> (samples,), against 1 / L; or of their logarithms against log L."""
-    rng, sizes = np.random.default_rng(0), sorted(samples)
-    again = np.array([rng.choice(samples[L], (RESAMPLES, len(samples[L]))).mean(axis=1) for L in sizes])
-    mean, x = np.array([samples[L].mean() for L in sizes]), 1 / np.array(sizes, dtype=float)
-    if power_law:
-        again, mean, x = np.log(again), np.log(mean), -np.log(x)
-    number = np.array([len(samples[L]) for L in sizes])
-    spread = again.std(axis=1, ddof=1) * (number / (number - 1)) ** 0.5  # which resampling takes away
-    for first in range(max(1, len(sizes) - LEAST_SIDES + 1)):
-        found, goodness = line_through(x[first:], spread[first:], mean[first:])
-        if goodness >= LEAST_GOODNESS:
-            break
-    error, slope_error = line_through(x[first:], spread[first:], again[first:])[0].std(axis=1, ddof=1)
-    return Line(float(found[0]), float(error), float(found[1]), float(slope_error), sizes[first], goodness)
 
 
 def study(folder: Path, effort: Effort) -> Found:
@@ -136,6 +104,8 @@ def names_of(points: np.ndarray, power: np.ndarray, torque: np.ndarray) -> dict[
     turns about x, and the other way round, their mean. square : P(1, 1) over P(1, 0) + P(0, 1); circle : over the root
     of the sum of their squares. steps : what T_x changes by where a little turn about x is added to c, over P(c).
     per_area : P over F_n R L^2 |(a, c)|. body : of the means, over F_n R L^2, P and torques.
+    fading, squaring : Exponent of what is missing of crossed and of square, A L^(2 value). square_limit, limits_of :
+    Limit of square and of per_area.
     """
     at, settings = {direction: k for k, direction in enumerate(DIRECTIONS)}, RunSettings()
     unit = settings.normal_force * settings.radius * points[:, 0] ** 2
@@ -155,10 +125,10 @@ def names_of(points: np.ndarray, power: np.ndarray, torque: np.ndarray) -> dict[
         "samples_of": {side: len(values) for side, values in square.items()}, "directions": len(DIRECTIONS),
         "beside": BESIDE, "above": float((work / power[:, None] - 1).max()),
         "apart": float(np.abs(np.einsum("ndd->nd", work) / power - 1).max()),
-        "crossed": of(left), "fading": line(of(1 - left), power_law=True), "steps": of(step),
-        "square": square, "circle": of(both / np.hypot(x, y)), "square_limit": line(square),
-        "squaring": line(of(1 - both / (x + y)), power_law=True), "per_area": per_area,
-        "limits_of": {name: line(values) for name, values in per_area.items()},
+        "crossed": of(left), "fading": exponent(of(1 - left), np.mean, offset=False), "steps": of(step),
+        "square": square, "circle": of(both / np.hypot(x, y)), "square_limit": limit(square),
+        "squaring": exponent(of(1 - both / (x + y)), np.mean, offset=False), "per_area": per_area,
+        "limits_of": {name: limit(values) for name, values in per_area.items()},
         "body": {
             side: ((power / unit[:, None])[here].mean(axis=0), (torque / unit[:, None, None])[here].mean(axis=0))
             for side in square
@@ -205,8 +175,8 @@ def draw_yield_surface(named: Mapping[str, Any], directions: np.ndarray, plane: 
     ):
         draw_means(axes[1, 0], {side: 1 - named[name][side] for side in sides}, fmt="o", color=color)
         far = np.array([fit.smallest, sides[-1]])
-        label = f"{text}: $L^{{{fit.slope:.2f} \\pm {fit.slope_error:.2f}}}$"
-        axes[1, 0].plot(far, np.exp(fit.value) * far**fit.slope, color=color, label=label)
+        label = f"{text}: $L^{{{2 * fit.value:.2f} \\pm {2 * fit.total:.2f}}}$"
+        axes[1, 0].plot(far, fit.amplitude * far ** (2 * fit.value), color=color, label=label)
     axes[1, 0].set(yscale="log", ylabel="share that is missing")
     axes[1, 0].set_yticks([0.1, 0.2, 0.3, 0.5, 0.7], ["0.1", "0.2", "0.3", "0.5", "0.7"])
     name_sizes(axes[1, 0], sides, "side of the cube, $L$")
@@ -216,7 +186,7 @@ def draw_yield_surface(named: Mapping[str, Any], directions: np.ndarray, plane: 
         draw_means(axes[1, 1], of, 1 / np.array(list(of)), fmt="o", color=color, label=name)
         fit = named["limits_of"][name]
         near = np.array([0, 1 / fit.smallest])
-        axes[1, 1].plot(near, fit.value + fit.slope * near, color=color)
+        axes[1, 1].plot(near, fit.value + fit.amplitude * near, color=color)
     axes[1, 1].set(xlabel="$1 / L$", ylabel=r"$P / (F_n R L^2 |\Delta\omega|)$", xlim=(0, None))
     axes[1, 1].set_title("(d) power an area")
     axes[1, 1].legend()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from taichi_bearings_studies.paper import reproduce, yield_surface
 from taichi_bearings_studies.paper.claims import Effort
-from taichi_bearings_studies.paper.yield_surface import BESIDE, held, line, offsets, settings_of
+from taichi_bearings_studies.paper.yield_surface import BESIDE, held, offsets, settings_of
 
 from taichi_bearings import runtime
 from tests.cli.commands import bearings
@@ -64,18 +64,6 @@ def test_places_of_layers_have_a_mean_square_of_one_half():
         assert 2 * (offsets(side) ** 2).mean() == pytest.approx(1, rel=1e-12)  # both directions of the plane together
 
 
-def test_lines_are_found_from_the_size_on_from_which_they_fit():
-    rng = np.random.default_rng(4)
-    noise = {L: 0.01 * rng.normal(size=400) for L in (4, 8, 16, 32, 64)}
-    found = line({L: 2 + 3 / L + of for L, of in noise.items()})
-    assert (found.smallest, abs(found.value - 2) < 3 * found.error, abs(found.slope - 3) < 3 * found.slope_error) == (
-        4, True, True,
-    )  # fmt: skip
-    found = line({L: 2 * L**-0.5 * (1 + of) * (1 + 4 * (L == 4)) for L, of in noise.items()}, power_law=True)
-    assert found.smallest == 8
-    assert abs(found.slope + 0.5) < 3 * found.slope_error < 0.02
-
-
 def scanned(folder, name, *settings):
     """The rows of an example scan in a small form."""
     words = [word for setting in settings for word in ("--set", setting)]
@@ -105,8 +93,9 @@ def test_example_scans_find_the_same(tmp_path):
 
 
 def test_the_study_in_a_small_form(tmp_path, monkeypatch):
-    monkeypatch.setattr(yield_surface, "QUICK_SIDES", (4, 6))
-    monkeypatch.setattr(yield_surface, "FEWEST", 2)
+    monkeypatch.setattr(yield_surface, "SHARES", dict.fromkeys((3, 4, 6), 1.0))
+    monkeypatch.setattr(yield_surface, "QUICK_SIDES", (3, 4, 6))
+    monkeypatch.setattr(yield_surface, "FEWEST", 3)
     monkeypatch.setattr(runtime, "available_threads", lambda: 1)
     monkeypatch.setattr(runtime, "start", lambda *_: None)  # the tests' own is running
     claims = reproduce.FIGURES["yield"].reproduce(tmp_path, Effort(samples=2, quick=True))
