@@ -52,9 +52,11 @@ class Fitted:
 @dataclass(frozen=True)
 class Exponent(Fitted):
     """Of a standard deviation that grows with the size L: sd^2 = amplitude L^(2 value) + offset, what single contacts
-    add."""
+    add. errors : smallest size -> error of the value in `fits` from the disorder; where that is as large as the
+    systematic one, both are the same scatter."""
 
     offset: float
+    errors: dict[int, float]
 
 
 def first_that_fits(goodness: Sequence[float]) -> int:
@@ -93,8 +95,8 @@ def exponent(
     rows = _rows(sizes[chosen:], spread[chosen:], offset, np.array([value]))[0]
     amplitude, constant = np.append(np.linalg.lstsq(rows, (variance / spread)[chosen:], rcond=None)[0], 0.0)[:2]
     beyond = max(abs(fit[1] - value) for fit in fits[chosen : chosen + 3])
-    told = {fit[0]: fit[1] for fit in fits}
-    return Exponent(value, error, beyond, smallest, goodness, float(amplitude), told, float(constant))
+    told, errors = ({fit[0]: fit[part] for fit in fits} for part in (1, 2))
+    return Exponent(value, error, beyond, smallest, goodness, float(amplitude), told, float(constant), errors)
 
 
 def _unbiased(samples: Mapping[int, np.ndarray]) -> np.ndarray:

@@ -32,16 +32,16 @@ from .samples import Found, Table, drawn
 FRICTION = (0.1, 1.0)  # uniform, the paper's
 UNIT_BITS = 40  # of the friction, rounded to whole units for flows
 BLOCK = 5  # samples that are drawn together
-OF_DISCS = {16: 50.0, 32: 50.0, 64: 5.0, 128: 1.0, 256: 0.25, 512: 0.025, 1000: 0.025}
+OF_DISCS = {16: 50.0, 32: 50.0, 64: 10.0, 128: 2.0, 256: 0.5, 512: 0.025, 1000: 0.025}
 SIZES = {  # L -> of the samples; those that get less than a block are left out
     "square": OF_DISCS,
     "triangular": OF_DISCS,
-    "cubic": {4: 0.5, 6: 0.5, 8: 0.25, 12: 0.05},
+    "cubic": {4: 1.0, 6: 1.0, 8: 0.5, 12: 0.05},
 }
 QUICK_SIZES = {"square": {8: 1.0, 16: 1.0}, "triangular": {8: 1.0, 16: 1.0}, "cubic": {4: 0.5, 5: 0.5}}
 NUMBERS, QUICK_NUMBERS = (0, 1, 2, 4, 8, 16, 32, 64), (0, 2, 8, 32)  # of odd contacts
 BOTTOMS = (0.0, 0.25, 0.5, 1.0)  # omega_B / omega_T
-TURNED, OF_TURNED = 16, 2.0  # L of the lattices of discs in which the bottom turns, and how many of the samples
+TURNED, OF_TURNED = 16, 4.0  # L of the lattices of discs in which the bottom turns, and how many of the samples
 LANDSCAPE = {"square": 1 / 3, "triangular": 1 / 3, "cubic": 0.84}  # a of n / L^a, if that of interfaces rules
 DIMENSION = {"square": 2, "triangular": 2, "cubic": 3}  # the same, if the density rules
 SURE = 1e-6  # relative gap of minima of spheres, and spin of those at rest over that of the top
