@@ -66,9 +66,9 @@ class PaperFigure:
         return claims
 
     def forget(self, folder: Path) -> None:
-        """What the folder has of samples computed before."""
-        for journal in folder.glob(f"{self.name}*.jsonl"):
-            journal.unlink()
+        """Remove what an interrupted study has kept of its samples."""
+        for ending in JOURNALS:
+            (folder / f"{self.name}{ending}").unlink(missing_ok=True)
 
 
 def _untitled(figure: Figure) -> Figure:
@@ -108,6 +108,7 @@ FIGURES = {
 }  # fmt: skip
 MOST_PICTURE = 2**26  # bytes of one that the page holds
 REPORTS = ("report.html", "report.json")
+JOURNALS = (".jsonl", "-cuts.jsonl")  # ends of the names of files in which studies keep their samples
 
 
 def choose_figures(names: Sequence[str]) -> list[str]:

@@ -40,8 +40,6 @@ RIGID_END = 1e-10  # the same without springs
 TIMES = np.append(0.0, np.geomspace(1e-6, 1e2, 601))  # at which the power is written down
 SPARE = 0.7  # share of the free memory that workers may take
 SAME = 1e-6  # relative difference up to which two powers count as the same
-
-
 HERE = Path(__file__).resolve()
 SCANS = next(filter(Path.is_dir, (HERE.parent / "scans", HERE.parents[2] / "examples/studies")))  # in a wheel, or not
 LEAST_SEEDS = 4  # of a scan
