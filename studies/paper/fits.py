@@ -165,13 +165,13 @@ def limit(samples: Mapping[int, np.ndarray]) -> Limit | None:
 class Collapse:
     """value : of the exponent a at which curves against n / L^a lie closest together, with its error from the disorder
     and the systematic one: how much it changes where the smallest sizes are left out. misfit : chi^2 a degree of
-    freedom there. fits : smallest size -> value and misfit."""
+    freedom there. fits : smallest size -> value, error and misfit."""
 
     value: float
     error: float
     systematic: float
     misfit: float
-    fits: dict[int, tuple[float, float]]
+    fits: dict[int, tuple[float, float, float]]
 
     @property
     def total(self) -> float:
@@ -182,18 +182,21 @@ def collapse(curves: dict[int, dict[int, np.ndarray]]) -> Collapse:
     """Of the means of samples, L -> n -> (samples,), as functions of log n, taken as straight between its points."""
     rng, sizes = np.random.default_rng(0), sorted(curves)
 
-    def best(drawn: Callable[[np.ndarray], np.ndarray], sizes: Sequence[int] = sizes) -> tuple[float, float]:
+    def best(sizes: Sequence[int], drawn: Callable[[np.ndarray], np.ndarray] = np.asarray) -> tuple[float, float]:
         means = {L: np.array([drawn(v).mean() for v in curves[L].values()]) for L in sizes}
         misfits = [_apart({L: curves[L] for L in sizes}, means, errors, a) for a in trials]
         return float(trials[np.argmin(misfits)]), min(misfits)
 
+    def fitted(sizes: Sequence[int]) -> tuple[float, float, float]:
+        value, misfit = best(sizes)
+        again = [best(sizes, lambda v: rng.choice(v, len(v)))[0] for _ in range(COLLAPSES)]
+        return value, float(np.std(again, ddof=1)), misfit
+
     trials = np.linspace(*EXPONENTS, TRIALS)
     errors = {L: np.array([v.std(ddof=1) / len(v) ** 0.5 for v in of.values()]) for L, of in curves.items()}
-    fits = {sizes[k]: best(np.asarray, sizes[k:]) for k in range(max(1, len(sizes) - LEAST_CURVES + 1))}
-    value, misfit = fits[sizes[0]]
-    again = [best(lambda v: rng.choice(v, len(v)))[0] for _ in range(COLLAPSES)]
-    beyond = max(abs(fit[0] - value) for fit in fits.values())
-    return Collapse(value, float(np.std(again, ddof=1)), beyond, misfit, fits)
+    fits = {sizes[k]: fitted(sizes[k:]) for k in range(max(1, len(sizes) - LEAST_CURVES + 1))}
+    value, error, misfit = fits[sizes[0]]
+    return Collapse(value, error, max(abs(fit[0] - value) for fit in fits.values()), misfit, fits)
 
 
 def _apart(
