@@ -11,6 +11,7 @@ from scipy.stats import chi2, skew
 
 RESAMPLES = 400
 EXPONENTS, TRIALS, COLLAPSES = (-0.5, 2.5), 151, 50  # of collapses: looked at, how finely, and resampled how often
+MOST_MISFIT = 1.5  # chi^2 a degree of freedom up to which curves lie together
 LEAST_SIZES, LEAST_CURVES = 5, 3  # that a fit and a collapse take
 POSSIBLE = {True: (0.05, 1.5), False: (-1.0, 1.5)}  # exponents of standard deviations, with a constant and without
 FINELY = 500  # how many of them are tried
@@ -163,14 +164,16 @@ def limit(samples: Mapping[int, np.ndarray]) -> Limit | None:
 
 @dataclass(frozen=True)
 class Collapse:
-    """value : of the exponent a at which curves against n / L^a lie closest together, with its error from the disorder
-    and the systematic one: how much it changes where the smallest sizes are left out. misfit : chi^2 a degree of
-    freedom there. fits : smallest size -> value, error and misfit."""
+    """value : of the exponent a at which curves against n / L^a lie closest together, from the smallest size on from
+    which they lie together, with its error from the disorder and the systematic one: how much it changes where the next
+    one or two sizes are left out, or the last one is not. misfit : chi^2 a degree of freedom there. fits : smallest
+    size -> value, error and misfit."""
 
     value: float
     error: float
     systematic: float
     misfit: float
+    smallest: int
     fits: dict[int, tuple[float, float, float]]
 
     @property
@@ -195,8 +198,11 @@ def collapse(curves: dict[int, dict[int, np.ndarray]]) -> Collapse:
     trials = np.linspace(*EXPONENTS, TRIALS)
     errors = {L: np.array([v.std(ddof=1) / len(v) ** 0.5 for v in of.values()]) for L, of in curves.items()}
     fits = {sizes[k]: fitted(sizes[k:]) for k in range(max(1, len(sizes) - LEAST_CURVES + 1))}
-    value, error, misfit = fits[sizes[0]]
-    return Collapse(value, error, max(abs(fit[0] - value) for fit in fits.values()), misfit, fits)
+    found = list(fits.values())
+    chosen = next((number for number, fit in enumerate(found) if fit[2] <= MOST_MISFIT), len(found) - 1)
+    value, error, misfit = found[chosen]
+    beyond = max(abs(fit[0] - value) for fit in found[max(chosen - 1, 0) : chosen + 3])
+    return Collapse(value, error, beyond, misfit, sizes[chosen], fits)
 
 
 def _apart(

@@ -181,8 +181,8 @@ def draw_odd_loops(
     resting: Mapping[str, Mapping[float, np.ndarray]],
 ) -> Figure:
     """A row a lattice: (a) share of the discs that roll with the top against the number n of odd contacts, (b) against
-    n / L^a, with the exponent a at which three or more sizes lie closest together; (c) share of the discs that rest,
-    against the bottom's speed.
+    n / L^a, with the exponent a at which three or more sizes lie closest together, from the smallest on from which they
+    do; (c) share of the discs that rest, against the bottom's speed.
 
     rolling : L -> n -> (samples,). ruled : Collapse. resting : omega_B / omega_T -> (samples,), with as many odd
     contacts as are drawn in (a) at most; all by lattice.
@@ -190,11 +190,11 @@ def draw_odd_loops(
     figure = new_figure(7.1, 2.4 * len(rolling))
     rows: Any = figure.subplots(len(rolling), 3, squeeze=False)
     for panels, (lattice, curves) in zip(rows, rolling.items(), strict=True):
-        rule = ruled[lattice].value
+        rule, first = ruled[lattice].value, ruled[lattice].smallest
         for (L, of), color in zip(curves.items(), shades(len(curves)), strict=True):
             n = np.array([odd for odd in of if odd])
             panels[0].axhline(of[0].mean(), color=color, lw=0.6, ls=":")
-            for axes, x in ((panels[0], n), (panels[1], n / L**rule))[: 1 + (len(curves) > 2)]:
+            for axes, x in ((panels[0], n), (panels[1], n / L**rule))[: 1 + (len(curves) > 2 and first <= L)]:
                 draw_means(axes, {odd: of[odd] for odd in n}, x, color=color, label=f"L = {L}")
         name_sizes(panels[0], n, "odd contacts n")
         panels[0].set(ylabel="share of discs that roll", ylim=(0, 0.85))
@@ -202,7 +202,7 @@ def draw_odd_loops(
         panels[0].legend(loc="upper right", ncols=2)
         if len(curves) > 2:
             panels[1].set(xscale="log", xlabel=f"$n / L^{{{rule:.2f}}}$", ylim=(0, None))
-            panels[1].set_title("the sizes together")
+            panels[1].set_title(f"together from {first} on")
         else:
             panels[1].set_axis_off()
         if lattice not in resting:
