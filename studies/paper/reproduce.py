@@ -100,7 +100,7 @@ FIGURES = {
         PaperFigure("exponents", "Minimum cuts of discs as directed polymers", "exponents", (900, 60), asked=True),
         PaperFigure("surfaces", "Cut surfaces and minima of spheres, by size", "surfaces", (700, 60), "All samples.",
                     (".csv", "-minima.csv"), asked=True),
-        PaperFigure("odd-loops", "How many odd contacts stop a bearing of discs", "odd_loops", (5400, 60), asked=True),
+        PaperFigure("odd-loops", "How many odd contacts stop a bearing of discs", "odd_loops", (5700, 60), asked=True),
         PaperFigure("yield", "The torques that a bearing holds", "yield_surface", (1800, 60), asked=True),
         PaperFigure("limits", "What of the picture survives in large samples", "limits", (3600, 120), "All samples.",
                     (".csv", "-limits.csv"), asked=True),
