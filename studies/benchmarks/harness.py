@@ -23,7 +23,7 @@ from taichi_bearings.interrupts import unheard_by_children
 from taichi_bearings.plots.style import save
 from taichi_bearings.stages import each, stage
 
-from ..report import Files, environment, load, markdown
+from ..report import environment, load, markdown
 
 T = TypeVar("T")
 Row = dict[str, Any]
@@ -232,19 +232,19 @@ def _table(rows: Sequence[Row], cells: Cells) -> str:
     return markdown(list(zip(*(words for words in columns if any(words[1:])), strict=True)))
 
 
-def write(files: Files, chosen: Mapping[str, Benchmark], report: Report, here: Mapping[str, Any]) -> list[Path]:
+def write(folder: Path, chosen: Mapping[str, Benchmark], report: Report, here: Mapping[str, Any]) -> list[Path]:
     """The tables, all numbers of each benchmark, and its figure if it has one; returns what was written."""
-    written = [files.folder / TEXT]
+    written = [folder / TEXT]
     write_text(written[0], text(chosen, report, here))
     notes = [f"{name}: {value}" for name, value in here.items()]
     for name, rows in report.rows.items():
         lines = [line for row in rows for line in _lines(row)]
         columns = list(dict.fromkeys(key for line in lines for key in line))
-        written.append(files.folder / f"{name}.csv")
+        written.append(folder / f"{name}.csv")
         write_csv(written[-1], columns, [[line.get(key, "") for key in columns] for line in lines], notes)
         draw = chosen[name].figure
         if draw:
-            written.append(files.folder / f"{name}.png")
+            written.append(folder / f"{name}.png")
             save(draw(rows), written[-1])
     return written
 

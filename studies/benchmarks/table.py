@@ -109,7 +109,7 @@ BENCHMARKS = {
         missing=lambda: find_peers()[1],
         together=methods.judged,
         faults=methods.contradictions,
-        figure=lambda rows: methods.draw_accuracy(list(methods.shown(rows))),
+        figure=methods.draw_accuracy,
     ),
     "scans": Benchmark(
         "Samples a second, beside conic solvers",

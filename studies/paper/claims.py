@@ -104,14 +104,6 @@ class Claim:
         return found | {"verdict": self.verdict}
 
 
-def is_claim(found: Any) -> bool:
-    """True for what :meth:`Claim.as_dict` makes."""
-    plain = Claim("", "", True).as_dict()
-    if not isinstance(found, dict) or not all(type(found.get(key)) is type(value) for key, value in plain.items()):
-        return False
-    return found["verdict"] in VERDICTS and found["kind"] in KINDS and found.keys() == plain.keys()
-
-
 @dataclass(frozen=True)
 class Effort:
     """seed : first seed of all samples. samples : seeds that a statistical claim may take. quick : the short form, with

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from taichi_bearings import api
-from taichi_bearings.errors import DeviceError, InputError
+from taichi_bearings.errors import DeviceError, InputError, printable
 from taichi_bearings.files.scan_file import FAILED
 from taichi_bearings.memory import free_bytes
 from taichi_bearings.numerics.blas import one_thread
@@ -42,20 +42,16 @@ class Answer:
     state: np.ndarray
 
     def told(self) -> dict[str, Any]:
-        """As JSON, of which NaN is no part: numbers in hexadecimal, a digit a state."""
-        told = {"status": self.status, "reached": self.reached, "states_proven": self.states_proven}
-        told |= {name: float(getattr(self, name)).hex() for name in NUMBERS}
-        return told | {"state": "".join(map(str, self.state.tolist()))}
+        """As JSON, of which NaN is no part: numbers as texts that give them back, a digit a state."""
+        texts = {name: repr(getattr(self, name)) for name in NUMBERS}
+        return vars(self) | texts | {"state": "".join(map(str, self.state.tolist()))}
 
     @classmethod
-    def read(cls, told: Mapping[str, Any], contacts: int) -> "Answer":
-        """What :meth:`told` has said. Raises ValueError, or what else reading something else raises."""
-        state = np.array([int(digit) for digit in told["state"]], dtype=np.uint8)
-        reached, proven = ({True: True, False: False}[told[name]] for name in ("reached", "states_proven"))
-        if (state > max(ContactState)).any() or not told["state"].isascii() or len(state) != contacts:
-            raise ValueError
-        value, bound, gap, seconds = (float.fromhex(told[name]) for name in NUMBERS)
-        return cls(Status(told["status"]).value, reached, proven, value, bound, gap, seconds, state)
+    def read(cls, told: Mapping[str, Any]) -> "Answer":
+        """What :meth:`told` has said; ValueError or TypeError for anything else."""
+        found: dict[str, Any] = {name: float(told[name]) for name in NUMBERS}
+        found["state"] = np.array([int(digit) for digit in told["state"]], dtype=np.uint8)
+        return cls(**told | found | {"status": Status(told["status"]).value})
 
 
 def solve_cells(cells: Sequence[Cell]) -> list[dict[str, Any]]:
@@ -83,20 +79,8 @@ def _solve(cell: Cell) -> Answer:
     with one_thread():
         found = api.solve(case.scene, method, **settings)
     state = () if case.is_layered else np.concatenate([part.ravel() for part in found.state])
-    numbers = (found.potential, found.lower_bound, found.gap, found.seconds)
+    numbers = map(float, (found.potential, found.lower_bound, found.gap, found.seconds))
     return Answer(str(found.status), bool(found.reached), bool(found.states_proven), *numbers, np.asarray(state))
-
-
-def can_be_judged(cell: Cell, record: Mapping[str, Any]) -> bool:
-    """Whether a record of a journal is one of :func:`solve_cells` of this version."""
-    if record.get("version") != VERSION:
-        return False
-    words = [record[name] for name in ("refusal", "crash") if name in record]
-    try:
-        Answer.read(record["answer"], cell.contacts)
-    except (KeyError, TypeError, ValueError, OverflowError, AttributeError):
-        return "answer" not in record and bool(words) and all(isinstance(w, str) and w.isprintable() for w in words)
-    return True
 
 
 def bytes_of(cell: Cell) -> float:
@@ -121,10 +105,10 @@ class Judge:
             "objective": None, "truth": None, "unit": 1.0, "seconds": None, "reason": "",
         }  # fmt: skip
         if "answer" not in record:
-            row["reason"] = record.get("crash") or record["refusal"]
+            row["reason"] = printable(record["crash"] if "crash" in record else record["refusal"])
             late = row["reason"].startswith("no result within") and AXES[cell.axis].patience > 1
             return row | {"outcome": NOT_REACHED if late else CRASH if "crash" in record else REFUSED}
-        answer = Answer.read(record["answer"], cell.contacts)
+        answer = Answer.read(record["answer"])
         finite = {"gap": answer.gap, "objective": answer.objective, "seconds": answer.seconds}
         row |= {name: value if isfinite(value) else None for name, value in finite.items()}
         row |= {"status": answer.status, "states_proven": answer.states_proven, "unit": cell.case.unit}

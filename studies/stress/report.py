@@ -1,10 +1,9 @@
 """The sweep over all cells, and its report: a journal that loses nothing, CSV, a table, maps, and numbers."""
 
 import json
-import logging
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -21,11 +20,10 @@ from taichi_bearings.runs.run_directory import writable_folder
 from taichi_bearings.scans.engine import LocalEngine, Outcome
 from taichi_bearings.stages import alike, each
 from taichi_bearings.version import VERSION
-from taichi_bearings.words import counted
 
 from ..report import markdown
 from .axes import AXES, Cell, Row
-from .cells import CRASH, OUTCOMES, RIGHT, WRONG, Judge, can_be_judged, solve_cells
+from .cells import CRASH, OUTCOMES, RIGHT, WRONG, Judge, solve_cells
 
 Line = dict[str, Any]
 START_UP = 60.0  # seconds that a worker may take to start, to compile and to prove, beside twice the time limit
@@ -46,19 +44,17 @@ def open_sweep(folder: Path, cells: Sequence[Cell]) -> Iterator["Sweep"]:
 
 
 class Sweep:
-    """The cells of a folder: those that its journal has, judged anew, and the others as they are done."""
+    """The cells of a folder: those that its journal has from this version, judged anew, and the others as they are
+    done."""
 
     def __init__(self, folder: Path, cells: Sequence[Cell]) -> None:
         self.folder, self.cells, self.judge = folder, {cell.key: cell for cell in cells}, Judge()
-        known, self.lines = read_journal(folder / JOURNAL), dict[str, Line]()
-        asked = [cell for cell in cells if cell.key in known]
+        known = read_journal(folder / JOURNAL)
+        asked = [cell for cell in cells if known.get(cell.key, {}).get("version") == VERSION]
+        self.lines = dict[str, Line]()
         for cell in each(asked, "judging cell", alike):
-            if can_be_judged(cell, known[cell.key]):
+            with suppress(LookupError, TypeError, ValueError, AttributeError):  # of a record that is none: solved anew
                 self.lines[cell.key] = self.judge.row(cell, known[cell.key])
-        if left := len(asked) - len(self.lines):
-            logging.getLogger(__name__).warning(
-                "bearings: %s in %s of another version or damaged; solved again", counted(left, "cell"), folder
-            )
 
     def run(self, workers: int, say: Callable[[str], None] = lambda line: None) -> bool:
         """Solve what is not done yet; False if Ctrl-C ended that early. say : hears of each cell that is red."""
@@ -193,13 +189,12 @@ def draw_outcomes(
                 dark = outcome in ("wrong", "crash")
                 axes.text(j, i, text, ha="center", va="center", fontsize=7, color="white" if dark else "black")
     colours = ListedColormap([*COLOURS.values(), NOTHING])
-    axes.imshow(codes, cmap=colours, vmin=-0.5, vmax=len(kinds) + 0.5, aspect="auto")
+    look: Any = {"cmap": colours, "vmin": -0.5, "vmax": len(kinds) + 0.5, "edgecolors": "white", "lw": 1}
+    axes.pcolormesh(np.arange(len(columns) + 1) - 0.5, np.arange(len(rows) + 1) - 0.5, codes, **look)
     axes.set_xticks(range(len(columns)), columns, rotation=30 if max(map(len, columns)) > 6 else 0)
     axes.set_yticks(range(len(rows)), rows, fontsize=7)
-    axes.set_xticks(np.arange(len(columns) + 1) - 0.5, minor=True)
-    axes.set_yticks(np.arange(len(rows) + 1) - 0.5, minor=True)
-    axes.grid(which="minor", color="white", lw=1)
-    axes.tick_params(which="both", length=0)
+    axes.invert_yaxis()
+    axes.tick_params(length=0)
     for spine in axes.spines.values():
         spine.set_visible(False)
     axes.set_xlabel(title)

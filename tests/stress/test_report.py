@@ -115,7 +115,7 @@ def test_scaled_samples_are_the_same_in_other_units(name):
             continue
         plain, scaled = (Cell(name, value, Row(method, law, 2), 0, True, 1.0) for value in (1.0, 1e-12))
         found = [solve_cells([cell])[0]["answer"] for cell in (plain, scaled)]
-        values = [float.fromhex(one["objective"]) for one in found]
+        values = [float(one["objective"]) for one in found]
         assert values[1] == values[0] * scaled.case.unit
         truths = [Fraction(least(cell.case.scene).upper) for cell in (plain, scaled)]
         assert abs(truths[1] / truths[0] / Fraction(scaled.case.unit) - 1) < 1e-40
@@ -136,14 +136,14 @@ def test_a_sweep_goes_on_from_its_journal_and_a_wrong_cell_fails_it(tmp_path):
     assert any(path.suffix == ".png" for path in tmp_path.iterdir())
     kept = read_journal(tmp_path / "cells.jsonl")
     key, record = next((key, record) for key, record in kept.items() if "answer" in record)
-    too_low = record | {"answer": record["answer"] | {"objective": (-1.0).hex()}, "outcome": RIGHT}
+    too_low = record | {"answer": record["answer"] | {"objective": "-1.0"}, "outcome": RIGHT}
     with Journal(tmp_path / "cells.jsonl") as journal:
         journal.append([too_low])
     again = sweep(tmp_path)
     assert again.exit_code == 1  # it is judged anew, whatever the journal says
     assert f"RED {key}: the value -1.0 is below the least one" in again.stdout
     assert len(read_journal(tmp_path / "cells.jsonl")) == len(kept)
-    strange = [{**record, **of, "key": one} for one, of in zip(kept, ({"version": "0.1"}, {"answer": 3}), strict=False)]
+    strange = [record | of | {"key": one} for one, of in zip(kept, ({"version": "0.1"}, {"answer": 3}), strict=False)]
     with Journal(tmp_path / "cells.jsonl") as journal:
         journal.append(strange)
     again = sweep(tmp_path)
