@@ -28,6 +28,8 @@ from .cells import CRASH, OUTCOMES, RIGHT, WRONG, Judge, solve_cells
 Line = dict[str, Any]
 START_UP = 60.0  # seconds that a worker may take to start, to compile and to prove, beside twice the time limit
 JOURNAL = "cells.jsonl"
+UNREADABLE = (LookupError, TypeError, ValueError, AttributeError, ArithmeticError)
+"""Of a record that somebody else has written: its cell is solved anew."""
 COLOURS = {"right": "#8fce9b", "not reached": "#f3d98a", "refused": "#c9d3e0", "wrong": "#d62728", "crash": "#222222"}
 NOTHING = "#ffffff"
 
@@ -53,7 +55,7 @@ class Sweep:
         asked = [cell for cell in cells if known.get(cell.key, {}).get("version") == VERSION]
         self.lines = dict[str, Line]()
         for cell in each(asked, "judging cell", alike):
-            with suppress(LookupError, TypeError, ValueError, AttributeError):  # of a record that is none: solved anew
+            with suppress(*UNREADABLE):
                 self.lines[cell.key] = self.judge.row(cell, known[cell.key])
 
     def run(self, workers: int, say: Callable[[str], None] = lambda line: None) -> bool:
