@@ -54,8 +54,8 @@ def command(
       bearings benchmark speed --parts kernels,scans --shape 64,64,64 --threads 1,2
       bearings benchmark accuracy --shape 24,24,24 --methods gradient-descent --no-peers
     """
+    from taichi_bearings_studies.benchmarks.harness import TEXT, machine, measure, text, write
     from taichi_bearings_studies.benchmarks.harness import as_json as described
-    from taichi_bearings_studies.benchmarks.harness import machine, measure, names, text, write
     from taichi_bearings_studies.benchmarks.table import BENCHMARKS, planned
 
     from taichi_bearings.errors import InputError
@@ -71,7 +71,8 @@ def command(
             raise InputError(f"--{name.replace('_', '-')} belongs to the part {part}, which is not measured here")
     plan, here = planned(**asked), machine()
     folder = out or default_run_path("benchmark")
-    refuse_standing([folder / name for name in names(benchmarks)], force)
+    others = [f"{name}.{ending}" for name in benchmarks for ending in ("csv", "png")]
+    refuse_standing([folder / name for name in (TEXT, *others)], force)
     with Display(), writable_folder(folder):
         report = measure(benchmarks, plan)
         written = write(folder, benchmarks, report, here)

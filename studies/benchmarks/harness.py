@@ -125,7 +125,7 @@ class Benchmark:
     """One thing that is measured: a row of the table of benchmarks.
 
     title : what, in a sentence. tasks : of a plan, the name of each and what finds its rows. cells : of its table.
-    missing : peers that are not here -> how to install them. together : what rows say only when they are all there.
+    missing : peers that are not here -> how to install them.
     faults : sentences on rows that contradict each other. figure : of the rows.
     """
 
@@ -133,7 +133,6 @@ class Benchmark:
     tasks: Callable[[Plan], Iterator[tuple[str, Callable[[], Found]]]]
     cells: Cells
     missing: Callable[[], dict[str, str]] = dict
-    together: Callable[[list[Row]], list[Row]] = lambda rows: rows
     faults: Callable[[list[Row]], list[str]] = lambda rows: []
     figure: Callable[[list[Row]], Any] | None = None
 
@@ -163,9 +162,7 @@ def measure(chosen: Mapping[str, Benchmark], plan: Plan) -> Report:
                     _take(report, name, f"{name} {words} left out: {error}")
     except KeyboardInterrupt:
         report.interrupted = True
-    for name, found_rows in report.rows.items():
-        report.rows[name] = chosen[name].together(found_rows)
-        report.faults += chosen[name].faults(report.rows[name])
+    report.faults = [fault for name, found in report.rows.items() for fault in chosen[name].faults(found)]
     return report
 
 
@@ -203,12 +200,6 @@ def _serve(pipe: Connection, find: Callable[..., Found], arguments: Sequence[Any
     except BearingsError as error:
         pipe.send(error)
     pipe.send(None)
-
-
-def names(chosen: Mapping[str, Benchmark]) -> list[str]:
-    """Of all files that these benchmarks may write."""
-    figures = [f"{name}.png" for name, one in chosen.items() if one.figure]
-    return [TEXT, *(f"{name}.csv" for name in chosen), *figures]
 
 
 def machine() -> dict[str, Any]:

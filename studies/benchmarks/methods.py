@@ -73,17 +73,15 @@ def measure(settings: RunSettings, names: Sequence[str], with_peers: bool, round
     if not calls:
         raise InputError(f"nothing can solve {label}")
     about = {"shape": settings.shape, "law": settings.law, "seed": settings.seed, "threads": settings.threads}
-    brief = dict[str, Row]()
-    for name, call in calls.items():
-        first = call(0)
-        if first["seconds"][-1] < BRIEF:
-            brief[name] = first
-        else:  # told at once, so that an interrupt does not cost it
-            yield about | first | {"rounds": 1}
-    again = in_turns({name: calls[name] for name in brief}, rounds - 1)
-    for name, first in brief.items():
-        runs = sorted([first, *again.get(name, [])], key=lambda run: run["seconds"][-1])
-        yield about | runs[len(runs) // 2] | {"rounds": len(runs)}
+    runs = {name: [call(0)] for name, call in calls.items()}
+    brief = {name: calls[name] for name, (first,) in runs.items() if first["seconds"][-1] < BRIEF}
+    for name, again in in_turns(brief, rounds - 1).items():
+        runs[name] += again
+    found = []
+    for several in runs.values():
+        several.sort(key=lambda run: run["seconds"][-1])
+        found.append(about | several[len(several) // 2] | {"rounds": len(several)})
+    yield from judged(found)
 
 
 def _by_method(scene: Scene, name: str, options: MethodOptions, seconds: float, _: int = 0) -> Row:
@@ -122,27 +120,24 @@ def relative(power: Sequence[float], bound: Sequence[float] | float) -> list[flo
     return np.maximum((high - np.array(bound)) / high, ROUND_OFF).tolist()
 
 
-def judged(rows: list[Row]) -> list[Row]:
-    """The rows with proven gaps, errors that they cannot exceed, and the times to reach TARGETS."""
-    found = []
-    for of_scene in _by_scene(rows):
-        reference = max(max(row["lower_bound"]) for row in of_scene)
-        open_gap = relative([min(min(row["power"]) for row in of_scene)], reference)[0]
-        for row in of_scene:
-            gap, error = relative(row["power"], row["lower_bound"]), relative(row["power"], reference)
-            best = int(np.argmin(gap))
-            seconds_to = {
-                f"{target:.0e}": min((s for s, g in zip(row["seconds"], gap, strict=True) if g <= target), default=None)
-                for target in TARGETS
-            }
-            at_best = {"proven_gap": gap[best], "true_error": error[best], "after": row["seconds"][best]}
-            found.append(
-                row | {"gap": gap, "error": error, "reference_gap": open_gap, "seconds_to": seconds_to, **at_best}
-            )
+def judged(rows: Sequence[Row]) -> list[Row]:
+    """The rows of a scene with proven gaps, errors that they cannot exceed, and the times to reach TARGETS."""
+    reference, found = max(max(row["lower_bound"]) for row in rows), []
+    open_gap = relative([min(min(row["power"]) for row in rows)], reference)[0]
+    for row in rows:
+        gap, error = relative(row["power"], row["lower_bound"]), relative(row["power"], reference)
+        best = int(np.argmin(gap))
+        seconds_to = {
+            f"{target:.0e}": min((s for s, g in zip(row["seconds"], gap, strict=True) if g <= target), default=None)
+            for target in TARGETS
+        }
+        at_best = {"proven_gap": gap[best], "true_error": error[best], "after": row["seconds"][best]}
+        more = {"gap": gap, "error": error, "reference_gap": open_gap, "seconds_to": seconds_to}
+        found.append(row | more | at_best)
     return found
 
 
-def contradictions(rows: list[Row]) -> list[str]:
+def contradictions(rows: Sequence[Row]) -> list[str]:
     """Runs that prove a bound above the power of another one: a bug in one of them."""
     found = []
     for of_scene in _by_scene(rows):

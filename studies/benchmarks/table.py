@@ -107,7 +107,6 @@ BENCHMARKS = {
             "compile": lambda row: _beside(row, "seconds_compile", duration),
         },
         missing=lambda: find_peers()[1],
-        together=methods.judged,
         faults=methods.contradictions,
         figure=methods.draw_accuracy,
     ),

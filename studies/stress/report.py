@@ -21,7 +21,6 @@ from taichi_bearings.scans.engine import LocalEngine, Outcome
 from taichi_bearings.stages import alike, each
 from taichi_bearings.version import VERSION
 
-from ..report import markdown
 from .axes import AXES, Cell, Row
 from .cells import CRASH, OUTCOMES, RIGHT, WRONG, Judge, solve_cells
 
@@ -100,13 +99,12 @@ class Sweep:
 
     def write(self) -> list[Path]:
         """All files but the journal; their paths."""
-        rows, paths = self.rows, [self.folder / name for name in ("stress.csv", "stress.md", "summary.json")]
+        rows, paths = self.rows, [self.folder / name for name in ("stress.csv", "summary.json")]
         columns = [name for name in rows[0] if name != "key"] if rows else ["axis"]
         write_csv(paths[0], columns, ([line[name] for name in columns] for line in rows))
-        write_text(paths[1], "\n\n".join(table(axis, lines) for axis, lines in by_axis(rows).items()) + "\n")
-        write_text(paths[2], json.dumps(self.summary(), indent=1, allow_nan=False) + "\n")
-        for axis, lines in by_axis(rows).items():
-            figure = draw_outcomes(AXES[axis].title, *_map(lines))
+        write_text(paths[1], json.dumps(self.summary(), indent=1, allow_nan=False) + "\n")
+        for axis in dict.fromkeys(line["axis"] for line in rows):
+            figure = draw_outcomes(AXES[axis].title, [line for line in rows if line["axis"] == axis])
             for ending in (".png", ".pdf"):
                 paths.append(self.folder / f"{axis}{ending}")
                 save(figure, paths[-1])
@@ -124,31 +122,14 @@ class Sweep:
         }  # fmt: skip
 
 
-def by_axis(rows: Sequence[Line]) -> dict[str, list[Line]]:
-    return {axis: [line for line in rows if line["axis"] == axis] for axis in dict.fromkeys(x["axis"] for x in rows)}
-
-
 def _name(line: Line) -> str:
     return str(Row(*(line[key] for key in ("method", "law", "dimension", "arch", "precision"))))
-
-
-def _map(lines: Sequence[Line]) -> tuple[list[str], list[str], dict[tuple[str, str], tuple[str, str]]]:
-    """Columns, rows, and of each cell the outcome and the error as a power of ten."""
-    columns, rows = (list(dict.fromkeys(names)) for names in ([x["value"] for x in lines], map(_name, lines)))
-    return columns, rows, {(_name(line), line["value"]): (line["outcome"], _decades(line)) for line in lines}
 
 
 def _decades(line: Line) -> str:
     """0 below the rounding of doubles, empty without an error."""
     error = line["error"]
     return "" if error is None else "0" if error < 1e-16 else f"{error:.0e}".replace("e-0", "e-").replace("e+00", "")
-
-
-def table(axis: str, lines: Sequence[Line]) -> str:
-    """Text: a row for each method, law, dimension and precision; in each cell the outcome and the error."""
-    columns, rows, cells = _map(lines)
-    text = [[row, *(" ".join(filter(None, cells.get((row, column), ()))) for column in columns)] for row in rows]
-    return f"### {axis}\n\n{markdown([[AXES[axis].title, *columns], *text])}"
 
 
 def scaling(rows: Sequence[Line]) -> dict[str, Any]:
@@ -175,21 +156,18 @@ def lines_of(summary: Mapping[str, Any]) -> list[str]:
 
 
 @in_our_style
-def draw_outcomes(
-    title: str, columns: Sequence[str], rows: Sequence[str], cells: Mapping[tuple[str, str], tuple[str, str]]
-) -> Figure:
-    """cells : outcome and a short text by (row, column); absent where there is none."""
+def draw_outcomes(title: str, lines: Sequence[Line]) -> Figure:
+    """The outcome of each cell of an axis as colour, its error as a power of ten; a row a method, law and so on."""
+    columns, rows = (list(dict.fromkeys(names)) for names in ([x["value"] for x in lines], map(_name, lines)))
     kinds = list(COLOURS)
     codes = np.full((len(rows), len(columns)), len(kinds))
     figure = new_figure(2.3 + 0.42 * len(columns), 1.1 + 0.19 * len(rows))
     axes = figure.add_subplot()
-    for i, row in enumerate(rows):
-        for j, column in enumerate(columns):
-            outcome, text = cells.get((row, column), ("", ""))
-            if outcome:
-                codes[i, j] = kinds.index(outcome)
-                dark = outcome in ("wrong", "crash")
-                axes.text(j, i, text, ha="center", va="center", fontsize=7, color="white" if dark else "black")
+    for line in lines:
+        i, j, outcome = rows.index(_name(line)), columns.index(line["value"]), line["outcome"]
+        codes[i, j] = kinds.index(outcome)
+        colour = "white" if outcome in (WRONG, CRASH) else "black"
+        axes.text(j, i, _decades(line), ha="center", va="center", fontsize=7, color=colour)
     colours = ListedColormap([*COLOURS.values(), NOTHING])
     look: Any = {"cmap": colours, "vmin": -0.5, "vmax": len(kinds) + 0.5, "edgecolors": "white", "lw": 1}
     axes.pcolormesh(np.arange(len(columns) + 1) - 0.5, np.arange(len(rows) + 1) - 0.5, codes, **look)

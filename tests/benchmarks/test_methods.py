@@ -20,7 +20,7 @@ def rows(needs_f64):
     for shape, law in (((3, 3, 3), "coulomb"), ((5, 4), "viscous")):
         settings = RunSettings(shape=shape, law=law, threads=1, time_limit=0.3)
         found += measure(settings, FIRST_TWO, with_peers=shape == (3, 3, 3), rounds=2)
-    return judged(found)
+    return found
 
 
 def made_up(method, seconds, power, bound, what=""):
