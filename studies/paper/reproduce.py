@@ -164,17 +164,17 @@ def _standing(folder: Path, effort: Effort) -> dict[str, Any]:
     ours = {"seed": effort.seed, "samples": effort.samples, "quick": effort.quick, "version": VERSION}
     try:
         report = read_json(path)
-        theirs = {name: report[name] for name in ours}
+        differ = [f"{name} {report[name]} instead of {ours[name]}" for name in ours if report[name] != ours[name]]
         figures, missing = dict(report["figures"]), list(report["missing"])
-        known = {*figures, *missing} <= FIGURES.keys()
-        page(describe(folder, effort, figures, missing), {})  # nothing that a report says is lacking
+        known = bool(differ) or {*figures, *missing} <= FIGURES.keys()
+        if not differ:
+            page(describe(folder, effort, figures, missing), {})  # nothing that a report says is lacking
     except (FileError, ValueError, LookupError, TypeError, AttributeError):
         known = False
     if not known:
         raise FileError(f"{path} already exists and is no report; choose another --out or add --force")
-    if theirs != ours:
-        words = [f"{name} {theirs[name]} instead of {ours[name]}" for name in ours if theirs[name] != ours[name]]
-        raise FileError(f"{path} already exists and has {', '.join(words)}; choose another --out or add --force")
+    if differ:
+        raise FileError(f"{path} already exists and has {', '.join(differ)}; choose another --out or add --force")
     return {"figures": figures, "missing": missing}
 
 

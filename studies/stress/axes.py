@@ -80,8 +80,9 @@ class Axis:
 
 def drawn(row: Row, shape: Sequence[int], draw: Draw, seed: int = 7, **others: Any) -> Scene:
     """A scene of the law of a row, all coefficients drawn alike; others : as of a Scene."""
-    rng, second = np.random.default_rng([seed, 1]), {"viscosity": draw} if len(LAWS[row.law].quantities) > 1 else {}
-    return Scene.random(shape, seed, lambda _, sides: draw(rng, sides), row.law, **second, **others)
+    rng = np.random.default_rng([seed, 1])
+    others |= {"viscosity": draw} if len(LAWS[row.law].quantities) > 1 else {}
+    return Scene.random(shape, seed, lambda _, sides: draw(rng, sides), row.law, **others)
 
 
 def unchanged(row: Row, seed: int, quick: bool) -> Case | None:

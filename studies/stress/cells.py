@@ -68,8 +68,9 @@ def _solve(cell: Cell) -> Answer:
     with one_thread():
         found = api.solve(case.scene, method, **settings)
     state = "" if case.is_layered else "".join(str(int(one)) for part in found.state for one in part.flat)
-    numbers = map(plain, (found.potential, found.lower_bound, found.gap, found.seconds))
-    return Answer(str(found.status), bool(found.reached), bool(found.states_proven), *numbers, state)
+    value, bound, gap = map(plain, (found.potential, found.lower_bound, found.gap))
+    said = (str(found.status), bool(found.reached), bool(found.states_proven))
+    return Answer(*said, value, bound, gap, float(found.seconds), state)
 
 
 def bytes_of(cell: Cell) -> float:
