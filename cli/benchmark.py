@@ -54,14 +54,14 @@ def command(
       bearings benchmark speed --parts kernels,scans --shape 64,64,64 --threads 1,2
       bearings benchmark accuracy --shape 24,24,24 --methods gradient-descent --no-peers
     """
+    from taichi_bearings_studies.benchmarks.harness import TEXT, machine, measure, text, write
     from taichi_bearings_studies.benchmarks.harness import as_json as described
-    from taichi_bearings_studies.benchmarks.harness import machine, measure, names, text, write
     from taichi_bearings_studies.benchmarks.table import BENCHMARKS, planned
-    from taichi_bearings_studies.report import Files
 
     from taichi_bearings.errors import InputError
+    from taichi_bearings.files.whole_file import refuse_standing
     from taichi_bearings.options import chosen
-    from taichi_bearings.runs.run_directory import default_run_path
+    from taichi_bearings.runs.run_directory import default_run_path, writable_folder
 
     if parts is not None and PARTS[what]:
         raise InputError(f"--parts belongs to `bearings benchmark speed`, not to `bearings benchmark {what}`")
@@ -70,15 +70,12 @@ def command(
         if part not in benchmarks and context.get_parameter_source(name) is ParameterSource.COMMANDLINE:
             raise InputError(f"--{name.replace('_', '-')} belongs to the part {part}, which is not measured here")
     plan, here = planned(**asked), machine()
-    files = Files(out or default_run_path("benchmark"), names(benchmarks), force)
-    with Display():
+    folder = out or default_run_path("benchmark")
+    others = [f"{name}.{ending}" for name in benchmarks for ending in ("csv", "png")]
+    refuse_standing([folder / name for name in (TEXT, *others)], force)
+    with Display(), writable_folder(folder):
         report = measure(benchmarks, plan)
-    if not report.rows:
-        files.clear()
-        for note in report.notes:
-            click.echo(f"bearings: {note}", err=True)
-        context.exit(130 if report.interrupted else 1)
-    written = write(files, benchmarks, report, here)
+        written = write(folder, benchmarks, report, here)
     words = [text(benchmarks, report, here), *map(str, written)]
     answer(described(report, here, written), as_json, lambda: "\n".join(words))
-    context.exit(130 if report.interrupted else 1 if report.faults else 0)
+    context.exit(130 if report.interrupted else 1 if report.faults or not report.rows else 0)

@@ -37,7 +37,7 @@ def command(
 ) -> None:
     """Where the numbers end: every method, law, dimension, precision and device at extreme inputs, judged by truths.
 
-    Writes stress.csv (one row a cell), stress.md (tables), summary.json, and a map for each axis (PNG and PDF).
+    Writes stress.csv (one row a cell), summary.json, and a map for each axis (PNG and PDF).
     Finished cells are kept in the folder: the same command goes on after a kill, and judges them anew. Exit code 1 if
     an answer is wrong without saying so, or a cell crashes; docs/stress.md says what is tried and how it is judged.
 
@@ -47,7 +47,7 @@ def command(
       bearings stress --only contrast,zeros --method interior-point,gradient-descent --out outputs/stress
     """
     from taichi_bearings_studies.stress.axes import AXES, ROWS, cells_of, rows_of
-    from taichi_bearings_studies.stress.report import by_axis, lines_of, open_sweep, table
+    from taichi_bearings_studies.stress.report import lines_of, open_sweep
 
     from taichi_bearings.options import chosen
     from taichi_bearings.runs.run_directory import default_run_path
@@ -60,8 +60,7 @@ def command(
     with Display(), open_sweep(out or default_run_path("stress"), cells) as sweep:
         finished = sweep.run(workers or available_threads(), lambda line: click.echo(line, err=True))
         paths = sweep.write()
-    tables = [table(axis, lines) + "\n" for axis, lines in by_axis(sweep.rows).items()]
     wrong = [f"RED {cell['key']}: {cell['reason']}" for cell in sweep.red]
-    words = [*tables, *lines_of(sweep.summary()), *wrong, str(sweep.folder)]
+    words = [*lines_of(sweep.summary()), *wrong, str(sweep.folder)]
     answer(sweep.summary() | {"files": [str(path) for path in paths]}, as_json, lambda: "\n".join(words))
     context.exit(130 if not finished else 1 if sweep.red else 0)

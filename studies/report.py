@@ -1,13 +1,11 @@
-"""What all studies write: tables of words, files in a folder, and the machine that numbers come from."""
+"""What all studies write: tables of words, and the machine that numbers come from."""
 
 import os
 import platform
 from collections.abc import Sequence
-from contextlib import suppress
 from pathlib import Path
 
 from taichi_bearings import runtime
-from taichi_bearings.files.whole_file import make_folder, refuse_standing
 from taichi_bearings.runs.run import versions
 from taichi_bearings.version import VERSION
 
@@ -34,23 +32,6 @@ def duration(seconds: float | None) -> str:
 
 def scaled(rate: float) -> str:
     return f"{short(rate / 1e6)} M"
-
-
-class Files:
-    """Files of these names in one folder, of which none stands yet unless `force`.
-
-    The folder is made at once, so that one that cannot be written is found before anything is measured.
-    """
-
-    def __init__(self, folder: Path, names: Sequence[str], force: bool = False) -> None:
-        self.folder, self.paths = folder, [folder / name for name in names]
-        refuse_standing(self.paths, force)
-        make_folder(folder)
-
-    def clear(self) -> None:
-        """Nothing was measured: the folder goes unless something is in it."""
-        with suppress(OSError):
-            self.folder.rmdir()
 
 
 def processor() -> str:

@@ -23,7 +23,7 @@ from taichi_bearings.interrupts import unheard_by_children
 from taichi_bearings.plots.style import save
 from taichi_bearings.stages import each, stage
 
-from ..report import Files, environment, load, markdown
+from ..report import environment, load, markdown
 
 T = TypeVar("T")
 Row = dict[str, Any]
@@ -125,7 +125,7 @@ class Benchmark:
     """One thing that is measured: a row of the table of benchmarks.
 
     title : what, in a sentence. tasks : of a plan, the name of each and what finds its rows. cells : of its table.
-    missing : peers that are not here -> how to install them. together : what rows say only when they are all there.
+    missing : peers that are not here -> how to install them.
     faults : sentences on rows that contradict each other. figure : of the rows.
     """
 
@@ -133,7 +133,6 @@ class Benchmark:
     tasks: Callable[[Plan], Iterator[tuple[str, Callable[[], Found]]]]
     cells: Cells
     missing: Callable[[], dict[str, str]] = dict
-    together: Callable[[list[Row]], list[Row]] = lambda rows: rows
     faults: Callable[[list[Row]], list[str]] = lambda rows: []
     figure: Callable[[list[Row]], Any] | None = None
 
@@ -163,9 +162,7 @@ def measure(chosen: Mapping[str, Benchmark], plan: Plan) -> Report:
                     _take(report, name, f"{name} {words} left out: {error}")
     except KeyboardInterrupt:
         report.interrupted = True
-    for name, found_rows in report.rows.items():
-        report.rows[name] = chosen[name].together(found_rows)
-        report.faults += chosen[name].faults(report.rows[name])
+    report.faults = [fault for name, found in report.rows.items() for fault in chosen[name].faults(found)]
     return report
 
 
@@ -205,12 +202,6 @@ def _serve(pipe: Connection, find: Callable[..., Found], arguments: Sequence[Any
     pipe.send(None)
 
 
-def names(chosen: Mapping[str, Benchmark]) -> list[str]:
-    """Of all files that these benchmarks may write."""
-    figures = [f"{name}.png" for name, one in chosen.items() if one.figure]
-    return [TEXT, *(f"{name}.csv" for name in chosen), *figures]
-
-
 def machine() -> dict[str, Any]:
     """The machine, what runs on it, and how busy it is."""
     return {**environment(), "load": load()}
@@ -232,19 +223,19 @@ def _table(rows: Sequence[Row], cells: Cells) -> str:
     return markdown(list(zip(*(words for words in columns if any(words[1:])), strict=True)))
 
 
-def write(files: Files, chosen: Mapping[str, Benchmark], report: Report, here: Mapping[str, Any]) -> list[Path]:
+def write(folder: Path, chosen: Mapping[str, Benchmark], report: Report, here: Mapping[str, Any]) -> list[Path]:
     """The tables, all numbers of each benchmark, and its figure if it has one; returns what was written."""
-    written = [files.folder / TEXT]
+    written = [folder / TEXT]
     write_text(written[0], text(chosen, report, here))
     notes = [f"{name}: {value}" for name, value in here.items()]
     for name, rows in report.rows.items():
         lines = [line for row in rows for line in _lines(row)]
         columns = list(dict.fromkeys(key for line in lines for key in line))
-        written.append(files.folder / f"{name}.csv")
+        written.append(folder / f"{name}.csv")
         write_csv(written[-1], columns, [[line.get(key, "") for key in columns] for line in lines], notes)
         draw = chosen[name].figure
         if draw:
-            written.append(files.folder / f"{name}.png")
+            written.append(folder / f"{name}.png")
             save(draw(rows), written[-1])
     return written
 

@@ -8,13 +8,14 @@ from math import prod
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from taichi_bearings import runtime
 from taichi_bearings.fields import Fields, make_layout
 from taichi_bearings.memory import free_bytes
-from taichi_bearings.plots.style import BLUE, GREEN, GREY, ORANGE, in_our_style, label_in_plain_text, new_figure
+from taichi_bearings.plots.curves import Curve, Look, draw_scan
+from taichi_bearings.plots.page import JOURNAL_WIDTHS, Page
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import CundallStrack, GradientDescent, OperatorSplitting
@@ -28,8 +29,6 @@ NUMPY, C = "NumPy sweep", "C sweep"
 BYTES = {2: 800.0, 3: 1800.0}  # a sphere at most while all candidates of a lattice are there, by its dimension
 SPARE = 0.8  # share of the free memory that a lattice may take
 FOREVER = 2**40  # sweeps
-COLOURS = (BLUE, ORANGE, GREEN, "#8C6BB1", GREY, "black")
-MARKERS = {1: "o", 2: "s", 3: "^"}  # by components
 
 
 class Candidate(NamedTuple):
@@ -94,31 +93,21 @@ def _candidate(name: str, method: Any, scene: Scene, start: str) -> Candidate:
     return Candidate(name, method.advance, method.stencil.components, max(took[0] - took[1], 0.0))
 
 
-@in_our_style
 def draw_throughput(rows: Sequence[Mapping[str, Any]]) -> Figure:
-    """Contacts a second by spheres, in the first precision and with the fewest threads: left discs, right spheres; a
-    colour a kernel, a marker a number of components."""
+    """Contacts a second by spheres, in the first precision and with the fewest threads, a curve a kernel and number of
+    components of discs or spheres."""
     precision, threads = rows[0]["precision"], min(row["threads"] for row in rows)
-    rows = [row for row in rows if (row["precision"], row["threads"]) == (precision, threads)]
-    figure = new_figure(7.1, 4.2)
-    panels: Any = figure.subplots(1, 2, sharey=True)
-    colours = dict(zip(dict.fromkeys(row["what"] for row in rows), COLOURS, strict=False))
-    curves: dict[tuple[int, str, int], list[tuple[int, float]]] = {}
+    points: dict[str, list[tuple[float, float]]] = {}
     for row in rows:
-        point = prod(row["shape"]), row["contact_updates"] / 1e6
-        curves.setdefault((len(row["shape"]) - 2, row["what"], row["components"]), []).append(point)
-    for (panel, what, components), points in curves.items():
-        look = {"color": colours[what], "marker": MARKERS[components], "ms": 4, "lw": 1.0}
-        panels[panel].plot(*zip(*sorted(points), strict=True), **look)
-    for axes, name in zip(panels, ("discs", "spheres"), strict=True):
-        axes.set(xscale="log", yscale="log", xlabel=name)
-        label_in_plain_text(axes.xaxis, axes.yaxis)
-        axes.grid(True, which="major", lw=0.4, color="0.9")
-    panels[0].set_ylabel("contacts per second (10⁶)")
-    handles = [Line2D([], [], color=colour, lw=4, label=name) for name, colour in colours.items()]
-    for number in sorted({components for _, _, components in curves}):
-        label = counted(number, "component")
-        handles.append(Line2D([], [], color=GREY, marker=MARKERS[number], ls="", ms=4, label=label))
-    figure.legend(handles=handles, loc="outside lower center", ncols=3, fontsize=8)
-    figure.suptitle(f"{precision}, {counted(threads, 'thread')}; medians", fontsize=9)
-    return figure
+        if (row["precision"], row["threads"]) == (precision, threads):
+            bodies = "discs" if len(row["shape"]) == 2 else "spheres"
+            label = f"{row['what']}, {bodies}, {counted(row['components'], 'component')}"
+            points.setdefault(label, []).append((prod(row["shape"]), row["contact_updates"] / 1e6))
+    curves = []
+    for label, of in points.items():
+        x, y = np.array(sorted(of)).T
+        curves.append(Curve(label, x, y, y, y))
+    title = f"{precision}, {counted(threads, 'thread')}; medians"
+    return draw_scan(
+        curves, Look("discs or spheres", "contacts per second (10⁶)", title, log="xy"), Page(JOURNAL_WIDTHS["double"])
+    )

@@ -11,13 +11,12 @@ turns; the run of the median time counts.
   the true error: it never falls below the gap of the reference, and says no more than that where it comes near it.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from itertools import groupby
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
@@ -44,8 +43,8 @@ TARGETS = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10)  # proven gaps whose times the table l
 BRIEF = 3.0  # seconds of a run from which it is not made again
 MOST_OF_PEERS = 20_000  # spheres up to which conic solvers are asked: beyond they take minutes and gigabytes
 SPARE = 0.7  # share of the free memory that may be taken
-Curve = Mapping[str, Any]
 PEERS = {"clarabel": ("black", "s"), "scs": ("#8a8a8a", "X")}
+PEER_DASHES = ("--", ":", "-.")  # by the linear solver
 MOST_MARKERS = 12  # a curve, so that long histories stay lines
 MOST_COLUMNS = 3
 LEAST = 1e-17  # below anything that double precision can tell
@@ -74,17 +73,15 @@ def measure(settings: RunSettings, names: Sequence[str], with_peers: bool, round
     if not calls:
         raise InputError(f"nothing can solve {label}")
     about = {"shape": settings.shape, "law": settings.law, "seed": settings.seed, "threads": settings.threads}
-    brief = dict[str, Row]()
-    for name, call in calls.items():
-        first = call(0)
-        if first["seconds"][-1] < BRIEF:
-            brief[name] = first
-        else:  # told at once, so that an interrupt does not cost it
-            yield about | first | {"rounds": 1}
-    again = in_turns({name: calls[name] for name in brief}, rounds - 1)
-    for name, first in brief.items():
-        runs = sorted([first, *again.get(name, [])], key=lambda run: run["seconds"][-1])
-        yield about | runs[len(runs) // 2] | {"rounds": len(runs)}
+    runs = {name: [call(0)] for name, call in calls.items()}
+    brief = {name: calls[name] for name, (first,) in runs.items() if first["seconds"][-1] < BRIEF}
+    for name, again in in_turns(brief, rounds - 1).items():
+        runs[name] += again
+    found = []
+    for several in runs.values():
+        several.sort(key=lambda run: run["seconds"][-1])
+        found.append(about | several[len(several) // 2] | {"rounds": len(several)})
+    yield from judged(found)
 
 
 def _by_method(scene: Scene, name: str, options: MethodOptions, seconds: float, _: int = 0) -> Row:
@@ -123,38 +120,39 @@ def relative(power: Sequence[float], bound: Sequence[float] | float) -> list[flo
     return np.maximum((high - np.array(bound)) / high, ROUND_OFF).tolist()
 
 
-def judged(rows: list[Row]) -> list[Row]:
-    """The rows with proven gaps, errors that they cannot exceed, and the times to reach TARGETS."""
-    found = []
-    for of_scene in _by_scene(rows):
-        reference = max(max(row["lower_bound"]) for row in of_scene)
-        open_gap = relative([min(min(row["power"]) for row in of_scene)], reference)[0]
-        for row in of_scene:
-            gap, error = relative(row["power"], row["lower_bound"]), relative(row["power"], reference)
-            best = int(np.argmin(gap))
-            seconds_to = {
-                f"{target:.0e}": min((s for s, g in zip(row["seconds"], gap, strict=True) if g <= target), default=None)
-                for target in TARGETS
-            }
-            at_best = {"proven_gap": gap[best], "true_error": error[best], "after": row["seconds"][best]}
-            found.append(
-                row | {"gap": gap, "error": error, "reference_gap": open_gap, "seconds_to": seconds_to, **at_best}
-            )
+def judged(rows: Sequence[Row]) -> list[Row]:
+    """The rows of a scene with proven gaps, errors that they cannot exceed, and the times to reach TARGETS."""
+    reference, found = max(max(row["lower_bound"]) for row in rows), []
+    open_gap = relative([min(min(row["power"]) for row in rows)], reference)[0]
+    for row in rows:
+        gap, error = relative(row["power"], row["lower_bound"]), relative(row["power"], reference)
+        best = int(np.argmin(gap))
+        seconds_to = {
+            f"{target:.0e}": min((s for s, g in zip(row["seconds"], gap, strict=True) if g <= target), default=None)
+            for target in TARGETS
+        }
+        at_best = {"proven_gap": gap[best], "true_error": error[best], "after": row["seconds"][best]}
+        more = {"gap": gap, "error": error, "reference_gap": open_gap, "seconds_to": seconds_to}
+        found.append(row | more | at_best)
     return found
 
 
-def contradictions(rows: list[Row]) -> list[str]:
+def contradictions(rows: Sequence[Row]) -> list[str]:
     """Runs that prove a bound above the power of another one: a bug in one of them."""
     found = []
     for of_scene in _by_scene(rows):
         least = min(of_scene, key=lambda row: min(row["power"]))
-        power, label = min(least["power"]), f"{'x'.join(map(str, least['shape']))} {least['law']}"
+        power = min(least["power"])
         found += [
-            f"{label}: {row['what']} proves {max(row['lower_bound'])!r}, {least['what']} has {power!r}"
+            f"{_label(least)}: {row['what']} proves {max(row['lower_bound'])!r}, {least['what']} has {power!r}"
             for row in of_scene
             if max(row["lower_bound"]) > power * (1 + SLACK)
         ]
     return found
+
+
+def _label(row: Row) -> str:
+    return f"{'x'.join(map(str, row['shape']))} {row['law']}"
 
 
 def _by_scene(rows: Sequence[Row]) -> Iterator[list[Row]]:
@@ -162,88 +160,49 @@ def _by_scene(rows: Sequence[Row]) -> Iterator[list[Row]]:
         yield list(of_scene)
 
 
-def shown(rows: Sequence[Row]) -> Iterator[tuple[str, list[Row]]]:
-    """Title and rows of each scene for the figure: of a conic solver only its fastest linear solver, and only runs that
-    got further than all shorter ones."""
-    for of_scene in _by_scene(rows):
-        fastest: dict[str, Row] = {}
-        for row in sorted(of_scene, key=_reached):
-            fastest.setdefault(row["method"], row)
-        curves = [_progress(row) for row in of_scene if fastest[row["method"]] is row]
-        yield f"{'x'.join(map(str, of_scene[0]['shape']))} {of_scene[0]['law']}", curves
-
-
-def _reached(row: Row) -> tuple[int, float]:
-    """First those that prove the smallest of the TARGETS, and of these the first to do so."""
-    times = [seconds for seconds in row["seconds_to"].values() if seconds is not None]
-    return -len(times), times[-1] if times else 0.0
-
-
-def _progress(row: Row) -> Row:
-    if row["method"] in METHODS:
-        return row
-    order = np.argsort(row["seconds"])
-    gap = np.array(row["gap"])[order]
-    kept = order[gap <= np.minimum.accumulate(gap)]
-    columns: dict[str, Any] = {key: [row[key][n] for n in kept] for key in ("seconds", "gap", "error")}
-    return row | columns
-
-
 @in_our_style
-def draw_accuracy(scenes: Sequence[tuple[str, Sequence[Curve]]]) -> Figure:
+def draw_accuracy(rows: Sequence[Row]) -> Figure:
     """Error above and proven gap below against the wall time, log-log, a column a scene; wrapped after three scenes.
 
-    scenes : title and curves of each. A curve has the relative error and the proven gap, all positive, at each of its
-    `seconds`; `method`, which fixes its colour, and `what`, which the legend says; `reference_gap`, the relative
-    uncertainty of the least power: errors below it are not resolved.
+    rows : of :func:`judged`. Errors in the grey band, below the gap of the reference, are not resolved.
     """
+    scenes = list(_by_scene(rows))
     columns = min(len(scenes), MOST_COLUMNS)
     blocks = [scenes[start : start + columns] for start in range(0, len(scenes), columns)]
     figure = new_figure(DOUBLE, 3.9 * len(blocks) + 0.7)
-    curves = [curve for _, of_scene in scenes for curve in of_scene]
-    least = min(1e-6, *(min(*curve["error"], *curve["gap"]) for curve in curves)) / 3
+    looks = looks_of(rows)
+    least = min(1e-6, *(min(*row["error"], *row["gap"]) for row in rows)) / 3
     for part, block in zip(figure.subfigures(len(blocks), 1, squeeze=False)[:, 0], blocks, strict=True):
         axes = part.subplots(2, columns, sharex="col", sharey=True, squeeze=False)
-        for (error, gap), (title, of_scene) in zip(axes.T, block, strict=False):
-            error.set_title(title)
+        for (error, gap), of_scene in zip(axes.T, block, strict=False):
+            error.set_title(_label(of_scene[0]))
             error.axhspan(LEAST, of_scene[0]["reference_gap"], color="0.9", lw=0)
             gap.set_xlabel("time (s)")
             for one, key in ((error, "error"), (gap, "gap")):
                 one.set(xscale="log", yscale="log", ylim=(least, 1.5))
                 one.grid(True, which="major", lw=0.4, color="0.85")
                 one.set_axisbelow(True)
-                for curve in of_scene:
-                    _draw(one, curve, curve[key])
+                for row in of_scene:
+                    every = -(-len(row["seconds"]) // MOST_MARKERS)
+                    one.plot(row["seconds"], row[key], markevery=every, **looks[row["what"]])
         for unused in axes[:, len(block) :].flat:
             unused.set_axis_off()
         axes[0, 0].set_ylabel("relative error of the power")
         axes[1, 0].set_ylabel("relative gap that is proven")
-    _legend(figure, curves, columns)
+    handles: list[Line2D | Patch] = [Line2D([], [], label=what, **look) for what, look in looks.items()]
+    handles.append(Patch(color="0.9", lw=0, label="least power not known better"))
+    figure.legend(handles=handles, loc="outside lower center", ncols=min(len(handles), 1 + columns))
     return figure
 
 
-def look_of(method: str) -> dict[str, Any]:
-    """Colour, marker and dashes of a method, the same in every figure."""
-    colour, marker = PEERS[method] if method in PEERS else (METHODS[method].colour, METHODS[method].marker)
-    return {"color": colour, "marker": marker, "ls": "--" if method in PEERS else "-", "ms": 3, "lw": 1.0}
-
-
-def _draw(axes: Axes, curve: Curve, values: Sequence[float]) -> None:
-    """With at most MOST_MARKERS markers, about evenly spread over the logarithm of the time, one at the end."""
-    seconds = np.array(curve["seconds"])
-    wanted = np.geomspace(max(seconds[0], seconds[-1] * 1e-4), seconds[-1], MOST_MARKERS)
-    every = np.unique(np.minimum(np.searchsorted(seconds, wanted), len(seconds) - 1))
-    axes.plot(seconds, values, markevery=every.tolist(), **look_of(curve["method"]))
-
-
-def _legend(figure: Figure, curves: Sequence[Curve], columns: int) -> None:
-    """One entry a method; the label of a peer names its linear solver only if it is the same in all panels."""
-    labels: dict[str, set[str]] = {}
-    for curve in curves:
-        labels.setdefault(curve["method"], set()).add(curve["what"])
-    handles: list[Line2D | Patch] = []
-    for method, names in labels.items():
-        label = names.pop() if len(names) == 1 else f"{method} (its fastest linear solver)"
-        handles.append(Line2D([], [], label=label, **look_of(method)))
-    handles.append(Patch(color="0.9", lw=0, label="least power not known better"))
-    figure.legend(handles=handles, loc="outside lower center", ncols=min(len(handles), 1 + columns))
+def looks_of(rows: Sequence[Row]) -> dict[str, dict[str, Any]]:
+    """Colour, marker and dashes of each method, and of each conic solver with each of its linear solvers."""
+    looks: dict[str, dict[str, Any]] = {}
+    for what, method in {row["what"]: row["method"] for row in rows}.items():
+        if method in PEERS:
+            colour, marker = PEERS[method]
+            dashes = PEER_DASHES[sum(known.startswith(f"{method} ") for known in looks)]
+        else:
+            colour, marker, dashes = METHODS[method].colour, METHODS[method].marker, "-"
+        looks[what] = {"color": colour, "marker": marker, "ls": dashes, "ms": 3, "lw": 1.0}
+    return looks

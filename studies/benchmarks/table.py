@@ -107,9 +107,8 @@ BENCHMARKS = {
             "compile": lambda row: _beside(row, "seconds_compile", duration),
         },
         missing=lambda: find_peers()[1],
-        together=methods.judged,
         faults=methods.contradictions,
-        figure=lambda rows: methods.draw_accuracy(list(methods.shown(rows))),
+        figure=methods.draw_accuracy,
     ),
     "scans": Benchmark(
         "Samples a second, beside conic solvers",

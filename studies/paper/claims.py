@@ -21,7 +21,12 @@ from taichi_bearings.analysis.statistics import CONFIDENCE as MEAN_CONFIDENCE
 from taichi_bearings.analysis.statistics import FEW_SAMPLES, LEAST_SAMPLES, MANY_SAMPLES, mean_interval
 from taichi_bearings.words import counted
 
-VERDICTS = ("confirmed", "refined", "refuted", "too few samples")
+VERDICTS = {
+    "confirmed": "it holds",
+    "refined": "it holds with a condition or a correction, which the finding states",
+    "refuted": "it does not hold",
+    "too few samples": "what was computed cannot tell",
+}
 KINDS = {
     "samples": "holds for the samples drawn, and by their number for most others",
     "theorem": "follows from the equations; the samples check the program, not the claim",
@@ -102,14 +107,6 @@ class Claim:
             needed = counted(self.samples_needed, "such sample")
             found["finding"] += f" No verdict: this needs {needed} and has {self.samples:,}."
         return found | {"verdict": self.verdict}
-
-
-def is_claim(found: Any) -> bool:
-    """True for what :meth:`Claim.as_dict` makes."""
-    plain = Claim("", "", True).as_dict()
-    if not isinstance(found, dict) or not all(type(found.get(key)) is type(value) for key, value in plain.items()):
-        return False
-    return found["verdict"] in VERDICTS and found["kind"] in KINDS and found.keys() == plain.keys()
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,5 @@
-"""Figure 3 of the paper: a 10x10x10 sample with omega_T = 10 omega_B, its slipless network and a path through it.
+"""Figures 3 and 4 of the paper: a 10x10x10 sample with omega_T = 10 omega_B, its slipless network and a path through
+it; and the same sample along the planes that hold most of the path.
 
 The paper shows one sample. Shown here is the first seed whose slipless contacts join bottom and top; what holds for how
 many samples, and for other sizes, is the business of paper/network.py.
@@ -6,9 +7,18 @@ many samples, and for other sizes, is the business of paper/network.py.
 
 from functools import lru_cache, partial
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.figure import Figure
+
+from taichi_bearings.analysis.network import SliplessNetwork
 from taichi_bearings.analysis.structure import Structure
+from taichi_bearings.plots.bearing import SPIN_COLOURS, Sheet, draw_speed_bar, line_on_site, name_cut, speed_of
+from taichi_bearings.plots.page import BELOW, PAGE, middle_planes
 from taichi_bearings.plots.structure import draw_network
+from taichi_bearings.plots.style import GREEN, in_our_style, panels
 from taichi_bearings.runs.settings import RunSettings
 
 from .claims import Effort
@@ -17,6 +27,8 @@ from .samples import Found, Table, certified, measured
 
 SHAPE, SPIN_BOTTOM = (10, 10, 10), 0.1
 MOST_SAMPLES = 40
+PLANES = 3
+TOWARDS_READER = (1, -1, 1)  # along x for planes across x, against y for those across y, along z for those across z
 
 
 def study(folder: Path, effort: Effort) -> Found:
@@ -29,14 +41,97 @@ def study(folder: Path, effort: Effort) -> Found:
         "table": table, "spanning": table[table.spans], "practically": PRACTICALLY_ALL,
         "free": int((~scene.lattice.is_driven).sum()), "contacts": scene.lattice.contacts,
     }  # fmt: skip
-    draw = partial(draw_network, shown.network, shown.spin, scene.spin_top, scene.spin_bottom)
-    return Found({".csv": spheres}, draw, named)
+    return Found({".csv": spheres}, partial(draw_network, *_drawn(shown)), named)
 
 
-@lru_cache(maxsize=1)  # for Fig. 4
+def planes(folder: Path, effort: Effort) -> Found:
+    """Fig. 4: which contacts of the path the planes drawn hold."""
+    table, shown = minima(folder, effort)
+    path = shown.network.shortest_path
+    chosen = planes_of(path) if len(path) else ()
+    held = [(path[:-1, axis] == index) & (path[1:, axis] == index) for axis, index in chosen]
+    named = {"spanning": table[table.spans], "planes": chosen, "held": np.any(held, axis=0)}
+    return Found({}, partial(draw_plane_cuts, *_drawn(shown)), named)
+
+
+@lru_cache(maxsize=1)  # of both figures
 def minima(folder: Path, effort: Effort) -> tuple[Table, Structure]:
     """Certified samples of the paper's size, and the first one that spans, else the first."""
     seeds = range(effort.seed, effort.seed + min(MOST_SAMPLES, effort.samples))
     chosen = [RunSettings(shape=SHAPE, seed=seed, spin_bottom=SPIN_BOTTOM) for seed in seeds]
     table = Table.of(measured(chosen, sample_of, folder / "fig3.jsonl"))
     return table, certified(chosen[int(table.spans.argmax())])
+
+
+def _drawn(shown: Structure) -> tuple[SliplessNetwork, np.ndarray, float, float]:
+    return shown.network, shown.spin, shown.scene.spin_top, shown.scene.spin_bottom
+
+
+@in_our_style
+def draw_plane_cuts(network: SliplessNetwork, spin: np.ndarray, spin_top: float, spin_bottom: float) -> Figure:
+    """Spheres coloured by |spin|, slipless contacts of the plane in grey, the path in green, on the upright planes that
+    together hold most of the path, or the middle ones if there is none. A circle marks where the path leaves the plane:
+    with a dot towards the reader, with a cross away. spin : laboratory frame, (*N, 3), 1/time.
+    """
+    speed, path = speed_of(spin, spin_top, spin_bottom), network.shortest_path
+    cuts = planes_of(path) if len(path) else middle_planes(speed.shape)
+    tall = float(np.clip(speed.shape[2] / min(speed.shape[:2]), 0.4, 2.0))
+    figure, each, width = panels(PAGE, len(cuts), (0.85 * tall, 0.4), 0.25, widest="single")
+    for axes, (axis, index) in zip(each, cuts, strict=True):
+        sheet = Sheet.of_lattice(network.lattice, (axis, index))
+        _draw_plane(axes, sheet, np.take(speed, index, axis), network, sheet.site(0.8 * width))
+        _mark_leaves(axes, leaves_of(network, axis, index), sheet.site(0.8 * width))
+        held = f"{network.on_path[sheet.contact].sum()} of {len(path) - 1} contacts of the path"
+        name_cut(axes, axis, index, after=f": {held if len(path) else 'no path joins bottom and top'}")
+    if len(path):
+        figure.supxlabel("the path leaves the plane towards the reader (dot) or away (cross)", fontsize=7)
+    draw_speed_bar(figure, figure.axes, spin_top, spin_bottom, **(BELOW if len(cuts) < 2 else {}))
+    return figure
+
+
+def planes_of(path: np.ndarray) -> tuple[tuple[int, int], ...]:
+    """(axis, index) of up to three upright planes, each holding most contacts of the path (L, 3) that the ones before
+    do not hold."""
+    step, lower = np.diff(path, axis=0), np.minimum(path[:-1], path[1:])
+    shown, chosen = np.zeros(len(step), dtype=bool), []
+    for _ in range(PLANES):
+        best, held = None, shown
+        for axis in (0, 1):
+            for index in np.unique(path[:, axis]):
+                inside = (step[:, axis] == 0) & (lower[:, axis] == index)
+                if (shown | inside).sum() > held.sum():
+                    best, held = (axis, int(index)), shown | inside
+        if best is not None:
+            chosen.append(best)
+            shown = held
+    return tuple(chosen)
+
+
+def leaves_of(network: SliplessNetwork, axis: int, index: int) -> np.ndarray:
+    """(m, 3) places in the plane `index` across `axis` where the path leaves it, +1 towards the reader or -1 away."""
+    lattice = network.lattice
+    ends = lattice.ends[:, network.on_path & (lattice.axis == axis)]
+    leaves = []
+    for spheres, way in zip(ends, (1, -1), strict=True):  # a contact leads upwards from its lower sphere
+        place = np.stack(np.unravel_index(spheres, lattice.shape), axis=1)
+        out = np.delete(place[place[:, axis] == index], axis, axis=1)
+        leaves.append(np.column_stack([out, np.full(len(out), way * TOWARDS_READER[axis])]))
+    return np.concatenate(leaves)
+
+
+def _draw_plane(axes: Any, sheet: Sheet, speed: np.ndarray, network: SliplessNetwork, site: float) -> None:
+    sheet.paint(axes, colormaps[SPIN_COLOURS](speed).reshape(-1, 4))
+    sheet.box_driven(axes)
+    sheet.draw(axes, network.slipless, colors="0.35", lw=line_on_site(site, 0.1, 0.3), zorder=2)
+    for colour, share in (("white", 0.5), (GREEN, 0.3)):
+        line = line_on_site(site, share, 4 * share, 12 * share)
+        sheet.draw(axes, network.on_path, colors=colour, lw=line, zorder=3, capstyle="round")
+
+
+def _mark_leaves(axes: Any, leaves: np.ndarray, site: float) -> None:
+    size = float(np.clip(0.75 * site, 3.0, 9.0))
+    axes.plot(*leaves[:, :2].T, "o", mfc="white", mec=GREEN, ms=size, mew=0.12 * size, zorder=4)
+    for side, mark in ((1, "o"), (-1, "x")):
+        chosen = leaves[leaves[:, 2] == side]
+        ms = size * (0.3 if side > 0 else 0.5)
+        axes.plot(*chosen[:, :2].T, mark, color=GREEN, ms=ms, mew=0.12 * size, zorder=5)

@@ -9,7 +9,7 @@ from typing import Any
 from taichi_bearings.plots.style import SUPERSCRIPTS
 from taichi_bearings.words import counted
 
-from .claims import KINDS
+from .claims import KINDS, VERDICTS
 
 STYLE = """
 body { font: 16px/1.5 Georgia, 'Times New Roman', serif; color: #1a1a1a; max-width: 74rem; margin: 2rem auto; }
@@ -31,12 +31,6 @@ p.finding { margin: .3rem 0; overflow-wrap: anywhere; }
 @media print { body { font-size: 10pt; margin: 0; max-width: none; } section.figure { break-before: page; } }
 """
 SYMBOLS = {"<=": "\u2264", ">=": "\u2265", "+-": "\u00b1", "omega_": "\u03c9_", "Omega_": "\u03a9_"}
-MEANING = {
-    "confirmed": "it holds",
-    "refined": "it holds with a condition or a correction, which the finding states",
-    "refuted": "it does not hold",
-    "too few samples": "what was computed cannot tell",
-}
 
 
 def page(report: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str:
@@ -81,7 +75,7 @@ def _facts(facts: Mapping[str, Any]) -> str:
 
 
 def _summary(report: Mapping[str, Any]) -> Iterator[str]:
-    found = [f"{report[name.replace(' ', '_')]} <strong>{name}</strong> ({text})" for name, text in MEANING.items()]
+    found = [f"{report[name.replace(' ', '_')]} <strong>{name}</strong> ({text})" for name, text in VERDICTS.items()]
     yield f"<p>{'; '.join(found)}.</p>"
     form = ", the quick form: fewer samples, sizes and iterations" if report["quick"] else ""
     kinds = "; ".join(f"<em>{kind}</em>, {text}" for kind, text in KINDS.items())

@@ -26,13 +26,13 @@ from taichi_bearings.version import VERSION
 from taichi_bearings.words import meant
 
 from ..report import environment
-from .claims import VERDICTS, Claim, Effort, claims_of, is_claim
+from .claims import VERDICTS, Claim, Effort, claims_of
 from .page import page
 
 
 @dataclass(frozen=True)
 class PaperFigure:
-    """title; the module of paper/, whose `study` finds its numbers; the ends of the tables that it writes.
+    """title; the module of paper/ whose `study`, or another function, finds its numbers; the ends of its tables.
 
     shown : which sample the figure shows, where it shows one. seconds : roughly, in full and in the quick form, on two
     cores. asked : a question beyond the paper, computed only where it is named.
@@ -53,8 +53,8 @@ class PaperFigure:
     def reproduce(self, folder: Path, effort: Effort, title: bool = True) -> list[Claim]:
         """Write its files into the folder; returns the claims with their verdicts. title : as of :func:`reproduce`."""
         runtime.start("cpu", "f64")
-        module = importlib.import_module(f".{self.module}", __package__)
-        found = module.study(folder, effort)
+        module, _, function = self.module.partition(".")
+        found = getattr(importlib.import_module(f".{module}", __package__), function or "study")(folder, effort)
         for ending in self.tables:
             found.tables[ending].write(folder / f"{self.name}{ending}")
         with stage("drawing"):
@@ -89,12 +89,14 @@ FIGURES = {
                     "Of the samples that are followed the first whose minimum is below its minimum cut."),
         PaperFigure("fig3", "A 10x10x10 Coulomb bearing, its slipless network and a path", "figure_3", (16, 10),
                     "The first seed whose slipless contacts join bottom and top."),
-        PaperFigure("fig4", "The planes that its path goes through", "figure_4", (4, 4), "The sample of fig3.", ()),
+        PaperFigure("fig4", "The planes that its path goes through", "figure_3.planes", (4, 4),
+                    "The sample of fig3.", ()),
         PaperFigure("supplement", "Power of the contacts of 32x32x32 spheres: descent and certified minimum",
                     "supplement", (600, 60), "The first seed."),
         PaperFigure("network", "Slipless network and P_min / P_cut from 3x3x3 to 32x32x32", "network", (500, 15)),
-        PaperFigure("distributions", "Other distributions of the friction coefficients", "distributions", (190, 10)),
-        PaperFigure("drivings", "Other imposed bearing states", "drivings", (40, 20)),
+        PaperFigure("distributions", "Other distributions of the friction coefficients",
+                    "variants.distributions", (190, 10)),
+        PaperFigure("drivings", "Other imposed bearing states", "variants.drivings", (40, 20)),
         PaperFigure("parameters", "Stiffness K, damping A and normal force F_n", "parameters", (60, 50),
                     "The first seed; claims are about all samples."),
         PaperFigure("exponents", "Minimum cuts of discs as directed polymers", "exponents", (900, 60), asked=True),
@@ -168,29 +170,21 @@ def _standing(folder: Path, effort: Effort) -> dict[str, Any]:
     path = folder / "report.json"
     if not path.exists():
         return {"figures": {}, "missing": []}
-    refusal = FileError(f"{path} already exists and is no report; choose another --out or add --force")
     ours = {"seed": effort.seed, "samples": effort.samples, "quick": effort.quick, "version": VERSION}
     try:
         report = read_json(path)
-        theirs = {name: report[name] for name in ours}
+        differ = [f"{name} {report[name]} instead of {ours[name]}" for name in ours if report[name] != ours[name]]
         figures, missing = dict(report["figures"]), list(report["missing"])
-    except (FileError, ValueError, KeyError, TypeError):
-        raise refusal from None
-    if theirs != ours:
-        words = [f"{name} {theirs[name]} instead of {ours[name]}" for name in ours if theirs[name] != ours[name]]
-        raise FileError(f"{path} already exists and has {', '.join(words)}; choose another --out or add --force")
-    if not set(map(str, missing)) <= FIGURES.keys() or not all(_is_figure(*item) for item in figures.items()):
-        raise refusal
+        known = bool(differ) or {*figures, *missing} <= FIGURES.keys()
+        if not differ:
+            page(describe(folder, effort, figures, missing), {})  # nothing that a report says is lacking
+    except (FileError, ValueError, LookupError, TypeError, AttributeError):
+        known = False
+    if not known:
+        raise FileError(f"{path} already exists and is no report; choose another --out or add --force")
+    if differ:
+        raise FileError(f"{path} already exists and has {', '.join(differ)}; choose another --out or add --force")
     return {"figures": figures, "missing": missing}
-
-
-def _is_figure(name: str, found: Any) -> bool:
-    """True for what :func:`_computed` makes of the figure of this name."""
-    if name not in FIGURES or not isinstance(found, dict) or not isinstance(claims := found.get("claims"), list):
-        return False
-    texts = all(found.get(key) == getattr(FIGURES[name], key) for key in ("title", "shown"))
-    times = all(isinstance(found.get(key), (int, float)) for key in ("seconds", "seconds_processor"))
-    return texts and times and all(map(is_claim, claims))
 
 
 def _write(folder: Path, effort: Effort, done: dict[str, Any], missing: Sequence[str]) -> None:

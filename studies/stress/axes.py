@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from taichi_bearings import runtime
-from taichi_bearings.lattice.grid import Lattice
 from taichi_bearings.options import options_of
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene import Scene
-from taichi_bearings.scene.law import LAWS, law_named
+from taichi_bearings.scene.disorder import Draw
+from taichi_bearings.scene.law import LAWS
 from taichi_bearings.solvers.cundall_strack import stability_bound
 from taichi_bearings.solvers.table import METHODS, CundallStrack, MethodOptions
 
@@ -78,26 +78,18 @@ class Axis:
     patience: float = 1.0
 
 
-def make_quantities(
-    shape: Sequence[int], law: str, draw: Callable[..., np.ndarray], seed: int, periodic: tuple[int, ...] = ()
-) -> dict[str, Any]:
-    """The coefficients of each kind that the law has, by their name in a Scene."""
-    lattice, found = Lattice(tuple(shape), periodic=periodic), dict[str, Any]()
-    for stream, name in zip(range(len(law_named(law).quantities)), ("coefficients", "viscosity"), strict=False):
-        rng = np.random.default_rng([seed, 1 + stream])
-        found[name] = tuple(draw(rng, lattice.contact_shape(axis)) for axis in range(lattice.dimension))
-    return found
-
-
-def _uniform(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
-    return rng.uniform(0.1, 1.0, shape)
+def drawn(row: Row, shape: Sequence[int], draw: Draw, seed: int = 7, **others: Any) -> Scene:
+    """A scene of the law of a row, all coefficients drawn alike; others : as of a Scene."""
+    rng = np.random.default_rng([seed, 1])
+    others |= {"viscosity": draw} if len(LAWS[row.law].quantities) > 1 else {}
+    return Scene.random(shape, seed, lambda _, sides: draw(rng, sides), row.law, **others)
 
 
 def unchanged(row: Row, seed: int, quick: bool) -> Case | None:
     """The sample of a row that no axis has changed; driven about x alone if the method needs that; None if it fails."""
     shape = (SMALL_SHAPES if quick else SHAPES)[row.dimension]
     for direction in ((1.0, 1.0, 0.0), (1.0, 0.0, 0.0)):
-        scene = Scene(law=law_named(row.law), direction=direction, **make_quantities(shape, row.law, _uniform, seed))
+        scene = drawn(row, shape, _uniform, seed, direction=direction)
         if not ROWS[row.method].refusal(scene):
             return Case(scene)
     return None
@@ -121,27 +113,32 @@ def rows_of(methods: Sequence[str], laws: Sequence[str]) -> list[Row]:
     return found
 
 
+def _uniform(rng: np.random.Generator, shape: Sequence[int]) -> np.ndarray:
+    return rng.uniform(0.1, 1.0, shape)
+
+
+def _log_uniform(rng: np.random.Generator, shape: Sequence[int], value: float) -> np.ndarray:
+    return 10.0 ** (value * (rng.uniform(0, 1, shape) - 0.5))
+
+
+def _two_strengths(rng: np.random.Generator, shape: Sequence[int], value: float) -> np.ndarray:
+    return 10.0 ** (value * (rng.integers(0, 2, shape) - 0.5))
+
+
+def _tied(rng: np.random.Generator, shape: Sequence[int], value: str) -> np.ndarray:
+    values = {"all equal": [1.0], "1 or 2": [1.0, 2.0], "1, 2 or 3": [1.0, 2.0, 3.0], "nearly": [1.0, 1 + 2**-50]}
+    return rng.choice(values[value], shape)
+
+
 def _redrawn(draw: Callable[..., np.ndarray]) -> Change:
     """Other coefficients on the same lattice."""
 
     def change(case: Case, value: Any, row: Row) -> Case:
-        quantities = make_quantities(case.scene.lattice.shape, row.law, partial(draw, value=value), 7)
-        return replace(case, scene=replace(case.scene, **quantities))
+        scene = case.scene
+        shape, direction = scene.lattice.shape, scene.direction
+        return replace(case, scene=drawn(row, shape, partial(draw, value=value), direction=direction))
 
     return change
-
-
-def _log_uniform(rng: np.random.Generator, shape: tuple[int, ...], value: float) -> np.ndarray:
-    return 10.0 ** (value * (rng.uniform(0, 1, shape) - 0.5))
-
-
-def _two_strengths(rng: np.random.Generator, shape: tuple[int, ...], value: float) -> np.ndarray:
-    return 10.0 ** (value * (rng.integers(0, 2, shape) - 0.5))
-
-
-def _tied(rng: np.random.Generator, shape: tuple[int, ...], value: str) -> np.ndarray:
-    values = {"all equal": [1.0], "1 or 2": [1.0, 2.0], "1, 2 or 3": [1.0, 2.0, 3.0], "nearly": [1.0, 1 + 2**-50]}
-    return rng.choice(values[value], shape)
 
 
 def _absent(case: Case, value: str, row: Row) -> Case:
@@ -220,11 +217,10 @@ RINGS = {"of 4": ((4, 6), (4, 2, 4)), "of 2": ((2, 6), (2, 2, 4)), "of 2, 9 deca
 
 def _rings(case: Case, value: str, row: Row) -> Case:
     """All sides but the height closed."""
-    names, decades = ("x", "y")[: row.dimension - 1], {"of 2, 9 decades": 9.0, "of 2, 18 decades": 18.0}.get(value)
+    decades = {"of 2, 9 decades": 9.0, "of 2, 18 decades": 18.0}.get(value)
     draw = partial(_log_uniform, value=decades) if decades else _uniform
-    closed = tuple(range(row.dimension - 1))
-    quantities = make_quantities(RINGS[value][row.dimension - 2], row.law, draw, 7, closed)
-    return replace(case, scene=replace(case.scene, periodic=names, **quantities))
+    shape, closed = RINGS[value][row.dimension - 2], ("x", "y")[: row.dimension - 1]
+    return replace(case, scene=drawn(row, shape, draw, direction=case.scene.direction, periodic=closed))
 
 
 SIDES = {
@@ -237,13 +233,13 @@ SIDES = {
 def _sides(case: Case, value: str, row: Row) -> Case:
     """Contacts along the height alike in each layer, those sideways random."""
 
-    def draw(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
-        values = rng.uniform(0.1, 1.0, shape)
+    def draw(rng: np.random.Generator, shape: Sequence[int]) -> np.ndarray:
+        values = _uniform(rng, shape)
         is_upward = shape[:-1] == sides[:-1]
         return np.broadcast_to(values[(0,) * (len(shape) - 1)], shape).copy() if is_upward else values
 
     sides = SIDES[value][row.dimension - 2]
-    scene = replace(case.scene, **make_quantities(sides, row.law, draw, 7))
+    scene = drawn(row, sides, draw, direction=case.scene.direction)
     return replace(case, scene=scene, is_layered=True, settings={"start": "random"})
 
 
@@ -366,11 +362,6 @@ class Cell:
         assert base is not None
         return AXES[self.axis].change(base, self.value, self.row)
 
-    @property
-    def contacts(self) -> int:
-        """Whose states are compared."""
-        return 0 if self.case.is_layered else self.case.scene.lattice.all_contacts
-
 
 QUICK = 25  # of so many cells the short sweep takes one
 FIRST = {"sides": 3, "drift": 1}  # values that it takes of axes that need patience
@@ -390,13 +381,7 @@ def cells_of(rows: Sequence[Row], axes: Sequence[str], seed: int, quick: bool, s
     def order(cell: Cell) -> tuple[Any, ...]:
         """Long ones last, and those of one device after another, so that few workers have to start."""
         row = cell.row
-        return (
-            AXES[cell.axis].patience > 1,
-            row.arch != "cpu",
-            row.arch,
-            row.precision != "f64",
-            cell.axis == "threads",
-        )
+        return AXES[cell.axis].patience > 1, row.arch != "cpu", row.arch, row.precision != "f64", cell.axis == "threads"
 
     found.sort(key=order)
     return found[::QUICK] if quick else found

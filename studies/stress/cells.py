@@ -3,17 +3,18 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from decimal import Decimal
-from math import isfinite, nan, prod
+from math import inf, nan, prod
 from typing import Any
 
 import numpy as np
 
 from taichi_bearings import api
-from taichi_bearings.errors import DeviceError, InputError
+from taichi_bearings.errors import DeviceError, InputError, printable
 from taichi_bearings.files.scan_file import FAILED
 from taichi_bearings.memory import free_bytes
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.proof.contact_state import ContactState
+from taichi_bearings.quantities import plain
 from taichi_bearings.scene import Status
 from taichi_bearings.version import VERSION
 
@@ -25,37 +26,21 @@ TOLERANCE = 1e-8
 ROUNDING = 1e-13  # relative: of powers and bounds in double precision
 BELIEVED = 1e-4  # relative error up to which a dynamics may say that it has come to rest, or to its duration
 MEMORY_SHARE = 0.7  # of what is free, that a cell may be expected to need
-NUMBERS = ("objective", "lower_bound", "gap", "seconds")
 
 
 @dataclass(frozen=True)
 class Answer:
-    """What a solve has claimed; energies in energy/time. state : (E,) of contacts; none where the truth has none."""
+    """What a solve has claimed, as JSON keeps it; energies in energy/time, None where they are not finite. state : a
+    digit for each contact; none where the truth has none."""
 
     status: str
     reached: bool
     states_proven: bool
-    objective: float
-    lower_bound: float
-    gap: float
+    objective: float | None
+    lower_bound: float | None
+    gap: float | None
     seconds: float
-    state: np.ndarray
-
-    def told(self) -> dict[str, Any]:
-        """As JSON, of which NaN is no part: numbers in hexadecimal, a digit a state."""
-        told = {"status": self.status, "reached": self.reached, "states_proven": self.states_proven}
-        told |= {name: float(getattr(self, name)).hex() for name in NUMBERS}
-        return told | {"state": "".join(map(str, self.state.tolist()))}
-
-    @classmethod
-    def read(cls, told: Mapping[str, Any], contacts: int) -> "Answer":
-        """What :meth:`told` has said. Raises ValueError, or what else reading something else raises."""
-        state = np.array([int(digit) for digit in told["state"]], dtype=np.uint8)
-        reached, proven = ({True: True, False: False}[told[name]] for name in ("reached", "states_proven"))
-        if (state > max(ContactState)).any() or not told["state"].isascii() or len(state) != contacts:
-            raise ValueError
-        value, bound, gap, seconds = (float.fromhex(told[name]) for name in NUMBERS)
-        return cls(Status(told["status"]).value, reached, proven, value, bound, gap, seconds, state)
+    state: str
 
 
 def solve_cells(cells: Sequence[Cell]) -> list[dict[str, Any]]:
@@ -64,7 +49,7 @@ def solve_cells(cells: Sequence[Cell]) -> list[dict[str, Any]]:
     for cell in cells:
         record: dict[str, Any] = {"key": cell.key, "version": VERSION, "scalars": {"status": "solved"}}
         try:
-            record["answer"] = _solve(cell).told()
+            record["answer"] = vars(_solve(cell))
         except (InputError, DeviceError) as error:
             record["refusal"] = str(error)
         except BaseException as error:
@@ -82,21 +67,10 @@ def _solve(cell: Cell) -> Answer:
     settings |= {"arch": device.arch, "precision": device.precision, "threads": device.threads}
     with one_thread():
         found = api.solve(case.scene, method, **settings)
-    state = () if case.is_layered else np.concatenate([part.ravel() for part in found.state])
-    numbers = (found.potential, found.lower_bound, found.gap, found.seconds)
-    return Answer(str(found.status), bool(found.reached), bool(found.states_proven), *numbers, np.asarray(state))
-
-
-def can_be_judged(cell: Cell, record: Mapping[str, Any]) -> bool:
-    """Whether a record of a journal is one of :func:`solve_cells` of this version."""
-    if record.get("version") != VERSION:
-        return False
-    words = [record[name] for name in ("refusal", "crash") if name in record]
-    try:
-        Answer.read(record["answer"], cell.contacts)
-    except (KeyError, TypeError, ValueError, OverflowError, AttributeError):
-        return "answer" not in record and bool(words) and all(isinstance(w, str) and w.isprintable() for w in words)
-    return True
+    state = "" if case.is_layered else "".join(str(int(one)) for part in found.state for one in part.flat)
+    value, bound, gap = map(plain, (found.potential, found.lower_bound, found.gap))
+    said = (str(found.status), bool(found.reached), bool(found.states_proven))
+    return Answer(*said, value, bound, gap, float(found.seconds), state)
 
 
 def bytes_of(cell: Cell) -> float:
@@ -121,19 +95,19 @@ class Judge:
             "objective": None, "truth": None, "unit": 1.0, "seconds": None, "reason": "",
         }  # fmt: skip
         if "answer" not in record:
-            row["reason"] = record.get("crash") or record["refusal"]
+            row["reason"] = printable(record["crash"] if "crash" in record else record["refusal"])
             late = row["reason"].startswith("no result within") and AXES[cell.axis].patience > 1
             return row | {"outcome": NOT_REACHED if late else CRASH if "crash" in record else REFUSED}
-        answer = Answer.read(record["answer"], cell.contacts)
-        finite = {"gap": answer.gap, "objective": answer.objective, "seconds": answer.seconds}
-        row |= {name: value if isfinite(value) else None for name, value in finite.items()}
-        row |= {"status": answer.status, "states_proven": answer.states_proven, "unit": cell.case.unit}
+        answer = Answer(**record["answer"])
+        told = ("objective", "gap", "seconds", "states_proven")
+        row |= {name: getattr(answer, name) for name in told} | {"unit": cell.case.unit}
+        row["status"] = Status(answer.status).value
         if cell.case.refusal:
             return row | {"outcome": WRONG, "reason": "it was not refused"}
         truth = self._truth(cell)
         row |= {"truth": float(truth.upper), "error": _error(truth, answer.objective)}
         if truth.state:
-            true, said = cell.case.scene.lattice.flat(truth.state), answer.state
+            true, said = cell.case.scene.lattice.flat(truth.state), np.array([int(digit) for digit in answer.state])
             wrong = (true == SLIPPING) & (said == SLIPLESS) | (true == SLIPLESS) & (said == SLIPPING)
             open_states = 0 if answer.states_proven else int((said != ContactState.DRIVEN).sum())
             row |= {"states_wrong": int(wrong.sum()), "states_unproven": open_states}
@@ -147,13 +121,13 @@ class Judge:
         key = (scene.law, *arrays, *(getattr(scene, name) for name in scene.PARAMETERS))
         if key not in self.truths:
             self.truths[key] = (layered if cell.case.is_layered else least)(scene)
-        plain = self.truths[key]
-        return replace(plain, lower=plain.lower * unit, upper=plain.upper * unit, unit=plain.unit * unit)
+        truth = self.truths[key]
+        return replace(truth, lower=truth.lower * unit, upper=truth.upper * unit, unit=truth.unit * unit)
 
 
-def _error(truth: Truth, objective: float) -> float | None:
+def _error(truth: Truth, objective: float | None) -> float | None:
     """(objective - least) / objective, at least 0; None if it is no number. Over the unit of the truth if that is 0."""
-    if not isfinite(objective):
+    if objective is None:
         return None
     value = Decimal(objective)
     return float(max((value - truth.upper) / max(abs(value), truth.unit), Decimal(0))) if value else 0.0
@@ -161,18 +135,18 @@ def _error(truth: Truth, objective: float) -> float | None:
 
 def _fault(truth: Truth, answer: Answer, row: dict[str, Any]) -> str:
     """What is wrong with an answer that does not say so itself; empty if nothing is."""
-    slack, error = Decimal(1 + ROUNDING), row["error"]
-    if isfinite(answer.lower_bound) and Decimal(answer.lower_bound) > truth.upper * slack:
+    slack, value, error = Decimal(1 + ROUNDING), answer.objective, row["error"]
+    if answer.lower_bound is not None and Decimal(answer.lower_bound) > truth.upper * slack:
         return f"the bound {answer.lower_bound!r} is above the least value {float(truth.upper)!r}"
-    if error is not None and Decimal(answer.objective) * slack < truth.lower:
-        return f"the value {answer.objective!r} is below the least one {float(truth.lower)!r}"
+    if value is not None and Decimal(value) * slack < truth.lower:
+        return f"the value {value!r} is below the least one {float(truth.lower)!r}"
     if answer.states_proven and row["states_wrong"]:
         return f"{row['states_wrong']} contact states are proven that are not true"
     if not answer.reached:
         return ""
     allowed = TOLERANCE if answer.status == "certified" else BELIEVED
     if answer.status == "finished":  # its time has passed: how far it still is from rest, it says itself
-        allowed = max(allowed, answer.gap)
+        allowed = inf if answer.gap is None else max(allowed, answer.gap)
     if error is None or error > allowed * (1 + ROUNDING):
-        return f"it is {answer.status} with an error of {error if error is not None else nan:.1e}"
+        return f"it is {row['status']} with an error of {nan if error is None else error:.1e}"
     return ""

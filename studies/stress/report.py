@@ -1,10 +1,9 @@
 """The sweep over all cells, and its report: a journal that loses nothing, CSV, a table, maps, and numbers."""
 
 import json
-import logging
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -21,15 +20,15 @@ from taichi_bearings.runs.run_directory import writable_folder
 from taichi_bearings.scans.engine import LocalEngine, Outcome
 from taichi_bearings.stages import alike, each
 from taichi_bearings.version import VERSION
-from taichi_bearings.words import counted
 
-from ..report import markdown
 from .axes import AXES, Cell, Row
-from .cells import CRASH, OUTCOMES, RIGHT, WRONG, Judge, can_be_judged, solve_cells
+from .cells import CRASH, OUTCOMES, RIGHT, WRONG, Judge, solve_cells
 
 Line = dict[str, Any]
 START_UP = 60.0  # seconds that a worker may take to start, to compile and to prove, beside twice the time limit
 JOURNAL = "cells.jsonl"
+UNREADABLE = (LookupError, TypeError, ValueError, AttributeError, ArithmeticError)
+"""Of a record that somebody else has written: its cell is solved anew."""
 COLOURS = {"right": "#8fce9b", "not reached": "#f3d98a", "refused": "#c9d3e0", "wrong": "#d62728", "crash": "#222222"}
 NOTHING = "#ffffff"
 
@@ -46,19 +45,17 @@ def open_sweep(folder: Path, cells: Sequence[Cell]) -> Iterator["Sweep"]:
 
 
 class Sweep:
-    """The cells of a folder: those that its journal has, judged anew, and the others as they are done."""
+    """The cells of a folder: those that its journal has from this version, judged anew, and the others as they are
+    done."""
 
     def __init__(self, folder: Path, cells: Sequence[Cell]) -> None:
         self.folder, self.cells, self.judge = folder, {cell.key: cell for cell in cells}, Judge()
-        known, self.lines = read_journal(folder / JOURNAL), dict[str, Line]()
-        asked = [cell for cell in cells if cell.key in known]
+        known = read_journal(folder / JOURNAL)
+        asked = [cell for cell in cells if known.get(cell.key, {}).get("version") == VERSION]
+        self.lines = dict[str, Line]()
         for cell in each(asked, "judging cell", alike):
-            if can_be_judged(cell, known[cell.key]):
+            with suppress(*UNREADABLE):
                 self.lines[cell.key] = self.judge.row(cell, known[cell.key])
-        if left := len(asked) - len(self.lines):
-            logging.getLogger(__name__).warning(
-                "bearings: %s in %s of another version or damaged; solved again", counted(left, "cell"), folder
-            )
 
     def run(self, workers: int, say: Callable[[str], None] = lambda line: None) -> bool:
         """Solve what is not done yet; False if Ctrl-C ended that early. say : hears of each cell that is red."""
@@ -102,13 +99,12 @@ class Sweep:
 
     def write(self) -> list[Path]:
         """All files but the journal; their paths."""
-        rows, paths = self.rows, [self.folder / name for name in ("stress.csv", "stress.md", "summary.json")]
+        rows, paths = self.rows, [self.folder / name for name in ("stress.csv", "summary.json")]
         columns = [name for name in rows[0] if name != "key"] if rows else ["axis"]
         write_csv(paths[0], columns, ([line[name] for name in columns] for line in rows))
-        write_text(paths[1], "\n\n".join(table(axis, lines) for axis, lines in by_axis(rows).items()) + "\n")
-        write_text(paths[2], json.dumps(self.summary(), indent=1, allow_nan=False) + "\n")
-        for axis, lines in by_axis(rows).items():
-            figure = draw_outcomes(AXES[axis].title, *_map(lines))
+        write_text(paths[1], json.dumps(self.summary(), indent=1, allow_nan=False) + "\n")
+        for axis in dict.fromkeys(line["axis"] for line in rows):
+            figure = draw_outcomes(AXES[axis].title, [line for line in rows if line["axis"] == axis])
             for ending in (".png", ".pdf"):
                 paths.append(self.folder / f"{axis}{ending}")
                 save(figure, paths[-1])
@@ -126,31 +122,14 @@ class Sweep:
         }  # fmt: skip
 
 
-def by_axis(rows: Sequence[Line]) -> dict[str, list[Line]]:
-    return {axis: [line for line in rows if line["axis"] == axis] for axis in dict.fromkeys(x["axis"] for x in rows)}
-
-
 def _name(line: Line) -> str:
     return str(Row(*(line[key] for key in ("method", "law", "dimension", "arch", "precision"))))
-
-
-def _map(lines: Sequence[Line]) -> tuple[list[str], list[str], dict[tuple[str, str], tuple[str, str]]]:
-    """Columns, rows, and of each cell the outcome and the error as a power of ten."""
-    columns, rows = (list(dict.fromkeys(names)) for names in ([x["value"] for x in lines], map(_name, lines)))
-    return columns, rows, {(_name(line), line["value"]): (line["outcome"], _decades(line)) for line in lines}
 
 
 def _decades(line: Line) -> str:
     """0 below the rounding of doubles, empty without an error."""
     error = line["error"]
     return "" if error is None else "0" if error < 1e-16 else f"{error:.0e}".replace("e-0", "e-").replace("e+00", "")
-
-
-def table(axis: str, lines: Sequence[Line]) -> str:
-    """Text: a row for each method, law, dimension and precision; in each cell the outcome and the error."""
-    columns, rows, cells = _map(lines)
-    text = [[row, *(" ".join(filter(None, cells.get((row, column), ()))) for column in columns)] for row in rows]
-    return f"### {axis}\n\n{markdown([[AXES[axis].title, *columns], *text])}"
 
 
 def scaling(rows: Sequence[Line]) -> dict[str, Any]:
@@ -177,29 +156,25 @@ def lines_of(summary: Mapping[str, Any]) -> list[str]:
 
 
 @in_our_style
-def draw_outcomes(
-    title: str, columns: Sequence[str], rows: Sequence[str], cells: Mapping[tuple[str, str], tuple[str, str]]
-) -> Figure:
-    """cells : outcome and a short text by (row, column); absent where there is none."""
+def draw_outcomes(title: str, lines: Sequence[Line]) -> Figure:
+    """The outcome of each cell of an axis as colour, its error as a power of ten; a row a method, law and so on."""
+    columns, rows = (list(dict.fromkeys(names)) for names in ([x["value"] for x in lines], map(_name, lines)))
     kinds = list(COLOURS)
     codes = np.full((len(rows), len(columns)), len(kinds))
     figure = new_figure(2.3 + 0.42 * len(columns), 1.1 + 0.19 * len(rows))
     axes = figure.add_subplot()
-    for i, row in enumerate(rows):
-        for j, column in enumerate(columns):
-            outcome, text = cells.get((row, column), ("", ""))
-            if outcome:
-                codes[i, j] = kinds.index(outcome)
-                dark = outcome in ("wrong", "crash")
-                axes.text(j, i, text, ha="center", va="center", fontsize=7, color="white" if dark else "black")
+    for line in lines:
+        i, j, outcome = rows.index(_name(line)), columns.index(line["value"]), line["outcome"]
+        codes[i, j] = kinds.index(outcome)
+        colour = "white" if outcome in (WRONG, CRASH) else "black"
+        axes.text(j, i, _decades(line), ha="center", va="center", fontsize=7, color=colour)
     colours = ListedColormap([*COLOURS.values(), NOTHING])
-    axes.imshow(codes, cmap=colours, vmin=-0.5, vmax=len(kinds) + 0.5, aspect="auto")
+    look: Any = {"cmap": colours, "vmin": -0.5, "vmax": len(kinds) + 0.5, "edgecolors": "white", "lw": 1}
+    axes.pcolormesh(np.arange(len(columns) + 1) - 0.5, np.arange(len(rows) + 1) - 0.5, codes, **look)
     axes.set_xticks(range(len(columns)), columns, rotation=30 if max(map(len, columns)) > 6 else 0)
     axes.set_yticks(range(len(rows)), rows, fontsize=7)
-    axes.set_xticks(np.arange(len(columns) + 1) - 0.5, minor=True)
-    axes.set_yticks(np.arange(len(rows) + 1) - 0.5, minor=True)
-    axes.grid(which="minor", color="white", lw=1)
-    axes.tick_params(which="both", length=0)
+    axes.invert_yaxis()
+    axes.tick_params(length=0)
     for spine in axes.spines.values():
         spine.set_visible(False)
     axes.set_xlabel(title)

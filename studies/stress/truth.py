@@ -14,8 +14,6 @@ jump, or of 1/time where bearing states are imposed.
 
 from dataclasses import dataclass, replace
 from decimal import Decimal, localcontext
-from itertools import zip_longest
-from typing import Any
 
 import numpy as np
 
@@ -50,13 +48,13 @@ def _decimals(values: np.ndarray) -> np.ndarray:
     return np.array([Decimal(float(value)) for value in np.ravel(values)], dtype=object)
 
 
-def _costs(scene: Scene, first: Any, second: Any = None) -> tuple[np.ndarray, np.ndarray]:
-    """Of a slip d: a |d| + c |d|^2 / 2, with a and c of contacts with these coefficients, energy/time."""
+def _costs(scene: Scene, some: slice = slice(None)) -> tuple[np.ndarray, np.ndarray]:
+    """Of a slip d of each contact, or of some: a |d| + c |d|^2 / 2, with these a and c, energy/time."""
     speed = Decimal(scene.radius) * unit_of(scene)
-    values, nothing = _decimals(first), np.full(first.size, Decimal(0), dtype=object)
+    values, *second = (_decimals(of[0, some]) for of in scene.named_coefficients.values())
     if not scene.law.holds:
-        return nothing, values * 2 * speed**2  # the power is twice the potential
-    return values * Decimal(scene.normal_force) * speed, nothing if second is None else _decimals(second) * speed**2
+        return 0 * values, values * 2 * speed**2  # the power is twice the potential
+    return values * Decimal(scene.normal_force) * speed, second[0] * speed**2 if second else 0 * values
 
 
 def unit_of(scene: Scene) -> Decimal:
@@ -90,10 +88,11 @@ def jump_of(scene: Scene) -> dict[int, np.ndarray]:
 
 
 class Sample:
-    """Contacts as rows: `low`, `up` (E, C) are places in the spins, `felt` (E, C) is 1 for components across them."""
+    """Contacts as rows: `low`, `up` (E, C) are places in the spins, `felt` (E, C) is 1 for components across them; `of`
+    are their numbers among all."""
 
     def __init__(self, scene: Scene) -> None:
-        shape, axes = scene.lattice.shape, range(scene.lattice.dimension)
+        lattice, shape = scene.lattice, scene.lattice.shape
         self.jump = jump_of(scene)
         count, free = len(self.jump), int(np.prod(shape[:-1])) * (shape[-1] - 2)
         self.unknowns = free * count
@@ -105,23 +104,12 @@ class Sample:
         place[..., -1, :] = (
             self.unknowns + 1 + np.arange(len(self.top)).reshape((*shape[:-1], count) if varies else count)
         )
-        rows = []
-        self.friction, self.viscosity, self.of = [], [], []
-        for axis in axes:
-            viscosity = scene.viscosity[axis] if scene.viscosity else None
-            a, c = _costs(scene, scene.coefficients[axis], viscosity)
-            pairs = [
-                np.stack([of[end].ravel() for of in np.moveaxis(place, -1, 0)], 1) for end in scene.lattice.along(axis)
-            ]
-            felt = np.array([int(k != axis) for k in self.jump])
-            for number, (low, up, held, flow) in enumerate(zip(*pairs, a, c, strict=True)):
-                if (low.min() < self.unknowns or up.min() < self.unknowns or axis == axes[-1]) and held + flow > 0:
-                    rows.append((low, up, felt))
-                    self.friction.append(held)
-                    self.viscosity.append(flow)
-                    self.of.append((axis, number))
-        self.low, self.up, self.felt = (np.array(part).reshape(-1, count) for part in zip(*rows, strict=True))
-        self.a, self.c = (np.array(v, dtype=object)[:, None] for v in (self.friction, self.viscosity))
+        low, up = place.reshape(lattice.sites, count)[lattice.ends]
+        a, c = _costs(scene)
+        sideways = lattice.between_driven & (lattice.axis < lattice.dimension - 1)
+        self.of = np.flatnonzero(~sideways & (a + c > 0))
+        self.low, self.up, self.a, self.c = low[self.of], up[self.of], a[self.of, None], c[self.of, None]
+        self.felt = (lattice.axis[self.of, None] != list(self.jump)).astype(int)
         layer = self.unknowns // max(shape[-1] - 2, 1)
         height = [Decimal(i // layer + 1) / (shape[-1] - 1) for i in range(self.unknowns)]
         parts = self.top[np.arange(self.unknowns) % len(self.top)]
@@ -205,7 +193,7 @@ def least(scene: Scene) -> Truth:
 def followed(scene: Scene, sample: Sample) -> tuple[Truth, Decimal]:
     """The end of the central path of a sample of the scene, which is left there, and the barrier at the end."""
     barrier = first = sample.cost() / len(sample.a)
-    steps, holds, before = 0, any(sample.friction), sample.spin
+    steps, holds, before = 0, sample.a.any(), sample.spin
     while True:
         last = not holds or barrier < first * TARGET
         decrement = sample.step(barrier)
@@ -230,21 +218,20 @@ def followed(scene: Scene, sample: Sample) -> tuple[Truth, Decimal]:
 def _nothing(scene: Scene) -> Truth:
     """That nothing need slip."""
     moving = scene if scene.top is not None or scene.spin_top != scene.spin_bottom else replace(scene, spin_bottom=0.0)
-    pairs = zip_longest(scene.coefficients, scene.viscosity)
-    costs = [(held + flow / 2).sum() for held, flow in (_costs(moving, *pair) for pair in pairs)]
-    return Truth(Decimal(0), Decimal(0), unit=sum(costs, Decimal(0)))
+    a, c = _costs(moving)
+    return Truth(Decimal(0), Decimal(0), unit=(a + c / 2).sum())
 
 
 def _states(scene: Scene, sample: Sample, barrier: Decimal) -> tuple[np.ndarray, ...]:
     if not scene.law.holds:
         return ()
-    state = [np.full(values.size, UNCLEAR, dtype=np.uint8) for values in scene.coefficients]
+    state = np.full(scene.lattice.all_contacts, UNCLEAR, dtype=np.uint8)
     _, length, _, stiffness = sample.forces(barrier)
     ratio = np.divide(stiffness * length, sample.a, out=np.ones_like(sample.a), where=sample.a > 0)
-    for (axis, number), slip, room, held in zip(sample.of, length[:, 0], 1 - ratio[:, 0], sample.friction, strict=True):
-        if held and (slip > CLEAR) != (room > CLEAR):
-            state[axis][number] = SLIPPING if slip > CLEAR else SLIPLESS
-    return tuple(part.reshape(scene.lattice.contact_shape(axis)) for axis, part in enumerate(state))
+    slips, has_room = length[:, 0] > CLEAR, 1 - ratio[:, 0] > CLEAR
+    known = (sample.a[:, 0] > 0) & (slips != has_room)
+    state[sample.of[known]] = np.where(slips, SLIPPING, SLIPLESS)[known]
+    return scene.lattice.by_axis(state)
 
 
 def layered(scene: Scene) -> Truth:
@@ -256,9 +243,8 @@ def layered(scene: Scene) -> Truth:
         across = np.broadcast_to(np.sqrt(squares), columns)
         if len(set(across.tolist())) > 1 and len(scene.law.quantities) > 1:
             raise ValueError("columns with unlike jumps are not apart where contacts have friction and viscosity")
-        last = scene.lattice.dimension - 1
-        one = [parts[last][(0,) * last] if parts else None for parts in (scene.coefficients, scene.viscosity)]
-        a, c = (list(costs) for costs in _costs(scene, *one))
+        first = scene.lattice.spans[-1].start
+        a, c = (costs.tolist() for costs in _costs(scene, slice(first, first + scene.lattice.shape[-1] - 1)))
         if not any(across):
             return _nothing(scene)
         cost = Decimal(0)

@@ -5,13 +5,8 @@ import csv
 import numpy as np
 import pytest
 from taichi_bearings_studies.benchmarks.harness import Report, text, write
-from taichi_bearings_studies.benchmarks.methods import (
-    contradictions,
-    judged,
-    measure,
-)
+from taichi_bearings_studies.benchmarks.methods import contradictions, judged, measure
 from taichi_bearings_studies.benchmarks.table import BENCHMARKS
-from taichi_bearings_studies.report import Files
 
 from taichi_bearings.runs.settings import RunSettings
 from tests.scenes import minima
@@ -25,7 +20,7 @@ def rows(needs_f64):
     for shape, law in (((3, 3, 3), "coulomb"), ((5, 4), "viscous")):
         settings = RunSettings(shape=shape, law=law, threads=1, time_limit=0.3)
         found += measure(settings, FIRST_TWO, with_peers=shape == (3, 3, 3), rounds=2)
-    return judged(found)
+    return found
 
 
 def made_up(method, seconds, power, bound, what=""):
@@ -69,7 +64,7 @@ def test_a_bound_above_a_power_is_a_contradiction():
 def test_files_hold_every_checkpoint(rows, tmp_path):
     chosen, report = {"methods": BENCHMARKS["methods"]}, Report({"methods": rows})
     here = {"processor": "some", "threads": "1", "load": None}
-    stored, figure = write(Files(tmp_path, []), chosen, report, here)[1:]
+    stored, figure = write(tmp_path, chosen, report, here)[1:]
     lines = [line for line in stored.read_text(encoding="utf-8").splitlines() if not line.startswith("#")]
     found = list(csv.DictReader(lines))
     assert len(found) == sum(len(row["seconds"]) for row in rows)

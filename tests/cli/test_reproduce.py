@@ -178,6 +178,9 @@ def test_what_a_report_does_not_know_is_not_replaced(figures, tmp_path):
     assert "fig2.csv already exists" in str(ask(folder, "fig2")[1])
     assert (ask(folder, "fig1")[0], figures.computed) == (0, ["fig1"])
     assert "fig2.csv already exists" in str(ask(folder, "fig2")[1])
-    (folder / "report.json").write_text("{}")
-    assert "is no report" in str(ask(folder, "fig1")[1])
+    strange = json.loads((folder / "report.json").read_text(encoding="utf-8"))
+    strange["figures"]["fig1"]["claims"][0]["kind"] = "x"
+    for forged in ({}, [], strange, strange | {"figures": {"fig1": 3}}, strange | {"figures": {"fig9": {}}}):
+        (folder / "report.json").write_text(json.dumps(forged))
+        assert "is no report" in str(ask(folder, "fig1")[1])
     assert (folder / "fig2.csv").read_text() == "mine"

@@ -4,12 +4,11 @@ import csv
 
 import numpy as np
 import pytest
-from taichi_bearings_studies.paper import distributions, drivings, parameters, reproduce
+from taichi_bearings_studies.paper import parameters, reproduce, variants
 from taichi_bearings_studies.paper.claims import Effort, judge
-from taichi_bearings_studies.paper.distributions import EQUAL, SPREAD, TIED
-from taichi_bearings_studies.paper.drivings import ALONG, DRIVINGS, OTHER, RATES, REFERENCE, SAME
 from taichi_bearings_studies.paper.parameters import PAPER, VARIANTS, Course
 from taichi_bearings_studies.paper.samples import Run, Table
+from taichi_bearings_studies.paper.variants import EQUAL, REFERENCE, SPREAD, TIED, beside_reference
 
 from taichi_bearings.scene import Scene
 
@@ -28,7 +27,7 @@ def drawn(number=5, **changes):
 
 
 def of_drawn(name, found):
-    return judge(f"distributions.{name}", **distributions.names_of(found)).verdict
+    return judge(f"distributions.{name}", **variants.names_of_distributions(found)).verdict
 
 
 def test_a_distribution_that_fails_refines_and_all_others_refute():
@@ -63,27 +62,27 @@ DIFFERENT = DRIVEN | {"slipless": [1, 0, 1, 1]}
 
 
 def of_drivings(claim, number=5, **changes):
-    tables = {name: Table.of([DRIVEN] * number) for name in DRIVINGS}
+    tables = {name: Table.of([DRIVEN] * number) for name in variants.DRIVINGS}
     tables |= {name: Table.of(rows) for name, rows in changes.items()}
-    found = drivings.beside_reference(tables)
-    return judge(f"drivings.{claim}", **drivings.names_of(found)).verdict
+    found = beside_reference(tables)
+    return judge(f"drivings.{claim}", **variants.names_of_drivings(found)).verdict
 
 
 def test_drivings_are_judged_by_their_contacts():
-    both = drivings.beside_reference({REFERENCE: Table.of([DRIVEN]), "other": Table.of([DIFFERENT])})["other"]
+    both = beside_reference({REFERENCE: Table.of([DRIVEN]), "other": Table.of([DIFFERENT])})["other"]
     assert (both.overlap.tolist(), both.changed.tolist()) == ([0.5], [2])
-    for claim, of in (("speeds", SAME), ("axis", OTHER), ("rate", RATES)):
+    for claim, of in (("speeds", variants.SAME), ("axis", variants.OTHER), ("rate", variants.RATES)):
         assert of_drivings(claim) == "confirmed"
         assert of_drivings(claim, **{list(of)[-1]: [*[DRIVEN] * 4, DIFFERENT]}) == "refuted"
     assert of_drivings("axis", 2) == "too few samples"
-    assert of_drivings("speeds", **{next(iter(SAME)): [DRIVEN | {"power_over_jump": 2.1}] * 5}) == "refuted"
+    assert of_drivings("speeds", **{next(iter(variants.SAME)): [DRIVEN | {"power_over_jump": 2.1}] * 5}) == "refuted"
     assert of_drivings("one_component") == of_drivings("height") == "refuted"
-    along = {name: [DRIVEN | {"power_over_cut": 1 + 1e-12}] * 5 for name in ALONG}
+    along = {name: [DRIVEN | {"power_over_cut": 1 + 1e-12}] * 5 for name in variants.ALONG}
     assert of_drivings("one_component", **along) == "confirmed"
 
 
 def test_small_cubes_under_all_drivings(tmp_path, monkeypatch, taichi_runtime, needs_f64):
-    monkeypatch.setattr(drivings, "BULK", 4)
+    monkeypatch.setattr(variants, "BULK", 4)
     claims = reproduce.FIGURES["drivings"].reproduce(tmp_path, Effort(0, 4))
     assert {path.name for path in tmp_path.iterdir()} == {"drivings.png", "drivings.pdf", "drivings.csv"}
     assert [claim.verdict for claim in claims] == ["confirmed", "refuted", "refuted", "confirmed", "confirmed"]

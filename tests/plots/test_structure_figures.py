@@ -8,7 +8,7 @@ import pytest
 from matplotlib import colormaps
 from matplotlib.collections import EllipseCollection, LineCollection
 from matplotlib.colors import to_rgba
-from taichi_bearings_studies.paper.figure_4 import draw_plane_cuts
+from taichi_bearings_studies.paper.figure_3 import draw_plane_cuts
 
 from taichi_bearings.analysis.domains import rigid_domains
 from taichi_bearings.analysis.network import SliplessNetwork

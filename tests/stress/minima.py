@@ -45,9 +45,8 @@ def least_of_all(scene: Scene, perturbed: tuple[int, Decimal] | None = None) -> 
         sample = Sample(scene)
         if perturbed:
             rng = np.random.default_rng(perturbed[0])
-            factors = [1 + perturbed[1] * Decimal(rng.uniform(-1, 1)) for _ in sample.friction]
+            factors = [1 + perturbed[1] * Decimal(rng.uniform(-1, 1)) for _ in sample.a]
             sample.a = sample.a * np.array(factors, dtype=object)[:, None]
-            sample.friction = list(sample.a[:, 0])
         truth, barrier = truths.followed(scene, sample)
         if not truth.lower:
             return Minima(**vars(truth))
@@ -65,15 +64,13 @@ def _in_common(truth: Minima, scene: Scene, sample: Sample, barrier: Decimal) ->
     along = ((changes * direction).sum(axis=2) / size)[:, moves]
     either = np.zeros(len(moves), dtype=bool)
     either[moves] = _can_rest(_orthonormal(along))
-    state = [np.full(part.shape, UNCLEAR, dtype=np.uint8) for part in truth.state]
-    slip, margin = ([value * np.ones(part.shape) for part in truth.state] for value in (0.0, 1.0))
-    for axis in range(scene.lattice.dimension - 1):
-        state[axis][..., 0] = state[axis][..., -1] = DRIVEN
-    speed = Decimal(scene.radius) * truths.unit_of(scene)
-    for (axis, number), many, own, left, moving in zip(sample.of, either, length, room, moves, strict=True):
-        state[axis].flat[number] = EITHER if many else SLIPPING if moving else SLIPLESS
-        slip[axis].flat[number], margin[axis].flat[number] = float(own * speed), float(left)
-    return replace(truth, state=tuple(state), slip=tuple(slip), margin=tuple(margin), freedom=len(basis))
+    lattice, speed = scene.lattice, Decimal(scene.radius) * truths.unit_of(scene)
+    state = np.where(lattice.between_driven & (lattice.axis < lattice.dimension - 1), DRIVEN, UNCLEAR).astype(np.uint8)
+    state[sample.of] = np.where(either, EITHER, np.where(moves, SLIPPING, SLIPLESS))
+    slip, margin = np.zeros(len(state)), np.ones(len(state))
+    slip[sample.of], margin[sample.of] = length * speed, room
+    by_axis = {name: lattice.by_axis(of) for name, of in (("state", state), ("slip", slip), ("margin", margin))}
+    return replace(truth, freedom=len(basis), **by_axis)
 
 
 def _freedom(sample: Sample, moves: np.ndarray, direction: np.ndarray) -> np.ndarray:

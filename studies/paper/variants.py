@@ -1,0 +1,200 @@
+"""Other friction, and other imposed bearing states: what of the paper's findings in three dimensions holds for them.
+
+In two dimensions the least power is the minimum cut's whatever the distribution of the friction coefficients: `fig1`.
+Equal coefficients, or two values, leave minima that tie; then the slipless network of the state found is one of many,
+and it is not judged.
+
+In staggered spins the planes are held at two constant vectors, and P depends on differences alone. So only the jump
+between them counts, its length is a factor of P, and mirrors turn the sign of each component. Its component along the
+height drops out: contacts across the layers do not feel it, so it may change from layer to layer at no cost. What is
+left is |d_x| : |d_y|, one angle from 0 to 90 degrees. Bearing states A + C x have a fourth number, C: where that of
+both planes differs, the jump varies over the plane.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from taichi_bearings.analysis.structure import Structure
+from taichi_bearings.plots.style import BLUE, GREY, in_our_style, new_figure
+from taichi_bearings.proof.contact_state import ContactState
+from taichi_bearings.runs.settings import RunSettings
+
+from .claims import Effort, Share
+from .network import BULK, PRACTICALLY_ALL
+from .samples import Found, Table, joined, measured, told
+
+Variants = Mapping[str, Mapping[str, Any]]
+"""Name -> settings of a run."""
+SPREAD = ("uniform:0.1,1", "uniform:0.5,1", "uniform:0.9,1", "lognormal:0.4,1", "power-law:0.001,1,-1")
+"""Distributions whose values all differ; the first is the paper's."""
+TIED = ("bimodal:0.1,1,0.5",)
+EQUAL = "constant:0.5"
+SHARE_OF_SAMPLES = 0.25
+MOST_SAMPLES = 10  # of each driving
+REFERENCE = "axis (1, 1, 0), omega_B = 0"
+SAME: Variants = {  # the same problem, rescaled, shifted or mirrored
+    "omega_B = 0.1 omega_T": {"spin_bottom": 0.1},
+    "omega_B = -omega_T": {"spin_bottom": -1.0},
+    "omega_T = 3, omega_B = 0.5": {"spin_top": 3.0, "spin_bottom": 0.5},
+    "axis (1, -1, 0)": {"direction": (1.0, -1.0, 0.0)},
+    "axis (1, 1, 1)": {"direction": (1.0, 1.0, 1.0)},
+    "A_z = 2 above, -1 below": {"top": (1.0, 1.0, 2.0, 0.0), "bottom": (0.0, 0.0, -1.0, 0.0)},
+    "A and C of both raised": {"top": (1.5, 1.25, 0.25, 0.5), "bottom": (0.5, 0.25, 0.25, 0.5)},
+}
+AXES = [(1, 0, 0), (4, 1, 0), (2, 1, 0), (10, 9, 0), (1, 2, 0), (1, 4, 0), (0, 1, 0)]
+OTHER = {f"axis ({x}, {y}, {z})": {"direction": (float(x), float(y), float(z))} for x, y, z in AXES}
+ALONG = ("axis (1, 0, 0)", "axis (0, 1, 0)")
+HEIGHT = "axis (0, 0, 1)"
+RATES = {  # C of the top beside A = (1, 1, 0), for the lattice spacing 1
+    f"A = (1, 1, 0), C = {rate:g}": {"top": (1.0, 1.0, 0.0, rate), "bottom": (0.0, 0.0, 0.0, 0.0)}
+    for rate in (0.001, 0.01, 0.1, 0.3, 1.0, 10.0, 1000.0)
+}
+DRIVINGS: Variants = {REFERENCE: {}, **SAME, **OTHER, HEIGHT: {"direction": (0.0, 0.0, 1.0)}, **RATES}
+
+
+def distributions(folder: Path, effort: Effort) -> Found:
+    """Certified samples of each distribution."""
+    variants = {name: {"distribution": name} for name in (*SPREAD, *TIED, EQUAL)}
+    samples = max(1, int(SHARE_OF_SAMPLES * effort.samples))
+    found = samples_of(variants, effort.seed, samples, spread_numbers, folder / "distributions.jsonl")
+    spans = {name: Share.of(table.spans) for name, table in found.items()}
+    draw = partial(draw_distributions, found, spans)
+    return Found({".csv": joined(found, "distribution")}, draw, names_of_distributions(found))
+
+
+def drivings(folder: Path, effort: Effort) -> Found:
+    """Certified samples under each driving."""
+    samples = max(1, min(MOST_SAMPLES, effort.samples // 4))
+    tables = samples_of(DRIVINGS, effort.seed, samples, driven_numbers, folder / "drivings.jsonl")
+    found = beside_reference(tables)
+    axes = sorted((found[name] for name in (REFERENCE, *OTHER)), key=lambda table: float(table.angle[0]))
+    rates = {DRIVINGS[name]["top"][3]: found[name] for name in RATES}
+    return Found({".csv": joined(found, "driving")}, partial(draw_drivings, axes, rates), names_of_drivings(found))
+
+
+def samples_of(
+    variants: Variants, seed: int, samples: int, numbers: Callable[[Structure], dict[str, Any]], journal: Path
+) -> dict[str, Table]:
+    """Numbers of so many certified cubes of each variant, of the same seeds, by its name."""
+    seeds = range(seed, seed + samples)
+    chosen = [RunSettings(shape=(BULK,) * 3, seed=of, **variant) for variant in variants.values() for of in seeds]
+    found = iter(measured(chosen, numbers, journal))
+    return {name: Table.of([{"seed": of} | next(found) for of in seeds]) for name in variants}
+
+
+def spread_numbers(structure: Structure) -> dict[str, Any]:
+    """decades : of power of the contacts that slip, None where that is not proven."""
+    scene = structure.scene
+    power = scene.law.power(scene.contact, structure.slip[None])[0][structure.state == ContactState.SLIPPING]
+    power = power[power > 0]
+    decades = float(np.log10(power.max() / power.min())) if structure.states_proven else None
+    return told(structure) | {"decades": decades}
+
+
+def driven_numbers(structure: Structure) -> dict[str, Any]:
+    """slipless : 1 for each such contact. power_over_jump : over F_n R times the jump across the height (times the jump
+    itself where it has no such part). angle : of the jump, degrees from x."""
+    scene = structure.scene
+    jump = np.abs(scene.driving.jump.spin[0])
+    unit = scene.normal_force * scene.lattice.radius * (np.hypot(*jump[:2]) or np.linalg.norm(jump))
+    return told(structure) | {
+        "slipless": structure.network.slipless.astype(int).tolist(),
+        "power_over_jump": float(structure.power / unit),
+        "angle": float(np.degrees(np.arctan2(jump[1], jump[0]))),
+    }
+
+
+def names_of_distributions(found: Mapping[str, Table]) -> dict[str, Any]:
+    """What the claims name; judged : samples whose contact states are proven, of the distributions whose values all
+    differ."""
+    return {
+        "bulk": BULK, "practically": PRACTICALLY_ALL, "paper_name": SPREAD[0],
+        "equal_name": EQUAL, "equal": found[EQUAL],
+        "random": {name: table for name, table in found.items() if name != EQUAL},
+        "judged": {name: found[name][found[name].states_proven] for name in SPREAD},
+    }  # fmt: skip
+
+
+def beside_reference(tables: Mapping[str, Table]) -> dict[str, Table]:
+    """With, sample by sample, the contacts that are slipless under one of both drivings alone, this and REFERENCE, and
+    the overlap: those slipless under both over those slipless under either."""
+    reference = tables[REFERENCE].slipless.astype(bool)
+    found = {}
+    for name, table in tables.items():
+        own = table.slipless.astype(bool)
+        both, either = (own & reference).sum(axis=1), (own | reference).sum(axis=1)
+        found[name] = table | {"changed": either - both, "overlap": both / either}
+    return found
+
+
+def names_of_drivings(found: Mapping[str, Table]) -> dict[str, Any]:
+    """What the claims name: tables by driving, of those that are the same problem, of other axes, of other C."""
+    return {
+        "bulk": BULK, "reference": found[REFERENCE], "seeds": found[REFERENCE].seed, "height": found[HEIGHT],
+        "same": {name: found[name] for name in SAME}, "other": {name: found[name] for name in OTHER},
+        "rates": {name: found[name] for name in RATES}, "along": joined({name: found[name] for name in ALONG}, "axis"),
+    }  # fmt: skip
+
+
+@in_our_style
+def draw_distributions(tables: Mapping[str, Any], spans: Mapping[str, Any]) -> Figure:
+    """P_min / P_cut, samples that span, slipless contacts and decades of power, a row a distribution.
+
+    tables, spans : the samples and the shares of them that join bottom and top, by distribution.
+    """
+    figure = new_figure(7.1, 2.5)
+    panels: Any = figure.subplots(1, 4, sharey=True)
+    rows = range(len(tables), 0, -1)
+    for row, (name, table) in zip(rows, tables.items(), strict=True):
+        colour = BLUE if 2 * table.states_proven.sum() > len(table) else GREY
+        for axes, column in zip(panels[[0, 2, 3]], ("power_over_cut", "slipless_fraction", "decades"), strict=True):
+            values = getattr(table, column)
+            if np.isfinite(values).any():
+                place = row + np.linspace(-0.22, 0.22, len(values))
+                axes.plot(values, place, ".", color=colour, ms=4, alpha=0.5, mew=0)
+                axes.plot([np.nanmean(values)] * 2, [row - 0.32, row + 0.32], color=colour, lw=1.6)
+        share, ends = table.spans.mean(), np.array([[spans[name].least], [spans[name].most]])
+        panels[1].errorbar(share, row, xerr=np.abs(ends - share), fmt="o", color=colour, ms=4, capsize=2)
+    panels[0].set_yticks(rows, list(tables))
+    panels[0].set_xlabel(r"$P_\mathrm{min} / P_\mathrm{cut}$")
+    panels[1].set(xlabel="samples that span", xlim=(-0.04, 1.04))
+    panels[2].set_xlabel("slipless contacts")
+    panels[3].set_xlabel("decades of power")
+    figure.suptitle("blue: contact states proven; grey: minima tie")
+    return figure
+
+
+@in_our_style
+def draw_drivings(axes_of: Sequence[Any], rates: Mapping[float, Any]) -> Figure:
+    """(a) share of the slipless contacts that two axes have in common, (b) P_min / P_cut; both against the angle, and
+    (c) that share with and without C, against C: dots are samples, the line is their mean.
+
+    axes_of : the samples for each axis, by its angle with x. rates : by C, over A_x over the lattice
+    spacing, rising.
+    """
+    figure = new_figure(7.1, 2.5)
+    panels: Any = figure.subplots(1, 3)
+    angle = [table.angle[0] for table in axes_of]
+    for axes, x, tables, column in (
+        (panels[0], angle, axes_of, "overlap"),
+        (panels[1], angle, axes_of, "power_over_cut"),
+        (panels[2], list(rates), list(rates.values()), "overlap"),
+    ):
+        values = np.array([getattr(table, column) for table in tables])
+        axes.plot(x, values, ".", color=BLUE, ms=4, alpha=0.35, mew=0)
+        axes.plot(x, values.mean(axis=1), "o-", color=BLUE, ms=4, lw=1.2)
+        axes.axhline(1.0, color=GREY, lw=0.8)
+        axes.set(xlabel="axis of the spins, degrees from x", ylabel="slipless in both / in either")
+    for axes in panels[:2]:
+        axes.set_xticks(range(0, 91, 30))
+    panels[1].set_ylabel(r"$P_\mathrm{min} / P_\mathrm{cut}$")
+    panels[2].set(xlabel=r"$2 R C / A_x$", xscale="log")
+    panels[0].set_title("(a) network beside that at 45°")
+    panels[1].set_title("(b) least power")
+    panels[2].set_title("(c) network beside that at C = 0")
+    return figure
