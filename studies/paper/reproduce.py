@@ -35,7 +35,8 @@ class PaperFigure:
     """title; the module of paper/ whose `study`, or another function, finds its numbers; the ends of its tables.
 
     shown : which sample the figure shows, where it shows one. seconds : roughly, in full and in the quick form, on two
-    cores. asked : a question beyond the paper, computed only where it is named.
+    cores. asked : a question beyond the paper, computed only where it is named. samples_of : figure that it shares its
+    samples with.
     """
 
     name: str
@@ -45,6 +46,7 @@ class PaperFigure:
     shown: str = "All samples."
     tables: tuple[str, ...] = (".csv",)
     asked: bool = False
+    samples_of: str = ""
 
     @property
     def files(self) -> tuple[str, ...]:
@@ -68,7 +70,7 @@ class PaperFigure:
     def forget(self, folder: Path) -> None:
         """Remove what an interrupted study has kept of its samples."""
         for ending in JOURNALS:
-            (folder / f"{self.name}{ending}").unlink(missing_ok=True)
+            (folder / f"{self.samples_of or self.name}{ending}").unlink(missing_ok=True)
 
 
 def _untitled(figure: Figure) -> Figure:
@@ -90,7 +92,7 @@ FIGURES = {
         PaperFigure("fig3", "A 10x10x10 Coulomb bearing, its slipless network and a path", "figure_3", (16, 10),
                     "The first seed whose slipless contacts join bottom and top."),
         PaperFigure("fig4", "The planes that its path goes through", "figure_3.planes", (4, 4),
-                    "The sample of fig3.", ()),
+                    "The sample of fig3.", (), samples_of="fig3"),
         PaperFigure("supplement", "Power of the contacts of 32x32x32 spheres: descent and certified minimum",
                     "supplement", (600, 60), "The first seed."),
         PaperFigure("network", "Slipless network and P_min / P_cut from 3x3x3 to 32x32x32", "network", (500, 15)),
