@@ -1,7 +1,7 @@
 """The figures of one run by their names, whether it lies in a file or not."""
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from taichi_bearings.analysis.packing_structure import PackingStructure
 from taichi_bearings.analysis.structure import Structure, structure_of
 from taichi_bearings.errors import InputError
-from taichi_bearings.packing import PackingSolution
+from taichi_bearings.packing import Packing, PackingSolution
 from taichi_bearings.plots.curves import draw_energy, draw_history
 from taichi_bearings.plots.page import PAGE, Page, check_planes
 from taichi_bearings.plots.spins import draw_power, draw_spins
@@ -76,7 +76,9 @@ def draw_figure(
         if page.planes:
             raise InputError("plane is given, but a packing has no lattice planes to cut along; --view turns it")
         result = solution.results[sample]
-        return FIGURES_OF_PACKINGS[kind](result, page=page) if time is None else draw_moment(result, time, page)
+        if time is not None:
+            return draw_snapshot(result, 0, time, slip_threshold, page)
+        return FIGURES_OF_PACKINGS[kind](result, page=page)
     shape = solution.scene.lattice.shape
     if page.planes and kind not in WITH_PLANES:
         raise InputError(f"plane is given, but {kind} shows no planes; these do: {', '.join(WITH_PLANES)}")
@@ -93,69 +95,75 @@ def draw_figure(
 
 
 def draw_snapshot(
-    solution: Solution, replica: int, time: float, slip_threshold: float | None = None, page: Page = PAGE
+    answer: Solution | PackingSolution,
+    replica: int,
+    time: float,
+    slip_threshold: float | None = None,
+    page: Page = PAGE,
 ) -> Figure:
     """The snapshot nearest to a simulated time, which the title names, and the contacts that slip in it.
 
-    A contact slips as :func:`snapshot_threshold` says. InputError if the run has no snapshots or does not reach that
-    time.
+    A contact slips as :func:`moment_of` says. replica : of a lattice. InputError if the run has no snapshots or does
+    not reach that time.
     """
-    at, spins = _nearest(solution, time)
-    scene, spin = solution.sample(replica).scene, spins[replica]
-    threshold = snapshot_threshold(solution, slip_threshold)
-    slips = np.where(slips_of(scene, spin) > threshold, ContactState.SLIPPING, ContactState.SLIPLESS)
-    state = np.where(scene.lattice.between_driven, ContactState.DRIVEN, slips)
-    unit, symbol = driving(scene)
-    when = f"$t = {mathematics(at)}$" + ("" if unit == 1 else rf", ${symbol}\,t = {mathematics(unit * at)}$")
-    note = f"black: contacts that slip faster than ${mathematics(threshold, 2)}"
-    note += (
-        rf" = {mathematics(threshold / (scene.lattice.radius * scene.jump), 1)}\,R\,|\Delta\omega|"
-        if scene.jump
-        else ""
-    )
-    return draw_spins(scene, spin, state, page, f"{describe(scene)}, {when}", f"{note}$")
+    at, spin = _nearest(answer, time)
+    one, spin = (answer, spin) if isinstance(answer, PackingSolution) else (answer.sample(replica), spin[replica])
+    moment, note = moment_of(one, spin, slip_threshold), ""
+    title = f"{describe(moment.system)}, $t = {mathematics(at)}$"
+    if isinstance(scene := moment.system, Scene):
+        unit, symbol = driving(scene)
+        title += "" if unit == 1 else rf", ${symbol}\,t = {mathematics(unit * at)}$"
+        fastest = scene.lattice.radius * scene.jump
+        share = rf" = {mathematics(moment.threshold / fastest, 1)}\,R\,|\Delta\omega|" if fastest else ""
+        note = f"black: contacts that slip faster than ${mathematics(moment.threshold, 2)}{share}$"
+    return draw_spins(moment.system, spin, moment.state, page, title, note)
 
 
-def _nearest(solution: Solution | PackingSolution, time: float) -> tuple[float, np.ndarray]:
+def _nearest(answer: Solution | PackingSolution, time: float) -> tuple[float, np.ndarray]:
     """Time and spins of the snapshot nearest to a time; InputError if there are none or the run does not reach it."""
-    if solution.snapshots is None:
+    if answer.snapshots is None:
         raise InputError("the run holds no snapshots; run a dynamics with --snapshots")
-    kept = solution.snapshots.time
-    end = float(max(kept.max(), solution.history["time"][-1]))
+    kept = answer.snapshots.time
+    end = float(max(kept.max(), answer.history["time"][-1]))
     if not 0 <= time <= end:
         raise InputError(
             f"time is {time:g}; the run goes from 0 to {end:g}, with snapshots from {kept.min():g} to {kept.max():g}"
         )
     nearest = int(np.abs(kept - time).argmin())
-    return float(kept[nearest]), solution.snapshots.spin[nearest]
+    return float(kept[nearest]), answer.snapshots.spin[nearest]
 
 
-def draw_moment(result: PackingSolution, time: float, page: Page = PAGE) -> Figure:
-    """The same of a packing."""
-    at, spin = _nearest(result, time)
-    moment, title = at_moment(result, spin), f"{describe(result.packing)}, $t = {mathematics(at)}$"
-    return draw_spins(moment.packing, moment.spin, moment.state, page, title)
+@dataclass(frozen=True)
+class Moment:
+    """What slips with the spins of a snapshot. slip, threshold : length/time. slip, state : (E,).
 
-
-def at_moment(result: PackingSolution, spin: np.ndarray) -> PackingSolution:
-    """A packing with the spins of a snapshot. Contacts slip in it that are faster than the threshold of the run, with
-    springs than a thousandth of the largest imposed surface speed."""
-    springs = STRETCHED_SLIP * float(np.linalg.norm(result.packing.imposed, axis=1).max(initial=0.0))
-    return replace(result, spin=spin, slip=result.packing.slips(spin)).by_threshold(result.slip_threshold or springs)
-
-
-def snapshot_threshold(solution: Solution, slip_threshold: float | None) -> float:
-    """Slip speed beyond which a contact of a snapshot slips; friction, which would tell more, is not kept with it.
-
-    That of the run. Springs give way, so with them it is at least a thousandth of R times the jump, unless the run was
-    asked for `slip_threshold`.
+    state : by slip alone: friction, which would tell more, is not kept with a snapshot.
     """
-    if solution.method.endswith("cundall-strack") and slip_threshold is None:
-        return max(solution.slip_threshold, STRETCHED_SLIP * solution.scene.lattice.radius * solution.scene.jump)
-    return solution.slip_threshold
+
+    system: Scene | Packing
+    slip: np.ndarray
+    state: np.ndarray
+    threshold: float
 
 
-def slips_of(scene: Scene, spin: np.ndarray) -> np.ndarray:
-    """Slip speeds (E,) of spins in the laboratory frame, (*N) or (*N, 3); length/time."""
-    axes = scene.lattice.all_spin_axes
-    return scene.slips(scene.staggered_spin(spin[None], axes), axes)[0]
+def moment_of(answer: Solution | PackingSolution, spin: np.ndarray, slip_threshold: float | None = None) -> Moment:
+    """A sample with the spins of a snapshot: a contact slips that is faster than the threshold of the run.
+
+    Springs give way, so with them that is at least a thousandth of R times the jump, of packings of the largest imposed
+    R omega, unless the run was asked for `slip_threshold`. spin : laboratory frame, (*N) or (*N, 3), 1/time.
+    """
+    if isinstance(answer, PackingSolution):
+        packing = answer.packing
+        system: Scene | Packing = packing
+        slip, idle = packing.slips(spin), answer.state == ContactState.DRIVEN
+        fastest = float(np.linalg.norm(packing.imposed, axis=1).max(initial=0.0))
+        threshold = answer.slip_threshold or STRETCHED_SLIP * fastest
+    else:
+        system = scene = answer.scene
+        axes = scene.lattice.all_spin_axes
+        slip, idle = scene.slips(scene.staggered_spin(spin[None], axes), axes)[0], scene.idle[0]
+        threshold = answer.slip_threshold
+        if answer.method.endswith("cundall-strack") and slip_threshold is None:
+            threshold = max(threshold, STRETCHED_SLIP * scene.lattice.radius * scene.jump)
+    state = np.where(slip > threshold, ContactState.SLIPPING, ContactState.SLIPLESS)
+    return Moment(system, slip, np.where(idle, ContactState.DRIVEN, state).astype(np.uint8), threshold)
