@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -20,33 +21,38 @@ from taichi_bearings.runs.solved import Packed
 from taichi_bearings.scene import Scene, Solution
 from taichi_bearings.words import meant
 
-FIGURES: dict[str, Callable[[Structure, Page], Figure]] = {
-    "domains": lambda s, page: draw_domains(s.rigid_domains, page),
-    "network": lambda s, page: draw_network(s.network, s.spin, *s.scene.imposed, page),
-}
+
+def _draw_domains(structure: Structure | PackingStructure, page: Page) -> Figure:
+    if isinstance(structure, PackingStructure):
+        return draw_domains_of_packing(structure.result, structure.rigid_domains, page)
+    return draw_domains(structure.rigid_domains, page)
+
+
+def _draw_network(structure: Structure | PackingStructure, page: Page) -> Figure:
+    if isinstance(structure, PackingStructure):
+        return draw_network_of_packing(structure.result, page)
+    return draw_network(structure.network, structure.spin, *structure.scene.imposed, page)
+
+
+FIGURES: dict[str, Callable[[Any, Page], Figure]] = {"domains": _draw_domains, "network": _draw_network}
 """How each figure of the structure of a sample is drawn."""
 
 
-def _draw_spins(solution: Solution, sample: int, page: Page) -> Figure:
-    one = solution.sample(sample)
+def _draw_spins(answer: Solution | PackingSolution, sample: int, page: Page) -> Figure:
+    if isinstance(answer, PackingSolution):
+        return draw_spins(answer.packing, answer.spin, answer.state, page)
+    one = answer.sample(sample)
     return draw_spins(one.scene, one.spin[0], one.state[0], page)
 
 
-OF_ANSWERS: dict[str, Callable[[Solution, int, Page], Figure]] = {
+OF_ANSWERS: dict[str, Callable[[Any, int, Page], Figure]] = {
     "spins": _draw_spins,
     "power": draw_power,
-    "history": lambda solution, _, page: draw_history(solution, page),
+    "history": lambda answer, _, page: draw_history(answer, page),
     "energy": draw_energy,
 }
+"""How each figure of an answer is drawn; those of packings have one sample each."""
 FIGURE_KINDS = (*OF_ANSWERS, *FIGURES)
-FIGURES_OF_PACKINGS: dict[str, Callable[..., Figure]] = {
-    "spins": lambda result, page: draw_spins(result.packing, result.spin, result.state, page),
-    "power": draw_power,
-    "network": draw_network_of_packing,
-    "history": draw_history,
-    "energy": lambda result, page: draw_energy(result, 0, page),
-    "domains": lambda result, page: draw_domains_of_packing(result, PackingStructure.of(result).rigid_domains, page),
-}
 STRETCHED_SLIP = 1e-3  # of R times the imposed jump: slower contacts may only stretch their springs
 WITH_PLANES = ("spins", "power", "domains")
 WITH_VIEW = ("spins", "domains", "network")
@@ -65,21 +71,29 @@ def draw_figure(
     time : of the snapshot whose spins are drawn; slip_threshold : that the run was asked for, if it was.
     page : how it is printed.
     """
-    kinds = FIGURES_OF_PACKINGS if isinstance(solution, Packed) else FIGURE_KINDS
-    if kind not in kinds:
-        raise InputError(f"the figure is {kind!r}; allowed are {', '.join(kinds)}{meant(kind, kinds)}")
+    if kind not in FIGURE_KINDS:
+        raise InputError(f"the figure is {kind!r}; allowed are {', '.join(FIGURE_KINDS)}{meant(kind, FIGURE_KINDS)}")
     if time is not None and kind != "spins":
         raise InputError(f"time is {time}, but {kind} does not depend on it; only spins have snapshots")
     if not 0 <= sample < len(solution.state):
         raise InputError(f"replica is {sample}; the run has {len(solution.state)}, counted from 0")
+    answer: Any = solution
     if isinstance(solution, Packed):
         if page.planes:
             raise InputError("plane is given, but a packing has no lattice planes to cut along; --view turns it")
-        result = solution.results[sample]
-        if time is not None:
-            return draw_snapshot(result, 0, time, slip_threshold, page)
-        return FIGURES_OF_PACKINGS[kind](result, page=page)
-    shape = solution.scene.lattice.shape
+        answer, sample = solution.results[sample], 0
+    else:
+        _check_page(kind, solution.scene.lattice.shape, page)
+    if time is not None:
+        return draw_snapshot(answer, sample, time, slip_threshold, page)
+    if kind in FIGURES:
+        is_lattice = isinstance(answer, Solution)
+        return FIGURES[kind](structure_of(answer, sample) if is_lattice else PackingStructure.of(answer), page)
+    return OF_ANSWERS[kind](answer, sample, page)
+
+
+def _check_page(kind: str, shape: tuple[int, ...], page: Page) -> None:
+    """InputError for planes or a view that the figure of a lattice does not have."""
     if page.planes and kind not in WITH_PLANES:
         raise InputError(f"plane is given, but {kind} shows no planes; these do: {', '.join(WITH_PLANES)}")
     if page.view and kind not in WITH_VIEW:
@@ -87,11 +101,6 @@ def draw_figure(
     if page.view and len(shape) == 2:
         raise InputError("view is given, but the lattice is flat; only cubic ones are turned")
     check_planes(page.planes, shape)
-    if time is not None:
-        return draw_snapshot(solution, sample, time, slip_threshold, page)
-    if kind in FIGURES:
-        return FIGURES[kind](structure_of(solution, sample), page)
-    return OF_ANSWERS[kind](solution, sample, page)
 
 
 def draw_snapshot(
