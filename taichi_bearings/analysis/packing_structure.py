@@ -131,6 +131,7 @@ class PackingStructure:
         mean = np.stack([np.bincount(domain, values) / spheres for values in above.T], axis=1)
         tied = np.take_along_axis(lock, labels, axis=1)[:, first].T
         jump = (high - low)[:, axes]
+        jump[np.abs(jump) <= SAME_STATE * np.abs(u).max(initial=0.0)] = 0.0  # rounding of states that agree
         own = np.abs(above - np.where(tied[domain] == Lock.TOP, jump, mean[domain]) * (tied[domain] != Lock.BOTTOM))
         names = ("bottom", "top") if len(bodies) == 2 else tuple(f"body {number}" for number in bodies[:MOST_BODIES])
         shape = (-1, *u.shape[:1])

@@ -15,17 +15,16 @@ import h5py
 import numpy as np
 
 from taichi_bearings.files.whole_file import put, put_attributes, refuse_ending, write_hdf5
-from taichi_bearings.lattice import Lattice
-from taichi_bearings.packing import Packing
-from taichi_bearings.runs.points_and_lines import Moments, moments_of_packing, points_and_lines
+from taichi_bearings.runs.points_and_lines import Moments, PointsAndLines, points_and_lines
 from taichi_bearings.runs.run_file import opened_to_draw
-from taichi_bearings.runs.structure_report import Finding, columns_of_packing
+from taichi_bearings.runs.structure_report import Finding
 from taichi_bearings.stages import stage
 
 VTK_NAME = "run.vtkhdf"
 VTK_VERSION = (2, 2)
 TOPOLOGIES = ("Vertices", "Lines", "Polygons", "Strips")
-TOLD = ("command", "method", "status", "law", "power", "lower_bound", "seed", "version")  # attributes of the run
+OF_THE_FILE = ("command", "version")  # attributes
+TOLD = ("method", "status", "law", "power", "lower_bound", "seed", "replica", *OF_THE_FILE)
 
 UNKNOWN = "; not-a-number in snapshots, with which it is not kept"
 IN_SNAPSHOTS = {"power": UNKNOWN, "force": UNKNOWN, "state": "; in snapshots by slip alone, see snapshot_threshold"}
@@ -42,29 +41,18 @@ class Geometry:
     spheres: int
 
     @classmethod
-    def of(cls, place: np.ndarray, ends: np.ndarray, step: np.ndarray, over: np.ndarray) -> "Geometry":
-        """place : (N, D) of the spheres. ends : (L, 2) spheres. step : (L, D) between their centres. over : lines
-        across periodic sides, which lead on to images of their second spheres."""
-        sphere, ends = np.append(np.arange(len(place)), ends[over, 1]), ends.copy()
-        beyond = place[ends[over, 0]] + step[over]
+    def of(cls, drawn: PointsAndLines) -> "Geometry":
+        """Lines across periodic sides lead on to images of their second spheres."""
+        place, ends = drawn.center, drawn.ends.copy()
+        reach = drawn.radius[ends].sum(axis=1)
+        step = drawn.normal * reach[:, None]
+        far = np.linalg.norm(place[ends[:, 1]] - place[ends[:, 0]] - step, axis=1)
+        over = np.flatnonzero(far > reach / 2)
+        sphere, beyond = np.append(np.arange(len(place)), ends[over, 1]), place[ends[over, 0]] + step[over]
         ends[over, 1] = len(place) + np.arange(len(over))
         places = np.zeros((len(sphere), 3))
         places[:, : place.shape[1]] = np.concatenate([place, beyond])
-        return cls(sphere, places, ends, len(sphere) - len(over))
-
-    @classmethod
-    def of_lattice(cls, lattice: Lattice, ends: np.ndarray) -> "Geometry":
-        place = 2 * lattice.radius * np.argwhere(np.ones(lattice.shape, dtype=bool))
-        step = 2 * lattice.radius * np.eye(lattice.dimension)[lattice.axis]
-        return cls.of(place, ends, step, np.flatnonzero(ends[:, 1] < ends[:, 0]))
-
-    @classmethod
-    def of_packing(cls, packing: Packing) -> "Geometry":
-        first, second = packing.contact.T
-        reach = packing.radius[first] + packing.radius[second]
-        step = packing.normal * reach[:, None]
-        far = np.linalg.norm(packing.center[second] - packing.center[first] - step, axis=1)
-        return cls.of(packing.center, packing.contact, step, np.flatnonzero(far > reach / 2))
+        return cls(sphere, places, ends, len(place))
 
     def on_points(self, columns: Mapping[str, Finding]) -> dict[str, Finding]:
         """Columns of the spheres as point data; where there are images they say which points those are."""
@@ -82,22 +70,15 @@ def export(run: Path, out: Path | None = None, force: bool = False, replica: int
     Raises InputError or FileError before anything is computed.
     """
     refuse_ending(out, ".vtkhdf")
-    known: Mapping[str, Any]
-    moments, end, more = None, None, dict[str, Any](replica=replica)
     with opened_to_draw(run, out, VTK_NAME, force, replica) as (found, path):
-        if found.is_packing:
-            geometry, columns = Geometry.of_packing(found.result.packing), columns_of_packing(found.result)
-            known, more = found.summary, {"command": found.command}
-            moments, end = moments_of_packing(found.result), found.result.time
-        else:
-            drawn = points_and_lines(found)
-            geometry, columns = Geometry.of_lattice(drawn.scene.lattice, drawn.ends), (drawn.spheres, drawn.contacts)
-            moments, end, known = drawn.moments, drawn.time, found.attributes
-        told = {key: known[key] for key in TOLD if key in known} | more
+        drawn = points_and_lines(found)
+        geometry, moments = Geometry.of(drawn), drawn.moments
+        known = found.summary | {key: found.attributes[key] for key in OF_THE_FILE} | {"replica": replica}
+        told = {key: known[key] for key in TOLD}
         if moments is not None:
             told["snapshot_threshold"] = moments.threshold
         with stage("writing"):
-            write_vtkhdf(path, geometry, *columns, told, moments, end)
+            write_vtkhdf(path, geometry, drawn.spheres, drawn.contacts, told, moments, drawn.time)
     steps = 1 if moments is None else len(moments.time) + 1
     counts = {"points": geometry.spheres, "lines": len(geometry.ends), "steps": steps}
     images = len(geometry.sphere) - geometry.spheres

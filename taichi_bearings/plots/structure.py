@@ -76,8 +76,9 @@ def draw_domains_of_packing(result: PackingSolution, domains: RigidDomains, page
     first, second = domains.domain[sheet.ends]
     if sheet.is_flat:
         sheet.draw(axes, first != second, across=True, colors="black", lw=bearing.line_on_site(site, 0.1, 0.25, 1.0))
-    if len(moving) and domains.jump.shape[1] == 1:
+    if len(moving):
         label = "turn, from the first body to the second"
+        label += "\nyellow, green: one component is ahead" if len(moving) > 1 else ""
         bearing.colour_bar(figure, axes, label, Normalize(0, 1), SPIN_COLOURS, **look)
     kinds = ", ".join(f"{count:,} {kind}" for kind, count in domains.domains_of_kind().items() if count)
     put_title(figure, f"{describe(result.packing)}\n{domains.number:,} rigid domains, locked to: {kinds}", page)

@@ -106,19 +106,17 @@ class Analysis:
         """Names of the figures that :meth:`plot` draws."""
         from taichi_bearings.runs.figures import FIGURES
 
-        return ["network"] if isinstance(self.structure, PackingStructure) else [*FIGURES]
+        return [*FIGURES]
 
     def plot(self, kind: str, page: "Page | None" = None) -> "Figure":
         """One of `figures`, as a matplotlib Figure. page : how it is printed."""
         from taichi_bearings.plots.page import PAGE
-        from taichi_bearings.runs.figures import FIGURES, FIGURES_OF_PACKINGS
+        from taichi_bearings.runs.figures import FIGURES
 
         if kind not in self.figures:
             raise InputError(
                 f"the figure is {kind!r}; allowed are {', '.join(self.figures)}{meant(kind, self.figures)}"
             )
-        if isinstance(self.structure, PackingStructure):
-            return FIGURES_OF_PACKINGS[kind](self.structure.result, page=page or PAGE)
         return FIGURES[kind](self.structure, page or PAGE)
 
 
@@ -145,7 +143,7 @@ def analyse(
     with stage("reading"):
         run = read_run(path)
     target = file_of(path) if out is None else out / "analysis.h5"
-    pictures = [target.parent / f"{name}.png" for name in (("network",) if run.is_packing else FIGURES)]
+    pictures = [target.parent / f"{name}.png" for name in FIGURES]
     refuse_standing((target, *(pictures if figures else ())), force or out is None)
     with writable_folder(target.parent):
         found = Analysis(run, threshold, replica)

@@ -7,7 +7,7 @@ import math
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ from taichi_bearings.errors import InputError, WriteError
 from taichi_bearings.files.whole_file import refuse_ending, replace_file
 from taichi_bearings.plots.page import Page
 from taichi_bearings.plots.style import in_our_style
-from taichi_bearings.runs.figures import draw_moment, draw_snapshot
+from taichi_bearings.runs.figures import draw_snapshot
 from taichi_bearings.runs.run_directory import claimed
 from taichi_bearings.runs.run_file import file_of, read_run
 from taichi_bearings.stages import alike, each, stage
@@ -57,9 +57,7 @@ def movie(
     if solution.snapshots is None:
         raise InputError(f"{run} holds no snapshots to film; run a dynamics with --snapshots, such as 0,0.1,1")
     page = Page(title=title)
-    draw: Callable[[float], Any] = partial(draw_moment, solution, page=page)
-    if not stored.is_packing:
-        draw = partial(draw_snapshot, solution, 0, slip_threshold=stored.settings.slip_threshold, page=page)
+    draw = partial(draw_snapshot, solution, 0, slip_threshold=stored.settings.slip_threshold, page=page)
     times = np.sort(solution.snapshots.time).tolist()
     with claimed(path, force or out is None):
         moments = each(times, "drawing snapshot", alike)

@@ -7,10 +7,9 @@ import numpy as np
 
 from taichi_bearings.analysis.packing_structure import PackingStructure
 from taichi_bearings.analysis.structure import Structure
-from taichi_bearings.packing import PackingSolution
 from taichi_bearings.proof.contact_state import ContactState
-from taichi_bearings.quantities import ANALYSED, CONTACTS, SPHERES, Quantity, found_in, plain
-from taichi_bearings.runs.run_file import AXES, PACKING_ARRAYS
+from taichi_bearings.quantities import ANALYSED, Quantity, plain
+from taichi_bearings.runs.run_file import AXES
 
 
 @dataclass(frozen=True)
@@ -100,12 +99,8 @@ def findings_of(structure: Structure) -> dict[str, Finding]:
     return found
 
 
-Columns = tuple[dict[str, Finding], dict[str, Finding]]
-"""Of spheres (N, ...) and of contacts (E, ...), by name."""
-
-
-def columns_of_structure(structure: PackingStructure) -> Columns:
-    """The structure of a packing as arrays."""
+def columns_of_structure(structure: PackingStructure) -> tuple[dict[str, Finding], dict[str, Finding]]:
+    """The structure of a packing as arrays by name: of spheres (N,) and of contacts (E,)."""
     spheres, contacts = (
         {name: Finding(values, "1", STRUCTURE_COLUMNS[name]) for name, values in columns.items()}
         for columns in structure.columns
@@ -114,20 +109,3 @@ def columns_of_structure(structure: PackingStructure) -> Columns:
         contacts |= {row.name: Finding(row.of(structure), row.unit, row.text) for row in BOTTLENECK_ROWS}
         spheres["sphere_betweenness"] = Finding(structure.bottlenecks.visits, "1", SPHERE_BETWEENNESS.text)
     return spheres, contacts
-
-
-def columns_of_packing(result: PackingSolution) -> Columns:
-    """What is known of a packing, for other programs."""
-    packing, spin = result.packing, result.spin
-    if packing.dimension == 2:  # along z
-        spin = np.column_stack([np.zeros((packing.spheres, 2)), result.spin])
-    spheres, contacts = columns_of_structure(PackingStructure.of(result))
-    contacts |= {row.name: Finding(found, row.unit, row.text) for row, found in found_in(result, CONTACTS)}
-    for name, stored in (("coefficient", "friction"), ("viscosity", "viscosity"), ("normal_force", "normal_force")):
-        if (values := getattr(packing, stored)) is not None:
-            contacts[name] = Finding(values, *PACKING_ARRAYS[stored])
-    return spheres | {
-        "spin": Finding(spin, SPHERES["spin"].unit, SPHERES["spin"].text),
-        "radius": Finding(np.asarray(packing.radius), *PACKING_ARRAYS["radius"]),
-        "driven": Finding(packing.driven, *PACKING_ARRAYS["driven"]),
-    }, contacts

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from taichi_bearings.files.whole_file import refuse_ending, write_text
-from taichi_bearings.runs.points_and_lines import moments_of_packing, points_and_lines
+from taichi_bearings.runs.points_and_lines import points_and_lines
 from taichi_bearings.runs.run_file import opened_to_draw
 from taichi_bearings.stages import stage
 from taichi_bearings.version import VERSION
@@ -32,10 +32,10 @@ def view(run: Path, out: Path | None = None, force: bool = False, replica: int =
     """
     refuse_ending(out, ".html", ".htm")
     with opened_to_draw(run, out, PAGE_NAME, force, replica) as (found, path):
-        drawn: Any = found if found.is_packing else points_and_lines(found)
+        drawn = points_and_lines(found)
         with stage("writing"):
             write_text(path, page_of(facts_of(drawn), arrays_of(drawn)))
-    moments = moments_of_packing(found.result) if drawn is found else drawn.moments
+    moments = drawn.moments
     return {"file": str(path), "bytes": path.stat().st_size, "snapshots": 0 if moments is None else len(moments.time)}
 
 

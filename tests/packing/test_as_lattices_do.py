@@ -55,6 +55,17 @@ def test_domains_torque_and_self_stress_are_those_of_the_lattice(shape, driving,
                 assert other == pytest.approx(one, abs=1e-12), row.name
 
 
+def test_domains_turn_between_their_bodies_where_these_agree_in_a_component():
+    """Bodies of a bcc network turn alike about z, but for rounding, and all between them turns less than they do."""
+    packing = tb.Packing.lattice("bcc", (4, 4, 4), seed=0, spin_bottom=0.1)
+    domains = tb.analyse(solve(packing)).rigid_domains
+    turn = domains.turn[:, domains.jump.any(axis=0)]
+    assert turn.shape[1] == 2
+    assert turn.min() >= -1e-9
+    assert turn.max() <= 1 + 1e-9
+    assert (turn[domains.domain[packing.driven == 1]] == 1).all()
+
+
 def in_three_bodies(packing):
     """The top in two parts that turn alike."""
     x = packing.center[:, 0]

@@ -158,7 +158,7 @@ AIM = """([layer, number]) => { const { picture } = bearings, id = picture.layer
 
 def test_contacts_across_periodic_sides_are_halves_at_both_sides_and_can_be_pointed_at(periodic, opened):
     page, rows = opened(periodic), points_and_lines(read_run(periodic))
-    lattice = rows.scene.lattice
+    lattice = rows.answer.scene.lattice
     low, high = (page.ask(f"Array.from(bearings.sample.{end})") for end in ("first", "second"))
     assert np.array_equal(np.column_stack([low, high]), rows.ends)
     network = structure_of(read_run(periodic).solution).network

@@ -26,7 +26,7 @@ def test_rows_are_those_of_the_file(name, request):
     found = points_and_lines(read_run(folder))
     with h5py.File(folder / "run.h5") as file:
         shape = tuple(file.attrs["shape"])
-        rows = list(contacts_one_by_one(shape, found.scene.lattice.periodic))
+        rows = list(contacts_one_by_one(shape, found.answer.scene.lattice.periodic))
         for key in ("slip", "power", "force", "state"):
             assert found.contacts[key].values.tolist() == [file[f"contact/{'xyz'[a]}/{key}"][at] for a, at in rows]
         assert found.contacts["coefficient"].values.tolist() == [file[f"coefficient/{'xyz'[a]}"][at] for a, at in rows]
@@ -40,7 +40,7 @@ def test_rows_are_those_of_the_file(name, request):
 
 def test_the_path_goes_along_slipless_contacts_from_bottom_to_top(minimum):
     found = points_and_lines(read_run(minimum))
-    lattice, on_path = found.scene.lattice, found.contacts["on_path"].values
+    lattice, on_path = found.answer.scene.lattice, found.contacts["on_path"].values
     assert (found.contacts["state"].values[on_path] == 0).all()
     assert {frozenset(pair) for pair in found.ends[on_path].tolist()} == {
         frozenset(pair) for pair in pairwise(found.path.tolist())
@@ -52,6 +52,14 @@ def test_states_are_said_to_be_proven_where_they_are(minimum, dynamics):
     proven = points_and_lines(read_run(minimum)).contacts
     assert (proven["proven"].values == (proven["state"].values != 3)).all()  # of no contact between driven spheres
     assert not points_and_lines(read_run(dynamics)).contacts["proven"].values.any()
+
+
+def test_states_of_packings_are_said_to_be_proven_contact_by_contact(packed):
+    with h5py.File(packed / "run.h5") as file:
+        state, code = (file[f"contact/{name}"][()] for name in ("state", "proven"))
+    proven = points_and_lines(read_run(packed)).contacts["proven"].values
+    assert proven.tolist() == [s == c and s in (0, 1) for s, c in zip(state.tolist(), code.tolist(), strict=True)]
+    assert proven.any()
 
 
 def columns(run):
@@ -72,7 +80,7 @@ def test_snapshots_have_the_slips_of_their_spins(dynamics):
     found = points_and_lines(read_run(dynamics))
     assert found.moments.time.tolist()[0] == 0
     assert found.moments.time.max() < found.time == pytest.approx(0.05, rel=1e-2)
-    unit, radius = np.eye(3), found.scene.lattice.radius
+    unit, radius = np.eye(3), found.answer.scene.lattice.radius
     for spin, slip, state in zip(found.moments.spin, found.moments.slip, found.moments.state, strict=True):
         low, high = spin[found.ends.T]
         velocity = np.cross(-radius * (low + high), unit[found.contacts["axis"].values])  # paper Eq. 2

@@ -56,13 +56,15 @@ def test_vtk_reads_what_we_know_of_each_sphere_and_contact(name, request, read, 
     same(spheres, rows.spheres)
     same(contacts, rows.contacts)
     assert np.linalg.norm(points[lines[:, 1]] - points[lines[:, 0]], axis=1) == pytest.approx(2 * 0.5)
-    assert np.array_equal(points[:, : rows.scene.lattice.dimension], np.argwhere(rows.scene.lattice.is_driven >= 0))
+    assert np.array_equal(
+        points[:, : rows.answer.scene.lattice.dimension], np.argwhere(rows.answer.scene.lattice.is_driven >= 0)
+    )
 
 
 def test_contacts_across_periodic_sides_lead_to_images_beyond_the_last_spheres(periodic, read, tmp_path):
     report = export(periodic, tmp_path / "a.vtkhdf")
     rows = points_and_lines(read_run(periodic))
-    lattice, sites = rows.scene.lattice, rows.scene.lattice.sites
+    lattice, sites = rows.answer.scene.lattice, rows.answer.scene.lattice.sites
     for step, moment in enumerate(rows.moments.spin):
         points, lines, spheres, contacts, *_ = read(tmp_path / "a.vtkhdf", step)
         assert report["points"] + report["images"] == len(points)
