@@ -6,21 +6,14 @@ each, in the order of a list: no atomics, and the same bits on any number of thr
 on lattices; what they gather from elsewhere is near, by the order of the lists (fields/lists.py).
 """
 
-from functools import lru_cache
-
 from taichi_bearings.compiler import ti
-from taichi_bearings.fields.lists import ListSpec, list_block
+from taichi_bearings.fields import block_size
+from taichi_bearings.fields.lists import ListSpec
 from taichi_bearings.kernels.contact import FORCES, viscous_force
 from taichi_bearings.kernels.cundall_strack import SpringsAndSpins
 from taichi_bearings.kernels.descent import momentum
 from taichi_bearings.kernels.memory import in_range, load, load_each, places, store, store_each, zero
 from taichi_bearings.kernels.team import Sweeps
-
-
-@lru_cache
-def list_sweeps(sweeps: type["ListSweeps"], spec: ListSpec, law: str, corrector: tuple[float, ...]) -> "ListSweeps":
-    """One for each configuration, so that the next packing finds its kernels compiled."""
-    return sweeps(spec, law, corrector)
 
 
 @ti.data_oriented
@@ -34,7 +27,7 @@ class ListSweeps(Sweeps):
     parts, measures = 2, 2
 
     def __init__(self, spec: ListSpec, law: str, corrector: tuple[float, ...]):
-        super().__init__(list_block())
+        super().__init__(block_size())
         self.rows, end = dict[str, tuple[int, ...]](), 0
         for name, count in (*spec[0], *spec[1]):
             self.rows[name], end = tuple(range(end, end + count)), end + count

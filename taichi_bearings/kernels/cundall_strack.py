@@ -5,7 +5,6 @@ sphere pass gathers the torques, corrects the spins and predicts the next step, 
 once a pass. A top plane under a torque is one rigid body that turns as a(t) times a bearing state, in a third pass.
 """
 
-from functools import lru_cache
 from math import comb
 
 from taichi_bearings.compiler import ti
@@ -76,12 +75,6 @@ class SpringsAndSpins:
             mean += corrected[n] * ti.static(1.0 / (n + 1))
         # the stretch of the last step was a prediction: the second term is Gear's correction of it
         return corrected + [end, mean + ti.static(self.corrector[0] ** 2) * error]
-
-
-@lru_cache
-def cundall_strack_steps(spec: FieldSpec, stencil: Stencil, corrector: tuple[float, ...]) -> "CundallStrackSteps":
-    """One for each configuration, so that the next scene finds its kernels compiled."""
-    return CundallStrackSteps(spec, stencil, corrector)
 
 
 @ti.data_oriented

@@ -1,7 +1,5 @@
 """The contact step of operator splitting: friction limits the force of each contact, then spheres feel the springs."""
 
-from functools import lru_cache
-
 import numpy as np
 
 from taichi_bearings.compiler import ti
@@ -22,12 +20,6 @@ from taichi_bearings.kernels.stencil import Stencil
 from taichi_bearings.kernels.team import Sweeps, Team
 
 ABSENT_FRICTION = -1.0  # friction where the lattice has no contact
-
-
-@lru_cache
-def contact_step(spec: FieldSpec, stencil: Stencil) -> "ContactStep":
-    """One for each configuration, so that the next scene finds its kernels compiled."""
-    return ContactStep(spec, stencil)
 
 
 @ti.data_oriented

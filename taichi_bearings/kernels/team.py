@@ -12,8 +12,9 @@ as many workers as it got processors, before a short launch tries the whole team
 
 import math
 import time
+from collections.abc import Callable
 from functools import lru_cache
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -36,6 +37,9 @@ FIRST_REST, LONGEST_REST = 1.0, 20.0  # seconds that a smaller team goes on
 MOST_POLLS = (
     2**30
 )  # polls, about ten seconds: a partner that never comes means that the threads do not run side by side
+
+
+Made = TypeVar("Made")
 
 
 class Team:
@@ -93,6 +97,12 @@ def meet(arrived: ti.template(), target):
         polls += 1
     if polls >= MOST_POLLS:
         ti.atomic_max(arrived[0], MOST_POLLS)  # lets everyone through; launch() reports it
+
+
+@lru_cache
+def made_once(kind: Callable[..., Made], *configuration: Any) -> Made:
+    """kind(*configuration), of each configuration the same one, so that the next scene finds its kernels compiled."""
+    return kind(*configuration)
 
 
 @lru_cache(maxsize=16)

@@ -11,8 +11,8 @@ import numpy as np
 
 from taichi_bearings.errors import InputError
 from taichi_bearings.fields import Fields, FieldSpec, team_size
-from taichi_bearings.kernels.cundall_strack import cundall_strack_steps
-from taichi_bearings.kernels.team import Sweeps, Team
+from taichi_bearings.kernels.cundall_strack import CundallStrackSteps
+from taichi_bearings.kernels.team import Sweeps, Team, made_once
 from taichi_bearings.scene import Energy, Progress, Scene
 from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.solvers.dynamics import WATCH_NAMES, SpringDynamics, default_inertia, replica_sum
@@ -32,7 +32,7 @@ class CundallStrackMethod(SpringDynamics):
 
     kept = WATCH_NAMES
     same_force, checks = 1e-12, (100, 16, 0.0)
-    stepping = staticmethod(cundall_strack_steps)
+    stepping = CundallStrackSteps
 
     def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
         super().plan(scene, spin)
@@ -66,7 +66,9 @@ class CundallStrackMethod(SpringDynamics):
 
     def _kernels(self, corrector: tuple[float, ...]) -> tuple[Team, Sweeps]:
         numbers = self.stencil.components + self.stencil.force_components
-        return Team(team_size(self.fields.layout, numbers)), self.stepping(self.spec, self.stencil, corrector)
+        return Team(team_size(self.fields.layout, numbers)), made_once(
+            self.stepping, self.spec, self.stencil, corrector
+        )
 
     def _load_gear(self, staggered: np.ndarray) -> None:
         """Spins and their derivatives at the start, from the equation of motion. Without those of the sticking springs

@@ -19,8 +19,8 @@ import numpy as np
 
 from taichi_bearings import runtime
 from taichi_bearings.fields import Fields, FieldSpec, team_size
-from taichi_bearings.kernels.descent import descent_sweeps
-from taichi_bearings.kernels.team import Sweeps, Team
+from taichi_bearings.kernels.descent import DescentSweeps
+from taichi_bearings.kernels.team import Sweeps, Team, made_once
 from taichi_bearings.lattice.incidence import weights
 from taichi_bearings.scene import Progress, Scene
 from taichi_bearings.scene.scene import vector_length
@@ -76,7 +76,7 @@ class GradientDescentMethod(Method):
 
     def _kernels(self) -> tuple[Team, Sweeps]:
         team = Team(team_size(self.fields.layout, self.stencil.components))
-        return team, descent_sweeps(self.spec, self.stencil, self.scene.law.name)
+        return team, made_once(DescentSweeps, self.spec, self.stencil, self.scene.law.name)
 
     def _load_weights(self) -> None:
         """The metric: friction, and so much of the viscosity as makes the curvature of both at this stage even."""

@@ -30,10 +30,10 @@ import numpy as np
 from taichi_bearings import runtime
 from taichi_bearings.fields import Fields, FieldSpec, on_device, team_size
 from taichi_bearings.interrupts import look_up
-from taichi_bearings.kernels.balance import balance_kernels
-from taichi_bearings.kernels.splitting import ABSENT_FRICTION, contact_step
+from taichi_bearings.kernels.balance import BalanceKernels
+from taichi_bearings.kernels.splitting import ABSENT_FRICTION, ContactStep
 from taichi_bearings.kernels.stencil import Stencil
-from taichi_bearings.kernels.team import Team
+from taichi_bearings.kernels.team import Team, made_once
 from taichi_bearings.lattice.incidence import contact_differences
 from taichi_bearings.lattice.laplacian import chain_eigenvalues, chain_factors, chain_modes, ring_closures
 from taichi_bearings.memory import refuse_beyond
@@ -97,7 +97,7 @@ class OperatorSplittingMethod(Method):
         self.weights = (1.0,) * lattice.height_axis + (HEIGHT_WEIGHT,)
         self.weight = np.array(self.weights)[lattice.axis]
         self.balance = TorqueBalance(self.spec, self.stencil, self.weights, fields)
-        self.contacts = contact_step(self.spec, self.stencil)
+        self.contacts = made_once(ContactStep, self.spec, self.stencil)
         self.team = Team(team_size(self.layout, sum(components for _, components in self.spec)))
         self.contacts.compile(fields, self.team)
         self._load(scene.clip_to_box(scene.staggered_spin(spin, self.spin_axes), self.spin_axes))
@@ -217,7 +217,7 @@ class TorqueBalance:
     """
 
     def __init__(self, spec: FieldSpec, stencil: Stencil, weights: tuple[float, ...], fields: Fields) -> None:
-        self.fields, self.kernels, self.weight = fields, balance_kernels(spec, stencil), weights[0]
+        self.fields, self.kernels, self.weight = fields, made_once(BalanceKernels, spec, stencil), weights[0]
         shape, layout = fields.layout.shape, fields.layout
         self.products = min(np.dtype(PRODUCT_TYPE), fields.dtype, key=lambda kind: kind.itemsize)
         modes, held = chain_modes(shape[-1] - 2, is_held=True), np.zeros(shape[-1])

@@ -12,8 +12,7 @@ from scipy import sparse
 from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.errors import InputError
-from taichi_bearings.kernels.contact_list import CundallStrackLists, DescentLists, list_sweeps
-from taichi_bearings.kernels.team import Team
+from taichi_bearings.kernels.contact_list import CundallStrackLists, DescentLists
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.packing.answer import SLIPLESS, SLIPPING, UNDECIDED, PackingSolution, judged
 from taichi_bearings.packing.motions import order_of
@@ -47,7 +46,7 @@ class CundallStrackOfPacking(OnNetwork, CundallStrackMethod):
         return largest_step(options, network.law.holds, decay, stiffest)
 
     def _kernels(self, corrector: tuple[float, ...]) -> Any:
-        return Team(self.fields.team_size), list_sweeps(CundallStrackLists, self.spec, self.scene.law.name, corrector)
+        return self.sweeps_of(CundallStrackLists, corrector)
 
     def _changing_fields(self) -> list[str]:
         spheres, contacts = self.spec
@@ -118,7 +117,7 @@ class GradientDescentOfPacking(OnNetwork, GradientDescentMethod):
     points, forces = ("point",), ("force",)
 
     def _kernels(self) -> Any:
-        return Team(self.fields.team_size), list_sweeps(DescentLists, self.spec, self.scene.law.name, ())
+        return self.sweeps_of(DescentLists, ())
 
     def weights(self, bounds: np.ndarray) -> np.ndarray:
         """At each sphere sum b_e P_e with P = T^T T is no larger than the diagonal matrix of its rows' sizes."""

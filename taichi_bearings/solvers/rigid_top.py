@@ -10,7 +10,6 @@ since it was last no faster than a ramp that needs all its way up to that load f
 """
 
 from dataclasses import replace
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -92,7 +91,7 @@ class UnderTorque(SpringDynamics):
 class RigidTopMethod(UnderTorque, CundallStrackMethod):
     """By explicit steps."""
 
-    stepping = staticmethod(lru_cache(RigidTopSteps))
+    stepping = RigidTopSteps
 
     def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
         spec, lattice = super().plan(scene, np.zeros_like(spin)), scene.lattice
