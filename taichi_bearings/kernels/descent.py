@@ -73,7 +73,7 @@ class DescentSweeps(Sweeps):
     @ti.func
     def add(self, total: ti.template(), axis: ti.template(), above: ti.template(), below: ti.template()):
         """Add what contacts of one axis pull to the components that feel them."""
-        for t in ti.static(range(self.stencil.kept_count[axis])):
+        for t in ti.static(range(len(self.stencil.kept[axis]))):
             total[self.stencil.kept[axis][t]] += above[t] - below[t]
 
     @ti.func

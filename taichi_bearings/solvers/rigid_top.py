@@ -21,7 +21,7 @@ from taichi_bearings.fields import Fields, FieldSpec
 from taichi_bearings.kernels.cundall_strack import BODY_NUMBERS, RigidTopSteps
 from taichi_bearings.numerics.cholesky import dissect
 from taichi_bearings.scene import Energy, Progress, Scene, Solution
-from taichi_bearings.scene.ramp import Ramp
+from taichi_bearings.scene.driving import Ramp
 from taichi_bearings.solvers.cundall_strack import CundallStrackMethod
 from taichi_bearings.solvers.dynamics import SpringDynamics
 from taichi_bearings.solvers.implicit_cundall_strack import GAMMA, ImplicitCundallStrackMethod
