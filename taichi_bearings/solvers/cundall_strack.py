@@ -6,11 +6,12 @@ dynamical run proves its own gap.
 """
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
 from taichi_bearings.errors import InputError
-from taichi_bearings.fields import Fields, FieldSpec, team_size
+from taichi_bearings.fields import FieldSpec, team_size
 from taichi_bearings.kernels.cundall_strack import CundallStrackSteps
 from taichi_bearings.kernels.team import Sweeps, Team, made_once
 from taichi_bearings.scene import Energy, Progress, Scene
@@ -34,19 +35,11 @@ class CundallStrackMethod(SpringDynamics):
     same_force, checks = 1e-12, (100, 16, 0.0)
     stepping = CundallStrackSteps
 
-    def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
-        super().plan(scene, spin)
-        self.held = scene.lattice.is_driven
-        energy, holds, order = self.options.energy, scene.law.holds, self.options.gear_order
-        moved = [*(f"gear_{n}" for n in range(order + 1)), "predicted", *["integral"] * holds, *["impulse"] * energy]
-        spheres = dict.fromkeys(moved, len(self.spin_axes)) | {"is_free": 1}
-        self.spec = self.specified(spheres, ["force", *["elongation"] * holds, *["work"] * energy])
-        return self.spec
-
-    def begin(self, scene: Scene, spin: np.ndarray, fields: Fields | None) -> None:
+    def begin(self, scene: Scene, spin: np.ndarray) -> None:
+        super().begin(scene, spin)
         options, beside, replicas = self.options, scene.viscosity_beside_friction, scene.replicas
         # over the radius, as the force of the device law
-        self.use(fields, None if beside is None else scene.lattice.radius * beside)
+        self.use(self.needed(), None if beside is None else scene.lattice.radius * beside)
         bound = self._largest_step()
         self.stability_bound = bound if np.isfinite(bound) else 1.0  # where nothing acts any step is right
         self.time_step = choose_time_step(self.stability_bound, options.time_step)
@@ -55,6 +48,18 @@ class CundallStrackMethod(SpringDynamics):
         self.fields.load("is_free", np.broadcast_to(is_free, (1, replicas, *scene.lattice.shape)))
         self.team, self.steps = self._kernels(GEAR_COEFFICIENTS[options.gear_order])
         self.steps.compile(self.fields, self.team)
+
+    def needed(self) -> Any:
+        """The fields of the steps."""
+        energy, holds, order = self.options.energy, self.scene.law.holds, self.options.gear_order
+        moved = [*(f"gear_{n}" for n in range(order + 1)), "predicted", *["integral"] * holds, *["impulse"] * energy]
+        spheres = dict.fromkeys(moved, len(self.spin_axes)) | {"is_free": 1}
+        return self.specified(spheres, ["force", *["elongation"] * holds, *["work"] * energy])
+
+    @property
+    def held(self) -> np.ndarray:
+        """Spheres (*N) whose spins are given."""
+        return self.scene.lattice.is_driven
 
     @property
     def unit_inertia(self) -> float:

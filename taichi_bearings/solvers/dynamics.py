@@ -8,7 +8,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from taichi_bearings.fields import FieldSpec
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.proof.certificate import relative_gap
 from taichi_bearings.scene import Energy, Progress, Scene, Solution
@@ -106,11 +105,10 @@ class Dynamics(Method):
     known: Solution | None = None
     aim = np.inf
 
-    def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
-        self.scene, self.spin_axes = scene, self.carried(scene, spin)
+    def begin(self, scene: Scene, spin: np.ndarray) -> None:
+        super().begin(scene, spin)
         self.inertia = self.inertias(scene)
         self.iteration, self.time, self.halted = 0, 0.0, False
-        return ()
 
     def carried(self, scene: Scene, spin: np.ndarray) -> tuple[int, ...]:
         """Components a dynamics needs: those of the minimum, and any in which these laboratory spins (R, *N, 3) start
@@ -197,9 +195,9 @@ class SpringDynamics(Dynamics):
     same_force: ClassVar[float]
     checks: ClassVar[tuple[int, int, float]]
 
-    def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
+    def begin(self, scene: Scene, spin: np.ndarray) -> None:
+        super().begin(scene, spin)
         self.rest = RestWatch(*self.checks, np.full(scene.replicas, np.inf))
-        return super().plan(scene, spin)
 
     def motion(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Staggered spins (C, R, *N), forces and elongations (C, R, E) of now."""

@@ -18,7 +18,7 @@ import math
 import numpy as np
 
 from taichi_bearings import runtime
-from taichi_bearings.fields import Fields, FieldSpec, team_size
+from taichi_bearings.fields import team_size
 from taichi_bearings.kernels.descent import DescentSweeps
 from taichi_bearings.kernels.team import Sweeps, Team, made_once
 from taichi_bearings.lattice.incidence import weights
@@ -46,18 +46,14 @@ class GradientDescentMethod(Method):
         super().__init__(options)
         self.momentum = options.momentum
 
-    def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
-        super().plan(scene, spin)
+    def begin(self, scene: Scene, spin: np.ndarray) -> None:
+        super().begin(scene, spin)
+        beside = scene.viscosity_beside_friction  # in units of the coefficients:
+        self.viscosity = None if beside is None else scene.lattice.radius / scene.strength * beside
         self.averages = scene.law.holds and not self.momentum
         names = [*self.points, "inverse_weight"] + self.momentum * ["spin"] + self.averages * ["spin_sum"]
         spheres = dict.fromkeys(names, len(self.spin_axes))
-        self.spec = self.specified(spheres, [*self.forces, *(["force_sum"] if self.averages else [])])
-        return self.spec
-
-    def begin(self, scene: Scene, spin: np.ndarray, fields: Fields | None) -> None:
-        beside = scene.viscosity_beside_friction  # in units of the coefficients:
-        self.viscosity = None if beside is None else scene.lattice.radius / scene.strength * beside
-        self.use(fields, self.viscosity)
+        self.use(self.specified(spheres, [*self.forces, *(["force_sum"] if self.averages else [])]), self.viscosity)
         self._load_spins(scene.clip_to_box(scene.staggered_spin(spin, self.spin_axes), self.spin_axes))
         box = np.zeros((2, 3))  # lower and upper ends
         box[:, : len(self.spin_axes)] = scene.box(self.spin_axes)

@@ -20,7 +20,6 @@ from taichi_bearings.conic.friction_stage import Friction, FrictionStage, StageE
 from taichi_bearings.conic.grouped import Arrays, each, isotropic, where
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.errors import InputError
-from taichi_bearings.fields import Fields
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.numerics.cholesky import dissect
 from taichi_bearings.scene import Scene
@@ -58,7 +57,8 @@ class ImplicitCundallStrackMethod(SpringDynamics):
     kept = ("time_step", "spin_scale", "staggered", "elongation", "force", *ENERGY_NAMES, *WATCH_NAMES)
     same_force, checks = 1e-9, (1, 32, 1 / 16)
 
-    def begin(self, scene: Scene, spin: np.ndarray, fields: Fields | None) -> None:
+    def begin(self, scene: Scene, spin: np.ndarray) -> None:
+        super().begin(scene, spin)
         axes = self.spin_axes
         self.system: Any = lattice_system(scene.lattice, axes, scene.top_spin(axes))
         self._begin(scene.staggered_spin(spin, axes))

@@ -26,17 +26,13 @@ class Method:
     def __init__(self, options: Any) -> None:
         self.options = options
 
-    def plan(self, scene: Scene, spin: np.ndarray) -> Any:
-        """Fields needed for this scene from these laboratory spins; fixes the spin components that are carried.
+    def begin(self, scene: Scene, spin: np.ndarray) -> None:
+        """Take a scene, and laboratory spins to start from; load the fields, if any, and compile the kernels."""
+        self.scene, self.spin_axes = scene, self.carried(scene, spin)
 
-        Without fields the method works in NumPy alone.
-        """
-        self.scene, self.spin_axes = scene, scene.minimum_spin_axes
-        return ()
-
-    def begin(self, scene: Scene, spin: np.ndarray, fields: Fields | None) -> None:
-        """Load the fields and compile the kernels."""
-        raise NotImplementedError
+    def carried(self, scene: Scene, spin: np.ndarray) -> tuple[int, ...]:
+        """Spin components that are carried."""
+        return scene.minimum_spin_axes
 
     def next_check(self, iteration: int) -> int:
         """Iteration at which to look at the progress next."""
@@ -104,14 +100,18 @@ class Method:
     def stencil_of(self, block: int) -> Stencil:
         return Stencil(self.spin_axes, self.scene.lattice.dimension, block, self.scene.lattice.periodic)
 
-    def on_device(self, spec: FieldSpec) -> Any:
-        """The fields of :meth:`plan`."""
+    def on_device(self, spec: FieldSpec) -> Fields:
+        """Fields of a spec, on the device that runs."""
         lattice = self.scene.lattice
         return Fields(make_layout(self.scene.replicas, lattice.shape, lattice.periodic), spec)
 
-    def use(self, fields: Any, viscosity: np.ndarray | None) -> None:
-        """Load what the contacts are made of. viscosity : beside friction, (R, E), in the units of the kernels."""
-        self.fields, self.stencil = fields, self.stencil_of(fields.layout.block)
+    def use(self, spec: Any, viscosity: np.ndarray | None) -> None:
+        """Fields of a spec, with the coefficients of the contacts loaded.
+
+        viscosity : beside friction, (R, E), in the units of the kernels.
+        """
+        self.spec, self.fields = spec, (fields := self.on_device(spec))
+        self.stencil = self.stencil_of(fields.layout.block)
         fields.load("coefficient", fields.layout.at_lower_sphere(self.scene.acting_coefficient))
         if viscosity is not None:
             fields.load("viscosity", fields.layout.at_lower_sphere(viscosity))

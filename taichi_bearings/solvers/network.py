@@ -264,8 +264,8 @@ class OnNetwork(Method):
     def on_device(self, spec: Any) -> Fields:
         return Fields(self.scene.lists, spec)
 
-    def use(self, fields: Any, viscosity: np.ndarray | None) -> None:
-        self.fields, across = fields, self.scene.across
+    def use(self, spec: Any, viscosity: np.ndarray | None) -> None:
+        self.spec, self.fields, across = spec, (fields := self.on_device(spec)), self.scene.across
         if self.scene.components == 3:
             fields.load("across", across.transpose(0, 2, 1).reshape(6, 1, -1))
         fields.load("coefficient", self.scene.acting_coefficient[None])

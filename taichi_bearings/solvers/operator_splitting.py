@@ -75,8 +75,8 @@ class OperatorSplittingMethod(Method):
     springs of each sphere before the Poisson step.
     """
 
-    def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
-        super().plan(scene, spin)
+    def begin(self, scene: Scene, spin: np.ndarray) -> None:
+        super().begin(scene, spin)
         dimension, components = scene.lattice.dimension, len(self.spin_axes)
         spheres = scene.lattice.sites * scene.replicas
         refuse_beyond(BYTES_A_SPHERE * spheres, f"{self.options.name} of {spheres:,} spheres")
@@ -88,11 +88,8 @@ class OperatorSplittingMethod(Method):
             ("potential", components),
             ("pull", components),
         )
-        return self.spec
-
-    def begin(self, scene: Scene, spin: np.ndarray, fields: Fields | None) -> None:
-        assert fields is not None
-        lattice, self.fields, self.layout = scene.lattice, fields, fields.layout
+        lattice, self.fields = scene.lattice, (fields := self.on_device(self.spec))
+        self.layout = fields.layout
         self.stencil = self.stencil_of(self.layout.block)
         self.weights = (1.0,) * lattice.height_axis + (HEIGHT_WEIGHT,)
         self.weight = np.array(self.weights)[lattice.axis]

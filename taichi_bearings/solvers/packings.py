@@ -23,6 +23,7 @@ from taichi_bearings.scene import Snapshots, Status
 from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.solvers.cundall_strack import CundallStrackMethod, changing, largest_step
 from taichi_bearings.solvers.drive import Checkpoints, Course, Monitor, followed
+from taichi_bearings.solvers.dynamics import SpringDynamics
 from taichi_bearings.solvers.gradient_descent import GradientDescentMethod
 from taichi_bearings.solvers.implicit_cundall_strack import ImplicitCundallStrackMethod
 from taichi_bearings.solvers.network import OF_BOUND, Network, OnNetwork
@@ -70,7 +71,8 @@ class ImplicitCundallStrackOfPacking(OnNetwork, ImplicitCundallStrackMethod):
 
     kept = (*ImplicitCundallStrackMethod.kept, *OF_BOUND)
 
-    def begin(self, network: Any, spins: np.ndarray, fields: Any) -> None:
+    def begin(self, network: Any, spins: np.ndarray) -> None:
+        SpringDynamics.begin(self, network, spins)
         self.free = ~network.lattice.is_driven
         self.scale = np.repeat(np.sqrt(self.unit_inertia / self.inertia[self.free]), network.components)
         self.system, self.order = self._contacts(network)

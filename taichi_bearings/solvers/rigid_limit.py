@@ -17,7 +17,6 @@ from dataclasses import replace
 import numpy as np
 
 from taichi_bearings.conic.proximal import ProximalSteps, Step
-from taichi_bearings.fields import Fields
 from taichi_bearings.proof.certificate import inverse, relative_gap
 from taichi_bearings.scene import Progress, Scene
 from taichi_bearings.scene.scene import vector_length
@@ -44,7 +43,8 @@ class RigidLimitMethod(Dynamics):
         "newton_steps", "still", *ENERGY_NAMES,
     )  # fmt: skip
 
-    def begin(self, scene: Scene, spin: np.ndarray, fields: Fields | None) -> None:
+    def begin(self, scene: Scene, spin: np.ndarray) -> None:
+        super().begin(scene, spin)
         self.staggered = scene.staggered_spin(spin, self.spin_axes)
         spread = [float(values.max() - values.min()) for values in self.staggered]
         self.unit = max(spread) or 1.0

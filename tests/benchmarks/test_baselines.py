@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from taichi_bearings_studies.benchmarks.baselines import SHARPNESS, Arrays, CSweep, NumpySweep, find_compiler
 
-from taichi_bearings.fields import Fields, make_layout
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers.gradient_descent import GradientDescentMethod
 from taichi_bearings.solvers.table import GradientDescent
@@ -20,7 +19,7 @@ def inside(arrays):
 def ours(scene):
     method = GradientDescentMethod(GradientDescent(momentum=False))
     spin = initial_spin(scene, "random")
-    method.begin(scene, spin, Fields(make_layout(1, scene.lattice.shape), method.plan(scene, spin)))
+    method.begin(scene, spin)
     method._load_spins(scene.staggered_spin(spin, method.spin_axes))
     method._step_and_sharpness = lambda: (1e-3, SHARPNESS)
     method.box = [-np.inf] * 3 + [np.inf] * 3

@@ -8,7 +8,6 @@ import pytest
 from scipy.linalg import expm
 
 from taichi_bearings.errors import InputError
-from taichi_bearings.fields import Fields, make_layout
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import CundallStrack
 from taichi_bearings.solvers.cundall_strack import choose_time_step, stability_bound
@@ -19,10 +18,9 @@ from tests.scenes import make_scene
 
 def state_after(scene, start, options, steps):
     method = options.build()
-    fields = Fields(make_layout(scene.replicas, scene.lattice.shape), method.plan(scene, start))
-    method.begin(scene, start, fields)
+    method.begin(scene, start)
     method.advance(steps)
-    return scene.impose_driving(fields.read("gear_0"), method.spin_axes), method
+    return scene.impose_driving(method.fields.read("gear_0"), method.spin_axes), method
 
 
 def laplacian(scene, component, weighted=True):
@@ -93,8 +91,8 @@ def largest_stable_step_found(shape, options):
     scene = make_scene(shape, distribution="constant:1e15", spin_top=0.0)
     spin = without_vertical(1e-3 * np.random.default_rng(3).standard_normal(initial_spin(scene, "zero").shape))
     method = options.build()
-    fields = Fields(make_layout(1, shape), method.plan(scene, spin))
-    method.begin(scene, spin, fields)
+    method.begin(scene, spin)
+    fields = method.fields
 
     def is_stable(time_step):
         method.time_step = time_step
