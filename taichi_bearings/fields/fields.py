@@ -85,6 +85,10 @@ class Fields:
         self.blocks = one_block() if self._host is None else self._host.reshape(-1, layout.block)
         self.tables = on_device(np.array(layout.measures), "i32")
 
+    @property
+    def names(self) -> list[str]:
+        return list(self._place)
+
     def _allocate(self, count: int) -> tuple[Any, np.ndarray | None]:
         if not runtime.current().is_gpu:
             host = aligned_zeros(count, self.layout.block, self.dtype)

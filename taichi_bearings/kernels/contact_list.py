@@ -18,7 +18,8 @@ from taichi_bearings.kernels.team import Sweeps
 
 @ti.data_oriented
 class ListSweeps(Sweeps):
-    """Part 0 walks over the contacts, part 1 over the spheres. d tangents, C components of a spin.
+    """Part 0 walks over the contacts, part 1 over the spheres. d tangents, C components of a spin. What is done with a
+    block stands in a class of its own: `at_contacts`, and for each component `at_spheres`.
 
     Fields of all: of contacts `across` (d C), but for discs, `coefficient`, `viscosity`, and `force`, T f, (C).
     Measures, `size` : lengths of the rows of spheres and of contacts; the lists of `Lists` follow them in `tables`.
@@ -65,20 +66,6 @@ class ListSweeps(Sweeps):
                 row = self.sphere_rows * size[0] + self.rows["force"][c] * size[1]
                 pull = self.pull(values, row, tables, size, first)
                 self.at_spheres(values, blocks, c, pull, first, size, numbers, sweep)
-
-    @ti.func
-    def at_contacts(
-        self, values: ti.template(), blocks: ti.template(), tables: ti.template(), first, size: ti.template(),
-        across: ti.template(), numbers: ti.template(),
-    ):  # fmt: skip
-        """The first part of a step, for a block."""
-
-    @ti.func
-    def at_spheres(
-        self, values: ti.template(), blocks: ti.template(), c: ti.template(), pull, first, size: ti.template(),
-        numbers: ti.template(), sweep,
-    ):  # fmt: skip
-        """The second one, for one component."""
 
     @ti.func
     def on(self, name: ti.template(), size: ti.template(), first):

@@ -201,10 +201,6 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
         else:
             self.body_pass(values, row, first, numbers)
 
-    @ti.func
-    def body_pass(self, values: ti.template(), row, first, numbers: ti.template()):
-        """The bodies whose numbers stand in the block of sites from `first` on; of plain steps there are none."""
-
 
 @ti.data_oriented
 class RigidTopSteps(CundallStrackSteps):
@@ -228,6 +224,7 @@ class RigidTopSteps(CundallStrackSteps):
 
     @ti.func
     def body_pass(self, values: ti.template(), row, first, numbers: ti.template()):
+        """The bodies whose numbers stand in the block of sites from `first` on."""
         for m in range(self.block):
             if values[self.slot["first"] * row + first + m] > 0.0:
                 self.turn(values, row, first + m, numbers)

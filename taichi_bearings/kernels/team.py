@@ -141,14 +141,6 @@ class Sweeps:
         return [0.0]
 
     @ti.func
-    def walk(
-        self, part: ti.template(), values: ti.template(), blocks: ti.template(), row, first, strides: ti.template(),
-        numbers: ti.template(), sweep, carried: ti.template(),
-    ):  # fmt: skip
-        """One part of sweep number `sweep` for the block of sites from `first` on. row: length of a row of numbers.
-        strides : with rings."""
-
-    @ti.func
     def count(self, part: ti.template(), size: ti.template()):
         """Blocks of a part."""
         return size[2]
@@ -158,7 +150,8 @@ class Sweeps:
         self, part: ti.template(), values: ti.template(), blocks: ti.template(), tables: ti.template(),
         size: ti.template(), number, numbers: ti.template(), sweep, carried: ti.template(),
     ):  # fmt: skip
-        """One part of a sweep for the block of this number."""
+        """One part of a sweep for the block of this number: `walk`, of each kind of sweeps its own, works on the sites
+        from `first` on. row : length of a row of numbers. strides : with rings."""
         sides = [in_range(size[3]), in_range(size[4]), 1]
         strides = with_rings(sides, number * self.block, size[5], self.periodic)
         first = in_range(size[1] + number * self.block)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from taichi_bearings.errors import InputError
-from taichi_bearings.fields import FieldSpec, team_size
+from taichi_bearings.fields import team_size
 from taichi_bearings.kernels.cundall_strack import CundallStrackSteps
 from taichi_bearings.kernels.team import Sweeps, Team, made_once
 from taichi_bearings.scene import Energy, Progress, Scene
@@ -133,11 +133,13 @@ class CundallStrackMethod(SpringDynamics):
         return int(min(self.rest.next_check, max(wanted, iteration + 1)))
 
     def state(self) -> dict[str, np.ndarray]:
-        fields = {name: self.fields.read(name) for name in self._changing_fields()}
+        fields = {name: self.fields.read(name) for name in self._changing}
         return super().state() | fields | {"time_step": np.array(self.time_step)}
 
-    def _changing_fields(self) -> list[str]:
-        return changing(self.spec)
+    @property
+    def _changing(self) -> list[str]:
+        """Fields that a step changes."""
+        return [name for name in self.fields.names if name not in ("is_free", "across", "coefficient", "viscosity")]
 
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
         if float(state["time_step"]) != self.time_step:
@@ -146,7 +148,7 @@ class CundallStrackMethod(SpringDynamics):
                 "it was made by another version or library"
             )
         super().restore(state)
-        for name in self._changing_fields():
+        for name in self._changing:
             self.fields.load(name, state[name])
 
     def numbers(self) -> tuple[float, ...]:
@@ -230,11 +232,6 @@ def largest_step(options: CundallStrack, holds: bool, decay: float, stiffest: fl
     """Largest stable time step. decay : of the stiffest mode by viscosity, 1/time. stiffest : R^2 lambda / I of it."""
     damping, stiffness = (options.damping, options.stiffness) if holds else (0.0, 0.0)
     return largest_stable_step(options.gear_order, damping * stiffest + decay, stiffness * stiffest)
-
-
-def changing(fields: FieldSpec) -> list[str]:
-    """Names of those that a step changes."""
-    return [name for name, _ in fields if name not in ("is_free", "across", "coefficient", "viscosity")]
 
 
 def choose_time_step(bound: float, wanted: float | None) -> float:

@@ -21,7 +21,7 @@ from taichi_bearings.packing.path import elimination, oblique
 from taichi_bearings.packing.system import Found, System, slips_of
 from taichi_bearings.scene import Snapshots, Status
 from taichi_bearings.scene.scene import vector_length
-from taichi_bearings.solvers.cundall_strack import CundallStrackMethod, changing, largest_step
+from taichi_bearings.solvers.cundall_strack import CundallStrackMethod, largest_step
 from taichi_bearings.solvers.drive import Checkpoints, Course, Monitor, followed
 from taichi_bearings.solvers.dynamics import SpringDynamics
 from taichi_bearings.solvers.gradient_descent import GradientDescentMethod
@@ -48,10 +48,6 @@ class CundallStrackOfPacking(OnNetwork, CundallStrackMethod):
 
     def _kernels(self, corrector: tuple[float, ...]) -> Any:
         return self.sweeps_of(CundallStrackLists, corrector)
-
-    def _changing_fields(self) -> list[str]:
-        spheres, contacts = self.spec
-        return changing((*spheres, *contacts))
 
     def _load_force(self, force: np.ndarray) -> None:
         self.fields.load("force", np.einsum("tre,tek->kre", force, self.scene.across))
