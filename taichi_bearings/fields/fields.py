@@ -124,10 +124,6 @@ class Fields:
         found[:, rows.order] = stored
         return found.reshape(-1, *rows.shape)
 
-    def seen(self, name: str) -> np.ndarray:
-        """The same to look at: what lies in the memory of a CPU in double precision is not copied."""
-        return self.read(name) if self._host is None else self.view(name).astype(np.float64, copy=False)
-
     def clear(self, name: str) -> None:
         _, components, rows = self._place[name]
         self.load(name, np.zeros((components, *rows.shape)))

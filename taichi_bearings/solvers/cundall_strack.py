@@ -15,7 +15,6 @@ from taichi_bearings.fields import team_size
 from taichi_bearings.kernels.cundall_strack import CundallStrackSteps
 from taichi_bearings.kernels.team import Sweeps, Team, made_once
 from taichi_bearings.scene import Energy, Progress, Scene
-from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.solvers.dynamics import WATCH_NAMES, SpringDynamics, default_inertia, replica_sum
 from taichi_bearings.solvers.gear import (
     GEAR_COEFFICIENTS,
@@ -109,7 +108,7 @@ class CundallStrackMethod(SpringDynamics):
         """
         scene, options, order = self.scene, self.options, len(derivatives) - 1
         if order == 0 or not scene.law.holds:
-            return self._damping_force(derivatives[-1])
+            return self.damping_force(derivatives[-1])
         stretch = options.stiffness * self.time_step / order
         felt = options.damping * derivatives[-1] + stretch * derivatives[-2]
         holds = options.static_ratio * scene.normal_force * scene.acting_coefficient
@@ -117,16 +116,6 @@ class CundallStrackMethod(SpringDynamics):
         felt = self.differences(felt)
         force = np.where(sticks, scene.lattice.radius * felt, 0.0)
         return self.with_viscosity(force, self.differences(derivatives[-1]))
-
-    def _damping_force(self, staggered: np.ndarray) -> np.ndarray:
-        """Forces (C, R, E) of unstretched contacts: their damper as far as friction holds it, and their viscosity."""
-        scene, options = self.scene, self.options
-        difference = self.differences(staggered)
-        force = options.damping * scene.lattice.radius * difference
-        size, limit = vector_length(force), scene.normal_force * scene.acting_coefficient
-        slips = size > limit * options.static_ratio
-        force = force * np.divide(limit, size, out=np.ones_like(size), where=slips)
-        return self.with_viscosity(force if scene.law.holds else np.zeros_like(force), difference)
 
     def next_check(self, iteration: int) -> int:
         wanted = int(np.ceil(self.aim / self.time_step * (1 - 1e-12))) if np.isfinite(self.aim) else np.inf
@@ -176,7 +165,7 @@ class CundallStrackMethod(SpringDynamics):
 
     def motion(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         staggered = self.spins()
-        force = self.read_forces("force") if self.iteration else self._damping_force(staggered)
+        force = self.read_forces("force") if self.iteration else self.damping_force(staggered)
         return staggered, force, self.read_forces("elongation") if self.scene.law.holds else np.zeros_like(force)
 
     def _contact_power(self, force: np.ndarray, staggered: np.ndarray) -> np.ndarray:

@@ -203,6 +203,15 @@ class SpringDynamics(Dynamics):
         """Staggered spins (C, R, *N), forces and elongations (C, R, E) of now."""
         raise NotImplementedError
 
+    def damping_force(self, staggered: np.ndarray) -> np.ndarray:
+        """Forces (C, R, E) of unstretched contacts: their damper as far as friction holds it, and their viscosity."""
+        scene, difference = self.scene, self.differences(staggered)
+        force = self.options.damping * scene.lattice.radius * difference
+        size, limit = vector_length(force), scene.normal_force * scene.acting_coefficient
+        slips = size > limit * getattr(self.options, "static_ratio", 1.0)
+        force = force * np.divide(limit, size, out=np.ones_like(size), where=slips)
+        return self.with_viscosity(force if scene.law.holds else np.zeros_like(force), difference)
+
     def books(self, staggered: np.ndarray, force: np.ndarray, spring: np.ndarray) -> Energy | None:
         """The energy balance of now, if it is kept."""
         return self.balance(staggered, spring)

@@ -4,7 +4,6 @@ stiffest mode of the lattice.
 Coefficients: Allen and Tildesley, Computer Simulation of Liquids (1987), appendix E, table for first-order equations.
 """
 
-from functools import lru_cache
 from math import comb
 
 import numpy as np
@@ -85,7 +84,6 @@ def _spectral_radius(order: int, decay_rate: float, frequency_squared: float, st
     return np.abs(np.linalg.eigvals(matrices)).max(axis=(1, 2))
 
 
-@lru_cache(maxsize=64)
 def largest_laplacian_eigenvalue(lattice: Lattice, spin_axes: tuple[int, ...]) -> float:
     """Largest eigenvalue of the unweighted lattice Laplacian of any carried component, driven planes held (exact)."""
     return max(float(eigenvalues(lattice, component).max()) for component in spin_axes)

@@ -74,9 +74,8 @@ class ImplicitCundallStrackMethod(SpringDynamics):
         self.spin_scale = spin_scale or float(np.abs(staggered).max()) or 1.0
         self.staggered = self.driven(staggered)
         self._set_stage()
-        self.elongation, self.force = np.zeros((2, *self.differences(staggered).shape))
-        for replica, spins in enumerate(self.free_spins(self.staggered)):
-            self.system.scatter_vectors(self._force_at_start(replica, spins), self.force, replica)
+        self.force = self.damping_force(self.staggered)
+        self.elongation = np.zeros_like(self.force)
         self.open_books(self.staggered)
         longest = self._longest_step()
         if options.time_step is not None and options.time_step > longest:
@@ -125,19 +124,13 @@ class ImplicitCundallStrackMethod(SpringDynamics):
         )
 
     def _friction(self, replica: int, span: float) -> Friction:
-        """Law of the contacts in a stage of length `span`, time; 0 for the forces of the present slips."""
-        strength, inertia = self.strength[replica], self.unit_inertia / span if span > 0 else np.inf
+        """Law of the contacts in a stage of length `span`, time."""
+        strength, inertia = self.strength[replica], self.unit_inertia / span
         if not self.scene.law.holds:
             return Friction(each(np.full_like, strength, np.inf), strength, inertia)
         resistance = self.options.stiffness * span + self.options.damping
         resisting = each(np.full_like, strength, resistance)
         return Friction(strength, resisting, inertia, self.viscosity[replica])
-
-    def _force_at_start(self, replica: int, spins: np.ndarray) -> Arrays:
-        """Where no spring is stretched."""
-        friction, slip = self._friction(replica, 0.0), self.scene.lattice.radius * self.system.differences(spins)
-        force = friction.limited(friction.resistance * slip)
-        return force if friction.viscosity is None else force + friction.viscosity * slip
 
     def _first_step(self) -> float:
         """Spins change by the tolerated error, and it is not long against the time scale of the stiffest contact."""

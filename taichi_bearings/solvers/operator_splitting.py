@@ -143,9 +143,9 @@ class OperatorSplittingMethod(Method):
         if self.balance.is_rough and self.iteration:  # once more, for what its rounding has left
             self._step_contacts(0.0)
             self.balance.solve()
-        potential = self.fields.seen("potential")
+        potential = self.fields.read("potential")
         staggered = scene.impose_driving(potential / self._by_replica(self.stiffness), axes)
-        trial = self.stencil.forces_of_contacts(self.fields.seen("trial"), self.layout)
+        trial = self.stencil.forces_of_contacts(self.fields.read("trial"), self.layout)
         friction = capped(trial, saturation(scene, trial))
         slips = scene.slips(staggered, axes)
         power = scene.law.power(scene.contact, slips).sum(axis=1)
