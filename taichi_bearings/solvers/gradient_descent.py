@@ -129,7 +129,7 @@ class GradientDescentMethod(Method):
             force = self.read_forces("force_sum") * (scene.normal_force / self.averaged)
         else:
             staggered = scene.impose_driving(self.fields.read("spin" if self.momentum else "point"), self.spin_axes)
-            force = self._force_at(staggered)
+            force = self.forces_at(staggered, self.width)
         creep = RESOLVED_WIDTHS * (self.width if self.momentum else self.step_length) if scene.law.holds else 0.0
         resolution = scene.lattice.radius * min(creep, LARGE_SLIP * scene.jump)  # no slip is told from rest below it
         found = self.judged(staggered, force, iteration=self.iteration, resolution=resolution)
@@ -142,14 +142,6 @@ class GradientDescentMethod(Method):
                 self._load_weights()
             self._begin_epoch(2 * self.epoch_length)
         return found
-
-    def _force_at(self, staggered: np.ndarray) -> np.ndarray:
-        """Contact forces (C, R, E) of the law that the sweeps use."""
-        scene = self.scene
-        d = self.differences(staggered)
-        held = scene.law.holding_force(scene.contact)
-        force = np.zeros_like(d) if held is None else held / np.maximum(vector_length(d), self.width) * d
-        return self.with_viscosity(force, d)
 
     def _steer(self, staggered: np.ndarray, objective: np.ndarray, bound: np.ndarray) -> None:
         """Restart the momentum where it overshot; halve the width where it causes half the gap or more."""

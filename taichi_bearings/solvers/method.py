@@ -9,6 +9,7 @@ from taichi_bearings.kernels.stencil import Stencil
 from taichi_bearings.lattice.incidence import contact_differences, torques
 from taichi_bearings.proof.certificate import Forces, largest_unbalanced_torque, lower_bound
 from taichi_bearings.scene import Progress, Scene
+from taichi_bearings.scene.scene import vector_length
 
 
 class Method:
@@ -62,6 +63,13 @@ class Method:
         """The forces and what the viscosity of the contacts, if they have any, adds at these differences."""
         scene = self.scene
         return force if scene.viscosities is None else force + scene.lattice.radius * scene.viscosities * difference
+
+    def forces_at(self, staggered: np.ndarray, width: float) -> np.ndarray:
+        """Contact forces (C, R, E) of the law at these spins; friction grows up to a difference of `width`, 1/time."""
+        difference = self.differences(staggered)
+        held = self.scene.law.holding_force(self.scene.contact)
+        force = 0 * difference if held is None else held / np.maximum(vector_length(difference), width) * difference
+        return self.with_viscosity(force, difference)
 
     def proven_by(self, force: Forces) -> np.ndarray:
         """Lower bound (R,) that follows from forces (C, R, E) which were looked at before."""
