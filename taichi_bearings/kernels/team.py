@@ -47,12 +47,8 @@ class Team:
 
     def __init__(self, size: int) -> None:
         self.size, self.arrived = size, np.zeros(1, np.int32) if size else ti.ndarray(ti.i32, 1)
-        self.workers, self.piece, self.rest_until, self.rest = (
-            size,
-            TRIAL_SECONDS if size > 1 else PIECE_SECONDS,
-            0.0,
-            FIRST_REST,
-        )
+        self.workers, self.piece = size, TRIAL_SECONDS if size > 1 else PIECE_SECONDS
+        self.rest_until, self.rest = 0.0, FIRST_REST
         self.seconds = math.inf  # that a step took lately
 
     def launch(self, kernel: Any, count: int, *arguments: Any, first: int = 0, together: int = 1) -> None:

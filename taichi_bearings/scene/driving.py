@@ -38,10 +38,8 @@ class BearingState:
 
     def along(self, component: int, position: np.ndarray) -> Pair:
         """Component k at positions x_k, (n,), length."""
-        constant = tuple(np.repeat(part[component], len(position)) for part in self.spin)
-        return add((constant[0], constant[1]), multiply(self.rate, exactly(position))) if self.rate[0][0] else (
-            constant[0], constant[1],
-        )  # fmt: skip
+        high, low = (np.repeat(part[component], len(position)) for part in self.spin)
+        return add((high, low), multiply(self.rate, exactly(position))) if self.rate[0][0] else (high, low)
 
 
 @dataclass(frozen=True, eq=False)

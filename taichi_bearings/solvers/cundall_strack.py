@@ -41,7 +41,10 @@ class CundallStrackMethod(SpringDynamics):
         self.use(self.needed(), None if beside is None else scene.lattice.radius * beside)
         bound = self._largest_step()
         self.stability_bound = bound if np.isfinite(bound) else 1.0  # where nothing acts any step is right
-        self.time_step = choose_time_step(self.stability_bound, options.time_step)
+        if (options.time_step or 0.0) > self.stability_bound:
+            given, most = options.time_step, self.stability_bound
+            raise InputError(f"time_step is {given:g}; this scene is stable only up to {most:.6g}")
+        self.time_step = options.time_step or DEFAULT_STEP * self.stability_bound
         self._load_gear(scene.staggered_spin(spin, self.spin_axes))
         is_free = np.where(scene.lattice.is_driven, 0.0, self.unit_inertia / self.inertia)
         self.fields.load("is_free", np.broadcast_to(is_free, (1, replicas, *scene.lattice.shape)))
@@ -221,11 +224,3 @@ def largest_step(options: CundallStrack, holds: bool, decay: float, stiffest: fl
     """Largest stable time step. decay : of the stiffest mode by viscosity, 1/time. stiffest : R^2 lambda / I of it."""
     damping, stiffness = (options.damping, options.stiffness) if holds else (0.0, 0.0)
     return largest_stable_step(options.gear_order, damping * stiffest + decay, stiffness * stiffest)
-
-
-def choose_time_step(bound: float, wanted: float | None) -> float:
-    if wanted is None:
-        return DEFAULT_STEP * bound
-    if wanted > bound:
-        raise InputError(f"time_step is {wanted:g}; this scene is stable only up to {bound:.6g}")
-    return wanted

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.sparse import csc_array
 
 from taichi_bearings.lattice import Lattice
-from taichi_bearings.lattice.incidence import add_pull, contact_differences, difference
+from taichi_bearings.lattice.incidence import add_pull, difference
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.numerics.double_double import two_sum
 from taichi_bearings.numerics.graph_laplacian import factorised, graph_laplacian
@@ -89,8 +89,8 @@ class LinearSolverMethod(Method):
     def progress(self) -> Progress:
         scene = self.scene
         staggered = scene.clip_to_box(self.spin, self.spin_axes)
-        differences = (contact_differences(spin, scene.lattice, self.spin_axes) for spin in (self.spin, self.rest))
-        force = scene.lattice.radius * scene.acting_coefficient * sum(differences)
+        difference = self.differences(self.spin) + self.differences(self.rest)
+        force = scene.lattice.radius * scene.acting_coefficient * difference
         return self.judged(
             staggered,
             force,

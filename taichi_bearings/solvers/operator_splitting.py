@@ -34,7 +34,6 @@ from taichi_bearings.kernels.balance import BalanceKernels
 from taichi_bearings.kernels.splitting import ABSENT_FRICTION, ContactStep
 from taichi_bearings.kernels.stencil import Stencil
 from taichi_bearings.kernels.team import Team, made_once
-from taichi_bearings.lattice.incidence import contact_differences
 from taichi_bearings.lattice.laplacian import chain_eigenvalues, chain_factors, chain_modes, ring_closures
 from taichi_bearings.memory import refuse_beyond
 from taichi_bearings.numerics.blas import one_thread
@@ -112,7 +111,7 @@ class OperatorSplittingMethod(Method):
         self.iteration = 0
         stiffness = self._by_replica(self.stiffness)
         self.fields.load("potential", stiffness * staggered)
-        differences = contact_differences(staggered, scene.lattice, self.spin_axes)
+        differences = self.differences(staggered)
         trial = self.weight * self.stiffness[:, None] * differences
         self.fields.load("trial", self.stencil.forces_at_lower_sphere(trial, self.layout))
 
@@ -171,7 +170,7 @@ class OperatorSplittingMethod(Method):
 
         After a Poisson step they leave no torque but round-off on free spheres; some exceed their friction discs.
         """
-        differences = contact_differences(potential, self.scene.lattice, self.spin_axes)
+        differences = self.differences(potential)
         force = self.weight * differences - (trial - 2 * friction)
         exact = self.fields.dtype == np.float64
         return force if exact else balance(self.scene, force, self.spin_axes)
