@@ -107,12 +107,13 @@ class OperatorSplittingMethod(Method):
         self.fields.load("friction", friction)
         linear = scene.staggered_spin(linear_spin(scene), self.spin_axes)
         self.stiffness = self._usual_stiffness(scene.power(linear, self.spin_axes))
-        self.change: np.ndarray | None = None
         self.iteration = 0
         stiffness = self._by_replica(self.stiffness)
         self.fields.load("potential", stiffness * staggered)
         differences = self.differences(staggered)
-        trial = self.weight * self.stiffness[:, None] * differences
+        self._load_trial(self.weight * self.stiffness[:, None] * differences)
+
+    def _load_trial(self, trial: Forces) -> None:
         self.fields.load("trial", self.stencil.forces_at_lower_sphere(trial, self.layout))
 
     def _by_replica(self, values: np.ndarray) -> np.ndarray:
@@ -122,10 +123,6 @@ class OperatorSplittingMethod(Method):
         return iteration + max(FIRST_CHECK, iteration // CHECKS_A_RUN)
 
     def advance(self, steps: int) -> None:
-        if self.change is not None:  # rho z and rho Omega as the last check asked for; spins and friction f stay
-            self.stiffness = self.stiffness * self.change
-            self.contacts.rescale(self.fields, self.change)
-            self.change = None
         with self.balance.begin():
             for _ in range(steps):
                 look_up()
@@ -150,7 +147,12 @@ class OperatorSplittingMethod(Method):
         power = scene.law.power(scene.contact, slips).sum(axis=1)
         balanced = self._spring_force(potential, trial, friction)
         work, bound = work_and_bound(scene, balanced, axes)
-        self._steer(power, work, bound)
+        change = self._steered(power, work, bound)
+        if (change != 1).any():  # of rho z and rho Omega; spins and friction f stay
+            self.stiffness = change * self.stiffness
+            self.fields.load("potential", self._by_replica(change) * potential)
+            limited = self._limited(trial)
+            self._load_trial(limited + change[:, None] * (trial - limited))
         # the fastest creep of a contact that rests, z = 0 exactly, as long as the two halves do not quite agree
         creep = float((slips * ((trial == friction).all(axis=0) & (scene.acting_coefficient > 0))).max())
         return Progress(
@@ -164,6 +166,13 @@ class OperatorSplittingMethod(Method):
             largest_balance_residual=largest_unbalanced_torque(scene, friction, axes),
             proof=balanced,
         )
+
+    def _limited(self, trial: Forces) -> Forces:
+        """The friction f of trial forces, to the last bit as the contact step has it."""
+        scene, alone = self.scene, self.scene.lattice.felt(self.spin_axes).sum(axis=0) == 1
+        limit, size = scene.strength * scene.acting_coefficient, np.sqrt((trial**2).sum(axis=0))
+        share = np.divide(limit, size, out=np.ones_like(size), where=size > limit)
+        return np.where(alone, np.clip(trial, -limit, limit), trial * share)
 
     def _spring_force(self, potential: np.ndarray, trial: Forces, friction: Forces) -> Forces:
         """rho D Omega - (v - 2 f), (C, R, E).
@@ -183,13 +192,14 @@ class OperatorSplittingMethod(Method):
             USUAL_STIFFNESS * np.maximum(power, np.finfo(np.float32).tiny) / (scene.lattice.radius * columns * jump**2)
         )
 
-    def _steer(self, power: np.ndarray, balanced_power: np.ndarray, bound: np.ndarray) -> None:
-        """Choose the next stiffness from the two parts of the gap, within a reach that only grows with the iterations.
+    def _steered(self, power: np.ndarray, balanced_power: np.ndarray, bound: np.ndarray) -> np.ndarray:
+        """Factors (R,) on the stiffness from the two parts of the gap, within a reach that only grows with the
+        iterations.
 
         Without that limit a scene whose parts shrink in proportion would drive the stiffness away without end.
         """
         if not 0 < self.iteration < STEERED_ITERATIONS:
-            return
+            return np.ones(len(power))
         least = np.maximum(1e-3 * (power - bound), np.finfo(np.float64).tiny)
         spins_late = np.maximum(power - balanced_power, least)
         forces_late = np.maximum(balanced_power - bound, least)
@@ -198,7 +208,7 @@ class OperatorSplittingMethod(Method):
         usual = self._usual_stiffness(power)
         wanted = (self.stiffness * factor).clip(usual / reach, usual * reach)
         factor = wanted / self.stiffness
-        self.change = np.where(np.abs(np.log(factor)) > np.log(LEAST_CHANGE), factor, 1.0)
+        return np.where(np.abs(np.log(factor)) > np.log(LEAST_CHANGE), factor, 1.0)
 
 
 class TorqueBalance:
