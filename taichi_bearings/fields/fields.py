@@ -76,7 +76,8 @@ class Fields:
                 self._place[name] = count, components, rows
                 count += components * rows.length
         if count > MOST_FIELD_NUMBERS:
-            raise DeviceError(f"{layout.sites} spheres are too many here: {count} numbers of {MOST_FIELD_NUMBERS}")
+            most = f"at most {MOST_FIELD_NUMBERS} of them can be indexed"
+            raise DeviceError(f"{layout.sites} spheres are too many here: they have {count} numbers, and {most}")
         try:
             self.values, self._host = self._allocate(count)
         except (RuntimeError, MemoryError) as error:
@@ -113,12 +114,12 @@ class Fields:
     def read(self, name: str) -> np.ndarray:
         """A field in the shape of :meth:`load`, float64."""
         first, components, rows = self._place[name]
-        stored = np.zeros((components, int(np.prod(rows.shape))), self.dtype)
         if self._host is not None:
             stored = self._inside(name)
         else:
             from taichi_bearings.fields.transfer import copy_out
 
+            stored = np.zeros((components, int(np.prod(rows.shape))), self.dtype)
             copy_out(self.values, stored, first + rows.margin, rows.length)
         found = np.empty(stored.shape)
         found[:, rows.order] = stored

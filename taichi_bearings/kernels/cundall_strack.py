@@ -20,7 +20,7 @@ from taichi_bearings.kernels.memory import (
     store,
     store_each,
     zero,
-)
+)  # fmt: skip
 from taichi_bearings.kernels.stencil import Stencil
 from taichi_bearings.kernels.team import Sweeps
 

@@ -3,16 +3,7 @@
 from taichi_bearings.compiler import ti
 from taichi_bearings.fields import FieldSpec, first_slots
 from taichi_bearings.kernels.contact import clamp, length
-from taichi_bearings.kernels.memory import (
-    in_range,
-    load,
-    load_each,
-    load_neighbours,
-    minus,
-    places,
-    store_each,
-    zero,
-)
+from taichi_bearings.kernels.memory import in_range, load, load_each, load_neighbours, minus, places, store_each, zero
 from taichi_bearings.kernels.stencil import Stencil
 from taichi_bearings.kernels.team import Sweeps
 

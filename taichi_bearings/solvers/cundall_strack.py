@@ -73,9 +73,8 @@ class CundallStrackMethod(SpringDynamics):
 
     def _kernels(self, corrector: tuple[float, ...]) -> tuple[Team, Sweeps]:
         numbers = self.stencil.components + self.stencil.force_components
-        return Team(team_size(self.fields.layout, numbers)), made_once(
-            self.stepping, self.spec, self.stencil, corrector
-        )
+        team = Team(team_size(self.fields.layout, numbers))
+        return team, made_once(self.stepping, self.spec, self.stencil, corrector)
 
     def _load_gear(self, staggered: np.ndarray) -> None:
         """Spins and their derivatives at the start, from the equation of motion. Without those of the sticking springs

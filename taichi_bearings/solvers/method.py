@@ -118,11 +118,12 @@ class Method:
 
         viscosity : beside friction, (R, E), in the units of the kernels.
         """
-        self.spec, self.fields = spec, (fields := self.on_device(spec))
-        self.stencil = self.stencil_of(fields.layout.block)
-        fields.load("coefficient", fields.layout.at_lower_sphere(self.scene.acting_coefficient))
+        self.spec, self.fields = spec, self.on_device(spec)
+        layout = self.fields.layout
+        self.stencil = self.stencil_of(layout.block)
+        self.fields.load("coefficient", layout.at_lower_sphere(self.scene.acting_coefficient))
         if viscosity is not None:
-            fields.load("viscosity", fields.layout.at_lower_sphere(viscosity))
+            self.fields.load("viscosity", layout.at_lower_sphere(viscosity))
 
     def read_forces(self, name: str) -> np.ndarray:
         """Forces or elongations (C, R, E) in a field."""

@@ -265,7 +265,8 @@ class OnNetwork(Method):
         return Fields(self.scene.lists, spec)
 
     def use(self, spec: Any, viscosity: np.ndarray | None) -> None:
-        self.spec, self.fields, across = spec, (fields := self.on_device(spec)), self.scene.across
+        fields, across = self.on_device(spec), self.scene.across
+        self.spec, self.fields = spec, fields
         if self.scene.components == 3:
             fields.load("across", across.transpose(0, 2, 1).reshape(6, 1, -1))
         fields.load("coefficient", self.scene.acting_coefficient[None])

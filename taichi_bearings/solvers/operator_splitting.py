@@ -80,22 +80,17 @@ class OperatorSplittingMethod(Method):
         spheres = scene.lattice.sites * scene.replicas
         refuse_beyond(BYTES_A_SPHERE * spheres, f"{self.options.name} of {spheres:,} spheres")
         forces = self.stencil_of(1).force_components
-        self.spec = (
-            ("friction", dimension),
-            ("trial", forces),
-            ("spring", forces),
-            ("potential", components),
-            ("pull", components),
-        )
-        lattice, self.fields = scene.lattice, (fields := self.on_device(self.spec))
-        self.layout = fields.layout
+        of_contacts = ("friction", dimension), ("trial", forces), ("spring", forces)
+        spec = (*of_contacts, ("potential", components), ("pull", components))
+        self.fields = self.on_device(spec)
+        self.layout = self.fields.layout
         self.stencil = self.stencil_of(self.layout.block)
-        self.weights = (1.0,) * lattice.height_axis + (HEIGHT_WEIGHT,)
-        self.weight = np.array(self.weights)[lattice.axis]
-        self.balance = TorqueBalance(self.spec, self.stencil, self.weights, fields)
-        self.contacts = made_once(ContactStep, self.spec, self.stencil)
-        self.team = Team(team_size(self.layout, sum(components for _, components in self.spec)))
-        self.contacts.compile(fields, self.team)
+        self.weights = (1.0,) * scene.lattice.height_axis + (HEIGHT_WEIGHT,)
+        self.weight = np.array(self.weights)[scene.lattice.axis]
+        self.balance = TorqueBalance(spec, self.stencil, self.weights, self.fields)
+        self.contacts = made_once(ContactStep, spec, self.stencil)
+        self.team = Team(team_size(self.layout, sum(components for _, components in spec)))
+        self.contacts.compile(self.fields, self.team)
         self._load(scene.clip_to_box(scene.staggered_spin(spin, self.spin_axes), self.spin_axes))
 
     def _load(self, staggered: np.ndarray) -> None:
@@ -110,8 +105,7 @@ class OperatorSplittingMethod(Method):
         self.iteration = 0
         stiffness = self._by_replica(self.stiffness)
         self.fields.load("potential", stiffness * staggered)
-        differences = self.differences(staggered)
-        self._load_trial(self.weight * self.stiffness[:, None] * differences)
+        self._load_trial(self.weight * self.stiffness[:, None] * self.differences(staggered))
 
     def _load_trial(self, trial: Forces) -> None:
         self.fields.load("trial", self.stencil.forces_at_lower_sphere(trial, self.layout))
