@@ -209,6 +209,8 @@ FINDINGS = _named(
         Quantity("tied_contacts", "1", "contacts that slip at some minima and not at others"),
         Quantity("cut_is_unique", "1", "whether every other cut is heavier"),
         Quantity("next_cut_over_minimum", "1", "weight of the lightest other cut over that of the minimum cut"),
+        Quantity("step_error", "1", "error of the spins by the length of the time step, over the largest spin"),
+        Quantity("accurate_time_step", "time", "time step that keeps that error below 0.01"),
         Quantity("elastic_share", "1",
                  "longest spring over the distance that the driven planes slid past each other"),
         Quantity("rest_time", "time", "simulated time at which the motion came to rest"),

@@ -18,6 +18,7 @@ from taichi_bearings.proof.contact_state import (
 )
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene import Solution, Status
+from taichi_bearings.solvers.gear import ACCURATE_ERROR
 from taichi_bearings.words import counted
 
 SLIPLESS, SLIPPING, UNPROVEN = ContactState.SLIPLESS, ContactState.SLIPPING, ContactState.UNDECIDED
@@ -133,6 +134,15 @@ def _tied(solution: Solution, settings: RunSettings) -> Iterator[str]:
         yield f"minima tie exactly: {counted(tied, 'contact')} slip at some of them and not at others"
 
 
+def _step(solution: Solution, settings: RunSettings) -> Iterator[str]:
+    """A time step that is too long to follow the course."""
+    error, advised = (solution.findings.get(name) for name in ("step_error", "accurate_time_step"))
+    if error is not None and error.max() > ACCURATE_ERROR:
+        words = f"the time step makes spins wrong by about {error.max():.1e} of the largest one on their way"
+        step = float(np.min(advised)) if advised is not None else np.nan
+        yield f"{words}; --time-step {step:.2g} keeps that below {ACCURATE_ERROR:g}" if np.isfinite(step) else words
+
+
 def _springs(solution: Solution, settings: RunSettings) -> Iterator[str]:
     """Springs that take up a part of the motion which rigid contacts would slip."""
     share = solution.findings.get("elastic_share", np.zeros(1))
@@ -146,5 +156,5 @@ def _springs(solution: Solution, settings: RunSettings) -> Iterator[str]:
 
 
 CAVEATS: tuple[Callable[[Solution, RunSettings], Iterator[str]], ...] = (
-    _powerless, _unfinished, _undecided, _mingled, _tied, _springs,
+    _powerless, _unfinished, _undecided, _mingled, _tied, _step, _springs,
 )  # fmt: skip

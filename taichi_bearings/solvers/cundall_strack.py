@@ -18,6 +18,8 @@ from taichi_bearings.scene import Energy, Progress, Scene
 from taichi_bearings.solvers.dynamics import WATCH_NAMES, SpringDynamics, default_inertia, replica_sum
 from taichi_bearings.solvers.gear import (
     GEAR_COEFFICIENTS,
+    Modes,
+    laplacian_spectrum,
     largest_laplacian_eigenvalue,
     largest_stable_step,
     largest_weighted_eigenvalue,
@@ -45,6 +47,7 @@ class CundallStrackMethod(SpringDynamics):
             given, most = options.time_step, self.stability_bound
             raise InputError(f"time_step is {given:g}; this scene is stable only up to {most:.6g}")
         self.time_step = options.time_step or DEFAULT_STEP * self.stability_bound
+        self.start_spin = float(np.abs(spin).max())
         self._load_gear(scene.staggered_spin(spin, self.spin_axes))
         is_free = np.where(scene.lattice.is_driven, 0.0, self.unit_inertia / self.inertia)
         self.fields.load("is_free", np.broadcast_to(is_free, (1, replicas, *scene.lattice.shape)))
@@ -170,6 +173,12 @@ class CundallStrackMethod(SpringDynamics):
         force = self.read_forces("force") if self.iteration else self.damping_force(staggered)
         return staggered, force, self.read_forces("elongation") if self.scene.law.holds else np.zeros_like(force)
 
+    def findings(self, last: Progress) -> dict[str, np.ndarray]:
+        modes = sticking_modes(self.scene, self.spin_axes, self.options, self.start_spin, self.stability_bound)
+        of, replicas = (self.options.gear_order, self.time_step, self.iteration), self.scene.replicas
+        found = {"step_error": modes.error(*of), "accurate_time_step": modes.accurate_step(*of)}
+        return super().findings(last) | {name: np.full(replicas, value) for name, value in found.items()}
+
     def _contact_power(self, force: np.ndarray, staggered: np.ndarray) -> np.ndarray:
         """(R,) what the contacts take from the spins, over the radius."""
         return replica_sum(force * self.differences(staggered))
@@ -223,3 +232,26 @@ def largest_step(options: CundallStrack, holds: bool, decay: float, stiffest: fl
     """Largest stable time step. decay : of the stiffest mode by viscosity, 1/time. stiffest : R^2 lambda / I of it."""
     damping, stiffness = (options.damping, options.stiffness) if holds else (0.0, 0.0)
     return largest_stable_step(options.gear_order, damping * stiffest + decay, stiffness * stiffest)
+
+
+def sticking_modes(
+    scene: Scene, spin_axes: tuple[int, ...], options: CundallStrack, largest_spin: float, stable: float
+) -> Modes:
+    """The modes that tell the error of a time step.
+
+    largest_spin : at the start, 1/time; the driven ones count too. stable : largest stable time step.
+    """
+    radius = scene.lattice.radius
+    over = radius**2 / (options.inertia or default_inertia(scene, options.mass))
+    spectrum = over * laplacian_spectrum(scene.lattice, spin_axes)
+    if not scene.law.holds:  # all as much stiffer than with even contacts as the stiffest one, known by its bound
+        stiffest = largest_stable_step(options.gear_order, 1.0, 0.0) / stable
+        decay = stiffest * spectrum / (over * largest_laplacian_eigenvalue(scene.lattice, spin_axes))
+        return Modes(decay, np.zeros_like(spectrum), 1.0, 0.0, np.inf)
+    strongest = float(scene.acting_coefficient.max())
+    holds = scene.normal_force * strongest * options.static_ratio
+    fastest = float(max(largest_spin, scene.fastest, np.finfo(float).tiny))
+    damping = options.damping
+    if scene.viscosities is not None:
+        damping += max(float(values.mean()) for values in scene.lattice.by_axis(scene.viscosities))
+    return Modes(damping * spectrum, options.stiffness * spectrum, damping, options.stiffness, holds / radius / fastest)

@@ -302,3 +302,17 @@ def test_damaged_runs_are_refused(finished_run, tmp_path):
         done = bearings(*words, cwd=tmp_path)
         assert done.returncode == 2, words
         assert len(done.stderr.strip().splitlines()) == 1
+
+
+def test_a_time_step_too_long_for_the_course_is_said_with_a_number(tmp_path):
+    words = ("--shape", "4,5", "--method", "cundall-strack", "--initial", "random", "--duration", "2")
+    soft = bearings("run", *words, "--stiffness", "1e3", "--damping", "0.5", "--out", tmp_path / "soft")
+    assert soft.returncode == 0, soft.stderr
+    assert "warning: the time step makes spins wrong by about 2." in soft.stderr
+    summary = json.loads((tmp_path / "soft" / "summary.json").read_text())
+    step = str(summary["accurate_time_step"])
+    assert f"--time-step {float(step):.2g} keeps" in soft.stderr
+    short = ("--stiffness", "1e3", "--damping", "0.5", "--time-step", step, "--out", tmp_path / "short", "--json")
+    short = json.loads(bearings("run", *words, *short).stdout)
+    assert short["step_error"] <= 1e-2 < summary["step_error"]
+    assert short["accurate_time_step"] == float(step)
