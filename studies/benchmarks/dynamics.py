@@ -26,7 +26,6 @@ import numpy as np
 
 from taichi_bearings import runtime
 from taichi_bearings.errors import BearingsError
-from taichi_bearings.fields import Fields, make_layout
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.initial_spins import initial_spin
@@ -103,7 +102,7 @@ def measure(shape: tuple[int, ...], rounds: int, steps: int) -> Found:
     for start in ("linear", "random"):
         spin = initial_spin(scene, start)
         method: Any = CundallStrack().build()
-        method.begin(scene, spin, Fields(make_layout(1, shape), method.plan(scene, spin)))
+        method.begin(scene, spin)
         method.advance(steps)
         with tempfile.TemporaryDirectory() as folder:
             request = request_of(scene, spin[0], Path(folder), steps, max(1, steps // 10))

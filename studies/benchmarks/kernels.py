@@ -12,7 +12,6 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from taichi_bearings import runtime
-from taichi_bearings.fields import Fields, make_layout
 from taichi_bearings.memory import free_bytes
 from taichi_bearings.plots.curves import Curve, Look, draw_scan
 from taichi_bearings.plots.page import JOURNAL_WIDTHS, Page
@@ -88,7 +87,7 @@ def _candidate(name: str, method: Any, scene: Scene, start: str) -> Candidate:
     spin, took = initial_spin(scene, start), []
     for _ in range(2):
         began = time.perf_counter()
-        method.begin(scene, spin, Fields(make_layout(1, scene.lattice.shape), method.plan(scene, spin)))
+        method.begin(scene, spin)
         took.append(time.perf_counter() - began)
     return Candidate(name, method.advance, method.stencil.components, max(took[0] - took[1], 0.0))
 

@@ -1,5 +1,5 @@
-"""The numbers of a scene on the lattice, in one flat layout, on the device that runs."""
+"""The numbers of spheres and contacts, row by row in one array, on the device that runs."""
 
-from taichi_bearings.fields.fields import CPU_BLOCK, Fields, FieldSpec, first_slots, make_layout, on_device, team_size
+from taichi_bearings.fields.fields import Fields, FieldSpec, block_size, first_slots, make_layout, on_device, team_size
 
-__all__ = ["CPU_BLOCK", "FieldSpec", "Fields", "first_slots", "make_layout", "on_device", "team_size"]
+__all__ = ["FieldSpec", "Fields", "block_size", "first_slots", "make_layout", "on_device", "team_size"]

@@ -6,7 +6,7 @@ import numpy as np
 
 from taichi_bearings import runtime
 from taichi_bearings.errors import DeviceError
-from taichi_bearings.lattice.layout import Layout
+from taichi_bearings.lattice.layout import Layout, Rows
 from taichi_bearings.memory import aligned_zeros
 
 FieldSpec = tuple[tuple[str, int], ...]  # (name, number of components); site fields of the flat layout
@@ -16,9 +16,14 @@ LEAST_WORKER_NUMBERS = 2_000  # site values a worker must have, or meeting the o
 MOST_FIELD_NUMBERS = 2**30  # in all fields of a scene, so that kernels can index them
 
 
+def block_size() -> int:
+    """Sites that a kernel works on together: blocks for SIMD on a CPU, one site a thread on a GPU."""
+    return 1 if runtime.current().is_gpu else CPU_BLOCK
+
+
 def make_layout(replicas: int, shape: tuple[int, ...], periodic: tuple[int, ...] = ()) -> Layout:
-    """The flat layout for the running device: blocks for SIMD on a CPU, one site a thread on a GPU."""
-    return Layout(replicas, shape, 1 if runtime.current().is_gpu else CPU_BLOCK, periodic)
+    """The flat layout of a lattice for the running device."""
+    return Layout(replicas, shape, block_size(), periodic)
 
 
 def number_type() -> np.dtype:
@@ -53,7 +58,7 @@ def first_slots(spec: FieldSpec) -> dict[str, int]:
 
 
 class Fields:
-    """Fields named in `spec` on the sites of `layout`, all 0 at first.
+    """Fields of a spec on the sites of a `Layout`, or on the spheres and contacts of `Lists`; all 0 at first.
 
     Kernels know the rows of the fields when they are compiled, the length of the rows when they are called: no shape,
     number of replicas or size compiles anything anew. On a CPU the array is NumPy's, which kernels work on in place.
@@ -63,26 +68,32 @@ class Fields:
     tables : the measures of the layout, for kernels.
     """
 
-    def __init__(self, layout: Layout, spec: FieldSpec) -> None:
-        self.layout, self.slot, self.components = layout, first_slots(spec), dict(spec)
-        self.rows = sum(self.components.values())
-        self.dtype = number_type()
-        if self.rows * layout.length > MOST_FIELD_NUMBERS:
-            most = MOST_FIELD_NUMBERS // self.rows
-            raise DeviceError(f"{layout.sites} spheres are too many here; this method can index about {most}")
+    def __init__(self, layout: Any, spec: Any) -> None:
+        self.layout, self.dtype, count = layout, number_type(), 0
+        self._place: dict[str, tuple[int, int, Rows]] = {}  # first number and rows of a field, and where they lie
+        for names, rows in layout.parts(spec):
+            for name, components in names:
+                self._place[name] = count, components, rows
+                count += components * rows.length
+        if count > MOST_FIELD_NUMBERS:
+            most = f"at most {MOST_FIELD_NUMBERS} of them can be indexed"
+            raise DeviceError(f"{layout.sites} spheres are too many here: they have {count} numbers, and {most}")
         try:
-            self.values, self._host = self._allocate()
+            self.values, self._host = self._allocate(count)
         except (RuntimeError, MemoryError) as error:
-            size = self.rows * layout.length * self.dtype.itemsize
+            size = count * self.dtype.itemsize
             raise DeviceError(f"{size} bytes of fields do not fit on this device: {error}") from error
         self.blocks = one_block() if self._host is None else self._host.reshape(-1, layout.block)
         self.tables = on_device(np.array(layout.measures), "i32")
 
-    def _allocate(self) -> tuple[Any, np.ndarray | None]:
-        count = self.rows * self.layout.length
+    @property
+    def names(self) -> list[str]:
+        return list(self._place)
+
+    def _allocate(self, count: int) -> tuple[Any, np.ndarray | None]:
         if not runtime.current().is_gpu:
-            flat = aligned_zeros(count, self.layout.block, self.dtype)
-            return flat, flat.reshape(self.rows, -1)
+            host = aligned_zeros(count, self.layout.block, self.dtype)
+            return host, host
         from taichi_bearings.compiler import ti
 
         values = ti.ndarray(getattr(ti, runtime.current().precision), count)
@@ -90,43 +101,47 @@ class Fields:
         return values, None
 
     def load(self, name: str, values: np.ndarray) -> None:
-        """Set a field from (C, R, *N); margins stay."""
+        """Set a field from (C, R, *N), in lists from (C, 1, N) or (C, 1, E); margins stay."""
+        first, components, rows = self._place[name]
+        given = values.reshape(components, -1)[:, rows.order]
         if self._host is not None:
-            self.view(name)[...] = values
+            self._inside(name)[...] = given
             return
         from taichi_bearings.fields.transfer import copy_in
 
-        copy_in(self.values, np.ascontiguousarray(values.reshape(len(values), -1), self.dtype), *self._place(name))
+        copy_in(self.values, np.ascontiguousarray(given, self.dtype), first + rows.margin, rows.length)
 
     def read(self, name: str) -> np.ndarray:
-        """A field as (C, R, *N), float64."""
+        """A field in the shape of :meth:`load`, float64."""
+        first, components, rows = self._place[name]
         if self._host is not None:
-            return self.view(name).astype(np.float64)
-        from taichi_bearings.fields.transfer import copy_out
+            stored = self._inside(name)
+        else:
+            from taichi_bearings.fields.transfer import copy_out
 
-        found = np.zeros((self.components[name], self.layout.sites), self.dtype)
-        copy_out(self.values, found, *self._place(name))
-        return found.astype(np.float64).reshape(-1, self.layout.replicas, *self.layout.shape)
-
-    def seen(self, name: str) -> np.ndarray:
-        """The same to look at: what lies in the memory of a CPU in double precision is not copied."""
-        return self.read(name) if self._host is None else self.view(name).astype(np.float64, copy=False)
+            stored = np.zeros((components, int(np.prod(rows.shape))), self.dtype)
+            copy_out(self.values, stored, first + rows.margin, rows.length)
+        found = np.empty(stored.shape)
+        found[:, rows.order] = stored
+        return found.reshape(-1, *rows.shape)
 
     def clear(self, name: str) -> None:
-        self.load(name, np.zeros((self.components[name], self.layout.replicas, *self.layout.shape)))
+        _, components, rows = self._place[name]
+        self.load(name, np.zeros((components, *rows.shape)))
 
     def view(self, name: str) -> np.ndarray:
-        """A field in the memory of a CPU as (C, R, *N), not copied."""
+        """A field of a lattice in the memory of a CPU as (C, R, *N), not copied."""
+        return self._inside(name).reshape(-1, *self._place[name][2].shape)
+
+    def _inside(self, name: str) -> np.ndarray:
+        """(C, n) the numbers of a field in the memory of a CPU, without margins, in the order of their places."""
         assert self._host is not None
-        rows = slice(self.slot[name], self.slot[name] + self.components[name])
-        return self._host[rows, self.layout.inside].reshape(-1, self.layout.replicas, *self.layout.shape)
-
-    def _place(self, name: str) -> tuple[int, int]:
-        """Where a field begins in `values`, and how far apart its rows are."""
-        return self.slot[name] * self.layout.length + self.layout.margin, self.layout.length
+        first, components, rows = self._place[name]
+        whole = self._host[first : first + components * rows.length].reshape(components, rows.length)
+        return whole[:, rows.margin : rows.margin + int(np.prod(rows.shape))]
 
 
-def team_size(layout: Layout, components: int) -> int:
+def team_size(layout: Any, components: int) -> int:
     """Workers for kernels that keep `components` numbers a site: 0 on a GPU, else as many threads as pay."""
     running = runtime.current()
     if running.is_gpu:

@@ -6,8 +6,6 @@ back. A ring is a chain with one more spring, which takes one more sum. docs/dec
 in one order, whatever the number of workers or replicas.
 """
 
-from functools import lru_cache
-
 from taichi_bearings.compiler import ti
 from taichi_bearings.fields import FieldSpec, first_slots
 from taichi_bearings.kernels.memory import VALUES, in_range, load, load_each, zero
@@ -17,12 +15,6 @@ from taichi_bearings.lattice.layout import Layout
 
 TILE = 4  # rows and columns of a matrix product that a thread of a GPU sums: 8 numbers read for 16 products
 AHEAD = 4  # spheres of a chain that a thread of a GPU reads before it writes the first of them; on a CPU 1
-
-
-@lru_cache
-def balance_kernels(spec: FieldSpec, stencil: Stencil) -> "BalanceKernels":
-    """One for each configuration, so that the next scene finds its kernels compiled."""
-    return BalanceKernels(spec, stencil)
 
 
 @ti.data_oriented

@@ -340,18 +340,13 @@ def _pass(law: Callable, iterate: tuple = NO_NUMBERS, step: tuple = NO_NUMBERS, 
         values: NUMBERS, blocks: BLOCKS, found: BLOCKS, numbers: NUMBERS, length: int, first_two: int, count: int,
         read_slot: int, write_slot: int,
     ):  # fmt: skip
-        ti.loop_config(serialize=True)
-        for block in range(first_two):
-            walk(
-                values, blocks, found, law, length, block, [read_slot, write_slot],
-                ti.static((iterate[0], step[0])), ti.static(finds), ti.static((0,)), numbers,
-            )  # fmt: skip
-        ti.loop_config(serialize=True)
-        for block in range(first_two, count):
-            walk(
-                values, blocks, found, law, length, block, [read_slot, write_slot],
-                ti.static((iterate[1], step[1])), ti.static(finds), ti.static((0, 1)), numbers,
-            )  # fmt: skip
+        for kind in ti.static(range(2)):  # contacts with one component, then those with two
+            ti.loop_config(serialize=True)
+            for block in range(kind * first_two, first_two if ti.static(kind == 0) else count):
+                walk(
+                    values, blocks, found, law, length, block, [read_slot, write_slot],
+                    ti.static((iterate[kind], step[kind])), ti.static(finds), ti.static((0, 1)[: 1 + kind]), numbers,
+                )  # fmt: skip
 
     return run
 

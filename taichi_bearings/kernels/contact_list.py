@@ -6,10 +6,9 @@ each, in the order of a list: no atomics, and the same bits on any number of thr
 on lattices; what they gather from elsewhere is near, by the order of the lists (fields/lists.py).
 """
 
-from functools import lru_cache
-
 from taichi_bearings.compiler import ti
-from taichi_bearings.fields.lists import ListSpec, list_block
+from taichi_bearings.fields import block_size
+from taichi_bearings.fields.lists import ListSpec
 from taichi_bearings.kernels.contact import FORCES, viscous_force
 from taichi_bearings.kernels.cundall_strack import SpringsAndSpins
 from taichi_bearings.kernels.descent import momentum
@@ -17,15 +16,10 @@ from taichi_bearings.kernels.memory import in_range, load, load_each, places, st
 from taichi_bearings.kernels.team import Sweeps
 
 
-@lru_cache
-def list_sweeps(sweeps: type["ListSweeps"], spec: ListSpec, law: str, corrector: tuple[float, ...]) -> "ListSweeps":
-    """One for each configuration, so that the next packing finds its kernels compiled."""
-    return sweeps(spec, law, corrector)
-
-
 @ti.data_oriented
 class ListSweeps(Sweeps):
-    """Part 0 walks over the contacts, part 1 over the spheres. d tangents, C components of a spin.
+    """Part 0 walks over the contacts, part 1 over the spheres. d tangents, C components of a spin. What is done with a
+    block stands in a class of its own: `at_contacts`, and for each component `at_spheres`.
 
     Fields of all: of contacts `across` (d C), but for discs, `coefficient`, `viscosity`, and `force`, T f, (C).
     Measures, `size` : lengths of the rows of spheres and of contacts; the lists of `Lists` follow them in `tables`.
@@ -34,7 +28,7 @@ class ListSweeps(Sweeps):
     parts, measures = 2, 2
 
     def __init__(self, spec: ListSpec, law: str, corrector: tuple[float, ...]):
-        super().__init__(list_block())
+        super().__init__(block_size())
         self.rows, end = dict[str, tuple[int, ...]](), 0
         for name, count in (*spec[0], *spec[1]):
             self.rows[name], end = tuple(range(end, end + count)), end + count
@@ -72,20 +66,6 @@ class ListSweeps(Sweeps):
                 row = self.sphere_rows * size[0] + self.rows["force"][c] * size[1]
                 pull = self.pull(values, row, tables, size, first)
                 self.at_spheres(values, blocks, c, pull, first, size, numbers, sweep)
-
-    @ti.func
-    def at_contacts(
-        self, values: ti.template(), blocks: ti.template(), tables: ti.template(), first, size: ti.template(),
-        across: ti.template(), numbers: ti.template(),
-    ):  # fmt: skip
-        """The first part of a step, for a block."""
-
-    @ti.func
-    def at_spheres(
-        self, values: ti.template(), blocks: ti.template(), c: ti.template(), pull, first, size: ti.template(),
-        numbers: ti.template(), sweep,
-    ):  # fmt: skip
-        """The second one, for one component."""
 
     @ti.func
     def on(self, name: ti.template(), size: ti.template(), first):

@@ -5,13 +5,22 @@ sphere pass gathers the torques, corrects the spins and predicts the next step, 
 once a pass. A top plane under a torque is one rigid body that turns as a(t) times a bearing state, in a third pass.
 """
 
-from functools import lru_cache
 from math import comb
 
 from taichi_bearings.compiler import ti
 from taichi_bearings.fields import FieldSpec, first_slots
 from taichi_bearings.kernels.contact import length, viscous_force
-from taichi_bearings.kernels.memory import in_range, load, load_each, load_neighbours, minus, places, store, store_each
+from taichi_bearings.kernels.memory import (
+    in_range,
+    load,
+    load_each,
+    load_neighbours,
+    minus,
+    places,
+    store,
+    store_each,
+    zero,
+)  # fmt: skip
 from taichi_bearings.kernels.stencil import Stencil
 from taichi_bearings.kernels.team import Sweeps
 
@@ -78,12 +87,6 @@ class SpringsAndSpins:
         return corrected + [end, mean + ti.static(self.corrector[0] ** 2) * error]
 
 
-@lru_cache
-def cundall_strack_steps(spec: FieldSpec, stencil: Stencil, corrector: tuple[float, ...]) -> "CundallStrackSteps":
-    """One for each configuration, so that the next scene finds its kernels compiled."""
-    return CundallStrackSteps(spec, stencil, corrector)
-
-
 @ti.data_oriented
 class CundallStrackSteps(SpringsAndSpins, Sweeps):
     """Steps over the fields `gear_0` ... `gear_q`, `predicted`, `is_free`, `force`, `coefficient`, with friction also
@@ -114,15 +117,13 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
             self.elongation = stencil.force_rows(slot["elongation"])
         names = [name for name in ("coefficient", "viscosity") if name in slot]
         self.coefficients = tuple(tuple(slot[name] + axis for name in names) for axis in axes)
-        # rows of the first component; those of the others follow
-        self.gear = tuple(slot[f"gear_{n}"] for n in range(self.order))
-        self.ahead = tuple(slot[name] for name in ("predicted", "integral") if name in slot)
-        # the two axes whose contacts each component feels, and the rows of their forces
-        felt = [[a for a in axes if c in stencil.kept[a]] for c in range(stencil.components)]
-        self.felt = tuple(zip(*felt, strict=True))
-        self.pulls = tuple(
-            tuple(self.force[axis][stencil.kept[axis].index(c)] for c, axis in enumerate(of_components))
-            for of_components in self.felt
+        # rows of the first component that a step writes; those of the others follow
+        moved = [*(f"gear_{n}" for n in range(self.order)), "predicted", "integral"]
+        self.moved = tuple(slot[name] for name in moved if name in slot)
+        # for each component the axes whose contacts it feels, and the row of their forces
+        self.felt = tuple(
+            tuple((a, (self.force[a][stencil.kept[a].index(c)],)) for a in axes if c in stencil.kept[a])
+            for c in range(stencil.components)
         )
 
     @ti.func
@@ -171,27 +172,18 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
         store(values, blocks, work, self.block, total)
 
     @ti.func
-    def pull(
-        self, values: ti.template(), row, first, strides: ti.template(), axes: ti.template(), rows: ti.template(), c
-    ):
-        """What the contacts of one axis pull on component c of spheres, given axis and row for each component."""
-        side = [chosen([strides[n + axis] for axis in axes], c) for n in ti.static(range(0, len(strides), 3))]
-        force = [chosen(rows, c)]
-        below = load_neighbours(values, force, row, first, side, -1, self.block)
-        return load_each(values, places(force, row, first), self.block)[0] - below[0]
-
-    @ti.func
     def sphere_pass(self, values: ti.template(), blocks: ti.template(), row, first, strides: ti.template(), response):
-        """Spins of one block. A loop over the components at run time is compiled and read once."""
+        """Spins of one block."""
         is_free = load(values, in_range(self.slot["is_free"] * row + first), self.block)
-        for c in range(self.stencil.components):
-            pulls = [
-                self.pull(values, row, first, strides, self.felt[k], self.pulls[k], c) for k in ti.static(range(2))
-            ]
-            pull = pulls[0] + pulls[1]
-            gear, ahead = places(self.gear, row, first + c * row), places(self.ahead, row, first + c * row)
-            new = self.motion(load_each(values, gear, self.block), pull, is_free, response)
-            store_each(values, blocks, gear + ahead, self.block, new)
+        for c in ti.static(range(self.stencil.components)):
+            pull = zero(self.block)
+            for axis, rows in ti.static(self.felt[c]):
+                above = load_each(values, places(rows, row, first), self.block)
+                below = load_neighbours(values, rows, row, first, strides[axis::3], -1, self.block)
+                pull += above[0] - below[0]
+            at = places([slot + c for slot in ti.static(self.moved)], row, first)
+            new = self.motion(load_each(values, at[: self.order], self.block), pull, is_free, response)
+            store_each(values, blocks, at, self.block, new)
             if ti.static(self.tally):  # of driven spheres, which do not move
                 impulse = in_range((self.slot["impulse"] + c) * row + first)
                 self.sum_up(values, blocks, [impulse], [(1.0 - is_free) * pull])
@@ -208,10 +200,6 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
             self.sphere_pass(values, blocks, row, first, strides, numbers[7])
         else:
             self.body_pass(values, row, first, numbers)
-
-    @ti.func
-    def body_pass(self, values: ti.template(), row, first, numbers: ti.template()):
-        """The bodies whose numbers stand in the block of sites from `first` on; of plain steps there are none."""
 
 
 @ti.data_oriented
@@ -231,12 +219,12 @@ class RigidTopSteps(CundallStrackSteps):
         super().__init__(spec, stencil, corrector)
         slot = first_slots(spec)
         self.body = tuple(range(slot["body"], slot["body"] + self.order + len(BODY_NUMBERS)))
-        self.moved = self.gear + self.ahead
         # components, and the rows of the forces of the contacts along the height that feel them
         self.below = tuple(zip(stencil.kept[stencil.height], self.force[stencil.height], strict=True))
 
     @ti.func
     def body_pass(self, values: ti.template(), row, first, numbers: ti.template()):
+        """The bodies whose numbers stand in the block of sites from `first` on."""
         for m in range(self.block):
             if values[self.slot["first"] * row + first + m] > 0.0:
                 self.turn(values, row, first + m, numbers)
@@ -268,12 +256,3 @@ class RigidTopSteps(CundallStrackSteps):
         after = new[: self.order] + [steps + 1.0, turned, worked, started]
         for n in ti.static(range(len(after))):
             values[self.body[n] * row + origin] = after[n]
-
-
-@ti.func
-def chosen(options: ti.template(), number):
-    """options[number], for a number that is known at run time."""
-    result = options[0]
-    for other in ti.static(range(1, len(options))):
-        result = ti.select(number == other, options[other], result)
-    return result

@@ -1,7 +1,5 @@
 """Descent sweeps: every free sphere moves against the gradient of the dissipated power (paper Eqs. 5 and 6)."""
 
-from functools import lru_cache
-
 from taichi_bearings.compiler import ti
 from taichi_bearings.fields import FieldSpec, first_slots
 from taichi_bearings.kernels.contact import FORCES, clamp
@@ -19,12 +17,6 @@ from taichi_bearings.kernels.memory import (
 )  # fmt: skip
 from taichi_bearings.kernels.stencil import Stencil
 from taichi_bearings.kernels.team import Sweeps
-
-
-@lru_cache
-def descent_sweeps(spec: FieldSpec, stencil: Stencil, law: str) -> "DescentSweeps":
-    """One for each configuration, so that the next scene finds its kernels compiled."""
-    return DescentSweeps(spec, stencil, law)
 
 
 @ti.data_oriented
@@ -81,7 +73,7 @@ class DescentSweeps(Sweeps):
     @ti.func
     def add(self, total: ti.template(), axis: ti.template(), above: ti.template(), below: ti.template()):
         """Add what contacts of one axis pull to the components that feel them."""
-        for t in ti.static(range(self.stencil.kept_count[axis])):
+        for t in ti.static(range(len(self.stencil.kept[axis]))):
             total[self.stencil.kept[axis][t]] += above[t] - below[t]
 
     @ti.func

@@ -1,33 +1,13 @@
 """The contact step of operator splitting: friction limits the force of each contact, then spheres feel the springs."""
 
-from functools import lru_cache
-
-import numpy as np
-
 from taichi_bearings.compiler import ti
-from taichi_bearings.fields import Fields, FieldSpec, first_slots, on_device
+from taichi_bearings.fields import FieldSpec, first_slots
 from taichi_bearings.kernels.contact import clamp, length
-from taichi_bearings.kernels.memory import (
-    VALUES,
-    in_range,
-    load,
-    load_each,
-    load_neighbours,
-    minus,
-    places,
-    store_each,
-    zero,
-)
+from taichi_bearings.kernels.memory import in_range, load, load_each, load_neighbours, minus, places, store_each, zero
 from taichi_bearings.kernels.stencil import Stencil
-from taichi_bearings.kernels.team import Sweeps, Team
+from taichi_bearings.kernels.team import Sweeps
 
 ABSENT_FRICTION = -1.0  # friction where the lattice has no contact
-
-
-@lru_cache
-def contact_step(spec: FieldSpec, stencil: Stencil) -> "ContactStep":
-    """One for each configuration, so that the next scene finds its kernels compiled."""
-    return ContactStep(spec, stencil)
 
 
 @ti.data_oriented
@@ -52,16 +32,6 @@ class ContactStep(Sweeps):
         self.potential = stencil.spin_rows(self.slot["potential"])
         self.trial, self.spring = stencil.force_rows(self.slot["trial"]), stencil.force_rows(self.slot["spring"])
         self.pull = tuple(self.slot["pull"] + c for c in range(stencil.components))
-
-    def rescale(self, fields: Fields, factors: np.ndarray) -> None:
-        """Multiply the potential and what friction does not bear of the trial forces, by replica; (R,) factors."""
-        layout = fields.layout
-        self.scale(fields.values, on_device(factors), layout.length, layout.margin, layout.sites)
-
-    def compile(self, fields: Fields, team: Team) -> None:
-        """Compile the kernels, on no sites at all."""
-        super().compile(fields, team)
-        self.scale(fields.values, on_device(np.ones(1)), 0, 0, 0)
 
     @ti.func
     def limited(self, force: ti.template(), friction):
@@ -124,17 +94,3 @@ class ContactStep(Sweeps):
             self.limit_block(values, blocks, row, first, strides, numbers)
         else:
             self.gather_block(values, blocks, row, first, strides)
-
-    @ti.kernel
-    def scale(self, values: VALUES, factors: VALUES, row: int, margin: int, count: int):
-        for site in range(count):
-            factor, first = factors[site // (count // factors.shape[0])], margin + site
-            for axis in ti.static(self.stencil.slipping_axes):
-                at = places(self.trial[axis], row, first)
-                trial = load_each(values, at, 1)
-                force = self.limited(trial, ti.max(values[(self.slot["friction"] + axis) * row + first], 0.0))
-                for t in ti.static(range(len(trial))):
-                    values[at[t]] = force[t] + factor * (trial[t] - force[t])
-            for c in ti.static(range(self.stencil.components)):
-                place = (self.slot["potential"] + c) * row + first
-                values[place] = values[place] * factor

@@ -1,6 +1,7 @@
 """Compile-time shape of the work: which spin components each contact direction uses, and how sites are blocked."""
 
 from dataclasses import dataclass
+from itertools import accumulate, pairwise
 
 import numpy as np
 
@@ -48,18 +49,9 @@ class Stencil:
         return tuple(next(axis for axis in sides if axis != component) for component in self.spin_axes)
 
     @property
-    def kept_count(self) -> tuple[int, ...]:
-        return tuple(len(slots) for slots in self.kept)
-
-    @property
     def force_components(self) -> int:
         """Numbers that hold the forces of all contacts above a site: the sum of what each axis keeps."""
-        return sum(len(slots) for slots in self.kept)
-
-    @property
-    def force_slot(self) -> tuple[int, ...]:
-        """Where the force of each axis begins among the force components."""
-        return tuple(sum(len(slots) for slots in self.kept[:axis]) for axis in range(self.dimension))
+        return sum(map(len, self.kept))
 
     def spin_rows(self, first: int) -> tuple[tuple[int, ...], ...]:
         """For each axis, the rows of the components that make its contacts slip, of spins that begin at row `first`."""
@@ -67,25 +59,20 @@ class Stencil:
 
     def force_rows(self, first: int) -> tuple[tuple[int, ...], ...]:
         """For each axis, the rows of the forces of its contacts, of those of all that begin at row `first`."""
-        return tuple(
-            tuple(range(first + slot, first + slot + count))
-            for slot, count in zip(self.force_slot, self.kept_count, strict=True)
-        )
+        ends = list(accumulate(map(len, self.kept), initial=first))
+        return tuple(tuple(range(begin, end)) for begin, end in pairwise(ends))
 
     def forces_of_contacts(self, stored: np.ndarray, layout: Layout) -> np.ndarray:
         """Force components at the lower spheres (V, R, *N) -> (C, R, E)."""
         force = np.zeros((self.components, stored.shape[1], layout.lattice.all_contacts))
-        for axis, values in enumerate(layout.lattice.by_axis(force)):
-            values[list(self.kept[axis])] = layout.from_lower_sphere(stored[self._of_axis(axis)], axis)
+        for axis, (values, rows) in enumerate(zip(layout.lattice.by_axis(force), self.force_rows(0), strict=True)):
+            values[list(self.kept[axis])] = layout.from_lower_sphere(stored[list(rows)], axis)
         return force
 
     def forces_at_lower_sphere(self, force: np.ndarray, layout: Layout) -> np.ndarray:
         """Inverse of :meth:`forces_of_contacts`; 0 where there is no contact."""
         stored = np.zeros((self.force_components, force.shape[1], *layout.shape))
-        for axis, values in enumerate(layout.lattice.by_axis(force)):
-            layout.from_lower_sphere(stored[self._of_axis(axis)], axis)[...] = values[list(self.kept[axis])]
+        for axis, (values, rows) in enumerate(zip(layout.lattice.by_axis(force), self.force_rows(0), strict=True)):
+            for slot, row in zip(self.kept[axis], rows, strict=True):
+                layout.from_lower_sphere(stored[row], axis)[...] = values[slot]
         return stored
-
-    def _of_axis(self, axis: int) -> slice:
-        """Rows of the forces of an axis among the force components."""
-        return slice(self.force_slot[axis], self.force_slot[axis] + len(self.kept[axis]))

@@ -12,8 +12,9 @@ as many workers as it got processors, before a short launch tries the whole team
 
 import math
 import time
+from collections.abc import Callable
 from functools import lru_cache
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -38,17 +39,16 @@ MOST_POLLS = (
 )  # polls, about ten seconds: a partner that never comes means that the threads do not run side by side
 
 
+Made = TypeVar("Made")
+
+
 class Team:
     """Workers for the launches of one solve; 0 stands for a GPU, which needs none and gets a launch for a few steps."""
 
     def __init__(self, size: int) -> None:
         self.size, self.arrived = size, np.zeros(1, np.int32) if size else ti.ndarray(ti.i32, 1)
-        self.workers, self.piece, self.rest_until, self.rest = (
-            size,
-            TRIAL_SECONDS if size > 1 else PIECE_SECONDS,
-            0.0,
-            FIRST_REST,
-        )
+        self.workers, self.piece = size, TRIAL_SECONDS if size > 1 else PIECE_SECONDS
+        self.rest_until, self.rest = 0.0, FIRST_REST
         self.seconds = math.inf  # that a step took lately
 
     def launch(self, kernel: Any, count: int, *arguments: Any, first: int = 0, together: int = 1) -> None:
@@ -95,6 +95,12 @@ def meet(arrived: ti.template(), target):
         ti.atomic_max(arrived[0], MOST_POLLS)  # lets everyone through; launch() reports it
 
 
+@lru_cache
+def made_once(kind: Callable[..., Made], *configuration: Any) -> Made:
+    """kind(*configuration), of each configuration the same one, so that the next scene finds its kernels compiled."""
+    return kind(*configuration)
+
+
 @lru_cache(maxsize=16)
 def _constants(numbers: tuple[float, ...]) -> Any:
     """Numbers that all sites share, where kernels read them."""
@@ -131,14 +137,6 @@ class Sweeps:
         return [0.0]
 
     @ti.func
-    def walk(
-        self, part: ti.template(), values: ti.template(), blocks: ti.template(), row, first, strides: ti.template(),
-        numbers: ti.template(), sweep, carried: ti.template(),
-    ):  # fmt: skip
-        """One part of sweep number `sweep` for the block of sites from `first` on. row: length of a row of numbers.
-        strides : with rings."""
-
-    @ti.func
     def count(self, part: ti.template(), size: ti.template()):
         """Blocks of a part."""
         return size[2]
@@ -148,7 +146,8 @@ class Sweeps:
         self, part: ti.template(), values: ti.template(), blocks: ti.template(), tables: ti.template(),
         size: ti.template(), number, numbers: ti.template(), sweep, carried: ti.template(),
     ):  # fmt: skip
-        """One part of a sweep for the block of this number."""
+        """One part of a sweep for the block of this number: `walk`, of each kind of sweeps its own, works on the sites
+        from `first` on. row : length of a row of numbers. strides : with rings."""
         sides = [in_range(size[3]), in_range(size[4]), 1]
         strides = with_rings(sides, number * self.block, size[5], self.periodic)
         first = in_range(size[1] + number * self.block)

@@ -10,10 +10,24 @@ ask where that is.
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from taichi_bearings.lattice.grid import Lattice
+
+
+class Rows(NamedTuple):
+    """Where the numbers of arrays (C, *shape) lie, in C rows.
+
+    length : from one row to the next. margin : numbers before the first one of a row. order : of each place in a row,
+    the number of what stands there; without one they stand in their order.
+    """
+
+    length: int
+    margin: int
+    shape: tuple[int, ...]
+    order: Any = slice(None)
 
 
 @dataclass(frozen=True)
@@ -60,6 +74,10 @@ class Layout:
         sites of a replica, which are those of a ring along x."""
         stride_x, stride_y = (*self.strides, 1)[:2]
         return self.length, self.margin, self.blocks, stride_x, stride_y, self.sites // self.replicas
+
+    def parts(self, spec: Any) -> list[tuple[Any, Rows]]:
+        """Fields (C, R, *N) with the place of their rows: here all are alike."""
+        return [(spec, Rows(self.length, self.margin, (self.replicas, *self.shape)))]
 
     @property
     def inside(self) -> slice:

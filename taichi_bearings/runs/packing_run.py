@@ -19,9 +19,9 @@ from taichi_bearings.runs.solved import Packed, Run
 from taichi_bearings.runs.torque import refuse_driven, torque_on_packing
 from taichi_bearings.scene import Status
 from taichi_bearings.scene.array_files import read_arrays, read_coefficients
+from taichi_bearings.scene.driving import Ramp
 from taichi_bearings.scene.initial_spins import STARTS
 from taichi_bearings.scene.law import law_named
-from taichi_bearings.scene.ramp import Ramp
 from taichi_bearings.solvers.table import METHODS, InteriorPoint, MethodOptions, row_of_packing
 from taichi_bearings.stages import stage
 from taichi_bearings.words import counted, shown

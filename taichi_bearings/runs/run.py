@@ -40,9 +40,9 @@ from taichi_bearings.runs.torque import by_friction, refuse_driven, under_torque
 from taichi_bearings.scene import Scene, Solution, Status
 from taichi_bearings.scene.array_files import read_coefficients
 from taichi_bearings.scene.disorder import Distribution
+from taichi_bearings.scene.driving import Ramp
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.scene.law import law_named
-from taichi_bearings.scene.ramp import Ramp
 from taichi_bearings.solvers.table import (
     METHODS,
     CundallStrack,

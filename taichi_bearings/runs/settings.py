@@ -38,8 +38,8 @@ from taichi_bearings.options import (
 from taichi_bearings.plain_files import read_whole
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.array_files import read_coefficients
+from taichi_bearings.scene.driving import TORQUE
 from taichi_bearings.scene.law import LAWS
-from taichi_bearings.scene.ramp import TORQUE
 from taichi_bearings.scene.scene import periodic_axes
 from taichi_bearings.solvers.table import METHODS, MethodOptions
 from taichi_bearings.words import meant

@@ -25,8 +25,8 @@ from taichi_bearings.packing import Packing, PackingSolution
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene import Solution, Status
+from taichi_bearings.scene.driving import Ramp
 from taichi_bearings.scene.law import COULOMB, LAWS, Coefficients, Law
-from taichi_bearings.scene.ramp import Ramp
 from taichi_bearings.solvers.table import MethodOptions
 
 Solve = Callable[[Any], Any]

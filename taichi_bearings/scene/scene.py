@@ -366,13 +366,9 @@ class Scene:
         """Slip speed |v| of every contact (paper Eq. 2), (R, E), length/time."""
         return self.lattice.radius * vector_length(contact_differences(staggered, self.lattice, spin_axes))
 
-    def contact_powers(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Power of every contact (paper Eq. 4, each contact once), (R, E)."""
-        return self.law.power(self.contact, self.slips(staggered, spin_axes))
-
     def power(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Dissipated power (R,), energy/time."""
-        return self.contact_powers(staggered, spin_axes).sum(axis=1)
+        """Dissipated power (R,), energy/time (paper Eq. 4, each contact once)."""
+        return self.law.power(self.contact, self.slips(staggered, spin_axes)).sum(axis=1)
 
     def objective(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
         """What the stationary state minimises (R,), energy/time: the power, or for a law of which no multiple of the

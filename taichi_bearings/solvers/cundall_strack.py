@@ -6,15 +6,15 @@ dynamical run proves its own gap.
 """
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
 from taichi_bearings.errors import InputError
-from taichi_bearings.fields import Fields, FieldSpec, team_size
-from taichi_bearings.kernels.cundall_strack import cundall_strack_steps
-from taichi_bearings.kernels.team import Sweeps, Team
+from taichi_bearings.fields import team_size
+from taichi_bearings.kernels.cundall_strack import CundallStrackSteps
+from taichi_bearings.kernels.team import Sweeps, Team, made_once
 from taichi_bearings.scene import Energy, Progress, Scene
-from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.solvers.dynamics import WATCH_NAMES, SpringDynamics, default_inertia, replica_sum
 from taichi_bearings.solvers.gear import (
     GEAR_COEFFICIENTS,
@@ -34,30 +34,37 @@ class CundallStrackMethod(SpringDynamics):
 
     kept = WATCH_NAMES
     same_force, checks = 1e-12, (100, 16, 0.0)
-    stepping = staticmethod(cundall_strack_steps)
+    stepping = CundallStrackSteps
 
-    def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
-        super().plan(scene, spin)
-        self.held = scene.lattice.is_driven
-        energy, holds, order = self.options.energy, scene.law.holds, self.options.gear_order
-        moved = [*(f"gear_{n}" for n in range(order + 1)), "predicted", *["integral"] * holds, *["impulse"] * energy]
-        spheres = dict.fromkeys(moved, len(self.spin_axes)) | {"is_free": 1}
-        self.spec = self.specified(spheres, ["force", *["elongation"] * holds, *["work"] * energy])
-        return self.spec
-
-    def begin(self, scene: Scene, spin: np.ndarray, fields: Fields | None) -> None:
+    def begin(self, scene: Scene, spin: np.ndarray) -> None:
+        super().begin(scene, spin)
         options, beside, replicas = self.options, scene.viscosity_beside_friction, scene.replicas
         # over the radius, as the force of the device law
-        self.use(fields, None if beside is None else scene.lattice.radius * beside)
+        self.use(self.needed(), None if beside is None else scene.lattice.radius * beside)
         bound = self._largest_step()
         self.stability_bound = bound if np.isfinite(bound) else 1.0  # where nothing acts any step is right
-        self.time_step = choose_time_step(self.stability_bound, options.time_step)
+        if (options.time_step or 0.0) > self.stability_bound:
+            given, most = options.time_step, self.stability_bound
+            raise InputError(f"time_step is {given:g}; this scene is stable only up to {most:.6g}")
+        self.time_step = options.time_step or DEFAULT_STEP * self.stability_bound
         self.start_spin = float(np.abs(spin).max())
         self._load_gear(scene.staggered_spin(spin, self.spin_axes))
         is_free = np.where(scene.lattice.is_driven, 0.0, self.unit_inertia / self.inertia)
         self.fields.load("is_free", np.broadcast_to(is_free, (1, replicas, *scene.lattice.shape)))
         self.team, self.steps = self._kernels(GEAR_COEFFICIENTS[options.gear_order])
         self.steps.compile(self.fields, self.team)
+
+    def needed(self) -> Any:
+        """The fields of the steps."""
+        energy, holds, order = self.options.energy, self.scene.law.holds, self.options.gear_order
+        moved = [*(f"gear_{n}" for n in range(order + 1)), "predicted", *["integral"] * holds, *["impulse"] * energy]
+        spheres = dict.fromkeys(moved, len(self.spin_axes)) | {"is_free": 1}
+        return self.specified(spheres, ["force", *["elongation"] * holds, *["work"] * energy])
+
+    @property
+    def held(self) -> np.ndarray:
+        """Spheres (*N) whose spins are given."""
+        return self.scene.lattice.is_driven
 
     @property
     def unit_inertia(self) -> float:
@@ -69,7 +76,8 @@ class CundallStrackMethod(SpringDynamics):
 
     def _kernels(self, corrector: tuple[float, ...]) -> tuple[Team, Sweeps]:
         numbers = self.stencil.components + self.stencil.force_components
-        return Team(team_size(self.fields.layout, numbers)), self.stepping(self.spec, self.stencil, corrector)
+        team = Team(team_size(self.fields.layout, numbers))
+        return team, made_once(self.stepping, self.spec, self.stencil, corrector)
 
     def _load_gear(self, staggered: np.ndarray) -> None:
         """Spins and their derivatives at the start, from the equation of motion. Without those of the sticking springs
@@ -105,7 +113,7 @@ class CundallStrackMethod(SpringDynamics):
         """
         scene, options, order = self.scene, self.options, len(derivatives) - 1
         if order == 0 or not scene.law.holds:
-            return self._damping_force(derivatives[-1])
+            return self.damping_force(derivatives[-1])
         stretch = options.stiffness * self.time_step / order
         felt = options.damping * derivatives[-1] + stretch * derivatives[-2]
         holds = options.static_ratio * scene.normal_force * scene.acting_coefficient
@@ -114,26 +122,18 @@ class CundallStrackMethod(SpringDynamics):
         force = np.where(sticks, scene.lattice.radius * felt, 0.0)
         return self.with_viscosity(force, self.differences(derivatives[-1]))
 
-    def _damping_force(self, staggered: np.ndarray) -> np.ndarray:
-        """Forces (C, R, E) of unstretched contacts: their damper as far as friction holds it, and their viscosity."""
-        scene, options = self.scene, self.options
-        difference = self.differences(staggered)
-        force = options.damping * scene.lattice.radius * difference
-        size, limit = vector_length(force), scene.normal_force * scene.acting_coefficient
-        slips = size > limit * options.static_ratio
-        force = force * np.divide(limit, size, out=np.ones_like(size), where=slips)
-        return self.with_viscosity(force if scene.law.holds else np.zeros_like(force), difference)
-
     def next_check(self, iteration: int) -> int:
         wanted = int(np.ceil(self.aim / self.time_step * (1 - 1e-12))) if np.isfinite(self.aim) else np.inf
         return int(min(self.rest.next_check, max(wanted, iteration + 1)))
 
     def state(self) -> dict[str, np.ndarray]:
-        fields = {name: self.fields.read(name) for name in self._changing_fields()}
+        fields = {name: self.fields.read(name) for name in self._changing}
         return super().state() | fields | {"time_step": np.array(self.time_step)}
 
-    def _changing_fields(self) -> list[str]:
-        return changing(self.spec)
+    @property
+    def _changing(self) -> list[str]:
+        """Fields that a step changes."""
+        return [name for name in self.fields.names if name not in ("is_free", "across", "coefficient", "viscosity")]
 
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
         if float(state["time_step"]) != self.time_step:
@@ -142,7 +142,7 @@ class CundallStrackMethod(SpringDynamics):
                 "it was made by another version or library"
             )
         super().restore(state)
-        for name in self._changing_fields():
+        for name in self._changing:
             self.fields.load(name, state[name])
 
     def numbers(self) -> tuple[float, ...]:
@@ -170,7 +170,7 @@ class CundallStrackMethod(SpringDynamics):
 
     def motion(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         staggered = self.spins()
-        force = self.read_forces("force") if self.iteration else self._damping_force(staggered)
+        force = self.read_forces("force") if self.iteration else self.damping_force(staggered)
         return staggered, force, self.read_forces("elongation") if self.scene.law.holds else np.zeros_like(force)
 
     def findings(self, last: Progress) -> dict[str, np.ndarray]:
@@ -234,11 +234,6 @@ def largest_step(options: CundallStrack, holds: bool, decay: float, stiffest: fl
     return largest_stable_step(options.gear_order, damping * stiffest + decay, stiffness * stiffest)
 
 
-def changing(fields: FieldSpec) -> list[str]:
-    """Names of those that a step changes."""
-    return [name for name, _ in fields if name not in ("is_free", "across", "coefficient", "viscosity")]
-
-
 def sticking_modes(
     scene: Scene, spin_axes: tuple[int, ...], options: CundallStrack, largest_spin: float, stable: float
 ) -> Modes:
@@ -260,11 +255,3 @@ def sticking_modes(
     if scene.viscosities is not None:
         damping += max(float(values.mean()) for values in scene.lattice.by_axis(scene.viscosities))
     return Modes(damping * spectrum, options.stiffness * spectrum, damping, options.stiffness, holds / radius / fastest)
-
-
-def choose_time_step(bound: float, wanted: float | None) -> float:
-    if wanted is None:
-        return DEFAULT_STEP * bound
-    if wanted > bound:
-        raise InputError(f"time_step is {wanted:g}; this scene is stable only up to {bound:.6g}")
-    return wanted

@@ -108,10 +108,9 @@ def followed(
     nothing else."""
     if method.options.cpu_only and runtime.current().is_gpu:
         raise DeviceError(f"{method.options.name} works in the memory of the CPU; use --arch cpu")
-    spec = method.plan(scene, spin)
     with Interrupt() as interrupt:
         with stage("compiling" if method.options.needs_taichi else "preparing"), interrupt.at_once():
-            method.begin(scene, spin, method.on_device(spec) if spec else None)
+            method.begin(scene, spin)
         if interrupt.heard:  # nothing is reached yet
             raise KeyboardInterrupt
         course = Course(scene, method, stop, recording, checkpoints, interrupt)

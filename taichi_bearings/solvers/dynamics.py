@@ -8,7 +8,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from taichi_bearings.fields import FieldSpec
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.proof.certificate import relative_gap
 from taichi_bearings.scene import Energy, Progress, Scene, Solution
@@ -106,11 +105,10 @@ class Dynamics(Method):
     known: Solution | None = None
     aim = np.inf
 
-    def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
-        self.scene, self.spin_axes = scene, self.carried(scene, spin)
+    def begin(self, scene: Scene, spin: np.ndarray) -> None:
+        super().begin(scene, spin)
         self.inertia = self.inertias(scene)
         self.iteration, self.time, self.halted = 0, 0.0, False
-        return ()
 
     def carried(self, scene: Scene, spin: np.ndarray) -> tuple[int, ...]:
         """Components a dynamics needs: those of the minimum, and any in which these laboratory spins (R, *N, 3) start
@@ -197,13 +195,22 @@ class SpringDynamics(Dynamics):
     same_force: ClassVar[float]
     checks: ClassVar[tuple[int, int, float]]
 
-    def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
+    def begin(self, scene: Scene, spin: np.ndarray) -> None:
+        super().begin(scene, spin)
         self.rest = RestWatch(*self.checks, np.full(scene.replicas, np.inf))
-        return super().plan(scene, spin)
 
     def motion(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Staggered spins (C, R, *N), forces and elongations (C, R, E) of now."""
         raise NotImplementedError
+
+    def damping_force(self, staggered: np.ndarray) -> np.ndarray:
+        """Forces (C, R, E) of unstretched contacts: their damper as far as friction holds it, and their viscosity."""
+        scene, difference = self.scene, self.differences(staggered)
+        force = self.options.damping * scene.lattice.radius * difference
+        size, limit = vector_length(force), scene.normal_force * scene.acting_coefficient
+        slips = size > limit * getattr(self.options, "static_ratio", 1.0)
+        force = force * np.divide(limit, size, out=np.ones_like(size), where=slips)
+        return self.with_viscosity(force if scene.law.holds else np.zeros_like(force), difference)
 
     def books(self, staggered: np.ndarray, force: np.ndarray, spring: np.ndarray) -> Energy | None:
         """The energy balance of now, if it is kept."""

@@ -13,7 +13,7 @@ What contacts do that begin or cease to slip comes on top, and is not in this.
 """
 
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from math import comb
 
 import numpy as np
@@ -99,7 +99,6 @@ def _spectral_radius(order: int, decay_rate: float, frequency_squared: float, st
     return np.abs(np.linalg.eigvals(matrices)).max(axis=(1, 2))
 
 
-@lru_cache(maxsize=64)
 def largest_laplacian_eigenvalue(lattice: Lattice, spin_axes: tuple[int, ...]) -> float:
     """Largest eigenvalue of the unweighted lattice Laplacian of any carried component, driven planes held (exact)."""
     return max(float(eigenvalues(lattice, component).max()) for component in spin_axes)

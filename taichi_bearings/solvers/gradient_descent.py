@@ -18,9 +18,9 @@ import math
 import numpy as np
 
 from taichi_bearings import runtime
-from taichi_bearings.fields import Fields, FieldSpec, team_size
-from taichi_bearings.kernels.descent import descent_sweeps
-from taichi_bearings.kernels.team import Sweeps, Team
+from taichi_bearings.fields import team_size
+from taichi_bearings.kernels.descent import DescentSweeps
+from taichi_bearings.kernels.team import Sweeps, Team, made_once
 from taichi_bearings.lattice.incidence import weights
 from taichi_bearings.scene import Progress, Scene
 from taichi_bearings.scene.scene import vector_length
@@ -46,18 +46,14 @@ class GradientDescentMethod(Method):
         super().__init__(options)
         self.momentum = options.momentum
 
-    def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
-        super().plan(scene, spin)
+    def begin(self, scene: Scene, spin: np.ndarray) -> None:
+        super().begin(scene, spin)
+        beside = scene.viscosity_beside_friction  # in units of the coefficients:
+        self.viscosity = None if beside is None else scene.lattice.radius / scene.strength * beside
         self.averages = scene.law.holds and not self.momentum
         names = [*self.points, "inverse_weight"] + self.momentum * ["spin"] + self.averages * ["spin_sum"]
         spheres = dict.fromkeys(names, len(self.spin_axes))
-        self.spec = self.specified(spheres, [*self.forces, *(["force_sum"] if self.averages else [])])
-        return self.spec
-
-    def begin(self, scene: Scene, spin: np.ndarray, fields: Fields | None) -> None:
-        beside = scene.viscosity_beside_friction  # in units of the coefficients:
-        self.viscosity = None if beside is None else scene.lattice.radius / scene.strength * beside
-        self.use(fields, self.viscosity)
+        self.use(self.specified(spheres, [*self.forces, *(["force_sum"] if self.averages else [])]), self.viscosity)
         self._load_spins(scene.clip_to_box(scene.staggered_spin(spin, self.spin_axes), self.spin_axes))
         box = np.zeros((2, 3))  # lower and upper ends
         box[:, : len(self.spin_axes)] = scene.box(self.spin_axes)
@@ -76,7 +72,7 @@ class GradientDescentMethod(Method):
 
     def _kernels(self) -> tuple[Team, Sweeps]:
         team = Team(team_size(self.fields.layout, self.stencil.components))
-        return team, descent_sweeps(self.spec, self.stencil, self.scene.law.name)
+        return team, made_once(DescentSweeps, self.spec, self.stencil, self.scene.law.name)
 
     def _load_weights(self) -> None:
         """The metric: friction, and so much of the viscosity as makes the curvature of both at this stage even."""
@@ -133,7 +129,7 @@ class GradientDescentMethod(Method):
             force = self.read_forces("force_sum") * (scene.normal_force / self.averaged)
         else:
             staggered = scene.impose_driving(self.fields.read("spin" if self.momentum else "point"), self.spin_axes)
-            force = self._force_at(staggered)
+            force = self.forces_at(staggered, self.width)
         creep = RESOLVED_WIDTHS * (self.width if self.momentum else self.step_length) if scene.law.holds else 0.0
         resolution = scene.lattice.radius * min(creep, LARGE_SLIP * scene.jump)  # no slip is told from rest below it
         found = self.judged(staggered, force, iteration=self.iteration, resolution=resolution)
@@ -146,14 +142,6 @@ class GradientDescentMethod(Method):
                 self._load_weights()
             self._begin_epoch(2 * self.epoch_length)
         return found
-
-    def _force_at(self, staggered: np.ndarray) -> np.ndarray:
-        """Contact forces (C, R, E) of the law that the sweeps use."""
-        scene = self.scene
-        d = self.differences(staggered)
-        held = scene.law.holding_force(scene.contact)
-        force = np.zeros_like(d) if held is None else held / np.maximum(vector_length(d), self.width) * d
-        return self.with_viscosity(force, d)
 
     def _steer(self, staggered: np.ndarray, objective: np.ndarray, bound: np.ndarray) -> None:
         """Restart the momentum where it overshot; halve the width where it causes half the gap or more."""

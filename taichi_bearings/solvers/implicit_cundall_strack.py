@@ -20,7 +20,6 @@ from taichi_bearings.conic.friction_stage import Friction, FrictionStage, StageE
 from taichi_bearings.conic.grouped import Arrays, each, isotropic, where
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.errors import InputError
-from taichi_bearings.fields import Fields
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.numerics.cholesky import dissect
 from taichi_bearings.scene import Scene
@@ -58,7 +57,8 @@ class ImplicitCundallStrackMethod(SpringDynamics):
     kept = ("time_step", "spin_scale", "staggered", "elongation", "force", *ENERGY_NAMES, *WATCH_NAMES)
     same_force, checks = 1e-9, (1, 32, 1 / 16)
 
-    def begin(self, scene: Scene, spin: np.ndarray, fields: Fields | None) -> None:
+    def begin(self, scene: Scene, spin: np.ndarray) -> None:
+        super().begin(scene, spin)
         axes = self.spin_axes
         self.system: Any = lattice_system(scene.lattice, axes, scene.top_spin(axes))
         self._begin(scene.staggered_spin(spin, axes))
@@ -74,9 +74,8 @@ class ImplicitCundallStrackMethod(SpringDynamics):
         self.spin_scale = spin_scale or float(np.abs(staggered).max()) or 1.0
         self.staggered = self.driven(staggered)
         self._set_stage()
-        self.elongation, self.force = np.zeros((2, *self.differences(staggered).shape))
-        for replica, spins in enumerate(self.free_spins(self.staggered)):
-            self.system.scatter_vectors(self._force_at_start(replica, spins), self.force, replica)
+        self.force = self.damping_force(self.staggered)
+        self.elongation = np.zeros_like(self.force)
         self.open_books(self.staggered)
         longest = self._longest_step()
         if options.time_step is not None and options.time_step > longest:
@@ -125,19 +124,13 @@ class ImplicitCundallStrackMethod(SpringDynamics):
         )
 
     def _friction(self, replica: int, span: float) -> Friction:
-        """Law of the contacts in a stage of length `span`, time; 0 for the forces of the present slips."""
-        strength, inertia = self.strength[replica], self.unit_inertia / span if span > 0 else np.inf
+        """Law of the contacts in a stage of length `span`, time."""
+        strength, inertia = self.strength[replica], self.unit_inertia / span
         if not self.scene.law.holds:
             return Friction(each(np.full_like, strength, np.inf), strength, inertia)
         resistance = self.options.stiffness * span + self.options.damping
         resisting = each(np.full_like, strength, resistance)
         return Friction(strength, resisting, inertia, self.viscosity[replica])
-
-    def _force_at_start(self, replica: int, spins: np.ndarray) -> Arrays:
-        """Where no spring is stretched."""
-        friction, slip = self._friction(replica, 0.0), self.scene.lattice.radius * self.system.differences(spins)
-        force = friction.limited(friction.resistance * slip)
-        return force if friction.viscosity is None else force + friction.viscosity * slip
 
     def _first_step(self) -> float:
         """Spins change by the tolerated error, and it is not long against the time scale of the stiffest contact."""

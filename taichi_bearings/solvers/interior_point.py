@@ -26,7 +26,6 @@ from taichi_bearings.conic.iterate import LEAST_GAP, Iterate
 from taichi_bearings.conic.newton_matrix import MOST_NEWTON_STEPS, NewtonMatrix
 from taichi_bearings.conic.resolution import DECIDED_RATIO, Surroundings
 from taichi_bearings.conic.rows import compile_passes
-from taichi_bearings.fields import Fields, FieldSpec
 from taichi_bearings.kernels.elimination import LANES
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.numerics.blas import one_thread
@@ -79,10 +78,7 @@ class InteriorPointMethod(Descent):
     def __init__(self, options: InteriorPoint) -> None:
         self.options = options
 
-    def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
-        return ()
-
-    def begin(self, scene: Scene, spin: np.ndarray, fields: Fields | None) -> None:
+    def begin(self, scene: Scene, spin: np.ndarray) -> None:
         self.scene, self.spin_axes = scene, scene.minimum_spin_axes
         top, self.unit = scene.driving.top_in_units(self.spin_axes), float(scene.driving.unit[0][0])
         self.frustrated = bool(top[0].any())

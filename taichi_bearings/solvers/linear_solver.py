@@ -13,9 +13,8 @@ balance to the rounding of the forces, however large the contrast.
 import numpy as np
 from scipy.sparse import csc_array
 
-from taichi_bearings.fields import Fields
 from taichi_bearings.lattice import Lattice
-from taichi_bearings.lattice.incidence import add_pull, contact_differences, difference
+from taichi_bearings.lattice.incidence import add_pull, difference
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.numerics.double_double import two_sum
 from taichi_bearings.numerics.graph_laplacian import factorised, graph_laplacian
@@ -32,7 +31,8 @@ Planes = tuple[np.ndarray, np.ndarray]  # replica and layer of each plane of a b
 class LinearSolverMethod(Method):
     """See the module docstring. An iteration is one bundle of planes, solved to round-off."""
 
-    def begin(self, scene: Scene, spin: np.ndarray, fields: Fields | None) -> None:
+    def begin(self, scene: Scene, spin: np.ndarray) -> None:
+        super().begin(scene, spin)
         self.spin = scene.clip_to_box(scene.staggered_spin(spin, self.spin_axes), self.spin_axes)
         self.rest = np.zeros_like(self.spin)
         self.bundles = [(slot, planes) for slot in range(len(self.spin_axes)) for planes in self._planes(slot)]
@@ -89,8 +89,8 @@ class LinearSolverMethod(Method):
     def progress(self) -> Progress:
         scene = self.scene
         staggered = scene.clip_to_box(self.spin, self.spin_axes)
-        differences = (contact_differences(spin, scene.lattice, self.spin_axes) for spin in (self.spin, self.rest))
-        force = scene.lattice.radius * scene.acting_coefficient * sum(differences)
+        difference = self.differences(self.spin) + self.differences(self.rest)
+        force = scene.lattice.radius * scene.acting_coefficient * difference
         return self.judged(
             staggered,
             force,

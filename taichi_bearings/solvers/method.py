@@ -9,6 +9,7 @@ from taichi_bearings.kernels.stencil import Stencil
 from taichi_bearings.lattice.incidence import contact_differences, torques
 from taichi_bearings.proof.certificate import Forces, largest_unbalanced_torque, lower_bound
 from taichi_bearings.scene import Progress, Scene
+from taichi_bearings.scene.scene import vector_length
 
 
 class Method:
@@ -26,17 +27,13 @@ class Method:
     def __init__(self, options: Any) -> None:
         self.options = options
 
-    def plan(self, scene: Scene, spin: np.ndarray) -> Any:
-        """Fields needed for this scene from these laboratory spins; fixes the spin components that are carried.
+    def begin(self, scene: Scene, spin: np.ndarray) -> None:
+        """Take a scene, and laboratory spins to start from; load the fields, if any, and compile the kernels."""
+        self.scene, self.spin_axes = scene, self.carried(scene, spin)
 
-        Without fields the method works in NumPy alone.
-        """
-        self.scene, self.spin_axes = scene, scene.minimum_spin_axes
-        return ()
-
-    def begin(self, scene: Scene, spin: np.ndarray, fields: Fields | None) -> None:
-        """Load the fields and compile the kernels."""
-        raise NotImplementedError
+    def carried(self, scene: Scene, spin: np.ndarray) -> tuple[int, ...]:
+        """Spin components that are carried."""
+        return scene.minimum_spin_axes
 
     def next_check(self, iteration: int) -> int:
         """Iteration at which to look at the progress next."""
@@ -66,6 +63,13 @@ class Method:
         """The forces and what the viscosity of the contacts, if they have any, adds at these differences."""
         scene = self.scene
         return force if scene.viscosities is None else force + scene.lattice.radius * scene.viscosities * difference
+
+    def forces_at(self, staggered: np.ndarray, width: float) -> np.ndarray:
+        """Contact forces (C, R, E) of the law at these spins; friction grows up to a difference of `width`, 1/time."""
+        difference = self.differences(staggered)
+        held = self.scene.law.holding_force(self.scene.contact)
+        force = 0 * difference if held is None else held / np.maximum(vector_length(difference), width) * difference
+        return self.with_viscosity(force, difference)
 
     def proven_by(self, force: Forces) -> np.ndarray:
         """Lower bound (R,) that follows from forces (C, R, E) which were looked at before."""
@@ -104,17 +108,22 @@ class Method:
     def stencil_of(self, block: int) -> Stencil:
         return Stencil(self.spin_axes, self.scene.lattice.dimension, block, self.scene.lattice.periodic)
 
-    def on_device(self, spec: FieldSpec) -> Any:
-        """The fields of :meth:`plan`."""
+    def on_device(self, spec: FieldSpec) -> Fields:
+        """Fields of a spec, on the device that runs."""
         lattice = self.scene.lattice
         return Fields(make_layout(self.scene.replicas, lattice.shape, lattice.periodic), spec)
 
-    def use(self, fields: Any, viscosity: np.ndarray | None) -> None:
-        """Load what the contacts are made of. viscosity : beside friction, (R, E), in the units of the kernels."""
-        self.fields, self.stencil = fields, self.stencil_of(fields.layout.block)
-        fields.load("coefficient", fields.layout.at_lower_sphere(self.scene.acting_coefficient))
+    def use(self, spec: Any, viscosity: np.ndarray | None) -> None:
+        """Fields of a spec, with the coefficients of the contacts loaded.
+
+        viscosity : beside friction, (R, E), in the units of the kernels.
+        """
+        self.spec, self.fields = spec, self.on_device(spec)
+        layout = self.fields.layout
+        self.stencil = self.stencil_of(layout.block)
+        self.fields.load("coefficient", layout.at_lower_sphere(self.scene.acting_coefficient))
         if viscosity is not None:
-            fields.load("viscosity", fields.layout.at_lower_sphere(viscosity))
+            self.fields.load("viscosity", layout.at_lower_sphere(viscosity))
 
     def read_forces(self, name: str) -> np.ndarray:
         """Forces or elongations (C, R, E) in a field."""

@@ -16,7 +16,9 @@ from scipy.sparse.linalg import cg
 from taichi_bearings.conic.grouped import Grouped, isotropic
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.errors import InputError
-from taichi_bearings.fields.lists import ListFields, Lists, ListSpec
+from taichi_bearings.fields import Fields, team_size
+from taichi_bearings.fields.lists import Lists, ListSpec
+from taichi_bearings.kernels.team import Team, made_once
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.packing.answer import forces_of, spins_of
@@ -259,16 +261,22 @@ class OnNetwork(Method):
         names = (*contacts, *self.of_law, "across")
         return tuple(spheres.items()), tuple((name, counts.get(name, len(across))) for name in names)
 
-    def on_device(self, spec: Any) -> ListFields:
-        return ListFields(self.scene.lists, spec)
+    def on_device(self, spec: Any) -> Fields:
+        return Fields(self.scene.lists, spec)
 
-    def use(self, fields: Any, viscosity: np.ndarray | None) -> None:
-        self.fields, across = fields, self.scene.across
+    def use(self, spec: Any, viscosity: np.ndarray | None) -> None:
+        fields, across = self.on_device(spec), self.scene.across
+        self.spec, self.fields = spec, fields
         if self.scene.components == 3:
             fields.load("across", across.transpose(0, 2, 1).reshape(6, 1, -1))
         fields.load("coefficient", self.scene.acting_coefficient[None])
         if viscosity is not None:
             fields.load("viscosity", viscosity[None])
+
+    def sweeps_of(self, kind: type, corrector: tuple[float, ...]) -> tuple[Team, Any]:
+        """Workers and kernels of a kind. corrector : of Gear's method."""
+        team = Team(team_size(self.fields.layout, sum(count for _, count in self.spec[0])))
+        return team, made_once(kind, self.spec, self.scene.law.name, corrector)
 
     def read_forces(self, name: str) -> np.ndarray:
         found = self.fields.read(name)

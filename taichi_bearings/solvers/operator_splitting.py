@@ -30,11 +30,10 @@ import numpy as np
 from taichi_bearings import runtime
 from taichi_bearings.fields import Fields, FieldSpec, on_device, team_size
 from taichi_bearings.interrupts import look_up
-from taichi_bearings.kernels.balance import balance_kernels
-from taichi_bearings.kernels.splitting import ABSENT_FRICTION, contact_step
+from taichi_bearings.kernels.balance import BalanceKernels
+from taichi_bearings.kernels.splitting import ABSENT_FRICTION, ContactStep
 from taichi_bearings.kernels.stencil import Stencil
-from taichi_bearings.kernels.team import Team
-from taichi_bearings.lattice.incidence import contact_differences
+from taichi_bearings.kernels.team import Team, made_once
 from taichi_bearings.lattice.laplacian import chain_eigenvalues, chain_factors, chain_modes, ring_closures
 from taichi_bearings.memory import refuse_beyond
 from taichi_bearings.numerics.blas import one_thread
@@ -75,31 +74,23 @@ class OperatorSplittingMethod(Method):
     springs of each sphere before the Poisson step.
     """
 
-    def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
-        super().plan(scene, spin)
+    def begin(self, scene: Scene, spin: np.ndarray) -> None:
+        super().begin(scene, spin)
         dimension, components = scene.lattice.dimension, len(self.spin_axes)
         spheres = scene.lattice.sites * scene.replicas
         refuse_beyond(BYTES_A_SPHERE * spheres, f"{self.options.name} of {spheres:,} spheres")
         forces = self.stencil_of(1).force_components
-        self.spec = (
-            ("friction", dimension),
-            ("trial", forces),
-            ("spring", forces),
-            ("potential", components),
-            ("pull", components),
-        )
-        return self.spec
-
-    def begin(self, scene: Scene, spin: np.ndarray, fields: Fields | None) -> None:
-        assert fields is not None
-        lattice, self.fields, self.layout = scene.lattice, fields, fields.layout
+        of_contacts = ("friction", dimension), ("trial", forces), ("spring", forces)
+        spec = (*of_contacts, ("potential", components), ("pull", components))
+        self.fields = self.on_device(spec)
+        self.layout = self.fields.layout
         self.stencil = self.stencil_of(self.layout.block)
-        self.weights = (1.0,) * lattice.height_axis + (HEIGHT_WEIGHT,)
-        self.weight = np.array(self.weights)[lattice.axis]
-        self.balance = TorqueBalance(self.spec, self.stencil, self.weights, fields)
-        self.contacts = contact_step(self.spec, self.stencil)
-        self.team = Team(team_size(self.layout, sum(components for _, components in self.spec)))
-        self.contacts.compile(fields, self.team)
+        self.weights = (1.0,) * scene.lattice.height_axis + (HEIGHT_WEIGHT,)
+        self.weight = np.array(self.weights)[scene.lattice.axis]
+        self.balance = TorqueBalance(spec, self.stencil, self.weights, self.fields)
+        self.contacts = made_once(ContactStep, spec, self.stencil)
+        self.team = Team(team_size(self.layout, sum(components for _, components in spec)))
+        self.contacts.compile(self.fields, self.team)
         self._load(scene.clip_to_box(scene.staggered_spin(spin, self.spin_axes), self.spin_axes))
 
     def _load(self, staggered: np.ndarray) -> None:
@@ -111,12 +102,12 @@ class OperatorSplittingMethod(Method):
         self.fields.load("friction", friction)
         linear = scene.staggered_spin(linear_spin(scene), self.spin_axes)
         self.stiffness = self._usual_stiffness(scene.power(linear, self.spin_axes))
-        self.change: np.ndarray | None = None
         self.iteration = 0
         stiffness = self._by_replica(self.stiffness)
         self.fields.load("potential", stiffness * staggered)
-        differences = contact_differences(staggered, scene.lattice, self.spin_axes)
-        trial = self.weight * self.stiffness[:, None] * differences
+        self._load_trial(self.weight * self.stiffness[:, None] * self.differences(staggered))
+
+    def _load_trial(self, trial: Forces) -> None:
         self.fields.load("trial", self.stencil.forces_at_lower_sphere(trial, self.layout))
 
     def _by_replica(self, values: np.ndarray) -> np.ndarray:
@@ -126,10 +117,6 @@ class OperatorSplittingMethod(Method):
         return iteration + max(FIRST_CHECK, iteration // CHECKS_A_RUN)
 
     def advance(self, steps: int) -> None:
-        if self.change is not None:  # rho z and rho Omega as the last check asked for; spins and friction f stay
-            self.stiffness = self.stiffness * self.change
-            self.contacts.rescale(self.fields, self.change)
-            self.change = None
         with self.balance.begin():
             for _ in range(steps):
                 look_up()
@@ -146,15 +133,20 @@ class OperatorSplittingMethod(Method):
         if self.balance.is_rough and self.iteration:  # once more, for what its rounding has left
             self._step_contacts(0.0)
             self.balance.solve()
-        potential = self.fields.seen("potential")
+        potential = self.fields.read("potential")
         staggered = scene.impose_driving(potential / self._by_replica(self.stiffness), axes)
-        trial = self.stencil.forces_of_contacts(self.fields.seen("trial"), self.layout)
+        trial = self.stencil.forces_of_contacts(self.fields.read("trial"), self.layout)
         friction = capped(trial, saturation(scene, trial))
         slips = scene.slips(staggered, axes)
         power = scene.law.power(scene.contact, slips).sum(axis=1)
         balanced = self._spring_force(potential, trial, friction)
         work, bound = work_and_bound(scene, balanced, axes)
-        self._steer(power, work, bound)
+        change = self._steered(power, work, bound)
+        if (change != 1).any():  # of rho z and rho Omega; spins and friction f stay
+            self.stiffness = change * self.stiffness
+            self.fields.load("potential", self._by_replica(change) * potential)
+            limited = self._limited(trial)
+            self._load_trial(limited + change[:, None] * (trial - limited))
         # the fastest creep of a contact that rests, z = 0 exactly, as long as the two halves do not quite agree
         creep = float((slips * ((trial == friction).all(axis=0) & (scene.acting_coefficient > 0))).max())
         return Progress(
@@ -169,12 +161,19 @@ class OperatorSplittingMethod(Method):
             proof=balanced,
         )
 
+    def _limited(self, trial: Forces) -> Forces:
+        """The friction f of trial forces, to the last bit as the contact step has it."""
+        scene, alone = self.scene, self.scene.lattice.felt(self.spin_axes).sum(axis=0) == 1
+        limit, size = scene.strength * scene.acting_coefficient, np.sqrt((trial**2).sum(axis=0))
+        share = np.divide(limit, size, out=np.ones_like(size), where=size > limit)
+        return np.where(alone, np.clip(trial, -limit, limit), trial * share)
+
     def _spring_force(self, potential: np.ndarray, trial: Forces, friction: Forces) -> Forces:
         """rho D Omega - (v - 2 f), (C, R, E).
 
         After a Poisson step they leave no torque but round-off on free spheres; some exceed their friction discs.
         """
-        differences = contact_differences(potential, self.scene.lattice, self.spin_axes)
+        differences = self.differences(potential)
         force = self.weight * differences - (trial - 2 * friction)
         exact = self.fields.dtype == np.float64
         return force if exact else balance(self.scene, force, self.spin_axes)
@@ -187,13 +186,14 @@ class OperatorSplittingMethod(Method):
             USUAL_STIFFNESS * np.maximum(power, np.finfo(np.float32).tiny) / (scene.lattice.radius * columns * jump**2)
         )
 
-    def _steer(self, power: np.ndarray, balanced_power: np.ndarray, bound: np.ndarray) -> None:
-        """Choose the next stiffness from the two parts of the gap, within a reach that only grows with the iterations.
+    def _steered(self, power: np.ndarray, balanced_power: np.ndarray, bound: np.ndarray) -> np.ndarray:
+        """Factors (R,) on the stiffness from the two parts of the gap, within a reach that only grows with the
+        iterations.
 
         Without that limit a scene whose parts shrink in proportion would drive the stiffness away without end.
         """
         if not 0 < self.iteration < STEERED_ITERATIONS:
-            return
+            return np.ones(len(power))
         least = np.maximum(1e-3 * (power - bound), np.finfo(np.float64).tiny)
         spins_late = np.maximum(power - balanced_power, least)
         forces_late = np.maximum(balanced_power - bound, least)
@@ -202,7 +202,7 @@ class OperatorSplittingMethod(Method):
         usual = self._usual_stiffness(power)
         wanted = (self.stiffness * factor).clip(usual / reach, usual * reach)
         factor = wanted / self.stiffness
-        self.change = np.where(np.abs(np.log(factor)) > np.log(LEAST_CHANGE), factor, 1.0)
+        return np.where(np.abs(np.log(factor)) > np.log(LEAST_CHANGE), factor, 1.0)
 
 
 class TorqueBalance:
@@ -217,7 +217,7 @@ class TorqueBalance:
     """
 
     def __init__(self, spec: FieldSpec, stencil: Stencil, weights: tuple[float, ...], fields: Fields) -> None:
-        self.fields, self.kernels, self.weight = fields, balance_kernels(spec, stencil), weights[0]
+        self.fields, self.kernels, self.weight = fields, made_once(BalanceKernels, spec, stencil), weights[0]
         shape, layout = fields.layout.shape, fields.layout
         self.products = min(np.dtype(PRODUCT_TYPE), fields.dtype, key=lambda kind: kind.itemsize)
         modes, held = chain_modes(shape[-1] - 2, is_held=True), np.zeros(shape[-1])

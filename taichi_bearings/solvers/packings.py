@@ -12,8 +12,7 @@ from scipy import sparse
 from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.errors import InputError
-from taichi_bearings.kernels.contact_list import CundallStrackLists, DescentLists, list_sweeps
-from taichi_bearings.kernels.team import Team
+from taichi_bearings.kernels.contact_list import CundallStrackLists, DescentLists
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.packing.answer import SLIPLESS, SLIPPING, UNDECIDED, PackingSolution, judged
 from taichi_bearings.packing.motions import order_of
@@ -22,8 +21,9 @@ from taichi_bearings.packing.path import elimination, oblique
 from taichi_bearings.packing.system import Found, System, slips_of
 from taichi_bearings.scene import Snapshots, Status
 from taichi_bearings.scene.scene import vector_length
-from taichi_bearings.solvers.cundall_strack import CundallStrackMethod, changing, largest_step
+from taichi_bearings.solvers.cundall_strack import CundallStrackMethod, largest_step
 from taichi_bearings.solvers.drive import Checkpoints, Course, Monitor, followed
+from taichi_bearings.solvers.dynamics import SpringDynamics
 from taichi_bearings.solvers.gradient_descent import GradientDescentMethod
 from taichi_bearings.solvers.implicit_cundall_strack import ImplicitCundallStrackMethod
 from taichi_bearings.solvers.network import OF_BOUND, Network, OnNetwork
@@ -47,11 +47,7 @@ class CundallStrackOfPacking(OnNetwork, CundallStrackMethod):
         return largest_step(options, network.law.holds, decay, stiffest)
 
     def _kernels(self, corrector: tuple[float, ...]) -> Any:
-        return Team(self.fields.team_size), list_sweeps(CundallStrackLists, self.spec, self.scene.law.name, corrector)
-
-    def _changing_fields(self) -> list[str]:
-        spheres, contacts = self.spec
-        return changing((*spheres, *contacts))
+        return self.sweeps_of(CundallStrackLists, corrector)
 
     def _load_force(self, force: np.ndarray) -> None:
         self.fields.load("force", np.einsum("tre,tek->kre", force, self.scene.across))
@@ -74,7 +70,8 @@ class ImplicitCundallStrackOfPacking(OnNetwork, ImplicitCundallStrackMethod):
 
     kept = (*ImplicitCundallStrackMethod.kept, *OF_BOUND)
 
-    def begin(self, network: Any, spins: np.ndarray, fields: Any) -> None:
+    def begin(self, network: Any, spins: np.ndarray) -> None:
+        SpringDynamics.begin(self, network, spins)
         self.free = ~network.lattice.is_driven
         self.scale = np.repeat(np.sqrt(self.unit_inertia / self.inertia[self.free]), network.components)
         self.system, self.order = self._contacts(network)
@@ -121,7 +118,7 @@ class GradientDescentOfPacking(OnNetwork, GradientDescentMethod):
     points, forces = ("point",), ("force",)
 
     def _kernels(self) -> Any:
-        return Team(self.fields.team_size), list_sweeps(DescentLists, self.spec, self.scene.law.name, ())
+        return self.sweeps_of(DescentLists, ())
 
     def weights(self, bounds: np.ndarray) -> np.ndarray:
         """At each sphere sum b_e P_e with P = T^T T is no larger than the diagonal matrix of its rows' sizes."""

@@ -11,7 +11,6 @@ lightest ring around it, and a general largest flow finds it.
 
 import numpy as np
 
-from taichi_bearings.fields import Fields
 from taichi_bearings.numerics.minimum_cut import ring_cuts
 from taichi_bearings.numerics.planar import minimum_cuts
 from taichi_bearings.proof.certificate import largest_unbalanced_torque, work_and_bound
@@ -23,7 +22,8 @@ from taichi_bearings.solvers.method import Method
 class PlanarCutMethod(Method):
     """See the module docstring. The only iteration cuts all grids."""
 
-    def begin(self, scene: Scene, spin: np.ndarray, fields: Fields | None) -> None:
+    def begin(self, scene: Scene, spin: np.ndarray) -> None:
+        super().begin(scene, spin)
         (self.component,) = self.spin_axes
         self.staggered = scene.staggered_spin(spin, self.spin_axes)
         self.force, self.state = np.zeros((1, *scene.coefficient.shape)), all_slipless(scene)

@@ -17,10 +17,8 @@ from dataclasses import replace
 import numpy as np
 
 from taichi_bearings.conic.proximal import ProximalSteps, Step
-from taichi_bearings.fields import Fields
-from taichi_bearings.proof.certificate import inverse, relative_gap
+from taichi_bearings.proof.certificate import relative_gap
 from taichi_bearings.scene import Progress, Scene
-from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.solvers.dynamics import ENERGY_NAMES, Dynamics, replica_sum
 
 FIRST_ERROR_SHARE = 0.1  # of the error tolerance, in relaxation times
@@ -44,20 +42,21 @@ class RigidLimitMethod(Dynamics):
         "newton_steps", "still", *ENERGY_NAMES,
     )  # fmt: skip
 
-    def begin(self, scene: Scene, spin: np.ndarray, fields: Fields | None) -> None:
+    def begin(self, scene: Scene, spin: np.ndarray) -> None:
+        super().begin(scene, spin)
         self.staggered = scene.staggered_spin(spin, self.spin_axes)
         spread = [float(values.max() - values.min()) for values in self.staggered]
         self.unit = max(spread) or 1.0
         self.largest = float(np.abs(self.staggered).max()) or 1.0
         self.moving = self.spin_axes
         self._prepare()
-        self.force = self._force_at_start()
+        self.creep = FIRST_RESOLVED_SLIP * self.unit
+        self.force = self.forces_at(self.staggered, self.creep)
         self.newton_steps = self.still = 0
         self.length = self.options.time_step or FIRST_ERROR_SHARE * self.options.error_tolerance * self.relaxation_time
         self.last_length = self.length
         self.open_books(self.staggered)
         self.rest_time = np.zeros(scene.replicas)
-        self.creep = FIRST_RESOLVED_SLIP * self.unit
         slips = scene.slips(self.staggered, self.spin_axes)
         self.slipping = (slips > scene.lattice.radius * self.creep).sum(axis=1)
 
@@ -78,14 +77,6 @@ class RigidLimitMethod(Dynamics):
         if scene.viscosity_beside_friction is not None:
             force += mean(scene.viscosity_beside_friction) * fastest
         return self.inertia * self.largest / (scene.lattice.radius * force)
-
-    def _force_at_start(self) -> np.ndarray:
-        """Forces (C, R, E) of the contacts that slip."""
-        scene, difference = self.scene, self.differences(self.staggered)
-        size = scene.lattice.radius if not scene.law.holds else inverse(vector_length(difference))
-        force = scene.strength * scene.acting_coefficient * size * difference
-        beside = scene.viscosity_beside_friction
-        return force if beside is None else force + scene.lattice.radius * beside * difference
 
     def _step(self) -> None:
         """One step that is accurate enough, or as short as steps may be."""

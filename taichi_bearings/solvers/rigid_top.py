@@ -10,7 +10,7 @@ since it was last no faster than a ramp that needs all its way up to that load f
 """
 
 from dataclasses import replace
-from functools import lru_cache
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -18,11 +18,11 @@ import numpy as np
 from taichi_bearings.conic.contact_system import free_spins, lattice_system, place_free_spins
 from taichi_bearings.conic.grouped import Arrays
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
-from taichi_bearings.fields import Fields, FieldSpec
+from taichi_bearings.fields import FieldSpec
 from taichi_bearings.kernels.cundall_strack import BODY_NUMBERS, RigidTopSteps
 from taichi_bearings.numerics.cholesky import dissect
 from taichi_bearings.scene import Energy, Progress, Scene, Solution
-from taichi_bearings.scene.ramp import Ramp
+from taichi_bearings.scene.driving import Ramp
 from taichi_bearings.solvers.cundall_strack import CundallStrackMethod
 from taichi_bearings.solvers.dynamics import SpringDynamics
 from taichi_bearings.solvers.implicit_cundall_strack import GAMMA, ImplicitCundallStrackMethod
@@ -56,10 +56,15 @@ class UnderTorque(SpringDynamics):
         self.limit = safe_angle(friction, options.stiffness)
         self.softness = over(self.limit, friction.lower_bound)
 
-    def take_state(self, scene: Scene) -> None:
-        """state_of_top : (C, 1, *plane), of strength 1. body_inertia : I_a."""
-        self.state_of_top = scene.top_spin(self.spin_axes)[:, None]
-        self.body_inertia = self.inertia * float((scene.top_spin(scene.lattice.all_spin_axes) ** 2).sum())
+    @cached_property
+    def state_of_top(self) -> np.ndarray:
+        """(C, 1, *plane), of strength 1."""
+        return self.scene.top_spin(self.spin_axes)[:, None]
+
+    @cached_property
+    def body_inertia(self) -> float:
+        """I_a."""
+        return float(self.inertia * (self.scene.top_spin(self.scene.lattice.all_spin_axes) ** 2).sum())
 
     def torque(self, time: Any) -> Any:
         return self.ramp.start + self.rate * time
@@ -92,19 +97,19 @@ class UnderTorque(SpringDynamics):
 class RigidTopMethod(UnderTorque, CundallStrackMethod):
     """By explicit steps."""
 
-    stepping = staticmethod(lru_cache(RigidTopSteps))
+    stepping = RigidTopSteps
 
-    def plan(self, scene: Scene, spin: np.ndarray) -> FieldSpec:
-        spec, lattice = super().plan(scene, np.zeros_like(spin)), scene.lattice
-        self.held = lattice.is_driven & (np.arange(lattice.shape[-1]) == 0)
-        self.take_state(scene)
+    def needed(self) -> FieldSpec:
         body = self.options.gear_order + 1 + len(BODY_NUMBERS)
-        self.spec = (*spec, ("state", len(self.spin_axes)), ("first", 1), ("body", body))
-        return self.spec
+        return (*super().needed(), ("state", len(self.spin_axes)), ("first", 1), ("body", body))
 
-    def begin(self, scene: Scene, spin: np.ndarray, fields: Fields | None) -> None:
+    @property
+    def held(self) -> np.ndarray:
+        return super().held & (np.arange(self.scene.lattice.shape[-1]) == 0)
+
+    def begin(self, scene: Scene, spin: np.ndarray) -> None:
         self.body_at_start = [np.zeros(scene.replicas)]
-        super().begin(scene, spin, fields)
+        super().begin(scene, np.zeros_like(spin))
         at_start = {"limit": self.limit / self.time_step, "creep": self.softness * abs(self.rate)}
         body = [*self.body_at_start, *(at_start.get(name, np.zeros(scene.replicas)) for name in BODY_NUMBERS)]
         for name, numbers in (("first", np.ones((1, scene.replicas))), ("body", np.stack(body))):
@@ -163,9 +168,9 @@ class ImplicitRigidTopMethod(UnderTorque, ImplicitCundallStrackMethod):
 
     kept = (*ImplicitCundallStrackMethod.kept, "amplitude", "angle", "start")
 
-    def begin(self, scene: Scene, spin: np.ndarray, fields: Fields | None) -> None:
+    def begin(self, scene: Scene, spin: np.ndarray) -> None:
+        SpringDynamics.begin(self, scene, spin)
         axes, nothing = self.spin_axes, np.zeros((len(self.spin_axes), scene.replicas, *scene.lattice.shape))
-        self.take_state(scene)
         self.share = np.sqrt(self.inertia / self.body_inertia)  # 1 / S
         own = lattice_system(scene.lattice, axes, scene.top_spin(axes))
         pairs = zip(own.groups, self.share * own.offset, strict=True)

@@ -39,8 +39,7 @@ class Comparison:
     def __init__(self, scene, start, relative_times):
         self.scene, self.spin = scene, initial_spin(scene, start)
         method = RigidLimit().build()
-        method.plan(scene, self.spin)
-        method.begin(scene, self.spin, None)
+        method.begin(scene, self.spin)
         self.axes, self.largest = method.spin_axes, method.largest
         self.times = np.array(relative_times) * method.relaxation_time
 

@@ -57,7 +57,8 @@ class Minimise(MethodOptions):
 class Minimiser(Method):
     """One call of L-BFGS, restarted at every iteration."""
 
-    def begin(self, scene, spin, fields):
+    def begin(self, scene, spin):
+        super().begin(scene, spin)
         self.iteration, self.spins = 0, scene.staggered_spin(spin, self.spin_axes)
 
     def forces(self):

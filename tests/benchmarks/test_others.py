@@ -7,7 +7,6 @@ from taichi_bearings_studies.benchmarks.baselines import SHARPNESS, Arrays, CSwe
 from taichi_bearings_studies.benchmarks.dynamics import FRICTION, PEER_STEP, Code, codes, request_of
 
 from taichi_bearings.errors import BearingsError
-from taichi_bearings.fields import Fields, make_layout
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import InteriorPoint
 from taichi_bearings.solvers.drive import solve
@@ -26,7 +25,7 @@ def inside(arrays):
 def ours(scene):
     method = GradientDescentMethod(GradientDescent(momentum=False))
     spin = initial_spin(scene, "random")
-    method.begin(scene, spin, Fields(make_layout(1, scene.lattice.shape), method.plan(scene, spin)))
+    method.begin(scene, spin)
     method._load_spins(scene.staggered_spin(spin, method.spin_axes))
     method._step_and_sharpness = lambda: (1e-3, SHARPNESS)
     method.box = [-np.inf] * 3 + [np.inf] * 3

@@ -12,7 +12,6 @@ from taichi_bearings.compiler import name as compiler_name
 from taichi_bearings.compiler import ti
 from taichi_bearings.conic import central_path
 from taichi_bearings.conic.friction_stage import FrictionStage
-from taichi_bearings.fields import Fields, make_layout
 from taichi_bearings.kernels.elimination import LANES
 from taichi_bearings.numerics.cholesky.factor import CalledFactor, DenseFactor, LaunchedFactor
 from taichi_bearings.scene.initial_spins import initial_spin
@@ -26,9 +25,7 @@ def begun(name, shape=(6, 7, 8), seeds=(0,), **options):
     driving = {"direction": (1, 0, 0)} if name == "planar-cut" else {}
     scene = make_scene(shape, law, seeds=seeds, **driving)
     method, spin = METHODS[name](**options).build(), initial_spin(scene, "linear")
-    spec = method.plan(scene, spin)
-    layout = make_layout(len(seeds), shape)
-    method.begin(scene, spin, Fields(layout, spec) if spec else None)
+    method.begin(scene, spin)
     if hasattr(method, "aim_at"):
         method.aim_at(np.inf)
     return method

@@ -5,7 +5,6 @@ from unittest.mock import patch
 import numpy as np
 
 from taichi_bearings import Packing, runtime, solve
-from taichi_bearings.fields import Fields, make_layout
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import CundallStrack, GradientDescent, OperatorSplitting, operator_splitting
 from tests.scenes import make_scene
@@ -32,9 +31,8 @@ def course(method: str, law: str, shape: tuple[int, ...], periodic: str = "") ->
         return [found.power, found.lower_bound]
     scene = make_scene(shape, law, seeds=(1, 2), periodic=tuple(periodic))
     spin, solver = initial_spin(scene, "random"), METHODS[method].build()
-    fields = Fields(make_layout(scene.replicas, shape, scene.lattice.periodic), solver.plan(scene, spin))
     with patch.object(operator_splitting, "PRODUCT_TYPE", np.float64):  # as on a GPU
-        solver.begin(scene, spin, fields)
+        solver.begin(scene, spin)
     for _ in range(2):  # some change their course at a check
         solver.advance(ITERATIONS // 2)
         progress = solver.progress()

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from taichi_bearings.fields import Fields, make_layout
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.scene.law import LAWS
 from taichi_bearings.solvers import CundallStrack
@@ -28,8 +27,8 @@ def test_steps_equal_plain_loops(shape, periodic, start, law, order, precision):
     options = CundallStrack(gear_order=order, static_ratio=1.25, mass=2.0, slipping_spring=spring)
     method = options.build()
     spin = initial_spin(scene, start)
-    fields = Fields(make_layout(1, shape, scene.lattice.periodic), method.plan(scene, spin))
-    method.begin(scene, spin, fields)
+    method.begin(scene, spin)
+    fields = method.fields
 
     def read(name):
         staggered = fields.read(name)

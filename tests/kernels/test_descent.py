@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from taichi_bearings.fields import Fields, make_layout
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.scene.law import LAWS
@@ -42,8 +41,8 @@ def test_sweeps_equal_plain_loops(shape, direction, periodic, law, momentum, pre
     start = scene.laboratory_spin(
         scene.staggered_spin(initial_spin(scene, "random"), scene.minimum_spin_axes), scene.minimum_spin_axes
     )
-    fields = Fields(make_layout(1, shape, scene.lattice.periodic), method.plan(scene, start))
-    method.begin(scene, start, fields)
+    method.begin(scene, start)
+    fields = method.fields
     step, sharpness = method._step_and_sharpness()
     width = 1 / sharpness if sharpness else 0.0
     box = np.sort([s * axis_of(scene) for s in (scene.spin_bottom, scene.spin_top)], axis=0)
@@ -75,8 +74,7 @@ def test_averages_equal_plain_loops(shape, direction, periodic, precision):
     start = scene.laboratory_spin(
         scene.staggered_spin(initial_spin(scene, "random"), scene.minimum_spin_axes), scene.minimum_spin_axes
     )
-    fields = Fields(make_layout(1, shape, scene.lattice.periodic), method.plan(scene, start))
-    method.begin(scene, start, fields)
+    method.begin(scene, start)
     method.iteration = method.epoch_length // 2  # from here on the method averages
     step, sharpness = method._step_and_sharpness()
     box = np.sort([s * axis_of(scene) for s in (scene.spin_bottom, scene.spin_top)], axis=0)

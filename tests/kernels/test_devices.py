@@ -10,7 +10,6 @@ import pytest
 
 from taichi_bearings import runtime
 from taichi_bearings.kernels import team
-from taichi_bearings.kernels.cundall_strack import cundall_strack_steps
 from taichi_bearings.scene.law import LAWS
 from tests.kernels.courses import course
 
@@ -57,8 +56,8 @@ def test_several_turns_of_one_launch_end_where_single_ones_do(monkeypatch, on_th
     if not runtime.current().is_gpu:
         pytest.skip("a CPU makes all turns in one launch")
     monkeypatch.setattr(team, "TURNS_A_LAUNCH", {runtime.current().arch: 3})
-    cundall_strack_steps.cache_clear()  # kernels of single turns
+    team.made_once.cache_clear()  # kernels of single turns
     case = next(case for case in COURSES if case[0] == "cundall-strack")
     found, expected = np.array(course(*case)), np.array(on_the_cpu[case])
-    cundall_strack_steps.cache_clear()
+    team.made_once.cache_clear()
     assert found == pytest.approx(expected, rel=1e-11 if precision == "f64" else 1e-4)

@@ -29,8 +29,8 @@ def test_a_contact_step_equals_sums_over_contacts(shape, direction, periodic, pr
     accuracy, rng = 1e-12 if precision == "f64" else 1e-4, np.random.default_rng(77)
     scene = make_scene(shape, direction=direction, seeds=(11, 12), periodic=tuple(periodic))
     method, spin = OperatorSplitting().build(), initial_spin(scene, "random")
-    fields = Fields(make_layout(scene.replicas, shape, scene.lattice.periodic), method.plan(scene, spin))
-    method.begin(scene, spin, fields)
+    method.begin(scene, spin)
+    fields = method.fields
     lattice, axes, layout = scene.lattice, method.spin_axes, method.layout
     potential = 30 * rng.standard_normal((len(axes), 2, *shape))
     difference = contact_differences(potential, lattice, axes)

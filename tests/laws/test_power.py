@@ -22,7 +22,7 @@ def test_at_the_minimum_power_in_is_power_dissipated(law, precision):
     solution = solve(scene, method, initial_spin(scene, "zero"), StopRule(tolerance))
     axes = scene.minimum_spin_axes
     staggered = scene.staggered_spin(solution.spin, axes)
-    force = method._force_at(staggered)
+    force = method.forces_at(staggered, method.width)
     top = -torques(force, scene.lattice, axes)[..., -1]
     work = scene.lattice.radius * (top * scene.top_spin(axes)[:, None]).sum()
     assert work == pytest.approx(solution.power[0], rel=accuracy)

@@ -1,5 +1,6 @@
 """Gear's method: its order, and its stability bound."""
 
+from contextlib import nullcontext
 from dataclasses import replace
 from itertools import product
 
@@ -8,10 +9,9 @@ import pytest
 from scipy.linalg import expm
 
 from taichi_bearings.errors import InputError
-from taichi_bearings.fields import Fields, make_layout
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import CundallStrack
-from taichi_bearings.solvers.cundall_strack import choose_time_step, stability_bound
+from taichi_bearings.solvers.cundall_strack import stability_bound
 from taichi_bearings.solvers.gear import GEAR_COEFFICIENTS, largest_laplacian_eigenvalue, largest_weighted_eigenvalue
 from tests.agreement.test_independent_solvers import incidence
 from tests.scenes import make_scene
@@ -19,10 +19,9 @@ from tests.scenes import make_scene
 
 def state_after(scene, start, options, steps):
     method = options.build()
-    fields = Fields(make_layout(scene.replicas, scene.lattice.shape), method.plan(scene, start))
-    method.begin(scene, start, fields)
+    method.begin(scene, start)
     method.advance(steps)
-    return scene.impose_driving(fields.read("gear_0"), method.spin_axes), method
+    return scene.impose_driving(method.fields.read("gear_0"), method.spin_axes), method
 
 
 def laplacian(scene, component, weighted=True):
@@ -93,8 +92,8 @@ def largest_stable_step_found(shape, options):
     scene = make_scene(shape, distribution="constant:1e15", spin_top=0.0)
     spin = without_vertical(1e-3 * np.random.default_rng(3).standard_normal(initial_spin(scene, "zero").shape))
     method = options.build()
-    fields = Fields(make_layout(1, shape), method.plan(scene, spin))
-    method.begin(scene, spin, fields)
+    method.begin(scene, spin)
+    fields = method.fields
 
     def is_stable(time_step):
         method.time_step = time_step
@@ -157,9 +156,13 @@ def test_the_stiffest_viscous_mode_is_not_underestimated(shape):
 
 
 def test_a_larger_step_than_the_bound_is_refused():
-    assert choose_time_step(1e-3, 0.9e-3) == 0.9e-3
-    with pytest.raises(InputError, match=r"stable only up to 0\.001"):
-        choose_time_step(1e-3, 1.1e-3)
+    scene = make_scene((4, 5))
+    bound = stability_bound(scene, scene.minimum_spin_axes, CundallStrack())
+    for share, refused in ((0.9, False), (1.1, True)):
+        method = CundallStrack(time_step=share * bound).build()
+        with pytest.raises(InputError, match=f"stable only up to {bound:.6g}") if refused else nullcontext():
+            method.begin(scene, initial_spin(scene, "zero"))
+            assert method.time_step == share * bound
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,6 @@ from scipy.optimize import minimize
 from taichi_bearings.conic.contact_system import free_spins
 from taichi_bearings.conic.friction_stage import Friction
 from taichi_bearings.conic.grouped import each
-from taichi_bearings.fields import Fields, make_layout
 from taichi_bearings.scene import Status
 from taichi_bearings.scene.initial_spins import initial_spin, random_spin
 from taichi_bearings.solvers import CundallStrack, ImplicitCundallStrack, PlanarCut
@@ -23,8 +22,7 @@ pytestmark = pytest.mark.usefixtures("needs_f64")
 
 def begun(scene, spin, **options):
     method = ImplicitCundallStrack(**options).build()
-    method.plan(scene, spin)
-    method.begin(scene, spin, None)
+    method.begin(scene, spin)
     return method
 
 
@@ -124,8 +122,7 @@ def test_small_steps_agree_with_gears_method(shape, falls, within):
     scene = make_scene(shape, seeds=(32, 33, 34))
     spin = random_spin(scene)
     reference = CundallStrack(time_step=duration / 4_000).build()
-    fields = Fields(make_layout(scene.replicas, shape), reference.plan(scene, spin))
-    reference.begin(scene, spin, fields)
+    reference.begin(scene, spin)
     reference.advance(4_000)
     wanted = reference.progress().staggered
     for number in (8, 32, 128):

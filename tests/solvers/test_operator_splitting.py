@@ -5,7 +5,6 @@ import pytest
 from scipy.optimize import linprog
 from scipy.sparse import bmat, identity
 
-from taichi_bearings.fields import Fields, make_layout
 from taichi_bearings.lattice.incidence import torques
 from taichi_bearings.proof.certificate import dual_value
 from taichi_bearings.scene import Scene, Status
@@ -95,7 +94,7 @@ def test_spring_forces_are_balanced_and_friction_is_admissible():
     scene = make_scene((4, 6, 5), direction=(1, 2, 3), seeds=(8, 9))
     method = OperatorSplitting().build()
     spin = initial_spin(scene, "random")
-    method.begin(scene, spin, Fields(make_layout(scene.replicas, scene.lattice.shape), method.plan(scene, spin)))
+    method.begin(scene, spin)
     for _ in range(3):  # the stiffness changes in between
         method.advance(40)
         progress = method.progress()

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from taichi_bearings.conic.contact_system import free_spins
-from taichi_bearings.fields import Fields, make_layout
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import CundallStrack, ImplicitCundallStrack
 from tests.scenes import make_scene
@@ -19,17 +18,15 @@ DURATION = 0.01
 def explicit(scene, spin, steps):
     """Free staggered spins (C, R, *free) after DURATION in so many steps of Gear's method."""
     method = CundallStrack(time_step=DURATION / steps, slipping_spring="relax").build()
-    fields = Fields(make_layout(scene.replicas, scene.lattice.shape), method.plan(scene, spin))
-    method.begin(scene, spin, fields)
+    method.begin(scene, spin)
     method.advance(steps)
-    return fields.read("gear_0")[..., 1:-1]
+    return method.fields.read("gear_0")[..., 1:-1]
 
 
 def implicit(scene, spin, steps):
     """The same by the implicit integrator."""
     method = ImplicitCundallStrack(time_step=DURATION / steps, slipping_spring="relax").build()
-    method.plan(scene, spin)
-    method.begin(scene, spin, None)
+    method.begin(scene, spin)
     method.advance(steps)
     assert method.time == pytest.approx(DURATION, rel=1e-12)
     spins = free_spins(method.staggered)

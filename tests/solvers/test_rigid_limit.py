@@ -25,8 +25,7 @@ RADIUS, NORMAL_FORCE, INERTIA = 0.5, 50.0, 0.4
 
 def begun(scene, spin, **options):
     method = RigidLimit(**options).build()
-    method.plan(scene, spin)
-    method.begin(scene, spin, None)
+    method.begin(scene, spin)
     return method
 
 

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from taichi_bearings.fields import Fields, make_layout
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import CundallStrack
 from taichi_bearings.solvers.cundall_strack import sticking_modes
@@ -19,11 +18,10 @@ COURSE = np.unique(np.round(np.geomspace(1, 2000, 40)).astype(int))  # steps aft
 def course(scene, start, options, parts=1):
     """Spins (times, C, R, *N) after COURSE steps, each of as many `parts` of the options' length; the method."""
     method, spins = options.build(), []
-    fields = Fields(make_layout(1, scene.lattice.shape), method.plan(scene, start))
-    method.begin(scene, start, fields)
+    method.begin(scene, start)
     for steps in np.diff(np.concatenate([[0], COURSE])):
         method.advance(int(steps) * parts)
-        spins.append(scene.impose_driving(fields.read("gear_0"), method.spin_axes))
+        spins.append(scene.impose_driving(method.fields.read("gear_0"), method.spin_axes))
     return np.array(spins), method
 
 
