@@ -22,17 +22,16 @@ import numpy as np
 from scipy import sparse
 
 from taichi_bearings.verifier.bounds import Bounds
-from taichi_bearings.verifier.curvature import Form, proven_floor
-from taichi_bearings.verifier.elimination import EPS, Elimination
+from taichi_bearings.verifier.curvature import Form
+from taichi_bearings.verifier.elimination import EPS
 from taichi_bearings.verifier.enclosure import UP, Enclosure, length
+from taichi_bearings.verifier.exact_motions import ExactMotions, numbered
 from taichi_bearings.verifier.network import Network, moments
-from taichi_bearings.verifier.springs import floor_of_slips, rounding_of, slip_rows
+from taichi_bearings.verifier.springs import floor_of_slips, slip_rows
 
 MOVING = 1e-10  # of the fastest imposed component, above which a contact is taken to slip
-NEARLY = 1e-11  # of it, up to which a spin may be the one that it is taken to be
-MOST_ROUNDS = 12  # of letting go spheres that are not pinned
 MOST_TURN = 0.25  # of a slip, over its size
-FAINT, TINY = 1e-100, 1e-290  # factors whose products may be rounded
+TINY = 1e-290
 
 
 @np.errstate(all="ignore")  # what is not finite proves nothing
@@ -66,93 +65,13 @@ class _Held:
 
     @classmethod
     def of(cls, network: Network, number: np.ndarray, rests: np.ndarray) -> _Held | None:
-        taken, pinned = _as_taken(network, rests)
-        first, second = network.contact
-        stiff = np.inf
-        for _ in range(MOST_ROUNDS):
-            spin = [Enclosure(*(np.where(pinned, a, b) for a, b in zip(t.parts, p.parts, strict=True)))
-                    for t, p in zip(taken, network.spin, strict=True)]  # fmt: skip
-            still = _still(network, spin)
-            whole = pinned | ~network.free
-            among = rests & whole[first] & whole[second]
-            if (among & ~still).any():
-                return None
-            if not pinned.any():
-                break
-            found = _floor_of_spins(network, _numbered(pinned[:, None] & (number >= 0)), among)
-            if isinstance(found, float):
-                stiff = np.sqrt(found) / UP
-                break
-            pinned = pinned & ~found
-        else:
-            return None
-        kept = rests & ~among
-        of_left = _numbered(~pinned[:, None] & (number >= 0))
-        loose = floor_of_slips(network, of_left, kept, sharp=True)
+        exact = ExactMotions.of(network, number, rests)
+        of_left = numbered(~exact.spheres[:, None] & (number >= 0))
+        loose = floor_of_slips(network, of_left, rests & ~exact.contacts, sharp=True)
         if loose is None:
             return None
-        return cls(rests, spin, number, number[(of_left < 0) & (number >= 0)], number[of_left >= 0], among, stiff,
-                   np.sqrt(loose) / UP)  # fmt: skip
-
-
-def _numbered(mask: np.ndarray) -> np.ndarray:
-    """Number of each True one, -1 of the others."""
-    return np.where(mask, np.cumsum(mask).reshape(mask.shape) - 1, -1)
-
-
-def _still(network: Network, spin: list[Enclosure]) -> np.ndarray:
-    """(E,) True where (u_i + u_j) x n is exactly 0: where the sum is, or is of doubles whose products with the normal
-    are equal bit by bit. u = R omega is exactly a sum of two doubles."""
-    still, nothing = np.ones((2, network.contact.shape[1]), dtype=bool)
-    sums, n = [], network.normal.T
-    for part in spin:
-        one, two = (part.at(end) for end in network.contact)
-        nothing &= (one.high == -two.high) & (one.low == -two.low) & _clear(one.high)
-        sums.append(one + two)
-        still &= (one.low == 0) & (two.low == 0) & (sums[-1].low == 0)
-    for a, b in ((0, 1), (1, 2), (2, 0)):
-        first, second = (Enclosure.exact(sums[i].high).times(n[j]) for i, j in ((a, b), (b, a)))
-        still &= (first.high == second.high) & (first.low == second.low)
-        still &= np.all([_clear(v) for v in (sums[a].high, sums[b].high, n[a], n[b])], axis=0)
-    return np.asarray(nothing | still)
-
-
-def _clear(values: np.ndarray) -> np.ndarray:
-    """0, or so large that no part of a product is lost."""
-    return np.asarray((values == 0) | (np.abs(values) > FAINT))
-
-
-def _as_taken(network: Network, rests: np.ndarray) -> tuple[list[Enclosure], np.ndarray]:
-    """Spins that some are taken to have exactly, components (N,), and which, (N,): none, or those of a driven sphere
-    or against them, as contacts at rest pass them on."""
-    spin, near = np.stack([part.value for part in network.spin], axis=1), NEARLY * network.box.max()
-    pinned = network.reached & (np.abs(spin) <= near).all(axis=1)
-    high, low = (np.stack([np.where(pinned, 0.0, getattr(p, name)) for p in network.spin]) for name in ("high", "low"))
-    ends = network.contact[:, rests]
-    known, pairs = pinned | ~network.free, np.append(ends, ends[::-1], axis=1).T
-    pairs = pairs[(np.abs(spin[pairs].sum(axis=1)) <= near).all(axis=1)]
-    while (passed := known[pairs[:, 0]] & ~known[pairs[:, 1]]).any():
-        source, to = pairs[passed].T
-        high[:, to], low[:, to], known[to] = -high[:, source], -low[:, source], True
-    return [Enclosure(h, w, np.zeros_like(h)) for h, w in zip(high, low, strict=True)], known & network.reached
-
-
-def _floor_of_spins(network: Network, number: np.ndarray, contacts: np.ndarray) -> float | np.ndarray:
-    """Of K^T K of these contacts (E,); or spheres (N,) that they let move, or may do so."""
-    rows, there = _rows(network, number, contacts), number >= 0
-    loose = np.zeros(number.shape, dtype=bool)
-    loose[there] = np.bincount(rows.indices, minlength=rows.shape[1]) == 0
-    if loose.any():
-        return np.asarray(loose.any(axis=1))
-    place = network.place[np.nonzero(there)[0]].T
-    tau = proven_floor(rows, rounding_of(rows), Elimination.of((rows.T @ rows).tocsc(), place), sharp=True)
-    return np.asarray(there.any(axis=1)) if tau is None else tau
-
-
-def _rows(network: Network, number: np.ndarray, contacts: np.ndarray) -> sparse.csr_array:
-    rows = sparse.csr_array(slip_rows(network, number)[np.flatnonzero(np.tile(contacts, 3))])
-    rows.eliminate_zeros()
-    return rows
+        return cls(rests, exact.spin, number, number[(of_left < 0) & (number >= 0)], number[of_left >= 0],
+                   exact.contacts, exact.floor, np.sqrt(loose) / UP)  # fmt: skip
 
 
 def _curvature(network: Network, held: _Held, own: np.ndarray, y: np.ndarray, size: Enclosure) -> Form | None:
