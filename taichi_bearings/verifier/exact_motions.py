@@ -36,14 +36,13 @@ MOST_ROUNDS = 12  # of leaving out spheres
 class ExactMotions:
     """spheres : (N,) mask. contacts : (E,) mask of those among them and with driven spheres: all can roll exactly.
 
-    spin : one exact case, by component (N,) of all spheres, that of the network but for these spheres. floor : of the
-    singular values of K but for its kernel, rounded down; infinite of no spheres.
+    floor : of the singular values of K but for its kernel, rounded down; infinite of no spheres.
     """
 
     spheres: np.ndarray
     contacts: np.ndarray
-    spin: list[Enclosure]
-    floor: float
+    floor: float = np.inf
+    found: _Motions | None = None
 
     @classmethod
     def of(cls, network: Network, number: np.ndarray, rests: np.ndarray) -> ExactMotions:
@@ -61,7 +60,12 @@ class ExactMotions:
             if isinstance(found, tuple):
                 return cls(spheres, contacts, *found)
             spheres = spheres & ~found
-        return cls(np.zeros_like(spheres), np.zeros_like(rests), network.spin, np.inf)
+        return cls(np.zeros_like(spheres), np.zeros_like(rests))
+
+    def rolling(self, spin: list[Enclosure]) -> list[Enclosure]:
+        """Spins by component (N,) at which all the contacts roll exactly: those of J, and of all other spheres, are the
+        given ones, which are exact sums of two doubles."""
+        return spin if self.found is None else self.found.spin(spin)
 
 
 @dataclass(frozen=True)
@@ -91,8 +95,8 @@ class _Parts:
         of_contact = np.searchsorted(parts, label[np.where(network.free[ends[0]], *ends)])
         return cls(network, free, ends, network.normal[contacts], rows, of_unknown, of_contact, len(parts))
 
-    def solved(self) -> tuple[list[Enclosure], float] | np.ndarray:
-        """Spin and floor, as of ExactMotions; or the spheres (N,) that are to be left out, one at least."""
+    def solved(self) -> tuple[float, _Motions] | np.ndarray:
+        """Floor and motions; or the spheres (N,) that are to be left out, one at least."""
         everything, place = self.free.any(axis=1), self.network.place[np.nonzero(self.free)[0]].T
         follows = ~Elimination.of((self.rows.T @ self.rows).tocsc(), place).dependent(NULL_PIVOT)
         conditions = 2 * np.bincount(self.of_contact, minlength=self.count)
@@ -123,7 +127,7 @@ class _Parts:
             clear = ~found[self.ends[:, slides.any(axis=1)]].any(axis=0)
             found[self.ends[:, slides.any(axis=1)][:, clear]] = True
             return found & everything
-        return self._spin(motion, units, choices), float(np.sqrt(tau) / UP)
+        return float(np.sqrt(tau) / UP), _Motions(self, choices, units, motion)
 
     def _spheres(self, unknowns: np.ndarray) -> np.ndarray:
         """(N,) mask of those with any of some unknowns (n,)."""
@@ -131,38 +135,26 @@ class _Parts:
         found[self.free] = unknowns
         return found.any(axis=1)
 
-    def _spin(self, motion: np.ndarray, units: np.ndarray, choices: _Choices) -> list[Enclosure]:
-        """Of all spheres, where each choice has its value."""
-        value, total = choices.values(units.shape), Enclosure.exact(np.zeros(len(motion)))
-        for slot in range(units.shape[1]):
-            unit = Enclosure.exact(units[self.of_unknown, slot])
-            total = total + value[:, slot].at(self.of_unknown).times(motion[:, slot]) / unit
-        (sphere, component), found = np.nonzero(self.free), []
-        for k, part in enumerate(self.network.spin):
-            found.append(part.where(~self.free.any(axis=1)))
-            found[k].put(sphere[component == k], total.at(np.flatnonzero(component == k)))
-        return found
-
 
 @dataclass(frozen=True)
 class _Choices:
     """The q numbers from which all else follows, those of a part counted from 0: the spins of J, as they are given, and
-    those that are imposed, each for either sign. sums : (3 A, q), of the spins at each contact, from each of them."""
+    those that are imposed, each for either sign.
+
+    chosen : J. imposed : the others. owner, slot : (q,), part, and number in it. sums : (3 A, q), of the spins at each
+    contact, by each choice of its part."""
 
     chosen: np.ndarray
+    imposed: Enclosure
     owner: np.ndarray
     slot: np.ndarray
-    value: Enclosure
     sums: sparse.csr_array
 
     @classmethod
     def of(cls, parts: _Parts, chosen: np.ndarray) -> _Choices | None:
         """chosen : numbers of the unknowns in J. None where something faint is imposed."""
         network, contacts = parts.network, len(parts.of_contact)
-        given, high, low = (
-            np.stack([getattr(part, name) for part in of], axis=1)
-            for of, name in ((network.spin, "high"), (network.imposed, "high"), (network.imposed, "low"))
-        )
+        high, low = (np.stack([getattr(part, name) for part in network.imposed], axis=1) for name in ("high", "low"))
         moves = high != 0
         sign, sizes = np.sign(high[moves]), np.stack([np.abs(high), np.sign(high) * low])[:, moves]
         size, which = np.unique(sizes, axis=1, return_inverse=True)
@@ -177,10 +169,10 @@ class _Choices:
         order = np.argsort(owner, kind="stable")
         slot = np.empty_like(order)
         slot[order] = np.arange(len(order)) - np.searchsorted(owner[order], owner[order])
-        value = joined([Enclosure.exact(given[parts.free][chosen]), Enclosure.exact(*size[:, pairs // parts.count])])
         by_imposed = sparse.csr_array((imposed.data, (imposed.row, column)), shape=(3 * contacts, len(pairs)))
         sums = sparse.hstack([_sums(parts.ends, numbered(parts.free))[:, chosen], by_imposed], format="csr")
-        return cls(chosen, owner, slot, value, sparse.csr_array(sums))
+        values = Enclosure.exact(*size[:, pairs // parts.count])
+        return cls(chosen, values, owner, slot, sparse.csr_array(sums))
 
     @property
     def brought(self) -> np.ndarray:
@@ -195,10 +187,31 @@ class _Choices:
         motion[self.chosen, self.slot[own]] = units[self.owner[own], self.slot[own]]
         return motion
 
-    def values(self, shape: tuple[int, ...]) -> Enclosure:
-        """Part by part, (P, m)."""
-        found = Enclosure.exact(np.zeros(shape))
-        found.put(self.owner * shape[1] + self.slot, self.value)
+
+@dataclass(frozen=True)
+class _Motions:
+    """What follows from the choices of each part. motion : (n, m), integers, for the first of its part, the second, ...;
+    units : (P, m), what they are multiples of in it."""
+
+    parts: _Parts
+    choices: _Choices
+    units: np.ndarray
+    motion: np.ndarray
+
+    def spin(self, given: list[Enclosure]) -> list[Enclosure]:
+        """As of ExactMotions.rolling."""
+        free, owner, choices = self.parts.free, self.parts.of_unknown, self.choices
+        high, low = (np.stack([getattr(part, name) for part in given], axis=1)[free] for name in ("high", "low"))
+        value, total = Enclosure.exact(np.zeros(self.units.shape)), Enclosure.exact(np.zeros(len(owner)))
+        own = Enclosure.exact(high[choices.chosen], low[choices.chosen])
+        value.put(choices.owner * self.units.shape[1] + choices.slot, joined([own, choices.imposed]))
+        for slot in range(self.units.shape[1]):
+            share = value[:, slot].at(owner).times(self.motion[:, slot])
+            total = total + share / Enclosure.exact(self.units[owner, slot])
+        (sphere, component), found = np.nonzero(free), []
+        for k, part in enumerate(given):
+            found.append(part.where(~free.any(axis=1)))
+            found[k].put(sphere[component == k], total.at(np.flatnonzero(component == k)))
         return found
 
 

@@ -30,6 +30,7 @@ from taichi_bearings.verifier.network import Network, moments
 from taichi_bearings.verifier.springs import floor_of_slips, slip_rows
 
 MOVING = 1e-10  # of the fastest imposed component, above which a contact is taken to slip
+FIRM = 1e3  # root of how much stiffer T is taken to be in Newton's method than for its floor
 MOST_TURN = 0.25  # of a slip, over its size
 TINY = 1e-290
 
@@ -48,19 +49,17 @@ def enclosed_minimum(bounds: Bounds) -> tuple[np.ndarray, np.ndarray] | None:
 
 @dataclass(frozen=True)
 class _Held:
-    """What T allows. rests : T, (E,). spin : with those of step 1 as they are taken to be. number : (N, 3) of unknowns.
+    """What T allows. rests : T, (E,). exact : motions of the pinned spheres. number : (N, 3) of unknowns.
 
-    pinned, left : numbers of the unknowns of either kind. stiff, loose : least singular values of K^T of the contacts
-    among pinned spheres, and of K of the others, rounded down; infinite of none.
+    pinned, left : numbers of the unknowns of either kind. loose : least singular value of K of the contacts that are
+    not among the pinned spheres by the other spins, rounded down; infinite of none.
     """
 
     rests: np.ndarray
-    spin: list[Enclosure]
+    exact: ExactMotions
     number: np.ndarray
     pinned: np.ndarray
     left: np.ndarray
-    among: np.ndarray
-    stiff: float
     loose: float
 
     @classmethod
@@ -70,45 +69,99 @@ class _Held:
         loose = floor_of_slips(network, of_left, rests & ~exact.contacts, sharp=True)
         if loose is None:
             return None
-        return cls(rests, exact.spin, number, number[(of_left < 0) & (number >= 0)], number[of_left >= 0],
-                   exact.contacts, exact.floor, np.sqrt(loose) / UP)  # fmt: skip
+        pinned, left = number[(of_left < 0) & (number >= 0)], number[of_left >= 0]
+        return cls(rests, exact, number, pinned, left, np.sqrt(loose) / UP)
 
 
-def _curvature(network: Network, held: _Held, own: np.ndarray, y: np.ndarray, size: Enclosure) -> Form | None:
-    """Of motions that T allows. own : the contacts of S. y : (S, 3), their slips."""
-    number, still, strength = held.number, np.flatnonzero(held.rests), network.holding.at(own)
-    across = np.cross(network.normal[own], y)
-    across /= np.linalg.norm(across, axis=1)[:, None]
-    root = np.sqrt(strength.value / size.value)
-    firm = np.sqrt(network.holding.value[still] / (np.median(size.value) if len(own) else 1.0))
-    count, rows_of = len(held.rests), slip_rows(network, number)
-    at = np.append(
-        np.concatenate([k * count + own for k in range(3)]), np.concatenate([k * count + still for k in range(3)])
-    )
-    row = np.append(np.tile(np.arange(len(own)), 3), len(own) + np.arange(3 * len(still)))
-    shape = (len(own) + 3 * len(still), 3 * count)
-    size_of = np.append(np.tile(root, 3), np.tile(firm, 3))
-    value = size_of * np.append(across.T.ravel(), np.ones(3 * len(still)))
-    rows = sparse.csr_array(sparse.csr_array((value, (row, at)), shape=shape) @ rows_of)
-    doubt = sparse.csr_array((32 * EPS * size_of, (row, at)), shape=shape) @ abs(rows_of)
-    return Form.of(rows, sparse.csr_array(doubt), network.place[np.nonzero(number >= 0)[0]].T)
+@dataclass(frozen=True)
+class _Near:
+    """own : the contacts of S. spin, friction : by component, (N,) and (E,), exact sums of two doubles. slips : (E,) by
+    component, of these spins where they let contacts roll exactly. size : (S,), of those of S."""
+
+    held: _Held
+    own: np.ndarray
+    spin: list[Enclosure]
+    friction: list[Enclosure]
+    slips: list[Enclosure]
+    size: Enclosure
+
+    @classmethod
+    def of(
+        cls, network: Network, held: _Held, own: np.ndarray, spin: list[Enclosure], friction: list[Enclosure]
+    ) -> _Near:
+        """friction : of T; that of S is along its slips."""
+        slips = network.slips(held.exact.rolling(spin))
+        along, strength = [part.at(own) for part in slips], network.holding.at(own)
+        size, whole = length(along), []
+        for part, slip in zip(friction, along, strict=True):
+            whole.append(_pairs(part))
+            whole[-1].put(own, _pairs(strength * (slip / size)))
+        return cls(held, own, spin, whole, slips, size)
+
+    def torques(self, network: Network) -> list[Enclosure]:
+        return network.torques(moments(self.friction, network.normal))
+
+    def curvature(self, network: Network, rows: sparse.csr_array, firm: np.ndarray) -> Form | None:
+        """Of motions that T allows. rows : K, (3 E, n). firm : roots (T,) of stiffnesses of the contacts of T."""
+        own, still, strength = self.own, np.flatnonzero(self.held.rests), network.holding.at(self.own)
+        across = np.cross(network.normal[own], np.stack([part.value[own] for part in self.slips], axis=1))
+        across /= np.linalg.norm(across, axis=1)[:, None]
+        count, root = len(self.held.rests), np.sqrt(strength.value / self.size.value)
+        at = np.append(*(np.concatenate([k * count + some for k in range(3)]) for some in (own, still)))
+        row = np.append(np.tile(np.arange(len(own)), 3), len(own) + np.arange(3 * len(still)))
+        shape = (len(own) + 3 * len(still), 3 * count)
+        size_of = np.append(np.tile(root, 3), np.tile(firm, 3))
+        value = size_of * np.append(across.T.ravel(), np.ones(3 * len(still)))
+        conditions = sparse.csr_array(sparse.csr_array((value, (row, at)), shape=shape) @ rows)
+        doubt = sparse.csr_array((32 * EPS * size_of, (row, at)), shape=shape) @ abs(rows)
+        place = network.place[np.nonzero(self.held.number >= 0)[0]].T
+        return Form.of(conditions, sparse.csr_array(doubt), place)
+
+    def improved(self, network: Network, rows: sparse.csr_array, firm: np.ndarray) -> _Near:
+        """After Newton's method, with multipliers (Hestenes 1969) for T to rest, as long as torques become less."""
+        form = self.curvature(network, rows, FIRM * firm)
+        factor = None if form is None else form.elimination.factorised()
+        if form is None or factor is None:
+            return self
+        best, least, next_ = self, np.inf, self
+        there, stiff = self.held.number >= 0, np.zeros(len(self.held.rests))
+        stiff[self.held.rests] = (FIRM * firm) ** 2
+        while True:
+            torque = np.stack([part.value for part in next_.torques(network)], axis=1)[there]
+            if not (left := float(np.linalg.norm(form.scale * torque))) < least / 2:
+                return best
+            best, least = next_, left
+            slip = np.concatenate([part.value for part in best.slips])
+            right = torque + rows.T @ (np.tile(stiff, 3) * slip)
+            step = -form.scale * factor.solve(form.scale * right)
+            pull = (np.tile(stiff, 3) * (slip + rows @ step)).reshape(3, -1)
+            moved = np.zeros(there.shape)
+            moved[there] = step
+            spin = [_pairs(part + Enclosure.exact(by)) for part, by in zip(best.spin, moved.T, strict=True)]
+            friction = [part + Enclosure.exact(by) for part, by in zip(best.friction, pull, strict=True)]
+            next_ = _Near.of(network, self.held, self.own, spin, friction)
+
+
+def _pairs(values: Enclosure) -> Enclosure:
+    """The sums of two doubles themselves."""
+    return Enclosure.exact(values.high, values.low)
 
 
 def _nearby(bounds: Bounds, held: _Held, slides: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
     """Steps 2 and 3."""
     network, number = bounds.network, held.number
-    own, still = np.flatnonzero(slides), np.flatnonzero(held.rests)
-    slips = network.slips(held.spin)
-    size, strength = length(slips).at(own), network.holding.at(own)
+    own, still, rows = np.flatnonzero(slides), np.flatnonzero(held.rests), slip_rows(network, number)
+    near = _Near.of(network, held, own, network.spin, bounds.friction)
+    firm = np.sqrt(network.holding.value[still] / (np.median(near.size.value) if len(own) else 1.0))
+    near = near.improved(network, rows, firm)
+    slips, size, strength = near.slips, near.size, network.holding.at(own)
     if not (size.least > 0).all():
         return None
     ends, there = network.contact[:, own].T, number >= 0
-    missed = np.sqrt(sum((part.most[held.rests & ~held.among] ** 2).sum() for part in slips))
-    off = missed / held.loose * UP if missed else 0.0  # of spins in V from the given ones
-    wrong = length(
-        [f.at(own) - strength * (s.at(own) / size) for f, s in zip(bounds.friction, slips, strict=True)]
-    ).most
-    left = np.stack([part.most for part in network.torques(moments(bounds.friction, network.normal))], axis=1)
+    missed = np.sqrt(sum((part.most[held.rests & ~held.exact.contacts] ** 2).sum() for part in slips))
+    off = missed / held.loose * UP if missed else 0.0  # of spins in V from these
+    wrong = length([f.at(own) - strength * (s.at(own) / size) for f, s in zip(near.friction, slips, strict=True)]).most
+    left = np.stack([part.most for part in near.torques(network)], axis=1)
 
     def unbalanced(turn: np.ndarray) -> np.ndarray:
         """Sizes (unknowns,) of torques, where slips (S,) turn by such a share."""
@@ -119,7 +172,7 @@ def _nearby(bounds: Bounds, held: _Held, slides: np.ndarray) -> tuple[np.ndarray
         found[number[there]] = torque[there] * UP
         return found
 
-    form = _curvature(network, held, own, np.stack([part.value[own] for part in slips], axis=1), size)
+    form = near.curvature(network, rows, firm)
     if form is None or (tau := form.floor(sharp=True)) is None:
         return None
     # step 2
@@ -141,9 +194,9 @@ def _nearby(bounds: Bounds, held: _Held, slides: np.ndarray) -> tuple[np.ndarray
     torque = unbalanced(turn)
     by_left = float(np.linalg.norm(torque[held.left])) / held.loose * UP if np.isfinite(held.loose) else 0.0
     most = np.sqrt(2 * np.bincount(network.contact[:, network.counts].ravel()).max())
-    by_pinned = (float(np.linalg.norm(torque[held.pinned])) + most * by_left) / held.stiff * UP**2
-    room = (network.holding - length(bounds.friction)).lower()[still]
-    if not (room > np.where(held.among[still], by_pinned, by_left) * UP).all():
+    by_pinned = (float(np.linalg.norm(torque[held.pinned])) + most * by_left) / held.exact.floor * UP**2
+    room = (network.holding - length(near.friction)).lower()[still]
+    if not (room > np.where(held.exact.contacts[still], by_pinned, by_left) * UP).all():
         return None
     distance = np.zeros(len(slides))
     distance[own] = reach
