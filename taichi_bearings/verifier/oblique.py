@@ -26,11 +26,11 @@ from taichi_bearings.verifier.curvature import Form
 from taichi_bearings.verifier.elimination import EPS
 from taichi_bearings.verifier.enclosure import UP, Enclosure, length
 from taichi_bearings.verifier.exact_motions import ExactMotions, numbered
-from taichi_bearings.verifier.network import Network, moments
-from taichi_bearings.verifier.springs import floor_of_slips, slip_rows
+from taichi_bearings.verifier.network import Network
+from taichi_bearings.verifier.newton import Near
+from taichi_bearings.verifier.springs import floor_of_slips
 
 MOVING = 1e-10  # of the fastest imposed component, above which a contact is taken to slip
-FIRM = 1e3  # root of how much stiffer T is taken to be in Newton's method than for its floor
 MOST_TURN = 0.25  # of a slip, over its size
 TINY = 1e-290
 
@@ -73,113 +73,43 @@ class _Held:
         return cls(rests, exact, number, pinned, left, np.sqrt(loose) / UP)
 
 
-@dataclass(frozen=True)
-class _Near:
-    """own : the contacts of S. spin, friction : by component, (N,) and (E,), exact sums of two doubles. slips : (E,) by
-    component, of these spins where they let contacts roll exactly. size : (S,), of those of S."""
-
-    held: _Held
-    own: np.ndarray
-    spin: list[Enclosure]
-    friction: list[Enclosure]
-    slips: list[Enclosure]
-    size: Enclosure
-
-    @classmethod
-    def of(
-        cls, network: Network, held: _Held, own: np.ndarray, spin: list[Enclosure], friction: list[Enclosure]
-    ) -> _Near:
-        """friction : of T; that of S is along its slips."""
-        slips = network.slips(held.exact.rolling(spin))
-        along, strength = [part.at(own) for part in slips], network.holding.at(own)
-        size, whole = length(along), []
-        for part, slip in zip(friction, along, strict=True):
-            whole.append(_pairs(part))
-            whole[-1].put(own, _pairs(strength * (slip / size)))
-        return cls(held, own, spin, whole, slips, size)
-
-    def torques(self, network: Network) -> list[Enclosure]:
-        return network.torques(moments(self.friction, network.normal))
-
-    def curvature(self, network: Network, rows: sparse.csr_array, firm: np.ndarray) -> Form | None:
-        """Of motions that T allows. rows : K, (3 E, n). firm : roots (T,) of stiffnesses of the contacts of T."""
-        own, still, strength = self.own, np.flatnonzero(self.held.rests), network.holding.at(self.own)
-        across = np.cross(network.normal[own], np.stack([part.value[own] for part in self.slips], axis=1))
-        across /= np.linalg.norm(across, axis=1)[:, None]
-        count, root = len(self.held.rests), np.sqrt(strength.value / self.size.value)
-        at = np.append(*(np.concatenate([k * count + some for k in range(3)]) for some in (own, still)))
-        row = np.append(np.tile(np.arange(len(own)), 3), len(own) + np.arange(3 * len(still)))
-        shape = (len(own) + 3 * len(still), 3 * count)
-        size_of = np.append(np.tile(root, 3), np.tile(firm, 3))
-        value = size_of * np.append(across.T.ravel(), np.ones(3 * len(still)))
-        conditions = sparse.csr_array(sparse.csr_array((value, (row, at)), shape=shape) @ rows)
-        doubt = sparse.csr_array((32 * EPS * size_of, (row, at)), shape=shape) @ abs(rows)
-        place = network.place[np.nonzero(self.held.number >= 0)[0]].T
-        return Form.of(conditions, sparse.csr_array(doubt), place)
-
-    def improved(self, network: Network, rows: sparse.csr_array, firm: np.ndarray) -> _Near:
-        """After Newton's method, with multipliers (Hestenes 1969) for T to rest, as long as torques become less."""
-        form = self.curvature(network, rows, FIRM * firm)
-        factor = None if form is None else form.elimination.factorised()
-        if form is None or factor is None:
-            return self
-        best, least, next_ = self, np.inf, self
-        there, stiff = self.held.number >= 0, np.zeros(len(self.held.rests))
-        stiff[self.held.rests] = (FIRM * firm) ** 2
-        while True:
-            torque = np.stack([part.value for part in next_.torques(network)], axis=1)[there]
-            if not (left := float(np.linalg.norm(form.scale * torque))) < least / 2:
-                return best
-            best, least = next_, left
-            slip = np.concatenate([part.value for part in best.slips])
-            right = torque + rows.T @ (np.tile(stiff, 3) * slip)
-            step = -form.scale * factor.solve(form.scale * right)
-            pull = (np.tile(stiff, 3) * (slip + rows @ step)).reshape(3, -1)
-            moved = np.zeros(there.shape)
-            moved[there] = step
-            spin = [_pairs(part + Enclosure.exact(by)) for part, by in zip(best.spin, moved.T, strict=True)]
-            friction = [part + Enclosure.exact(by) for part, by in zip(best.friction, pull, strict=True)]
-            next_ = _Near.of(network, self.held, self.own, spin, friction)
-
-
-def _pairs(values: Enclosure) -> Enclosure:
-    """The sums of two doubles themselves."""
-    return Enclosure.exact(values.high, values.low)
-
-
 def _nearby(bounds: Bounds, held: _Held, slides: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
     """Steps 2 and 3."""
     network, number = bounds.network, held.number
-    own, still, rows = np.flatnonzero(slides), np.flatnonzero(held.rests), slip_rows(network, number)
-    near = _Near.of(network, held, own, network.spin, bounds.friction)
-    firm = np.sqrt(network.holding.value[still] / (np.median(near.size.value) if len(own) else 1.0))
-    near = near.improved(network, rows, firm)
+    own, still = np.flatnonzero(slides), np.flatnonzero(held.rests)
+    near = Near(network, held.exact, number, own, still, network.spin, bounds.friction).improved()
     slips, size, strength = near.slips, near.size, network.holding.at(own)
     if not (size.least > 0).all():
         return None
     ends, there = network.contact[:, own].T, number >= 0
     missed = np.sqrt(sum((part.most[held.rests & ~held.exact.contacts] ** 2).sum() for part in slips))
     off = missed / held.loose * UP if missed else 0.0  # of spins in V from these
-    wrong = length([f.at(own) - strength * (s.at(own) / size) for f, s in zip(near.friction, slips, strict=True)]).most
-    left = np.stack([part.most for part in near.torques(network)], axis=1)
+    touches = np.zeros(there.shape[0], dtype=bool)
+    touches[there.any(axis=1)] = np.isin(number, held.left)[there.any(axis=1)].any(axis=1)
+    far = np.where(touches[ends].any(axis=1), 2 * off * UP, 0.0)  # of slips at spins in V from these
+    left, bears = np.stack([part.most for part in near.torques], axis=1), [part.at(own) for part in near.friction]
+    wrong = length([f - strength * (s.at(own) / size) for f, s in zip(bears, slips, strict=True)]).most
 
-    def unbalanced(turn: np.ndarray) -> np.ndarray:
-        """Sizes (unknowns,) of torques, where slips (S,) turn by such a share."""
-        unsure, torque = (wrong + 2 * turn * strength.most) * UP**2, left.copy()
+    def unbalanced(unsure: np.ndarray) -> np.ndarray:
+        """Sizes (unknowns,) of torques, where friction of S is not sure by as much (S,)."""
+        torque = left.copy()
         for end in ends.T:
-            np.add.at(torque, end, unsure[:, None])
+            np.add.at(torque, end, unsure[:, None] * UP)
         found = np.zeros(there.sum())
         found[number[there]] = torque[there] * UP
         return found
 
-    form = near.curvature(network, rows, firm)
+    form = near.form()
     if form is None or (tau := form.floor(sharp=True)) is None:
         return None
     # step 2
     scale = form.scale
-    far = 2 * off * UP  # of slips at spins in V from the given ones
-    slope = float(np.linalg.norm(scale * unbalanced(far / size.least))) * UP
-    radius = 8 * slope / tau * UP + TINY
+    bends = (wrong / strength.least + 2 * far / size.least) * UP  # what friction is off across slips, over itself
+    longer = (length(bears) - strength).most + strength.most * bends**2 * UP  # and along them
+    slope = float(np.linalg.norm(scale * unbalanced(longer))) / tau + np.sqrt(
+        (strength.most * size.most * bends**2).sum() / tau
+    )
+    radius = 8 * slope * UP**2 + TINY
     largest = np.zeros(there.shape)
     largest[there] = scale[number[there]]
     largest = largest.max(axis=1)
@@ -191,7 +121,7 @@ def _nearby(bounds: Bounds, held: _Held, slides: np.ndarray) -> tuple[np.ndarray
     if not ((turn <= MOST_TURN).all() and (largest**2 * loss * UP < tau / 8).all()):
         return None
     # step 3
-    torque = unbalanced(turn)
+    torque = unbalanced(wrong + 2 * turn * strength.most)
     by_left = float(np.linalg.norm(torque[held.left])) / held.loose * UP if np.isfinite(held.loose) else 0.0
     most = np.sqrt(2 * np.bincount(network.contact[:, network.counts].ravel()).max())
     by_pinned = (float(np.linalg.norm(torque[held.pinned])) + most * by_left) / held.exact.floor * UP**2
