@@ -21,16 +21,16 @@ from taichi_bearings.verifier.exact_motions import ExactMotions
 from taichi_bearings.verifier.network import Network, moments
 from taichi_bearings.verifier.springs import slip_rows
 
-FIRM = 1e4  # of T in guesses of conjugate gradients
-SOFT = -1e-9  # far above the rounding of squared slips over spins, and below what T forbids
-MOST_STEPS, CLOSE = 40, 1e-6  # of conjugate gradients, and share of the torques at which they end
+FIRM = 1e4  # how much more firmly T is held in guesses of conjugate gradients than S is at the median of its slips
+SOFT = -1e-9  # squared slips over spins, above what rounding makes of none, and below those that T forbids
+MOST_GRADIENTS, CLOSE = 40, 1e-6  # steps, and the share of the torques at which they end
 
 
 @dataclass(frozen=True)
 class Near:
     """own, still : contacts of S and of T. number : (N, 3) of the n unknowns, -1 for none. exact : motions of T.
 
-    spin : by component, (N,), exact sums of two doubles. pull : of T, by component, (E,), the same; of S it is not used.
+    spin : (N,) by component, exact sums of two doubles. pull : (E,) by component, what T bears, the same; not of S.
     """
 
     network: Network
@@ -113,20 +113,21 @@ class Near:
         def allowed(spins: np.ndarray) -> np.ndarray:
             return spins - borne(fixed.T @ (fixed @ spins))
 
+        def bends(spins: np.ndarray) -> np.ndarray:
+            """Torques of S, as its slips turn."""
+            return (form.rows[: len(self.own)].T @ (form.rows[: len(self.own)] @ (spins / form.scale))) / form.scale
+
         best, least, found = self, np.inf, self
         while True:
             torque = np.stack([part.value for part in found.torques], axis=1)[there]
             if not (left := float(np.linalg.norm(form.scale * torque))) < least / 2:
                 return best
             best, least = found, left
-            rows = sparse.csr_array(form.rows[: len(self.own)] @ sparse.diags_array(1 / form.scale))
             slip = np.stack([part.value[self.still] for part in best.slips]).ravel()
             step = -borne(fixed.T @ slip)
-            right = allowed(torque + rows.T @ (rows @ step))
-            step -= _within(lambda x: allowed(rows.T @ (rows @ x)), right,
+            step -= _within(lambda x: allowed(bends(x)), allowed(torque + bends(step)),
                             lambda x: allowed(form.scale * soft.solve(form.scale * x)))  # fmt: skip
-            pull = fixed @ borne(torque + rows.T @ (rows @ step))
-            found = best.moved(step, pull.reshape(3, -1))
+            found = best.moved(step, (fixed @ borne(torque + bends(step))).reshape(3, -1))
 
     def moved(self, step: np.ndarray, pull: np.ndarray) -> Near:
         """step : (n,), of the unknowns. pull : (3, T), what T bears less."""
@@ -148,7 +149,7 @@ def _within(
 ) -> np.ndarray:
     """x with operator(x) = right, by conjugate gradients. guess : of x, from the right-hand side."""
     x, left, last, along = np.zeros_like(right), right, np.inf, np.zeros_like(right)
-    for _ in range(MOST_STEPS):
+    for _ in range(MOST_GRADIENTS):
         if not np.linalg.norm(left) > CLOSE * np.linalg.norm(right):
             break
         guessed = guess(left)

@@ -1,32 +1,31 @@
 """Which contacts of a Coulomb network with oblique normals slip at every minimum, from one that is enclosed.
 
-Let S be the contacts that slip in the given spins, and T the others.
+Let S be the contacts that slip in the given spins, T the others, and V all spins at which T rests.
 
-1. Free spheres that do not turn, or turn as a driven one does, up to rounding, are taken to do so exactly, as far as
-   contacts of T among them then rest bit by bit and, by a floor of K^T K of these contacts, let them do nothing else.
-   Contacts of T that are left have independent rows in the spins that are left, by a floor of K K^T. So the spins V at
-   which all of T rest are not empty, and some of them are near the given ones.
-2. Within V the power has one minimum near these: along motions x that T allows its curvature is that of the sum of
-   mu F_n / |y| (K x across y)^2 over S and of any springs at T, for which elimination proves a floor tau. Where that
-   loses no more than a part within a distance of 8 |slope| / tau, the minimum is not further away.
-3. There the friction of S is known, and what it leaves to T is borne by the given friction of T and a correction, the
-   size of which the floors of step 1 bound. If all of that is inside the discs it is one of the whole power; as T bears
-   less than its friction, it rests at every minimum, so all lie in V, and there is only one.
+1. Where contacts of T put more conditions on spheres than these have freedom for, they must roll exactly: the spheres
+   turn as one of their exact motions does, which also have a floor of the other singular values (exact_motions.py).
+   Contacts of T that are left have independent rows in the spins that are left, by a floor of K K^T. So V is not
+   empty, and some of its spins are near the given ones, which Newton's method has improved before (newton.py).
+2. Within V the power has one minimum near these: along motions x that T allows its curvature is |B x|^2, the sum of
+   mu F_n / |y| (K x across y)^2 over S, and elimination proves a floor tau of it with springs at T. Its slope there is
+   r . x for torques r that are left over, and b . B x for what friction is off across slips. The power rises where
+   |B x| is above (|r| / tau^1/2 + |b|) / 0.72, as long as no slip changes by more than a quarter (curvature.py).
+3. There the friction of S is known, and what it leaves to T is borne by the friction of T at hand and a correction, the
+   size of which the floors of step 1 bound: the power has no slope in V, so T can bear it. If all of that is inside the
+   discs it is one of the whole power; as T bears less than its friction, it rests at every minimum, so all lie in V,
+   and there is only one.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-from scipy import sparse
 
 from taichi_bearings.verifier.bounds import Bounds
-from taichi_bearings.verifier.curvature import Form
-from taichi_bearings.verifier.elimination import EPS
 from taichi_bearings.verifier.enclosure import UP, Enclosure, length
 from taichi_bearings.verifier.exact_motions import ExactMotions, numbered
-from taichi_bearings.verifier.network import Network
 from taichi_bearings.verifier.newton import Near
 from taichi_bearings.verifier.springs import floor_of_slips
 
@@ -42,94 +41,90 @@ def enclosed_minimum(bounds: Bounds) -> tuple[np.ndarray, np.ndarray] | None:
     network, springs = bounds.network, bounds.springs
     if springs is None or network.flows:
         return None
-    slides = network.counts & (network.slip.value > MOVING * network.box.max())
-    held = _Held.of(network, springs.number, network.counts & ~slides)
-    return None if held is None else _nearby(bounds, held, slides)
+    slides, number = network.counts & (network.slip.value > MOVING * network.box.max()), springs.number
+    own, still = np.flatnonzero(slides), np.flatnonzero(network.counts & ~slides)
+    exact = ExactMotions.of(network, number, network.counts & ~slides)
+    others = network.counts & ~slides & ~exact.contacts
+    loose = floor_of_slips(network, numbered(~exact.spheres[:, None] & (number >= 0)), others, sharp=True)
+    if loose is None:
+        return None
+    near = Near(network, exact, number, own, still, network.spin, bounds.friction).improved()
+    place = _Place(near, np.sqrt(loose) / UP)
+    reach = place.reach() if (near.size.least > 0).all() else None
+    if reach is None or not place.holds(reach):
+        return None
+    # slips of the improved spins are not quite the given ones
+    found, moved = np.zeros(len(slides)), [a - b for a, b in zip(network.slips(network.spin), near.slips, strict=True)]
+    found[own] = (reach + length(moved).most[own]) * UP
+    return slides, found
 
 
 @dataclass(frozen=True)
-class _Held:
-    """What T allows. rests : T, (E,). exact : motions of the pinned spheres. number : (N, 3) of unknowns.
+class _Place:
+    """near : spins, of which those of V are close. loose : least singular value of K, by spheres that do not turn in
+    exact motions, of contacts with them; rounded down, infinite of no contacts."""
 
-    pinned, left : numbers of the unknowns of either kind. loose : least singular value of K of the contacts that are
-    not among the pinned spheres by the other spins, rounded down; infinite of none.
-    """
-
-    rests: np.ndarray
-    exact: ExactMotions
-    number: np.ndarray
-    pinned: np.ndarray
-    left: np.ndarray
+    near: Near
     loose: float
 
-    @classmethod
-    def of(cls, network: Network, number: np.ndarray, rests: np.ndarray) -> _Held | None:
-        exact = ExactMotions.of(network, number, rests)
-        of_left = numbered(~exact.spheres[:, None] & (number >= 0))
-        loose = floor_of_slips(network, of_left, rests & ~exact.contacts, sharp=True)
-        if loose is None:
+    @property
+    def _left(self) -> np.ndarray:
+        """(N,) mask of these spheres."""
+        return np.asarray(self.near.network.free & ~self.near.exact.spheres)
+
+    @property
+    def _ends(self) -> np.ndarray:
+        """(2, S)."""
+        return np.asarray(self.near.network.contact[:, self.near.own])
+
+    @cached_property
+    def _strength(self) -> Enclosure:
+        """(S,)."""
+        return self.near.network.holding.at(self.near.own)
+
+    @cached_property
+    def _wrong(self) -> np.ndarray:
+        """(S,), how far friction is from that along slips."""
+        pairs = zip(self.near.friction, self.near.slips, strict=True)
+        own, size = self.near.own, self.near.size
+        return length([f.at(own) - self._strength * (s.at(own) / size) for f, s in pairs]).most
+
+    def _torques(self, unsure: np.ndarray) -> np.ndarray:
+        """(N, 3), sizes at the unknowns, where friction of S is not sure by as much (S,)."""
+        found = np.stack([part.most for part in self.near.torques], axis=1)
+        for end in self._ends:
+            np.add.at(found, end, unsure[:, None] * UP)
+        return np.where(self.near.number >= 0, found * UP, 0.0)
+
+    def reach(self) -> np.ndarray | None:
+        """Step 2: (S,), how far slips are from these at the minimum in V, at most; or None."""
+        near, size, form = self.near, self.near.size, self.near.form()
+        if form is None or (tau := form.floor(sharp=True)) is None:
             return None
-        pinned, left = number[(of_left < 0) & (number >= 0)], number[of_left >= 0]
-        return cls(rests, exact, number, pinned, left, np.sqrt(loose) / UP)
+        others = np.setdiff1d(near.still, np.flatnonzero(near.exact.contacts))
+        missed = float(np.sqrt(sum((part.most[others] ** 2).sum() for part in near.slips)))
+        off = missed / self.loose * UP if missed else 0.0  # of spins in V from these
+        far = np.where(self._left[self._ends].any(axis=0), 2 * off * UP, 0.0)  # of their slips
+        bends = (self._wrong / self._strength.least + 2 * far / size.least) * UP  # of friction across slips, over it
+        longer = (length([part.at(near.own) for part in near.friction]) - self._strength).most
+        scale = np.zeros(near.number.shape)
+        scale[near.number >= 0] = form.scale
+        slope = np.linalg.norm(scale * self._torques(longer + self._strength.most * bends**2 * UP)) / tau
+        slope += np.sqrt((self._strength.most * size.most * bends**2).sum() / tau)
+        largest = scale.max(axis=1)
+        found = (far + 12 * largest[self._ends].max(axis=0) * slope * UP**2 + TINY) * UP
+        turn, loss = found / size.least * UP, np.zeros(len(scale))
+        for end in self._ends:
+            np.add.at(loss, end, 8 * turn**2 * (self._strength.most / size.least))
+        known = (turn <= MOST_TURN).all() and (largest**2 * loss * UP < tau / 8).all()
+        return found if known else None
 
-
-def _nearby(bounds: Bounds, held: _Held, slides: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-    """Steps 2 and 3."""
-    network, number = bounds.network, held.number
-    own, still = np.flatnonzero(slides), np.flatnonzero(held.rests)
-    near = Near(network, held.exact, number, own, still, network.spin, bounds.friction).improved()
-    slips, size, strength = near.slips, near.size, network.holding.at(own)
-    if not (size.least > 0).all():
-        return None
-    ends, there = network.contact[:, own].T, number >= 0
-    missed = np.sqrt(sum((part.most[held.rests & ~held.exact.contacts] ** 2).sum() for part in slips))
-    off = missed / held.loose * UP if missed else 0.0  # of spins in V from these
-    touches = np.zeros(there.shape[0], dtype=bool)
-    touches[there.any(axis=1)] = np.isin(number, held.left)[there.any(axis=1)].any(axis=1)
-    far = np.where(touches[ends].any(axis=1), 2 * off * UP, 0.0)  # of slips at spins in V from these
-    left, bears = np.stack([part.most for part in near.torques], axis=1), [part.at(own) for part in near.friction]
-    wrong = length([f - strength * (s.at(own) / size) for f, s in zip(bears, slips, strict=True)]).most
-
-    def unbalanced(unsure: np.ndarray) -> np.ndarray:
-        """Sizes (unknowns,) of torques, where friction of S is not sure by as much (S,)."""
-        torque = left.copy()
-        for end in ends.T:
-            np.add.at(torque, end, unsure[:, None] * UP)
-        found = np.zeros(there.sum())
-        found[number[there]] = torque[there] * UP
-        return found
-
-    form = near.form()
-    if form is None or (tau := form.floor(sharp=True)) is None:
-        return None
-    # step 2
-    scale = form.scale
-    bends = (wrong / strength.least + 2 * far / size.least) * UP  # what friction is off across slips, over itself
-    longer = (length(bears) - strength).most + strength.most * bends**2 * UP  # and along them
-    slope = float(np.linalg.norm(scale * unbalanced(longer))) / tau + np.sqrt(
-        (strength.most * size.most * bends**2).sum() / tau
-    )
-    radius = 8 * slope * UP**2 + TINY
-    largest = np.zeros(there.shape)
-    largest[there] = scale[number[there]]
-    largest = largest.max(axis=1)
-    reach = (far + 1.5 * largest[ends].max(axis=1) * radius) * UP
-    turn = reach / size.least * UP
-    loss = np.zeros(len(there))
-    for end in ends.T:
-        np.add.at(loss, end, 8 * turn**2 * (strength.most / size.least))
-    if not ((turn <= MOST_TURN).all() and (largest**2 * loss * UP < tau / 8).all()):
-        return None
-    # step 3
-    torque = unbalanced(wrong + 2 * turn * strength.most)
-    by_left = float(np.linalg.norm(torque[held.left])) / held.loose * UP if np.isfinite(held.loose) else 0.0
-    most = np.sqrt(2 * np.bincount(network.contact[:, network.counts].ravel()).max())
-    by_pinned = (float(np.linalg.norm(torque[held.pinned])) + most * by_left) / held.exact.floor * UP**2
-    room = (network.holding - length(near.friction)).lower()[still]
-    if not (room > np.where(held.exact.contacts[still], by_pinned, by_left) * UP).all():
-        return None
-    distance = np.zeros(len(slides))
-    distance[own] = reach
-    # the slips with what is taken exactly differ from the given ones by no more
-    moved = length([a - b for a, b in zip(network.slips(network.spin), slips, strict=True)]).most
-    return slides, np.where(slides, (distance + moved) * UP, 0.0)
+    def holds(self, reach: np.ndarray) -> bool:
+        """Step 3, where slips (S,) are as far from these."""
+        near, network = self.near, self.near.network
+        torque = self._torques(self._wrong + 2 * reach / near.size.least * UP * self._strength.most)
+        by_left = float(np.linalg.norm(torque[self._left])) / self.loose * UP
+        most = np.sqrt(2 * np.bincount(network.contact[:, network.counts].ravel()).max())
+        by_exact = (float(np.linalg.norm(torque[near.exact.spheres])) + most * by_left) / near.exact.floor * UP**2
+        room = (network.holding - length(near.friction)).lower()[near.still]
+        return bool((room > np.where(near.exact.contacts[near.still], by_exact, by_left) * UP).all())
