@@ -48,15 +48,24 @@ def enclosed_minimum(bounds: Bounds) -> tuple[np.ndarray, np.ndarray] | None:
     loose = floor_of_slips(network, numbered(~exact.spheres[:, None] & (number >= 0)), others, sharp=True)
     if loose is None:
         return None
-    near = Near(network, exact, number, own, still, network.spin, bounds.friction).improved()
-    place = _Place(near, np.sqrt(loose) / UP)
-    reach = place.reach() if (near.size.least > 0).all() else None
-    if reach is None or not place.holds(reach):
+    near = Near(network, exact, number, own, still, network.spin, bounds.friction)
+    reach = _reach(near, np.sqrt(loose) / UP)
+    if reach is None:
+        near = near.improved()
+        reach = _reach(near, np.sqrt(loose) / UP)
+    if reach is None:
         return None
     # slips of the improved spins are not quite the given ones
     found, moved = np.zeros(len(slides)), [a - b for a, b in zip(network.slips(network.spin), near.slips, strict=True)]
     found[own] = (reach + length(moved).most[own]) * UP
     return slides, found
+
+
+def _reach(near: Near, loose: float) -> np.ndarray | None:
+    """(S,), how far slips of the only minimum are from these at most; None if that is not known."""
+    place = _Place(near, loose)
+    reach = place.reach() if (near.size.least > 0).all() else None
+    return reach if reach is not None and place.holds(reach) else None
 
 
 @dataclass(frozen=True)
