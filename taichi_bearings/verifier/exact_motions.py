@@ -104,8 +104,8 @@ class _Parts:
         follows = ~Elimination.of((self.rows.T @ self.rows).tocsc(), place).dependent(NULL_PIVOT)
         conditions = 2 * np.bincount(self.of_contact, minlength=self.count)
         enough = conditions <= np.bincount(self.of_unknown, follows, self.count)
-        if enough.any():
-            return self._spheres(enough[self.of_unknown])
+        if enough.any() or not follows.any():
+            return self._spheres(enough[self.of_unknown] | ~follows.any())
         rows, choices = sparse.csr_array(self.rows[:, follows]), _Choices.of(self, np.flatnonzero(~follows))
         elimination = Elimination.of((rows.T @ rows).tocsc(), place[:, follows])
         tau, factor = proven_floor(rows, rounding_of(rows), elimination, sharp=True), elimination.factorised()
@@ -195,12 +195,13 @@ class _Motions:
             slips = np.cross(sums.reshape(3, -1, sums.shape[1]), normal, axis=0).reshape(sums.shape)
             x = -factor.solve(rows.T @ slips)  # the others follow by K x = -slips
             x -= factor.solve(rows.T @ (rows @ x + slips))
+            choice = np.full((parts.count, x.shape[1]), -1)
+            choice[part, slot] = own
+            x = np.where(np.isfinite(x) & (choice >= 0)[owner], x, 0.0)
             units = _units(x, owner, parts.count)
             x *= units[owner]
             strange[follow[(np.abs(x - np.round(x)) > WHOLE).any(axis=1)]] = True
-            at, column = np.nonzero(np.round(x))
-            choice = np.full(units.shape, -1)
-            choice[part, slot], unit[own] = own, units[part, slot]
+            (at, column), unit[own] = np.nonzero(np.round(x)), units[part, slot]
             entries.append(np.stack([follow[at], choice[owner[at], column], np.round(x)[at, column]]))
         entries.append(np.stack([choices.chosen, np.arange(len(choices.chosen)), unit[: len(choices.chosen)]]))
         at, choice, number = np.concatenate(entries, axis=1)

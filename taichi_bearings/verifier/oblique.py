@@ -5,7 +5,7 @@ Let S be the contacts that slip in the given spins, T the others, and V all spin
 1. Where contacts of T put more conditions on spheres than these have freedom for, they must roll exactly: the spheres
    turn as one of their exact motions does, which also have a floor of the other singular values (exact_motions.py).
    Contacts of T that are left have independent rows in the spins that are left, by a floor of K K^T. So V is not
-   empty, and some of its spins are near the given ones, which Newton's method has improved before (newton.py).
+   empty, and some of its spins are near the given ones, or those that Newton's method has improved (newton.py).
 2. Within V the power has one minimum near these: along motions x that T allows its curvature is |B x|^2, the sum of
    mu F_n / |y| (K x across y)^2 over S, and elimination proves a floor tau of it with springs at T. Its slope there is
    r . x for torques r that are left over, and b . B x for what friction is off across slips. The power rises where
@@ -70,8 +70,8 @@ def _reach(near: Near, loose: float) -> np.ndarray | None:
 
 @dataclass(frozen=True)
 class _Place:
-    """near : spins, of which those of V are close. loose : least singular value of K, by spheres that do not turn in
-    exact motions, of contacts with them; rounded down, infinite of no contacts."""
+    """near : spins, some of V close to them. loose : least singular value of K^T, of the contacts of T that exact
+    motions leave out by the spheres that they leave out; rounded down, infinite of no contacts."""
 
     near: Near
     loose: float
