@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 from scipy import sparse
 from scipy.linalg.blas import dsyrk, dtrsm
-from scipy.linalg.lapack import dpotrf
+from scipy.linalg.lapack import dpotrf, dpstrf
 
 from taichi_bearings.dissection import dissected
 from taichi_bearings.verifier.enclosure import UP
@@ -67,9 +67,12 @@ class Elimination:
     def size(self) -> int:
         return len(self.order)
 
-    def columns(self, shift: float) -> Iterator[tuple[Front, np.ndarray | None]]:
+    def columns(
+        self, shift: float, least: float = 0.0, held: np.ndarray | None = None
+    ) -> Iterator[tuple[Front, np.ndarray | None]]:
         """Of the factor of the matrix less a multiple of one, the own columns (own + border, own) front by front; None,
-        and no more, where a pivot is not positive."""
+        and no more, where a pivot is not positive. held : (n,), in which those are noted, in the order of elimination,
+        that leave no pivot above `least`: they are taken out of the matrix."""
         updates: dict[int, np.ndarray] = {}
         local = np.empty(self.size, dtype=np.int64)
         for number, front in enumerate(self.fronts):
@@ -78,6 +81,10 @@ class Elimination:
             whole = self._assembled(front, local, shift)
             for child in front.children:
                 _add_at(whole.T, local[self.fronts[child].border], updates.pop(child).T)
+            if held is not None:
+                _, order, rank, _ = dpstrf(whole[:own, :own], tol=least, lower=True)
+                out = order[rank:] - 1
+                whole[out], whole[:, out], whole[out, out], held[front.first + out] = 0.0, 0.0, 1.0, True
             factor, fault = dpotrf(whole[:own, :own], lower=True)
             if fault:
                 yield front, None
@@ -120,6 +127,16 @@ class Elimination:
             total[places] += sizes @ (root[places] @ sizes)
         return float((root * total).max(initial=0.0)) * UP
 
+    def dependent(self, least: float) -> np.ndarray:
+        """(n,) mask of unknowns that, held at 0, leave pivots above `least` alone: as far as rounding lets one see, one
+        for each eigenvalue of 0."""
+        held = np.zeros(self.size, dtype=bool)
+        if any(columns is None for _, columns in self.columns(0.0, least, held)):
+            held[:] = True
+        found = np.empty_like(held)
+        found[self.order] = held
+        return found
+
     def factorised(self, shift: float = 0.0) -> Factor | None:
         """Of the matrix less a multiple of one; None if a pivot is not positive."""
         found = []
@@ -158,14 +175,14 @@ class Factor:
     columns: list[tuple[Front, np.ndarray]]
 
     def solve(self, right: np.ndarray) -> np.ndarray:
-        """Solution (n,) for one right-hand side."""
-        x, own = right[self.order], [slice(front.first, front.first + front.own) for front, _ in self.columns]
+        """Solutions (n,) or (n, m) for as many right-hand sides."""
+        x, own = right.reshape(len(right), -1)[self.order], [slice(f.first, f.first + f.own) for f, _ in self.columns]
         for (front, block), at in zip(self.columns, own, strict=True):
-            x[at] = dtrsm(1.0, block[: front.own], x[at, None], lower=1)[:, 0]
+            x[at] = dtrsm(1.0, block[: front.own], x[at], lower=1)
             x[front.border] -= block[front.own :] @ x[at]
         for (front, block), at in zip(reversed(self.columns), reversed(own), strict=True):
-            x[at] -= x[front.border] @ block[front.own :]
-            x[at] = dtrsm(1.0, block[: front.own], x[at, None], lower=1, trans_a=1)[:, 0]
+            x[at] -= block[front.own :].T @ x[front.border]
+            x[at] = dtrsm(1.0, block[: front.own], x[at], lower=1, trans_a=1)
         found = np.empty_like(x)
         found[self.order] = x
-        return found
+        return found.reshape(right.shape)

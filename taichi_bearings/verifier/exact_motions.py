@@ -1,0 +1,276 @@
+"""Motions of spheres that let contacts roll exactly, where these contacts put more conditions on spins than there are.
+
+Contacts that close more loops than their spheres have freedom for roll together only if the directions of their normals
+agree exactly, as those of a lattice do; the least rounding breaks it, so it takes a proof without any. Let K x be the
+slips of these contacts by the spins x of the spheres, and J some of the unknowns, such that by the others the singular
+values of K have a floor s. To each unknown of J belongs a motion, which is 1 there and 0 at the rest of J. Where it
+consists of rational numbers, which an elimination lets guess, products without rounding tell that no contact slips in
+it. If that is so of all of J, these motions are the whole kernel of K. And no other singular value of K is below s:
+from an x across the kernel take the motions of its values on J; what is left is no shorter, slips as x does, and is 0
+on J.
+
+In the same way the spins that let contacts with driven spheres roll follow from each number that is imposed. Parts with
+no more conditions than they follow need none of this and are left out; so is what moves in a way that is not exact.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+
+from taichi_bearings.verifier.curvature import proven_floor
+from taichi_bearings.verifier.elimination import Elimination, Factor
+from taichi_bearings.verifier.enclosure import UP, Enclosure, grouped_sum, joined
+from taichi_bearings.verifier.network import Network, connected
+from taichi_bearings.verifier.springs import rounding_of, slip_rows
+
+FAINT = 1e-100  # size of factors from which nothing of a product is lost
+NULL_PIVOT = 1e-8  # up to which an unknown may follow from no condition
+DENOMINATORS = 720  # up to which fractions are guessed
+WHOLE, LARGEST = 1e-6, 2.0**40  # how far a number may be off the integer that it is taken for, and how large one is
+MOST_ROUNDS = 12  # of leaving out spheres
+SLOTS_AT_ONCE = 64
+
+
+@dataclass(frozen=True)
+class ExactMotions:
+    """spheres : (N,) mask. contacts : (E,) mask of those among them and with driven spheres: all can roll exactly.
+
+    floor : of the singular values of K but for its kernel, rounded down; infinite of no spheres.
+    """
+
+    spheres: np.ndarray
+    contacts: np.ndarray
+    floor: float = np.inf
+    motions: _Motions | None = None
+
+    @classmethod
+    def of(cls, network: Network, number: np.ndarray, rests: np.ndarray) -> ExactMotions:
+        """Of spheres that contacts of a mask (E,) join, as many as can be had. number : (N, 3), -1 for no unknown."""
+        spheres, (first, second) = network.reached, network.contact
+        for _ in range(MOST_ROUNDS):
+            whole = spheres | ~network.free
+            contacts = rests & whole[first] & whole[second]
+            touched = np.zeros(len(spheres), dtype=bool)
+            touched[network.contact[:, contacts]] = True
+            spheres = spheres & touched
+            if not spheres.any():
+                break
+            found = _Parts.of(network, spheres[:, None] & (number >= 0), contacts).solved()
+            if isinstance(found, tuple):
+                return cls(spheres, contacts, *found)
+            spheres = spheres & ~found
+        return cls(np.zeros_like(spheres), np.zeros_like(rests))
+
+    def rolling(self, spin: list[Enclosure]) -> list[Enclosure]:
+        """Spins by component (N,) at which all the contacts roll exactly: those of J, and of all other spheres, are the
+        given ones, which are sums of two doubles."""
+        return spin if self.motions is None else self.motions.spin(spin)
+
+
+@dataclass(frozen=True)
+class _Parts:
+    """The parts 0 to count - 1 that A contacts make of spheres with n unknowns; driven spheres join none.
+
+    free : (N, 3) mask of the unknowns. ends : (2, A). normal : (A, 3). rows : K, (3 A, n), component by component.
+    of_unknown, of_contact : numbers of the parts, (n,) and (A,).
+    """
+
+    network: Network
+    free: np.ndarray
+    ends: np.ndarray
+    normal: np.ndarray
+    rows: sparse.csr_array
+    of_unknown: np.ndarray
+    of_contact: np.ndarray
+    count: int
+
+    @classmethod
+    def of(cls, network: Network, free: np.ndarray, contacts: np.ndarray) -> _Parts:
+        ends = network.contact[:, contacts]
+        rows = sparse.csr_array(slip_rows(network, numbered(free))[np.flatnonzero(np.tile(contacts, 3))])
+        rows.eliminate_zeros()
+        first, second = ends[:, network.free[ends].all(axis=0)]
+        label = connected(first, second, len(free))
+        parts, of_unknown = np.unique(label[np.nonzero(free)[0]], return_inverse=True)
+        of_contact = np.searchsorted(parts, label[np.where(network.free[ends[0]], *ends)])
+        return cls(network, free, ends, network.normal[contacts], rows, of_unknown, of_contact, len(parts))
+
+    def solved(self) -> tuple[float, _Motions] | np.ndarray:
+        """Floor and motions; or the spheres (N,) that are to be left out, one at least."""
+        everything, place = np.asarray(self.free.any(axis=1)), self.network.place[np.nonzero(self.free)[0]].T
+        follows = ~Elimination.of((self.rows.T @ self.rows).tocsc(), place).dependent(NULL_PIVOT)
+        conditions = 2 * np.bincount(self.of_contact, minlength=self.count)
+        enough = conditions <= np.bincount(self.of_unknown, follows, self.count)
+        if enough.any() or not follows.any():
+            return self._spheres(enough[self.of_unknown] | ~follows.any())
+        rows, choices = sparse.csr_array(self.rows[:, follows]), _Choices.of(self, np.flatnonzero(~follows))
+        elimination = Elimination.of((rows.T @ rows).tocsc(), place[:, follows])
+        tau, factor = proven_floor(rows, rounding_of(rows), elimination, sharp=True), elimination.factorised()
+        if tau is None or factor is None or choices is None:
+            return everything
+        motions, strange = _Motions.of(self, choices, np.flatnonzero(follows), rows, factor)
+        slide = motions.slide()
+        if not len(slide):
+            return float(np.sqrt(tau) / UP), motions
+        found = self._spheres(strange)
+        clear = ~found[self.ends[:, slide]].any(axis=0)  # of both ends all numbers are whole
+        found[self.ends[:, slide[clear]]] = True
+        return found & everything
+
+    def _spheres(self, unknowns: np.ndarray) -> np.ndarray:
+        """(N,) mask of those with any of some unknowns (n,)."""
+        found = np.zeros_like(self.free)
+        found[self.free] = unknowns
+        return np.asarray(found.any(axis=1))
+
+
+@dataclass(frozen=True)
+class _Choices:
+    """The q numbers from which all else follows, those of a part counted from 0: the spins of J, as they are given, and
+    those that are imposed, each for either sign.
+
+    chosen : J. imposed : the others. owner, slot : (q,), part, and number in it. sums : (3 A, q), what each brings into
+    the sums of the spins of the contacts of its part.
+    """
+
+    chosen: np.ndarray
+    imposed: Enclosure
+    owner: np.ndarray
+    slot: np.ndarray
+    sums: sparse.csr_array
+
+    @classmethod
+    def of(cls, parts: _Parts, chosen: np.ndarray) -> _Choices | None:
+        """chosen : numbers of the unknowns in J. None where something faint is imposed."""
+        network, contacts = parts.network, len(parts.of_contact)
+        high, low, error = (
+            np.stack(values, axis=1) for values in zip(*(p.parts for p in network.imposed), strict=True)
+        )
+        moves = high != 0
+        sizes = np.stack([np.abs(high), np.sign(high) * low])[:, moves]
+        size, which = np.unique(sizes, axis=1, return_inverse=True)
+        if not ((size[0] > FAINT).all() and (error[~moves] == 0).all()):
+            return None
+        of_size = sparse.csr_array((np.sign(high[moves]), (np.arange(moves.sum()), which.ravel())),
+                                   shape=(moves.sum(), size.shape[1]))  # fmt: skip
+        brought = sparse.coo_array(_sums(parts.ends, numbered(moves)) @ of_size)
+        row, value = brought.coords
+        pairs, column = np.unique(parts.of_contact[row % contacts] + parts.count * value, return_inverse=True)
+        owner = np.append(parts.of_unknown[chosen], pairs % parts.count)
+        order = np.argsort(owner, kind="stable")
+        slot = np.empty_like(order)
+        slot[order] = np.arange(len(order)) - np.searchsorted(owner[order], owner[order])
+        by_imposed = sparse.csr_array((brought.data, (row, column)), shape=(3 * contacts, len(pairs)))
+        sums = sparse.hstack([_sums(parts.ends, numbered(parts.free))[:, chosen], by_imposed], format="csr")
+        imposed = Enclosure.exact(*size[:, pairs // parts.count])
+        return cls(chosen, imposed, owner, slot, sparse.csr_array(sums))
+
+
+@dataclass(frozen=True)
+class _Motions:
+    """What follows from each choice. motion : (n, q), integers; unit : (q,), what they are multiples of in it."""
+
+    parts: _Parts
+    choices: _Choices
+    motion: sparse.csr_array
+    unit: np.ndarray
+
+    @classmethod
+    def of(
+        cls, parts: _Parts, choices: _Choices, follow: np.ndarray, rows: sparse.csr_array, factor: Factor
+    ) -> tuple[_Motions, np.ndarray]:
+        """And a mask (n,) of unknowns at which some motion has no rational number. follow : those not in J, with their
+        columns of K in `rows`. factor : of rows^T rows."""
+        normal, owner, count = parts.normal.T[..., None], parts.of_unknown[follow], len(choices.slot)
+        unit, strange = np.ones(count), np.zeros(len(parts.of_unknown), dtype=bool)
+        entries = [np.zeros((3, 0))]
+        for begin in range(0, int(choices.slot.max(initial=-1)) + 1, SLOTS_AT_ONCE):
+            own = np.flatnonzero((choices.slot >= begin) & (choices.slot < begin + SLOTS_AT_ONCE))
+            slot, part = choices.slot[own] - begin, choices.owner[own]
+            together = sparse.csr_array((np.ones(len(own)), (np.arange(len(own)), slot)))
+            sums = (choices.sums[:, own] @ together).toarray()
+            slips = np.cross(sums.reshape(3, -1, sums.shape[1]), normal, axis=0).reshape(sums.shape)
+            x = -factor.solve(rows.T @ slips)  # the others follow by K x = -slips
+            x -= factor.solve(rows.T @ (rows @ x + slips))
+            choice = np.full((parts.count, x.shape[1]), -1)
+            choice[part, slot] = own
+            x = np.where(np.isfinite(x) & (choice >= 0)[owner], x, 0.0)
+            units = _units(x, owner, parts.count)
+            x *= units[owner]
+            strange[follow[(np.abs(x - np.round(x)) > WHOLE).any(axis=1)]] = True
+            (at, column), unit[own] = np.nonzero(np.round(x)), units[part, slot]
+            entries.append(np.stack([follow[at], choice[owner[at], column], np.round(x)[at, column]]))
+        entries.append(np.stack([choices.chosen, np.arange(len(choices.chosen)), unit[: len(choices.chosen)]]))
+        at, choice, number = np.concatenate(entries, axis=1)
+        motion = sparse.csr_array((number, (at.astype(int), choice.astype(int))), shape=(len(strange), count))
+        return cls(parts, choices, motion, unit), strange
+
+    def slide(self) -> np.ndarray:
+        """Numbers of the contacts that are not proven to roll exactly by each choice."""
+        count, chosen = len(self.parts.normal), len(self.choices.chosen)
+        if not (np.abs(self.motion.data) < LARGEST).all():
+            return np.arange(count)
+        imposed = self.choices.sums[:, chosen:] @ sparse.diags_array(self.unit[chosen:])
+        brought = _sums(self.parts.ends, numbered(self.parts.free)) @ self.motion
+        entries = sparse.coo_array(brought + sparse.hstack([0 * self.choices.sums[:, :chosen], imposed]))
+        row, choice = entries.coords
+        pairs, column = np.unique(row % count * len(self.unit) + choice, return_inverse=True)
+        sums = np.zeros((3, len(pairs)))
+        sums[row // count, column] = entries.data
+        contact = pairs // max(len(self.unit), 1)
+        return np.unique(contact[~_rolls(sums, self.parts.normal[contact].T)])
+
+    def spin(self, given: list[Enclosure]) -> list[Enclosure]:
+        """As of ExactMotions.rolling."""
+        free, choices, motion = self.parts.free, self.choices, sparse.coo_array(self.motion)
+        high, low = (np.stack([getattr(part, name) for part in given], axis=1)[free] for name in ("high", "low"))
+        value = joined([Enclosure.exact(high[choices.chosen], low[choices.chosen]), choices.imposed])
+        at, choice = motion.coords
+        shares = value.at(choice).times(motion.data) / Enclosure.exact(self.unit[choice])
+        total, (sphere, component), found = grouped_sum(shares, at, len(high)), np.nonzero(free), []
+        for k, part in enumerate(given):
+            found.append(part.where(~np.asarray(free.any(axis=1))))
+            found[k].put(sphere[component == k], total.at(np.flatnonzero(component == k)))
+        return found
+
+
+def numbered(mask: np.ndarray) -> np.ndarray:
+    """Number of each True one, -1 of the others."""
+    return np.where(mask, np.cumsum(mask).reshape(mask.shape) - 1, -1)
+
+
+def _sums(ends: np.ndarray, number: np.ndarray) -> sparse.csr_array:
+    """(3 A, n): u_i + u_j of contacts (2, A), component by component. number : (N, 3), -1 for what is 0."""
+    at = number[ends].transpose(0, 2, 1).reshape(2, -1)
+    end, row = np.nonzero(at >= 0)
+    return sparse.csr_array((np.ones(len(row)), (row, at[end, row])), shape=(at.shape[1], number.max(initial=-1) + 1))
+
+
+def _units(x: np.ndarray, owner: np.ndarray, parts: int) -> np.ndarray:
+    """(parts, m), the least common denominators of the rational ones among numbers (k, m) of each owner (k,)."""
+    rest, before, below = x - np.round(x), np.zeros_like(x), np.ones_like(x)
+    while True:  # continued fractions
+        open_ = (np.abs(x * below - np.round(x * below)) > WHOLE) & (np.abs(below) <= DENOMINATORS)
+        if not open_.any():
+            break
+        inverse = 1 / rest
+        rest = inverse - np.round(inverse)
+        before, below = np.where(open_, below, before), np.where(open_, np.round(inverse) * below + before, below)
+    denominator = np.where(np.abs(below) <= DENOMINATORS, np.abs(below), 1).astype(np.int64)
+    found, order = np.ones((parts, x.shape[1]), dtype=np.int64), np.argsort(owner, kind="stable")
+    present, begin = np.unique(owner[order], return_index=True)
+    if len(order):
+        found[present] = np.lcm.reduceat(denominator[order], begin, axis=0)
+    return np.where((found < 1) | (found > LARGEST), 1, found).astype(float)
+
+
+def _rolls(sums: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """(k,) True where sums x n is exactly 0. sums : (3, k), integers. normal : (3, k)."""
+    found = np.asarray(((normal == 0) | (np.abs(normal) > FAINT)).all(axis=0) | (sums == 0).all(axis=0))
+    for a, b in ((0, 1), (1, 2), (2, 0)):
+        first, second = (Enclosure.exact(sums[i]).times(normal[j]) for i, j in ((a, b), (b, a)))
+        found &= (first.high == second.high) & (first.low == second.low)
+    return found
