@@ -16,7 +16,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taichi_bearings.conic.cones import isotropic
 from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.conic.newton_matrix import MOST_NEWTON_STEPS, REFINEMENTS, NewtonMatrix, resisted
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
@@ -75,10 +74,10 @@ class Friction:
         """Derivative of the limited force by the slip, (d, d, n)."""
         size = np.maximum(vector_length(trial), LEAST_FORCE)
         slips, along = size > self.limit, trial / size
-        across = np.where(slips, self.limit / size, 1.0)
-        lost = np.where(slips, across, 0.0) * along[:, None] * along[None, :]
-        found = self.resistance * (across * np.eye(len(trial))[:, :, None] - lost)
-        return found if self.viscosity is None else found + isotropic(trial, self.viscosity)
+        across = self.resistance * np.where(slips, self.limit / size, 1.0)
+        found = np.where(slips, -across, 0.0) * along[:, None] * along[None, :]
+        found[np.diag_indices(len(trial))] += across if self.viscosity is None else across + self.viscosity
+        return found
 
 
 class FrictionStage:
@@ -118,14 +117,14 @@ class FrictionStage:
         scale = inertia * self.spin_scale + self.radius * self.force_scale
         # of torques, from rounding the spins
         noise = 8 * EPS * friction.stiffest * self.radius**2 * self.spin_scale
-        stiffness: np.ndarray | None = None
+        prepared = False
         for _ in range(MOST_NEWTON_STEPS):
             force = self._with_viscosity(friction, friction.limited(trial), spins)
             torque = self._torque(force, inertia, spins - base)
-            if stiffness is not None and np.abs(torque).max(initial=0.0) <= STAGE_TORQUE * scale + noise:
-                return self._corrected(friction, base, spins, trial, force, stiffness, scale)
-            stiffness = friction.stiffness(trial) * self.system.felt
-            if not self._prepare(friction, trial, stiffness):
+            if prepared and np.abs(torque).max(initial=0.0) <= STAGE_TORQUE * scale + noise:
+                return self._corrected(friction, base, spins, trial, force, scale)
+            prepared = self._prepare(friction, trial)
+            if not prepared:
                 return None
             step = self._conserving(self._solved(-torque), base - spins)
             change = resistance * self.radius * self.system.change(step)
@@ -146,13 +145,15 @@ class FrictionStage:
         """What is to become zero, (unknowns,)."""
         return inertia * gained + self.radius * self.system.torques(force)
 
-    def _prepare(self, friction: Friction, trial: np.ndarray, stiffness: np.ndarray) -> bool:
+    def _prepare(self, friction: Friction, trial: np.ndarray) -> bool:
         """Make ready to solve with the derivative of the torques; False if rounding does not let it be factorised.
 
         Short stages are ruled by inertia, and a few conjugate gradients do. A factorisation is kept as long as nothing
         changes, and in a step it also serves to solve where few contacts have changed between sticking and slipping.
         """
-        self._inertia, self._stiffness = friction.inertia, self.radius**2 * stiffness
+        self._inertia, self._stiffness = friction.inertia, np.zeros(0)  # gives the memory of the last one back
+        self._stiffness = friction.stiffness(trial)
+        self._stiffness *= self.radius**2 * self.system.felt
         coupling = LARGEST_EIGENVALUE * self.radius**2 * friction.stiffest
         self._precondition: Callable[[np.ndarray], np.ndarray] | None = None
         if coupling <= GRADIENT_RATIO * friction.inertia and friction.slips(trial).any():
@@ -232,7 +233,6 @@ class FrictionStage:
         spins: np.ndarray,
         trial: np.ndarray,
         force: np.ndarray,
-        stiffness: np.ndarray,
         scale: float,
     ) -> StageEnd:
         """The end, with the last torques taken away: forces that stiff contacts owe to spins closer than rounding."""
@@ -241,7 +241,7 @@ class FrictionStage:
             if np.abs(torque).max(initial=0.0) <= CORRECTED_TORQUE * scale:
                 break
             step = self._conserving(self._solved(-torque), base - spins)
-            force = force + self.radius * resisted(stiffness, self.system.change(step))
+            force = force + resisted(self._stiffness, self.system.change(step)) / self.radius
             spins = spins + step
         viscosity = friction.viscosity
         held = force if viscosity is None else force - viscosity * self.radius * self.system.differences(spins)
@@ -257,5 +257,6 @@ class FrictionStage:
 @np.errstate(divide="ignore")  # one component alone resists nothing along its slip
 def _changed(stiffness: np.ndarray, before: np.ndarray) -> np.ndarray:
     """Change of stiffnesses (d, d, n), relative to what they were, (n,)."""
-    change = ((stiffness - before) ** 2).sum(axis=(0, 1))
-    return np.sqrt(np.divide(change, (before**2).sum(axis=(0, 1)), out=change, where=change != 0))
+    change = stiffness - before
+    change, size = (np.einsum("ijn,ijn->n", k, k) for k in (change, before))
+    return np.sqrt(np.divide(change, size, out=change, where=change != 0))
