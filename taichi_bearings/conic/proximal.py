@@ -102,7 +102,7 @@ class ProximalSteps:
             self._put_spins(after, replica, answer.spins)
             self._system.scatter_vectors(-answer.dual * self._force_unit[replica], force, replica)
             slipping[replica] = int(answer.slips.sum())
-            creep = max(creep, self.unit * answer.slip[~answer.slips].max())
+            creep = max(creep, self.unit * answer.slip[~answer.slips].max(initial=0.0))
             newton_steps += answer.newton_steps
             solved &= answer.solved
         return Step(after, force, slipping, creep, newton_steps, solved)
