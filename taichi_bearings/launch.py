@@ -19,7 +19,7 @@ def prepared(kernel: Any, *arguments: np.ndarray | int) -> Callable[[], None]:
     started as ever, and a warning says that small samples take longer.
     """
     runtime.current()  # starts it
-    is_fork = compiler.name() == "quadrants"
+    is_fork = _is_fork()
     try:
         primal = kernel._primal
         if is_fork:  # as it does at the start of each call
@@ -46,6 +46,11 @@ def prepared(kernel: Any, *arguments: np.ndarray | int) -> Callable[[], None]:
         start(machine_code, context)
 
     return started
+
+
+@cache
+def _is_fork() -> bool:
+    return compiler.name() == "quadrants"
 
 
 @cache

@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from taichi_bearings.conic.cones import isotropic, length, longest_step
 from taichi_bearings.conic.contact_system import ContactSystem, stacked
-from taichi_bearings.conic.grouped import Arrays, each, isotropic, length, longest_step
 from taichi_bearings.conic.iterate import Inertia, Iterate
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.kernels import central_path as kernels
@@ -59,7 +59,11 @@ def newton_step(iterate: Iterate, matrix: NewtonMatrix) -> Iterate:
 
 
 def flowing(
-    system: ContactSystem, viscosity: Arrays, matrix: NewtonMatrix, spins: np.ndarray, inertia: Inertia | None = None
+    system: ContactSystem,
+    viscosity: np.ndarray,
+    matrix: NewtonMatrix,
+    spins: np.ndarray,
+    inertia: Inertia | None = None,
 ) -> np.ndarray:
     """Spins (unknowns,) at which viscous forces alone are in balance, refined as long as that helps.
 
@@ -90,9 +94,9 @@ def balance(iterate: Iterate, matrix: NewtonMatrix) -> Iterate:
     load = iterate.to_balance(iterate.spins)
     if iterate.viscosity is not None:
         load = load + iterate.system.torques(iterate.viscosity * iterate.difference)
-    stiffness = isotropic(dual, each(np.maximum, friction - dual.length(), TINY) ** 2)
+    stiffness = isotropic(dual, np.maximum(friction - length(dual), TINY) ** 2)
     change = matrix.balanced(dual, stiffness, load) - dual
-    along = min(each(lambda mu, y, dy: longest_step((mu, y), (np.zeros_like(mu), dy)), friction, dual, change))
+    along = longest_step((friction, dual), (np.zeros_like(friction), change))
     return replace(iterate, dual=dual + min(1.0, STEP_SHARE * along) * change)
 
 
@@ -161,7 +165,7 @@ class Path:
         if iterate is None:
             return
         rows = self._rows
-        smooth = each(np.zeros_like, iterate.bound) if iterate.smooth is None else iterate.smooth
+        smooth = np.zeros_like(iterate.bound) if iterate.smooth is None else iterate.smooth
         for row, values in (
             (kernels.FRICTION_ROW, iterate.friction),
             (kernels.BOUND, iterate.bound),
@@ -180,7 +184,7 @@ class Path:
             if self._viscosity is None or self._viscous is None:
                 self._viscosity = np.zeros_like(rows.two(kernels.FORCE))
                 self._viscous = np.zeros((len(stiffness), self.samples))
-            rows.put(kernels.FORCE, sample, iterate.viscosity * each(np.ones_like, iterate.difference))
+            rows.put(kernels.FORCE, sample, iterate.viscosity * np.ones_like(iterate.difference))
             self._viscosity[:, sample] = rows.two(kernels.FORCE)[:, sample]
             self._viscous[:, sample] = stiffness
 
@@ -312,13 +316,14 @@ class Path:
     def _read(self, sample: int, spins: np.ndarray, bound: int, slip: int, dual: int) -> Iterate:
         iterate, rows = self._given[sample], self._rows
         assert iterate is not None
+        d = len(iterate.difference)
         return replace(
             iterate,
             spins=spins[rows.place, sample],
             # not from the spins anew: their rounding is coarser than the last distances from the cones
-            difference=rows.vectors(slip, sample),
+            difference=rows.vectors(slip, sample, d),
             bound=rows.numbers(bound, sample),
-            dual=rows.vectors(dual, sample),
+            dual=rows.vectors(dual, sample, d),
         )
 
 

@@ -1,12 +1,13 @@
 """Contacts of one sample as flat lists: differences, torques, and the weighted Laplacian of the Newton steps.
 
 Staggered spins are measured from the bottom plane in units of the imposed jump, forces in units of the sample's mean
-coefficient times the normal force, so that every number is of order one whatever units the scene is in. Contacts with
-as many slipping components form a group: the vectors (d, n) across its n contacts have d components (equations.md).
+coefficient times the normal force, so that every number is of order one whatever units the scene is in. Vectors across
+the n contacts are (d, n), where d is the most slipping components that one has (equations.md): a contact with fewer has
+them first, and 0 in the others.
 """
 
-from dataclasses import dataclass
-from functools import cached_property, reduce
+from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import combinations_with_replacement, product
 from typing import Any
 
@@ -14,156 +15,86 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from taichi_bearings.conic.grouped import Arrays, Grouped
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.lattice.incidence import number_free
 
 
 @dataclass(frozen=True)
-class ContactGroup:
-    """n contacts, each with d slipping components.
+class ContactSystem:
+    """n contacts, each with up to d slipping components, over a vector of unknown spins.
 
-    below, above : (d, n), the unknown at either end; -1 where the spin is imposed.
-    offset : (d, n), what the imposed spins add to the difference.
-    unknowns : length of a vector of spins.
+    offset : (d, n), what the imposed spins add to the differences. felt : (d, n) mask, the components that there are.
+    ends : (2, d, n), the unknowns whose difference is taken, the one below first; -1 where the spin is imposed. None
+    where the slips are any sums of unknowns: `slips`, (d*n, unknowns), one component of one contact a row.
+
+    contact : (n,), the numbers of the contacts in flat arrays, and slot : (d, n), the spin component of each row; place
+    : (D, unknowns), where the spins are. None of a system that is not that of a whole network.
     """
 
-    below: np.ndarray
-    above: np.ndarray
-    offset: np.ndarray
     unknowns: int
-
-    @cached_property
-    def operator(self) -> sparse.csr_matrix:
-        """(d*n, unknowns): the part of the differences that is linear in the spins."""
-        row = np.arange(self.below.size)
-        ends = [(self.below.ravel(), -1.0), (self.above.ravel(), 1.0)]
-        rows = np.concatenate([row[end >= 0] for end, _ in ends])
-        columns = np.concatenate([end[end >= 0] for end, _ in ends])
-        signs = np.concatenate([np.full((end >= 0).sum(), sign) for end, sign in ends])
-        return sparse.csr_matrix((signs, (rows, columns)), shape=(self.below.size, self.unknowns))
-
-    @cached_property
-    def transposed(self) -> sparse.csr_matrix:
-        return self.operator.T.tocsr()
-
-    def copies(self, count: int) -> "ContactGroup":
-        """The same contacts so many times, each time over spins of their own."""
-        shift = self.unknowns * np.arange(count)[:, None]
-        below, above = (
-            np.where(end[:, None] >= 0, end[:, None] + shift, -1).reshape(len(end), -1)
-            for end in (self.below, self.above)
-        )
-        return ContactGroup(below, above, np.tile(self.offset, count), self.unknowns * count)
-
-    def with_one_more(self, column: np.ndarray) -> "ObliqueGroup":
-        """The same contacts over one unknown more, the last, of which a unit adds column (d, n) to the differences;
-        nothing is imposed."""
-        operator = sparse.csr_array(sparse.hstack([self.operator, sparse.csr_array(column.reshape(-1, 1))]))
-        return ObliqueGroup(operator, np.zeros_like(column))
-
-
-@dataclass(frozen=True)
-class ObliqueGroup:
-    """n contacts whose slips are any sums of the unknowns at their ends.
-
-    operator : (d*n, unknowns), slips of the spins. offset : as of ContactGroup.
-    """
-
-    operator: sparse.csr_array
     offset: np.ndarray
+    felt: np.ndarray
+    ends: Any = None
+    slips: sparse.csr_array | None = None
+    contact: np.ndarray | None = None
+    slot: np.ndarray | None = None
+    place: np.ndarray | None = None
+
+    @cached_property
+    def operator(self) -> sparse.csr_array:
+        """(d*n, unknowns): the part of the differences that is linear in the spins, one component after the other."""
+        if self.ends is None:
+            return self.slips
+        ends = self.ends.reshape(2, -1)
+        side, row = np.nonzero(ends >= 0)
+        entries = np.where(side == 0, -1.0, 1.0), (row, ends[side, row])
+        return sparse.csr_array(entries, shape=(self.offset.size, self.unknowns))
 
     @cached_property
     def transposed(self) -> sparse.csr_array:
         return self.operator.T.tocsr()
 
-
-@dataclass(frozen=True)
-class Places:
-    """Where the n contacts of a group are in flat arrays.
-
-    contact : (n,), their numbers. slot : (d, n), the spin component of each row.
-    """
-
-    contact: np.ndarray
-    slot: np.ndarray
-
-
-@dataclass(frozen=True)
-class ContactSystem:
-    """Groups of contacts, all of them ContactGroup or ObliqueGroup, over a common vector of unknown spins.
-
-    places : where they are on a lattice, a group each; place : (D, unknowns), where the spins are. None of a system
-    that is not that of a whole lattice.
-    """
-
-    unknowns: int
-    groups: tuple[Any, ...]
-    places: tuple[Places, ...] = ()
-    place: np.ndarray | None = None
-
-    @cached_property
-    def offset(self) -> Arrays:
-        """What the imposed spins add to the differences, (d, n) a group."""
-        return Grouped(group.offset for group in self.groups)
-
-    @cached_property
-    def operator(self) -> sparse.csr_matrix:
-        """(rows, unknowns): what is linear in the spins, one component of one contact a row."""
-        return sparse.csr_matrix(sparse.vstack([group.operator for group in self.groups]))
-
-    @cached_property
-    def _rows(self) -> list[tuple[slice, tuple[int, ...]]]:
-        ends = np.cumsum([offset.size for offset in self.offset]).tolist()
-        return [(slice(end - offset.size, end), offset.shape) for end, offset in zip(ends, self.offset, strict=True)]
-
     def copies(self, count: int) -> "ContactSystem":
-        """So many samples as parts of one system that no contact joins, one after the other in every group."""
+        """The same contacts so many times, each time over spins of their own: samples, one after the other, as parts of
+        one system that no contact joins."""
         if count == 1:
             return self
-        groups = tuple(group.copies(count) for group in self.groups)
+        shift = np.repeat(self.unknowns * np.arange(count), self.offset.shape[1])
+        ends = np.tile(self.ends, count)
+        ends = np.where(ends >= 0, ends + shift, -1)
+        offset, felt = np.tile(self.offset, count), np.tile(self.felt, count)
         place = None if self.place is None else np.tile(self.place, count)
-        return ContactSystem(self.unknowns * count, groups, place=place)
+        return ContactSystem(self.unknowns * count, offset, felt, ends, place=place)
 
-    def change(self, step: np.ndarray) -> Arrays:
-        """Change of the differences (d, n) a group that a change of the spins (unknowns,) makes; or of S samples."""
-        rows = self.operator @ step
-        return Grouped(rows[own].reshape(*shape, *rows.shape[1:]) for own, shape in self._rows)
+    def with_one_more(self, column: np.ndarray) -> "ContactSystem":
+        """The same contacts over one unknown more, the last, of which a unit adds column (d, n) to the differences;
+        nothing is imposed."""
+        slips = sparse.csr_array(sparse.hstack([self.operator, sparse.csr_array(column.reshape(-1, 1))]))
+        return replace(self, unknowns=self.unknowns + 1, offset=np.zeros_like(column), ends=None, slips=slips)
 
-    def differences(self, spins: np.ndarray) -> Arrays:
-        """Difference of the spins across each contact, (d, n) a group."""
+    def change(self, step: np.ndarray) -> np.ndarray:
+        """Change of the differences (d, n) that a change of the spins (unknowns,) makes; or (d, n, S) of S samples."""
+        return (self.operator @ step).reshape(*self.offset.shape, *step.shape[1:])
+
+    def differences(self, spins: np.ndarray) -> np.ndarray:
+        """Difference of the spins across each contact, (d, n)."""
         return self.change(spins) + self.offset
 
-    def torques(self, forces: Arrays) -> np.ndarray:
-        """Transpose of the differences: (unknowns,) from (d, n) a group, or (unknowns, S) from (d, n, S)."""
-        pairs = zip(self.groups, forces, strict=True)
-        return reduce(np.add, (group.transposed @ force.reshape(-1, *force.shape[2:]) for group, force in pairs))
+    def torques(self, forces: np.ndarray) -> np.ndarray:
+        """Transpose of the differences: (unknowns,) from (d, n), or (unknowns, S) from (d, n, S)."""
+        return self.transposed @ forces.reshape(-1, *forces.shape[2:])
 
-    def gather(self, values: np.ndarray, replica: int) -> Arrays:
-        """Values (n,) a group of one sample; values : (R, E)."""
-        return Grouped(values[replica][places.contact] for places in self.places)
+    def gather_vectors(self, values: np.ndarray, replica: int) -> np.ndarray:
+        """Vectors (d, n) of one sample; values : (C, R, E)."""
+        return values[self.slot, replica, self.contact]
 
-    def gather_vectors(self, values: np.ndarray, replica: int) -> Arrays:
-        """Vectors (d, n) a group of one sample; values : (C, R, E)."""
-        return Grouped(values[places.slot, replica, places.contact] for places in self.places)
+    def scatter_vectors(self, vectors: np.ndarray, values: np.ndarray, replica: int | slice) -> None:
+        """Inverse of :meth:`gather_vectors`: write vectors (d, n) into the values, or (R, d, n) of several samples."""
+        np.moveaxis(values, 1, 0)[replica][..., self.slot, self.contact] = vectors
 
-    def scatter(self, numbers: Arrays, values: np.ndarray, replica: int | slice) -> None:
-        """Inverse of :meth:`gather`: write the numbers into the values, or those (R, n) of several samples."""
-        for places, new in zip(self.places, numbers, strict=True):
-            values[replica][..., places.contact] = new
-
-    def scatter_vectors(self, vectors: Arrays, values: np.ndarray, replica: int | slice) -> None:
-        """The same of vectors, inverse of :meth:`gather_vectors`, or of those (R, d, n) of several samples."""
-        by_replica = np.moveaxis(values, 1, 0)
-        for places, new in zip(self.places, vectors, strict=True):
-            by_replica[replica][..., places.slot, places.contact] = new
-
-    def pieces(self, chosen: Arrays) -> tuple[int, np.ndarray]:
-        """Number of the pieces that the chosen contacts, (n,) masks a group, join the spins to, and that of each."""
-        below, above = (
-            np.concatenate([values.ravel() for values in Grouped(ends)[chosen]])
-            for ends in ([g.below for g in self.groups], [g.above for g in self.groups])
-        )
+    def pieces(self, chosen: np.ndarray) -> tuple[int, np.ndarray]:
+        """Number of the pieces that the chosen contacts, (n,) mask, join the spins to, and that of each."""
+        below, above = self.ends[:, :, chosen].reshape(2, -1)
         both, size = (below >= 0) & (above >= 0), (self.unknowns, self.unknowns)
         graph = sparse.coo_matrix((np.ones(both.sum(), dtype=np.int8), (below[both], above[both])), shape=size)
         count, piece = connected_components(graph, directed=False)
@@ -171,17 +102,14 @@ class ContactSystem:
 
     def terms(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """All terms of the Laplacian, each pair once: first, second unknown, place in `stacked` stiffness, factor."""
-        found, start = [], 0
-        for group in self.groups:
-            d, count = group.offset.shape
-            ends = [_ends(group.operator[slip * count : (slip + 1) * count]) for slip in range(d)]
-            for i, j in combinations_with_replacement(range(d), 2):
-                several = product(ends[i], ends[j]) if i != j else combinations_with_replacement(ends[i], 2)
-                for (first, of_first), (second, of_second) in several:
-                    factor = of_first * of_second * np.where((first == second) & (i != j), 2.0, 1.0)
-                    free = np.flatnonzero(factor)
-                    found.append((first[free], second[free], start + free, factor[free]))
-                start += count
+        d, count = self.offset.shape
+        found, ends = [], [_ends(self.operator[slip * count : (slip + 1) * count]) for slip in range(d)]
+        for number, (i, j) in enumerate(combinations_with_replacement(range(d), 2)):
+            several = product(ends[i], ends[j]) if i != j else combinations_with_replacement(ends[i], 2)
+            for (first, of_first), (second, of_second) in several:
+                factor = of_first * of_second * np.where((first == second) & (i != j), 2.0, 1.0)
+                free = np.flatnonzero(factor)
+                found.append((first[free], second[free], number * count + free, factor[free]))
         first, second, source, factor = (np.concatenate(parts) for parts in zip(*found, strict=True))
         return first, second, source, factor
 
@@ -196,9 +124,17 @@ def _ends(slips: sparse.csr_matrix) -> list[tuple[np.ndarray, np.ndarray]]:
     return list(zip(unknown, factor, strict=True))
 
 
-def stacked(stiffness: Arrays) -> np.ndarray:
-    """Upper triangles of the stiffnesses, (d, d, n) a group, in the order that `terms` counts them."""
-    return np.concatenate([k[i, j] for k in stiffness for i in range(len(k)) for j in range(i, len(k))])
+def stacked(stiffness: np.ndarray) -> np.ndarray:
+    """Upper triangles of the stiffnesses (d, d, n), in the order that `terms` counts them."""
+    return np.concatenate([stiffness[i, j] for i in range(len(stiffness)) for j in range(i, len(stiffness))])
+
+
+def slipping_components(felt: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Contacts (n,) that feel any of the C components, mask (C, E); slots (d, n), those that each feels first; and
+    which of these it feels, (d, n)."""
+    contact, most = np.flatnonzero(felt.any(axis=0)), felt.sum(axis=0).max(initial=1)
+    slot = np.argsort(~felt[:, contact], axis=0, kind="stable")[:most]
+    return contact, slot, felt[slot, contact]
 
 
 def free_spins(staggered: np.ndarray) -> np.ndarray:
@@ -217,23 +153,14 @@ def lattice_system(lattice: Lattice, spin_axes: tuple[int, ...], jump: np.ndarra
 
     jump : (C, *plane), staggered spin of the top, measured from the bottom; (C,) if it is the same on all of it.
     """
-    sphere, free = number_free(lattice.shape), int(np.prod(lattice.free_shape))
+    sphere, unknowns = number_free(lattice.shape), int(np.prod(lattice.free_shape)) * len(spin_axes)
     is_top = np.zeros(lattice.shape, dtype=bool)
     is_top[..., -1] = True
-    unknowns, felt = free * len(spin_axes), lattice.felt(spin_axes)
-    (below, above), rises = sphere.ravel()[lattice.ends], is_top.ravel()[lattice.ends[1]]
+    contact, slot, felt = slipping_components(lattice.felt(spin_axes) & ~lattice.between_driven)
+    sphere_at = sphere.ravel()[lattice.ends][:, None, contact]
+    ends = np.where((sphere_at >= 0) & felt, sphere_at * len(spin_axes) + slot, -1)
     imposed = np.broadcast_to(jump.reshape(len(jump), -1), (len(jump), lattice.sites // lattice.shape[-1]))
-    groups, places = [], []
-    for count in range(1, len(spin_axes) + 1):
-        contact = np.flatnonzero(~lattice.between_driven & (felt.sum(axis=0) == count))
-        if not len(contact):
-            continue
-        slot = np.nonzero(felt[:, contact].T)[1].reshape(-1, count).T
-        first, second = (
-            np.where(end >= 0, end * len(spin_axes) + slot, -1) for end in (below[contact], above[contact])
-        )
-        top = imposed[slot, lattice.column[contact]]
-        groups.append(ContactGroup(first, second, top * rises[contact], unknowns))
-        places.append(Places(contact, slot))
+    rises = is_top.ravel()[lattice.ends[1][contact]]
+    offset = np.where(felt & rises, imposed[slot, lattice.column[contact]], 0.0)
     place = np.repeat(np.indices(lattice.free_shape).reshape(lattice.dimension, -1), len(spin_axes), axis=1)
-    return ContactSystem(unknowns, tuple(groups), tuple(places), place)
+    return ContactSystem(unknowns, offset, felt, ends, contact=contact, slot=slot, place=place)

@@ -7,12 +7,10 @@ Several samples of one lattice are parts of one system that no contact joins.
 """
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
-from taichi_bearings.conic.contact_system import ContactGroup, ContactSystem
-from taichi_bearings.conic.grouped import Arrays, Grouped, each
+from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.dissection import dissected
 from taichi_bearings.numerics.cholesky.fronts import coupled
 from taichi_bearings.numerics.double_double import Pair, two_sum
@@ -23,92 +21,76 @@ OWN_ORDER_UNKNOWNS, OWN_LEAF_UNKNOWNS = 2_000, 20
 
 @dataclass(frozen=True)
 class Owners:
-    """The sample, of so many, that each spin (unknowns,) and each contact (n,) a group belongs to; they ascend."""
+    """The sample, of so many, that each spin (unknowns,) and each contact (n,) belongs to; they ascend."""
 
     samples: int
     spins: np.ndarray
-    contacts: Arrays
+    contacts: np.ndarray
 
-    @cached_property
-    def _begins(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Owners that there are, and the place of the first of each: of contacts, a group each, and of spins."""
-        return [np.unique(own, return_index=True) for own in (*self.contacts, self.spins)]
-
-    def largest(self, values: Arrays) -> np.ndarray:
-        """Of numbers (n,) or (d, n) a group that are not negative, (samples,); 0 of none."""
-        found = np.zeros(self.samples)
-        for (some, begins), numbers in zip(self._begins[:-1], values, strict=True):
-            if len(some):
-                most = np.maximum.reduceat(numbers, begins, axis=-1)
-                found[some] = np.maximum(found[some], most if numbers.ndim == 1 else most.max(axis=0))
-        return found
+    def largest(self, values: np.ndarray) -> np.ndarray:
+        """Of numbers (n,) or vectors (d, n) on contacts that are not negative, (samples,); 0 of none."""
+        return _largest(self.samples, self.contacts, values if values.ndim == 1 else values.max(axis=0))
 
     def largest_of_spins(self, values: np.ndarray) -> np.ndarray:
         """The same of one number (unknowns,) a spin."""
-        found, (some, begins) = np.zeros(self.samples), self._begins[-1]
-        if len(some):
-            found[some] = np.maximum.reduceat(values, begins)
-        return found
+        return _largest(self.samples, self.spins, values)
 
-    def any(self, chosen: Arrays) -> np.ndarray:
-        """Samples (samples,) with one of the chosen contacts, (n,) masks a group."""
+    def any(self, chosen: np.ndarray) -> np.ndarray:
+        """Samples (samples,) with one of the chosen contacts, (n,) mask."""
         return self.largest(chosen) > 0
 
-    def at_contacts(self, values: np.ndarray) -> Arrays:
-        """The number, (samples,), of the sample of each contact, (n,) a group."""
-        return each(lambda own: values[own], self.contacts)
+
+def _largest(samples: int, owner: np.ndarray, values: np.ndarray) -> np.ndarray:
+    begins, found = np.searchsorted(owner, np.arange(samples + 1)), np.zeros(samples)
+    some = begins[1:] > begins[:-1]
+    if some.any():
+        found[some] = np.maximum.reduceat(values, begins[:-1][some])
+    return found
 
 
 class Contraction:
     """The contacts that are left, over one unknown for each set of tied spins.
 
-    whole : the systems before. system : contacts that are not tied, over the new unknowns; kept : (n,) a group, their
-    places in the old system. Contacts that loops of tied ones leave no slip are tied, too. owners : what belongs to
-    which sample.
+    whole : the systems before. system : contacts that are not tied, over the new unknowns; kept : (n,), their places in
+    the old system. Contacts that loops of tied ones leave no slip are tied, too. owners : what belongs to which sample.
     contradicts : (samples,), tied contacts join bottom and top, which turn differently.
     """
 
-    def __init__(self, whole: ContactSystem, order: np.ndarray, tied: Arrays, samples: int = 1) -> None:
+    def __init__(self, whole: ContactSystem, order: np.ndarray, tied: np.ndarray, samples: int = 1) -> None:
         """whole : contacts before, of all samples; order : of elimination of the unknowns of a sample; tied : (n,)
-        mask a group."""
+        mask."""
         self.whole, self._order = whole, order
         self._label(whole, tied, samples)
-        pairs = zip(whole.groups, tied, strict=True)
-        kept, groups = zip(*(self._left(group, np.flatnonzero(~mask)) for group, mask in pairs), strict=True)
-        self.kept, self.system = Grouped(kept), ContactSystem(self.unknowns, groups)
-        size = each(lambda mask: max(len(mask) // samples, 1), tied)
-        self.owners = Owners(samples, self._owner, each(np.floor_divide, self.kept, size))
+        self.kept, self.system = self._left(whole, np.flatnonzero(~tied))
+        self.owners = Owners(samples, self._owner, self.kept // max(len(tied) // samples, 1))
 
-    def _label(self, whole: ContactSystem, tied: Arrays, samples: int) -> None:
+    def _label(self, whole: ContactSystem, tied: np.ndarray, samples: int) -> None:
         """Number of the set that each spin belongs to, or its imposed value if the set is tied to a driven plane."""
-        imposed, value = [], []
-        for group, mask in zip(whole.groups, tied, strict=True):
-            below, above, offset = group.below[:, mask].ravel(), group.above[:, mask].ravel(), group.offset[:, mask]
-            # a difference of zero with one end imposed: spin below = offset, or spin above = -offset
-            for end, other, sign in ((below, above, 1.0), (above, below, -1.0)):
-                only = (end >= 0) & (other < 0)
-                imposed.append(end[only])
-                value.append(sign * offset.ravel()[only])
+        (below, above), offset = whole.ends[:, :, tied], whole.offset[:, tied]
+        # a difference of zero with one end imposed: spin below = offset, or spin above = -offset
+        up, down = (below >= 0) & (above < 0), (above >= 0) & (below < 0)
+        imposed, value = np.append(below[up], above[down]), np.append(offset[up], -offset[down])
         count, label = whole.pieces(tied)
         imposed_value, owner = np.full(count, np.nan), np.zeros(count, dtype=np.int64)
         owner[label] = np.arange(whole.unknowns) // max(whole.unknowns // samples, 1)
-        held, held_at = label[np.concatenate(imposed)], np.concatenate(value)
-        imposed_value[held] = held_at
+        held = label[imposed]
+        imposed_value[held] = value
         self.contradicts = np.zeros(samples, dtype=bool)
-        self.contradicts[owner[held[imposed_value[held] != held_at]]] = True
+        self.contradicts[owner[held[imposed_value[held] != value]]] = True
         is_free = np.isnan(imposed_value)
         number = np.where(is_free, np.cumsum(is_free) - 1, -1)
         self.unknowns, self._owner = int(is_free.sum()), owner[is_free]
         self.number, self.imposed = number[label], np.where(is_free, 0.0, imposed_value)[label]
 
-    def _left(self, group: ContactGroup, places: np.ndarray) -> tuple[np.ndarray, ContactGroup]:
+    def _left(self, whole: ContactSystem, places: np.ndarray) -> tuple[np.ndarray, ContactSystem]:
         """Those of the places at which the ends are not the same by what is tied; their contacts over the sets."""
-        ends = np.stack([group.below[:, places], group.above[:, places]])  # -1 where a spin was imposed before
+        ends = whole.ends[:, :, places]  # -1 where a spin was imposed before
         (below, above), imposed = np.append(self.number, -1)[ends], np.append(self.imposed, 0.0)[ends]
-        offset, same = group.offset[:, places] + imposed[1] - imposed[0], below == above
+        offset, same = whole.offset[:, places] + imposed[1] - imposed[0], below == above
         left = np.flatnonzero((~same | (offset != 0)).any(axis=0))
-        below, above = (np.where(same, -1, end)[:, left] for end in (below, above))
-        return places[left], ContactGroup(below, above, offset[:, left], self.unknowns)
+        ends = np.where(same, -1, np.stack([below, above]))[:, :, left]
+        kept = places[left]
+        return kept, ContactSystem(self.unknowns, offset[:, left], whole.felt[:, kept], ends)
 
     @property
     def heads(self) -> np.ndarray:
@@ -158,8 +140,8 @@ class Contraction:
         high, low = (np.append(part, 0.0)[self.number] for part in spins)  # number is -1 where a spin is imposed
         return high + self.imposed, low
 
-    def differences(self, spins: Pair) -> Arrays:
-        """Of the spins across each contact that is left, (d, n) a group, good to the digits of the smallest.
+    def differences(self, spins: Pair) -> np.ndarray:
+        """Of the spins across each contact that is left, (d, n), good to the digits of the smallest.
 
         They add up to nothing round every loop of contacts but for the rounding of the small parts. Differences that
         are followed on their own do not; contacts that rest then seem to slip by what is missing.

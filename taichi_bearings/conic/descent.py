@@ -16,8 +16,8 @@ from taichi_bearings.stages import stage
 # relative gap from which settling is tried, and from which it still is where the path ends (32^3 seed 2); factor to the
 # next trial
 SETTLING_GAP, RETRY_FACTOR = 1e-9, 100
-# in small samples the gap is SETTLING_GAP_FACTOR / spheres^3, at most FIRST_SETTLING_GAP: their slips are larger
-FIRST_SETTLING_GAP, SETTLING_GAP_FACTOR = 1e-8, 0.55
+# in small samples the gap is SETTLING_GAP_FACTOR / spheres^2, at most FIRST_SETTLING_GAP: their slips are larger
+FIRST_SETTLING_GAP, SETTLING_GAP_FACTOR = 1e-8, 1e-4
 DISTANT_GAP = 1e-4  # relative gap that is far from any tolerance of this method
 
 
@@ -87,7 +87,7 @@ class Descent:
     def settles_at(self) -> float:
         """Relative gap. In small samples it is one at which contacts that seem to stick mostly do, and nothing else; in
         large ones none is, and a step costs more than to follow the last decades of the path that much further."""
-        return min(SETTLING_GAP_FACTOR / self.spheres**3, FIRST_SETTLING_GAP) if self.small else SETTLING_GAP
+        return min(SETTLING_GAP_FACTOR / self.spheres**2, FIRST_SETTLING_GAP) if self.small else SETTLING_GAP
 
     def _judge(self, sample: Sample, path: Path, place: int, taken: bool) -> None:
         """See where a step of a sample has led, and whether to try to settle its states."""

@@ -17,7 +17,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from taichi_bearings.conic.contact_system import ContactSystem
-from taichi_bearings.conic.grouped import Arrays, each, isotropic
 from taichi_bearings.conic.newton_matrix import MOST_NEWTON_STEPS, REFINEMENTS, NewtonMatrix, resisted
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.scene.scene import vector_length
@@ -36,52 +35,49 @@ EPS = np.finfo(np.float64).eps
 
 @dataclass(frozen=True)
 class StageEnd:
-    """spins : (unknowns,). force, held : (d, n) a group, in all and without its viscous part. slips : (n,) a group."""
+    """spins : (unknowns,). force, held : (d, n), in all and without its viscous part. slips : (n,)."""
 
     spins: np.ndarray
-    force: Arrays
-    held: Arrays
-    slips: Arrays
+    force: np.ndarray
+    held: np.ndarray
+    slips: np.ndarray
 
 
 @dataclass(frozen=True)
 class Friction:
-    """Contacts of one sample in a stage, (n,) a group each.
+    """Contacts of one sample in a stage, (n,) each.
 
     limit : largest force; infinite for linear contacts. resistance : force * time / length.
     inertia : moment of inertia / time of the stage.
     viscosity : of contacts that have it beside all that, force * time / length.
     """
 
-    limit: Arrays
-    resistance: Arrays
+    limit: np.ndarray
+    resistance: np.ndarray
     inertia: float
-    viscosity: Arrays | None = None
+    viscosity: np.ndarray | None = None
 
     @property
     def stiffest(self) -> float:
         """Largest derivative of a force by the slip."""
-        return self.resistance.max() + (0.0 if self.viscosity is None else self.viscosity.max())
+        viscosity = 0.0 if self.viscosity is None else self.viscosity.max(initial=0.0)
+        return float(self.resistance.max(initial=0.0) + viscosity)
 
-    def limited(self, trial: Arrays) -> Arrays:
-        """Forces (d, n) a group that friction allows."""
-        return each(lambda f, m: f * np.minimum(1.0, m / np.maximum(vector_length(f), LEAST_FORCE)), trial, self.limit)
+    def limited(self, trial: np.ndarray) -> np.ndarray:
+        """Forces (d, n) that friction allows."""
+        return trial * np.minimum(1.0, self.limit / np.maximum(vector_length(trial), LEAST_FORCE))
 
-    def slips(self, trial: Arrays) -> Arrays:
-        return each(vector_length, trial) > self.limit
+    def slips(self, trial: np.ndarray) -> np.ndarray:
+        return vector_length(trial) > self.limit
 
-    def stiffness(self, trial: Arrays) -> Arrays:
-        """Derivative of the limited force by the slip, (d, d, n) a group."""
-
-        def derivative(force: np.ndarray, limit: np.ndarray, resistance: np.ndarray) -> np.ndarray:
-            size = np.maximum(vector_length(force), LEAST_FORCE)
-            slips, along = size > limit, force / size
-            across = np.where(slips, limit / size, 1.0)
-            lost = np.where(slips, across, 0.0) * along[:, None] * along[None, :]
-            return resistance * (across * np.eye(len(force))[:, :, None] - lost)
-
-        found = each(derivative, trial, self.limit, self.resistance)
-        return found if self.viscosity is None else found + isotropic(trial, self.viscosity)
+    def stiffness(self, trial: np.ndarray) -> np.ndarray:
+        """Derivative of the limited force by the slip, (d, d, n)."""
+        size = np.maximum(vector_length(trial), LEAST_FORCE)
+        slips, along = size > self.limit, trial / size
+        across = self.resistance * np.where(slips, self.limit / size, 1.0)
+        found = np.where(slips, -across, 0.0) * along[:, None] * along[None, :]
+        found[np.diag_indices(len(trial))] += across if self.viscosity is None else across + self.viscosity
+        return found
 
 
 class FrictionStage:
@@ -103,17 +99,17 @@ class FrictionStage:
         self.system, self.matrix, self.radius, self.conserved = system, matrix, radius, conserved
         self.spin_scale, self.force_scale = spin_scale, force_scale
         self.factorisations, self.reuses = 0, True  # old factorisations, where few contacts have changed
-        self._factorised: tuple[float, Arrays] | None = None  # inertia and stiffness
+        self._factorised: tuple[float, np.ndarray] | None = None  # inertia and stiffness
         self._of_this_step = False
 
     def begin_step(self) -> None:
         """What is factorised serves no other matrix any more: a step does not depend on those before."""
         self._of_this_step = False
 
-    def solve(self, friction: Friction, base: np.ndarray, start: Arrays, guess: np.ndarray) -> StageEnd | None:
+    def solve(self, friction: Friction, base: np.ndarray, start: np.ndarray, guess: np.ndarray) -> StageEnd | None:
         """Spins and forces at the end of the stage; None if Newton's method gets nowhere.
 
-        base, guess : (unknowns,). start : (d, n) a group, force.
+        base, guess : (unknowns,). start : (d, n), force.
         """
         inertia, resistance = friction.inertia, friction.resistance
         spins = guess + self._conserving(np.zeros_like(guess), base - guess)
@@ -121,14 +117,14 @@ class FrictionStage:
         scale = inertia * self.spin_scale + self.radius * self.force_scale
         # of torques, from rounding the spins
         noise = 8 * EPS * friction.stiffest * self.radius**2 * self.spin_scale
-        stiffness: Arrays | None = None
+        prepared = False
         for _ in range(MOST_NEWTON_STEPS):
             force = self._with_viscosity(friction, friction.limited(trial), spins)
             torque = self._torque(force, inertia, spins - base)
-            if stiffness is not None and np.abs(torque).max(initial=0.0) <= STAGE_TORQUE * scale + noise:
-                return self._corrected(friction, base, spins, trial, force, stiffness, scale)
-            stiffness = friction.stiffness(trial)
-            if not self._prepare(friction, trial, stiffness):
+            if prepared and np.abs(torque).max(initial=0.0) <= STAGE_TORQUE * scale + noise:
+                return self._corrected(friction, base, spins, trial, force, scale)
+            prepared = self._prepare(friction, trial)
+            if not prepared:
                 return None
             step = self._conserving(self._solved(-torque), base - spins)
             change = resistance * self.radius * self.system.change(step)
@@ -137,32 +133,34 @@ class FrictionStage:
             trial = self._trial(start, resistance, spins)
         return None
 
-    def _trial(self, start: Arrays, resistance: Arrays, spins: np.ndarray) -> Arrays:
+    def _trial(self, start: np.ndarray, resistance: np.ndarray, spins: np.ndarray) -> np.ndarray:
         return start + resistance * self.radius * self.system.differences(spins)
 
-    def _with_viscosity(self, friction: Friction, force: Arrays, spins: np.ndarray) -> Arrays:
+    def _with_viscosity(self, friction: Friction, force: np.ndarray, spins: np.ndarray) -> np.ndarray:
         if friction.viscosity is None:
             return force
         return force + friction.viscosity * self.radius * self.system.differences(spins)
 
-    def _torque(self, force: Arrays, inertia: float, gained: np.ndarray) -> np.ndarray:
+    def _torque(self, force: np.ndarray, inertia: float, gained: np.ndarray) -> np.ndarray:
         """What is to become zero, (unknowns,)."""
         return inertia * gained + self.radius * self.system.torques(force)
 
-    def _prepare(self, friction: Friction, trial: Arrays, stiffness: Arrays) -> bool:
+    def _prepare(self, friction: Friction, trial: np.ndarray) -> bool:
         """Make ready to solve with the derivative of the torques; False if rounding does not let it be factorised.
 
         Short stages are ruled by inertia, and a few conjugate gradients do. A factorisation is kept as long as nothing
         changes, and in a step it also serves to solve where few contacts have changed between sticking and slipping.
         """
-        self._inertia, self._stiffness = friction.inertia, self.radius**2 * stiffness
+        self._inertia, self._stiffness = friction.inertia, np.zeros(0)  # gives the memory of the last one back
+        self._stiffness = friction.stiffness(trial)
+        self._stiffness *= self.radius**2 * self.system.felt
         coupling = LARGEST_EIGENVALUE * self.radius**2 * friction.stiffest
         self._precondition: Callable[[np.ndarray], np.ndarray] | None = None
         if coupling <= GRADIENT_RATIO * friction.inertia and friction.slips(trial).any():
             self._precondition = np.copy
             return True
         if self._factorised is not None and self._factorised[0] == friction.inertia:
-            changed = each(_changed, self._stiffness, self._factorised[1])
+            changed = _changed(self._stiffness, self._factorised[1])
             if (changed == 0).all():
                 return True
             if self.reuses and self._of_this_step and (~(changed <= CHANGED_SHARE)).sum() <= MOST_CHANGED:
@@ -197,8 +195,8 @@ class FrictionStage:
     def _step_length(
         self,
         friction: Friction,
-        trial: Arrays,
-        change: Arrays,
+        trial: np.ndarray,
+        change: np.ndarray,
         spins: np.ndarray,
         base: np.ndarray,
         step: np.ndarray,
@@ -209,7 +207,7 @@ class FrictionStage:
 
         def slope(length: float) -> float:
             force = self._with_viscosity(friction, friction.limited(trial + length * change), spins + length * step)
-            work = sum(each(lambda f, df, c: float((f * df / c).sum()), force, change, friction.resistance))
+            work = float((force * change / friction.resistance).sum())
             return friction.inertia * float((gained + length * step) @ step) + work
 
         low, high, at_low, at_high = 0.0, 1.0, first, slope(1.0)
@@ -233,9 +231,8 @@ class FrictionStage:
         friction: Friction,
         base: np.ndarray,
         spins: np.ndarray,
-        trial: Arrays,
-        force: Arrays,
-        stiffness: Arrays,
+        trial: np.ndarray,
+        force: np.ndarray,
         scale: float,
     ) -> StageEnd:
         """The end, with the last torques taken away: forces that stiff contacts owe to spins closer than rounding."""
@@ -244,7 +241,7 @@ class FrictionStage:
             if np.abs(torque).max(initial=0.0) <= CORRECTED_TORQUE * scale:
                 break
             step = self._conserving(self._solved(-torque), base - spins)
-            force = force + self.radius * resisted(stiffness, self.system.change(step))
+            force = force + resisted(self._stiffness, self.system.change(step)) / self.radius
             spins = spins + step
         viscosity = friction.viscosity
         held = force if viscosity is None else force - viscosity * self.radius * self.system.differences(spins)
@@ -260,5 +257,6 @@ class FrictionStage:
 @np.errstate(divide="ignore")  # one component alone resists nothing along its slip
 def _changed(stiffness: np.ndarray, before: np.ndarray) -> np.ndarray:
     """Change of stiffnesses (d, d, n), relative to what they were, (n,)."""
-    change = ((stiffness - before) ** 2).sum(axis=(0, 1))
-    return np.sqrt(np.divide(change, (before**2).sum(axis=(0, 1)), out=change, where=change != 0))
+    change = stiffness - before
+    change, size = (np.einsum("ijn,ijn->n", k, k) for k in (change, before))
+    return np.sqrt(np.divide(change, size, out=change, where=change != 0))

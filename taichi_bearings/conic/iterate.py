@@ -4,8 +4,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from taichi_bearings.conic.cones import inner, length
 from taichi_bearings.conic.contact_system import ContactSystem
-from taichi_bearings.conic.grouped import Arrays, each, inner, power, where
 
 LEAST_GAP = 1e-13  # relative gap at which double precision ends
 TINY = np.finfo(np.float64).tiny
@@ -25,69 +25,77 @@ class Inertia:
 
 @dataclass(frozen=True)
 class Iterate:
-    """A point inside all cones: spins (unknowns,); a group each: friction and bound (n,), difference and dual (d, n).
+    """A point inside all cones: spins (unknowns,); friction and bound (n,), difference and dual (d, n).
 
-    The dual is minus the contact force, without its viscous part. viscosity : (n,) a group, None for Coulomb friction.
-    smooth : (n,) masks, contacts that are in no cone but obey the law of friction exactly: dual = - friction *
+    The dual is minus the contact force, without its viscous part. viscosity : (n,), None for Coulomb friction.
+    smooth : (n,) mask, contacts that are in no cone but obey the law of friction exactly: dual = - friction *
     direction of slip; None for none. inertia : what resists a change of the spins, None at the minimum.
     """
 
     system: ContactSystem
     spins: np.ndarray
-    friction: Arrays
-    bound: Arrays
-    difference: Arrays
-    dual: Arrays
-    smooth: Arrays | None = None
-    viscosity: Arrays | None = None
+    friction: np.ndarray
+    bound: np.ndarray
+    difference: np.ndarray
+    dual: np.ndarray
+    smooth: np.ndarray | None = None
+    viscosity: np.ndarray | None = None
     inertia: Inertia | None = None
 
     @classmethod
     def start(
-        cls, system: ContactSystem, spins: np.ndarray, friction: Arrays, slack: float, viscosity: Arrays | None = None
+        cls,
+        system: ContactSystem,
+        spins: np.ndarray,
+        friction: np.ndarray,
+        slack: float,
+        viscosity: np.ndarray | None = None,
     ) -> "Iterate":
         """Bounds above the slips by about `slack`, and no forces but viscous ones."""
         difference = system.differences(spins)
-        bound = each(np.hypot, difference.length(), slack)
-        return cls(system, spins, friction, bound, difference, each(np.zeros_like, difference), viscosity=viscosity)
+        bound = np.hypot(length(difference), slack)
+        return cls(system, spins, friction, bound, difference, np.zeros_like(difference), viscosity=viscosity)
 
-    def let_slip(self, slips: Arrays) -> "Iterate":
-        """These contacts, (n,) masks a group, leave their cones, others come back into them."""
+    def let_slip(self, slips: np.ndarray) -> "Iterate":
+        """These contacts, (n,) mask, leave their cones, others come back into them."""
         bound, dual = self.bound, self.dual
         if self.smooth is not None:
             back, product = self.smooth & ~slips, self.complementarity / self.friction  # along the slip
-            central = (product + each(np.hypot, product, 2 * self.difference.length())) / 2
-            bound, dual = where(back, central, bound), where(back, -self.friction * self.difference / central, dual)
+            central = (product + np.hypot(product, 2 * length(self.difference))) / 2
+            bound, dual = (
+                np.where(back, central, bound),
+                np.where(back, -self.friction * self.difference / central, dual),
+            )
         if slips.any():
-            slip = self.difference.length()
-            bound, dual = where(slips, slip, bound), where(slips, -self.friction * self.difference / slip, dual)
+            slip = length(self.difference)
+            bound, dual = np.where(slips, slip, bound), np.where(slips, -self.friction * self.difference / slip, dual)
         return replace(self, bound=bound, dual=dual, smooth=slips)
 
     @property
     def in_cones(self) -> int:
         """Number of contacts in cones."""
-        return sum(map(len, self.friction)) - (0 if self.smooth is None else int(self.smooth.sum()))
+        return len(self.friction) - (0 if self.smooth is None else int(self.smooth.sum()))
 
     @property
     def complementarity(self) -> float:
         """Mean over the contacts in cones of friction * bound - difference . force."""
-        products = self.friction * self.bound + each(inner, self.difference, self.dual)
-        products = products if self.smooth is None else where(self.smooth, 0.0, products)
-        return products.sum() / max(1, self.in_cones)
+        products = self.friction * self.bound + inner(self.difference, self.dual)
+        products = products if self.smooth is None else np.where(self.smooth, 0.0, products)
+        return float(products.sum()) / max(1, self.in_cones)
 
     @property
-    def margin(self) -> Arrays:
-        """Share of the friction that is left, (n,) a group."""
-        return 1 - self.dual.length() / self.friction
+    def margin(self) -> np.ndarray:
+        """Share of the friction that is left, (n,)."""
+        return 1 - length(self.dual) / self.friction
 
     @property
-    def slip_over_margin(self) -> Arrays:
-        """(n,) a group: along the path it goes to 0 or to infinity."""
-        return self.difference.length() / each(np.maximum, self.margin, TINY)
+    def slip_over_margin(self) -> np.ndarray:
+        """(n,): along the path it goes to 0 or to infinity."""
+        return length(self.difference) / np.maximum(self.margin, TINY)
 
     @property
-    def whole_dual(self) -> Arrays:
-        """Minus the force of every contact, (d, n) a group, with its viscous part."""
+    def whole_dual(self) -> np.ndarray:
+        """Minus the force of every contact, (d, n), with its viscous part."""
         return self.dual if self.viscosity is None else self.dual - self.viscosity * self.difference
 
     def to_balance(self, spins: np.ndarray) -> np.ndarray | float:
@@ -103,14 +111,14 @@ class Iterate:
     @property
     def power(self) -> float:
         """Friction times slip, summed over the contacts."""
-        return power(self.friction, self.difference)
+        return float(self.friction @ length(self.difference))
 
     @property
     def cost(self) -> float:
         """What is minimised, apart from inertia: the power, and half that of the viscous forces."""
         if self.viscosity is None:
             return self.power
-        return self.power + (self.viscosity * self.difference**2).sum() / 2
+        return self.power + float((self.viscosity * self.difference**2).sum()) / 2
 
     @property
     def price_of_torques(self) -> float:
@@ -124,7 +132,7 @@ class Iterate:
         With viscosity the dual cost of a force f is max(|f| - friction, 0)^2 / (2 viscosity), which is never more than
         that of the present slip, viscosity * slip^2 / 2: that is what is counted here.
         """
-        return (self.friction * self.difference.length() + each(inner, self.difference, self.dual)).sum()
+        return float((self.friction * length(self.difference) + inner(self.difference, self.dual)).sum())
 
     @property
     def gap(self) -> float:

@@ -13,8 +13,8 @@ from dataclasses import replace
 import numpy as np
 
 from taichi_bearings.conic.central_path import newton_step
+from taichi_bearings.conic.cones import length
 from taichi_bearings.conic.contraction import Contraction
-from taichi_bearings.conic.grouped import Arrays, each
 from taichi_bearings.conic.iterate import Iterate
 from taichi_bearings.conic.newton_matrix import MOST_NEWTON_STEPS, NewtonMatrix
 from taichi_bearings.numerics.double_double import Pair, exactly
@@ -35,14 +35,14 @@ EPS = np.finfo(np.float64).eps
 class LastDecades:
     """A point of the path, its spins the small parts of sums of two doubles."""
 
-    def __init__(self, iterate: Iterate, spins: Pair, difference: Arrays, matrix: NewtonMatrix) -> None:
+    def __init__(self, iterate: Iterate, spins: Pair, difference: np.ndarray, matrix: NewtonMatrix) -> None:
         """Begin at the point `iterate`, which is not changed, with these spins and differences more precise than its
         own. matrix : of its system."""
         self._large, self._matrix = spins[0], matrix
-        bound = iterate.bound - iterate.difference.length() + difference.length()
+        bound = iterate.bound - length(iterate.difference) + length(difference)
         self.point = replace(iterate, spins=spins[1], bound=bound, difference=difference)
-        self.sticking = self.critical = each(np.zeros_like, iterate.friction, bool)
-        self._ratios, self._product = each(np.zeros_like, iterate.friction), np.inf
+        self.sticking = self.critical = np.zeros(len(iterate.friction), dtype=bool)
+        self._ratios, self._product = np.zeros(len(iterate.friction)), np.inf
 
     @classmethod
     def after(cls, iterate: Iterate, before: Iterate | None, matrix: NewtonMatrix) -> "LastDecades":
@@ -56,7 +56,7 @@ class LastDecades:
         """The same point of what is left of its system."""
         spins, point = tied.contracted(self.spins), self.point
         friction, bound, difference, dual = (
-            values[tied.kept] for values in (point.friction, point.bound, point.difference, point.dual)
+            values[..., tied.kept] for values in (point.friction, point.bound, point.difference, point.dual)
         )
         smooth = None if point.smooth is None else point.smooth[tied.kept]
         left = Iterate(tied.system, spins[1], friction, bound, difference, dual, smooth)
@@ -67,24 +67,24 @@ class LastDecades:
     def spins(self) -> Pair:
         return self._large, self.point.spins
 
-    def decide(self, doubtful: int = 0, to_the_end: bool = False) -> Arrays | None:
+    def decide(self, doubtful: int = 0, to_the_end: bool = False) -> np.ndarray | None:
         """Go on until either slip or margin falls with the product everywhere, but for so many contacts, or until
-        double precision ends; `to_the_end` anyhow: masks (n,) a group, the contacts that slip, or come to slip; None if
+        double precision ends; `to_the_end` anyhow: mask (n,), the contacts that slip, or come to slip; None if
         that fails.
 
-        Contacts that surely stick then are the `sticking` ones, (n,) masks a group; where the path ends, contacts whose
+        Contacts that surely stick then are the `sticking` ones, (n,) mask; where the path ends, contacts whose
         slip and margin both vanish, like the root of the product, are the `critical` ones, and do not slip. The next
         time it goes on from there by at least one step.
         """
-        before, last, stalled, fell = self._ratios, self._product, 0, each(np.ones_like, self.point.friction, bool)
-        late: tuple[Arrays, float] | None = None  # ratios and product where contacts at their limit begin to tell
+        before, last, stalled, fell = self._ratios, self._product, 0, np.ones(len(self.point.friction), dtype=bool)
+        late: tuple[np.ndarray, float] | None = None  # ratios and product where contacts at their limit begin to tell
         for _ in range(MOST_NEWTON_STEPS):
             ratios, product = self.point.slip_over_margin, self.point.complementarity
             if not product > 0:  # it underflows where coefficients differ by thirty decades
                 return None
             stalled = stalled + 1 if product > STALLED_SHARE * last else 0
-            power = each(np.log, ratios / before) / abs(np.log(product / last))
-            decided = (each(np.abs, power) > DECIDED_EXPONENT) | (ratios > SLIPPING_RATIO)
+            power = np.log(ratios / before) / abs(np.log(product / last))
+            decided = (np.abs(power) > DECIDED_EXPONENT) | (ratios > SLIPPING_RATIO)
             enough = product < LEAST_PRODUCT or (not to_the_end and (~decided).sum() <= doubtful)
             ended = enough and self.point.unbalanced < JUDGED_TORQUE
             if ended or stalled == MOST_STALLED_STEPS:
@@ -94,23 +94,23 @@ class LastDecades:
                     & (ratios < STICKING_RATIO)
                     & (self.point.margin > STICKING_MARGIN)
                 )
-                self._ratios, self._product = each(np.zeros_like, before), np.inf
+                self._ratios, self._product = np.zeros_like(before), np.inf
                 if product >= LEAST_PRODUCT or late is None:
                     return (ratios > 1) | (ratios > before)
                 fall = abs(np.log(product / late[1]))  # of the product, with which steady ratios have not changed
-                steady = each(np.abs, each(np.log, ratios / late[0])) < DECIDED_EXPONENT * fall
+                steady = np.abs(np.log(ratios / late[0])) < DECIDED_EXPONENT * fall
                 self.critical = ~self._smooth & steady & (self.point.margin < LEAST_MARGIN_AT_LIMIT)
                 return (ratios > 1) & ~self.critical
             if late is None and product < VANISHING_PRODUCT:
                 late = ratios, product
             # beyond this slip the distance from the cone is lost in rounding; never near the slips in doubt
-            far = self.point.difference.length() > max(product / (1000 * EPS), 100 * np.sqrt(product))
+            far = length(self.point.difference) > max(product / (1000 * EPS), 100 * np.sqrt(product))
             slips = far & ((power > DECIDED_EXPONENT) | self._smooth)
             self.point = newton_step(self.point.let_slip(slips), self._matrix)
             before, last, fell = ratios, product, ~(power > -DECIDED_EXPONENT)
         return None
 
     @property
-    def _smooth(self) -> Arrays:
-        none = each(np.zeros_like, self.point.friction, bool)
+    def _smooth(self) -> np.ndarray:
+        none = np.zeros(len(self.point.friction), dtype=bool)
         return none if self.point.smooth is None else self.point.smooth

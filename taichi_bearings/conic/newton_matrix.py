@@ -7,7 +7,6 @@ import numpy as np
 from scipy import sparse
 
 from taichi_bearings.conic.contact_system import ContactSystem, lattice_system, stacked
-from taichi_bearings.conic.grouped import Arrays, each
 from taichi_bearings.conic.rows import ContactRows
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.numerics.cholesky import Cholesky, Engine, Factor, Memory, NotPositiveDefinite, dissect
@@ -55,7 +54,7 @@ class NewtonMatrix:
             self._choleskys.append(cholesky)
             self._entries.append(slice(end, end + cholesky.pattern.entries))
             end += cholesky.pattern.entries
-        columns = sum((len(g.offset) + 1) * g.offset.size // 2 for g in system.groups)
+        columns = (len(system.offset) + 1) * system.offset.size // 2
         self._map = sparse.csr_matrix((sign, (places, source)), shape=(end, columns))  # from `stacked` stiffnesses
         self._kept = dict[int, ContactRows]()
 
@@ -64,15 +63,15 @@ class NewtonMatrix:
         _compile(self._choleskys[0].engine, samples)
         _compile(Engine.LAUNCH, 1)
 
-    def factorise(self, stiffness: Arrays, inertia: float | np.ndarray = 0.0) -> None:
+    def factorise(self, stiffness: np.ndarray, inertia: float | np.ndarray = 0.0) -> None:
         """As :meth:`factorise_each`, of all samples. Raises NotPositiveDefinite if one of them is singular."""
         if not self.factorise_each(stiffness, None, inertia).all():
             raise NotPositiveDefinite
 
     def factorise_each(
-        self, stiffness: Arrays, wanted: np.ndarray | None = None, inertia: float | np.ndarray = 0.0
+        self, stiffness: np.ndarray, wanted: np.ndarray | None = None, inertia: float | np.ndarray = 0.0
     ) -> np.ndarray:
-        """Factorise for symmetric positive stiffnesses, (d, d, n) a group, or (d, d, n, S) of alike samples, and a
+        """Factorise for symmetric positive stiffnesses, (d, d, n), or (d, d, n, S) of alike samples, and a
         spring at every spin, (unknowns,) or (unknowns, S).
 
         True (S,) for `wanted` samples, all if None, where that succeeds, if need be with a raised diagonal.
@@ -106,10 +105,9 @@ class NewtonMatrix:
     def rows(self, samples: int = 1) -> ContactRows:
         """Memory for Newton steps of a single sample or of LANES; right-hand sides and solutions go to its spins."""
         if samples not in self._kept:
-            cholesky, groups = self._choleskys[0], self._system.groups
-            operators, components = [group.operator for group in groups], [len(group.offset) for group in groups]
+            cholesky = self._choleskys[0]
             solution, place = cholesky.factor(samples).solution, cholesky.pattern.place
-            self._kept[samples] = ContactRows(operators, components, solution, place, self._map)
+            self._kept[samples] = ContactRows(self._system, solution, place, self._map)
         return self._kept[samples]
 
     def factorise_rows(
@@ -134,8 +132,8 @@ class NewtonMatrix:
         for cholesky in self._choleskys:
             cholesky.forget()
 
-    def balanced(self, dual: Arrays, stiffness: Arrays, load: np.ndarray | float = 0.0) -> Arrays:
-        """The dual (d, n) a group with its torques taken away by springs of these stiffnesses (d, d, n), refined.
+    def balanced(self, dual: np.ndarray, stiffness: np.ndarray, load: np.ndarray | float = 0.0) -> np.ndarray:
+        """The dual (d, n) with its torques taken away by springs of these stiffnesses (d, d, n), refined.
 
         load : torques (unknowns,) that are to stay. Raises NotPositiveDefinite if the springs do not hold every spin.
         """
@@ -179,6 +177,6 @@ def _compile(engine: Engine, samples: int) -> None:
     matrix.solve_rows(rows)
 
 
-def resisted(stiffness: Arrays, change: Arrays) -> Arrays:
-    """Forces (d, n) a group that stiffnesses (d, d, n) put up against a change (d, n) of the differences."""
-    return each(lambda k, dz: np.einsum("ijn,jn->in", k, dz), stiffness, change)
+def resisted(stiffness: np.ndarray, change: np.ndarray) -> np.ndarray:
+    """Forces (d, n) that stiffnesses (d, d, n) put up against a change (d, n) of the differences."""
+    return np.einsum("ijn,jn->in", stiffness, change)

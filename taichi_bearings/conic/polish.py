@@ -9,9 +9,8 @@ in balance to some 1e-30 of the friction.
 import numpy as np
 
 from taichi_bearings.conic.central_path import friction_stiffness
-from taichi_bearings.conic.contact_system import ContactGroup
+from taichi_bearings.conic.cones import length
 from taichi_bearings.conic.contraction import Contraction
-from taichi_bearings.conic.grouped import Arrays, Grouped, each
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.numerics.double_double import Pair, add, divide, exactly, multiply, square, square_root, subtract
 
@@ -21,18 +20,16 @@ FREE_STIFFNESS = 1e-20  # stiffness along a slip, of that across it: for motions
 MOST_SLIP_CHANGE = 0.5  # largest such change that is allowed
 SUM_BITS = 20  # bits that 2^20 numbers of one size may need in a sum without rounding
 
-Places = tuple[np.ndarray, ...]
-
 
 def polished(
     tied: Contraction,
     matrix: NewtonMatrix,
-    friction: Arrays,
+    friction: np.ndarray,
     spins: Pair,
     top: Pair | None,
     chosen: np.ndarray,
-) -> tuple[Pair, Arrays, Arrays, np.ndarray]:
-    """Spins of the whole system, slips and duals (d, n) a group near the given ones, all torques in balance; and the
+) -> tuple[Pair, np.ndarray, np.ndarray, np.ndarray]:
+    """Spins of the whole system, slips and duals (d, n) near the given ones, all torques in balance; and the
     samples (samples,), of those chosen, in which no slip is lost.
 
     matrix, friction (n,), spins : of the contracted system. top : imposed on the top above each unknown of a sample;
@@ -41,11 +38,11 @@ def polished(
     system = _PreciseSystem(tied, top)
     balanced, fine = _balanced(system, matrix, friction, spins, chosen)
     slips = system.differences(balanced)
-    return system.expanded(balanced), _high(slips), -_high(each(_along, friction, slips)), fine
+    return system.expanded(balanced), slips[0], -_along(friction, slips)[0], fine
 
 
 def _balanced(
-    system: "_PreciseSystem", matrix: NewtonMatrix, friction: Arrays, unknown: Pair, going: np.ndarray
+    system: "_PreciseSystem", matrix: NewtonMatrix, friction: np.ndarray, unknown: Pair, going: np.ndarray
 ) -> tuple[Pair, np.ndarray]:
     """Newton's method until the torques do not fall any more, and where that leads anywhere; (samples,).
 
@@ -55,9 +52,8 @@ def _balanced(
     best, fine, least, factorised = unknown, np.zeros_like(going), np.full(len(going), np.inf), np.zeros_like(going)
     for _ in range(MOST_POLISHING_STEPS):
         precise = system.differences(unknown)
-        difference = _high(precise)
-        slip = difference.length()
-        torques = system.torques(each(_along, friction, precise))
+        slip = length(precise[0])
+        torques = system.torques(_along(friction, precise))
         size = owners.largest_of_spins(np.abs(torques))
         going = going & (size < least) & ~owners.any(slip == 0)
         best, fine = _chosen(going[owners.spins], unknown, best), fine | going
@@ -66,10 +62,10 @@ def _balanced(
             break
         least, anew, before = np.where(going, size, least), going & ~factorised, going
         if anew.any():
-            stiffness = each(friction_stiffness, friction, difference, FREE_STIFFNESS)
+            stiffness = friction_stiffness(friction, precise[0], FREE_STIFFNESS)
             going = going & (matrix.factorise_each(stiffness, anew) | ~anew)
         step = matrix.solve(-torques, going)
-        change = owners.largest(system.contracted.change(step).length() / slip)
+        change = owners.largest(length(system.contracted.change(step)) / slip)
         going = going & (change <= MOST_SLIP_CHANGE)
         fine, factorised = fine & (going | ~before), change < MATRIX_CHANGE
         unknown = _chosen(going[owners.spins], add(unknown, exactly(step)), unknown)
@@ -79,51 +75,48 @@ def _balanced(
 class _PreciseSystem:
     """Differences and torques of a contracted system, in twice the precision.
 
-    imposed : a group each, the places in (d, n) where imposed spins add anything to the differences, and what: -1
-    or 1 times the jump, where that is no double.
+    imposed : the places in (d, n) where imposed spins add anything to the differences, and what: -1 or 1 times the
+    jump, where that is no double.
     """
 
     def __init__(self, tied: Contraction, top: Pair | None) -> None:
         self.contracted, self.owners, self._tied = tied.system, tied.owners, tied
         self.top = top and (np.resize(top[0], len(tied.number)), np.resize(top[1], len(tied.number)))
-        self.imposed = Grouped(map(self._imposed, tied.whole.groups, tied.system.groups, tied.kept))
+        self.imposed = self._imposed()
 
-    def _imposed(self, before: ContactGroup, group: ContactGroup, kept: np.ndarray) -> tuple[Places, Pair]:
-        places = np.nonzero(group.offset)
+    def _imposed(self) -> tuple[tuple[np.ndarray, ...], Pair]:
+        offset = self.contracted.offset
+        places = np.nonzero(offset)
         if self.top is None:
-            return places, exactly(group.offset[places])
-        spin = np.maximum(before.below, before.above)[:, kept][places]
-        times = _multiples(group.offset[places], self.top[0][spin])
+            return places, exactly(offset[places])
+        spin = self._tied.whole.ends.max(axis=0)[:, self._tied.kept][places]
+        times = _multiples(offset[places], self.top[0][spin])
         return places, (times * self.top[0][spin], times * self.top[1][spin])
 
-    def differences(self, unknown: Pair) -> Grouped[Pair]:
-        """Across each contact, (d, n) a group."""
+    def differences(self, unknown: Pair) -> Pair:
+        """Across each contact, (d, n)."""
+        (below, above), (places, more) = self.contracted.ends, self.imposed
         high, low = (np.append(part, 0.0) for part in unknown)
+        found = subtract((high[above], low[above]), (high[below], low[below]))
+        driven = add((found[0][places], found[1][places]), more)
+        for whole, part in zip(found, driven, strict=True):
+            whole[places] = part
+        return found
 
-        def difference(group: ContactGroup, imposed: tuple[Places, Pair]) -> Pair:
-            above, below = (high[group.above], low[group.above]), (high[group.below], low[group.below])
-            found, (places, more) = subtract(above, below), imposed
-            driven = add((found[0][places], found[1][places]), more)
-            for whole, part in zip(found, driven, strict=True):
-                whole[places] = part
-            return found
-
-        return each(difference, Grouped(self.contracted.groups), self.imposed)
-
-    def torques(self, pulls: Grouped[Pair]) -> np.ndarray:
-        """Sums (unknowns,) of the pulls (d, n) a group on the spins, rounded only once they have cancelled.
+    def torques(self, pulls: Pair) -> np.ndarray:
+        """Sums (unknowns,) of the pulls (d, n) on the spins, rounded only once they have cancelled.
 
         The leading bits of all numbers, multiples of one unit, are summed without any rounding, then those that follow.
         """
-        total, rest = np.zeros(self.contracted.unknowns), _high(pulls)
-        largest = self.owners.largest(abs(rest))
+        total, rest = np.zeros(self.contracted.unknowns), pulls[0]
+        largest = self.owners.largest(np.abs(rest))
         for _ in range(2):
-            grain = self.owners.at_contacts(np.ldexp(1.5, np.frexp(largest)[1] + SUM_BITS))
+            grain = np.ldexp(1.5, np.frexp(largest)[1] + SUM_BITS)[self.owners.contacts]
             leading = (rest + grain) - grain
             total = total + self.contracted.torques(leading)
             rest = rest - leading
             largest = largest * 2.0 ** (SUM_BITS - 52)
-        return total + self.contracted.torques(rest + each(lambda pair: pair[1], pulls))
+        return total + self.contracted.torques(rest + pulls[1])
 
     def expanded(self, unknown: Pair) -> Pair:
         """Spins of the whole system: equal within each tied set, and just those imposed where it is tied to a plane."""
@@ -134,21 +127,22 @@ class _PreciseSystem:
         return high + times * self.top[0], low + times * self.top[1]
 
 
-def _high(pairs: Grouped[Pair]) -> Arrays:
-    return each(lambda pair: pair[0], pairs)
-
-
 def _multiples(values: np.ndarray, jump: np.ndarray) -> np.ndarray:
     return np.rint(np.divide(values, jump, out=np.zeros_like(values), where=jump != 0))
 
 
 def _along(friction: np.ndarray, difference: Pair) -> Pair:
-    """Friction along the slip, (d, n)."""
-    if len(difference[0]) == 1:
-        return exactly(friction * np.sign(difference[0]))
-    high, low = square(difference)
-    size = square_root(add((high[0], low[0]), (high[1], low[1])))
-    return multiply(divide(exactly(friction), size), difference)
+    """Friction along the slip, (d, n): exactly where that has one component."""
+    found = exactly(friction * np.sign(difference[0]))
+    both = np.flatnonzero((difference[0] != 0).all(axis=0))
+    if len(difference[0]) == 2:
+        slip = difference[0][:, both], difference[1][:, both]
+        high, low = square(slip)
+        size = square_root(add((high[0], low[0]), (high[1], low[1])))
+        oblique = multiply(divide(exactly(friction[both]), size), slip)
+        for whole, part in zip(found, oblique, strict=True):
+            whole[:, both] = part
+    return found
 
 
 def _chosen(mask: np.ndarray, one: Pair, other: Pair) -> Pair:

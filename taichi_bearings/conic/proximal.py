@@ -16,8 +16,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from taichi_bearings.conic.central_path import balance, flowing, newton_step
+from taichi_bearings.conic.cones import length
 from taichi_bearings.conic.contact_system import free_spins, lattice_system, place_free_spins
-from taichi_bearings.conic.grouped import Arrays
 from taichi_bearings.conic.iterate import LEAST_GAP, Inertia, Iterate
 from taichi_bearings.conic.newton_matrix import MOST_NEWTON_STEPS, NewtonMatrix
 from taichi_bearings.conic.rows import compile_passes
@@ -51,12 +51,12 @@ class Step:
 
 @dataclass
 class _Answer:
-    """A step of one sample in its own units: spins (unknowns,), a group dual (d, n), slip and what slips (n,)."""
+    """A step of one sample in its own units: spins (unknowns,), dual (d, n), slip and what slips (n,)."""
 
     spins: np.ndarray
-    dual: Arrays
-    slip: Arrays
-    slips: Arrays
+    dual: np.ndarray
+    slip: np.ndarray
+    slips: np.ndarray
     newton_steps: int = 0
     solved: bool = True
 
@@ -72,14 +72,14 @@ class ProximalSteps:
         self._system = lattice_system(scene.lattice, spin_axes, scene.top_spin(spin_axes) / unit)
         self._matrix = NewtonMatrix(self._system, dissect(scene.lattice, spin_axes))
         compile_passes()
-        acting = [self._system.gather(scene.positive_coefficient, replica) for replica in range(scene.replicas)]
-        mean = np.array([np.concatenate([*coefficient]).mean() for coefficient in acting])
-        self._coefficient = [coefficient / unit for coefficient, unit in zip(acting, mean, strict=True)]
+        acting = scene.positive_coefficient[:, self._system.contact]
+        mean = acting.mean(axis=1)
+        self._coefficient = acting / mean[:, None]
         flow = scene.lattice.radius * unit
         self._force_unit = scene.strength * (1.0 if scene.law.holds else flow) * mean
         viscosities = scene.viscosity_beside_friction
-        self._viscosity: list[Arrays | None] = [
-            None if viscosities is None else flow / own * self._system.gather(viscosities, replica)
+        self._viscosity: list[np.ndarray | None] = [
+            None if viscosities is None else flow / own * viscosities[replica, self._system.contact]
             for replica, own in enumerate(self._force_unit)
         ]
         self._slowness = inertia * unit / (scene.lattice.radius * self._force_unit)
@@ -97,12 +97,12 @@ class ProximalSteps:
             else:  # damping alone
                 spins = flowing(self._system, coefficient, self._matrix, before, inertia)
                 difference = self._system.differences(spins)
-                slip = difference.length()
+                slip = length(difference)
                 answer = _Answer(spins, -coefficient * difference, slip, slip > 0, 1)
             self._put_spins(after, replica, answer.spins)
             self._system.scatter_vectors(-answer.dual * self._force_unit[replica], force, replica)
             slipping[replica] = int(answer.slips.sum())
-            creep = max(creep, self.unit * answer.slip[~answer.slips].max())
+            creep = max(creep, self.unit * answer.slip[~answer.slips].max(initial=0.0))
             newton_steps += answer.newton_steps
             solved &= answer.solved
         return Step(after, force, slipping, creep, newton_steps, solved)
@@ -117,13 +117,13 @@ class ProximalSteps:
             new = staggered[slot, replica, ..., 1:-1]
             new -= (new - before[slot]).mean(axis=(0, 1))
 
-    def _rubbed(self, friction: Arrays, viscosity: Arrays | None, inertia: Inertia) -> _Answer:
+    def _rubbed(self, friction: np.ndarray, viscosity: np.ndarray | None, inertia: Inertia) -> _Answer:
         """A step with friction: Newton steps from bounds well above the slips and no forces of friction."""
         spins, difference = inertia.origin, self._system.differences(inertia.origin)
-        slip = difference.length()
+        slip = length(difference)
         if not slip.any():
             return _Answer(spins, difference, slip, slip > 0)
-        slack = float(np.sqrt(np.mean(np.concatenate([*slip]) ** 2)))
+        slack = float(np.sqrt(np.mean(slip**2)))
         if viscosity is not None:
             spins = flowing(self._system, viscosity, self._matrix, spins, inertia)
         iterate = replace(Iterate.start(self._system, spins, friction, slack, viscosity), inertia=inertia)
@@ -143,8 +143,8 @@ class ProximalSteps:
             except NotPositiveDefinite:
                 pass
         solved = _excess(best, ACCEPTED_EXCESS, ACCEPTED_GAP) <= 1.0
-        slip, margin = best.difference.length(), 1 - best.dual.length() / friction
-        return _Answer(best.spins, best.whole_dual, slip, slip > margin, steps, solved)
+        slip = length(best.difference)
+        return _Answer(best.spins, best.whole_dual, slip, slip > best.margin, steps, solved)
 
 
 def _excess(iterate: Iterate, sharp: float = SOLVED_EXCESS, closest: float = LEAST_GAP) -> float:

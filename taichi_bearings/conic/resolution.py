@@ -20,9 +20,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from taichi_bearings.conic.central_path import LEAST_WORK, friction_stiffness
-from taichi_bearings.conic.contact_system import ContactGroup, ContactSystem
+from taichi_bearings.conic.cones import inner, length
+from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.conic.contraction import Contraction
-from taichi_bearings.conic.grouped import Arrays, Grouped, apart, each, inner, power, together, where
 from taichi_bearings.conic.iterate import Iterate
 from taichi_bearings.conic.last_decades import LastDecades
 from taichi_bearings.conic.newton_matrix import MOST_NEWTON_STEPS, NewtonMatrix
@@ -50,9 +50,8 @@ TINY = np.finfo(np.float64).tiny
 
 @dataclass(frozen=True)
 class Resolved:
-    """spins (unknowns,); a group each: difference and dual (d, n), minus the forces, slipping (n,), critical (n,),
-    contacts that bear all their friction and yet do not slip, and tied (n,), those that slip at some minima and rest at
-    others.
+    """spins (unknowns,), difference and dual (d, n), minus the forces; masks (n,): slipping, critical, contacts that
+    bear all their friction and yet do not slip, and tied, those that slip at some minima and rest at others.
 
     heads : (unknowns,) mask of a spin each of all that turns as one and is tied to no driven plane.
 
@@ -61,28 +60,28 @@ class Resolved:
     """
 
     spins: np.ndarray
-    difference: Arrays
-    dual: Arrays
-    slipping: Arrays
-    critical: Arrays
+    difference: np.ndarray
+    dual: np.ndarray
+    slipping: np.ndarray
+    critical: np.ndarray
     heads: np.ndarray
     rest: np.ndarray | None = None
     borne: bool = False
-    tied: Arrays | None = None
+    tied: np.ndarray | None = None
 
     @property
-    def ties(self) -> Arrays:
-        """Masks (n,) a group, contacts that are known to be tied."""
-        return each(np.zeros_like, self.critical) if self.tied is None else self.tied
+    def ties(self) -> np.ndarray:
+        """Mask (n,), contacts that are known to be tied."""
+        return np.zeros_like(self.critical) if self.tied is None else self.tied
 
     @property
     def sure(self) -> bool:
         """Can the states be proven? Slips at the level of rounding may be none, which is told from closer by."""
         faintest = LEAST_SLIP_IN_DOUBLES if self.rest is None else LEAST_SLIP_IN_PAIRS
-        return self.borne and min(z.min(initial=np.inf) for z in self.difference.length()[self.slipping]) > faintest
+        return self.borne and length(self.difference)[self.slipping].min(initial=np.inf) > faintest
 
     @property
-    def whole_dual(self) -> Arrays:
+    def whole_dual(self) -> np.ndarray:
         """Minus the force of every contact: that of friction alone, for nothing else is resolved."""
         return self.dual
 
@@ -128,7 +127,8 @@ def resolve(
 
 def _least(iterate: Iterate, settled: Resolved, lattice: Surroundings) -> Resolved | None:
     """The same, with what is known of other minima; None if the power is not that of the path."""
-    if not -POWER_ABOVE < power(iterate.friction, settled.difference) / iterate.power - 1 < POWER_BELOW:
+    power = float(iterate.friction @ length(settled.difference))
+    if not -POWER_ABOVE < power / iterate.power - 1 < POWER_BELOW:
         return None
     if not settled.sure:
         return settled
@@ -136,9 +136,9 @@ def _least(iterate: Iterate, settled: Resolved, lattice: Surroundings) -> Resolv
     return replace(settled, tied=tied_contacts(lattice.system, lattice.order, iterate.friction, *of_minimum))
 
 
-def _sticking(iterate: Iterate, before: Iterate) -> Arrays:
-    """Masks (n,) a group, contacts that seem to stick: along the path their slips vanish, their margins do not."""
-    slip, slip_before = iterate.difference.length(), before.difference.length()
+def _sticking(iterate: Iterate, before: Iterate) -> np.ndarray:
+    """Mask (n,), contacts that seem to stick: along the path their slips vanish, their margins do not."""
+    slip, slip_before = length(iterate.difference), length(before.difference)
     apart = iterate.margin > DECIDED_RATIO * slip
     return apart & (slip < STICKING_TREND * slip_before) & (iterate.margin > STICKING_TREND * before.margin)
 
@@ -149,7 +149,7 @@ def _followed(iterate: Iterate, before: Iterate | None, lattice: Surroundings) -
     path, settled = LastDecades.after(iterate, before, lattice.matrix), None
     if path.decide(int(min(max(DOUBTFUL_SHARE * iterate.in_cones, LEAST_DOUBTFUL), MOST_DOUBTFUL))) is None:
         return None
-    sticking, none = path.sticking, each(np.zeros_like, path.sticking)
+    sticking, none = path.sticking, np.zeros_like(path.sticking)
     for tied, to_the_end in ((sticking, False), (sticking, True), (none, False)):
         if to_the_end and settled is None:
             continue
@@ -162,17 +162,17 @@ def _followed(iterate: Iterate, before: Iterate | None, lattice: Surroundings) -
 
 
 def _over_tied(
-    iterate: Iterate, path: LastDecades, sticking: Arrays, lattice: Surroundings, to_the_end: bool
+    iterate: Iterate, path: LastDecades, sticking: np.ndarray, lattice: Surroundings, to_the_end: bool
 ) -> Resolved | None:
-    """The minimum, with balanced forces, where the path goes on with these contacts, (n,) masks a group, tied; None
+    """The minimum, with balanced forces, where the path goes on with these contacts, (n,) mask, tied; None
     where it is none."""
-    none, tied = each(np.zeros_like, sticking), Contraction(lattice.system, lattice.order, sticking)
+    tied = Contraction(lattice.system, lattice.order, sticking)
     rest = path.over(tied)
     left = None if tied.contradicts.any() else rest.decide(to_the_end=to_the_end)
     if left is None:
         return None
-    slipping, critical = none.placed(tied.kept, left), none.placed(tied.kept, rest.critical)
-    dual = path.point.dual.placed(tied.kept, rest.point.dual)
+    slipping, critical, dual = np.zeros_like(sticking), np.zeros_like(sticking), path.point.dual.copy()
+    slipping[tied.kept], critical[tied.kept], dual[:, tied.kept] = left, rest.critical, rest.point.dual
     (found,) = _minima([iterate], [tied.expanded(rest.spins)], [slipping], lattice)
     if found is not None and critical.any():  # as are those that Newton's method has brought to rest
         found = replace(found, critical=(critical | slipping) & ~found.slipping)
@@ -180,28 +180,28 @@ def _over_tied(
 
 
 def _borne(
-    iterates: Sequence[Iterate], minima: Sequence[Resolved | None], near: Sequence[Arrays], lattice: Surroundings
+    iterates: Sequence[Iterate], minima: Sequence[Resolved | None], near: Sequence[np.ndarray], lattice: Surroundings
 ) -> list[Resolved | None]:
     """The same with forces of the slipless contacts, where they can have nearly those of which `near` is the dual."""
     settled: list[Resolved | None] = [None] * len(minima)
     some = [(number, found) for number, found in enumerate(minima) if found is not None]
     if some:
-        slipping = together([found.slipping for _, found in some])
-        known = together([found.dual for _, found in some])
-        dual = where(slipping, known, together([near[number] for number, _ in some]))
-        friction = together([iterates[number].friction for number, _ in some])
+        slipping, critical = (
+            np.concatenate([getattr(found, of) for _, found in some]) for of in ("slipping", "critical")
+        )
+        dual = np.concatenate([np.where(found.slipping, found.dual, near[n]) for n, found in some], axis=1)
+        friction = np.concatenate([iterates[number].friction for number, _ in some])
         heads = [found.heads for _, found in some]
-        critical = together([found.critical for _, found in some])
         duals, fine = nearly_borne(lattice.system, lattice.matrix, friction, dual, slipping, critical, heads)
-        for (number, found), whole, inside in zip(some, apart(duals, len(some)), fine, strict=True):
+        for (number, found), whole, inside in zip(some, np.split(duals, len(some), axis=1), fine, strict=True):
             settled[number] = replace(found, dual=whole, borne=True) if inside else None
     return settled
 
 
 def _minima(
-    iterates: Sequence[Iterate], spins: Sequence[Pair], given: Sequence[Arrays | None], lattice: Surroundings
+    iterates: Sequence[Iterate], spins: Sequence[Pair], given: Sequence[np.ndarray | None], lattice: Surroundings
 ) -> list[Resolved | None]:
-    """The least power of each sample if just the contacts given, (n,) masks a group, slip, or those of them that do not
+    """The least power of each sample if just the contacts given, (n,) masks, slip, or those of them that do not
     come to rest; None for a sample of which they are not known.
 
     spins : where to begin.
@@ -227,33 +227,34 @@ def _minima(
 
 
 class _Slipping:
-    """The power of some contacts of samples, (n,) masks a group, while all others are tied: a smooth function.
+    """The power of some contacts of samples, (n,) masks, while all others are tied: a smooth function.
 
     balanced : (samples,), those that have come to its minimum.
     """
 
-    def __init__(self, iterates: Sequence[Iterate], slipping: Sequence[Arrays], lattice: Surroundings) -> None:
+    def __init__(self, iterates: Sequence[Iterate], slipping: Sequence[np.ndarray], lattice: Surroundings) -> None:
         self.samples, whole = len(iterates), lattice.system.copies(len(iterates))
-        self.tied = Contraction(whole, lattice.order, together([~mask for mask in slipping]), self.samples)
-        self.slipping = self.everywhere(each(np.ones_like, self.tied.kept, bool))
+        self.tied = Contraction(whole, lattice.order, ~np.concatenate(slipping), self.samples)
+        self.slipping = self.everywhere(np.ones(len(self.tied.kept), dtype=bool))
         parts = [self.tied.span(sample) for sample in range(self.samples)]
         self.matrix = NewtonMatrix(self.tied.system, self.tied.order, lattice.matrix.memory, parts=parts)
-        self.friction = together([iterate.friction for iterate in iterates])[self.tied.kept]
+        self.friction = np.concatenate([iterate.friction for iterate in iterates])[self.tied.kept]
         self.balanced = np.zeros(self.samples, dtype=bool)
         self.spins: Pair
-        self.difference: Arrays
+        self.difference: np.ndarray
 
-    def descend(self, spins: Pair) -> Arrays:
+    def descend(self, spins: Pair) -> np.ndarray:
         """Newton's method from these spins of the whole systems until the torques are in balance. No slip may turn
         round.
 
-        Returns masks (n,) a group, contacts that come to rest and have to be tied: that did not slip after what was
+        Returns a mask (n,), contacts that come to rest and have to be tied: that did not slip after what was
         last tied, or that the next step would turn round. Their samples, and those where it fails, end unbalanced.
         """
         system, owners, self.spins = self.tied.system, self.tied.owners, self.tied.contracted(spins)
         self.difference = self.tied.differences(self.spins)
-        first = self.difference.length()
-        at_rest = (first == 0) & owners.at_contacts(~self.tied.contradicts)
+        of_contacts, of_spins = owners.contacts, owners.spins
+        first = length(self.difference)
+        at_rest = (first == 0) & ~self.tied.contradicts[of_contacts]
         going = ~self.tied.contradicts & ~owners.any(at_rest)
         for count in range(MOST_NEWTON_STEPS):
             torques = system.torques(self.dual)
@@ -262,25 +263,22 @@ class _Slipping:
             going = going & ~self.balanced
             if not going.any():
                 return at_rest
-            going = self.matrix.factorise_each(
-                each(friction_stiffness, self.friction, self.difference, LEAST_WORK), going
-            )
+            going = self.matrix.factorise_each(friction_stiffness(self.friction, self.difference, LEAST_WORK), going)
             step = self.matrix.solve(torques, going)
-            change, slip = system.change(step), self.difference.length()
-            turned = each(inner, self.difference + change, self.difference) <= 0
-            resting = turned & (slip < RESTING_SHARE * first) & owners.at_contacts(going)
+            change, slip = system.change(step), length(self.difference)
+            turned = inner(self.difference + change, self.difference) <= 0
+            resting = turned & (slip < RESTING_SHARE * first) & going[of_contacts]
             at_rest, going = at_rest | resting, going & ~owners.any(resting)
-            reach = owners.largest(change.length() / (where(turned, SLIP_STEP, TURNED_SLIP_STEP) * slip))
-            along = np.minimum(1.0, 1 / np.maximum(reach, TINY))
-            of_spins, (high, low) = owners.spins, self.spins
+            reach = owners.largest(length(change) / (np.where(turned, SLIP_STEP, TURNED_SLIP_STEP) * slip))
+            along, (high, low) = np.minimum(1.0, 1 / np.maximum(reach, TINY)), self.spins
             self.spins = high, np.where(going[of_spins], low + along[of_spins] * step, low)
-            there = self.difference + owners.at_contacts(along) * change
-            self.difference = where(owners.at_contacts(going), there, self.difference)
+            there = self.difference + along[of_contacts] * change
+            self.difference = np.where(going[of_contacts], there, self.difference)
         return at_rest
 
     @property
-    def dual(self) -> Arrays:
-        return -self.friction * self.difference / self.difference.length()
+    def dual(self) -> np.ndarray:
+        return -self.friction * self.difference / length(self.difference)
 
     def resolved(self, top: Pair | None) -> list[Resolved | None]:
         """The minima of samples that are balanced, in twice the precision where that can be had."""
@@ -298,18 +296,14 @@ class _Slipping:
         return [(precise if known else rough)[n] if balanced else None for n, (balanced, known) in enumerate(pairs)]
 
     def _each(
-        self, spins: np.ndarray, rests: Sequence[np.ndarray | None], difference: Arrays, dual: Arrays
+        self, spins: np.ndarray, rests: Sequence[np.ndarray | None], difference: np.ndarray, dual: np.ndarray
     ) -> list[Resolved]:
         of_samples = np.split(spins, self.samples), self.everywhere(difference), self.everywhere(dual)
-        critical = [each(np.zeros_like, mask) for mask in self.slipping]
+        critical = [np.zeros_like(mask) for mask in self.slipping]
         return list(map(Resolved, *of_samples, self.slipping, critical, np.split(self.tied.heads, self.samples), rests))
 
-    def everywhere(self, values: Arrays) -> list[Arrays]:
+    def everywhere(self, values: np.ndarray) -> list[np.ndarray]:
         """Values of slipping contacts with zeros for the others, sample by sample."""
-
-        def among(kept: np.ndarray, before: ContactGroup, new: np.ndarray) -> np.ndarray:
-            found = np.zeros((*new.shape[:-1], before.below.shape[1]), new.dtype)
-            found[..., kept] = new
-            return found
-
-        return apart(each(among, self.tied.kept, Grouped(self.tied.whole.groups), values), self.samples)
+        found = np.zeros((*values.shape[:-1], self.tied.whole.offset.shape[1]), values.dtype)
+        found[..., self.tied.kept] = values
+        return np.split(found, self.samples, axis=-1)

@@ -1,13 +1,13 @@
 """The numbers of all contacts as the kernels of a Newton step take them, of one sample or of several side by side."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import lru_cache
 from typing import TypeAlias
 
 import numpy as np
 from scipy import sparse
 
-from taichi_bearings.conic.grouped import Arrays, Grouped
+from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.kernels import central_path as kernels
 from taichi_bearings.launch import prepared
 from taichi_bearings.memory import aligned_zeros
@@ -30,26 +30,22 @@ class ContactRows:
 
     def __init__(
         self,
-        operators: Sequence[sparse.csr_matrix],
-        components: Sequence[int],
+        system: ContactSystem,
         spins: np.ndarray,
         place: np.ndarray | None = None,
         laplacian: sparse.csr_matrix | None = None,
     ) -> None:
-        """operators : (d*n, unknowns) of each group. components : d of each group, 1 or 2. S is 1 or 8.
-
-        spins : where they are to be. place : (unknowns,), that of each among them; the same if None.
-        laplacian : map from `stacked` stiffnesses to the entries of the Laplacian, for :meth:`add_stiffnesses`.
+        """spins : where they are to be, S is 1 or LANES. place : (unknowns,), that of each among them; the same if
+        None. laplacian : map from `stacked` stiffnesses to the entries of the Laplacian, for :meth:`add_stiffnesses`.
         """
-        self.samples, self._components, self.spins = spins.shape[1], components, spins
-        sizes = [operator.shape[0] // d for operator, d in zip(operators, components, strict=True)]
-        starts, contacts = [0] * len(sizes), 0
-        for d in (1, 2):
-            for group in (g for g, of_group in enumerate(components) if of_group == d):
-                starts[group], contacts = contacts, contacts + -(-sizes[group] // kernels.BLOCK) * kernels.BLOCK
-            if d == 1:
-                self._first_two = contacts * self.samples // kernels.BLOCK
-        self._spans = [slice(start, start + size) for start, size in zip(starts, sizes, strict=True)]
+        self.samples, self.spins, d = spins.shape[1], spins, len(system.offset)
+        two = system.felt.sum(axis=0) == 2
+        kinds = [np.flatnonzero(~two), np.flatnonzero(two)]
+        begins = np.cumsum([0, *(-(-len(own) // kernels.BLOCK) * kernels.BLOCK for own in kinds)])
+        self._at, contacts = np.empty(system.offset.shape[1], dtype=np.int64), int(begins[2])
+        for begin, own in zip(begins, kinds, strict=False):
+            self._at[own] = begin + np.arange(len(own))
+        self._first_two = int(begins[1]) * self.samples // kernels.BLOCK
         self._contacts, self._length = contacts, contacts * self.samples
         self._flat = aligned_zeros(kernels.ROWS * self._length, kernels.BLOCK)
         self.values = self._flat.reshape(kernels.ROWS, contacts, self.samples)
@@ -58,25 +54,19 @@ class ContactRows:
         self._numbers = np.zeros((MOST_CONSTANTS, kernels.BLOCK // self.samples, self.samples))
         found = aligned_zeros(kernels.FOUND * kernels.BLOCK * self.samples, kernels.BLOCK)
         self._found = found.reshape(kernels.FOUND, kernels.BLOCK, self.samples)
-        self.place = np.arange(operators[0].shape[1]) if place is None else place
-        of_all = sparse.vstack(operators).tocoo()
-        rows = self._places(components)
+        self.place = np.arange(system.unknowns) if place is None else place
+        of_all, rows = system.operator.tocoo(), self._places(d)
         ends = rows[of_all.row], self.place[of_all.col], of_all.data
         self._changes = _sums(*ends, (2 * contacts, len(spins)))
         self._torques = _sums(ends[1], ends[0], ends[2], (len(spins), 2 * contacts))
         if laplacian is not None:
-            terms, stiffness = laplacian.tocoo(), self._places([d * (d + 1) // 2 for d in components])
+            terms, stiffness = laplacian.tocoo(), self._places(d * (d + 1) // 2)
             self._stiffnesses = _sums(terms.row, stiffness[terms.col], terms.data, (terms.shape[0], 3 * contacts))
         self._starts: dict[tuple, Callable[[], None]] = {}
 
-    def _places(self, counts: Sequence[int]) -> np.ndarray:
-        """Where so many numbers of the contacts of each group are in rows one after the other, row by row."""
-        return np.concatenate(
-            [
-                (np.arange(span.start, span.stop) + self._contacts * np.arange(count)[:, None]).ravel()
-                for span, count in zip(self._spans, counts, strict=True)
-            ]
-        )
+    def _places(self, count: int) -> np.ndarray:
+        """Where so many numbers of each contact are in rows one after the other, row by row."""
+        return (self._at + self._contacts * np.arange(count)[:, None]).ravel()
 
     def run(self, kernel: Callable, slots: tuple[int, int] = (0, 0), *numbers: float | np.ndarray) -> np.ndarray:
         """Walk all contacts, for what is found, (found, S). slots : of the step that is read and that is written.
@@ -120,19 +110,17 @@ class ContactRows:
             self._starts[key] = prepared(kernel, *sums, values.reshape(shape), found.reshape(shape), first, to)
         self._starts[key]()
 
-    def put(self, row: int, sample: int, values: Arrays) -> None:
-        """Write numbers (n,) or vectors (d, n) a group from a row on."""
-        for span, new in zip(self._spans, values, strict=True):
-            self.values[row : row + (len(new) if new.ndim == 2 else 1), span, sample] = new
+    def put(self, row: int, sample: int, values: np.ndarray) -> None:
+        """Write numbers (n,) or vectors (d, n) from a row on."""
+        self.values[row : row + (len(values) if values.ndim == 2 else 1), self._at, sample] = values
 
-    def numbers(self, row: int, sample: int) -> Arrays:
-        """Numbers (n,) a group of a sample."""
-        return Grouped(self.values[row, span, sample].copy() for span in self._spans)
+    def numbers(self, row: int, sample: int) -> np.ndarray:
+        """Numbers (n,) of a sample."""
+        return self.values[row, self._at, sample]
 
-    def vectors(self, row: int, sample: int) -> Arrays:
-        """Vectors (d, n) a group of a sample, from a row on."""
-        groups = zip(self._components, self._spans, strict=True)
-        return Grouped(self.values[row : row + d, span, sample].copy() for d, span in groups)
+    def vectors(self, row: int, sample: int, count: int) -> np.ndarray:
+        """Vectors (count, n) of a sample, from a row on."""
+        return self.values[row : row + count, :, sample].take(self._at, axis=1)
 
     def two(self, row: int) -> np.ndarray:
         """Two rows from one on, one after the other, (2*contacts, S), as a view."""
@@ -142,8 +130,9 @@ class ContactRows:
 @lru_cache
 def compile_passes() -> None:
     """Compile the passes, on next to nothing: they are the same for all systems."""
-    operators = [sparse.csr_matrix(np.ones((1, 1))), sparse.csr_matrix(np.ones((2, 1)))]
-    rows = ContactRows(operators, [1, 2], np.zeros((1, 1)))
+    felt = np.array([[True, True], [False, True]])
+    slips = sparse.csr_array(np.array([[1.0], [1.0], [0.0], [1.0]]))
+    rows = ContactRows(ContactSystem(1, np.zeros((2, 2)), felt, slips=slips), np.zeros((1, 1)))
     for kernel in (kernels.prepare, kernels.expand, kernels.correct, kernels.recentre, kernels.take):
         rows.run(kernel)
     rows.torques(kernels.FORCE)

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from taichi_bearings.conic.cones import isotropic, length
 from taichi_bearings.conic.contact_system import ContactSystem
-from taichi_bearings.conic.grouped import Arrays, each, isotropic, one_by_one, side_by_side, where
 from taichi_bearings.conic.newton_matrix import REFINEMENTS, NewtonMatrix
 
 LEFT_TORQUE = 1e-10  # torque, of the mean friction, that may be left
@@ -27,43 +27,46 @@ ROUNDED_AT_LIMIT = 1e-11
 def nearly_borne(
     system: ContactSystem,
     matrix: NewtonMatrix,
-    friction: Arrays,
-    dual: Arrays,
-    slipping: Arrays,
-    critical: Arrays,
+    friction: np.ndarray,
+    dual: np.ndarray,
+    slipping: np.ndarray,
+    critical: np.ndarray,
     heads: Sequence[np.ndarray],
-) -> tuple[Arrays, np.ndarray]:
+) -> tuple[np.ndarray, np.ndarray]:
     """The dual of all contacts, the more of a slipless one changed the more room it has, so that it is in balance; and
     the samples (samples,) in which that is enough, as it is most often near the end of the central path.
 
     system, matrix : of a sample. heads : of each sample, mask (unknowns,) of one spin of each domain that is tied to no
-    driven plane. Of all samples together, a group each: friction (n,), dual (d, n), minus the forces, of slipless
+    driven plane. Of all samples, one after the other: friction (n,), dual (d, n), minus the forces, of slipless
     contacts nearly in balance and inside their friction discs, and masks (n,), the slipping contacts and the critical
     ones, which may bear all their friction.
     """
-    room = where(
-        slipping, 0.0, each(np.maximum, friction - dual.length(), where(critical, ROOM_AT_LIMIT * friction, 0.0))
-    )
-    side, springs = side_by_side(dual, len(heads)), side_by_side(room**2, len(heads))
-    at_limit = side_by_side(where(critical, friction, 0.0), len(heads)) if critical.any() else None
+    least = np.where(critical, ROOM_AT_LIMIT * friction, 0.0)
+    room = np.where(slipping, 0.0, np.maximum(friction - length(dual), least))
+    side, springs = _side_by_side(dual, len(heads)), _side_by_side(room**2, len(heads))
+    at_limit = _side_by_side(np.where(critical, friction, 0.0), len(heads)) if critical.any() else None
     still = np.stack(heads, axis=1).astype(float)  # a spring for each domain, that nothing stretches
     regular = matrix.factorise_each(isotropic(side, springs), inertia=still)
     for _ in range(REFINEMENTS if at_limit is None else 2 * REFINEMENTS):  # as in NewtonMatrix.balanced
         if at_limit is not None:  # forces as large as that
-            share = each(lambda y, limit: np.where(limit > 0, limit / np.sqrt((y**2).sum(axis=0)), 1.0), side, at_limit)
-            side = side * share
+            side = side * np.where(at_limit > 0, at_limit / np.sqrt((side**2).sum(axis=0)), 1.0)
         side = side - springs * system.change(matrix.solve(system.torques(side)))
-    whole = one_by_one(side)
-    within = ~critical | (whole.length() < (1 + ROUNDED_AT_LIMIT) * friction)  # no critical one bears more
-    inside = np.all([part.reshape(len(heads), -1).all(axis=1) for part in within], axis=0)
+    whole = np.swapaxes(side, -2, -1).reshape(len(side), -1)
+    within = ~critical | (length(whole) < (1 + ROUNDED_AT_LIMIT) * friction)  # no critical one bears more
+    inside = within.reshape(len(heads), -1).all(axis=1)
     return whole, regular & inside & _inside(friction, whole, slipping | critical, system.torques(side))
 
 
-def _inside(friction: Arrays, dual: Arrays, slipping: Arrays, torques: np.ndarray) -> np.ndarray:
+def _inside(friction: np.ndarray, dual: np.ndarray, slipping: np.ndarray, torques: np.ndarray) -> np.ndarray:
     """Is the dual of each sample, (samples,), in balance, and with room in all friction discs of slipless contacts for
     what is not? torques : (unknowns, samples), of the dual, also on spins that are held."""
     left = np.abs(torques).T.copy()
     total, samples = MARGIN_PER_TORQUE * left.sum(axis=1), len(left)
-    surely = slipping | (friction - dual.length() > each(lambda mu: np.repeat(total, len(mu) // samples), friction))
-    inside = [part.reshape(samples, -1).all(axis=1) for part in surely]
-    return (left.max(axis=1, initial=0.0) < LEFT_TORQUE) & np.all(inside, axis=0)
+    margin = (friction - length(dual)).reshape(samples, -1)
+    surely = slipping.reshape(samples, -1) | (margin > total[:, None])
+    return (left.max(axis=1, initial=0.0) < LEFT_TORQUE) & surely.all(axis=1)
+
+
+def _side_by_side(values: np.ndarray, samples: int) -> np.ndarray:
+    """(..., n, samples) from values (..., samples * n) of alike samples one after the other."""
+    return np.ascontiguousarray(np.swapaxes(values.reshape(*values.shape[:-1], samples, -1), -2, -1))

@@ -12,9 +12,9 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
+from taichi_bearings.conic.cones import length
 from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.conic.contraction import Contraction
-from taichi_bearings.conic.grouped import Arrays, Grouped, each, where
 
 MOST_BLOCK_UNKNOWNS = 600  # unknowns of a block that is searched for motions which turn no slip
 NOISE_SHARE = 2e-3  # part of a force at its limit that can be noise, of the other one
@@ -27,53 +27,43 @@ MOST_CORNERS = 3000  # of a polyhedron, that are all looked at
 def tied_contacts(
     system: ContactSystem,
     order: np.ndarray,
-    friction: Arrays,
-    difference: Arrays,
-    dual: Arrays,
-    slipping: Arrays,
-    critical: Arrays,
-) -> Arrays:
-    """Masks (n,) a group of contacts that slip at some minima and rest at others.
+    friction: np.ndarray,
+    difference: np.ndarray,
+    dual: np.ndarray,
+    slipping: np.ndarray,
+    critical: np.ndarray,
+) -> np.ndarray:
+    """Mask (n,) of contacts that slip at some minima and rest at others.
 
     order : of elimination of the unknowns of `system`. friction, slipping, critical (n,), difference, dual (d, n) : of
-    a minimum, a group each. Only contacts with the same friction can tie.
+    a minimum. Only contacts with the same friction can tie.
     """
-    none, moving = each(np.zeros_like, slipping), slipping | critical
-    values = np.concatenate([*friction])
-    if len(np.unique(values)) == len(values):
-        return none
-    tied = Contraction(system, order, ~moving)
-    slipping, difference = slipping[tied.kept], difference[tied.kept]
-    one_way = each(lambda y: np.where(np.abs(y) > NOISE_SHARE * np.abs(y).max(axis=0), -y, 0.0), dual[tied.kept])
-    towards = where(slipping, difference, one_way)  # contacts at their limit can slip in one way alone
+    ties = np.zeros(len(friction), dtype=bool)
+    if len(np.unique(friction)) == len(friction):
+        return ties
+    tied = Contraction(system, order, ~(slipping | critical))
+    slipping, difference, dual = slipping[tied.kept], difference[:, tied.kept], dual[:, tied.kept]
+    one_way = np.where(np.abs(dual) > NOISE_SHARE * np.abs(dual).max(axis=0), -dual, 0.0)
+    towards = np.where(slipping, difference, one_way)  # contacts at their limit can slip in one way alone
     motions = _turning_no_slip(tied, towards)
     if motions.shape[1] == 0:
-        return none
-    along = towards / towards.length()
-    rates = np.concatenate(
-        [np.einsum("dn,dnk->nk", n, change) for n, change in zip(along, tied.system.change(motions), strict=True)]
-    )
+        return ties
+    rates = np.einsum("dn,dnk->nk", towards / length(towards), tied.system.change(motions))
     rates = rates / np.maximum(np.abs(rates).max(axis=0), LEAST_MOVE)
     rates = np.where(np.abs(rates) > LEAST_MOVE, rates, 0.0)
-    slips = np.concatenate([*where(slipping, difference.length(), 0.0)])
-    found = _tied(slips, rates)
-    parts = np.split(found, np.cumsum([len(kept) for kept in tied.kept])[:-1])
-    return none.placed(tied.kept, Grouped(parts))
+    ties[tied.kept] = _tied(np.where(slipping, length(difference), 0.0), rates)
+    return ties
 
 
-def _turning_no_slip(tied: Contraction, difference: Arrays) -> np.ndarray:
+def _turning_no_slip(tied: Contraction, difference: np.ndarray) -> np.ndarray:
     """(unknowns, k), basis of the motions of what is tied that turn no slip."""
-    unknowns, rows = tied.unknowns, []
-    for group, slip in zip(tied.system.groups, difference, strict=True):
-        if len(slip) == 2:
-            along = slip / np.hypot(*slip)
-            across = np.where(np.abs(along[::-1]) > LEAST_TURN, [-along[1], along[0]], 0.0)
-            count = slip.shape[1]
-            take = sparse.csr_array(
-                (across.ravel(), (np.tile(np.arange(count), 2), np.arange(2 * count))), shape=(count, 2 * count)
-            )
-            rows.append(take @ group.operator)
-    conditions = sparse.csr_array(sparse.vstack(rows)) if rows else sparse.csr_array((0, unknowns))
+    unknowns, count = tied.unknowns, difference.shape[1]
+    conditions = sparse.csr_array((0, unknowns))
+    if len(difference) == 2:
+        along = difference / np.hypot(*difference)
+        across = np.where(np.abs(along[::-1]) > LEAST_TURN, [-along[1], along[0]], 0.0)
+        take = np.tile(np.arange(count), 2), np.arange(2 * count)
+        conditions = sparse.csr_array((across.ravel(), take), shape=(count, 2 * count)) @ tied.system.operator
     conditions.eliminate_zeros()
     blocks, label = connected_components(abs(conditions.T) @ abs(conditions), directed=False)
     entries, motions = conditions.tocoo(), [np.zeros((unknowns, 0))]

@@ -12,14 +12,15 @@ it. A contact that rests slips the less each time; those beyond their friction s
 from contextlib import suppress
 from dataclasses import replace
 from functools import reduce
+from typing import Any
 
 import numpy as np
 
 from taichi_bearings.conic.central_path import flowing
-from taichi_bearings.conic.contact_system import ContactGroup, ContactSystem, ObliqueGroup, Places
+from taichi_bearings.conic.cones import length
+from taichi_bearings.conic.contact_system import ContactSystem, slipping_components
 from taichi_bearings.conic.descent import Descent, Sample
 from taichi_bearings.conic.friction_stage import Friction, FrictionStage
-from taichi_bearings.conic.grouped import Arrays, Grouped, where
 from taichi_bearings.conic.iterate import Iterate
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.conic.resolution import Surroundings
@@ -41,10 +42,9 @@ MOST_STEPS, SLACK = 80, 0.3  # of the path; of the bounds at its start, in mean 
 
 def oblique(system: System) -> ContactSystem:
     """Contacts over the spins as they are."""
-    shape = system.offset.shape
-    places = Places(np.arange(shape[1]), np.broadcast_to(np.arange(shape[0])[:, None], shape))
-    group = ObliqueGroup(system.matrix, system.offset)
-    return ContactSystem(system.unknowns, (group,), (places,), system.packing.center[system.sphere].T)
+    contact, slot, felt = slipping_components(np.ones(system.offset.shape, dtype=bool))
+    place = system.packing.center[system.sphere].T
+    return ContactSystem(system.unknowns, system.offset, felt, None, system.matrix, contact, slot, place)
 
 
 def signed(system: System) -> tuple[ContactSystem, np.ndarray] | None:
@@ -62,17 +62,12 @@ def signed(system: System) -> tuple[ContactSystem, np.ndarray] | None:
         odd, sign[:, k] = odd_parts(packing.spheres, *ends.T)
         if odd[ends].any():
             return None
-    known, felt, groups, places = sign * system.known, felt[:, needed], [], []
-    for count in range(1, len(needed) + 1):
-        own = np.flatnonzero(felt.sum(axis=1) == count)
-        if len(own):
-            slot = needed[np.nonzero(felt[own])[1].reshape(-1, count).T]
-            first, second = contact[own].T
-            offset = known[second, slot] - known[first, slot]
-            groups.append(ContactGroup(system.moved[first, slot], system.moved[second, slot], offset, system.unknowns))
-            places.append(Places(own, slot))
-    place = packing.center[system.sphere].T
-    return ContactSystem(system.unknowns, tuple(groups), tuple(places), place), sign
+    known = sign * system.known
+    own, slot, felt = slipping_components(felt[:, needed].T)
+    slot, pair = needed[slot], contact[own].T
+    ends, (first, second) = system.moved[pair[:, None], slot], known[pair[:, None], slot]
+    offset, place = np.where(felt, second - first, 0.0), packing.center[system.sphere].T
+    return ContactSystem(system.unknowns, offset, felt, np.where(felt, ends, -1), None, own, slot, place), sign
 
 
 def elimination(system: System) -> np.ndarray:
@@ -84,7 +79,7 @@ def viscous_spins(system: System, viscosity: np.ndarray) -> np.ndarray:
     """Spins (unknowns,) at which viscous forces are in balance. viscosity : (A,)."""
     contacts = oblique(system)
     matrix = NewtonMatrix(contacts, elimination(system))
-    return flowing(contacts, Grouped([viscosity]), matrix, np.zeros(system.unknowns))
+    return flowing(contacts, viscosity, matrix, np.zeros(system.unknowns))
 
 
 def followed(system: System, friction: np.ndarray, viscosity: np.ndarray) -> Found:
@@ -94,11 +89,11 @@ def followed(system: System, friction: np.ndarray, viscosity: np.ndarray) -> Fou
     order = elimination(system)
     matrix = NewtonMatrix(contacts, order)
     unit = float(np.exp2(np.round(np.log2((friction + viscosity).mean()))))  # as of lattices
-    strength, viscous = contacts.gather(friction[None] / unit, 0), contacts.gather(viscosity[None] / unit, 0)
+    strength, viscous = friction[contacts.contact] / unit, viscosity[contacts.contact] / unit
     spins = np.zeros(contacts.unknowns)
     with suppress(NotPositiveDefinite):
         spins = flowing(contacts, strength + viscous, matrix, spins)
-    slack = SLACK * float(np.concatenate([*contacts.differences(spins).length()]).mean())
+    slack = SLACK * float(length(contacts.differences(spins)).mean())
     start = Iterate.start(contacts, spins, strength, slack, viscous if flows else None)
     start = start if (friction > 0).all() else replace(start, smooth=strength == 0)
     settles, spheres = along is not None and not flows, len(np.unique(system.sphere))
@@ -126,24 +121,24 @@ def followed(system: System, friction: np.ndarray, viscosity: np.ndarray) -> Fou
 @np.errstate(all="ignore")
 def _settled(
     system: System, point: Iterate, matrix: NewtonMatrix
-) -> tuple[np.ndarray, Arrays, Arrays | None, Arrays | None]:
-    """Spins, minus the forces, and, (n,) masks a group, which contacts slip and which are open, as of Found; None
-    where nothing is settled."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, np.ndarray | None]:
+    """Spins, minus the forces, and, (n,) masks, which contacts slip and which are open, as of Found; None where nothing
+    is settled."""
     contacts, spins, held, whole = point.system, point.spins, -point.dual, point.whole_dual
-    slipping, open_, last = None, None, np.inf
-    firm, rest = where(point.friction > 0, point.friction, 1.0), np.zeros(contacts.unknowns)
+    slipping: Any = None
+    open_, last = slipping, np.inf
+    firm, rest = np.where(point.friction > 0, point.friction, 1.0), np.zeros(contacts.unknowns)
     for hold in HOLDS:
-        groups = zip(contacts.groups, _slips(system, contacts, spins), strict=True)
-        here = ContactSystem(contacts.unknowns, tuple(replace(group, offset=slip) for group, slip in groups))
+        here = replace(contacts, offset=_slips(system, contacts, spins))
         stage = FrictionStage(here, matrix, 1.0, np.zeros((0, 0), dtype=np.int64), SMALL_SPINS, 1.0)
         stage.reuses = False  # as stiffnesses of many decades would keep gradients from an end
         with one_thread():
             end = stage.solve(Friction(point.friction, hold * firm, 0.0, point.viscosity), rest, held, rest)
         if end is None:
             break
-        change, slip = (end.held - held).length().max(), here.differences(end.spins).length()
+        change, slip = length(end.held - held).max(initial=0.0), length(here.differences(end.spins))
         spins, held, whole = spins + end.spins, end.held, -end.force
-        creeps = where(end.slips, 0.0, slip) >= LEAST_SLIP
+        creeps = np.where(end.slips, 0.0, slip) >= LEAST_SLIP
         if change < WORSE * last:
             slipping, open_, last = end.slips, creeps, change
         else:  # rounding moves such stiff springs: of what they change nothing is known
@@ -153,28 +148,28 @@ def _settled(
     return spins, whole, slipping, open_
 
 
-def _slips(system: System, contacts: ContactSystem, spins: np.ndarray) -> Arrays:
-    """Of spins (unknowns,), (d, n) a group, to all digits."""
-    if isinstance(contacts.groups[0], ContactGroup):
+def _slips(system: System, contacts: ContactSystem, spins: np.ndarray) -> np.ndarray:
+    """Of spins (unknowns,), (d, n), to all digits."""
+    if contacts.ends is not None:
         return contacts.differences(spins)
     ends = system.all_spins(spins)[system.packing.contact[system.contact]]
     high, low = two_sum(ends[:, 0], ends[:, 1])
     parts = [scaled(system.across[..., k], (high[:, k], low[:, k])) for k in range(high.shape[1])]
-    return Grouped([reduce(add, parts)[0]])
+    return reduce(add, parts)[0]
 
 
-def _across(system: System, contacts: ContactSystem, sign: np.ndarray | None, vectors: Arrays) -> np.ndarray:
+def _across(system: System, contacts: ContactSystem, sign: np.ndarray | None, vectors: np.ndarray) -> np.ndarray:
     """(d, A), along the tangents."""
     if sign is None:
-        return vectors.parts[0]
+        return vectors
     second = sign[system.packing.contact[system.contact, 1]]
     whole = np.zeros((second.shape[1], 1, len(second)))
     contacts.scatter_vectors(vectors, whole, 0)
     return np.einsum("tek,ek,ke->te", system.across, second, whole[:, 0])
 
 
-def _everywhere(contacts: ContactSystem, of: Arrays, count: int) -> np.ndarray:
+def _everywhere(contacts: ContactSystem, of: np.ndarray, count: int) -> np.ndarray:
     """(A,), False for contacts that feel no component which moves."""
-    whole = np.zeros((1, count), dtype=of.parts[0].dtype)
-    contacts.scatter(of, whole, 0)
-    return whole[0]
+    whole = np.zeros(count, dtype=of.dtype)
+    whole[contacts.contact] = of
+    return whole

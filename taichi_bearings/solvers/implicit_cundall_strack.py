@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
+from taichi_bearings.conic.cones import isotropic
 from taichi_bearings.conic.contact_system import free_spins, lattice_system, place_free_spins
 from taichi_bearings.conic.friction_stage import Friction, FrictionStage, StageEnd
-from taichi_bearings.conic.grouped import Arrays, each, isotropic, where
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.errors import InputError
 from taichi_bearings.numerics.blas import one_thread
@@ -36,15 +36,15 @@ MOST_STRETCH = 1e6
 
 @dataclass(frozen=True)
 class _Tried:
-    """A step of one replica. spins : (unknowns,). elongation, force : (d, n) a group, at its end.
+    """A step of one replica. spins : (unknowns,). elongation, force : (d, n), at its end.
 
     mean_force : during the step. error : of the spins, root mean square.
     """
 
     spins: np.ndarray
-    elongation: Arrays
-    force: Arrays
-    mean_force: Arrays
+    elongation: np.ndarray
+    force: np.ndarray
+    mean_force: np.ndarray
     error: float
 
 
@@ -110,13 +110,10 @@ class ImplicitCundallStrackMethod(SpringDynamics):
 
     def _set_stage(self) -> None:
         scene, matrix = self.scene, self._matrix()
-        replicas = range(scene.replicas)
-        self.strength = [
-            scene.strength * self.system.gather(scene.positive_coefficient, replica) for replica in replicas
-        ]
+        self.strength = scene.strength * scene.positive_coefficient[:, self.system.contact]
         flow = scene.viscosity_beside_friction
-        self.viscosity = [None if flow is None else self.system.gather(flow, r) for r in replicas]
-        strongest = max(strength.max() for strength in self.strength)
+        self.viscosity = None if flow is None else flow[:, self.system.contact]
+        strongest = float(self.strength.max(initial=0.0))
         if not scene.law.holds:
             strongest *= scene.lattice.radius * self.spin_scale
         self.stage = FrictionStage(
@@ -127,10 +124,10 @@ class ImplicitCundallStrackMethod(SpringDynamics):
         """Law of the contacts in a stage of length `span`, time."""
         strength, inertia = self.strength[replica], self.unit_inertia / span
         if not self.scene.law.holds:
-            return Friction(each(np.full_like, strength, np.inf), strength, inertia)
+            return Friction(np.full_like(strength, np.inf), strength, inertia)
         resistance = self.options.stiffness * span + self.options.damping
-        resisting = each(np.full_like, strength, resistance)
-        return Friction(strength, resisting, inertia, self.viscosity[replica])
+        viscosity = None if self.viscosity is None else self.viscosity[replica]
+        return Friction(strength, np.full_like(strength, resistance), inertia, viscosity)
 
     def _first_step(self) -> float:
         """Spins change by the tolerated error, and it is not long against the time scale of the stiffest contact."""
@@ -209,11 +206,11 @@ class ImplicitCundallStrackMethod(SpringDynamics):
         return _Tried(last.spins, elongation, last.force, force, error)
 
     def _stage(
-        self, friction: Friction, base: np.ndarray, elongation: Arrays, guess: np.ndarray
-    ) -> tuple[StageEnd, Arrays] | None:
+        self, friction: Friction, base: np.ndarray, elongation: np.ndarray, guess: np.ndarray
+    ) -> tuple[StageEnd, np.ndarray] | None:
         """End of a stage, and the elongations there: of a spring that slips, what its force alone stretches it to."""
         if not self.scene.law.holds:
-            end = self.stage.solve(friction, base, each(np.zeros_like, elongation), guess)
+            end = self.stage.solve(friction, base, np.zeros_like(elongation), guess)
             return None if end is None else (end, elongation)
         stiffness, damping = self.options.stiffness, self.options.damping * self.scene.lattice.radius
         end = self.stage.solve(friction, base, stiffness * elongation, guess)
@@ -221,9 +218,9 @@ class ImplicitCundallStrackMethod(SpringDynamics):
             return None
         stuck = (end.held - damping * self.system.differences(end.spins)) / stiffness
         of_force, of_past = self.options.after_slip(self.unit_inertia / friction.inertia)
-        return end, where(end.slips, of_force * end.held + of_past * elongation, stuck)
+        return end, np.where(end.slips, of_force * end.held + of_past * elongation, stuck)
 
-    def _bearable(self, friction: Friction, elongation: Arrays) -> Arrays:
+    def _bearable(self, friction: Friction, elongation: np.ndarray) -> np.ndarray:
         """Springs pull no harder than friction holds: one that has begun to slip is not stretched any further."""
         if not self.scene.law.holds:
             return elongation

@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 
 from taichi_bearings.conic.central_path import flowing
+from taichi_bearings.conic.cones import length
 from taichi_bearings.conic.contact_system import ContactSystem, free_spins, lattice_system, place_free_spins
 from taichi_bearings.conic.descent import DISTANT_GAP, Descent, Sample
-from taichi_bearings.conic.grouped import Arrays, each, together, where
 from taichi_bearings.conic.iterate import LEAST_GAP, Iterate
 from taichi_bearings.conic.newton_matrix import MOST_NEWTON_STEPS, NewtonMatrix
 from taichi_bearings.conic.resolution import DECIDED_RATIO, Surroundings
@@ -40,15 +40,15 @@ BATCHED_SITES = InteriorPoint.alike_in_a_block  # spheres up to which samples ar
 KEPT_SITES = 10_000  # spheres up to which what all samples of a lattice share is kept
 
 
-def _states(sample: Sample) -> Arrays:
-    """Contact states (n,) a group."""
+def _states(sample: Sample) -> np.ndarray:
+    """Contact states (n,)."""
     slipping, slipless, undecided = ContactState.SLIPPING, ContactState.SLIPLESS, ContactState.UNDECIDED
     if (of := sample.resolved) is not None:
-        return where(of.ties, ContactState.TIED, where(of.critical, undecided, where(of.slipping, slipping, slipless)))
-    point, slip, margin = sample.iterate, sample.iterate.difference.length(), sample.iterate.margin
+        return np.select([of.ties, of.critical, of.slipping], [ContactState.TIED, undecided, slipping], slipless)
+    point, slip, margin = sample.iterate, length(sample.iterate.difference), sample.iterate.margin
     if point.viscosity is not None:  # slips at which viscous forces match the friction are no small ones
         slip = slip * (1 + point.viscosity / point.friction)
-    return where(slip > DECIDED_RATIO * margin, slipping, where(margin > DECIDED_RATIO * slip, slipless, undecided))
+    return np.select([slip > DECIDED_RATIO * margin, margin > DECIDED_RATIO * slip], [slipping, slipless], undecided)
 
 
 _Skeleton = tuple[ContactSystem, np.ndarray, Any]  # the matrix is None where nothing is to be solved
@@ -99,13 +99,13 @@ class InteriorPointMethod(Descent):
 
     def _sample(self, replica: int, spins: np.ndarray) -> Sample:
         scene = self.scene
-        friction, viscosity = self.system.gather(scene.positive_coefficient, replica), None
+        friction, viscosity = scene.positive_coefficient[replica, self.system.contact], None
         strength = friction
         beside = scene.viscosity_beside_friction
         if beside is not None:
-            flow = scene.lattice.radius * self.unit / scene.normal_force * self.system.gather(beside, replica)
+            flow = scene.lattice.radius * self.unit / scene.normal_force * beside[replica, self.system.contact]
             strength = friction + flow
-        unit = float(np.exp2(np.round(np.log2(np.mean(np.concatenate([*strength]))))))  # dividing by it rounds nothing
+        unit = float(np.exp2(np.round(np.log2(np.mean(strength)))))  # dividing by it rounds nothing
         if beside is not None and self.frustrated:
             viscosity = flow / unit
             with suppress(NotPositiveDefinite), one_thread():
@@ -131,21 +131,22 @@ class InteriorPointMethod(Descent):
         state, slip = all_slipless(scene), np.zeros(scene.coefficient.shape)
         force = np.zeros((len(self.spin_axes), *slip.shape))
         answers = [sample.resolved or sample.iterate for sample in self.samples]
-        slips = together([answer.difference for answer in answers]).length()
-        states = together([_states(sample) for sample in self.samples])
-        units = np.array([[sample.unit * scene.normal_force] for sample in self.samples])
-        duals = together([answer.whole_dual for answer in answers])
-        forces = each(lambda dual: np.moveaxis(-dual.reshape(len(dual), len(units), -1) * units, 1, 0), duals)
-        for numbers, values in ((speed * slips, slip), (states, state)):
-            self.system.scatter(each(lambda of: of.reshape(len(units), -1), numbers), values, slice(None))
+        slips = np.stack([length(answer.difference) for answer in answers])
+        states = np.stack([_states(sample) for sample in self.samples])
+        forces = np.stack(
+            [
+                -answer.whole_dual * (of.unit * scene.normal_force)
+                for answer, of in zip(answers, self.samples, strict=True)
+            ]
+        )
+        slip[:, self.system.contact], state[:, self.system.contact] = speed * slips, states
         self.system.scatter_vectors(forces, force, slice(None))
         objective = scene.objective(scene.impose_driving(staggered, self.spin_axes), self.spin_axes)
         settled = np.array([sample.resolved is not None for sample in self.samples])
         tied = [None if sample.resolved is None else sample.resolved.tied for sample in self.samples]
         counts = [0 if of is None else int(of.sum()) for of in tied]  # where that was looked for
         findings = {} if all(of is None for of in tied) else {"tied_contacts": np.array(counts)}
-        slow = where(states == ContactState.SLIPLESS, slips, 0.0)
-        creep = np.max([of.reshape(len(units), -1).max(axis=1, initial=0.0) for of in slow], axis=0)
+        creep = slips.max(axis=1, initial=0.0, where=states == ContactState.SLIPLESS)
         settles_more = self.options.settle and self.frustrated and not all(sample.done for sample in self.samples)
         return Progress(
             iteration=self.iteration,

@@ -13,7 +13,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import cg
 
-from taichi_bearings.conic.grouped import Grouped, isotropic
+from taichi_bearings.conic.cones import isotropic
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.errors import InputError
 from taichi_bearings.fields import Fields, team_size
@@ -237,8 +237,7 @@ class Network:
         """Forces (d, A) of the system in balance; as they are where that needs a division by 0."""
         system, matrix = self.proof
         try:
-            stiffness = isotropic(Grouped([force]), Grouped([system.coefficients[0]]))
-            return matrix.balanced(Grouped([force]), stiffness).parts[0]
+            return matrix.balanced(force, isotropic(force, system.coefficients[0]))
         except NotPositiveDefinite:
             return force
 

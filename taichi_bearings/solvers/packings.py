@@ -88,9 +88,8 @@ class ImplicitCundallStrackOfPacking(OnNetwork, ImplicitCundallStrackMethod):
         sphere = np.repeat(free, c)
         system = System(packing, network.acting, moved, None, parts, sphere, known, matrix, offset, of)
         whole = oblique(system)
-        (group,) = whole.groups
-        operator = sparse.csr_array(group.operator @ sparse.diags_array(self.scale))
-        return replace(whole, groups=(replace(group, operator=operator),)), elimination(system)
+        slips = sparse.csr_array(whole.operator @ sparse.diags_array(self.scale))
+        return replace(whole, slips=slips), elimination(system)
 
     @property
     def unit_inertia(self) -> float:

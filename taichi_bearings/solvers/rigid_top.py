@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 
 from taichi_bearings.conic.contact_system import free_spins, lattice_system, place_free_spins
-from taichi_bearings.conic.grouped import Arrays
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.fields import FieldSpec
 from taichi_bearings.kernels.cundall_strack import BODY_NUMBERS, RigidTopSteps
@@ -173,9 +172,7 @@ class ImplicitRigidTopMethod(UnderTorque, ImplicitCundallStrackMethod):
         axes, nothing = self.spin_axes, np.zeros((len(self.spin_axes), scene.replicas, *scene.lattice.shape))
         self.share = np.sqrt(self.inertia / self.body_inertia)  # 1 / S
         own = lattice_system(scene.lattice, axes, scene.top_spin(axes))
-        pairs = zip(own.groups, self.share * own.offset, strict=True)
-        groups = tuple(group.with_one_more(column) for group, column in pairs)
-        self.system = replace(own, unknowns=own.unknowns + 1, groups=groups)
+        self.system = own.with_one_more(self.share * own.offset)
         self.amplitude, self.angle, self.start = np.zeros((3, scene.replicas))
         if scene.law.holds:  # the spin at which inertia stretches a spring to what friction holds
             strongest = scene.strength * float(scene.coefficient.max())
@@ -203,7 +200,7 @@ class ImplicitRigidTopMethod(UnderTorque, ImplicitCundallStrackMethod):
         self.torques = [self.torque(self.time + part * span) for part in (1.0, GAMMA)]  # at the ends of stages
         return super()._tried(replica, spins, span)
 
-    def _stage(self, friction: Any, base: np.ndarray, elongation: Arrays, guess: np.ndarray) -> Any:
+    def _stage(self, friction: Any, base: np.ndarray, elongation: np.ndarray, guess: np.ndarray) -> Any:
         pushed = base.copy()
         pushed[-1] += self.share * self.torques.pop() / friction.inertia
         return super()._stage(friction, pushed, elongation, guess)

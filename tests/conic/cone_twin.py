@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taichi_bearings.conic.grouped import Point, determinant, inner, length
+from taichi_bearings.conic.cones import Point, determinant, inner, length
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from taichi_bearings.conic.grouped import determinant, length, longest_step
+from taichi_bearings.conic.cones import determinant, length, longest_step
 from tests.conic.cone_twin import Scaling, clipped_towards, jordan_product
 
 

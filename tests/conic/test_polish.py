@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from taichi_bearings.conic.contraction import Contraction
-from taichi_bearings.conic.grouped import Grouped
 from taichi_bearings.numerics.double_double import add, divide, exactly, multiply, scaled, square, square_root, subtract
 from tests.verifier.laboratory import Laboratory, dot
 from tests.verifier.test_bounds import samples_of, solved
@@ -90,7 +89,7 @@ def test_contacts_that_join_both_planes_cannot_all_be_tied():
 
     system, order = chain((BOTTOM, 0, 0.0), (0, TOP, 1.0))
     one, both = np.array([True, False]), np.array([True, True])
-    tied = Contraction(system.copies(3), order, Grouped([np.concatenate([one, both, one])]), samples=3)
+    tied = Contraction(system.copies(3), order, np.concatenate([one, both, one]), samples=3)
     assert tied.contradicts.tolist() == [False, True, False]
     assert tied.number.tolist() == [-1, -1, -1]
     assert (tied.imposed[[0, 2]] == 0).all()

@@ -5,29 +5,32 @@ import pytest
 from scipy import sparse
 
 from taichi_bearings.conic.central_path import friction_stiffness
-from taichi_bearings.conic.grouped import Grouped, each, inner, length, longest_step
+from taichi_bearings.conic.cones import inner, length, longest_step
+from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.conic.rows import ContactRows
 from taichi_bearings.kernels import central_path as kernels
 from taichi_bearings.memory import aligned_zeros
 from tests.conic.cone_twin import Scaling, clipped_towards, jordan_product
 
 pytestmark = pytest.mark.usefixtures("taichi_runtime")
-SIZES = ((1, 37), (2, 50), (1, 16), (2, 1))  # components and contacts of the groups: kinds mixed, blocks not full
-UPPER = [n for d, n in SIZES for _ in range(d * (d + 1) // 2)]  # numbers of upper triangles
+COMPONENTS = np.repeat([1, 2, 1, 2], [37, 50, 16, 1])  # of the contacts: kinds mixed, blocks not full
+FELT = np.arange(2)[:, None] < COMPONENTS
+COUNT = len(COMPONENTS)
 SPINS = 8
 
 
-def interior(rng, d, n, spread=3):
-    tail = rng.standard_normal((d, n)) * 10 ** rng.uniform(-spread / 2, spread / 2, n)
-    return length(tail) * (1 + 10 ** rng.uniform(-spread, 1, n)), tail
+def interior(rng, spread=3):
+    """Points in their cones, of contacts with one component on its axis."""
+    tail = rng.standard_normal((2, COUNT)) * 10 ** rng.uniform(-spread / 2, spread / 2, COUNT) * FELT
+    return length(tail) * (1 + 10 ** rng.uniform(-spread, 1, COUNT)), tail
 
 
-def _differences(rng, rows):
-    """Rows with one to three entries 1 or -1."""
-    counts = rng.integers(1, 4, rows)
+def _differences(rng):
+    """Rows with one to three entries 1 or -1, none where there is no component."""
+    counts = rng.integers(1, 4, FELT.size) * FELT.ravel()
     columns = np.concatenate([rng.choice(SPINS, count, replace=False) for count in counts])
     signs = rng.choice([-1.0, 1.0], len(columns))
-    return sparse.csr_matrix((signs, (np.repeat(np.arange(rows), counts), columns)), (rows, SPINS))
+    return sparse.csr_array((signs, (np.repeat(np.arange(FELT.size), counts), columns)), (FELT.size, SPINS))
 
 
 class Contacts:
@@ -35,17 +38,14 @@ class Contacts:
 
     def __init__(self, samples, seed):
         rng = np.random.default_rng(seed)
-        self.operators = [_differences(rng, d * n) for d, n in SIZES]
-        self.place = rng.permutation(SPINS)
+        self.operator, self.place = _differences(rng), rng.permutation(SPINS)
+        system = ContactSystem(SPINS, np.zeros(FELT.shape), FELT, slips=self.operator)
         spins = aligned_zeros(SPINS * samples, 8).reshape(SPINS, samples)
-        stacked = sparse.identity(sum(UPPER), format="csr")  # each stiffness an entry of its own
-        self.rows = ContactRows(self.operators, [d for d, _ in SIZES], spins, self.place, stacked)
+        stacked = sparse.identity(3 * COUNT, format="csr")  # each stiffness an entry of its own
+        self.rows = ContactRows(system, spins, self.place, stacked)
         self.sample, self.spins = int(rng.integers(samples)), rng.standard_normal((SPINS, samples))
         for sample in range(samples):
-            points = [(interior(rng, d, n), interior(rng, d, n)) for d, n in SIZES]
-            bound, slip = Grouped(p[0] for p, _ in points), Grouped(p[1] for p, _ in points)
-            friction, dual = Grouped(q[0] for _, q in points), Grouped(q[1] for _, q in points)
-            smooth = Grouped(rng.random(n) < 1 / 3 for _, n in SIZES)
+            (bound, slip), (friction, dual), smooth = interior(rng), interior(rng), rng.random(COUNT) < 1 / 3
             for row, values in (
                 (kernels.FRICTION_ROW, friction), (kernels.BOUND, bound), (kernels.SLIP, slip), (kernels.DUAL, dual),
                 (kernels.SMOOTH, smooth),
@@ -54,8 +54,7 @@ class Contacts:
             if sample == self.sample:
                 self.bound, self.slip, self.friction, self.dual, self.smooth = bound, slip, friction, dual, smooth
         self.run(kernels.prepare, (0, 0), 1e-3)
-        points = self.bound, self.slip, self.friction, self.dual
-        self.scaling = each(lambda b, z, m, y: Scaling.of((b, z), (m, y)), *points)
+        self.scaling = Scaling.of((self.bound, self.slip), (self.friction, self.dual))
 
     def run(self, kernel, slots, *numbers):
         """With these numbers for the sample that is looked at, and others for the rest; what is found for it."""
@@ -66,7 +65,7 @@ class Contacts:
 
     def step(self, slot, row, vector=True):
         row += kernels.STATE_ROWS + slot * kernels.STEP_ROWS
-        return (self.rows.vectors if vector else self.rows.numbers)(row, self.sample)
+        return self.rows.vectors(row, self.sample, 2) if vector else self.rows.numbers(row, self.sample)
 
     def expand(self, slot):
         """The step that belongs to the spins: changes of slip, bound and dual, and what is found over all contacts."""
@@ -76,24 +75,21 @@ class Contacts:
         rows = (kernels.CHANGE, kernels.BOUND_STEP, kernels.DUAL_STEP)
         return [self.step(slot, row, row != kernels.BOUND_STEP) for row in rows], found
 
-    def compare_right(self, slot, expected):
-        """expected : function of the group's number that gives head and tail of the right-hand side."""
+    def compare_right(self, slot, right):
+        """right : head and tail of the right-hand side that are expected."""
         head, tail, pull = (
             self.step(slot, kernels.RIGHT_HEAD, False),
             self.step(slot, kernels.RIGHT_TAIL),
             self.step(slot, kernels.PULL),
         )
-        for g, (scaling, smooth) in enumerate(zip(self.scaling, self.smooth, strict=True)):
-            right, cone = expected(g), ~smooth
-            scale = np.abs(right[0]) + length(right[1])
-            assert np.abs(head.parts[g] - right[0])[cone] == pytest.approx(0.0, abs=1e-9 * scale[cone].max(initial=0.0))
-            assert (np.abs(tail.parts[g] - right[1]) <= 1e-9 * scale)[:, cone].all()
-            diagonal, off, _ = scaling.newton_blocks()
-            pulled = self.dual.parts[g] + right[1] - off * (right[0] / diagonal)
-            assert (np.abs(pull.parts[g] - pulled) <= 1e-9 * (scale + length(off) * np.abs(right[0]) / diagonal))[
-                :, cone
-            ].all()
-            assert (pull.parts[g] == self.dual.parts[g])[:, smooth].all()
+        cone, scale = ~self.smooth, np.abs(right[0]) + length(right[1])
+        assert (np.abs(head - right[0]) <= 1e-9 * scale)[cone].all()
+        assert (np.abs(tail - right[1]) <= 1e-9 * scale)[:, cone].all()
+        diagonal, off, _ = self.scaling.newton_blocks()
+        pulled = self.dual + right[1] - off * (right[0] / diagonal)
+        scale = scale + length(off) * np.abs(right[0]) / diagonal
+        assert (np.abs(pull - pulled) <= 1e-9 * scale)[:, cone].all()
+        assert (pull == self.dual)[:, self.smooth].all()
 
 
 @pytest.fixture(params=[(1, 0), (8, 1)], ids=["alone", "of eight"])
@@ -103,91 +99,67 @@ def contacts(request):
 
 def test_stiffness_is_that_of_the_scaling_or_of_the_law(contacts):
     samples = contacts.rows.samples
-    entries = aligned_zeros(sum(UPPER) * samples, 8).reshape(-1, samples)
+    entries = aligned_zeros(3 * COUNT * samples, 8).reshape(-1, samples)
     contacts.rows.add_stiffnesses(entries)
-    found = iter(np.split(entries[:, contacts.sample], np.cumsum(UPPER)[:-1]))
-    for scaling, smooth, friction, slip in zip(
-        contacts.scaling, contacts.smooth, contacts.friction, contacts.slip, strict=True
-    ):
-        expected = scaling.newton_blocks()[2]
-        along = slip / length(slip)
-        law = friction_stiffness(friction, slip) if len(slip) == 2 else np.zeros((1, 1, len(friction)))
-        law = law - 1e-18 / length(slip) ** 2 * along[:, None] * along[None] * (len(slip) == 2)
-        law = law + 1e-3 / length(slip) ** 2 * along[:, None] * along[None]  # as asked for
-        for i in range(len(slip)):
-            for j in range(i, len(slip)):
-                right = np.where(smooth, law[i, j], expected[i, j])
-                scale = np.where(smooth, np.abs(law), np.abs(expected)).max(axis=(0, 1))
-                assert (np.abs(next(found) - right) <= 1e-10 * scale).all()
+    expected, slip, smooth = contacts.scaling.newton_blocks()[2], contacts.slip, contacts.smooth
+    along, law = slip / length(slip), friction_stiffness(contacts.friction, slip)
+    law = law + (1e-3 - 1e-14) / length(slip) ** 2 * along[:, None] * along[None]  # as asked for
+    scale = np.where(smooth, np.abs(law), np.abs(expected)).max(axis=(0, 1))
+    for found, (i, j) in zip(entries[:, contacts.sample].reshape(3, -1), ((0, 0), (0, 1), (1, 1)), strict=True):
+        right = np.where(FELT[j], np.where(smooth, law[i, j], expected[i, j]), 0.0)
+        assert (np.abs(found - right) <= 1e-10 * scale).all()
 
 
 def test_the_predictor_aims_at_no_product(contacts):
-    contacts.compare_right(0, lambda g: (-contacts.friction.parts[g], -contacts.dual.parts[g]))
+    contacts.compare_right(0, (-contacts.friction, -contacts.dual))
 
 
 def test_steps_follow_from_the_spins_and_end_on_the_cones(contacts):
     (change, bound_step, dual_step), _ = contacts.expand(0)
-    for g, operator in enumerate(contacts.operators):
-        diagonal, off, stiffness = contacts.scaling.parts[g].newton_blocks()
-        friction, smooth, dual = contacts.friction.parts[g], contacts.smooth.parts[g], contacts.dual.parts[g]
-        moved = operator @ contacts.spins[:, contacts.sample]
-        assert change.parts[g].ravel() == pytest.approx(moved, rel=1e-14, abs=1e-14)
-        head, tail = -friction, -dual
-        expected = (head - inner(off, change.parts[g])) / diagonal
-        assert np.where(smooth, 0.0, expected) == pytest.approx(bound_step.parts[g], rel=1e-8, abs=1e-9)
-        pull = dual + tail - off * (head / diagonal)
-        moved = pull - np.einsum("ijn,jn->in", stiffness, change.parts[g]) - dual
-        scale = length(pull) + np.abs(stiffness).max(axis=(0, 1)) * length(change.parts[g])
-        assert (np.abs(moved - dual_step.parts[g]) <= 1e-9 * scale)[:, ~smooth].all()
+    diagonal, off, stiffness = contacts.scaling.newton_blocks()
+    friction, smooth, dual = contacts.friction, contacts.smooth, contacts.dual
+    moved = contacts.operator @ contacts.spins[:, contacts.sample]
+    assert change.ravel() == pytest.approx(moved, rel=1e-14, abs=1e-14)
+    head, tail = -friction, -dual
+    expected = (head - inner(off, change)) / diagonal
+    assert np.where(smooth, 0.0, expected) == pytest.approx(bound_step, rel=1e-8, abs=1e-9)
+    pull = dual + tail - off * (head / diagonal)
+    moved = pull - np.einsum("ijn,jn->in", stiffness, change) - dual
+    scale = length(pull) + np.abs(stiffness).max(axis=(0, 1)) * length(change)
+    assert (np.abs(moved - dual_step) <= 1e-9 * scale)[:, ~smooth].all()
 
 
 def test_the_contact_that_is_first_on_its_cone_ends_the_step(contacts):
-    rng = np.random.default_rng(5)
+    rng, cones = np.random.default_rng(5), ~contacts.smooth
+    bound, slip, friction, dual = (
+        of[..., cones] for of in (contacts.bound, contacts.slip, contacts.friction, contacts.dual)
+    )
     for _ in range(20):
         contacts.spins = rng.standard_normal(contacts.spins.shape) * 10 ** rng.uniform(-3, 3)
         (change, bound_step, dual_step), found = contacts.expand(0)
-        reach, dual_reach = [], []
-        for g in range(len(SIZES)):
-            cones, slip = ~contacts.smooth.parts[g], contacts.slip.parts[g]
-            point, step = (contacts.bound.parts[g], slip), (bound_step.parts[g], change.parts[g])
-            dual_point = contacts.friction.parts[g], contacts.dual.parts[g]
-            reach.append(longest_step(*((head[cones], tail[:, cones]) for head, tail in (point, step))))
-            steps = np.zeros(cones.sum()), dual_step.parts[g][:, cones]
-            dual_reach.append(longest_step((dual_point[0][cones], dual_point[1][:, cones]), steps))
-            half = 0.5 * length(slip) / length(change.parts[g])  # a law is not linear further than that
-            reach.append(half[~cones].min(initial=np.inf))
+        half = 0.5 * length(contacts.slip) / length(change)  # a law is not linear further than that
+        reach = longest_step((bound, slip), (bound_step[cones], change[:, cones])), *half[~cones]
+        dual_reach = longest_step((friction, dual), (np.zeros(cones.sum()), dual_step[:, cones]))
         assert min(found[kernels.REACH], 1e20) == pytest.approx(min(*reach, 1e20), rel=1e-6)
-        assert min(found[kernels.DUAL_REACH], 1e20) == pytest.approx(min(*dual_reach, 1e20), rel=1e-6)
+        assert min(found[kernels.DUAL_REACH], 1e20) == pytest.approx(min(dual_reach, 1e20), rel=1e-6)
 
 
 def test_corrector_and_recentring_are_those_of_the_cones(contacts):
-    (change, bound_step, dual_step), _ = contacts.expand(0)
+    (db, dz, dy), scaling = (contacts.expand(0)[0][n] for n in (1, 0, 2)), contacts.scaling
+
+    def mended(product):
+        return scaling.apply_inverse(scaling.divide(product))
+
     contacts.run(kernels.correct, (0, 1), 0.03)
-    parts = range(len(SIZES))
-    steps = [(bound_step.parts[g], change.parts[g], dual_step.parts[g]) for g in parts]
-
-    def mended(g, product):
-        head, tail = contacts.scaling.parts[g].divide(product)
-        return contacts.scaling.parts[g].apply_inverse((head, tail))
-
-    def corrected(g):
-        scaling, (db, dz, dy) = contacts.scaling.parts[g], steps[g]
-        head, tail = jordan_product(scaling.apply((np.zeros_like(db), dy)), scaling.apply_inverse((db, dz)))
-        head, tail = mended(g, (head - 0.03, tail))
-        return -contacts.friction.parts[g] - head, -contacts.dual.parts[g] - tail
-
-    contacts.compare_right(1, corrected)
+    head, tail = jordan_product(scaling.apply((np.zeros_like(db), dy)), scaling.apply_inverse((db, dz)))
+    head, tail = mended((head - 0.03, tail))
+    contacts.compare_right(1, (-contacts.friction - head, -contacts.dual - tail))
     contacts.run(kernels.recentre, (0, 1), 0.4, 0.7, 0.1, 2.0, kernels.GO_ON)
-
-    def recentred(g):
-        scaling, (db, dz, dy) = contacts.scaling.parts[g], steps[g]
-        primal = contacts.bound.parts[g] + 0.4 * db, contacts.slip.parts[g] + 0.4 * dz
-        dual = contacts.friction.parts[g], contacts.dual.parts[g] + 0.7 * dy
-        product = jordan_product(scaling.apply(dual), scaling.apply_inverse(primal))
-        head, tail = mended(g, clipped_towards(product, 0.1, 2.0))
-        return -contacts.friction.parts[g] + head, -contacts.dual.parts[g] + tail
-
-    contacts.compare_right(1, recentred)
+    primal = contacts.bound + 0.4 * db, contacts.slip + 0.4 * dz
+    dual = contacts.friction, contacts.dual + 0.7 * dy
+    product = jordan_product(scaling.apply(dual), scaling.apply_inverse(primal))
+    head, tail = mended(clipped_towards(product, 0.1, 2.0))
+    contacts.compare_right(1, (-contacts.friction + head, -contacts.dual + tail))
 
 
 def test_a_step_that_is_good_enough_can_be_made_once_more(contacts):
@@ -207,54 +179,46 @@ def test_a_step_that_is_good_enough_can_be_made_once_more(contacts):
 
 
 def _same(values, others):
-    return all(
-        (a == b).all() for one, other in zip(values, others, strict=True) for a, b in zip(one, other, strict=True)
-    )
+    return all((one == other).all() for one, other in zip(values, others, strict=True))
 
 
 def test_products_after_a_step_are_counted_in_cones_alone(contacts):
     (change, bound_step, dual_step), found = contacts.expand(0)
-    expected, scale = 0.0, 0.0
-    for g in range(len(SIZES)):
-        bound = contacts.bound.parts[g] + 0.4 * bound_step.parts[g]
-        slip, dual = contacts.slip.parts[g] + 0.4 * change.parts[g], contacts.dual.parts[g] + 0.7 * dual_step.parts[g]
-        products = (bound * contacts.friction.parts[g] + inner(slip, dual))[~contacts.smooth.parts[g]]
-        expected, scale = expected + products.sum(), scale + np.abs(products).sum()
+    bound, slip = contacts.bound + 0.4 * bound_step, contacts.slip + 0.4 * change
+    dual = contacts.dual + 0.7 * dual_step
+    products = (bound * contacts.friction + inner(slip, dual))[~contacts.smooth]
     product, by_reach, by_dual_reach, by_both = found[kernels.PRODUCT :]
     after = product + 0.4 * by_reach + 0.7 * by_dual_reach + 0.4 * 0.7 * by_both
-    assert after == pytest.approx(expected, abs=1e-9 * scale)
+    assert after == pytest.approx(products.sum(), abs=1e-9 * np.abs(products).sum())
 
 
 def test_a_step_is_taken_and_contacts_in_no_cone_obey_the_law(contacts):
     (change, bound_step, dual_step), _ = contacts.expand(0)
     found = contacts.run(kernels.take, (0, 0), 0.4, 0.7)
-    rows, power, excess = contacts.rows, 0.0, 0.0
+    rows, sample, smooth = contacts.rows, contacts.sample, contacts.smooth
     for row, before in ((kernels.SLIP_BEFORE, contacts.slip), (kernels.DUAL_BEFORE, contacts.dual)):
-        assert _same([rows.vectors(row, contacts.sample)], [before])
-    assert _same([rows.numbers(kernels.BOUND_BEFORE, contacts.sample)], [contacts.bound])
-    slips, duals = (rows.vectors(row, contacts.sample) for row in (kernels.SLIP, kernels.DUAL))
-    bounds = rows.numbers(kernels.BOUND, contacts.sample)
-    for g, smooth in enumerate(contacts.smooth):
-        slip = contacts.slip.parts[g] + 0.4 * change.parts[g]
-        law = -contacts.friction.parts[g] * slip / length(slip)
-        dual = np.where(smooth, law, contacts.dual.parts[g] + 0.7 * dual_step.parts[g])
-        bound = np.where(smooth, length(slip), contacts.bound.parts[g] + 0.4 * bound_step.parts[g])
-        for new, expected in ((slips, slip), (duals, dual), (bounds, bound)):
-            assert new.parts[g] == pytest.approx(expected, rel=1e-13)
-        power += (contacts.friction.parts[g] * length(slip)).sum()
-        excess += (contacts.friction.parts[g] * length(slip) + inner(slip, dual)).sum()
+        assert (rows.vectors(row, sample, 2) == before).all()
+    assert (rows.numbers(kernels.BOUND_BEFORE, sample) == contacts.bound).all()
+    slip = contacts.slip + 0.4 * change
+    dual = np.where(smooth, -contacts.friction * slip / length(slip), contacts.dual + 0.7 * dual_step)
+    bound = np.where(smooth, length(slip), contacts.bound + 0.4 * bound_step)
+    for row, expected in ((kernels.SLIP, slip), (kernels.DUAL, dual)):
+        assert rows.vectors(row, sample, 2) == pytest.approx(expected, rel=1e-13)
+    assert rows.numbers(kernels.BOUND, sample) == pytest.approx(bound, rel=1e-13)
+    power = (contacts.friction * length(slip)).sum()
+    excess = (contacts.friction * length(slip) + inner(slip, dual)).sum()
     assert (found[kernels.POWER_FOUND], found[kernels.EXCESS]) == pytest.approx((power, excess), rel=1e-12)
 
 
 def test_torques_are_the_transpose_of_the_slips(contacts):
     rows, rng = contacts.rows, np.random.default_rng(1)
-    forces = [each(lambda z: rng.standard_normal(z.shape), contacts.slip) for _ in range(rows.samples)]
+    forces = [rng.standard_normal(FELT.shape) * FELT for _ in range(rows.samples)]
     for sample, own in enumerate(forces):
         rows.put(kernels.FORCE, sample, own)
-        assert _same([rows.vectors(kernels.FORCE, sample)], [own])
+        assert (rows.vectors(kernels.FORCE, sample, 2) == own).all()
     rows.torques(kernels.FORCE)
     for sample, own in enumerate(forces):
-        expected = sum(operator.T @ f.ravel() for operator, f in zip(contacts.operators, own, strict=True))
+        expected = contacts.operator.T @ own.ravel()
         assert rows.spins[contacts.place, sample] == pytest.approx(expected, rel=1e-13, abs=1e-13)
 
 
@@ -263,7 +227,7 @@ def test_numbers_of_a_sample_do_not_depend_on_those_beside_it():
     for row in (kernels.FRICTION_ROW, kernels.BOUND, kernels.SMOOTH):
         alone.rows.put(row, 0, together.rows.numbers(row, together.sample))
     for row in (kernels.SLIP, kernels.DUAL):
-        alone.rows.put(row, 0, together.rows.vectors(row, together.sample))
+        alone.rows.put(row, 0, together.rows.vectors(row, together.sample, 2))
     found = []
     for contacts in (alone, together):
         contacts.run(kernels.prepare, (0, 0), 1e-3)

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from taichi_bearings.conic.contact_system import ContactGroup, ContactSystem
-from taichi_bearings.conic.grouped import Grouped
+from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.conic.slipless_forces import nearly_borne
 from taichi_bearings.lattice.incidence import contact_differences
@@ -22,17 +21,16 @@ BOTTOM = TOP = -1
 def chain(*contacts, unknowns=1):
     """Contacts (below, above, slip at rest) with one component each, over `unknowns` spins."""
     below, above, slip = np.array(contacts).T
-    ends = below.astype(int)[None], above.astype(int)[None]
-    group = ContactGroup(*ends, slip[None], unknowns)
-    return ContactSystem(unknowns, (group,)), np.arange(unknowns)
+    ends = np.stack([below, above]).astype(int)[:, None]
+    return ContactSystem(unknowns, slip[None], np.ones_like(slip[None], bool), ends), np.arange(unknowns)
 
 
 def borne(system, order, friction, dual, slipping, critical=None):
     """The dual of :func:`nearly_borne` and whether it will do, of one sample with one component."""
     never = np.zeros(len(friction), dtype=bool)
-    values = (Grouped([np.array(of)]) for of in (friction, [dual], slipping, never if critical is None else critical))
+    values = (np.array(of) for of in (friction, [dual], slipping, never if critical is None else critical))
     heads = [np.zeros(system.unknowns, dtype=bool)]
-    (found,), (inside,) = nearly_borne(system, NewtonMatrix(system, order), *values, heads)
+    found, (inside,) = nearly_borne(system, NewtonMatrix(system, order), *values, heads)
     return found[0], inside
 
 

@@ -6,7 +6,6 @@ from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
 from taichi_bearings.conic.contact_system import lattice_system
-from taichi_bearings.conic.grouped import Grouped
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.interrupts import GivenUp, while_wanted
 from taichi_bearings.numerics.cholesky import Engine, NotPositiveDefinite, dissect, factor, tuning
@@ -29,22 +28,16 @@ def system_of(scene):
 
 
 def random_stiffness(system, rng):
-    """Symmetric positive definite (d, d, n) a group, over six decades."""
-    stiffness = []
-    for group in system.groups:
-        d, n = group.below.shape
-        root = rng.standard_normal((d, d, n))
-        stiffness.append(np.einsum("ikn,jkn->ijn", root, root) * 10 ** rng.uniform(-3, 3, n))
-    return Grouped(stiffness)
+    """Symmetric positive definite (d, d, n), over six decades."""
+    d, n = system.offset.shape
+    root = rng.standard_normal((d, d, n))
+    return np.einsum("ikn,jkn->ijn", root, root) * 10 ** rng.uniform(-3, 3, n)
 
 
 def assembled(system, stiffness):
     """The same Laplacian by sparse products, D^T K D."""
-    total = sparse.csr_matrix((system.unknowns,) * 2)
-    for group, k in zip(system.groups, stiffness, strict=True):
-        blocks = [[sparse.diags(k[i, j]) for j in range(len(k))] for i in range(len(k))]
-        total = total + group.operator.T @ sparse.bmat(blocks) @ group.operator
-    return total.tocsc()
+    blocks = sparse.bmat([[sparse.diags(of) for of in row] for row in stiffness])
+    return (system.operator.T @ blocks @ system.operator).tocsc()
 
 
 def narrow_panels(monkeypatch, threads=1):

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from scipy.sparse.linalg import spsolve
 
-from taichi_bearings.conic.grouped import each
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.kernels import central_path as kernels
 from taichi_bearings.numerics.cholesky import Engine, dissect
@@ -28,8 +27,7 @@ def solved(matrices, stiffness, right, inertia=0.0):
     """Which samples are regular, and solutions (unknowns, S)."""
     rows, count = matrices.rows(1 if len(stiffness) == 1 else 8), len(stiffness)
     for sample, of_sample in enumerate(stiffness):
-        upper = each(lambda k: np.stack([k[i, j] for i in range(len(k)) for j in range(i, len(k))]), of_sample)
-        rows.put(kernels.STIFFNESS, sample, upper)
+        rows.put(kernels.STIFFNESS, sample, of_sample[np.triu_indices(len(of_sample))])
     regular = matrices.factorise_rows(rows, np.arange(rows.samples) < count, inertia)
     assert not regular[count:].any()
     rows.spins[rows.place, :count] = right

@@ -9,7 +9,6 @@ from scipy.optimize import linprog
 
 import taichi_bearings as tb
 from taichi_bearings.conic import descent
-from taichi_bearings.conic.grouped import Grouped
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.packing import path
 from taichi_bearings.packing.path import elimination, oblique
@@ -318,7 +317,7 @@ def test_the_matrix_of_oblique_contacts_is_that_of_their_slips(kind):
     root = draw.normal(size=(2, 2, len(system.contact)))
     stiffness = np.einsum("ike,jke->ije", root, root)
     matrix = NewtonMatrix(oblique(system), elimination(system))
-    matrix.factorise(Grouped([stiffness]))
+    matrix.factorise(stiffness)
     spins = draw.normal(size=system.unknowns)
     slips = (system.matrix @ spins).reshape(2, -1)
     torques = system.matrix.T @ np.einsum("ije,je->ie", stiffness, slips).ravel()

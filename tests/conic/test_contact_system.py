@@ -1,10 +1,9 @@
-"""Arithmetic on all groups at once, and contacts of a sample on the lattice and back."""
+"""Contacts and spins of a sample on the lattice and back."""
 
 import numpy as np
 import pytest
 
 from taichi_bearings.conic.contact_system import free_spins, lattice_system, place_free_spins
-from taichi_bearings.conic.grouped import Grouped
 from tests.scenes import make_scene
 
 
@@ -15,14 +14,13 @@ def test_gather_and_scatter_are_inverse(shape):
     system = lattice_system(lattice, axes, np.ones(len(axes)))
     rng, acts = np.random.default_rng(5), ~lattice.between_driven
     force = rng.standard_normal((len(axes), 2, lattice.all_contacts)) * (lattice.felt(axes) & acts)[:, None]
-    slip = rng.random((2, lattice.all_contacts)) * acts
-    speeds, again = (np.asfortranarray(np.zeros_like(values)) for values in (slip, force))  # in any order in memory
+    again = np.asfortranarray(np.zeros_like(force))  # in any order in memory
     for replica in range(2):
-        system.scatter(system.gather(slip, replica), speeds, replica)
-        at = [(places.slot, replica, places.contact) for places in system.places]
-        system.scatter_vectors(Grouped(force[place] for place in at), again, replica)
-    assert (speeds == slip).all()
+        vectors = system.gather_vectors(force, replica)
+        assert (vectors[~system.felt] == 0).all()
+        system.scatter_vectors(vectors, again, replica)
     assert (again == force).all()
+    assert (system.contact == np.flatnonzero(acts)).all()
 
 
 def test_free_spins_go_back_to_their_places():
