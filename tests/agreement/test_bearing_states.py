@@ -54,14 +54,16 @@ def sheets(scene, k):
     return total
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_sheets_bound_the_minimum_from_both_sides(seed):
+@pytest.mark.parametrize(("seed", "shape", "periodic"), [
+    *((seed, (3, 4, 5), ()) for seed in range(5)), (5, (4, 4, 4), "x,y"), (6, (4, 4, 4), "x,y"),
+])  # fmt: skip
+def test_sheets_bound_the_minimum_from_both_sides(seed, shape, periodic):
     """sqrt(P_x^2 + P_y^2) <= P_min <= P_x + P_y, and equal where one of them vanishes."""
     rng = np.random.default_rng(seed)
     top, bottom = (tuple(float(part) for part in rng.choice([0.0, 1.0, -0.5, 0.3], 4)) for _ in range(2))
     if seed < 2:
         top, bottom = ((1.0, 0.7, 0.0, 0.0), (0.0, 0.7, 0.0, 0.0))[:: 1 - 2 * seed]
-    scene = Scene.random((3, 4, 5), seed=seed, top=top, bottom=bottom)
+    scene = Scene.random(shape, seed=seed, top=top, bottom=bottom, periodic=periodic)
     of_x, of_y, best = sheets(scene, 0), sheets(scene, 1), solve(scene)
     assert np.hypot(of_x, of_y) <= best.power * (1 + 1e-12)
     assert best.lower_bound <= (of_x + of_y) * (1 + 1e-12)

@@ -16,7 +16,7 @@ from tests.cli.commands import bearings
 
 DRAWN = ("--shape", "3,3,4", "--method", "cundall-strack", "--initial", "random", "--threads", "1")
 SCENE = (*DRAWN, "--figures", "none")
-COURSE = ("--duration", "20", "--record", "linear:0,20,31", "--snapshots", "0,1,20", "--checkpoint-every", "0.02")
+COURSE = ("--duration", "4", "--record", "linear:0,4,31", "--snapshots", "0,1,4", "--checkpoint-every", "0.02")
 
 
 def arrays_of(run):
@@ -179,7 +179,7 @@ def test_a_full_disk_costs_the_file_and_not_the_run(tmp_path, tmp_path_factory):
     def small_files():
         resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, 40_000))
 
-    words = (*SCENE, "--duration", "1", "--checkpoint-every", "0.005", "--snapshots", "linear:0,1,200")
+    words = (*SCENE, "--duration", "0.5", "--checkpoint-every", "0.02", "--snapshots", "linear:0,0.5,120")
     done = bearings("run", *words, "--out", tmp_path / "run", preexec_fn=small_files, env=elsewhere)
     assert done.returncode == 2
     assert "the run goes on" in done.stderr
@@ -189,7 +189,7 @@ def test_a_full_disk_costs_the_file_and_not_the_run(tmp_path, tmp_path_factory):
     assert len(list(tmp_path.iterdir())) == 1
     done = bearings("run", "--resume", tmp_path / "run")
     assert done.returncode == 0, done.stderr
-    assert len(arrays_of(tmp_path / "run")["snapshots/time"]) == 200
+    assert len(arrays_of(tmp_path / "run")["snapshots/time"]) == 120
 
 
 def test_a_checkpoint_that_was_changed_proves_nothing(tmp_path):

@@ -11,11 +11,11 @@ from taichi_bearings.conic.grouped import each
 from taichi_bearings.fields import Fields, make_layout
 from taichi_bearings.scene import Status
 from taichi_bearings.scene.initial_spins import initial_spin, random_spin
-from taichi_bearings.solvers import CundallStrack, ImplicitCundallStrack, PlanarCut
+from taichi_bearings.solvers import CundallStrack, ImplicitCundallStrack
 from taichi_bearings.solvers.cundall_strack import stability_bound
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
-from tests.agreement.test_independent_solvers import incidence, viscous_minimum
+from tests.agreement.test_independent_solvers import incidence
 from tests.scenes import make_scene, minima, name_of, scene_of
 
 pytestmark = pytest.mark.usefixtures("needs_f64")
@@ -167,37 +167,11 @@ def test_dynamics_ends_at_the_stored_minimum(entry):
     assert solution.power[0] == pytest.approx(entry["power_minimum"], rel=1e-9)
 
 
-@pytest.mark.parametrize("stiffness", [1e5, 1e7])
-def test_dynamics_ends_at_the_minimum_cut(stiffness):
-    scene = make_scene((9, 7), seeds=(5,))
-    exact = solve(scene, PlanarCut().build(), initial_spin(scene, "linear"), StopRule(1e-10)).power[0]
-    method = ImplicitCundallStrack(stiffness=stiffness, damping=stiffness / 100).build()
-    solution = solve(scene, method, random_spin(scene), StopRule(1e-10, 600))
-    assert solution.status is Status.CERTIFIED
-    assert solution.power[0] == pytest.approx(exact, rel=1e-9)
-
-
-@pytest.mark.parametrize("shape", [(6, 9), (4, 5, 6)])
-def test_viscous_dynamics_ends_at_a_sparse_solve(shape):
-    scene = make_scene(shape, "viscous")
-    solution = solve(scene, ImplicitCundallStrack().build(), random_spin(scene), StopRule(1e-11, 200))
-    assert solution.status is Status.CERTIFIED
-    assert solution.power[0] == pytest.approx(viscous_minimum(scene), rel=1e-10)
-
-
 def test_a_run_comes_to_rest_on_its_own():
     scene = make_scene((4, 3, 5), seeds=(8,))
     solution = solve(scene, ImplicitCundallStrack().build(), random_spin(scene), StopRule(1e-17, 400))
     assert solution.status is Status.STATIONARY
     assert solution.gap[0] < 1e-9
-
-
-@pytest.mark.parametrize("shape", [(4, 5), (3, 4, 5)])
-def test_without_a_jump_all_slips_die_out(shape):
-    scene = make_scene(shape, spin_top=0.7, spin_bottom=0.7)
-    solution = solve(scene, ImplicitCundallStrack().build(), random_spin(scene), StopRule(1e-10, 300))
-    assert solution.status.reached
-    assert solution.slip.max() < 1e-9
 
 
 @pytest.mark.parametrize("law", ["coulomb", "viscous"])

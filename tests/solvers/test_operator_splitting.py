@@ -8,9 +8,9 @@ from scipy.sparse import bmat, identity
 from taichi_bearings.fields import Fields, make_layout
 from taichi_bearings.lattice.incidence import torques
 from taichi_bearings.proof.certificate import dual_value
-from taichi_bearings.scene import Scene, Status
+from taichi_bearings.scene import Status
 from taichi_bearings.scene.initial_spins import STARTS, initial_spin
-from taichi_bearings.solvers import GradientDescent, InteriorPoint, OperatorSplitting
+from taichi_bearings.solvers import OperatorSplitting
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
 from tests.agreement.test_independent_solvers import incidence
@@ -60,34 +60,6 @@ def test_one_component_equals_a_linear_programme(shape, direction, distribution)
     assert solution.status is Status.CERTIFIED
     assert exact * (1 - 1e-9) <= solution.power[0] <= exact * (1 + 1.1e-5)
     assert solution.lower_bound[0] <= exact * (1 + 1e-9)
-
-
-@pytest.mark.usefixtures("needs_f64")
-@pytest.mark.parametrize(
-    ("shape", "driving"),
-    [
-        ((5, 9, 4), {"direction": (3, -1, 2)}),
-        ((5, 9, 14), {"direction": (1, 2, 0), "spin_bottom": 0.4}),
-        ((4, 2, 6), {"direction": (1, 1, 1), "spin_bottom": -2.0}),
-        ((2, 6, 3), {"direction": (0, 1, 1)}),
-    ],
-)
-def test_intervals_of_splitting_and_descent_overlap(shape, driving):
-    scene = make_scene(shape, **driving)
-    ours = split(scene, 1e-5)
-    descent = solve(scene, GradientDescent().build(), initial_spin(scene, "linear"), StopRule(2e-4, 200_000))
-    assert ours.status is descent.status is Status.CERTIFIED
-    assert max(ours.lower_bound[0], descent.lower_bound[0]) <= min(ours.power[0], descent.power[0])
-
-
-@pytest.mark.usefixtures("needs_f64")
-def test_absent_contacts_hold_no_sphere():
-    rng, whole = np.random.default_rng(3), make_scene((6, 5, 7))
-    scene = Scene(tuple(np.where(rng.random(c.shape) < 0.2, 0.0, c) for c in whole.coefficients))
-    ours = split(scene, 1e-5)
-    exact = solve(scene, InteriorPoint().build(), initial_spin(scene, "linear"), StopRule(1e-8))
-    assert ours.status is exact.status is Status.CERTIFIED
-    assert max(ours.lower_bound[0], exact.lower_bound[0]) <= min(ours.power[0], exact.power[0])
 
 
 @pytest.mark.usefixtures("needs_f64")
