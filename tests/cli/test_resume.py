@@ -46,7 +46,7 @@ def packing_scene(folder, *method):
     del arrays["friction"]
     np.savez(folder / "bcc.npz", **arrays)
     words = ("--packing", folder / "bcc.npz", "--replicas", "2", "--initial", "random", "--threads", "1", *method)
-    return *words, "--record", "linear:0,0.3,31", "--snapshots", "0,0.1,0.3", "--checkpoint-every", "0.02"
+    return *words, "--record", "linear:0,0.1,31", "--snapshots", "0,0.03,0.1", "--checkpoint-every", "0.02"
 
 
 @pytest.mark.usefixtures("needs_f64")
@@ -55,7 +55,7 @@ def test_a_run_killed_at_random_moments_gives_the_same_bits(tmp_path, method):
     """Of a lattice by explicit steps, and of a packing by implicit ones."""
     scene, count = (*SCENE, *COURSE), (31,)
     if method:
-        scene, count = packing_scene(tmp_path, "--method", method, "--duration", "0.3"), (2, 31)
+        scene, count = packing_scene(tmp_path, "--method", method, "--duration", "0.1"), (2, 31)
     undisturbed = bearings("run", *scene, "--out", tmp_path / "undisturbed", "--json")
     assert undisturbed.returncode == 0, undisturbed.stderr
     killed, draw = tmp_path / "killed", random.Random(7)
