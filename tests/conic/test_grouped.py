@@ -1,10 +1,10 @@
-"""Points of cones, and contacts of a sample on the lattice and back."""
+"""Arithmetic on all groups at once, and contacts of a sample on the lattice and back."""
 
 import numpy as np
 import pytest
 
 from taichi_bearings.conic.contact_system import free_spins, lattice_system, place_free_spins
-from taichi_bearings.conic.grouped import Grouped, determinant, length, longest_step
+from taichi_bearings.conic.grouped import Grouped
 from tests.scenes import make_scene
 
 
@@ -33,25 +33,3 @@ def test_free_spins_go_back_to_their_places():
     for replica, spins in enumerate(free_spins(staggered)):
         place_free_spins(again, replica, spins)
     assert (again == staggered).all()
-
-
-@pytest.mark.parametrize("d", [1, 2])
-def test_the_longest_step_ends_on_the_surface_of_the_cone(d):
-    rng = np.random.default_rng(d)
-    for _ in range(50):
-        tail, turn, change = rng.standard_normal((d, 1)), rng.standard_normal((d, 1)), rng.standard_normal(1)
-        head = length(tail) * (1 + 10 ** rng.uniform(-2, 1))
-        longest = longest_step((head, tail), (change, turn))
-
-        def depth(step, head=head, tail=tail, change=change, turn=turn):
-            return (head + step * change - length(tail + step * turn))[0]
-
-        if np.isinf(longest):
-            assert depth(1e6) >= -1e-9 * abs(head + 1e6 * change)[0]
-        else:
-            assert min(depth(0.5 * longest), depth(0.999 * longest)) > 0 > depth(1.001 * longest)
-
-
-def test_determinant_keeps_its_digits_next_to_the_surface():
-    tail = np.array([[0.6], [0.8]])
-    assert determinant((np.array([1 + 1e-12]), tail))[0] == pytest.approx(2e-12, rel=1e-3)

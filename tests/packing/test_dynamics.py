@@ -13,23 +13,13 @@ from taichi_bearings.solvers import drive
 from taichi_bearings.solvers.network import Network
 from taichi_bearings.solvers.recording import Recording
 from taichi_bearings.solvers.stopping import StopRule
-from tests.packing.twins import random_packing
+from tests.packing.twins import pair, random_packing
 from tests.scenes import some_of
 
 LAWS = ("coulomb", "viscous", "coulomb-viscous")
 
 
 EXPLICIT, VISCOUS = (tb.CundallStrack(energy=True, time_step=step) for step in (2e-5, 0.02))
-
-
-def as_packing(scene, shape, **others):
-    """The packing of a scene: spheres in C order, contacts axis by axis."""
-    names = ("friction", "viscosity")
-    coefficients = (scene.coefficients, *([scene.viscosity] if scene.viscosity else []))
-    flat = {name: np.concatenate([np.ravel(a) for a in of]) for name, of in zip(names, coefficients, strict=False)}
-    built = tb.Packing.lattice("cubic" if len(shape) == 3 else "square", shape, spin_bottom=-1.0)
-    arrays = built.arrays() | flat | others
-    return tb.Packing(**arrays, law=scene.law, seed=scene.seeds[0])
 
 
 CASES = [("coulomb", (5, 6)), ("coulomb", (4, 3, 5)), ("viscous", (5, 6)), ("coulomb-viscous", (4, 3, 5))]
@@ -42,9 +32,9 @@ STEPS = [
 @pytest.mark.parametrize(("options", "start", "law", "shape"), STEPS, ids=lambda part: getattr(part, "name", None))
 def test_a_lattice_given_as_packing_follows_its_scene(options, start, shape, law, precision):
     """Step by step to rounding, with the energy books; in descent as long as the box of scenes holds no spin."""
-    scene = tb.Scene.random(shape, seed=3, law=law, spin_bottom=-1.0)
+    scene, packing = pair(shape, 3, law, spin_bottom=-1.0)
     options = VISCOUS if options is EXPLICIT and law == "viscous" else options
-    packing, rounding = as_packing(scene, shape), 1e-13 if precision == "f64" else 1e-4
+    rounding = 1e-13 if precision == "f64" else 1e-4
     for steps in (2, 60):
         stop = StopRule(iterations=steps, tolerance=1e-12)
         twin = drive.solve(scene, options.build(), initial_spin(scene, start), stop)
@@ -76,10 +66,10 @@ def test_a_free_disc_is_driven_by_another_one_as_the_exact_solution_says(needs_f
 @pytest.mark.parametrize("shape", [(5, 6), (4, 3, 5)])
 def test_implicit_steps_of_a_lattice_given_as_packing_are_those_of_its_scene(shape, law, needs_f64):
     """To what Newton's method leaves of a stage; the books close to rounding."""
-    scene = tb.Scene.random(shape, seed=3, law=law, spin_bottom=-1.0)
+    scene, packing = pair(shape, 3, law, spin_bottom=-1.0)
     options = tb.ImplicitCundallStrack(time_step=0.5 if law == "viscous" else 2e-3)
     twin = drive.solve(scene, options.build(), initial_spin(scene, "random"), StopRule(iterations=20, tolerance=1e-14))
-    found = tb.solve(as_packing(scene, shape), options, start="random", iterations=20, tolerance=1e-14)
+    found = tb.solve(packing, options, start="random", iterations=20, tolerance=1e-14)
     assert found.history["iteration"][-1] == 20
     assert found.spin == pytest.approx(twin.spin[0].reshape(found.spin.shape), abs=1e-9)
     assert found.history["power"] == pytest.approx(twin.history["power"][:, 0], rel=1e-8)
@@ -239,12 +229,12 @@ def test_what_cannot_be_is_refused_in_one_sentence(arguments, sentence):
 
 
 def test_snapshots_of_a_lattice_given_as_packing_are_those_of_its_scene(needs_f64):
-    shape, options, times = (4, 3, 5), tb.CundallStrack(time_step=2e-5), np.array([0.0, 4e-4, 1e-3])
-    scene = tb.Scene.random(shape, seed=3, spin_bottom=-1.0)
+    options, times = tb.CundallStrack(time_step=2e-5), np.array([0.0, 4e-4, 1e-3])
+    scene, packing = pair((4, 3, 5), 3, spin_bottom=-1.0)
     stop, recording = StopRule(iterations=60, tolerance=1e-12), Recording(snapshots=times)
     twin = drive.solve(scene, options.build(), initial_spin(scene, "random"), stop, recording=recording).snapshots
     asked = {"start": "random", "iterations": 60, "tolerance": 1e-12, "snapshots": times}
-    found = tb.solve(as_packing(scene, shape), options, **asked).snapshots
+    found = tb.solve(packing, options, **asked).snapshots
     assert found.time == pytest.approx(times)
     assert (found.time == twin.time).all()
     assert found.spin == pytest.approx(twin.spin.reshape(found.spin.shape), abs=60 * 1e-13)
