@@ -2,9 +2,8 @@ import numpy as np
 import pytest
 
 import taichi_bearings as tb
-from taichi_bearings.errors import FileError, InputError
+from taichi_bearings.errors import InputError
 from taichi_bearings.scene import Scene
-from taichi_bearings.scene.array_files import read_coefficients
 from taichi_bearings.scene.initial_spins import STARTS, initial_spin
 from tests.scenes import make_scene
 
@@ -48,23 +47,6 @@ def test_random_starts_do_not_touch_the_disorder_and_follow_the_seed():
     first, second = make_scene((3, 4, 5), seeds=(8,)), make_scene((3, 4, 5), seeds=(8, 9))
     assert (initial_spin(first, "random")[0] == initial_spin(second, "random")[0]).all()
     assert (first.coefficient[0] == second.coefficient[0]).all()
-
-
-@pytest.mark.parametrize("kind", ["npz", "h5"])
-def test_coefficients_are_read_from_files(tmp_path, kind):
-    scene, path = make_scene((3, 4, 5)), tmp_path / f"mu.{kind}"
-    if kind == "npz":
-        np.savez(path, **{axis: c[0] for axis, c in zip("xyz", scene.coefficients, strict=True)})
-    else:
-        import h5py
-
-        with h5py.File(path, "w") as file:
-            for axis, c in zip("xyz", scene.coefficients, strict=True):
-                file[f"coefficient/{axis}"] = c[0]
-    assert all((a == b[0]).all() for a, b in zip(read_coefficients(path), scene.coefficients, strict=True))
-    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-    with pytest.raises(FileError, match="damaged, truncated"):
-        read_coefficients(path)
 
 
 def test_a_scene_owns_what_it_is_given():

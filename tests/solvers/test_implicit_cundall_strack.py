@@ -216,19 +216,6 @@ def test_a_time_that_is_aimed_at_is_met_exactly():
     assert method.time > target
 
 
-def test_replicas_share_their_step_and_nothing_else():
-    """The common step follows the replica with the largest error; the powers at rest are those of each one alone."""
-    together = make_scene((3, 3, 4), seeds=(5, 6))
-    batch = solve(together, ImplicitCundallStrack().build(), random_spin(together), StopRule(1e-8, 400))
-    fixed = advanced(together, random_spin(together), 5, time_step=1e-3).progress()
-    for n, seed in enumerate(together.seeds):
-        alone = make_scene((3, 3, 4), seeds=(seed,))
-        single = solve(alone, ImplicitCundallStrack().build(), random_spin(alone), StopRule(1e-8, 400))
-        assert batch.power[n] == pytest.approx(single.power[0], rel=2e-8)
-        same = advanced(alone, random_spin(alone), 5, time_step=1e-3).progress()
-        assert (fixed.staggered[:, n] == same.staggered[:, 0]).all()
-
-
 def test_a_stage_ends_at_the_minimum_of_its_function():
     """Compared with a general minimiser of inertia |x - base|^2 / 2 + sum of huber(trial force) / resistance."""
     scene = make_scene((2, 2, 4), seeds=(9,))

@@ -24,7 +24,7 @@ from tests.verifier.packing_files import KINDS, drawn, write_run
 @pytest.mark.parametrize("seed", some_of(120, 9))
 def test_honest_runs_are_not_refuted(seed, tmp_path):
     found = tb.solve(drawn(seed))
-    report = verify(write_run(tmp_path / "run.h5", found))
+    report = verify(write_run(tmp_path, found))
     assert report["contradictions"] == []
     assert (report["lower_bound"], report["gap"]) == (found.lower_bound, found.gap)
     assert sum(report["states_proven"].values()) == (found.state != 3).sum()
@@ -86,21 +86,6 @@ def test_bounds_of_slips_and_power_hold_at_another_minimum(seed):
     acts = (found.state != 3) & (packing.coefficients[0] > 1e-3 * packing.coefficients[0].max())
     lost = np.sqrt(off / unit) * max(np.abs(packing.imposed).max(), 0.01)
     assert (slip <= found.slip_bound + lost)[acts].all()
-
-
-@pytest.mark.parametrize(("seed", "direction"), [(1, (1, 1, 0)), (2, (1, 0, 0)), (3, (1, 1, 1)), (4, (1, 1, 0))])
-def test_a_cubic_packing_has_the_proven_states_of_the_lattice(seed, direction):
-    values = {"distribution": "bimodal:1,2,0.5"} if seed == 4 else {}
-    scene = tb.Scene.random((4, 3, 4), seed=seed, direction=direction, **values)
-    best, packing = (
-        tb.solve(scene, threads=1),
-        tb.Packing.lattice("cubic", (4, 3, 4), seed=seed, direction=direction, **values),
-    )
-    found = tb.solve(packing)
-    lattice = np.concatenate([np.asarray(of_axis).ravel() for of_axis in best.proven])
-    both = (found.proven < 2) & (lattice < 2)
-    assert (found.proven == lattice)[both].all()
-    assert seed == 4 or (both == (lattice != 3)).all()
 
 
 def test_oblique_lattices_have_proven_slips():
@@ -200,7 +185,7 @@ FORGERIES = {
         "slipping", "slipless", "undecided", "critical", "contacts", "spheres", "driven_spheres")},
     "@gap": lambda value: value + 1e-9, "@largest_balance_residual": lambda value: value * 2 + 1,
     "@status": lambda _: "stalled", "@method": lambda _: "guess", "@proof": lambda _: "proven beyond doubt",
-    "@law": lambda _: "viscous", "@scene": lambda text: text.replace("1e-08", "1e-30"),
+    "@law": lambda _: "viscous", "@scene": lambda text: text + "tolerance = 1e-30\n",
     "spin": shifted, "contact/friction": shifted, "contact/slip": shifted, "contact/power": shifted,
     "contact/force": shifted, "contact/state": lambda state: 1 - np.minimum(state, 1),
     "contact/proven": shifted, "contact/slip_bound": lambda values: values / 2,
@@ -214,7 +199,7 @@ FORGERIES = {
 @pytest.fixture(scope="module")
 def honest(tmp_path_factory):
     packing = tb.Packing.lattice("fcc", KINDS["fcc"], seed=3, spin_bottom=0.5)
-    path = write_run(tmp_path_factory.mktemp("honest") / "run.h5", tb.solve(packing))
+    path = write_run(tmp_path_factory.mktemp("honest"), tb.solve(packing))
     assert verify(path)["verified"]
     return path
 
@@ -251,7 +236,7 @@ def test_hostile_files_are_refused_in_one_sentence(name, honest, tmp_path):
 
 def test_the_command_line_says_what_is_proven(tmp_path):
     found = tb.solve(tb.Packing.lattice("bcc", KINDS["bcc"], seed=3))
-    path = write_run(tmp_path / "run.h5", found)
+    path = write_run(tmp_path, found)
     told = CliRunner().invoke(bearings, ["verify", str(path)])
     assert told.exit_code == 0, told.output
     assert f"packing of {found.packing.spheres} spheres, coulomb, certified" in told.output
@@ -263,7 +248,7 @@ def test_the_command_line_says_what_is_proven(tmp_path):
 
 
 def test_a_file_without_an_array_or_of_another_shape_is_refused(tmp_path):
-    path = write_run(tmp_path / "run.h5", tb.solve(tb.Packing.lattice("square", (3, 3), seed=3)))
+    path = write_run(tmp_path, tb.solve(tb.Packing.lattice("square", (3, 3), seed=3)))
     with h5py.File(path, "a") as file:
         values = file["spin"][:-1]
         del file["spin"]
@@ -277,7 +262,7 @@ def test_a_file_without_an_array_or_of_another_shape_is_refused(tmp_path):
 
 
 def test_a_number_that_is_none_proves_nothing(tmp_path):
-    path = write_run(tmp_path / "run.h5", tb.solve(tb.Packing.lattice("square", (3, 3), seed=3)))
+    path = write_run(tmp_path, tb.solve(tb.Packing.lattice("square", (3, 3), seed=3)))
     with h5py.File(path, "a") as file:
         file["spin"][4] = np.nan
     report = verify(path)
