@@ -12,9 +12,7 @@ from taichi_bearings.solvers.table import fastest
 from tests.agreement.methods import assert_agreement
 
 DRIVINGS = {
-    "discs": {"shape": (5, 4)},
     "discs, rotating bottom": {"shape": (3, 6), "spin_bottom": -0.4},
-    "spheres": {"shape": (3, 4, 4)},
     "spheres about x": {"shape": (3, 2, 4), "direction": (1, 0, 0), "spin_bottom": 0.3},
     "spheres about an odd axis": {"shape": (2, 3, 4), "direction": (1, -2, 3)},
 }

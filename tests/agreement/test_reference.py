@@ -1,10 +1,10 @@
-"""Both methods reach the exact minima, which were computed by another program in extended precision."""
+"""Descent reaches the exact minima, which were computed by another program in extended precision."""
 
 import pytest
 
 from taichi_bearings.scene import Status
 from taichi_bearings.scene.initial_spins import STARTS, initial_spin
-from taichi_bearings.solvers import CundallStrack, GradientDescent, OperatorSplitting
+from taichi_bearings.solvers import GradientDescent, OperatorSplitting
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
 from tests.scenes import minima, name_of, scene_of
@@ -32,15 +32,6 @@ def test_gradient_descent_with_momentum(entry, start):
     solution = solve(scene, GradientDescent().build(), initial_spin(scene, start), StopRule(2e-5, 400_000))
     assert solution.status is Status.CERTIFIED
     check(entry, solution, 2e-5)
-
-
-@pytest.mark.usefixtures("needs_f64")
-@pytest.mark.parametrize(("entry", "start"), list(zip(ENTRIES, STARTS[::-1], strict=True)), ids=of_pair)
-def test_cundall_strack(entry, start):
-    scene = scene_of(entry)
-    solution = solve(scene, CundallStrack().build(), initial_spin(scene, start), StopRule(5e-5, 400_000))
-    assert solution.status is Status.CERTIFIED
-    check(entry, solution, 5e-5)
 
 
 @pytest.mark.slow

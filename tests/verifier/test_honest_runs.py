@@ -142,7 +142,10 @@ def test_states_that_are_proven_are_those_that_are_said(needs_f64):
     assert corrected > 50
 
 
-@pytest.mark.parametrize("name", RUNS)
+TRIED = {"discs", "spheres"}  # in all their numbers by test_verdict
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.thorough if n in TRIED else ()) for n in RUNS])
 def test_what_is_forged_is_found_or_said_not_to_be_checked(name, tmp_path, needs_f64, thorough):
     path, rng, tried = honest_file(name, tmp_path / "run"), np.random.default_rng(5), 0
     while tried < (200 if thorough else 4):
