@@ -86,6 +86,7 @@ SCENES = [
     ((4, 5, 4), {"law": "coulomb-viscous"}),
     ((4, 5), {"law": "coulomb-viscous"}),
     ((10, 10, 10), {}),
+    *(((4, 5, 4), {"law": law, "top": (1.0, 0.4, -0.3, 0.2), "bottom": (0.1, 0.0, 0.3, -0.1)}) for law in LAWS),
 ]
 
 
