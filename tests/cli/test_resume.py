@@ -60,7 +60,7 @@ def test_a_run_killed_at_random_moments_gives_the_same_bits(tmp_path, method):
     assert undisturbed.returncode == 0, undisturbed.stderr
     killed, draw = tmp_path / "killed", random.Random(7)
     words = ["run", *scene, "--out", killed]
-    for _ in range(3):
+    for _ in range(2):
         assert kill_after(words, killed / "checkpoint.h5", draw.randint(1, 4)), "the run ended before it was killed"
         assert not (killed / "run.h5").exists()
         words = ["run", "--resume", killed]

@@ -135,21 +135,21 @@ def test_kills_lose_nothing_and_double_nothing(scan_file, tmp_path):
 
 
 def test_a_killed_scan_goes_on_with_all_that_it_was_asked_for(scan_file, tmp_path):
-    """Killed halfway, resumed by its folder alone, and extended: no empty column, every state."""
-    file, folder = scan_file("shape = [3, 4, 4]\n[scan]\nseed = { start = 0, stop = 24 }\n"), tmp_path / "s"
+    """Killed at a half, resumed by its folder alone, and extended: no empty column, every state."""
+    file, folder = scan_file("shape = [3, 4, 4]\n[scan]\nseed = { start = 0, stop = 48 }\n"), tmp_path / "s"
     words = [*COMMAND, file, "--out", folder, "--analyse", "--keep-states", "--workers", "1"]
     process = subprocess.Popen(words, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL, start_new_session=True)
-    wait_for(lambda: journalled(folder) >= 8)
+    wait_for(lambda: journalled(folder) >= 24)
     os.killpg(process.pid, signal.SIGKILL)
     process.wait()
-    assert 8 <= journalled(folder) < 24
-    for more, samples in ((folder,), 24), ((file, "--out", folder, "--set", "scan.seed={start=0, stop=26}"), 26):
+    assert 24 <= journalled(folder) < 48
+    for more, samples in ((folder,), 48), ((file, "--out", folder, "--set", "scan.seed={start=0, stop=51}"), 51):
         done = bearings("scan", *more)
         assert done.returncode == 0, done.stderr
         table = rows(folder)
         assert len(table) == samples == len(list((folder / "states").glob("*.h5")))
         assert all(row["power_minimum_cut"] and row["domains"] and row["spans"] for row in table)
-    whole = read_plan(file, ["scan.seed={start=0, stop=26}"])
+    whole = read_plan(file, ["scan.seed={start=0, stop=51}"])
     scan(asking(whole, analyse=True), tmp_path / "undisturbed", engine=Here(analyse=True))
     assert_same_but_for_the_clock(folder, tmp_path / "undisturbed")
 
