@@ -44,38 +44,37 @@ def test_an_absent_device_is_an_error_and_not_a_fall_back(arch):
 
 
 SMALL_RUN = """
-import numpy as np
-from taichi_bearings import compiler, runtime
-runtime.start("cpu", "f64", {threads})
-from tests.scenes import make_scene
-import taichi_bearings.fields.fields as fields
-fields.LEAST_WORKER_NUMBERS = {least_share}
+import hashlib
+import taichi_bearings as tb
+from taichi_bearings import runtime
+from taichi_bearings.fields import fields
 from taichi_bearings.scene.initial_spins import initial_spin
-from taichi_bearings.solvers import CundallStrack, GradientDescent
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
-from taichi_bearings.solvers.table import CundallStrack, GradientDescent
-import hashlib
+from tests.scenes import make_scene
+runtime.start("cpu", "f64", {threads})
+fields.LEAST_WORKER_NUMBERS = 1  # as many workers as there are threads, however small the scene
 for law in ("coulomb", "viscous"):
     scene = make_scene((7, 6, 9), law)
-    for method in (GradientDescent().build(), CundallStrack().build()):
-        solution = solve(scene, method, initial_spin(scene, "random"), StopRule(1e-14, 700))
-        print(hashlib.sha256(solution.spin.tobytes()).hexdigest(), method.team.size)
+    for method in (tb.GradientDescent().build(), tb.CundallStrack().build()):
+        found = solve(scene, method, initial_spin(scene, "random"), StopRule(1e-14, 700))
+        print(hashlib.sha256(found.spin.tobytes()).hexdigest(), method.team.size)
+for method in ("cundall-strack", "gradient-descent"):
+    packing = tb.Packing.lattice("bcc", (4, 4, 6), seed=4)
+    found = tb.solve(packing, method, start="random", iterations=60, threads={threads})
+    print(hashlib.sha256(found.spin.tobytes() + found.force.tobytes()).hexdigest(), {threads})
 """
 
 
 def test_one_and_two_workers_give_the_same_bits():
-    alone = python(SMALL_RUN.format(threads=1, least_share=1))
-    assert alone.returncode == 0, alone.stderr
-    assert [line.split()[1] for line in alone.stdout.splitlines()] == ["1"] * 4
-    if runtime.available_threads() < 2:
-        pytest.skip("one processor")
-    together = python(SMALL_RUN.format(threads=2, least_share=1))
-    assert together.returncode == 0, together.stderr
-    assert [line.split()[1] for line in together.stdout.splitlines()] == ["2"] * 4
-    assert [line.split()[0] for line in alone.stdout.splitlines()] == [
-        line.split()[0] for line in together.stdout.splitlines()
-    ]
+    found = []
+    for threads in range(1, min(2, runtime.available_threads()) + 1):
+        done = python(SMALL_RUN.format(threads=threads))
+        assert done.returncode == 0, done.stderr
+        spins, workers = zip(*map(str.split, done.stdout.splitlines()), strict=True)
+        assert workers == (str(threads),) * 6
+        found.append(spins)
+    assert found[0] == found[-1]
 
 
 def test_an_unknown_or_absent_compiler_is_named():

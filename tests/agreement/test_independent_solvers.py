@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from scipy.optimize import linprog
 from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.linalg import spsolve
 
@@ -56,41 +55,6 @@ def test_viscous_gradient_descent_equals_a_sparse_solve(shape, momentum):
     solution = solve(scene, method, initial_spin(scene, "random"), StopRule(5e-11))
     assert solution.status is Status.CERTIFIED
     assert solution.power[0] == pytest.approx(viscous_minimum(scene), rel=1e-10)
-
-
-@pytest.mark.usefixtures("needs_f64")
-@pytest.mark.parametrize("shape", [(9, 7), (4, 5, 6)])
-def test_viscous_dynamics_comes_to_rest_at_a_sparse_solve(shape):
-    scene = make_scene(shape, "viscous")
-    method = CundallStrack(gear_order=2).build()
-    solution = solve(scene, method, initial_spin(scene, "random"), StopRule(5e-11))
-    assert solution.status is Status.CERTIFIED
-    assert solution.power[0] == pytest.approx(viscous_minimum(scene), rel=1e-10)
-
-
-@pytest.mark.usefixtures("needs_f64")
-@pytest.mark.parametrize("distribution", ["uniform:0.1,1.0", "lognormal:0.5,2.0", "constant:0.3", "bimodal:1e-3,1,0.5"])
-@pytest.mark.parametrize("shape", [(6, 9), (13, 4)])
-def test_coulomb_discs_equal_a_linear_programme(shape, distribution):
-    """2D Coulomb friction is the linear programme of the minimum cut, here solved by HiGHS."""
-    scene = make_scene(shape, distribution=distribution)
-    matrix, where = incidence(shape)
-    contacts, sites = matrix.shape
-    mu = np.array([scene.coefficients[axis][0][site] for axis, site in where])
-    bounds = [(None, None)] * sites + [(0, None)] * contacts
-    for site in np.ndindex(*shape):
-        if is_driven(site, shape):
-            bounds[np.ravel_multi_index(site, shape)] = (1.0, 1.0) if site[-1] else (0.0, 0.0)
-    eye = csr_matrix((np.ones(contacts), (range(contacts), range(contacts))))
-    from scipy.sparse import bmat
-
-    above = bmat([[matrix, -eye], [-matrix, -eye]])
-    programme = linprog(np.concatenate([np.zeros(sites), mu]), A_ub=above, b_ub=np.zeros(2 * contacts), bounds=bounds)
-    exact = scene.normal_force * scene.lattice.radius * programme.fun
-    solution = solve(scene, GradientDescent().build(), initial_spin(scene, "linear"), StopRule(1e-5))
-    assert solution.status is Status.CERTIFIED
-    assert solution.power[0] == pytest.approx(exact, rel=2e-5)
-    assert solution.lower_bound[0] <= exact * (1 + 1e-12)
 
 
 @pytest.mark.parametrize(

@@ -2,8 +2,6 @@
 
 import numpy as np
 import pytest
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from taichi_bearings.analysis.bottlenecks import Bottlenecks
 from taichi_bearings.analysis.domains import rigid_domains
@@ -13,7 +11,7 @@ from taichi_bearings.analysis.torque_flow import self_stress
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.runs.structure_report import ON_CONTACTS, numbers_of
-from tests.analysis.networks import drawn, random_network
+from tests.analysis.networks import drawn
 from tests.scenes import make_scene
 
 CLOSED = [((6, 5), "x"), ((4, 3, 6), "x"), ((4, 4, 5), "xy"), ((2, 4, 5), "xy"), ((2, 6), "x")]
@@ -54,20 +52,6 @@ def test_the_two_contacts_of_a_ring_of_two_are_two_links():
     assert network.on_path[slipless].tolist() == [True, False, True, True, True]  # by the first of the two
     along_x[0, 1] = False
     assert SliplessNetwork(lattice, slipless).on_path[slipless].all()
-
-
-@pytest.mark.parametrize(("shape", "sides"), CLOSED, ids=str)
-def test_domains_are_the_connected_components_of_the_contacts(shape, sides):
-    network = random_network(shape, 0.5, 31, tuple(map("xyz".index, sides)))
-    axes = (2,) if len(shape) == 2 else (0, 1)
-    found = rigid_domains(network, np.zeros((len(axes), *shape)), axes)
-    sphere = np.arange(network.lattice.sites).reshape(shape)
-    planes = [(plane.ravel()[:-1], plane.ravel()[1:]) for plane in (sphere[..., 0], sphere[..., -1])]
-    for component, label in zip(axes, found.component_domain.reshape(len(axes), -1), strict=True):
-        pairs = np.concatenate([network.ends[:, network.axis != component], *planes], axis=1)
-        graph = coo_array((np.ones(pairs.shape[1]), tuple(pairs)), shape=(sphere.size,) * 2)
-        number, expected = connected_components(graph, directed=False)
-        assert len(set(zip(label.tolist(), expected.tolist(), strict=True))) == number == len(np.unique(label))
 
 
 def rolled(values, lattice, axis):

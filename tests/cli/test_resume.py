@@ -16,7 +16,7 @@ from tests.cli.commands import bearings
 
 DRAWN = ("--shape", "3,3,4", "--method", "cundall-strack", "--initial", "random", "--threads", "1")
 SCENE = (*DRAWN, "--figures", "none")
-COURSE = ("--duration", "20", "--record", "linear:0,20,31", "--snapshots", "0,1,20", "--checkpoint-every", "0.02")
+COURSE = ("--duration", "4", "--record", "linear:0,4,31", "--snapshots", "0,1,4", "--checkpoint-every", "0.02")
 
 
 def arrays_of(run):
@@ -46,7 +46,7 @@ def packing_scene(folder, *method):
     del arrays["friction"]
     np.savez(folder / "bcc.npz", **arrays)
     words = ("--packing", folder / "bcc.npz", "--replicas", "2", "--initial", "random", "--threads", "1", *method)
-    return *words, "--record", "linear:0,0.3,31", "--snapshots", "0,0.1,0.3", "--checkpoint-every", "0.02"
+    return *words, "--record", "linear:0,0.1,31", "--snapshots", "0,0.03,0.1", "--checkpoint-every", "0.02"
 
 
 @pytest.mark.usefixtures("needs_f64")
@@ -55,12 +55,12 @@ def test_a_run_killed_at_random_moments_gives_the_same_bits(tmp_path, method):
     """Of a lattice by explicit steps, and of a packing by implicit ones."""
     scene, count = (*SCENE, *COURSE), (31,)
     if method:
-        scene, count = packing_scene(tmp_path, "--method", method, "--duration", "0.3"), (2, 31)
+        scene, count = packing_scene(tmp_path, "--method", method, "--duration", "0.1"), (2, 31)
     undisturbed = bearings("run", *scene, "--out", tmp_path / "undisturbed", "--json")
     assert undisturbed.returncode == 0, undisturbed.stderr
     killed, draw = tmp_path / "killed", random.Random(7)
     words = ["run", *scene, "--out", killed]
-    for _ in range(3):
+    for _ in range(2):
         assert kill_after(words, killed / "checkpoint.h5", draw.randint(1, 4)), "the run ended before it was killed"
         assert not (killed / "run.h5").exists()
         words = ["run", "--resume", killed]
@@ -179,7 +179,7 @@ def test_a_full_disk_costs_the_file_and_not_the_run(tmp_path, tmp_path_factory):
     def small_files():
         resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, 40_000))
 
-    words = (*SCENE, "--duration", "1", "--checkpoint-every", "0.005", "--snapshots", "linear:0,1,200")
+    words = (*SCENE, "--duration", "0.5", "--checkpoint-every", "0.02", "--snapshots", "linear:0,0.5,120")
     done = bearings("run", *words, "--out", tmp_path / "run", preexec_fn=small_files, env=elsewhere)
     assert done.returncode == 2
     assert "the run goes on" in done.stderr
@@ -189,7 +189,7 @@ def test_a_full_disk_costs_the_file_and_not_the_run(tmp_path, tmp_path_factory):
     assert len(list(tmp_path.iterdir())) == 1
     done = bearings("run", "--resume", tmp_path / "run")
     assert done.returncode == 0, done.stderr
-    assert len(arrays_of(tmp_path / "run")["snapshots/time"]) == 200
+    assert len(arrays_of(tmp_path / "run")["snapshots/time"]) == 120
 
 
 def test_a_checkpoint_that_was_changed_proves_nothing(tmp_path):

@@ -7,11 +7,9 @@ none but a free lock.
 
 import io
 import json
-import os
 import shutil
 import signal
 import sys
-import traceback
 from pathlib import Path
 
 import h5py
@@ -20,14 +18,12 @@ from taichi_bearings_cli.main import main as bearings
 import taichi_bearings as tb
 from taichi_bearings import interrupts
 from taichi_bearings.files.scan_file import read_scan
-from taichi_bearings.runs import run_directory
 from taichi_bearings.runs.run_file import read_run
 from taichi_bearings.scans.plan import read_plan
 from taichi_bearings.scans.scan import scan
+from tests.runs.kills import OVER, Strike, ended
 from tests.scans.scan_faults import Here
 
-CHANGES = {"os.rename", "os.mkdir", "os.rmdir", "os.remove", "os.truncate", "shutil.rmtree", "swap", "fsync"}
-WRITES = os.O_WRONLY | os.O_RDWR | os.O_CREAT
 SCAN = "shape = [4, 5]\n[scan]\nseed = [1, 2, 3]\n"
 
 
@@ -59,48 +55,6 @@ COMMANDS = {
     "save": save,
     "scan": solve_scan,
 }
-
-
-class Strike:
-    """Sends a signal to this process before a step in the file system. at : which one; 0 for none."""
-
-    def __init__(self):
-        self.what, self.at, self.steps = signal.SIGKILL, 0, 0
-        sys.addaudithook(self.hear)
-        fsync, swap = os.fsync, run_directory._swap
-        os.fsync = lambda file: (sys.audit("fsync"), fsync(file))[1]
-        run_directory._swap = lambda *names: (sys.audit("swap"), swap(*names))[1]
-
-    def hear(self, event, given):
-        writes = event == "open" and isinstance(given[2], int) and given[2] & WRITES and given[0] != os.devnull
-        if event in CHANGES or writes:
-            self.steps += 1
-            if self.steps == self.at:
-                os.kill(os.getpid(), self.what)
-
-
-def ended(call, folder, strike=None, at=0, what=signal.SIGKILL):
-    """How a process of its own ended: its exit code, or minus the signal; and whether it came to that step."""
-    child = os.fork()
-    if child == 0:
-        code, said = 1, io.StringIO()
-        sys.stdout = sys.stderr = said
-        try:
-            if strike is not None:
-                strike.what, strike.at, strike.steps = what, at, 0
-            call(folder)
-            code = 0
-        except SystemExit as end:
-            code = end.code or 0
-        except KeyboardInterrupt:
-            code = 130
-        except BaseException:
-            code = 99
-            os.write(2, traceback.format_exc().encode())
-        if code not in (0, 130):
-            os.write(2, said.getvalue().encode())
-        os._exit(code if strike is None or strike.at == 0 or strike.steps >= at else 77)
-    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
 
 
 def load(call, folder):
@@ -168,7 +122,7 @@ def sweep(folder, name, what, stride, strike, expected):
         shutil.copytree(folder / "whole", place)
         code = ended(call, place, strike, at, what)
         refuse_half_written(place)
-        if code == 77:  # over before that step
+        if code == OVER:  # over before that step
             shutil.rmtree(place)
             return strikes
         strikes += 1

@@ -1,4 +1,4 @@
-"""What the machine does not give: memory, folders, clocks, streams. One sentence each, and nothing is lost."""
+"""What the machine does not give: memory, folders, streams. One sentence each, and nothing is lost."""
 
 import os
 import shutil

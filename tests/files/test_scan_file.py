@@ -1,4 +1,4 @@
-"""scan.h5 and scan.csv as others read them."""
+"""scan.h5, scan.csv and other tables as others read them; files appear in full or not at all."""
 
 import csv
 import math
@@ -9,6 +9,7 @@ import pytest
 
 from taichi_bearings.errors import FileError
 from taichi_bearings.files.scan_file import bin_of, column, dense_histograms, read_scan, write_scan, write_scan_csv
+from taichi_bearings.files.whole_file import write_csv, write_text
 
 COLUMNS = [
     column("seed", [1, 2, 3], "1", "seed of the disorder"),
@@ -97,3 +98,17 @@ def test_other_files_are_refused_by_name(path, tmp_path):
         file.attrs["schema_version"] = 99
     with pytest.raises(FileError, match="version 99"):
         read_scan(path)
+
+
+def test_numbers_come_back_to_the_last_bit(tmp_path):
+    values = [0.1 + 0.2, 1e-300, -1 / 3]
+    write_csv(tmp_path / "t.csv", ["a", "b"], [[value, "x, y"] for value in values], notes=["made by hand"])
+    lines = (tmp_path / "t.csv").read_text().splitlines()
+    assert lines[:2] == ["# made by hand", "a,b"]
+    assert [float(line.split(",")[0]) for line in lines[2:]] == values
+    assert lines[2].endswith(',"x, y"')
+
+
+def test_a_folder_that_is_missing_is_named(tmp_path):
+    with pytest.raises(FileError, match="cannot be written"):
+        write_text(tmp_path / "none" / "t.txt", "new")

@@ -1,6 +1,5 @@
 """The journal of a scan keeps whole lines whatever happens to the file."""
 
-import json
 import resource
 import signal
 
@@ -21,11 +20,6 @@ def path(tmp_path):
         journal.append(SAMPLES[:3])
         journal.append(SAMPLES[3:])
     return tmp_path / "samples.jsonl"
-
-
-def test_what_is_appended_is_read_back_to_the_last_bit(path):
-    assert list(read_journal(path).values()) == SAMPLES
-    assert [json.loads(line)["sample"] for line in path.read_text().splitlines()] == SAMPLES
 
 
 def test_a_missing_journal_is_empty(tmp_path):
@@ -64,14 +58,6 @@ def test_a_changed_line_goes_once_the_journal_goes_on(path, caplog):
     assert path.read_bytes() == b"".join([lines[0], *lines[2:], lines[1]])
     assert len(read_journal(path)) == 5
     assert not caplog.records
-
-
-def test_of_two_lines_with_one_key_the_later_counts(path):
-    later = SAMPLES[2] | {"scalars": {"status": "finished", "power": 7.0}, "bins": {}}
-    with Journal(path) as journal:
-        journal.append([later])
-    assert len(read_journal(path)) == 5
-    assert read_journal(path)[later["key"]] == later
 
 
 def test_a_full_disk_is_told_and_keeps_the_samples_that_fit(path):

@@ -8,8 +8,6 @@ import networkx as nx
 import numpy as np
 import pytest
 from scipy.ndimage import label
-from scipy.optimize import linprog
-from scipy.sparse import coo_array, hstack, identity, vstack
 
 from taichi_bearings.numerics import minimum_cut as module
 from taichi_bearings.numerics.minimum_cut import flow_cut, largest_flow, minimum_cut, next_cut, weight_of_cut
@@ -100,24 +98,6 @@ def test_a_flow_and_a_path_of_the_dual_graph_find_the_same_planar_cut(shape, flo
     assert path.unique.all()
     assert flow.unique.all()
     assert flow.lower_bound == pytest.approx(path.lower_bound, rel=1e-13)
-
-
-@pytest.mark.parametrize("decades", [1.0, 6.0])
-def test_the_weight_is_that_of_a_linear_programme(decades, flows):
-    """Potentials between 0 and 1 with the least weighted sum of |differences|: shares no code and no algorithm."""
-    shape = (5, 4, 6)
-    weight = random_weights(shape, 8, replicas=1, decades=decades)
-    contacts = contacts_of(weight)
-    rows = np.arange(len(contacts))
-    ends = [np.ravel_multi_index(list(zip(*(c[end] for c in contacts), strict=True)), shape) for end in (0, 1)]
-    sign, places = np.repeat([-1.0, 1.0], len(rows)), (np.tile(rows, 2), np.concatenate(ends))
-    difference = coo_array((sign, places), shape=(len(rows), int(np.prod(shape))))
-    above = vstack([hstack([s * difference, -identity(len(rows))]) for s in (1, -1)]).tocsr()
-    fixed = {0: (0, 0), shape[-1] - 1: (1, 1)}
-    limits = [fixed.get(site[-1], (0, 1)) for site in np.ndindex(*shape)] + [(0, None)] * len(rows)
-    cost = np.concatenate([np.zeros(int(np.prod(shape))), [c[2] for c in contacts]])
-    found = linprog(cost, A_ub=above, b_ub=np.zeros(above.shape[0]), bounds=limits)
-    assert minimum_cut(weight).weight[0] == pytest.approx(found.fun, rel=1e-7)
 
 
 def test_flows_balance_within_the_capacities_and_fill_the_cut(flows):

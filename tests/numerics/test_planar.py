@@ -7,8 +7,6 @@ from itertools import product
 import numpy as np
 import pytest
 from scipy.ndimage import label
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import maximum_flow
 
 from taichi_bearings.numerics.planar import MinimumCuts, minimum_cuts
 
@@ -179,26 +177,6 @@ def test_without_disorder_every_level_cut_ties(weight):
     assert cuts.upward_tied.all()
     assert not cuts.sideways_tied.any()
     assert cuts.next_weight[0] == cuts.weight[0]
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_integer_weights_agree_with_maximum_flow(seed):
-    columns, rows = 12, 9
-    rng = np.random.default_rng(seed)
-    sideways = rng.integers(1, 1000, (1, columns - 1, rows))
-    upward = rng.integers(1, 1000, (1, columns, rows - 1))
-    node = np.arange(columns * rows).reshape(columns, rows)
-    node[:, 0], node[:, -1] = node[0, 0], node[0, -1]
-    first = np.concatenate([node[:-1, 1:-1].ravel(), node[:, :-1].ravel()])
-    second = np.concatenate([node[1:, 1:-1].ravel(), node[:, 1:].ravel()])
-    weight = np.concatenate([sideways[0, :, 1:-1].ravel(), upward[0].ravel()])
-    graph = coo_array(
-        (np.tile(weight, 2), (np.append(first, second), np.append(second, first))), shape=(node.size, node.size)
-    )
-    expected = maximum_flow(graph.astype(np.int32).tocsr(), node[0, 0], node[0, -1]).flow_value
-    cuts = cuts_of(sideways.astype(float), upward.astype(float))
-    assert cuts.weight[0] == expected
-    assert cuts.upward_flow[0, :, 0].sum() == expected
 
 
 @pytest.mark.parametrize("decades", [1.0, 6.0, 15.0, 30.0])

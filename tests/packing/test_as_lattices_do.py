@@ -19,6 +19,7 @@ from taichi_bearings.scans.histogram import pooled, read_source
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers.network import Network
 from tests.cli.commands import bearings
+from tests.packing.twins import pair
 
 pytestmark = pytest.mark.usefixtures("needs_f64")
 
@@ -30,15 +31,6 @@ DRIVINGS = [{"spin_bottom": 0.2}, {"direction": (1.0, 0.0, 0.0)}, {"top": (1.0, 
 
 
 FREE_CHOICE = {"most_loaded", "mean_saturation"}  # the first of equals, and forces that are not unique
-
-
-def pair(shape, seed, law="coulomb", **driving):
-    """A scene, and the same as packing."""
-    scene = tb.Scene.random(shape, seed=seed, law=law, **driving)
-    of = dict(zip(("friction", "viscosity"), [scene.coefficients, scene.viscosity], strict=True))
-    flat = {name: np.concatenate([np.ravel(part) for part in parts]) for name, parts in of.items() if parts}
-    kind = "cubic" if len(shape) == 3 else "square"
-    return scene, tb.Packing.lattice(kind, shape, law=law, **driving, **flat)
 
 
 @pytest.mark.parametrize(("shape", "driving"), [((5, 5, 6), driving) for driving in DRIVINGS] + [((7, 8), {})])

@@ -9,16 +9,6 @@ from tests.packing.twins import clarabel_least
 TOP, BOTTOM = (1.0, 0.4, -0.3, 0.2), (0.1, 0.0, 0.3, -0.1)
 
 
-@pytest.mark.parametrize("law", ["coulomb", "coulomb-viscous", "viscous"])
-@pytest.mark.parametrize("states", [{}, {"top": TOP, "bottom": BOTTOM}], ids=["spins", "states"])
-def test_planes_are_those_of_scenes(law, states):
-    scene = tb.Scene.random((4, 5, 4), seed=3, law=law, **states)
-    expected = tb.solve(scene, threads=1)
-    found = tb.solve(tb.Packing.lattice("cubic", (4, 5, 4), seed=3, law=law, **states))
-    assert found.power == pytest.approx(expected.power, rel=1e-9)
-    assert found.status == "certified"
-
-
 @pytest.mark.parametrize("shape", [(5, 4), (4, 3, 5)])
 def test_walls_are_planes_of_the_lattice_laid_down(shape):
     """The axes are named anew, the last one first; spins, too."""

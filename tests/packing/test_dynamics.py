@@ -1,8 +1,5 @@
 """Dynamics and descent of packings: lattices step by step, exact courses, proven minima, and what is conserved."""
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 
@@ -16,7 +13,7 @@ from taichi_bearings.solvers import drive
 from taichi_bearings.solvers.network import Network
 from taichi_bearings.solvers.recording import Recording
 from taichi_bearings.solvers.stopping import StopRule
-from tests.packing.twins import random_packing
+from tests.packing.twins import pair, random_packing
 from tests.scenes import some_of
 
 LAWS = ("coulomb", "viscous", "coulomb-viscous")
@@ -25,29 +22,19 @@ LAWS = ("coulomb", "viscous", "coulomb-viscous")
 EXPLICIT, VISCOUS = (tb.CundallStrack(energy=True, time_step=step) for step in (2e-5, 0.02))
 
 
-def as_packing(scene, shape, **others):
-    """The packing of a scene: spheres in C order, contacts axis by axis."""
-    names = ("friction", "viscosity")
-    coefficients = (scene.coefficients, *([scene.viscosity] if scene.viscosity else []))
-    flat = {name: np.concatenate([np.ravel(a) for a in of]) for name, of in zip(names, coefficients, strict=False)}
-    built = tb.Packing.lattice("cubic" if len(shape) == 3 else "square", shape, spin_bottom=-1.0)
-    arrays = built.arrays() | flat | others
-    return tb.Packing(**arrays, law=scene.law, seed=scene.seeds[0])
+CASES = [("coulomb", (5, 6)), ("coulomb", (4, 3, 5)), ("viscous", (5, 6)), ("coulomb-viscous", (4, 3, 5))]
+STEPS = [
+    *((EXPLICIT, "random", *case) for case in CASES), *((tb.GradientDescent(), "zero", *case) for case in CASES[1:]),
+    (tb.GradientDescent(momentum=False), "zero", *CASES[0]),
+]  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    ("law", "shape"), [("coulomb", (5, 6)), ("coulomb", (4, 3, 5)), ("viscous", (5, 6)), ("coulomb-viscous", (4, 3, 5))]
-)
-@pytest.mark.parametrize(
-    ("options", "start"),
-    [(EXPLICIT, "random"), (tb.GradientDescent(), "zero"), (tb.GradientDescent(momentum=False), "zero")],
-    ids=["cundall-strack", "descent", "plain descent"],
-)
+@pytest.mark.parametrize(("options", "start", "law", "shape"), STEPS, ids=lambda part: getattr(part, "name", None))
 def test_a_lattice_given_as_packing_follows_its_scene(options, start, shape, law, precision):
     """Step by step to rounding, with the energy books; in descent as long as the box of scenes holds no spin."""
-    scene = tb.Scene.random(shape, seed=3, law=law, spin_bottom=-1.0)
+    scene, packing = pair(shape, 3, law, spin_bottom=-1.0)
     options = VISCOUS if options is EXPLICIT and law == "viscous" else options
-    packing, rounding = as_packing(scene, shape), 1e-13 if precision == "f64" else 1e-4
+    rounding = 1e-13 if precision == "f64" else 1e-4
     for steps in (2, 60):
         stop = StopRule(iterations=steps, tolerance=1e-12)
         twin = drive.solve(scene, options.build(), initial_spin(scene, start), stop)
@@ -79,10 +66,10 @@ def test_a_free_disc_is_driven_by_another_one_as_the_exact_solution_says(needs_f
 @pytest.mark.parametrize("shape", [(5, 6), (4, 3, 5)])
 def test_implicit_steps_of_a_lattice_given_as_packing_are_those_of_its_scene(shape, law, needs_f64):
     """To what Newton's method leaves of a stage; the books close to rounding."""
-    scene = tb.Scene.random(shape, seed=3, law=law, spin_bottom=-1.0)
+    scene, packing = pair(shape, 3, law, spin_bottom=-1.0)
     options = tb.ImplicitCundallStrack(time_step=0.5 if law == "viscous" else 2e-3)
     twin = drive.solve(scene, options.build(), initial_spin(scene, "random"), StopRule(iterations=20, tolerance=1e-14))
-    found = tb.solve(as_packing(scene, shape), options, start="random", iterations=20, tolerance=1e-14)
+    found = tb.solve(packing, options, start="random", iterations=20, tolerance=1e-14)
     assert found.history["iteration"][-1] == 20
     assert found.spin == pytest.approx(twin.spin[0].reshape(found.spin.shape), abs=1e-9)
     assert found.history["power"] == pytest.approx(twin.history["power"][:, 0], rel=1e-8)
@@ -222,23 +209,6 @@ def test_neighbours_stand_near_each_other_whatever_the_order_was():
     assert set(of_sphere) == {e for e in range(packing.contacts) if 5 in (first[e], second[e])}
 
 
-COURSE = """
-import sys, numpy as np, taichi_bearings as tb
-packing = tb.Packing.lattice("bcc", (4, 4, 6), seed=4)
-for method in ("cundall-strack", "gradient-descent"):
-    found = tb.solve(packing, method, start="random", iterations=60, threads=int(sys.argv[1]))
-    print(found.spin.tobytes().hex()[:4000], found.force.sum().hex())
-"""
-
-
-def test_any_number_of_threads_gives_the_same_bits():
-    outputs = [
-        subprocess.run([sys.executable, "-c", COURSE, threads], capture_output=True, text=True, check=True).stdout
-        for threads in ("1", "2")
-    ]
-    assert outputs[0] == outputs[1] != ""
-
-
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
@@ -259,12 +229,12 @@ def test_what_cannot_be_is_refused_in_one_sentence(arguments, sentence):
 
 
 def test_snapshots_of_a_lattice_given_as_packing_are_those_of_its_scene(needs_f64):
-    shape, options, times = (4, 3, 5), tb.CundallStrack(time_step=2e-5), np.array([0.0, 4e-4, 1e-3])
-    scene = tb.Scene.random(shape, seed=3, spin_bottom=-1.0)
+    options, times = tb.CundallStrack(time_step=2e-5), np.array([0.0, 4e-4, 1e-3])
+    scene, packing = pair((4, 3, 5), 3, spin_bottom=-1.0)
     stop, recording = StopRule(iterations=60, tolerance=1e-12), Recording(snapshots=times)
     twin = drive.solve(scene, options.build(), initial_spin(scene, "random"), stop, recording=recording).snapshots
     asked = {"start": "random", "iterations": 60, "tolerance": 1e-12, "snapshots": times}
-    found = tb.solve(as_packing(scene, shape), options, **asked).snapshots
+    found = tb.solve(packing, options, **asked).snapshots
     assert found.time == pytest.approx(times)
     assert (found.time == twin.time).all()
     assert found.spin == pytest.approx(twin.spin.reshape(found.spin.shape), abs=60 * 1e-13)

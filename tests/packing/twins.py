@@ -7,6 +7,15 @@ import taichi_bearings as tb
 from tests.clarabel_twin import least
 
 
+def pair(shape, seed, law="coulomb", **driving):
+    """A scene, and the same as packing: spheres in C order, contacts axis by axis."""
+    scene = tb.Scene.random(shape, seed=seed, law=law, **driving)
+    of = dict(zip(("friction", "viscosity"), [scene.coefficients, scene.viscosity], strict=True))
+    flat = {name: np.concatenate([np.ravel(part) for part in parts]) for name, parts in of.items() if parts}
+    kind = "cubic" if len(shape) == 3 else "square"
+    return scene, tb.Packing.lattice(kind, shape, seed=seed, law=law, **driving, **flat)
+
+
 def cross_matrix(n):
     """Matrix of a -> a x n."""
     return np.array([[0, n[2], -n[1]], [-n[2], 0, n[0]], [n[1], -n[0], 0.0]])

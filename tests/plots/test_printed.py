@@ -1,8 +1,9 @@
-"""Figures as a journal prints them: of the size that was asked for, nothing clipped, letters legible and letters."""
+"""Figures as a journal prints them: of the size that was asked for, nothing clipped, letters legible; their numbers."""
 
 import io
 import re
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -10,10 +11,12 @@ from matplotlib.collections import LineCollection
 from matplotlib.text import Text
 
 import taichi_bearings as tb
+from taichi_bearings.analysis.histogram import power_histogram
 from taichi_bearings.errors import InputError
+from taichi_bearings.plots.curves import Curve, Look, draw_overlay, draw_scan
 from taichi_bearings.plots.page import Page, View, read_plane, read_view, read_width
 from taichi_bearings.plots.spins import draw_power
-from taichi_bearings.plots.style import column_label, save
+from taichi_bearings.plots.style import column_label, mathematics, save
 from taichi_bearings.runs.figures import FIGURE_KINDS, draw_figure
 from taichi_bearings.scene import Solution
 
@@ -122,3 +125,24 @@ def test_power_is_in_units_on_its_axis(solved):
     assert np.concatenate(lines).max() <= solved.power_per_contact.max() / unit * (1 + 1e-12)
     assert column_label("power/power_minimum_cut") == r"$\langle P \rangle\,/\,\langle P_\mathrm{cut} \rangle$"
     assert column_label("largest_spread") == "largest_spread"
+
+
+def test_small_numbers_are_powers_of_ten_within_mathematics():
+    assert [mathematics(x) for x in (5e-12, -2.5e20, 0.25, 1234567.0, 0.0)] == [
+        r"5\times10^{-12}", r"-2.5\times10^{20}", "0.25", r"1.23457\times10^{6}", "0",
+    ]  # fmt: skip
+
+
+def test_a_logarithmic_axis_names_few_ticks_and_no_line_crosses_an_empty_bin():
+    x = np.arange(1.0, 4.0)
+    figure = draw_scan([Curve("", x, 20 * x, 19 * x, 21 * x)], Look("x", "P", log="y"))
+    figure.draw_without_rendering()
+    boxes = [t.get_window_extent() for t in figure.axes[0].get_yticklabels(which="both") if t.get_text()]
+    boxes.sort(key=lambda box: box.y0)
+    assert 1 < len(boxes) < 8
+    assert all(low.y1 < high.y0 for low, high in pairwise(boxes))
+    power, state = np.array([[1.0, 1.1, 500.0, 550.0]]), np.ones((1, 4), dtype=int)
+    (curve,) = draw_overlay({1: power_histogram(power, state, 0.0)}, "seed").axes[0].lines
+    gaps = np.isnan(curve.get_ydata())
+    assert gaps.any()
+    assert not gaps[[0, -1]].any()

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
-from scipy.linalg import expm
 
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.scene.law import LAWS
@@ -18,7 +17,6 @@ from taichi_bearings.solvers.drive import Checkpoints, solve
 from taichi_bearings.solvers.stopping import StopRule
 from tests.properties.answers import laws_of
 from tests.properties.scenes import DISCS, SPHERES, cases, decades, scenes
-from tests.properties.truths import kinematics
 
 SMALL = (*DISCS[:4], *SPHERES[:4])
 MOVING = tuple(name for name, row in METHODS.items() if row.is_dynamics)
@@ -77,39 +75,6 @@ def test_a_course_that_is_resumed_has_the_same_bits(name):
             np.testing.assert_array_equal(again.history[column], whole.history[column], err_msg=column)
 
     holds()
-
-
-@cases(0.2)
-@given(scenes(("viscous",), contrast=2, scale=3, shapes=SMALL), st.sampled_from((2, 3, 4)))
-def test_gears_method_has_its_order_against_the_matrix_exponential(scene, order):
-    """I dw/dt = sum of r x F of viscous contacts, assembled in the laboratory frame."""
-    motion, jump, radius = kinematics(scene), scene.spin_top - scene.spin_bottom, scene.lattice.radius
-    eta = np.repeat([scene.coefficients[axis][0][lower] for lower, _, axis in motion.acting], 3)
-    inertia = radius**2 * float(eta.max())  # makes the time of the fastest motion about 1
-    drag = radius**2 / inertia * motion.turning.T @ (eta[:, None] * motion.turning.toarray())
-    push = radius**2 / inertia * motion.turning.T @ (eta * motion.fixed)
-    size = len(push)
-    exact = (expm(np.block([[-drag, -push[:, None]], [np.zeros((1, size + 1))]])) @ np.eye(size + 1)[-1])[:-1]
-    errors = []
-    for steps in (64, 128):
-        options = CundallStrack(gear_order=order, inertia=inertia, time_step=1 / steps)
-        answer = solve(scene, options.build(), bearing_of_the_bottom(scene), StopRule(1e-14, steps, duration=1.0))
-        assert answer.iterations == steps
-        errors.append(np.abs(relative_spins(scene, answer.spin, motion.free) - exact * np.sign(jump)).max())
-    rounding = 1e-14 * (1 + abs(scene.spin_bottom / jump))  # of laboratory spins beside the jump
-    assert errors[1] < max(errors[0] / 2 ** (order + 0.5), rounding), errors
-
-
-def bearing_of_the_bottom(scene):
-    """Laboratory spins that turn with the bottom."""
-    return initial_spin(replace(scene, spin_top=scene.spin_bottom), "linear")
-
-
-def relative_spins(scene, spin, free):
-    """Of the free spheres from the bearing state of the bottom, in units of the jump, (3M,)."""
-    from_bottom = (spin - bearing_of_the_bottom(scene))[0]
-    rows = [[0.0, 0.0, from_bottom[site]] if scene.lattice.dimension == 2 else from_bottom[site] for site in free]
-    return np.array(rows).ravel() / scene.jump
 
 
 @cases(0.1)

@@ -135,21 +135,6 @@ def test_signs_of_all_spins_change_no_bit(scene, method):
         assert (other.spin == -one.spin).all()
 
 
-@cases(0.4)
-@given(scenes(scale=3), EVERY, st.sampled_from((1.0, -2.0, 64.0)))
-def test_a_bearing_state_on_top_changes_no_slip(scene, method, shift):
-    """Where the jump stays the same to the last bit, so do the slips of methods that take no spins to start from, which
-    would be rounded."""
-    assume(not METHODS[method].refusal(scene))
-    added = shift * 2.0 ** int(np.frexp(scene.jump)[1])
-    other = replace(scene, spin_top=scene.spin_top + added, spin_bottom=scene.spin_bottom + added)
-    assume(jump_of(other) == jump_of(scene))
-    one, two = (answer_of(s, method) for s in (scene, other))
-    assert_meet(between(one), between(two))
-    if method in ("planar-cut", "linear-solver"):
-        assert (one.slip == two.slip).all()
-
-
 @cases()
 @given(scenes(shapes=SPHERES), st.integers(0, 2**32 - 1))
 def test_the_power_of_any_spins_has_the_symmetries(scene, seed):

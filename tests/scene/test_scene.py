@@ -1,10 +1,13 @@
+"""What a scene is made of, and the distributions of its coefficients."""
+
 import numpy as np
 import pytest
 
 import taichi_bearings as tb
-from taichi_bearings.errors import FileError, InputError
+from taichi_bearings.errors import InputError
+from taichi_bearings.lattice import Lattice
 from taichi_bearings.scene import Scene
-from taichi_bearings.scene.array_files import read_coefficients
+from taichi_bearings.scene.disorder import Distribution, draw_coefficients
 from taichi_bearings.scene.initial_spins import STARTS, initial_spin
 from tests.scenes import make_scene
 
@@ -50,23 +53,6 @@ def test_random_starts_do_not_touch_the_disorder_and_follow_the_seed():
     assert (first.coefficient[0] == second.coefficient[0]).all()
 
 
-@pytest.mark.parametrize("kind", ["npz", "h5"])
-def test_coefficients_are_read_from_files(tmp_path, kind):
-    scene, path = make_scene((3, 4, 5)), tmp_path / f"mu.{kind}"
-    if kind == "npz":
-        np.savez(path, **{axis: c[0] for axis, c in zip("xyz", scene.coefficients, strict=True)})
-    else:
-        import h5py
-
-        with h5py.File(path, "w") as file:
-            for axis, c in zip("xyz", scene.coefficients, strict=True):
-                file[f"coefficient/{axis}"] = c[0]
-    assert all((a == b[0]).all() for a, b in zip(read_coefficients(path), scene.coefficients, strict=True))
-    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-    with pytest.raises(FileError, match="damaged, truncated"):
-        read_coefficients(path)
-
-
 def test_a_scene_owns_what_it_is_given():
     """A buffer that is filled anew, or its last value made impossible, changes no scene; nor can a scene be changed."""
     given = [np.full((3, 5), 0.4), np.full((4, 4), 0.4)]
@@ -90,3 +76,38 @@ def test_a_faint_part_of_the_direction_has_a_finite_power(needs_f64):
     assert best.lower_bound <= best.potential < np.inf
     assert 0 < best.power < np.inf
     assert 0 <= best.gap <= 1
+
+
+def test_the_seed_convention_is_one_uniform_draw_an_axis():
+    rng = np.random.default_rng(12)
+    expected = [rng.uniform(0.1, 1.0, shape) for shape in ((2, 4, 5), (3, 3, 5), (3, 4, 4))]
+    drawn = draw_coefficients(Lattice((3, 4, 5)), Distribution.parse("uniform:0.1,1.0"), 12)
+    assert all((a == b).all() for a, b in zip(drawn, expected, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("text", "mean"),
+    [
+        ("uniform:0.1,1.0", 0.55),
+        ("lognormal:0.5,0.3", 0.5 * np.exp(0.045)),
+        ("power-law:0.1,1.0,-1", 0.9 / np.log(10)),
+        ("power-law:0.1,1.0,2", 3 / 4 * (1 - 1e-4) / (1 - 1e-3)),
+        ("bimodal:0.1,0.9,0.25", 0.3),
+        ("constant:0.4", 0.4),
+    ],
+)
+def test_distributions_have_their_mean(text, mean):
+    values = Distribution.parse(text)(np.random.default_rng(3), (200_000,))
+    assert values.mean() == pytest.approx(mean, abs=5 * values.std() / np.sqrt(len(values)) + 1e-12)
+    assert (values > 0).all()
+    assert str(Distribution.parse(str(Distribution.parse(text)))) == str(Distribution.parse(text))
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["gauss:0,1", "uniform:1", "uniform:a,b", "uniform:-1,1", "uniform:0,1", "uniform:2,1", "constant:nan",
+     "bimodal:0.1,1,1.5", "lognormal:1,-1", "uniform", "constant:inf"],
+)  # fmt: skip
+def test_nonsense_distributions_are_refused(text):
+    with pytest.raises(InputError):
+        Distribution.parse(text)

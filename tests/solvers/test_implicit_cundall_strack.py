@@ -9,11 +9,11 @@ from taichi_bearings.conic.contact_system import free_spins
 from taichi_bearings.conic.friction_stage import Friction
 from taichi_bearings.scene import Status
 from taichi_bearings.scene.initial_spins import initial_spin, random_spin
-from taichi_bearings.solvers import CundallStrack, ImplicitCundallStrack, PlanarCut
+from taichi_bearings.solvers import CundallStrack, ImplicitCundallStrack
 from taichi_bearings.solvers.cundall_strack import stability_bound
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
-from tests.agreement.test_independent_solvers import incidence, viscous_minimum
+from tests.agreement.test_independent_solvers import incidence
 from tests.scenes import make_scene, minima, name_of, scene_of
 
 pytestmark = pytest.mark.usefixtures("needs_f64")
@@ -163,37 +163,11 @@ def test_dynamics_ends_at_the_stored_minimum(entry):
     assert solution.power[0] == pytest.approx(entry["power_minimum"], rel=1e-9)
 
 
-@pytest.mark.parametrize("stiffness", [1e5, 1e7])
-def test_dynamics_ends_at_the_minimum_cut(stiffness):
-    scene = make_scene((9, 7), seeds=(5,))
-    exact = solve(scene, PlanarCut().build(), initial_spin(scene, "linear"), StopRule(1e-10)).power[0]
-    method = ImplicitCundallStrack(stiffness=stiffness, damping=stiffness / 100).build()
-    solution = solve(scene, method, random_spin(scene), StopRule(1e-10, 600))
-    assert solution.status is Status.CERTIFIED
-    assert solution.power[0] == pytest.approx(exact, rel=1e-9)
-
-
-@pytest.mark.parametrize("shape", [(6, 9), (4, 5, 6)])
-def test_viscous_dynamics_ends_at_a_sparse_solve(shape):
-    scene = make_scene(shape, "viscous")
-    solution = solve(scene, ImplicitCundallStrack().build(), random_spin(scene), StopRule(1e-11, 200))
-    assert solution.status is Status.CERTIFIED
-    assert solution.power[0] == pytest.approx(viscous_minimum(scene), rel=1e-10)
-
-
 def test_a_run_comes_to_rest_on_its_own():
     scene = make_scene((4, 3, 5), seeds=(8,))
     solution = solve(scene, ImplicitCundallStrack().build(), random_spin(scene), StopRule(1e-17, 400))
     assert solution.status is Status.STATIONARY
     assert solution.gap[0] < 1e-9
-
-
-@pytest.mark.parametrize("shape", [(4, 5), (3, 4, 5)])
-def test_without_a_jump_all_slips_die_out(shape):
-    scene = make_scene(shape, spin_top=0.7, spin_bottom=0.7)
-    solution = solve(scene, ImplicitCundallStrack().build(), random_spin(scene), StopRule(1e-10, 300))
-    assert solution.status.reached
-    assert solution.slip.max() < 1e-9
 
 
 @pytest.mark.parametrize("law", ["coulomb", "viscous"])
@@ -236,19 +210,6 @@ def test_a_time_that_is_aimed_at_is_met_exactly():
     method.aim_at(np.inf)
     method.advance(1)
     assert method.time > target
-
-
-def test_replicas_share_their_step_and_nothing_else():
-    """The common step follows the replica with the largest error; the powers at rest are those of each one alone."""
-    together = make_scene((3, 3, 4), seeds=(5, 6))
-    batch = solve(together, ImplicitCundallStrack().build(), random_spin(together), StopRule(1e-8, 400))
-    fixed = advanced(together, random_spin(together), 5, time_step=1e-3).progress()
-    for n, seed in enumerate(together.seeds):
-        alone = make_scene((3, 3, 4), seeds=(seed,))
-        single = solve(alone, ImplicitCundallStrack().build(), random_spin(alone), StopRule(1e-8, 400))
-        assert batch.power[n] == pytest.approx(single.power[0], rel=2e-8)
-        same = advanced(alone, random_spin(alone), 5, time_step=1e-3).progress()
-        assert (fixed.staggered[:, n] == same.staggered[:, 0]).all()
 
 
 def test_a_stage_ends_at_the_minimum_of_its_function():

@@ -58,6 +58,16 @@ HONEST = {
     "a threshold": {"shape": (4, 4, 4), "slip_threshold": 1e-3},
     "a threshold below the slips of rest": {**MIXED, "shape": (4, 4, 4), "slip_threshold": 1e-15},
     "descent": {**MIXED, "shape": (3, 4, 4), "method": "gradient-descent", "iterations": 50},
+    "viscous forces far above friction": {
+        **MIXED, "shape": (10, 10), "viscosity": "constant:1e6", "replicas": 4, "tolerance": 1e-5,
+    },
+    "the same in 3D": {**MIXED, "shape": (6, 6, 6), "viscosity": "constant:1e6", "seed": 1, "tolerance": 1e-5},
+    "friction over twelve decades": {
+        **MIXED, "shape": (2, 2, 4), "distribution": "bimodal:1e-6,1e6,0.5", "seed": 2, "tolerance": 1e-5,
+    },
+    "slips that spins round away": {
+        **MIXED, "shape": (2, 3), "distribution": "bimodal:1e-6,1e6,0.5", "seed": 1, "tolerance": 1e-5,
+    },
 }  # fmt: skip
 
 
@@ -132,7 +142,10 @@ def test_states_that_are_proven_are_those_that_are_said(needs_f64):
     assert corrected > 50
 
 
-@pytest.mark.parametrize("name", RUNS)
+TRIED = {"spheres"}  # in all its numbers by test_verdict
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.thorough if n in TRIED else ()) for n in RUNS])
 def test_what_is_forged_is_found_or_said_not_to_be_checked(name, tmp_path, needs_f64, thorough):
     path, rng, tried = honest_file(name, tmp_path / "run"), np.random.default_rng(5), 0
     while tried < (200 if thorough else 4):

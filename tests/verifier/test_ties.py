@@ -66,8 +66,7 @@ def called(solution):
     return np.select(plain, ["slipless", "slipping", "driven"], names)
 
 
-@pytest.mark.parametrize("distribution", [BIMODAL, "constant:0.5"])
-@pytest.mark.parametrize("seed", [3, 20, 124])
+@pytest.mark.parametrize(("distribution", "seed"), [*((BIMODAL, n) for n in (3, 20, 124)), ("constant:0.5", 3)])
 def test_names_are_those_of_an_oracle(distribution, seed):
     """Slipless, slipping, critical or tied at all minima, in 140 digits; seed 20 has ties that are left unproven."""
     solution = minimum((3, 3, 3) if distribution != BIMODAL else (3, 3, 4), seed, distribution)
