@@ -44,7 +44,8 @@ class PackingSolution:
     dynamics as it moves them.
     slip : (E,), length/time. force : (E,), its size. friction : (E, 3), of discs (E,), force on the second sphere,
     of discs its component along z x n. power_per_contact : (E,). state : (E,) 0 slipless, 1 slipping, 2 undecided, 3
-    between driven or absent. driven_power : what contacts between driven spheres dissipate, energy/time.
+    between driven or absent; of a dynamics those of its own motion. driven_power : what contacts between driven spheres
+    dissipate, energy/time.
     slipless_motions : of the free spheres that driven ones reach; None if undecided. unbalanced : largest torque left.
     proven : (E,) 0 slips at no minimum, 1 at every minimum, 2 not proven, 3 between driven or absent. slip_bound : (E,)
     what no slip of any minimum exceeds, length/time; infinite at absent contacts.

@@ -61,6 +61,7 @@ class Network:
         self.contact = tuple(values[None, self.acting] for values in packing.coefficients)
         self.acting_coefficient, self.viscosities = self.contact[0], self.law.viscosity(self.contact)
         self.coefficient = self.positive_coefficient = self.acting_coefficient
+        self.idle = np.zeros(self.coefficient.shape, dtype=bool)
         self.viscosity_beside_friction = self.viscosities if self.law.holds else None
         self.components, held = packing.imposed.shape[1], packing.driven >= 0
         self.minimum_spin_axes = tuple(range(self.components))

@@ -19,7 +19,8 @@ from taichi_bearings.packing.motions import order_of
 from taichi_bearings.packing.packing import Packing
 from taichi_bearings.packing.path import elimination, oblique
 from taichi_bearings.packing.system import Found, System, slips_of
-from taichi_bearings.scene import Snapshots, Status
+from taichi_bearings.proof.contact_state import classify
+from taichi_bearings.scene import Progress, Snapshots, Status
 from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.solvers.cundall_strack import CundallStrackMethod, largest_step
 from taichi_bearings.solvers.drive import Checkpoints, Course, Monitor, followed
@@ -151,7 +152,7 @@ def follow_packing(
         one_thread(),
         followed(network, built, network.start(start), stop, monitors, recording, checkpoints) as course,
     ):
-        found = _answer(network, course, row.name, stop.tolerance, begun)
+        found = _answer(network, course, row, stop.tolerance, begun)
     cut_short = np.isfinite(stop.duration) and course.status in (Status.STEP_LIMIT, Status.TIME_LIMIT)
     if found.status != Status.CERTIFIED.value or cut_short:
         found = replace(found, status=course.status.value)
@@ -162,19 +163,39 @@ def follow_packing(
     return replace(found, time=course.last.time, seconds=course.seconds, iterations=course.last.iteration)
 
 
-def _answer(network: Network, course: Course, name: str, tolerance: float, begun: float) -> PackingSolution:
-    """The best state and the best forces; `force` and the states of parts that nothing drives are those of now."""
+def _answer(
+    network: Network, course: Course, row: type[MethodOptions], tolerance: float, begun: float
+) -> PackingSolution:
+    """The best state and the best forces; `force`, the states of a dynamics, and those of parts that nothing drives
+    are those of now."""
     system, best = network.proof[0], course.best
     last = best.progress
     value, forces = network.bound(last.force if last.proof is None else last.proof, last.staggered, whole=True)
     proof = forces if value > best.bound[0] else best.proof
-    found = Found(np.zeros(system.unknowns), proof[:, 0, network.of_system], name, everywhere=last.staggered[:, 0].T)
+    found = Found(
+        np.zeros(system.unknowns), proof[:, 0, network.of_system], row.name, everywhere=last.staggered[:, 0].T
+    )
     result = judged(system, found, tolerance, begun)
     force, state = result.force.copy(), result.state.copy()
     force[network.acting] = vector_length(last.force)[0]
     loose = np.setdiff1d(network.acting, system.contact)
     state[loose] = np.where(result.slip[loose] > last.resolution, SLIPPING, SLIPLESS)
+    if network.law.holds and row.is_dynamics:
+        state[network.acting] = _moving(network, result, last)
     if not network.law.holds:  # sum eta |slip - that of the minimum|^2 is no more than what is open of the power
         apart = np.sqrt(max(result.potential - result.lower_bound, 0.0) / network.acting_coefficient[0])
         state[network.acting[result.slip[network.acting] <= apart]] = UNDECIDED
     return replace(result, force=force, state=state)
+
+
+def _moving(network: Network, result: PackingSolution, last: Progress) -> np.ndarray:
+    """States of the contacts that act in the motion of now, as of lattices: where the force grows with the slip those
+    of the minimum, if proven; undecided where a motion that is proven to have come there does something else still."""
+    slip, resolved = result.slip[None, network.acting], float(np.max(last.resolution))
+    state = classify(network, slip, last.force, resolved)[0]
+    at_minimum = np.full(len(state), UNDECIDED) if result.proven is None else result.proven[network.acting]
+    known = np.isin(at_minimum, (SLIPLESS, SLIPPING))
+    if network.law.flows:
+        return np.where(known, at_minimum, state)
+    passing = known & (state != at_minimum) & (result.status == Status.CERTIFIED.value)
+    return np.where(passing, UNDECIDED, state)

@@ -239,7 +239,8 @@ def _states(run: StoredRun, states: list[States]) -> Iterator[str]:
 def _is_minimum(run: StoredRun, number: int) -> bool:
     """A dynamics on its way gives the states of its own motion, and a threshold those of slower contacts, too. Where
     the force grows with the slip, a contact that is proven to slip at the minimum does so now."""
-    ended_there = run.samples.flows or run.claimed("status")[number] == "certified" or not run.samples.is_lattice
+    moves = run.samples.is_lattice or run.is_dynamics
+    ended_there = run.samples.flows or run.claimed("status")[number] == "certified" or not moves
     return bool(ended_there) and "slip_threshold" not in run.settings
 
 
