@@ -17,6 +17,7 @@ import numpy as np
 
 from taichi_bearings.conic.central_path import flowing
 from taichi_bearings.conic.contact_system import ContactGroup, ContactSystem, ObliqueGroup, Places
+from taichi_bearings.conic.contraction import order_by_place
 from taichi_bearings.conic.descent import Descent, Sample
 from taichi_bearings.conic.friction_stage import Friction, FrictionStage
 from taichi_bearings.conic.grouped import Arrays, Grouped, where
@@ -27,7 +28,6 @@ from taichi_bearings.interrupts import look_up
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.numerics.double_double import add, scaled, two_sum
-from taichi_bearings.packing.motions import unknowns_of
 from taichi_bearings.packing.system import Found, System, along_axes, odd_parts
 
 SMALL_SPHERES = 5_000  # up to which states are settled as those of small lattices
@@ -44,7 +44,7 @@ def oblique(system: System) -> ContactSystem:
     shape = system.offset.shape
     places = Places(np.arange(shape[1]), np.broadcast_to(np.arange(shape[0])[:, None], shape))
     group = ObliqueGroup(system.matrix, system.offset)
-    return ContactSystem(system.unknowns, (group,), (places,), system.packing.center[system.sphere].T)
+    return ContactSystem(system.unknowns, (group,), (places,), system.place)
 
 
 def signed(system: System) -> tuple[ContactSystem, np.ndarray] | None:
@@ -55,7 +55,7 @@ def signed(system: System) -> tuple[ContactSystem, np.ndarray] | None:
     packing, needed = system.packing, np.flatnonzero((system.moved >= 0).any(axis=0))
     if not along_axes(packing, system.contact):
         return None
-    felt, contact = np.any(system.across, axis=0), packing.contact[system.contact]
+    felt, contact = system.felt, packing.contact[system.contact]
     sign = np.ones(system.known.shape)
     for k in needed:
         ends = contact[felt[:, k]]
@@ -71,27 +71,22 @@ def signed(system: System) -> tuple[ContactSystem, np.ndarray] | None:
             offset = known[second, slot] - known[first, slot]
             groups.append(ContactGroup(system.moved[first, slot], system.moved[second, slot], offset, system.unknowns))
             places.append(Places(own, slot))
-    place = packing.center[system.sphere].T
-    return ContactSystem(system.unknowns, tuple(groups), tuple(places), place), sign
-
-
-def elimination(system: System) -> np.ndarray:
-    """Order of the unknowns, from the centres."""
-    return np.concatenate(unknowns_of(system.sphere, system.parts()))
+    return ContactSystem(system.unknowns, tuple(groups), tuple(places), system.place), sign
 
 
 def viscous_spins(system: System, viscosity: np.ndarray) -> np.ndarray:
-    """Spins (unknowns,) at which viscous forces are in balance. viscosity : (A,)."""
-    contacts = oblique(system)
-    matrix = NewtonMatrix(contacts, elimination(system))
-    return flowing(contacts, Grouped([viscosity]), matrix, np.zeros(system.unknowns))
+    """Spins (unknowns,) at which viscous forces are in balance: both tangents of a contact are contacts of their own,
+    as nothing couples them. viscosity : (A,)."""
+    rows = ContactSystem(system.unknowns, (ObliqueGroup(system.matrix, system.offset.reshape(1, -1)),))
+    matrix = NewtonMatrix(rows, order_by_place(rows, system.place))
+    return flowing(rows, Grouped([np.tile(viscosity, len(system.offset))]), matrix, np.zeros(system.unknowns))
 
 
 def followed(system: System, friction: np.ndarray, viscosity: np.ndarray) -> Found:
     """Where the central path and the settling of states lead. friction, viscosity : (A,)."""
     along, flows = signed(system), bool(viscosity.any())
     contacts, sign = along or (oblique(system), None)
-    order = elimination(system)
+    order = order_by_place(contacts, system.place)
     matrix = NewtonMatrix(contacts, order)
     unit = float(np.exp2(np.round(np.log2((friction + viscosity).mean()))))  # as of lattices
     strength, viscous = contacts.gather(friction[None] / unit, 0), contacts.gather(viscosity[None] / unit, 0)

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from time import perf_counter
 from typing import Any
 
@@ -10,15 +9,15 @@ import numpy as np
 from scipy import sparse
 
 from taichi_bearings.conic.contact_system import ContactSystem
+from taichi_bearings.conic.contraction import order_by_place
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.errors import InputError
 from taichi_bearings.kernels.contact_list import CundallStrackLists, DescentLists, list_sweeps
 from taichi_bearings.kernels.team import Team
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.packing.answer import SLIPLESS, SLIPPING, UNDECIDED, PackingSolution, judged
-from taichi_bearings.packing.motions import order_of
 from taichi_bearings.packing.packing import Packing
-from taichi_bearings.packing.path import elimination, oblique
+from taichi_bearings.packing.path import oblique
 from taichi_bearings.packing.system import Found, System, slips_of
 from taichi_bearings.scene import Snapshots, Status
 from taichi_bearings.scene.scene import vector_length
@@ -87,13 +86,12 @@ class ImplicitCundallStrackOfPacking(OnNetwork, ImplicitCundallStrackMethod):
         moved[free] = np.arange(len(free) * c).reshape(-1, c)
         matrix = slips_of(packing, network.acting, moved)
         offset, of = network.differences(packing.imposed.T[:, None])[:, 0], tuple(v[0] for v in network.contact)
-        parts, known = partial(order_of, packing, network.acting, self.free), packing.imposed
-        sphere = np.repeat(free, c)
-        system = System(packing, network.acting, moved, None, parts, sphere, known, matrix, offset, of)
+        sphere, known = np.repeat(free, c), packing.imposed
+        system = System(packing, network.acting, moved, None, sphere, known, matrix, offset, of)
         whole = oblique(system)
         (group,) = whole.groups
         operator = sparse.csr_array(group.operator @ sparse.diags_array(self.scale))
-        return replace(whole, groups=(replace(group, operator=operator),)), elimination(system)
+        return replace(whole, groups=(replace(group, operator=operator),)), order_by_place(whole, system.place)
 
     @property
     def unit_inertia(self) -> float:

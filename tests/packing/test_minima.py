@@ -9,10 +9,11 @@ from scipy.optimize import linprog
 
 import taichi_bearings as tb
 from taichi_bearings.conic import descent
+from taichi_bearings.conic.contraction import order_by_place
 from taichi_bearings.conic.grouped import Grouped
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.packing import path
-from taichi_bearings.packing.path import elimination, oblique
+from taichi_bearings.packing.path import oblique
 from taichi_bearings.packing.system import System
 from tests.packing.twins import clarabel_least, random_packing
 from tests.scenes import some_of
@@ -317,7 +318,8 @@ def test_the_matrix_of_oblique_contacts_is_that_of_their_slips(kind):
     draw = np.random.default_rng(5)
     root = draw.normal(size=(2, 2, len(system.contact)))
     stiffness = np.einsum("ike,jke->ije", root, root)
-    matrix = NewtonMatrix(oblique(system), elimination(system))
+    contacts = oblique(system)
+    matrix = NewtonMatrix(contacts, order_by_place(contacts, system.place))
     matrix.factorise(Grouped([stiffness]))
     spins = draw.normal(size=system.unknowns)
     slips = (system.matrix @ spins).reshape(2, -1)
