@@ -76,7 +76,9 @@ def draw_figure(
         if page.planes:
             raise InputError("plane is given, but a packing has no lattice planes to cut along; --view turns it")
         result = solution.results[sample]
-        return FIGURES_OF_PACKINGS[kind](result, page=page) if time is None else draw_moment(result, time, page)
+        if time is not None:
+            return draw_moment(result, time, page)
+        return FIGURES_OF_PACKINGS[kind](solution.results if kind == "history" else result, page=page)
     shape = solution.scene.lattice.shape
     if page.planes and kind not in WITH_PLANES:
         raise InputError(f"plane is given, but {kind} shows no planes; these do: {', '.join(WITH_PLANES)}")
