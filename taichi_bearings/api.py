@@ -418,6 +418,8 @@ def _settings(
     if isinstance(scene, Packing):
         settings = RunSettings(packing="run.h5", law=str(scene.law), **_asked(method, options, start))
         settings = settings if isinstance(method, str) else used(settings)  # of its options all are given
+        if "initial" in settings.given and minimises(settings):
+            raise InputError(f"start is given, but method {settings.method} of a packing does not use it")
         refuse_unused(settings)
         return settings, None if isinstance(start, str) else start
     if not isinstance(scene, Scene):
@@ -428,7 +430,7 @@ def _settings(
         del values["direction"]  # which has no meaning there
     values |= scene.drawn or {"coefficients": "run.h5"}
     values |= _asked(method, options, start)
-    return RunSettings.from_mapping(values, "the options"), initial_spin(scene, start)
+    return RunSettings.from_mapping(values, "the options"), initial_spin(scene, start, "start")
 
 
 def _asked(method: str | MethodOptions, options: Mapping[str, Any], start: str | np.ndarray) -> dict[str, Any]:

@@ -120,12 +120,9 @@ class Contraction:
     def _dissected(self, own: slice, place: np.ndarray) -> np.ndarray:
         """The order of these unknowns by nested dissection; place : (D, unknowns before)."""
         free = self.number >= 0
-        number, size = self.number[free], own.stop - own.start
+        number = self.number[free]
         centre = np.stack([np.bincount(number, weights=along[free]) for along in place]) / np.bincount(number)
-        first, second = (end - own.start for end in self.system.terms()[:2])
-        inside = (first >= 0) & (first < size)
-        graph = coupled(np.arange(size), first[inside], second[inside])
-        return np.concatenate([part.nodes for part in dissected(graph, centre[:, own], OWN_LEAF_UNKNOWNS)])
+        return order_by_place(self.system, centre, own)
 
     def contracted(self, spins: Pair) -> Pair:
         """Mean of the tied spins, (unknowns,): one of them, and by how much they are more on average."""
@@ -147,3 +144,17 @@ class Contraction:
         are followed on their own do not; contacts that rest then seem to slip by what is missing.
         """
         return self.system.differences(spins[0]) + self.system.change(spins[1])
+
+
+def order_by_place(system: ContactSystem, place: np.ndarray, own: slice | None = None) -> np.ndarray:
+    """Order of elimination by nested dissection of all unknowns, or of the `own` ones, counted from their first.
+
+    place : (D, unknowns), where they are. What contacts couple tells them apart, so components that a contact does not
+    join are divided each for itself.
+    """
+    own = own or slice(0, system.unknowns)
+    first, second = (end - own.start for end in system.terms()[:2])
+    inside = (first >= 0) & (first < own.stop - own.start)
+    graph = coupled(np.arange(own.stop - own.start), first[inside], second[inside])
+    parts = dissected(graph, place[:, own], OWN_LEAF_UNKNOWNS) if graph.shape[0] else []
+    return np.concatenate([np.zeros(0, dtype=np.int64), *(part.nodes for part in parts)])

@@ -62,16 +62,18 @@ class ContactRows:
         if laplacian is not None:
             terms, stiffness = laplacian.tocoo(), self._places(d * (d + 1) // 2)
             self._stiffnesses = _sums(terms.row, stiffness[terms.col], terms.data, (terms.shape[0], 3 * contacts))
-        self._starts: dict[tuple, Callable[[], None]] = {}
+        self._starts: dict[tuple, list[Callable[[], None]]] = {}
 
     def _places(self, count: int) -> np.ndarray:
         """Where so many numbers of each contact are in rows one after the other, row by row."""
         return (self._at + self._contacts * np.arange(count)[:, None]).ravel()
 
-    def run(self, kernel: Callable, slots: tuple[int, int] = (0, 0), *numbers: float | np.ndarray) -> np.ndarray:
-        """Walk all contacts, for what is found, (found, S). slots : of the step that is read and that is written.
+    def run(
+        self, kernel: tuple[Callable, Callable], slots: tuple[int, int] = (0, 0), *numbers: float | np.ndarray
+    ) -> np.ndarray:
+        """Walk all contacts, for what is found, (found, S). kernel : for contacts with one component, and with two.
 
-        numbers : of each sample, or all.
+        slots : of the step that is read and that is written. numbers : of each sample, or all.
         """
         for own, number in zip(self._numbers, numbers, strict=False):
             own[:] = number
@@ -80,8 +82,12 @@ class ContactRows:
         if key not in self._starts:
             blocks, turns = self._length // kernels.BLOCK, self._found.reshape(-1, kernels.BLOCK)
             arrays = self._flat, self._flat.reshape(-1, kernels.BLOCK), turns, self._numbers.ravel()
-            self._starts[key] = prepared(kernel, *arrays, self._length, self._first_two, blocks, *slots)
-        self._starts[key]()
+            kinds = zip(kernel, ((0, self._first_two), (self._first_two, blocks)), strict=True)
+            self._starts[key] = [
+                prepared(one, *arrays, self._length, *span, *slots) for one, span in kinds if span[0] < span[1]
+            ]
+        for start in self._starts[key]:
+            start()
         by_sample = self._found.transpose(0, 2, 1).copy()  # added up in one order however many samples there are
         return np.concatenate(
             [by_sample[: kernels.LEAST_FOUND].min(axis=2), by_sample[kernels.LEAST_FOUND :].sum(axis=2)]
@@ -107,8 +113,8 @@ class ContactRows:
             return
         if key not in self._starts:
             kernel = kernels.add_up_alone if self.samples == 1 else kernels.add_up
-            self._starts[key] = prepared(kernel, *sums, values.reshape(shape), found.reshape(shape), first, to)
-        self._starts[key]()
+            self._starts[key] = [prepared(kernel, *sums, values.reshape(shape), found.reshape(shape), first, to)]
+        self._starts[key][0]()
 
     def put(self, row: int, sample: int, values: np.ndarray) -> None:
         """Write numbers (n,) or vectors (d, n) from a row on."""

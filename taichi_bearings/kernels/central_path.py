@@ -332,21 +332,28 @@ def walk(
             found[at] = found[at] + more
 
 
-def _pass(law: Callable, iterate: tuple = NO_NUMBERS, step: tuple = NO_NUMBERS, finds: tuple = ()) -> Callable:
-    """Kernel that walks a law over all contacts. iterate, step : rows that it writes, of one component and of two."""
+def _pass(
+    law: Callable, iterate: tuple = NO_NUMBERS, step: tuple = NO_NUMBERS, finds: tuple = ()
+) -> tuple[Callable, Callable]:
+    """Kernels that walk a law over contacts with one slipping component, and with two: each is read by the compiler
+    only where there are such contacts. iterate, step : rows that the law writes, of one component and of two."""
+    return _walked(law, (iterate[0], step[0]), finds, (0,)), _walked(law, (iterate[1], step[1]), finds, (0, 1))
+
+
+def _walked(law: Callable, writes: tuple, finds: tuple, like: tuple) -> Callable:
+    """See :func:`walk`."""
 
     @ti.kernel
     def run(
-        values: NUMBERS, blocks: BLOCKS, found: BLOCKS, numbers: NUMBERS, length: int, first_two: int, count: int,
+        values: NUMBERS, blocks: BLOCKS, found: BLOCKS, numbers: NUMBERS, length: int, first: int, end: int,
         read_slot: int, write_slot: int,
     ):  # fmt: skip
-        for kind in ti.static(range(2)):  # contacts with one component, then those with two
-            ti.loop_config(serialize=True)
-            for block in range(kind * first_two, first_two if ti.static(kind == 0) else count):
-                walk(
-                    values, blocks, found, law, length, block, [read_slot, write_slot],
-                    ti.static((iterate[kind], step[kind])), ti.static(finds), ti.static((0, 1)[: 1 + kind]), numbers,
-                )  # fmt: skip
+        ti.loop_config(serialize=True)
+        for block in range(first, end):
+            walk(
+                values, blocks, found, law, length, block, [read_slot, write_slot], ti.static(writes), ti.static(finds),
+                ti.static(like), numbers,
+            )  # fmt: skip
 
     return run
 

@@ -12,7 +12,7 @@ from taichi_bearings import runtime
 from taichi_bearings.errors import InputError
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.packing import planar
-from taichi_bearings.packing.motions import slipless_motions
+from taichi_bearings.packing.motions import order_of, slipless_motions
 from taichi_bearings.packing.packing import Packing
 from taichi_bearings.packing.system import Found, System
 from taichi_bearings.scene.solution import Snapshots, Status
@@ -114,7 +114,8 @@ def solve_packing(
     """The state of least dissipation. tolerance : proven relative gap at which it counts as certified.
     system_of : finds the system, perhaps out of one that is known. method : one of those below by its name.
 
-    Discs with friction by minimum cuts, exactly; viscous networks by one linear system; all else by the central path.
+    Friction of discs, and of spheres whose contacts feel one spin component each, by minimum cuts, exactly; viscous
+    networks by one linear system; all else by the central path.
     """
     if not isinstance(packing, Packing):
         raise InputError(f"the packing is a {type(packing).__name__}; it must be a taichi_bearings.Packing")
@@ -129,7 +130,7 @@ def solve_packing(
 
 def _found(system: System, method: str) -> Found:
     law, of = system.packing.kind, system.coefficients
-    exact = law.is_rate_independent and system.packing.dimension == 2
+    exact = law.is_rate_independent and not (system.felt.sum(axis=1) > 1).any()
     able = ["planar-cut"] * exact + ["interior-point" if law.holds else "linear-solver"]
     if method not in ("auto", *able):
         raise InputError(f"method is {shown(method)}, but this packing is solved by {' or '.join(able)}")
@@ -241,7 +242,8 @@ def tied(system: System, force: np.ndarray, state: np.ndarray) -> np.ndarray:
         parts = (sparse.diags_array(across[t, slipping]) @ system.matrix[t * count + slipping] for t in range(d))
         rows.append(sum(parts))
     found = np.zeros(count, dtype=bool)
-    motions = slipless_motions(sparse.csr_array(sparse.vstack(rows)), system.sphere, system.parts())
+    order = order_of(system.packing, system.contact, np.any(system.moved >= 0, axis=1))
+    motions = slipless_motions(sparse.csr_array(sparse.vstack(rows)), system.sphere, order)
     if not motions.number:
         return found
     if motions.number > MOST_TIES:

@@ -19,6 +19,7 @@ import numpy as np
 from taichi_bearings.conic.central_path import flowing
 from taichi_bearings.conic.cones import length
 from taichi_bearings.conic.contact_system import ContactSystem, slipping_components
+from taichi_bearings.conic.contraction import order_by_place
 from taichi_bearings.conic.descent import Descent, Sample
 from taichi_bearings.conic.friction_stage import Friction, FrictionStage
 from taichi_bearings.conic.iterate import Iterate
@@ -28,7 +29,6 @@ from taichi_bearings.interrupts import look_up
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.numerics.double_double import add, scaled, two_sum
-from taichi_bearings.packing.motions import unknowns_of
 from taichi_bearings.packing.system import Found, System, along_axes, odd_parts
 
 SMALL_SPHERES = 5_000  # up to which states are settled as those of small lattices
@@ -43,8 +43,7 @@ MOST_STEPS, SLACK = 80, 0.3  # of the path; of the bounds at its start, in mean 
 def oblique(system: System) -> ContactSystem:
     """Contacts over the spins as they are."""
     contact, slot, felt = slipping_components(np.ones(system.offset.shape, dtype=bool))
-    place = system.packing.center[system.sphere].T
-    return ContactSystem(system.unknowns, system.offset, felt, None, system.matrix, contact, slot, place)
+    return ContactSystem(system.unknowns, system.offset, felt, None, system.matrix, contact, slot, system.place)
 
 
 def signed(system: System) -> tuple[ContactSystem, np.ndarray] | None:
@@ -55,7 +54,7 @@ def signed(system: System) -> tuple[ContactSystem, np.ndarray] | None:
     packing, needed = system.packing, np.flatnonzero((system.moved >= 0).any(axis=0))
     if not along_axes(packing, system.contact):
         return None
-    felt, contact = np.any(system.across, axis=0), packing.contact[system.contact]
+    felt, contact = system.felt, packing.contact[system.contact]
     sign = np.ones(system.known.shape)
     for k in needed:
         ends = contact[felt[:, k]]
@@ -66,27 +65,24 @@ def signed(system: System) -> tuple[ContactSystem, np.ndarray] | None:
     own, slot, felt = slipping_components(felt[:, needed].T)
     slot, pair = needed[slot], contact[own].T
     ends, (first, second) = system.moved[pair[:, None], slot], known[pair[:, None], slot]
-    offset, place = np.where(felt, second - first, 0.0), packing.center[system.sphere].T
-    return ContactSystem(system.unknowns, offset, felt, np.where(felt, ends, -1), None, own, slot, place), sign
-
-
-def elimination(system: System) -> np.ndarray:
-    """Order of the unknowns, from the centres."""
-    return np.concatenate(unknowns_of(system.sphere, system.parts()))
+    offset, ends = np.where(felt, second - first, 0.0), np.where(felt, ends, -1)
+    return ContactSystem(system.unknowns, offset, felt, ends, None, own, slot, system.place), sign
 
 
 def viscous_spins(system: System, viscosity: np.ndarray) -> np.ndarray:
-    """Spins (unknowns,) at which viscous forces are in balance. viscosity : (A,)."""
-    contacts = oblique(system)
-    matrix = NewtonMatrix(contacts, elimination(system))
-    return flowing(contacts, viscosity, matrix, np.zeros(system.unknowns))
+    """Spins (unknowns,) at which viscous forces are in balance: both tangents of a contact are contacts of their own,
+    as nothing couples them. viscosity : (A,)."""
+    offset = system.offset.reshape(1, -1)
+    rows = ContactSystem(system.unknowns, offset, np.ones(offset.shape, dtype=bool), None, system.matrix)
+    matrix = NewtonMatrix(rows, order_by_place(rows, system.place))
+    return flowing(rows, np.tile(viscosity, len(system.offset)), matrix, np.zeros(system.unknowns))
 
 
 def followed(system: System, friction: np.ndarray, viscosity: np.ndarray) -> Found:
     """Where the central path and the settling of states lead. friction, viscosity : (A,)."""
     along, flows = signed(system), bool(viscosity.any())
     contacts, sign = along or (oblique(system), None)
-    order = elimination(system)
+    order = order_by_place(contacts, system.place)
     matrix = NewtonMatrix(contacts, order)
     unit = float(np.exp2(np.round(np.log2((friction + viscosity).mean()))))  # as of lattices
     strength, viscous = friction[contacts.contact] / unit, viscosity[contacts.contact] / unit

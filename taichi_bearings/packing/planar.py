@@ -4,7 +4,7 @@ With u = s U the sums u_i + u_j of a network without odd loops are differences, 
 
     least power = sum_k (t_{k+1} - t_k) cut({driven >= t_{k+1}} | {driven <= t_k})
 
-over the sorted driven values t. Parts with odd loops take two copies of each disc, U = u and U = -u, and half the
+over the sorted driven values t. Parts with odd loops take two copies of each spin, U = u and U = -u, and half the
 friction. Frictions are rounded down to whole units, so flows are exact: one that fills all nested cuts and is balanced
 in whole numbers proves the least power of the rounded network, which is never above that of the true one.
 """
@@ -42,8 +42,10 @@ class _Cover:
 
 
 def least_power(system: System) -> tuple[np.ndarray, np.ndarray]:
-    """Of a system of discs with friction alone: spins (unknowns,), and forces (1, A), balanced but for one rounding."""
-    cover, node, mirrored, sign = _covered(system)
+    """Spins (unknowns,), and forces (d, A), balanced but for one rounding, of friction alone where no contact feels two
+    components."""
+    component = system.felt.argmax(axis=1)  # (A,); any of contacts that feel none
+    cover, node, mirrored, sign = _covered(system, component)
     place = _nested(cover)
     inner, outer = _filling(cover, place)
     force = np.zeros(len(system.contact), dtype=np.int64)
@@ -51,17 +53,20 @@ def least_power(system: System) -> tuple[np.ndarray, np.ndarray]:
     np.add.at(force, cover.outer_contact, cover.outer_sign * outer)
     turned = cover.values[place] if len(cover.values) else np.zeros(cover.nodes)
     spins = np.where(mirrored >= 0, (turned[node] - turned[mirrored]) / 2, sign * turned[node])
-    return spins, (force * cover.unit)[None]
+    return spins, system.across[:, np.arange(len(component)), component] * force * cover.unit
 
 
-def _covered(system: System) -> tuple[_Cover, np.ndarray, np.ndarray, np.ndarray]:
+def _covered(system: System, component: np.ndarray) -> tuple[_Cover, np.ndarray, np.ndarray, np.ndarray]:
     """The network of differences; its node and mirrored node, -1 if none, and sign of each unknown (unknowns,)."""
-    packing, weight, count = system.packing, system.coefficients[0], system.unknowns
-    ends = system.moved[packing.contact[system.contact], 0]  # (A, 2)
-    within = (ends >= 0).all(axis=1)
+    weight, count = system.coefficients[0], system.unknowns
+    spheres = system.packing.contact[system.contact]
+    feels = np.any(system.felt, axis=1)
+    ends = np.where(feels[:, None], system.moved[spheres, component[:, None]], -1)  # (A, 2)
+    within, some = np.all(ends >= 0, axis=1), np.any(ends >= 0, axis=1)
     odd, sign = odd_parts(count, *ends[within].T)
     mirrored = np.where(odd, count + np.cumsum(odd) - 1, -1)
-    total = float(weight[~within].sum()) or 1.0
+    rim = np.flatnonzero(some & ~within)
+    total = float(weight[rim].sum()) or 1.0
     clipped = np.minimum(weight, total)  # no minimum cut holds more
     unit = float(np.ldexp(1.0, int(np.frexp(clipped.sum())[1]) - UNIT_BITS))
     units = np.floor(clipped / unit / 2).astype(np.int64)  # of each of two copies
@@ -74,10 +79,8 @@ def _covered(system: System) -> tuple[_Cover, np.ndarray, np.ndarray, np.ndarray
     one = np.ones(len(twice), dtype=np.int64)
     inner_sign = np.concatenate([sign[first[~both]], one, one])
     factor = np.concatenate([np.full(len(plain), 2), one, one])
-    rim = np.flatnonzero(~within)
-    own = ends[rim].max(axis=1)
-    held = np.where(ends[rim, 0] < 0, packing.contact[system.contact[rim], 0], packing.contact[system.contact[rim], 1])
-    u, pair = packing.imposed[held, 0], odd[own]
+    own, held = ends[rim].max(axis=1), np.where(ends[rim, 0] < 0, spheres[rim, 0], spheres[rim, 1])
+    u, pair = system.known[held, component[rim]], odd[own]
     end = np.concatenate([own[~pair], own[pair], mirrored[own[pair]]])
     value = np.concatenate([-sign[own[~pair]] * u[~pair], -u[pair], u[pair]])
     outer = np.concatenate([rim[~pair], rim[pair], rim[pair]])

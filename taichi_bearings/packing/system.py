@@ -1,14 +1,13 @@
 """What there is to find: the free spins that contacts with driven ones reach, and the slips that they make."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache, cached_property, partial
+from functools import cached_property
 
 import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from taichi_bearings.packing.motions import Parts, order_of, slipless_motions
+from taichi_bearings.packing.motions import order_of, slipless_motions
 from taichi_bearings.packing.packing import Packing
 
 
@@ -48,7 +47,7 @@ class System:
 
     packing. contact : (A,) numbers of contacts with a coefficient and a free end, in parts that touch a driven sphere.
     moved : (N, C) number of each unknown, -1 where the spin is imposed, or held at 0. motions : number of slipless ones
-    before some were held; None if undecided. parts : an order of the spheres, worked out once. sphere : (unknowns,).
+    before some were held; None if undecided. sphere : (unknowns,).
     known : (N, C), u of spheres and components that are no unknowns. matrix : K. offset : b, (d, A), of the known
     spins. coefficients : (A,) each.
     """
@@ -57,7 +56,6 @@ class System:
     contact: np.ndarray
     moved: np.ndarray
     motions: int | None
-    parts: Callable[[], Parts]
     sphere: np.ndarray
     known: np.ndarray
     matrix: sparse.csr_array
@@ -77,9 +75,10 @@ class System:
         moves = free & joined[label]
         contact = contact[moves[first] | moves[second]]
         known, wanted, number = _without_slip(packing, contact, moves)
-        moved, parts = _numbered(wanted), cache(partial(order_of, packing, contact, moves))
+        moved = _numbered(wanted)
         if number is None:
-            found = slipless_motions(slips_of(packing, contact, moved), np.nonzero(wanted)[0], parts())
+            parts = order_of(packing, contact, moves)
+            found = slipless_motions(slips_of(packing, contact, moved), np.nonzero(wanted)[0], parts)
             number = found.number if found.counted else None
             wanted &= ~np.isin(moved, found.held)
             moved = _numbered(wanted)
@@ -87,16 +86,26 @@ class System:
         offset = np.einsum("tek,ek->te", tangents(packing.normal[contact]), spins)  # type: ignore[index]
         of = tuple(values[contact] for values in packing.coefficients)
         matrix = slips_of(packing, contact, moved)
-        return cls(packing, contact, moved, number, parts, np.nonzero(wanted)[0], known, matrix, offset, of)
+        return cls(packing, contact, moved, number, np.nonzero(wanted)[0], known, matrix, offset, of)
 
     @property
     def unknowns(self) -> int:
         return len(self.sphere)
 
+    @property
+    def place(self) -> np.ndarray:
+        """(D, unknowns), the centres of their spheres."""
+        return np.asarray(self.packing.center[self.sphere].T)
+
     @cached_property
     def across(self) -> np.ndarray:
         """(d, A, C)."""
         return tangents(self.packing.normal[self.contact])  # type: ignore[index]
+
+    @cached_property
+    def felt(self) -> np.ndarray:
+        """(A, C), True for the components of spins that move and make a contact slip."""
+        return np.any(self.across, axis=0) & np.any(self.moved >= 0, axis=0)
 
     def difference(self, spins: np.ndarray) -> np.ndarray:
         """y = K u + b, (d, A)."""

@@ -32,39 +32,41 @@ LEAST_DECADES = 30.0  # from the first to the last step, for a logarithmic axis
 
 
 @style.in_our_style
-def draw_history(solution: Solution | PackingSolution, page: Page = PAGE) -> Figure:
-    """Power and lower bound, and below it their relative gap, against iterations (or time, for a dynamics); where a
-    torque turns the top, how fast it does. InputError for a method without steps."""
-    course = course_of(solution)
-    history, scene = course.history, course.scene
-    if not has_course(solution):
-        kept = counted(int((history.get("iteration", np.zeros(0)) > 0).sum()), "step")
-        raise InputError(f"the run kept {kept} of {solution.method}; a history is drawn of 2 or more")
-    if "torque" in history:
+def draw_history(answer: Solution | Sequence[PackingSolution], page: Page = PAGE) -> Figure:
+    """Power and lower bound, and below it their relative gap, against iterations (or time, for a dynamics), of every
+    sample or replica; where a torque turns the top, how fast it does. InputError for a method without steps."""
+    courses = courses_of(answer)
+    if not courses:
+        first = answer if isinstance(answer, Solution) else answer[0]
+        raise InputError(
+            f"the run kept {counted(_steps(first), 'step')} of {first.method}; a history is drawn of 2 or more"
+        )
+    course, scene = courses[0], courses[0].scene
+    if "torque" in course.history:
         return _draw_turning(course, page)
     width = page.inches("single")
     figure = style.plain_figure(width, 0.85 * width, page.dpi)
     top, bottom = figure.subplots(2, 1, sharex=True)
     spin, spin_symbol = driving(scene)
     unit, symbol = power_unit(scene)
-    x, name = history["iteration"], "iteration"
-    if "time" in history:
-        x, name = history["time"] * spin, time_label(spin_symbol)
-    power, bound = history["power"], history["lower_bound"]
-    started = x > 0
-    above, *_ = top.plot(x[started], power[started] / unit, color=style.BLUE)
-    below, *_ = top.plot(x[started], bound[started] / unit, "--", color=style.ORANGE)
+    is_dynamics, has_gap, decades = "time" in course.history, False, 1.0
+    for one in courses:
+        x = one.history["time"] * spin if is_dynamics else one.history["iteration"]
+        power, bound, started = one.history["power"], one.history["lower_bound"], x > 0
+        above, *_ = top.plot(x[started], power[started] / unit, color=style.BLUE)
+        below, *_ = top.plot(x[started], bound[started] / unit, "--", color=style.ORANGE)
+        gap = (np.minimum.accumulate(power) - bound) / np.where(power > 0, power, 1.0)
+        shown = started & (gap > 0).any(axis=1)
+        bottom.plot(x[shown], np.where(gap > 0, gap, np.nan)[shown], color=style.GREY)
+        has_gap, decades = has_gap or bool(shown.any()), max(decades, x[-1] / x[started][0])
     top.set(ylabel=over("P", symbol, "energy / time"))
     top.legend([above, below], ["power", "proven lower bound"], frameon=True, framealpha=0.85, edgecolor="none")
-    gap = (np.minimum.accumulate(power) - bound) / np.where(power > 0, power, 1.0)
-    shown = started & (gap > 0).any(axis=1)
-    bottom.plot(x[shown], np.where(gap > 0, gap, np.nan)[shown], color=style.GREY)
-    scale = "log" if shown.any() else "linear"
-    x_scale = "log" if x[-1] > LEAST_DECADES * x[started][0] else "linear"
-    bottom.set(xscale=x_scale, yscale=scale, xlabel=name, ylabel=r"gap, $(P - P_\mathrm{low})\,/\,P$")
+    bottom.set(xscale="log" if decades > LEAST_DECADES else "linear", yscale="log" if has_gap else "linear")
+    name = time_label(spin_symbol) if is_dynamics else "iteration"
+    bottom.set(xlabel=name, ylabel=r"gap, $(P - P_\mathrm{low})\,/\,P$")
     style.label_in_plain_text(*[axis for axis in (bottom.xaxis, bottom.yaxis) if axis.get_scale() == "log"])
     figure.align_ylabels()
-    style.put_title(figure, f"{describe(scene, None)}\n{solution.method}", page)
+    style.put_title(figure, f"{describe(scene, None)}\n{course.method}", page)
     return figure
 
 
@@ -76,9 +78,15 @@ def course_of(solution: Solution | PackingSolution) -> Any:
     return SimpleNamespace(scene=solution.packing, method=solution.method, history=history)
 
 
-def has_course(solution: Any) -> bool:
-    """Whether a run has more to show than a start and an answer."""
-    return bool((solution.history.get("iteration", np.zeros(0)) > 0).sum() > 1)
+def courses_of(answer: Solution | Sequence[PackingSolution]) -> list[Any]:
+    """Of a lattice or of each replica of a packing, where there is more to show than a start and an answer."""
+    answers = [answer] if isinstance(answer, Solution) else answer
+    return [course_of(one) for one in answers if _steps(one) > 1]
+
+
+def _steps(solution: Solution | PackingSolution) -> int:
+    """That the history kept."""
+    return int((solution.history.get("iteration", np.zeros(0)) > 0).sum())
 
 
 def _draw_turning(solution: Solution, page: Page) -> Figure:

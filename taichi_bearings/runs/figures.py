@@ -51,7 +51,7 @@ OF_ANSWERS: dict[str, Callable[[Any, int, Page], Figure]] = {
     "history": lambda answer, _, page: draw_history(answer, page),
     "energy": draw_energy,
 }
-"""How each figure of an answer is drawn; those of packings have one sample each."""
+"""How each figure of an answer is drawn; answers of packings have one sample each, but for the history."""
 FIGURE_KINDS = (*OF_ANSWERS, *FIGURES)
 STRETCHED_SLIP = 1e-3  # of R times the imposed jump: slower contacts may only stretch their springs
 WITH_PLANES = ("spins", "power", "domains")
@@ -81,7 +81,7 @@ def draw_figure(
     if isinstance(solution, Packed):
         if page.planes:
             raise InputError("plane is given, but a packing has no lattice planes to cut along; --view turns it")
-        answer, sample = solution.results[sample], 0
+        answer, sample = solution.results if kind == "history" else solution.results[sample], 0
     else:
         _check_page(kind, solution.scene.lattice.shape, page)
     if time is not None:

@@ -454,12 +454,13 @@ def draw_figures(found: Run, title: bool = True) -> None:
 
 
 def _draw(found: Run, title: bool) -> None:
-    from taichi_bearings.plots.curves import draw_histogram, draw_history, has_course
+    from taichi_bearings.plots.curves import courses_of, draw_histogram, draw_history
     from taichi_bearings.plots.page import Page
     from taichi_bearings.plots.style import save
 
     assert found.path is not None
     page = Page(title=title)
     save(draw_histogram(found.histogram, page), found.path / "power_histogram.png")
-    if has_course(found.answer):
-        save(draw_history(found.answer, page), found.path / "history.png")
+    answer = found.results if found.is_packing else found.solution
+    if courses_of(answer):
+        save(draw_history(answer, page), found.path / "history.png")

@@ -68,11 +68,11 @@ def minimum_cut_spin(scene: Scene) -> np.ndarray:
     return scene.laboratory_spin(np.where(cut_of(scene).above, top, 0.0), axes)
 
 
-def initial_spin(scene: Scene, start: str | np.ndarray) -> np.ndarray:
+def initial_spin(scene: Scene, start: str | np.ndarray, called: str = "initial") -> np.ndarray:
     """Laboratory spins (R, *N) or (R, *N, 3), 1/time.
 
     start : "random", "zero", "linear", "minimum-cut", a file with an array or data set ``spin`` (npy, npz, or HDF5
-        such as run.h5), or such an array; that of a single sample serves all.
+        such as run.h5), or such an array; that of a single sample serves all. called : its name in an InputError.
     """
     if not isinstance(start, str):
         return _fitting(scene, start, "start")
@@ -81,7 +81,7 @@ def initial_spin(scene: Scene, start: str | np.ndarray) -> np.ndarray:
         return start_of[start](scene)
     if not Path(start).exists():
         allowed = f"{', '.join(STARTS)} or a file with an array `spin`"
-        raise InputError(f"initial is {start!r}; allowed are {allowed}{meant(start, STARTS)}")
+        raise InputError(f"{called} is {start!r}; allowed are {allowed}{meant(start, STARTS)}")
     from taichi_bearings.scene.array_files import read_arrays
 
     return _fitting(scene, read_arrays(Path(start), ["spin"])["spin"], start)

@@ -14,6 +14,7 @@ from scipy import sparse
 from scipy.sparse.linalg import cg
 
 from taichi_bearings.conic.cones import isotropic
+from taichi_bearings.conic.contraction import order_by_place
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.errors import InputError
 from taichi_bearings.fields import Fields, team_size
@@ -25,7 +26,7 @@ from taichi_bearings.packing.answer import forces_of, spins_of
 from taichi_bearings.packing.checks import sizes
 from taichi_bearings.packing.interface import Interface
 from taichi_bearings.packing.packing import Packing
-from taichi_bearings.packing.path import elimination, oblique
+from taichi_bearings.packing.path import oblique
 from taichi_bearings.packing.system import System, acting, along_axes, odd_parts, slips_of, tangents
 from taichi_bearings.scene import Progress
 from taichi_bearings.scene.given import own_array
@@ -90,7 +91,8 @@ class Network:
     def proof(self) -> tuple[System, NewtonMatrix]:
         """What bounds follow from."""
         system = System.of(self.packing)
-        return system, NewtonMatrix(oblique(system), elimination(system))
+        contacts = oblique(system)
+        return system, NewtonMatrix(contacts, order_by_place(contacts, system.place))
 
     @cached_property
     def of_system(self) -> np.ndarray:

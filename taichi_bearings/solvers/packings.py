@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from time import perf_counter
 from typing import Any
 
@@ -10,14 +9,14 @@ import numpy as np
 from scipy import sparse
 
 from taichi_bearings.conic.contact_system import ContactSystem
+from taichi_bearings.conic.contraction import order_by_place
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.errors import InputError
 from taichi_bearings.kernels.contact_list import CundallStrackLists, DescentLists
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.packing.answer import SLIPLESS, SLIPPING, UNDECIDED, PackingSolution, judged
-from taichi_bearings.packing.motions import order_of
 from taichi_bearings.packing.packing import Packing
-from taichi_bearings.packing.path import elimination, oblique
+from taichi_bearings.packing.path import oblique
 from taichi_bearings.packing.system import Found, System, slips_of
 from taichi_bearings.proof.contact_state import classify
 from taichi_bearings.scene import Progress, Snapshots, Status
@@ -85,12 +84,11 @@ class ImplicitCundallStrackOfPacking(OnNetwork, ImplicitCundallStrackMethod):
         moved[free] = np.arange(len(free) * c).reshape(-1, c)
         matrix = slips_of(packing, network.acting, moved)
         offset, of = network.differences(packing.imposed.T[:, None])[:, 0], tuple(v[0] for v in network.contact)
-        parts, known = partial(order_of, packing, network.acting, self.free), packing.imposed
-        sphere = np.repeat(free, c)
-        system = System(packing, network.acting, moved, None, parts, sphere, known, matrix, offset, of)
+        sphere, known = np.repeat(free, c), packing.imposed
+        system = System(packing, network.acting, moved, None, sphere, known, matrix, offset, of)
         whole = oblique(system)
         slips = sparse.csr_array(whole.operator @ sparse.diags_array(self.scale))
-        return replace(whole, slips=slips), elimination(system)
+        return replace(whole, slips=slips), order_by_place(whole, system.place)
 
     @property
     def unit_inertia(self) -> float:

@@ -14,6 +14,8 @@ from taichi_bearings.analysis.bottlenecks import Bottlenecks
 from taichi_bearings.analysis.packing_structure import PackingNetwork
 from taichi_bearings.errors import DeviceError, InputError
 from taichi_bearings.quantities import STRUCTURE
+from taichi_bearings.runs.figures import draw_figure
+from taichi_bearings.runs.solved import Packed
 from taichi_bearings.runs.verify import verify
 from taichi_bearings.scans.histogram import pooled, read_source
 from taichi_bearings.scene.initial_spins import initial_spin
@@ -182,6 +184,7 @@ def test_a_callback_hears_and_stops_and_many_are_solved():
 
 
 @pytest.mark.parametrize(("call", "sentence"), [
+    (lambda p: solve(p, start="random"), "start is given, but method auto of a packing does not use it"),
     (lambda p: solve(p, callback=print), "method auto of a packing does not use it"),
     (lambda p: solve(p, "planar-cut"), "this packing is solved by interior-point"),
     (lambda p: solve(p, "rigid-limit"), "of a packing it can be auto, planar-cut"),
@@ -195,6 +198,13 @@ def test_what_cannot_be_is_one_sentence(call, sentence):
         call(tb.Packing.lattice("fcc", (2, 2, 2)))
     assert sentence in str(refused.value)
     assert "\n" not in str(refused.value)
+
+
+def test_the_history_shows_every_replica():
+    packings = [tb.Packing.lattice("bcc", (2, 2, 3), seed=seed) for seed in range(2)]
+    found = [solve(p, "gradient-descent", iterations=100 * (n + 1)) for n, p in enumerate(packings)]
+    lines = draw_figure("history", Packed(tuple(found))).axes[0].lines
+    assert [line.get_xdata()[-1] for line in lines] == [100, 100, 200, 200]
 
 
 def test_a_minimum_is_found_on_the_threads_that_are_given_and_on_no_gpu():

@@ -5,9 +5,10 @@ import pytest
 
 import taichi_bearings as tb
 from taichi_bearings.conic import descent
+from taichi_bearings.conic.contraction import order_by_place
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.packing import path
-from taichi_bearings.packing.path import elimination, oblique
+from taichi_bearings.packing.path import oblique
 from taichi_bearings.packing.system import System
 from tests.packing.twins import clarabel_least, random_packing
 from tests.scenes import some_of
@@ -80,6 +81,7 @@ SCENES = [
     ((4, 5, 6), {}),
     ((4, 2, 5), {"periodic": ("x", "y")}),
     ((5, 4, 5), {"direction": (1.0, 0.0, 0.0), "spin_bottom": -0.5}),
+    ((4, 5, 5), {"direction": (0.0, 1.0, 0.0), "periodic": ("x",), "distribution": "constant:0.5"}),
     ((4, 4, 5), {"distribution": "constant:0.5"}),
     ((4, 5, 4), {"law": "viscous"}),
     ((4, 5, 4), {"law": "coulomb-viscous"}),
@@ -103,6 +105,7 @@ def test_a_lattice_given_as_packing_has_the_same_minimum(shape, options):
     slip = np.concatenate([part.ravel() for part in lattice.slip])
     assert found.power == pytest.approx(lattice.power, rel=1e-10)
     assert found.status == "certified"
+    assert found.method == lattice.method
     assert found.gap < 1e-11
     assert found.driven_power == pytest.approx(0, abs=1e-12)
     known = (state != 2) & (found.state != 2)
@@ -154,6 +157,20 @@ def test_odd_rings_are_half_of_their_double_cover():
     one, two = tb.solve(packing), tb.solve(cover)
     assert one.power == pytest.approx(two.power / 2, rel=1e-10)
     assert {one.status, two.status} == {"certified"}
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_odd_loops_about_one_axis_are_cut_as_those_of_discs(seed):
+    """Rings of three spheres and of five; of the contacts along the axis none slips."""
+    driving = {"direction": (0.0, 1.0, 0.0), "spin_bottom": -0.4, "periodic": ("x",)}
+    packing = tb.Packing.lattice("cubic", (3 + 2 * (seed % 2), 3, 4), seed=seed, **driving)
+    found, other = tb.solve(packing), tb.solve(packing, "interior-point")
+    assert (found.method, other.method) == ("planar-cut", "interior-point")
+    assert found.power == pytest.approx(other.power, rel=1e-11)
+    assert max(found.gap, other.gap) < 1e-11
+    known = (found.state < 2) & (other.state < 2)
+    assert np.array_equal(found.state[known], other.state[known])
+    assert found.slip[np.abs(packing.normal[:, 1]) == 1].max() == 0.0
 
 
 def test_radii_drop_out():
@@ -242,7 +259,8 @@ def test_the_matrix_of_oblique_contacts_is_that_of_their_slips(kind):
     draw = np.random.default_rng(5)
     root = draw.normal(size=(2, 2, len(system.contact)))
     stiffness = np.einsum("ike,jke->ije", root, root)
-    matrix = NewtonMatrix(oblique(system), elimination(system))
+    contacts = oblique(system)
+    matrix = NewtonMatrix(contacts, order_by_place(contacts, system.place))
     matrix.factorise(stiffness)
     spins = draw.normal(size=system.unknowns)
     slips = (system.matrix @ spins).reshape(2, -1)
