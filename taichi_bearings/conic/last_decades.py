@@ -88,12 +88,8 @@ class LastDecades:
             enough = product < LEAST_PRODUCT or (not to_the_end and (~decided).sum() <= doubtful)
             ended = enough and self.point.unbalanced < JUDGED_TORQUE
             if ended or stalled == MOST_STALLED_STEPS:
-                self.sticking = (
-                    fell
-                    & (power < -DECIDED_EXPONENT)
-                    & (ratios < STICKING_RATIO)
-                    & (self.point.margin > STICKING_MARGIN)
-                )
+                falls = fell & (power < -DECIDED_EXPONENT) if product > VANISHING_PRODUCT else True
+                self.sticking = falls & (ratios < STICKING_RATIO) & (self.point.margin > STICKING_MARGIN)
                 self._ratios, self._product = each(np.zeros_like, before), np.inf
                 if product >= LEAST_PRODUCT or late is None:
                     return (ratios > 1) | (ratios > before)

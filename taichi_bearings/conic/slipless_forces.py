@@ -11,16 +11,20 @@ from collections.abc import Sequence
 import numpy as np
 
 from taichi_bearings.conic.contact_system import ContactSystem
-from taichi_bearings.conic.grouped import Arrays, each, isotropic, one_by_one, side_by_side, where
+from taichi_bearings.conic.grouped import Arrays, determinant, each, inner, isotropic, one_by_one, side_by_side, where
 from taichi_bearings.conic.newton_matrix import REFINEMENTS, NewtonMatrix
 
 LEFT_TORQUE = 1e-10  # torque, of the mean friction, that may be left
 # least margin over the sum of all torques left, which no force has to change by more than to end them
 MARGIN_PER_TORQUE = 10.0
-# share of its friction by which a contact at its limit counts as having room where forces are balanced
-ROOM_AT_LIMIT = 1e-5
-# share of the friction by which rounding may take the force of such a contact beyond the limit
-ROUNDED_AT_LIMIT = 1e-11
+# share of its friction by which a contact at its limit counts as having room where forces are balanced, and by which it
+# can be below the limit and is still held there
+ROOM_AT_LIMIT, HELD_AT_LIMIT = 1e-5, 1e-9
+NOISE_ACROSS = 5e-5  # part of a force at its limit, of the other one, that can be noise: the root of HELD_AT_LIMIT
+# balances of forces; how far towards the first limit all but the last go; cuts at the limits in each of them
+MOST_BALANCES, SHARE_OF_WAY, MOST_CUTS = 20, 0.9, 60
+BALANCED_TORQUE = 1e-14  # torque, of the mean friction, that needs no further cut
+TINY = np.finfo(np.float64).tiny
 
 
 @np.errstate(all="ignore")
@@ -34,29 +38,83 @@ def nearly_borne(
     heads: Sequence[np.ndarray],
 ) -> tuple[Arrays, np.ndarray]:
     """The dual of all contacts, the more of a slipless one changed the more room it has, so that it is in balance; and
-    the samples (samples,) in which that is enough, as it is most often near the end of the central path.
+    the samples (samples,) in which that is found, as it is most often near the end of the central path. Where a change
+    would take a contact beyond its limit, it goes a part of the way, and on from there with the room that is left.
 
     system, matrix : of a sample. heads : of each sample, mask (unknowns,) of one spin of each domain that is tied to no
     driven plane. Of all samples together, a group each: friction (n,), dual (d, n), minus the forces, of slipless
     contacts nearly in balance and inside their friction discs, and masks (n,), the slipping contacts and the critical
     ones, which may bear all their friction.
     """
-    room = where(
-        slipping, 0.0, each(np.maximum, friction - dual.length(), where(critical, ROOM_AT_LIMIT * friction, 0.0))
-    )
-    side, springs = side_by_side(dual, len(heads)), side_by_side(room**2, len(heads))
-    at_limit = side_by_side(where(critical, friction, 0.0), len(heads)) if critical.any() else None
+    samples, side = len(heads), side_by_side(dual, len(heads))
+    limit = side_by_side(where(critical, friction, np.inf), samples)
+    side = each(_without_noise, side, limit)
     still = np.stack(heads, axis=1).astype(float)  # a spring for each domain, that nothing stretches
-    regular = matrix.factorise_each(isotropic(side, springs), inertia=still)
-    for _ in range(REFINEMENTS if at_limit is None else 2 * REFINEMENTS):  # as in NewtonMatrix.balanced
-        if at_limit is not None:  # forces as large as that
-            share = each(lambda y, limit: np.where(limit > 0, limit / np.sqrt((y**2).sum(axis=0)), 1.0), side, at_limit)
-            side = side * share
-        side = side - springs * system.change(matrix.solve(system.torques(side)))
+    found, going = np.zeros(samples, dtype=bool), np.ones(samples, dtype=bool)
+    for _ in range(MOST_BALANCES):
+        here = one_by_one(side)
+        least = where(critical, ROOM_AT_LIMIT * friction, 0.0)
+        springs = side_by_side(where(slipping, 0.0, each(np.maximum, friction - here.length(), least)) ** 2, samples)
+        going = going & matrix.factorise_each(isotropic(side, springs), inertia=still)
+        balanced = _balanced(system, matrix, side, springs, limit, going)
+        reach = _reach(friction, here, one_by_one(balanced), slipping | critical, samples)
+        found |= going & (reach > 1)
+        share = np.where(going & (reach <= 1), SHARE_OF_WAY * reach, 1.0)
+        side, going = each(np.where, going, each(_towards, side, balanced, share), side), going & ~found
+        if not going.any():
+            break
     whole = one_by_one(side)
-    within = ~critical | (whole.length() < (1 + ROUNDED_AT_LIMIT) * friction)  # no critical one bears more
-    inside = np.all([part.reshape(len(heads), -1).all(axis=1) for part in within], axis=0)
-    return whole, regular & inside & _inside(friction, whole, slipping | critical, system.torques(side))
+    return whole, found & _inside(friction, whole, slipping | critical, system.torques(side))
+
+
+def _towards(here: np.ndarray, there: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """A share (samples,) of the way, to the last bit where that is 1."""
+    return np.where(share == 1, there, here + share * (there - here))
+
+
+def _without_noise(dual: np.ndarray, limit: np.ndarray) -> np.ndarray:
+    """The dual (d, n, samples) of contacts at a finite limit along one component alone where that is nearly so: what is
+    left across it is the root of what is left of the margin."""
+    return np.where(np.isinf(limit) | (np.abs(dual) > NOISE_ACROSS * np.abs(dual).max(axis=0)), dual, 0.0)
+
+
+def _balanced(
+    system: ContactSystem, matrix: NewtonMatrix, side: Arrays, springs: Arrays, limit: Arrays, going: np.ndarray
+) -> Arrays:
+    """The dual (d, n, samples) a group with its torques taken away by the springs and with no force beyond its limit,
+    by both in turn; of samples that are `going`."""
+    least = np.full(len(going), np.inf)
+    for count in range(MOST_CUTS):  # each from the forces of the last, as in NewtonMatrix.balanced
+        side = each(_cut, side, limit)
+        torques = system.torques(side)
+        left = np.abs(torques).max(axis=0, initial=0.0)
+        if count >= REFINEMENTS:
+            going = going & (left < least) & (left > BALANCED_TORQUE)
+            if not going.any():
+                break
+        least = np.minimum(least, left)
+        nearer = side - springs * system.change(matrix.solve(torques))
+        side = each(np.where, going, nearer, side)
+    return each(_cut, side, limit)
+
+
+def _cut(dual: np.ndarray, limit: np.ndarray) -> np.ndarray:
+    """The dual (d, n, samples), with forces beyond the limit (n, samples), or next to it, just as large."""
+    size = np.maximum(np.sqrt((dual**2).sum(axis=0)), TINY)
+    return np.where(size > (1 - HELD_AT_LIMIT) * limit, dual * (limit / size), dual)
+
+
+def _reach(friction: Arrays, here: Arrays, there: Arrays, free: Arrays, samples: int) -> np.ndarray:
+    """How far, (samples,), of the way the dual (d, n) a group may go until a contact that is not `free` comes to its
+    limit."""
+
+    def reach(limit: np.ndarray, dual: np.ndarray, new: np.ndarray, is_free: np.ndarray) -> np.ndarray:
+        change = new - dual
+        square, slope, room = inner(change, change), inner(dual, change), determinant((limit, dual))
+        found = room / np.maximum(slope + np.sqrt(np.maximum(slope**2 + square * room, 0.0)), TINY)
+        return np.where(is_free, np.inf, found).reshape(samples, -1).min(axis=1, initial=np.inf)
+
+    return np.min([*each(reach, friction, here, there, free)], axis=0)
 
 
 def _inside(friction: Arrays, dual: Arrays, slipping: Arrays, torques: np.ndarray) -> np.ndarray:
