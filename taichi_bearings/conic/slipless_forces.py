@@ -73,9 +73,14 @@ def _towards(here: np.ndarray, there: np.ndarray, share: np.ndarray) -> np.ndarr
 
 
 def _without_noise(dual: np.ndarray, limit: np.ndarray) -> np.ndarray:
-    """The dual (d, n, samples) of contacts at a finite limit along one component alone where that is nearly so: what is
-    left across it is the root of what is left of the margin."""
-    return np.where(np.isinf(limit) | (np.abs(dual) > NOISE_ACROSS * np.abs(dual).max(axis=0)), dual, 0.0)
+    """The dual (d, n, samples) of contacts at their limit along one component alone where that is nearly so: what is
+    left across it falls like a root of what is left of the margin."""
+    along = np.abs(dual) > NOISE_ACROSS * np.abs(dual).max(axis=0)
+    return np.where(along | ~_at_limit(dual, limit), dual, 0.0)
+
+
+def _at_limit(dual: np.ndarray, limit: np.ndarray) -> np.ndarray:
+    return np.sqrt((dual**2).sum(axis=0)) > (1 - HELD_AT_LIMIT) * limit
 
 
 def _balanced(
@@ -101,7 +106,7 @@ def _balanced(
 def _cut(dual: np.ndarray, limit: np.ndarray) -> np.ndarray:
     """The dual (d, n, samples), with forces beyond the limit (n, samples), or next to it, just as large."""
     size = np.maximum(np.sqrt((dual**2).sum(axis=0)), TINY)
-    return np.where(size > (1 - HELD_AT_LIMIT) * limit, dual * (limit / size), dual)
+    return np.where(_at_limit(dual, limit), dual * (limit / size), dual)
 
 
 def _reach(friction: Arrays, here: Arrays, there: Arrays, free: Arrays, samples: int) -> np.ndarray:
