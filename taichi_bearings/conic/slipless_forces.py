@@ -21,8 +21,9 @@ MARGIN_PER_TORQUE = 10.0
 # can be below the limit and is still held there
 ROOM_AT_LIMIT, HELD_AT_LIMIT = 1e-5, 1e-9
 NOISE_ACROSS = 5e-5  # part of a force at its limit, of the other one, that can be noise: the root of HELD_AT_LIMIT
-# balances of forces; how far towards the first limit all but the last go; cuts at the limits in each of them
-MOST_BALANCES, SHARE_OF_WAY, MOST_CUTS = 20, 0.9, 60
+# balances of forces; how far towards the first limit all but the last go; share of the way that is too short to go on
+MOST_BALANCES, SHARE_OF_WAY, LEAST_REACH = 20, 0.9, 1e-2
+MOST_CUTS = 60  # at the limits, after the last one
 BALANCED_TORQUE = 1e-14  # torque, of the mean friction, that needs no further cut
 TINY = np.finfo(np.float64).tiny
 
@@ -56,9 +57,14 @@ def nearly_borne(
         least = where(critical, ROOM_AT_LIMIT * friction, 0.0)
         springs = side_by_side(where(slipping, 0.0, each(np.maximum, friction - here.length(), least)) ** 2, samples)
         going = going & matrix.factorise_each(isotropic(side, springs), inertia=still)
-        balanced = _balanced(system, matrix, side, springs, limit, going)
+        balanced = side
+        for _ in range(REFINEMENTS):  # as in NewtonMatrix.balanced
+            balanced = _balanced(system, matrix, each(_cut, balanced, limit), springs, going)[0]
         reach = _reach(friction, here, one_by_one(balanced), slipping | critical, samples)
-        found |= going & (reach > 1)
+        ended, going = going & (reach > 1), going & (reach > LEAST_REACH)
+        if ended.any():
+            balanced = _cut_and_balanced(system, matrix, balanced, springs, limit, ended)
+        found |= ended
         share = np.where(going & (reach <= 1), SHARE_OF_WAY * reach, 1.0)
         side, going = each(np.where, going, each(_towards, side, balanced, share), side), going & ~found
         if not going.any():
@@ -84,22 +90,27 @@ def _at_limit(dual: np.ndarray, limit: np.ndarray) -> np.ndarray:
 
 
 def _balanced(
+    system: ContactSystem, matrix: NewtonMatrix, side: Arrays, springs: Arrays, going: np.ndarray
+) -> tuple[Arrays, np.ndarray]:
+    """The dual (d, n, samples) a group with its torques taken away by the springs in samples that are `going`; and the
+    largest torque before, (samples,)."""
+    torques = system.torques(side)
+    nearer = side - springs * system.change(matrix.solve(torques))
+    return each(np.where, going, nearer, side), np.abs(torques).max(axis=0, initial=0.0)
+
+
+def _cut_and_balanced(
     system: ContactSystem, matrix: NewtonMatrix, side: Arrays, springs: Arrays, limit: Arrays, going: np.ndarray
 ) -> Arrays:
-    """The dual (d, n, samples) a group with its torques taken away by the springs and with no force beyond its limit,
-    by both in turn; of samples that are `going`."""
-    least = np.full(len(going), np.inf)
-    for count in range(MOST_CUTS):  # each from the forces of the last, as in NewtonMatrix.balanced
-        side = each(_cut, side, limit)
-        torques = system.torques(side)
-        left = np.abs(torques).max(axis=0, initial=0.0)
-        if count >= REFINEMENTS:
-            going = going & (left < least) & (left > BALANCED_TORQUE)
-            if not going.any():
-                break
-        least = np.minimum(least, left)
-        nearer = side - springs * system.change(matrix.solve(torques))
-        side = each(np.where, going, nearer, side)
+    """The same with no force beyond its limit, (n, samples) a group, as long as cuts and balances in turn help."""
+    last = np.full(len(going), np.inf)
+    for _ in range(MOST_CUTS):
+        cut = each(_cut, side, limit)
+        nearer, left = _balanced(system, matrix, cut, springs, going)
+        going = going & (left < last) & (left > BALANCED_TORQUE)
+        if not going.any():
+            break
+        side, last = each(np.where, going, nearer, side), left
     return each(_cut, side, limit)
 
 
