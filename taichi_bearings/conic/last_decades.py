@@ -20,7 +20,8 @@ from taichi_bearings.conic.newton_matrix import MOST_NEWTON_STEPS, NewtonMatrix
 from taichi_bearings.numerics.double_double import Pair, exactly
 
 DECIDED_EXPONENT = 0.5  # power of the product with which slip or margin of a contact falls that is decided
-LEAST_MARGIN_AT_LIMIT, LOST_MARGIN = 1e-6, 1e-11  # margin below which one can be at its limit: 12^3 seeds 110 and 350
+# margin below which a contact can be at its limit (12^3 seeds 110 and 350), and below which one at rest surely is
+LEAST_MARGIN_AT_LIMIT, LOST_MARGIN = 1e-6, 1e-11
 VANISHING_PRODUCT = 1e-20  # product from which on contacts are judged whose slip and margin both vanish
 SLIPPING_RATIO = 1e4  # ratio of slip and margin from which a contact surely slips
 # and below which one surely sticks, if it falls with the product; and its least margin

@@ -146,8 +146,8 @@ def _sticking(iterate: Iterate, before: Iterate) -> Arrays:
 
 def _followed(iterate: Iterate, before: Iterate | None, lattice: Surroundings) -> Resolved | None:
     """The same by the last decades of the path, with contacts tied that surely stick as soon as few others are in
-    doubt. Where the states are not those of a minimum, once more from there with those tied, too, that surely stick at
-    the end: they blur what is left of others. At last nothing is tied."""
+    doubt. Where the states are not those of a minimum, up to twice more from there, with those tied, too, that surely
+    stick at the end: their stiffness blurs the forces of the others. At last nothing is tied."""
     path, settled = LastDecades.after(iterate, before, lattice.matrix), None
     if path.decide(int(min(max(DOUBTFUL_SHARE * iterate.in_cones, LEAST_DOUBTFUL), MOST_DOUBTFUL))) is None:
         return None
