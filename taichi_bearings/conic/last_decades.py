@@ -20,7 +20,8 @@ from taichi_bearings.conic.newton_matrix import MOST_NEWTON_STEPS, NewtonMatrix
 from taichi_bearings.numerics.double_double import Pair, exactly
 
 DECIDED_EXPONENT = 0.5  # power of the product with which slip or margin of a contact falls that is decided
-LEAST_MARGIN_AT_LIMIT = 1e-6  # margin below which one can be at its limit: 12^3 seeds 110 and 350
+# margin below which a contact can be at its limit (12^3 seeds 110 and 350), and below which one at rest surely is
+LEAST_MARGIN_AT_LIMIT, LOST_MARGIN = 1e-6, 1e-11
 VANISHING_PRODUCT = 1e-20  # product from which on contacts are judged whose slip and margin both vanish
 SLIPPING_RATIO = 1e4  # ratio of slip and margin from which a contact surely slips
 # and below which one surely sticks, if it falls with the product; and its least margin
@@ -88,18 +89,16 @@ class LastDecades:
             enough = product < LEAST_PRODUCT or (not to_the_end and (~decided).sum() <= doubtful)
             ended = enough and self.point.unbalanced < JUDGED_TORQUE
             if ended or stalled == MOST_STALLED_STEPS:
-                self.sticking = (
-                    fell
-                    & (power < -DECIDED_EXPONENT)
-                    & (ratios < STICKING_RATIO)
-                    & (self.point.margin > STICKING_MARGIN)
-                )
+                falls = fell & (power < -DECIDED_EXPONENT) if product > VANISHING_PRODUCT else True
+                self.sticking = falls & (ratios < STICKING_RATIO) & (self.point.margin > STICKING_MARGIN)
                 self._ratios, self._product = np.zeros_like(before), np.inf
                 if product >= LEAST_PRODUCT or late is None:
                     return (ratios > 1) | (ratios > before)
                 fall = abs(np.log(product / late[1]))  # of the product, with which steady ratios have not changed
                 steady = np.abs(np.log(ratios / late[0])) < DECIDED_EXPONENT * fall
-                self.critical = ~self._smooth & steady & (self.point.margin < LEAST_MARGIN_AT_LIMIT)
+                margin, rests = self.point.margin, ratios < 1
+                at_limit = (steady & (margin < LEAST_MARGIN_AT_LIMIT)) | (rests & (margin < LOST_MARGIN))
+                self.critical = ~self._smooth & at_limit
                 return (ratios > 1) & ~self.critical
             if late is None and product < VANISHING_PRODUCT:
                 late = ratios, product

@@ -39,6 +39,7 @@ DOUBTFUL_SHARE = 1e-2  # share of the contacts that may be in doubt when those a
 LEAST_DOUBTFUL, MOST_DOUBTFUL = 30, 300  # and their number, at least and at most
 # torques, of the mean friction, that end Newton's method; and that will do if double precision ends before
 NEWTON_TORQUE, ROUNDED_TORQUE = 1e-12, 1e-4
+MOST_TIED_TRIALS = 3  # of the last decades, with those tied that surely stuck at the end of the one before
 NEWTON_TRIALS = 2  # of Newton's method, with contacts tied that come to rest
 # of a slip, by which a step may change it; if the whole step would turn it round
 TURNED_SLIP_STEP, SLIP_STEP = 0.5, 0.95
@@ -145,38 +146,48 @@ def _sticking(iterate: Iterate, before: Iterate) -> np.ndarray:
 
 def _followed(iterate: Iterate, before: Iterate | None, lattice: Surroundings) -> Resolved | None:
     """The same by the last decades of the path, with contacts tied that surely stick as soon as few others are in
-    doubt. Where the states are not those of a minimum, that is followed to the end, and at last nothing is tied."""
+    doubt. Where the states are not those of a minimum, up to twice more from there, with those tied, too, that surely
+    stick at the end: their stiffness blurs the forces of the others. At last nothing is tied."""
     path, settled = LastDecades.after(iterate, before, lattice.matrix), None
     if path.decide(int(min(max(DOUBTFUL_SHARE * iterate.in_cones, LEAST_DOUBTFUL), MOST_DOUBTFUL))) is None:
         return None
-    sticking, none = path.sticking, np.zeros_like(path.sticking)
-    for tied, to_the_end in ((sticking, False), (sticking, True), (none, False)):
-        if to_the_end and settled is None:
-            continue
-        settled = None
+    none, sticking = np.zeros_like(path.sticking), path.sticking
+    for trial in range(MOST_TIED_TRIALS + 1):
+        settled, more = None, none
+        tied = sticking if trial < MOST_TIED_TRIALS else none
         with suppress(NotPositiveDefinite):
-            settled = _over_tied(iterate, path, tied, lattice, to_the_end)
+            settled, more = _over_tied(iterate, path, tied, lattice, 0 < trial < MOST_TIED_TRIALS)
         if settled is not None and settled.sure:
             break
+        sticking = sticking | more
     return settled
 
 
 def _over_tied(
     iterate: Iterate, path: LastDecades, sticking: np.ndarray, lattice: Surroundings, to_the_end: bool
-) -> Resolved | None:
-    """The minimum, with balanced forces, where the path goes on with these contacts, (n,) mask, tied; None
-    where it is none."""
-    tied = Contraction(lattice.system, lattice.order, sticking)
+) -> tuple[Resolved | None, np.ndarray]:
+    """The minimum, with balanced forces, where the path goes on with these contacts, (n,) mask, tied; None where it is
+    none; and the contacts that surely stick in the end, too.
+
+    Slipless contacts begin with their forces in the end, or else, as a path with others tied can change these a lot,
+    with those of before."""
+    none, tied = np.zeros_like(sticking), Contraction(lattice.system, lattice.order, sticking)
     rest = path.over(tied)
     left = None if tied.contradicts.any() else rest.decide(to_the_end=to_the_end)
     if left is None:
-        return None
-    slipping, critical, dual = np.zeros_like(sticking), np.zeros_like(sticking), path.point.dual.copy()
-    slipping[tied.kept], critical[tied.kept], dual[:, tied.kept] = left, rest.critical, rest.point.dual
+        return None, none
+    slipping, critical, sticking, later = none.copy(), none.copy(), none.copy(), path.point.dual.copy()
+    slipping[tied.kept], critical[tied.kept], sticking[tied.kept] = left, rest.critical, rest.sticking
+    later[:, tied.kept] = rest.point.dual
     (found,) = _minima([iterate], [tied.expanded(rest.spins)], [slipping], lattice)
     if found is not None and critical.any():  # as are those that Newton's method has brought to rest
         found = replace(found, critical=(critical | slipping) & ~found.slipping)
-    return _borne([iterate], [found], [dual], lattice)[0]
+    earlier = np.where(critical | (path.point.slip_over_margin > 1), later, path.point.dual)
+    for near in (later, earlier):
+        (settled,) = _borne([iterate], [found], [near], lattice)
+        if settled is not None:
+            break
+    return settled, sticking
 
 
 def _borne(

@@ -59,6 +59,14 @@ def test_settling_once_more_from_closer_by_spoils_nothing():
     assert (solution.gap < 1e-10).all()
 
 
+def test_ties_are_settled_to_the_last_digits():
+    """Domains between contacts at their limit, near which the path ends with torques of 1e-8 of the friction."""
+    scene = make_scene((8, 8, 8), distribution="bimodal:0.1,1,0.5", seeds=(1, 8, 11, 14, 21, 32))
+    solution = minimum_of(scene, 1e-14)
+    assert solution.status is Status.CERTIFIED, solution.gap
+    assert (solution.findings["tied_contacts"] > 0).sum() >= 5
+
+
 @pytest.mark.parametrize("odd", ODD.values(), ids=ODD)
 def test_odd_scenes_are_certified(odd):
     scene = make_scene(**odd)
