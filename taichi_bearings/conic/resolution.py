@@ -27,7 +27,7 @@ from taichi_bearings.conic.iterate import Iterate
 from taichi_bearings.conic.last_decades import LastDecades
 from taichi_bearings.conic.newton_matrix import MOST_NEWTON_STEPS, NewtonMatrix
 from taichi_bearings.conic.polish import polished
-from taichi_bearings.conic.slipless_forces import nearly_borne
+from taichi_bearings.conic.slipless_forces import may_tie, nearly_borne
 from taichi_bearings.conic.ties import tied_contacts
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.numerics.double_double import Pair, exactly
@@ -152,11 +152,15 @@ def _followed(iterate: Iterate, before: Iterate | None, lattice: Surroundings) -
     if path.decide(int(min(max(DOUBTFUL_SHARE * iterate.in_cones, LEAST_DOUBTFUL), MOST_DOUBTFUL))) is None:
         return None
     none, sticking = np.zeros_like(path.sticking), path.sticking
+    ties = may_tie(iterate.friction, none)
     for trial in range(MOST_TIED_TRIALS + 1):
+        is_last = trial == MOST_TIED_TRIALS
+        if trial > 0 and settled is None and not (ties or is_last):
+            continue
         settled, more = None, none
-        tied = sticking if trial < MOST_TIED_TRIALS else none
         with suppress(NotPositiveDefinite):
-            settled, more = _over_tied(iterate, path, tied, lattice, 0 < trial < MOST_TIED_TRIALS)
+            tied = none if is_last else sticking
+            settled, more = _over_tied(iterate, path, tied, lattice, to_the_end=trial > 0 and not is_last)
         if settled is not None and settled.sure:
             break
         sticking = sticking | more
@@ -169,8 +173,8 @@ def _over_tied(
     """The minimum, with balanced forces, where the path goes on with these contacts, (n,) mask, tied; None where it is
     none; and the contacts that surely stick in the end, too.
 
-    Slipless contacts begin with their forces in the end, or else, as a path with others tied can change these a lot,
-    with those of before."""
+    Slipless contacts begin with their forces in the end. Where minima may tie, a path with others tied can change these
+    a lot, so those of before are tried too."""
     none, tied = np.zeros_like(sticking), Contraction(lattice.system, lattice.order, sticking)
     rest = path.over(tied)
     left = None if tied.contradicts.any() else rest.decide(to_the_end=to_the_end)
@@ -183,10 +187,9 @@ def _over_tied(
     if found is not None and critical.any():  # as are those that Newton's method has brought to rest
         found = replace(found, critical=(critical | slipping) & ~found.slipping)
     earlier = np.where(critical | (path.point.slip_over_margin > 1), later, path.point.dual)
-    for near in (later, earlier):
-        (settled,) = _borne([iterate], [found], [near], lattice)
-        if settled is not None:
-            break
+    (settled,) = _borne([iterate], [found], [later], lattice)
+    if settled is None and may_tie(iterate.friction, critical):
+        (settled,) = _borne([iterate], [found], [earlier], lattice)
     return settled, sticking
 
 

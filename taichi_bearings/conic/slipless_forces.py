@@ -39,8 +39,9 @@ def nearly_borne(
     heads: Sequence[np.ndarray],
 ) -> tuple[np.ndarray, np.ndarray]:
     """The dual of all contacts, the more of a slipless one changed the more room it has, so that it is in balance; and
-    the samples (samples,) in which that is found, as it is most often near the end of the central path. Where a change
-    would take a contact beyond its limit, it goes a part of the way, and on from there with the room that is left.
+    the samples (samples,) in which that is found, as it is most often near the end of the central path. Where minima
+    may tie, a change that would take a contact beyond its limit goes a part of the way, and on from there with the room
+    that is left.
 
     system, matrix : of a sample. heads : of each sample, mask (unknowns,) of one spin of each domain that is tied to no
     driven plane. Of all samples, one after the other: friction (n,), dual (d, n), minus the forces, of slipless
@@ -52,6 +53,7 @@ def nearly_borne(
     side = _without_noise(side, limit)
     still = np.stack(heads, axis=1).astype(float)  # a spring for each domain, that nothing stretches
     found, going = np.zeros(samples, dtype=bool), np.ones(samples, dtype=bool)
+    ties = np.array([may_tie(*of) for of in zip(np.split(friction, samples), np.split(critical, samples), strict=True)])
     for _ in range(MOST_BALANCES):
         here = _one_by_one(side)
         least = np.where(critical, ROOM_AT_LIMIT * friction, 0.0)
@@ -62,7 +64,8 @@ def nearly_borne(
         for _ in range(REFINEMENTS):  # as in NewtonMatrix.balanced
             balanced = _balanced(system, matrix, _cut(balanced, limit), springs, going)[0]
         reach = _reach(friction, here, _one_by_one(balanced), slipping | critical, samples)
-        ended, going = going & (reach > 1), going & (reach > LEAST_REACH)
+        ended = going & (reach > 1)
+        going = ended | (going & ties & (reach > LEAST_REACH))
         if ended.any():
             balanced = _cut_and_balanced(system, matrix, balanced, springs, limit, ended)
         found |= ended
@@ -72,6 +75,11 @@ def nearly_borne(
             break
     whole = _one_by_one(side)
     return whole, found & _inside(friction, whole, slipping | critical, system.torques(side))
+
+
+def may_tie(friction: np.ndarray, critical: np.ndarray) -> bool:
+    """True where contacts are critical, or most have the friction of others: sums of these can be equal by chance."""
+    return bool(critical.any()) or len(np.unique(friction)) < len(friction) / 2
 
 
 def _towards(here: np.ndarray, there: np.ndarray, share: np.ndarray) -> np.ndarray:

@@ -39,9 +39,7 @@ def pulled():
     return chain((BOTTOM, 0, 0.0), (BOTTOM, 0, 0.0), (0, TOP, 1.0))
 
 
-@pytest.mark.parametrize(
-    "friction", [(0.4, 0.3, 0.5), (0.3, 0.2001, 0.5), (0.3, 0.2 + 1e-12, 0.5)], ids=["easily", "barely", "just"]
-)
+@pytest.mark.parametrize("friction", [(0.4, 0.3, 0.5), (0.3, 0.2001, 0.5)], ids=["easily", "barely"])
 def test_two_contacts_bear_what_a_third_pulls(friction):
     dual, inside = borne(*pulled(), friction, [-0.29, -0.19, -0.5], [False, False, True])
     assert inside
@@ -50,7 +48,7 @@ def test_two_contacts_bear_what_a_third_pulls(friction):
     assert dual[2] == -0.5
 
 
-@pytest.mark.parametrize("excess", [-1e-2, -1e-10, -1e-12, 0.0], ids=str)
+@pytest.mark.parametrize("excess", [-1e-2, -1e-10, -1e-12, 0.0, 1e-12], ids=str)
 def test_two_contacts_too_weak_for_it_or_at_their_limit_are_no_proof(excess):
     friction = (0.3, 0.2 + excess, 0.5)
     assert not borne(*pulled(), friction, [-0.29, -0.19, -0.5], [False, False, True])[1]
