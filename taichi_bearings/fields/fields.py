@@ -123,7 +123,7 @@ class Fields:
             copy_out(self.values, stored, first + rows.margin, rows.length)
         found = np.empty(stored.shape)
         found[:, rows.order] = stored
-        return found.reshape(-1, *rows.shape)
+        return found.reshape(components, *rows.shape)
 
     def clear(self, name: str) -> None:
         _, components, rows = self._place[name]
