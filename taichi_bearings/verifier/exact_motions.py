@@ -31,6 +31,7 @@ NULL_PIVOT = 1e-8  # up to which an unknown may follow from no condition
 DENOMINATORS = 720  # up to which fractions are guessed
 WHOLE, LARGEST = 1e-6, 2.0**40  # how far a number may be off the integer that it is taken for, and how large one is
 MOST_ROUNDS = 12  # of leaving out spheres
+MOST_EXACT_SPHERES = 5_000  # free ones, beyond which this takes longer than finding the minimum
 SLOTS_AT_ONCE = 64
 
 
@@ -50,7 +51,7 @@ class ExactMotions:
     def of(cls, network: Network, number: np.ndarray, rests: np.ndarray) -> ExactMotions:
         """Of spheres that contacts of a mask (E,) join, as many as can be had. number : (N, 3), -1 for no unknown."""
         spheres, (first, second) = network.reached, network.contact
-        for _ in range(MOST_ROUNDS):
+        for _ in range(MOST_ROUNDS if spheres.sum() <= MOST_EXACT_SPHERES else 0):
             whole = spheres | ~network.free
             contacts = rests & whole[first] & whole[second]
             touched = np.zeros(len(spheres), dtype=bool)
