@@ -53,6 +53,7 @@ def nearly_borne(
     side = _without_noise(side, limit)
     still = np.stack(heads, axis=1).astype(float)  # a spring for each domain, that nothing stretches
     found, going = np.zeros(samples, dtype=bool), np.ones(samples, dtype=bool)
+    held = critical.reshape(samples, -1).any(axis=1)
     ties = np.array([may_tie(*of) for of in zip(np.split(friction, samples), np.split(critical, samples), strict=True)])
     for _ in range(MOST_BALANCES):
         here = _one_by_one(side)
@@ -66,8 +67,8 @@ def nearly_borne(
         reach = _reach(friction, here, _one_by_one(balanced), slipping | critical, samples)
         ended = going & (reach > 1)
         going = ended | (going & ties & (reach > LEAST_REACH))
-        if ended.any():
-            balanced = _cut_and_balanced(system, matrix, balanced, springs, limit, ended)
+        if (cut := ended & held).any():
+            balanced = _cut_and_balanced(system, matrix, balanced, springs, limit, cut)
         found |= ended
         share = np.where(going & (reach <= 1), SHARE_OF_WAY * reach, 1.0)
         side, going = np.where(going, _towards(side, balanced, share), side), going & ~found
