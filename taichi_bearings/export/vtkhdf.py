@@ -73,8 +73,9 @@ def export(run: Path, out: Path | None = None, force: bool = False, replica: int
     with opened_to_draw(run, out, VTK_NAME, force, replica) as (found, path):
         drawn = points_and_lines(found)
         geometry, moments = Geometry.of(drawn), drawn.moments
-        known = found.summary | {key: found.attributes[key] for key in OF_THE_FILE} | {"replica": replica}
-        told = {key: known[key] for key in TOLD}
+        of_file = {key: found.attributes[key] for key in OF_THE_FILE if key in found.attributes}
+        known = found.summary | of_file | {"replica": replica}
+        told = {key: known[key] for key in TOLD if key in known}
         if moments is not None:
             told["snapshot_threshold"] = moments.threshold
         with stage("writing"):
