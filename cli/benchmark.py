@@ -38,7 +38,7 @@ def command(
     \b
     speed       all that is measured, beside other programs; the others are parts of it
     throughput  kernels: sweeps, time steps and splitting iterations beside NumPy and plain C
-    peers       methods, scans and dynamics beside Clarabel, SCS, moreau, LAMMPS and YADE
+    peers       methods, scans and dynamics beside Clarabel, SCS, LAMMPS and YADE
     accuracy    methods: run time against error, every method and two general conic solvers on the same scenes, by
                 the same certificate; without --shape 10x10, 32x32, 10x10x10 and 16x16x16 Coulomb, 32x32 and 10x10x10
                 viscous

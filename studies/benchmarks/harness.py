@@ -23,14 +23,14 @@ from taichi_bearings.interrupts import unheard_by_children
 from taichi_bearings.plots.style import save
 from taichi_bearings.stages import each, stage
 
-from ..report import environment, load, markdown
+from ..report import duration, environment, load, markdown, scaled, short
 
 T = TypeVar("T")
 Row = dict[str, Any]
 Found = Iterator[Row | str]  # a text says what is left out, and why
-Cells = Mapping[str, Callable[[Row], str]]  # of a table, by the titles of its columns
 LONGEST = 2**20  # repetitions in one call
 TEXT = "report.md"
+TARGETS = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10)  # proven gaps whose times the table lists
 
 
 @dataclass(frozen=True)
@@ -124,14 +124,13 @@ class Plan:
 class Benchmark:
     """One thing that is measured: a row of the table of benchmarks.
 
-    title : what, in a sentence. tasks : of a plan, the name of each and what finds its rows. cells : of its table.
+    title : what, in a sentence. tasks : of a plan, the name of each and what finds its rows.
     missing : peers that are not here -> how to install them.
     faults : sentences on rows that contradict each other. figure : of the rows.
     """
 
     title: str
     tasks: Callable[[Plan], Iterator[tuple[str, Callable[[], Found]]]]
-    cells: Cells
     missing: Callable[[], dict[str, str]] = dict
     faults: Callable[[list[Row]], list[str]] = lambda rows: []
     figure: Callable[[list[Row]], Any] | None = None
@@ -210,16 +209,33 @@ def machine() -> dict[str, Any]:
 def text(chosen: Mapping[str, Benchmark], report: Report, here: Mapping[str, Any]) -> str:
     """For people: the machine, a table a benchmark, then what was left out and what is missing."""
     parts = [f"{here['processor']}, {here['threads']}; load {here['load']}"]
-    parts += [
-        f"### {name}\n{chosen[name].title}.\n\n{_table(rows, chosen[name].cells)}" for name, rows in report.rows.items()
-    ]
+    parts += [f"### {name}\n{chosen[name].title}.\n\n{_table(rows)}" for name, rows in report.rows.items()]
     notes = [*report.faults, *report.notes, *(f"Without {name}: {why}" for name, why in report.missing.items())]
     return "\n\n".join([*parts, "\n".join(f"* {note}" for note in notes)] if notes else parts) + "\n"
 
 
-def _table(rows: Sequence[Row], cells: Cells) -> str:
-    """The rows beneath each other; columns that are empty throughout are left out."""
-    columns = [[title, *map(cell, rows)] for title, cell in cells.items()]
+COLUMNS: dict[str, tuple[str, Callable[[Any], str]]] = {
+    "what": ("", str), "shape": ("lattice", lambda shape: "x".join(map(str, shape))), "law": ("law", str),
+    "components": ("components", str), "precision": ("precision", str), "threads": ("threads", str),
+    "seconds": ("time", duration), "quickest": ("quickest", duration), "slowest": ("slowest", duration),
+    "seconds_processor": ("processor", duration), "contact_updates": ("contacts/s", scaled),
+    "proven": ("proven", "{:.0%}".format), **{f"{gap:.0e}": (f"to {gap:.0e}", duration) for gap in TARGETS},
+    "proven_gap": ("gap", "{:.1e}".format), "true_error": ("error <=", "{:.1e}".format),
+    "reference_gap": ("known to", "{:.1e}".format), "after": ("after", duration), "status": ("ended", str),
+    "seconds_compile": ("compile", duration),
+    "ratio": ("this program is", lambda ratio: f"{short(ratio)} times as fast"),
+}  # fmt: skip
+"""What tables show of a row, by its key: the title of the column, and the words for a value."""
+
+
+def _table(rows: Sequence[Row]) -> str:
+    """The rows beneath each other, with all columns that some of them have; lists are left to the CSV."""
+    shown = [
+        {key: of for key, of in (row | row.get("seconds_to", {})).items() if not isinstance(of, list)} for row in rows
+    ]
+    columns = [
+        [title, *(word(row[key]) if key in row else "" for row in shown)] for key, (title, word) in COLUMNS.items()
+    ]
     return markdown(list(zip(*(words for words in columns if any(words[1:])), strict=True)))
 
 

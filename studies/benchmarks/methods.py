@@ -33,13 +33,12 @@ from taichi_bearings.solvers import METHODS, MethodOptions
 from taichi_bearings.solvers.drive import solve, uninterrupted
 from taichi_bearings.solvers.stopping import UNLIMITED, StopRule
 
-from .harness import Found, Row, in_turns
+from .harness import TARGETS, Found, Row, in_turns
 from .peers import TOLERANCES, ConicProgramme, Peer, conic_programme, find_peers
 
 TIGHTEST = 1e-14  # asked of every method; rounding ends it earlier
 SLACK = 1e-13  # relative rounding of a power; a bound that is higher than a power by more is wrong
 ROUND_OFF = float(np.finfo(np.float64).eps)  # the least relative error that double precision can tell
-TARGETS = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10)  # proven gaps whose times the table lists
 BRIEF = 3.0  # seconds of a run from which it is not made again
 MOST_OF_PEERS = 20_000  # spheres up to which conic solvers are asked: beyond they take minutes and gigabytes
 SPARE = 0.7  # share of the free memory that may be taken

@@ -10,7 +10,7 @@ Both are optional (`pip install taichi-bearings[peers]`). Each is run with every
 The time is that of setting up and solving; building the matrices is left out. What a peer says about its own accuracy
 is not used: its spins and multipliers go through the certificate.
 
-They read the least power as a conic programme in sparse matrices, as moreau does in :mod:`.scans`:
+They read the least power as a conic programme in sparse matrices:
 
     minimise  x.P.x / 2 + q.x   subject to   A x + s = b,   s in {0} x {s >= 0} x second-order cones of three
 
@@ -27,7 +27,6 @@ pair and minus the last two of a cone; for viscous contacts half of z, in units 
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -228,26 +227,17 @@ LINEAR_SOLVERS = {"clarabel": ("qdldl", "faer", "mkl"), "scs": ("qdldl", "mkl")}
 
 
 def find_peers() -> tuple[list[Peer], dict[str, str]]:
-    """The peers that work here, and why the others do not: name or name with linear solver -> reason."""
+    """The peers that work here, seen by trying them on six discs, and why the others do not: name or name with linear
+    solver -> reason."""
     here: list[Peer] = []
     missing: dict[str, str] = {}
-    for name, linear_solvers in LINEAR_SOLVERS.items():
-        if find_spec(name) is None:
-            missing[name] = HOW_TO_INSTALL
-            continue
-        for peer in (Peer(name, linear_solver) for linear_solver in linear_solvers):
-            reason = _why_not(peer)
-            if reason is None:
-                here.append(peer)
-            else:
-                missing[str(peer)] = reason
+    for peer in (Peer(name, solver) for name, solvers in LINEAR_SOLVERS.items() for solver in solvers):
+        try:
+            peer.run(conic_programme(Scene.random((2, 3))), 1e-3, 10.0, 1)
+        except ModuleNotFoundError:
+            missing[peer.name] = HOW_TO_INSTALL
+        except Exception as error:  # each library raises its own kind
+            missing[str(peer)] = str(error)
+        else:
+            here.append(peer)
     return here, missing
-
-
-def _why_not(peer: Peer) -> str | None:
-    """Why a linear solver does not work here, seen by trying it on six discs; None if it does."""
-    try:
-        peer.run(conic_programme(Scene.random((2, 3))), 1e-3, 10.0, 1)
-    except Exception as error:  # each library raises its own kind
-        return str(error)
-    return None

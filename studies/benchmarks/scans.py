@@ -1,16 +1,14 @@
 """Samples a second of a scan: ours to proven states, in the workers of `bearings scan`; beside it Clarabel in as many
-processes of the same kind and moreau in batches, which solve to the same tolerance and prove nothing.
+processes of the same kind, which solves to the same tolerance and proves nothing.
 
-All take the same samples, in turns; the workers are warm. For the others only what differs between samples is made
-anew: their matrices are kept.
+Both take the same samples, in turns; the workers are warm. For Clarabel only what differs between samples is made anew:
+its matrices are kept.
 """
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack, closing
-from dataclasses import dataclass
 from functools import lru_cache, partial
-from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -26,27 +24,10 @@ from taichi_bearings.scene import Scene
 from taichi_bearings.stages import stage
 
 from .harness import Found, Times, in_turns
-from .peers import HOW_TO_INSTALL, ConicProgramme, Peer, conic_programme, find_peers
+from .peers import ConicProgramme, Peer, conic_programme, find_peers
 
 TOLERANCE = 1e-8
-BATCH = 24  # samples that moreau is given at a time
 OURS = "this program, states proven"
-
-
-@dataclass(frozen=True)
-class Contender:
-    """Who solves samples. work : of a unit of at most `unit` samples, 0 for as many as a scan takes, in `workers`."""
-
-    name: str
-    work: Work
-    workers: int
-    unit: int = 0
-
-    def units(self, samples: Sequence[Sample]) -> list[tuple[Sample, ...]]:
-        if not self.unit:
-            return units_of(samples, workers=self.workers)
-        size = min(self.unit, -(-len(samples) // self.workers))
-        return [tuple(samples[first : first + size]) for first in range(0, len(samples), size)]
 
 
 def samples_of(shape: tuple[int, ...], first: int, number: int) -> list[Sample]:
@@ -61,66 +42,28 @@ def _template(shape: tuple[int, ...]) -> ConicProgramme:
     return conic_programme(Scene.random(shape))
 
 
-def programme_of(settings: RunSettings) -> ConicProgramme:
-    """The conic programme of a sample, with matrices that all of its lattice share."""
-    return _template(settings.shape).with_friction(build_scene(settings))
-
-
 def solve_by_peer(samples: Sequence[Sample], peer: Peer) -> list[dict[str, Any]]:
-    """One sample after another."""
-    return [_record(one, peer.run(programme_of(one.settings), TOLERANCE, np.inf, threads=1)[-1]) for one in samples]
+    """One sample after another, with matrices that all of its lattice share."""
+    found = []
+    for one in samples:
+        programme = _template(one.settings.shape).with_friction(build_scene(one.settings))
+        status = "certified" if peer.run(programme, TOLERANCE, np.inf, threads=1)[-1] else "stalled"
+        found.append({"key": one.key, "scalars": {"status": status, "states_proven": False}})
+    return found
 
 
-def solve_by_moreau(samples: Sequence[Sample]) -> list[dict[str, Any]]:
-    """All samples of a unit in one batch."""
-    programmes = [programme_of(sample.settings) for sample in samples]
-    solver = _batched(samples[0].settings.shape, len(samples))
-    solver.solve(np.stack([one.linear for one in programmes]), np.stack([one.offset for one in programmes]))
-    states = solver.info.status
-    return [_record(sample, str(state) == "Solved") for sample, state in zip(samples, states, strict=True)]
-
-
-@lru_cache(maxsize=2)
-def _batched(shape: tuple[int, ...], batch: int) -> Any:
-    """A solver of so many programmes at a time that differ in their costs only."""
-    import moreau
-
-    programme = _template(shape)
-    matrix, quadratic = programme.matrix.tocsr(), programme.quadratic.tocsr()
-    tolerances = dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas"), TOLERANCE)
-    cones = moreau.Cones(
-        num_zero_cones=programme.equalities, num_nonneg_cones=programme.inequalities, so_cone_dims=[3] * programme.cones
-    )
-    ipm = moreau.IPMSettings(direct_solve_method="auto", **tolerances)
-    settings = moreau.Settings(solver="ipm", device="cpu", batch_size=batch, time_limit=np.inf, ipm_settings=ipm)
-    patterns = (quadratic.indptr, quadratic.indices, matrix.indptr, matrix.indices)
-    solver = moreau.CompiledSolver(*reversed(matrix.shape), *patterns, cones, settings)
-    solver.setup(quadratic.data, matrix.data)
-    return solver
-
-
-def _record(sample: Sample, solved: bool) -> dict[str, Any]:
-    return {"key": sample.key, "scalars": {"status": "certified" if solved else "stalled", "states_proven": False}}
-
-
-def missing() -> dict[str, str]:
-    return {name: HOW_TO_INSTALL for name in ("clarabel", "moreau") if find_spec(name) is None}
-
-
-def contenders(workers: int, shape: tuple[int, ...]) -> list[Contender]:
-    """Ours, Clarabel with its quickest linear solver here, and moreau; the peers as far as they are installed."""
-    found, programme = [Contender(OURS, solve_samples, workers)], _template(shape)
+def contenders(shape: tuple[int, ...]) -> dict[str, Work]:
+    """Who solves samples, and how: ours, and Clarabel with its quickest linear solver, as far as it is installed."""
 
     def seconds(peer: Peer) -> float:
         began = time.perf_counter()
-        peer.run(programme, TOLERANCE, np.inf, threads=1)
+        peer.run(_template(shape), TOLERANCE, np.inf, threads=1)
         return time.perf_counter() - began
 
+    found: dict[str, Work] = {OURS: solve_samples}
     here = [peer for peer in find_peers()[0] if peer.name == "clarabel"]
     if quickest := min(here, key=seconds, default=None):
-        found.append(Contender(f"{quickest}, no proof", partial(solve_by_peer, peer=quickest), workers, unit=1))
-    if "moreau" not in missing():
-        found.append(Contender(f"moreau, batches of {BATCH}, no proof", solve_by_moreau, 1, unit=BATCH))
+        found[f"{quickest}, no proof"] = partial(solve_by_peer, peer=quickest)
     return found
 
 
@@ -129,34 +72,26 @@ def measure(shape: tuple[int, ...], number: int, rounds: int, workers: int) -> F
 
     Raises BearingsError if a sample has no result.
     """
+    known = contenders(shape)
     with ExitStack() as stack:
-        known = contenders(workers, shape)
-        engines = {one.name: stack.enter_context(closing(LocalEngine(one.work, one.workers))) for one in known}
-        for one in known:  # every worker starts, and compiles what it needs
-            with stage(f"{one.name}, warming up"):
-                list(_solved(one, engines[one.name], one.units(samples_of(shape, 10**6, number))[: one.workers]))
+        engines = {name: stack.enter_context(closing(LocalEngine(work, workers))) for name, work in known.items()}
 
-        def solve(turn: int, one: Contender) -> tuple[float, float]:
-            """Seconds a sample, and share of the samples with all states proven."""
-            units, began = one.units(samples_of(shape, turn * number, number)), time.perf_counter()
-            with stage(one.name):
-                records = list(_solved(one, engines[one.name], units))
-            proven = float(np.mean([record["scalars"]["states_proven"] for record in records]))
-            return (time.perf_counter() - began) / number, proven
+        def solve(turn: int, name: str, most: int | None = None) -> tuple[float, float]:
+            """Seconds a sample, and share of the samples with all states proven, of so many units at most."""
+            samples = samples_of(shape, turn * number, number)
+            units = units_of(samples, workers=workers) if name == OURS else [(one,) for one in samples]
+            began = time.perf_counter()
+            with stage(name):
+                scalars = [of["scalars"] for several in run_samples(units[:most], engines[name]) for of in several]
+            if errors := [of["error"] for of in scalars if "error" in of]:
+                raise BearingsError(f"{name} has no result for a sample: {errors[0]}")
+            return (time.perf_counter() - began) / number, float(np.mean([of["states_proven"] for of in scalars]))
 
-        found = in_turns({one.name: partial(solve, one=one) for one in known}, rounds)
+        for name in known:  # every worker starts, and compiles what it needs
+            solve(rounds, name, workers)
+        found = in_turns({name: partial(solve, name=name) for name in known}, rounds)
     times = {name: Times(np.array([seconds for seconds, _ in of])) for name, of in found.items()}
-    for one in known:
-        row = {"what": one.name, "shape": shape, "threads": one.workers, "samples": number} | times[one.name].row
-        if one.name == OURS:
-            yield row | {"proven": float(np.mean([proven for _, proven in found[OURS]]))}
-        else:
-            yield row | {"ratio": times[one.name].over(times[OURS])}
-
-
-def _solved(one: Contender, engine: LocalEngine, units: Sequence[tuple[Sample, ...]]) -> Iterator[dict[str, Any]]:
-    for records in run_samples(units, engine):
-        for record in records:
-            if "error" in record["scalars"]:
-                raise BearingsError(f"{one.name} has no result for a sample: {record['scalars']['error']}")
-            yield record
+    for name, of in times.items():
+        row = {"what": name, "shape": shape, "threads": workers, "samples": number} | of.row
+        proven = float(np.mean([share for _, share in found[name]]))
+        yield row | ({"proven": proven} if name == OURS else {"ratio": of.over(times[OURS])})

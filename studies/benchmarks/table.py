@@ -12,10 +12,9 @@ from taichi_bearings.options import chosen
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.solvers import METHODS
 
-from ..report import duration, scaled, short
 from . import dynamics, kernels, methods, scans
 from .baselines import find_compiler
-from .harness import Benchmark, Cells, Found, Plan, Row, elsewhere
+from .harness import Benchmark, Found, Plan, elsewhere
 from .peers import find_peers
 
 SMALL = (((32, 32), "coulomb"), ((8, 8, 8), "coulomb"), ((32, 32), "viscous"))
@@ -64,69 +63,27 @@ def _dynamics(plan: Plan) -> Iterator[tuple[str, Callable[[], Found]]]:
         yield f"of {'x'.join(map(str, shape))}", partial(elsewhere, dynamics.measure, shape, plan.rounds, plan.steps)
 
 
-LATTICE: Cells = {"": lambda row: row["what"], "lattice": lambda row: "x".join(map(str, row["shape"]))}
-COMPONENTS: Cells = {"components": lambda row: str(row["components"])}
-THREADS: Cells = {"threads": lambda row: str(row["threads"])}
-TIMES: Cells = {
-    "time": lambda row: duration(row["seconds"]),
-    "spread": lambda row: f"{duration(row['quickest'])} – {duration(row['slowest'])}",
-}
-CONTACTS: Cells = {"contacts/s": lambda row: scaled(row["contact_updates"])}
-SLOWER: Cells = {"this program is": lambda row: f"{short(row['ratio'])} times as fast" if "ratio" in row else ""}
-TIMES_TO: Cells = {
-    f"{target:.0e}": lambda row, key=f"{target:.0e}": duration(row["seconds_to"][key])  # type: ignore[misc]
-    for target in methods.TARGETS
-}
-
-
-def _beside(row: Row, key: str, words: Callable[[float], str]) -> str:
-    return words(row[key]) if key in row else ""
-
-
 BENCHMARKS = {
     "kernels": Benchmark(
         "Sweeps, steps and iterations beside NumPy and plain C",
         _kernels,
-        {
-            **LATTICE, **COMPONENTS, "precision": lambda row: row["precision"], **THREADS, **TIMES,
-            "processor": lambda row: duration(row["seconds_processor"]), **CONTACTS,
-            "compile": lambda row: _beside(row, "seconds_compile", duration),
-            "sweep is": SLOWER["this program is"],
-        },
         missing=lambda: {} if find_compiler() else {"C sweep": "no C compiler was found; apt install gcc, or set CC"},
         figure=kernels.draw_throughput,
     ),
     "methods": Benchmark(
         "Run time against error: time to prove each relative gap, beside conic solvers",
         _methods,
-        {
-            **LATTICE, "law": lambda row: row["law"], **TIMES_TO, "proven": lambda row: f"{row['proven_gap']:.1e}",
-            "error <=": lambda row: f"{row['true_error']:.1e}", "known to": lambda row: f"{row['reference_gap']:.1e}",
-            "after": lambda row: duration(row["after"]), "ended": lambda row: row["status"],
-            "iterations": lambda row: str(row["iterations"][-1]),
-            "compile": lambda row: _beside(row, "seconds_compile", duration),
-        },
         missing=lambda: find_peers()[1],
         faults=methods.contradictions,
         figure=methods.draw_accuracy,
     ),
     "scans": Benchmark(
-        "Samples a second, beside conic solvers",
+        "Samples a second, beside Clarabel",
         _scans,
-        {
-            **LATTICE, "workers": lambda row: str(row["threads"]),
-            "samples/s": lambda row: f"{1 / row['seconds']:.3g}", "a sample": TIMES["time"],
-            "spread": TIMES["spread"], "proven": lambda row: _beside(row, "proven", "{:.0%}".format), **SLOWER,
-        },
-        missing=scans.missing,
+        missing=lambda: {name: why for name, why in find_peers()[1].items() if name == "clarabel"},
     ),
-    "dynamics": Benchmark(
-        "Time steps on one processor, beside LAMMPS and YADE",
-        _dynamics,
-        {**LATTICE, **COMPONENTS, **TIMES, **CONTACTS, **SLOWER},
-        missing=dynamics.missing,
-    ),
-}  # fmt: skip
+    "dynamics": Benchmark("Time steps on one processor, beside LAMMPS and YADE", _dynamics, missing=dynamics.missing),
+}
 
 
 def planned(

@@ -36,14 +36,12 @@ def test_contenders_of_a_scan_solve_the_same_samples():
     samples = scans.samples_of((3, 3, 4), first=5, number=3)
     assert [sample.settings.seed for sample in samples] == [5, 6, 7]
     assert all(record["scalars"]["states_proven"] for record in scans.solve_samples(samples))
-    own = scans.programme_of(samples[0].settings)
+    own = scans.conic_programme(make_scene((3, 3, 4), seeds=(9,))).with_friction(make_scene((3, 3, 4), seeds=(5,)))
     assert (own.linear == scans.conic_programme(make_scene((3, 3, 4), seeds=(5,))).linear).all()
     for peer in [peer for peer in scans.find_peers()[0] if peer.name == "clarabel"][:1]:
         found = scans.solve_by_peer(samples, peer)
         assert [record["key"] for record in found] == [sample.key for sample in samples]
         assert {record["scalars"]["status"] for record in found} == {"certified"}
-    pytest.importorskip("moreau")
-    assert {record["scalars"]["status"] for record in scans.solve_by_moreau(samples)} == {"certified"}
 
 
 def test_what_is_asked_for_is_planned_and_what_is_not_there_refused():
@@ -72,7 +70,7 @@ def broken(error):
         raise error
 
     absent = {"YADE": "not installed; apt install yade"}
-    return {"some": Benchmark("Some", lambda plan: [("one", rows), ("two", rows)], {}, missing=lambda: absent)}
+    return {"some": Benchmark("Some", lambda plan: [("one", rows), ("two", rows)], missing=lambda: absent)}
 
 
 def test_a_part_that_fails_costs_nothing_else_and_an_interrupt_keeps_what_was_measured():
