@@ -97,19 +97,14 @@ def unchanged(row: Row, seed: int, quick: bool) -> Case | None:
 
 def rows_of(methods: Sequence[str], laws: Sequence[str]) -> list[Row]:
     """Method x law x dimension x device x precision; a GPU that is software counts as the CPU that it is."""
-    devices = [("cpu", precision) for precision in runtime.PRECISIONS]
-    for arch, precision in product(runtime.GPUS, runtime.PRECISIONS):
-        if any(not device.is_software for device in runtime.usable(arch, precision)):
-            devices.append((arch, precision))
     found = []
-    for arch, precision in devices:
-        for method, row in ROWS.items():
-            elsewhere = (arch, precision) != ("cpu", "f64")
-            if elsewhere and (not row.needs_taichi or row.cpu_only or method == "auto"):
-                continue
-            for law in LAWS:
-                if method in methods and law in laws:
-                    found += [Row(method, law, dimension, arch, precision) for dimension in SHAPES]
+    for arch, precision in product(("cpu", *runtime.GPUS), runtime.PRECISIONS):
+        if arch != "cpu" and all(device.is_software for device in runtime.usable(arch, precision)):
+            continue
+        for method, law, dimension in product(ROWS, LAWS, SHAPES):
+            anywhere = ROWS[method].needs_taichi and not ROWS[method].cpu_only and method != "auto"
+            if method in methods and law in laws and (anywhere or (arch, precision) == ("cpu", "f64")):
+                found.append(Row(method, law, dimension, arch, precision))
     return found
 
 
@@ -143,24 +138,18 @@ def _redrawn(draw: Callable[..., np.ndarray]) -> Change:
 
 def _absent(case: Case, value: str, row: Row) -> Case:
     """Coefficients of exactly zero."""
-    scene, changes = case.scene, dict[str, Any]()
-    middle = tuple(n // 2 for n in scene.lattice.shape)
-    for name in ("coefficients", "viscosity"):
-        changes[name] = arrays = tuple(values.copy() for values in getattr(scene, name))
-        rng = np.random.default_rng(11)
-        for axis, values in enumerate(arrays):
-            drawn = rng.uniform(0, 1, values.shape)
-            if value in ("a tenth", "a third"):
-                values[drawn < {"a tenth": 0.1, "a third": 1 / 3}[value]] = 0.0
-            elif value == "a sphere":
-                for place in (middle, tuple(n - (k == axis) for k, n in enumerate(middle))):
-                    if all(i < n for i, n in zip(place, values.shape, strict=True)):
-                        values[place] = 0.0
-            elif value == "a layer" and axis == len(arrays) - 1:
-                values[..., middle[-1] - 1] = 0.0
-            elif value == "all":
-                values[...] = 0.0
-    return replace(case, scene=replace(scene, **changes))
+    scene, lattice = case.scene, case.scene.lattice
+    middle = tuple(n // 2 for n in lattice.shape)
+    share = np.random.default_rng(11).uniform(0, 1, len(lattice.axis))
+    upright = lattice.axis == lattice.height_axis
+    absent = {
+        "a tenth": share < 0.1, "a third": share < 1 / 3, "all": share < 1,
+        "a sphere": (lattice.ends == np.ravel_multi_index(middle, lattice.shape)).any(axis=0),
+        "a layer": upright & (lattice.ends[0] % lattice.shape[-1] == middle[-1] - 1),
+    }[value]  # fmt: skip
+    named = {name: getattr(scene, name) for name in ("coefficients", "viscosity")}
+    left = {name: lattice.by_axis(np.where(absent, 0.0, lattice.flat(of))) for name, of in named.items() if of}
+    return replace(case, scene=replace(scene, **left))
 
 
 def _in_units(force: int = 0, length: int = 0, time: int = 0) -> Callable[..., Case]:

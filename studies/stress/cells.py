@@ -28,28 +28,13 @@ BELIEVED = 1e-4  # relative error up to which a dynamics may say that it has com
 MEMORY_SHARE = 0.7  # of what is free, that a cell may be expected to need
 
 
-@dataclass(frozen=True)
-class Answer:
-    """What a solve has claimed, as JSON keeps it; energies in energy/time, None where they are not finite. state : a
-    digit for each contact; none where the truth has none."""
-
-    status: str
-    reached: bool
-    states_proven: bool
-    objective: float | None
-    lower_bound: float | None
-    gap: float | None
-    seconds: float
-    state: str
-
-
 def solve_cells(cells: Sequence[Cell]) -> list[dict[str, Any]]:
     """In a worker: a record of each cell, its answer or the sentence that refuses it; anything else ends the worker."""
     records = []
     for cell in cells:
         record: dict[str, Any] = {"key": cell.key, "version": VERSION, "scalars": {"status": "solved"}}
         try:
-            record["answer"] = vars(_solve(cell))
+            record["answer"] = _solve(cell)
         except (InputError, DeviceError) as error:
             record["refusal"] = str(error)
         except BaseException as error:
@@ -58,7 +43,9 @@ def solve_cells(cells: Sequence[Cell]) -> list[dict[str, Any]]:
     return records
 
 
-def _solve(cell: Cell) -> Answer:
+def _solve(cell: Cell) -> dict[str, Any]:
+    """What a solve has claimed, as JSON keeps it; energies in energy/time, None where they are not finite. state : a
+    digit for each contact; none where the truth has none."""
     case, device, room = cell.case, cell.settings, MEMORY_SHARE * free_bytes()
     if (needed := bytes_of(cell)) > room:
         raise InputError(f"it needs about {needed / 1e9:.1f} GB, more than {room / 1e9:.1f} GB that it may take")
@@ -67,10 +54,11 @@ def _solve(cell: Cell) -> Answer:
     settings |= {"arch": device.arch, "precision": device.precision, "threads": device.threads}
     with one_thread():
         found = api.solve(case.scene, method, **settings)
+    claimed = {
+        name: plain(getattr(found, name)) for name in ("reached", "states_proven", "lower_bound", "gap", "seconds")
+    }
     state = "" if case.is_layered else "".join(str(int(one)) for part in found.state for one in part.flat)
-    value, bound, gap = map(plain, (found.potential, found.lower_bound, found.gap))
-    said = (str(found.status), bool(found.reached), bool(found.states_proven))
-    return Answer(*said, value, bound, gap, float(found.seconds), state)
+    return claimed | {"status": str(found.status), "objective": plain(found.potential), "state": state}
 
 
 def bytes_of(cell: Cell) -> float:
@@ -87,32 +75,29 @@ class Judge:
 
     def row(self, cell: Cell, record: Mapping[str, Any]) -> dict[str, Any]:
         """A row of the report. reason : why it is wrong, refused or a crash."""
-        of = cell.row
+        unknown = ("error", "gap", "states_wrong", "states_unproven", "states_proven", "objective", "truth")
         row: dict[str, Any] = {
-            "key": cell.key, "axis": cell.axis, "value": cell.column, "method": of.method, "law": of.law,
-            "dimension": of.dimension, "arch": of.arch, "precision": of.precision, "outcome": "", "status": "none",
-            "error": None, "gap": None, "states_wrong": None, "states_unproven": None, "states_proven": None,
-            "objective": None, "truth": None, "unit": 1.0, "seconds": None, "reason": "",
+            "key": cell.key, "axis": cell.axis, "value": cell.column, **vars(cell.row), "outcome": "", "status": "none",
+            **dict.fromkeys(unknown), "unit": 1.0, "seconds": None, "reason": "",
         }  # fmt: skip
         if "answer" not in record:
             row["reason"] = printable(record["crash"] if "crash" in record else record["refusal"])
             late = row["reason"].startswith("no result within") and AXES[cell.axis].patience > 1
             return row | {"outcome": NOT_REACHED if late else CRASH if "crash" in record else REFUSED}
-        answer = Answer(**record["answer"])
-        told = ("objective", "gap", "seconds", "states_proven")
-        row |= {name: getattr(answer, name) for name in told} | {"unit": cell.case.unit}
-        row["status"] = Status(answer.status).value
+        answer = record["answer"]
+        row |= {name: answer[name] for name in ("objective", "gap", "seconds", "states_proven")}
+        row |= {"unit": cell.case.unit, "status": Status(answer["status"]).value}
         if cell.case.refusal:
             return row | {"outcome": WRONG, "reason": "it was not refused"}
         truth = self._truth(cell)
-        row |= {"truth": float(truth.upper), "error": _error(truth, answer.objective)}
+        row |= {"truth": float(truth.upper), "error": _error(truth, answer["objective"])}
         if truth.state:
-            true, said = cell.case.scene.lattice.flat(truth.state), np.array([int(digit) for digit in answer.state])
+            true, said = cell.case.scene.lattice.flat(truth.state), np.array([int(digit) for digit in answer["state"]])
             wrong = (true == SLIPPING) & (said == SLIPLESS) | (true == SLIPLESS) & (said == SLIPPING)
-            open_states = 0 if answer.states_proven else int((said != ContactState.DRIVEN).sum())
+            open_states = 0 if answer["states_proven"] else int((said != ContactState.DRIVEN).sum())
             row |= {"states_wrong": int(wrong.sum()), "states_unproven": open_states}
         row["reason"] = _fault(truth, answer, row)
-        at_rest = answer.reached and (answer.status != "finished" or row["error"] <= BELIEVED)
+        at_rest = answer["reached"] and (answer["status"] != "finished" or row["error"] <= BELIEVED)
         return row | {"outcome": WRONG if row["reason"] else RIGHT if at_rest else NOT_REACHED}
 
     def _truth(self, cell: Cell) -> Truth:
@@ -133,20 +118,20 @@ def _error(truth: Truth, objective: float | None) -> float | None:
     return float(max((value - truth.upper) / max(abs(value), truth.unit), Decimal(0))) if value else 0.0
 
 
-def _fault(truth: Truth, answer: Answer, row: dict[str, Any]) -> str:
+def _fault(truth: Truth, answer: Mapping[str, Any], row: dict[str, Any]) -> str:
     """What is wrong with an answer that does not say so itself; empty if nothing is."""
-    slack, value, error = Decimal(1 + ROUNDING), answer.objective, row["error"]
-    if answer.lower_bound is not None and Decimal(answer.lower_bound) > truth.upper * slack:
-        return f"the bound {answer.lower_bound!r} is above the least value {float(truth.upper)!r}"
+    slack, value, bound, error = Decimal(1 + ROUNDING), answer["objective"], answer["lower_bound"], row["error"]
+    if bound is not None and Decimal(bound) > truth.upper * slack:
+        return f"the bound {bound!r} is above the least value {float(truth.upper)!r}"
     if value is not None and Decimal(value) * slack < truth.lower:
         return f"the value {value!r} is below the least one {float(truth.lower)!r}"
-    if answer.states_proven and row["states_wrong"]:
+    if answer["states_proven"] and row["states_wrong"]:
         return f"{row['states_wrong']} contact states are proven that are not true"
-    if not answer.reached:
+    if not answer["reached"]:
         return ""
-    allowed = TOLERANCE if answer.status == "certified" else BELIEVED
-    if answer.status == "finished":  # its time has passed: how far it still is from rest, it says itself
-        allowed = inf if answer.gap is None else max(allowed, answer.gap)
+    allowed = TOLERANCE if answer["status"] == "certified" else BELIEVED
+    if answer["status"] == "finished":  # its time has passed: how far it still is from rest, it says itself
+        allowed = inf if answer["gap"] is None else max(allowed, answer["gap"])
     if error is None or error > allowed * (1 + ROUNDING):
         return f"it is {row['status']} with an error of {nan if error is None else error:.1e}"
     return ""

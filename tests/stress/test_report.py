@@ -10,7 +10,7 @@ from click.testing import CliRunner
 from taichi_bearings_cli.main import bearings
 from taichi_bearings_studies.stress import cells
 from taichi_bearings_studies.stress.axes import AXES, Cell, Row
-from taichi_bearings_studies.stress.cells import CRASH, NOT_REACHED, REFUSED, RIGHT, WRONG, Answer, Judge, solve_cells
+from taichi_bearings_studies.stress.cells import CRASH, NOT_REACHED, REFUSED, RIGHT, WRONG, Judge, solve_cells
 from taichi_bearings_studies.stress.truth import least
 
 from taichi_bearings.files.scan_journal import Journal, read_journal
@@ -27,9 +27,10 @@ def truth():
 @pytest.fixture
 def answer(truth):
     value, state = float(truth.upper), CELL.case.scene.lattice.flat(truth.state)
-    return Answer(
-        "certified", True, True, value, value * (1 - 1e-12), 1e-12, 0.1, digits(np.where(state == 2, 0, state))
-    )
+    return {
+        "status": "certified", "reached": True, "states_proven": True, "objective": value, "gap": 1e-12, "seconds": 0.1,
+        "lower_bound": value * (1 - 1e-12), "state": digits(np.where(state == 2, 0, state)),
+    }  # fmt: skip
 
 
 JUDGE = Judge()
@@ -40,7 +41,7 @@ def digits(state):
 
 
 def judged(answer, cell=CELL):
-    return JUDGE.row(cell, {"answer": vars(answer)})
+    return JUDGE.row(cell, {"answer": answer})
 
 
 def test_the_truth_itself_is_right(answer):
@@ -61,34 +62,34 @@ def test_the_truth_itself_is_right(answer):
 )
 def test_answers_that_claim_what_is_not_true_are_wrong(answer, truth, changes, sentence):
     scaled = {key: value * float(truth.upper) if isinstance(value, float) else value for key, value in changes.items()}
-    row = judged(replace(answer, **scaled))
+    row = judged(answer | scaled)
     assert row["outcome"] == WRONG
     assert sentence in row["reason"]
 
 
 def test_states_are_wrong_only_where_they_are_said_to_be_proven(answer):
     along_x = CELL.case.scene.lattice.axis == 0
-    said = np.array([int(digit) for digit in answer.state])
+    said = np.array([int(digit) for digit in answer["state"]])
     state = digits(np.where(along_x, said, 1 - said))
-    row = judged(replace(answer, state=state))
+    row = judged(answer | {"state": state})
     assert row["outcome"] == WRONG
     assert row["states_wrong"] > 0
-    row = judged(replace(answer, state=state, states_proven=False))
+    row = judged(answer | {"state": state, "states_proven": False})
     assert row["outcome"] == RIGHT
     assert row["states_unproven"] > 0
 
 
 def test_an_answer_that_says_so_may_be_far_off(answer):
-    far = replace(answer, objective=3 * answer.objective, status="time-limit", reached=False)
+    far = answer | {"objective": 3 * answer["objective"], "status": "time-limit", "reached": False}
     assert judged(far)["outcome"] == NOT_REACHED
-    assert judged(replace(far, objective=None, lower_bound=None, gap=None))["outcome"] == NOT_REACHED
+    assert judged(far | dict.fromkeys(("objective", "lower_bound", "gap")))["outcome"] == NOT_REACHED
 
 
 def test_a_finished_dynamics_may_be_as_far_off_as_it_says(answer):
-    far = replace(answer, objective=1.01 * answer.objective, status="finished", gap=0.0099)
+    far = answer | {"objective": 1.01 * answer["objective"], "status": "finished", "gap": 0.0099}
     assert judged(far)["outcome"] == WRONG
-    assert judged(replace(far, gap=0.0100))["outcome"] == NOT_REACHED
-    assert judged(replace(answer, status="finished"))["outcome"] == RIGHT
+    assert judged(far | {"gap": 0.0100})["outcome"] == NOT_REACHED
+    assert judged(answer | {"status": "finished"})["outcome"] == RIGHT
 
 
 def test_what_must_be_refused_is_wrong_if_it_is_not(answer):
