@@ -1,9 +1,9 @@
 """A claim of the paper, what was found, and the verdict. Sentences, limits and rules of a figure: claims/FIGURE.toml.
 
-A claim there has `claim`, `finding`, `paper`, `ours`, `uncertainty` and `after_data`, sentences with named numbers;
-`limits`; and expressions in what the study names: `let`, more names, each in those before; `numbers`, what the report
-keeps for programs, names too; the rules `holds`, `refined`, `samples` and `needed`; `when`, whether it can be told at
-all; `cases`, the names of each case of which it is told.
+A claim there has `claim`, `finding`, `paper` (else "not given"), `ours`, `uncertainty` and `after_data`, sentences with
+named numbers; `limits`; and expressions in what the study names: `let`, more names, each in those before; `numbers`,
+what the report keeps for programs, names too; the rules `holds`, `refined`, `samples` and `needed`; `when`, whether it
+can be told at all; `cases`, the names of each case of which it is told.
 """
 
 import math
@@ -269,7 +269,7 @@ def judge(claim: str, /, **named: Any) -> Claim:
 def judged(claim: str, /, **named: Any) -> list[Claim]:
     """The same, none where the numbers say nothing of it, several where it is told of each of several cases."""
     figure, _, name = claim.partition(".")
-    told = sentences(figure)[name]
+    told = {"paper": "not given"} | sentences(figure)[name]
     scope = {"np": np, "Share": Share, "span": span, **told.get("limits", {}), **named}
 
     def rule(key: str, default: Any = None) -> Any:
@@ -286,7 +286,7 @@ def judged(claim: str, /, **named: Any) -> list[Claim]:
         numbers = rule("numbers", {})
         scope |= numbers
         written = _Sentences(told.get("phrases", {}), scope)
-        words = {key: written.fill(told.get(key, "")) for key in ("claim", "finding", "paper", "ours", "uncertainty")}
+        words = {key: written.fill(told[key]) for key in ("claim", "finding", "paper", "ours", "uncertainty")}
         found.append(
             Claim(
                 **words,

@@ -32,6 +32,13 @@ def draw_means(axes: Any, found: Mapping[Any, np.ndarray], x: Any = None, **look
     axes.errorbar(at, *mean_and_error(found.values()), **{"fmt": "o-", "ms": 3, "lw": 0.8, **look})
 
 
+def draw_row(axes: Any, row: float, values: np.ndarray, color: str) -> None:
+    """Samples as dots side by side, and their mean as a bar across; not-a-number where there is none."""
+    if np.isfinite(values).any():
+        axes.plot(values, row + np.linspace(-0.22, 0.22, len(values)), ".", color=color, ms=4, alpha=0.4, mew=0)
+        axes.plot([np.nanmean(values)] * 2, [row - 0.32, row + 0.32], color=color, lw=1.6)
+
+
 def name_sizes(axes: Any, sizes: Sequence[int] | np.ndarray, label: str) -> None:
     """A logarithmic axis of sizes, each by its number."""
     axes.set(xscale="log", xlabel=label)

@@ -8,8 +8,6 @@ and Henley, Phys. Rev. Lett. 54, 1985). With both ends held, -E follows the Trac
 lightest of many that are nearly independent, and extreme-value statistics take over: Gumbel, skewness -1.1395.
 """
 
-from collections.abc import Mapping
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -64,9 +62,9 @@ def study(folder: Path, effort: Effort) -> Found:
     named = {
         "theta": theta, "zeta": zeta, "held": held, "free": free, "pinned": held[held.length >= long],
         "free_length": FREE, "law_of_tracy_and_widom": TRACY_WIDOM, "law_of_gumbel": GUMBEL,
+        "weight": weight, "middle": middle,
     }  # fmt: skip
-    draw_all = partial(draw_exponents, weight, middle, theta, zeta, held, free)
-    return Found({".csv": Table.of(rows)}, draw_all, named)
+    return Found({".csv": Table.of(rows)}, draw_exponents, named)
 
 
 def row_of(point: tuple[Any, ...], found: dict[str, np.ndarray]) -> dict[str, Any]:
@@ -77,19 +75,14 @@ def row_of(point: tuple[Any, ...], found: dict[str, np.ndarray]) -> dict[str, An
 
 
 @in_our_style
-def draw_exponents(
-    weight: Mapping[int, np.ndarray], middle: Mapping[int, np.ndarray], theta: Any, zeta: Any, held: Any, free: Any
-) -> Figure:
+def draw_exponents(of: Any) -> Figure:
     """(a) standard deviations of the weight and of the height in the middle of held cuts against their length, with the
-    fitted laws; (b) skewness of the weight, held ends against the length and free ends against the height.
-
-    weight, middle : length -> (samples,). theta, zeta : Exponent. held, free : the points.
-    """
+    fitted laws; (b) skewness of the weight, held ends against the length and free ends against the height."""
     figure = new_figure(7.1, 2.8)
     left, right = figure.subplots(1, 2)
     for found, fit, color, text in (
-        (weight, theta, BLUE, r"weight, $\theta$"),
-        (middle, zeta, ORANGE, r"middle, $\zeta$"),
+        (of.weight, of.theta, BLUE, r"weight, $\theta$"),
+        (of.middle, of.zeta, ORANGE, r"middle, $\zeta$"),
     ):
         sizes = np.array(sorted(found))
         left.errorbar(sizes, *spread_and_error([found[L] for L in sizes]), fmt="o", ms=3, color=color, lw=0.8)
@@ -99,11 +92,11 @@ def draw_exponents(
     left.set_title("(a) held ends")
     left.legend(loc="upper left")
     for table, x, color, text in (
-        (held, held.length, BLUE, "held ends, against the length"),
-        (free, free.height, ORANGE, f"free ends, length {free.length[0]}, against the height"),
+        (of.held, of.held.length, BLUE, "held ends, against the length"),
+        (of.free, of.free.height, ORANGE, f"free ends, length {of.free_length}, against the height"),
     ):
         right.errorbar(x, table.skewness, table.its_error, fmt="o-", ms=3, lw=0.8, color=color, label=text)
-    for value, text in ((-0.2241, "Tracy–Widom"), (-1.1395, "Gumbel")):
+    for value, text in ((TRACY_WIDOM, "Tracy–Widom"), (GUMBEL, "Gumbel")):
         right.axhline(value, color=GREY, lw=0.8)
         right.annotate(
             text, (1.0, value), xycoords=("axes fraction", "data"), ha="right", va="bottom", color=GREY, fontsize=7

@@ -73,16 +73,14 @@ def study(folder: Path, effort: Effort) -> Found:
         exact.is_level[: effort.samples].argmin()
     )  # the first sample whose cut is not level, else the first one
     spins = {law: spins_of(of, shown) for law, of in (("viscous", viscous), ("coulomb", minimum))}
-    figure = partial(
-        draw_configurations, np.abs(viscous.spin[shown]), np.abs(minimum.spin[shown]), cut.above[shown], exact
-    )
     named = {
         "sizes": {"x".join(map(str, of.scene.lattice.shape)): viscous_numbers(of) for of in (viscous, cubes)},
         "exact": exact, "settled": settled, "others": others, "driven": driven, "apart": apart,
         "few_samples": len(few().seeds), "boundaries": boundaries, "iterations": DESCENT, "visible_slip": VISIBLE,
-        "paper_others": PAPER_OTHERS, "share_above": share_above,
+        "paper_others": PAPER_OTHERS, "share_above": share_above, "above": cut.above[shown],
+        "viscous": np.abs(viscous.spin[shown]), "coulomb": np.abs(minimum.spin[shown]),
     }  # fmt: skip
-    return Found({".csv": joined(spins, "law"), "-samples.csv": exact}, figure, named)
+    return Found({".csv": joined(spins, "law"), "-samples.csv": exact}, draw_configurations, named)
 
 
 def contacts_between(scene: Scene, above: np.ndarray) -> np.ndarray:
@@ -201,24 +199,21 @@ def apart_from_cut(scene: Scene) -> dict[str, float]:
 
 
 @in_our_style
-def draw_configurations(viscous: np.ndarray, coulomb: np.ndarray, above: np.ndarray, exact: Any) -> Figure:
-    """(a) viscous and (b) Coulomb spins as colour, the minimum cut in black; (c) samples by the distance of their cuts.
-
-    viscous, coulomb : (nx, ny) |spin| over that of the top. above : (nx, ny), the side of the minimum cut. exact : the
-    samples, with the distance of the second cut and whether descent ended elsewhere.
-    """
+def draw_configurations(of: Any) -> Figure:
+    """(a) viscous and (b) Coulomb spins as colour, the minimum cut in black; (c) samples by the distance of their cuts,
+    and whether descent ended elsewhere."""
     figure = new_figure(DOUBLE, 2.5)
     parts: Any = figure.subfigures(1, 2, width_ratios=(2.1, 1.1), wspace=0.05)
-    panels, sheet = parts[0].subplots(1, 2), Sheet.of_lattice(Lattice(above.shape))
+    panels, sheet = parts[0].subplots(1, 2), Sheet.of_lattice(Lattice(of.above.shape))
     names = ("(a) viscous", "(b) Coulomb, minimum cut in black")
-    for axes, name, speed in zip(panels, names, (viscous, coulomb), strict=True):
+    for axes, name, speed in zip(panels, names, (of.viscous, of.coulomb), strict=True):
         sheet.paint(axes, colormaps[SPIN_COLOURS](speed).reshape(-1, 4))
         sheet.box_driven(axes)
         axes.set_title(name)
-    low, high = above.ravel()[sheet.ends]
+    low, high = of.above.ravel()[sheet.ends]
     sheet.draw(panels[1], low != high, across=True, colors="black", lw=1.0)
     colour_bar(parts[0], panels, r"$|\omega|\,/\,\omega_T$", Normalize(0, 1), SPIN_COLOURS, pad=0.05)
-    _draw_ranks(parts[1].subplots(), exact[np.argsort(exact.distance)])
+    _draw_ranks(parts[1].subplots(), of.exact[np.argsort(of.exact.distance)])
     return figure
 
 
@@ -229,8 +224,7 @@ def _draw_ranks(axes: Any, exact: Any) -> None:
         (exact.differs, "x", ORANGE, 5, "other contacts slip too"),
     ):
         axes.loglog(ranks[chosen], exact.distance[chosen], mark, color=colour, ms=ms, label=label)
-    expected = 0.017 * len(exact)
-    axes.axvline(expected + 0.5, color=GREY, lw=0.8, ls="--", label="17 of 1000, as in the paper")
+    axes.axvline(PAPER_OTHERS * len(exact) + 0.5, color=GREY, lw=0.8, ls="--", label="17 of 1000, as in the paper")
     axes.set(xlabel="rank of the sample", ylabel=r"$P_\mathrm{cut,2}\,/\,P_\mathrm{cut} - 1$")
     axes.set_title("(c) near ties of two cuts")
     axes.legend(loc="lower right")

@@ -56,10 +56,8 @@ def study(folder: Path, effort: Effort) -> Found:
         name: joined({run.start: course_of(run, scene.seeds, minima) for run in both}, "start")
         for name, both in dynamics.items()
     }
-    shown = named["place"]
-    ends = [[shown_spins(spin, shown) / scene.fastest for spin in (run.first, run.last)] for run in runs]
-    figure = partial(draw_relaxation, tuple(STARTS.values()), runs, rigid, ends, minima, shown)
-    return Found({".csv": joined(courses, "dynamics")}, figure, named)
+    named["fastest"] = scene.fastest
+    return Found({".csv": joined(courses, "dynamics")}, draw_relaxation, named)
 
 
 def names_of(
@@ -69,9 +67,10 @@ def names_of(
     shown, of those that are followed the first whose minimum is below its minimum cut, else the first."""
     samples, rigid_samples = (of[0].power.shape[1] for of in (runs, rigid))
     pairs = [
-        {"start": STARTS[run.start], "run": run, "stiff": stiff, "hard": hard, "distance": distance_of_power(run, hard)}
+        {"start": STARTS[run.start], "run": run, "stiff": stiff, "hard": hard,
+         "distance": run.distance(hard, hard.time[hard.time <= run.time[-1]])}
         for run, stiff, hard in zip(runs, stiffer, rigid, strict=True)
-    ]
+    ]  # fmt: skip
     return {
         "pairs": pairs, "runs": runs, "rigid": rigid, "rigid_samples": rigid_samples, "damping_factor": STIFFER,
         "minima": minima, "followed": minima[:samples], "rigidly": minima[:rigid_samples], "larger": larger,
@@ -83,14 +82,6 @@ def names_of(
 def apart(run: Run, other: Run) -> float:
     """Largest difference of the spins at the end, but for what is free."""
     return float(np.abs(without_idle_spin(run.last) - without_idle_spin(other.last)).max())
-
-
-def distance_of_power(run: Run, rigid: Run) -> np.ndarray:
-    """Largest difference (R,) of the power over P_0, at the times of the rigid run that both have, linear between the
-    times of the other one. R : samples of the rigid run."""
-    both = rigid.time <= run.time[-1]
-    pairs = zip(run.power.T, rigid.power.T, strict=False)
-    return np.array([np.abs(np.interp(rigid.time[both], run.time, p) - q[both]).max() / q[0] for p, q in pairs])
 
 
 def course_of(run: Run, seeds: Sequence[int], minima: Table) -> Table:
@@ -111,11 +102,6 @@ def without_idle_spin(staggered: np.ndarray) -> np.ndarray:
     return rest
 
 
-def shown_spins(staggered: np.ndarray, sample: int) -> np.ndarray:
-    """The same of one sample, (nx, ny, nz, 3)."""
-    return np.moveaxis(without_idle_spin(staggered)[:, sample], 0, -1)
-
-
 def intermediate_spheres(scene: Scene, spin: np.ndarray) -> np.ndarray:
     """Number (R,) of free spheres that turn neither with the bottom nor with the top, to 1e-3 of the jump."""
     axes = scene.minimum_spin_axes
@@ -128,26 +114,30 @@ def intermediate_spheres(scene: Scene, spin: np.ndarray) -> np.ndarray:
 
 
 @in_our_style
-def draw_relaxation(
-    names: Sequence[str], runs: Sequence[Any], rigid: Sequence[Any], ends: Sequence[Any], minima: Any, sample: int
-) -> Figure:
+def draw_relaxation(of: Any) -> Figure:
     """Above P/P_0, below its excess over the minimum, both against time; beside them the spins at both ends.
 
-    names : of the starts; runs, rigid : the relaxations from each (Run), with springs and without.
-    P_0 is the initial power of the first. minima : powers of the samples and of their minimum cuts. An inset enlarges
-    the end around the latter. ends : of each start the spins (nx, ny, nz, 3) at its beginning and its end, of the
-    dynamics with springs: staggered, in units of the larger imposed one, and less the mean of each free layer about the
-    height: that part makes no contact slip and never changes, so ends can only be compared without it.
+    P_0 is the initial power of the first. An inset enlarges the end around the power of the minimum cut. Spins are of
+    the dynamics with springs: staggered, in units of the larger imposed one, and less the mean of each free layer about
+    the height: that part makes no contact slip and never changes, so ends can only be compared without it.
     """
-    figure = new_figure(DOUBLE, 4.6)
+    figure, sample = new_figure(DOUBLE, 4.6), of.place
     parts: Any = figure.subfigures(1, 2, width_ratios=(1.12, 1.0), wspace=0.02)
     courses = [
-        (run.time, run.power[:, sample], look | {"label": f"from {name}, {dynamics}"})
-        for several, looks, dynamics in ((runs, SPRINGS, "Cundall-Strack"), (rigid, RIGID, "rigid"))
-        for name, run, look in zip(names, several, looks, strict=True)
+        (run.time, run.power[:, sample], look | {"label": f"from {STARTS[run.start]}, {dynamics}"})
+        for several, looks, dynamics in ((of.runs, SPRINGS, "Cundall-Strack"), (of.rigid, RIGID, "rigid"))
+        for run, look in zip(several, looks, strict=True)
     ]
-    _draw_curves(parts[0], courses, float(minima.power[sample]), float(minima.cut_power[sample]))
-    _draw_snapshots(parts[1], names, ends)
+    _draw_curves(parts[0], courses, float(of.minima.power[sample]), float(of.minima.cut_power[sample]))
+    grid = parts[1].subplots(len(of.runs), 2, squeeze=False)
+    for row, run in zip(grid, of.runs, strict=True):
+        for axes, spin, when in zip(row, (run.first, run.last), ("= 0", r"\to \infty"), strict=True):
+            _draw_spheres(axes, np.moveaxis(without_idle_spin(spin)[:, sample], 0, -1) / of.fastest)
+            axes.set_title(f"{STARTS[run.start]}, $t {when}$", pad=2)
+    grid[0, 0].text(-0.02, 1.1, "(c)", transform=grid[0, 0].transAxes, va="top")
+    label = r"$|\omega|\,/\,\omega_T$; arrows: $(-1)^{x+y+z}\,\omega$" + "\n(without the mean of each layer about $z$)"
+    look: Any = {"location": "bottom", "shrink": 0.6, "aspect": 30, "extend": "max"}
+    colour_bar(parts[1], grid, label, Normalize(0, 1), SPIN_COLOURS, **look)
     return figure
 
 
@@ -177,18 +167,6 @@ def _draw_curves(figure: Any, courses: Sequence[Any], least_power: float, cut_po
     bottom.set_ylim(1e-8, 10)
     for axes, letter in ((top, "a"), (bottom, "b")):
         axes.text(-0.17, 1.0, f"({letter})", transform=axes.transAxes, va="top")
-
-
-def _draw_snapshots(figure: Any, names: Sequence[str], ends: Sequence[Any]) -> None:
-    grid = figure.subplots(len(names), 2, squeeze=False)
-    for row, name, spins in zip(grid, names, ends, strict=True):
-        for axes, spin, when in zip(row, spins, ("= 0", r"\to \infty"), strict=True):
-            _draw_spheres(axes, spin)
-            axes.set_title(f"{name}, $t {when}$", pad=2)
-    grid[0, 0].text(-0.02, 1.1, "(c)", transform=grid[0, 0].transAxes, va="top")
-    label = r"$|\omega|\,/\,\omega_T$; arrows: $(-1)^{x+y+z}\,\omega$" + "\n(without the mean of each layer about $z$)"
-    look: Any = {"location": "bottom", "shrink": 0.6, "aspect": 30, "extend": "max"}
-    colour_bar(figure, grid, label, Normalize(0, 1), SPIN_COLOURS, **look)
 
 
 def _draw_spheres(axes: Any, spin: np.ndarray) -> None:

@@ -5,7 +5,7 @@ The paper shows one sample. Shown here is the first seed whose slipless contacts
 many samples, and for other sizes, is the business of paper/network.py.
 """
 
-from functools import lru_cache, partial
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -41,7 +41,7 @@ def study(folder: Path, effort: Effort) -> Found:
         "table": table, "spanning": table[table.spans], "practically": PRACTICALLY_ALL,
         "free": int((~scene.lattice.is_driven).sum()), "contacts": scene.lattice.contacts,
     }  # fmt: skip
-    return Found({".csv": spheres}, partial(draw_network, *_drawn(shown)), named)
+    return Found({".csv": spheres}, lambda _: draw_network(*_drawn(shown)), named)
 
 
 def planes(folder: Path, effort: Effort) -> Found:
@@ -51,7 +51,7 @@ def planes(folder: Path, effort: Effort) -> Found:
     chosen = planes_of(path) if len(path) else ()
     held = [(path[:-1, axis] == index) & (path[1:, axis] == index) for axis, index in chosen]
     named = {"spanning": table[table.spans], "planes": chosen, "held": np.any(held, axis=0)}
-    return Found({}, partial(draw_plane_cuts, *_drawn(shown)), named)
+    return Found({}, lambda _: draw_plane_cuts(*_drawn(shown)), named)
 
 
 @lru_cache(maxsize=1)  # of both figures
@@ -59,7 +59,7 @@ def minima(folder: Path, effort: Effort) -> tuple[Table, Structure]:
     """Certified samples of the paper's size, and the first one that spans, else the first."""
     seeds = range(effort.seed, effort.seed + min(MOST_SAMPLES, effort.samples))
     chosen = [RunSettings(shape=SHAPE, seed=seed, spin_bottom=SPIN_BOTTOM) for seed in seeds]
-    table = Table.of(measured(chosen, sample_of, folder / "fig3.jsonl"))
+    table = measured(chosen, sample_of, folder / "fig3.jsonl")
     return table, certified(chosen[int(table.spans.argmax())])
 
 

@@ -25,24 +25,34 @@ ROUND_OFF = 1e-12  # of the mean, which a spread exceeds
 
 @dataclass(frozen=True)
 class Fitted:
-    """A number of a law of the size, with its errors.
+    """A number that is fitted from a smallest size on, with its errors.
 
     error : from the disorder. systematic : how much the value changes, at most, where the next size, or the next two,
-    are left out. smallest : size from which on it is fitted. goodness : probability of such a misfit. fits : smallest
-    size -> value.
+    are left out. smallest : size from which on it is fitted. fits : smallest size -> value.
     """
 
     value: float
     error: float
     systematic: float
     smallest: int
-    goodness: float
-    amplitude: float
-    fits: dict[int, float]
+    fits: dict[int, Any]
 
     @property
     def total(self) -> float:
         return float(np.hypot(self.error, self.systematic))
+
+    @property
+    def numbers(self) -> dict[str, Any]:
+        """By their names, as reports keep them; fits : a list by the smallest size."""
+        return vars(self) | {"total": self.total, "fits": list(self.fits.values())}
+
+
+@dataclass(frozen=True)
+class Law(Fitted):
+    """Of the size. goodness : probability of such a misfit."""
+
+    goodness: float
+    amplitude: float
 
     @property
     def follows(self) -> bool:
@@ -51,13 +61,13 @@ class Fitted:
 
 
 @dataclass(frozen=True)
-class Exponent(Fitted):
+class Exponent(Law):
     """Of a standard deviation that grows with the size L: sd^2 = amplitude L^(2 value) + offset, what single contacts
-    add. errors : smallest size -> error of the value in `fits` from the disorder; where that is as large as the
-    systematic one, both are the same scatter."""
+    add. errors : of the value of each of `fits` from the disorder; where that is as large as the systematic one, both
+    are the same scatter."""
 
     offset: float
-    errors: dict[int, float]
+    errors: list[float]
 
 
 def first_that_fits(goodness: Sequence[float]) -> int:
@@ -96,8 +106,8 @@ def exponent(
     rows = _rows(sizes[chosen:], spread[chosen:], offset, np.array([value]))[0]
     amplitude, constant = np.append(np.linalg.lstsq(rows, (variance / spread)[chosen:], rcond=None)[0], 0.0)[:2]
     beyond = max(abs(fit[1] - value) for fit in fits[chosen : chosen + 3])
-    told, errors = ({fit[0]: fit[part] for fit in fits} for part in (1, 2))
-    return Exponent(value, error, beyond, smallest, goodness, float(amplitude), told, float(constant), errors)
+    told, errors = {fit[0]: fit[1] for fit in fits}, [fit[2] for fit in fits]
+    return Exponent(value, error, beyond, smallest, told, goodness, float(amplitude), float(constant), errors)
 
 
 def _unbiased(samples: Mapping[int, np.ndarray]) -> np.ndarray:
@@ -127,7 +137,7 @@ def _grown(sizes: np.ndarray, spread: np.ndarray, offset: bool, columns: np.ndar
 
 
 @dataclass(frozen=True)
-class Limit(Fitted):
+class Limit(Law):
     """Of a mean: q(L) = value + amplitude L^-w, w = STATED.
 
     systematic : also where the last size that is left out is not, or with w of OTHERS. sizes : number of those fitted.
@@ -155,30 +165,18 @@ def limit(samples: Mapping[int, np.ndarray]) -> Limit | None:
     beside = [line_through(sizes[part] ** -w, spread[part], mean[part]) for w in OTHERS]
     values = [found[0] for found, _ in fits[max(chosen - 1, 0) : chosen + 3]]
     values += [found[0] for found, fit in beside if fit >= LEAST_GOODNESS]
-    return Limit(
-        float(value), float(error), float(np.abs(np.array(values) - value).max()), int(sizes[chosen]), goodness,
-        float(amplitude), {int(L): float(found[0]) for L, (found, _) in zip(sizes, fits, strict=False)},
-        len(sizes[part]),
-    )  # fmt: skip
+    told = {int(L): float(found[0]) for L, (found, _) in zip(sizes, fits, strict=False)}
+    beyond, smallest = float(np.abs(np.array(values) - value).max()), int(sizes[chosen])
+    return Limit(float(value), float(error), beyond, smallest, told, goodness, float(amplitude), len(sizes[part]))
 
 
 @dataclass(frozen=True)
-class Collapse:
-    """value : of the exponent a at which curves against n / L^a lie closest together, from the smallest size on from
-    which they lie together, with its error from the disorder and the systematic one: how much it changes where the next
-    one or two sizes are left out, or the last one is not. misfit : chi^2 a degree of freedom there. fits : smallest
-    size -> value, error and misfit."""
+class Collapse(Fitted):
+    """Of the exponent a at which curves against n / L^a lie closest together, from the smallest size on from which they
+    lie together. systematic : also where the last size that is left out is not. misfit : chi^2 a degree of freedom.
+    fits : smallest size -> value, error and misfit."""
 
-    value: float
-    error: float
-    systematic: float
     misfit: float
-    smallest: int
-    fits: dict[int, tuple[float, float, float]]
-
-    @property
-    def total(self) -> float:
-        return float(np.hypot(self.error, self.systematic))
 
 
 def collapse(curves: dict[int, dict[int, np.ndarray]]) -> Collapse:
@@ -202,7 +200,7 @@ def collapse(curves: dict[int, dict[int, np.ndarray]]) -> Collapse:
     chosen = next((number for number, fit in enumerate(found) if fit[2] <= MOST_MISFIT), len(found) - 1)
     value, error, misfit = found[chosen]
     beyond = max(abs(fit[0] - value) for fit in found[max(chosen - 1, 0) : chosen + 3])
-    return Collapse(value, error, beyond, misfit, sizes[chosen], fits)
+    return Collapse(value, error, beyond, sizes[chosen], fits, misfit)
 
 
 def _apart(

@@ -7,7 +7,6 @@ sides are a share 1/L of a sample, so w = 1 is stated and not fitted.
 """
 
 from collections.abc import Mapping
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,7 @@ from taichi_bearings.plots.style import BLUE, DOUBLE, GREEN, ORANGE, in_our_styl
 from taichi_bearings.runs.settings import RunSettings
 
 from .claims import Effort
-from .drawing import draw_means, name_sizes
+from .drawing import draw_means, draw_row, name_sizes
 from .fits import Limit, limit
 from .network import LARGE, sample_of
 from .samples import Found, Table, measured, planned
@@ -35,12 +34,10 @@ def study(folder: Path, effort: Effort) -> Found:
     """Certified samples of all scans, and the limits of their shares."""
     settings = list(planned(QUICK, effort))
     found = measured(settings, sample_of, folder / "limits.jsonl")
-    systems = [{"system": system_of(of)} for of in settings]
-    table = with_ratios(Table.of([of | numbers for of, numbers in zip(systems, found, strict=True)]))
+    table = with_ratios(Table({"system": [system_of(of) for of in settings], **found.columns}))
     of_systems = {name: table[table.system == name] for name in dict.fromkeys(table.system.tolist())}
     limits = {name: limits_of(of) for name, of in of_systems.items()}
-    draw = partial(draw_limits, of_systems, limits)
-    return Found({".csv": table, "-limits.csv": table_of(limits)}, draw, names_of(of_systems, limits))
+    return Found({".csv": table, "-limits.csv": table_of(limits)}, draw_limits, names_of(of_systems, limits))
 
 
 def with_ratios(table: Table) -> Table:
@@ -83,7 +80,7 @@ def names_of(of_systems: Mapping[str, Table], limits: Mapping[str, Mapping[str, 
         "limits": limits[PAPER], "periodic": limits.get(PERIODIC, {}), "closed_name": PERIODIC, "weak": WEAK,
         "common": int(common), "beside": paper[paper.side == common],
         "variants": {name: of[of.side == common] for name, of in of_systems.items() if name != PAPER},
-        "broad": [name for name in BROAD if name in of_systems],
+        "broad": [name for name in BROAD if name in of_systems], "of_systems": of_systems, "limits_of": limits,
     }  # fmt: skip
 
 
@@ -98,14 +95,11 @@ def system_of(settings: RunSettings) -> str:
 
 
 @in_our_style
-def draw_limits(of_systems: Mapping[str, Table], limits: Mapping[str, Mapping[str, Limit]]) -> Figure:
+def draw_limits(named: Any) -> Figure:
     """(a, b, c) shares against 1/L of the first system and of the second one, with the fitted laws and, at 1/L = 0,
     their limits with all errors; (d) samples that span, (e) shortest paths and busiest links against L, of the first
-    system; (f) least power of all systems over that of the cut, at the largest size that all have.
-
-    of_systems, limits : samples and limits by the system, in its order.
-    """
-    figure = new_figure(DOUBLE, 4.6)
+    system; (f) least power of all systems over that of the cut, at the largest size that all have."""
+    of_systems, figure = named.of_systems, new_figure(DOUBLE, 4.6)
     panels: Any = figure.subplots(2, 3).ravel()
     shares = {
         "power_over_cut": r"$P_\mathrm{min} / P_\mathrm{cut}$",
@@ -116,12 +110,11 @@ def draw_limits(of_systems: Mapping[str, Table], limits: Mapping[str, Mapping[st
         for system, colour in zip(of_systems, (BLUE, ORANGE), strict=False):
             found = of_systems[system].by(name)
             draw_means(axes, found, 1 / np.array(list(found)), fmt="o", color=colour, label=system)
-            _draw_limit(axes, limits[system].get(name), colour)
+            _draw_limit(axes, named.limits_of[system].get(name), colour)
         axes.set(xlabel="$1/L$", xlim=(-0.01, 0.26), ylabel=label)
         axes.set_title(f"({letter})")
     panels[0].legend(loc="lower right")
-    paper = next(iter(of_systems.values()))
-    spanning = paper[paper.spans]
+    paper, spanning = named.paper, named.spanning
     for system, colour in zip(of_systems, (BLUE, ORANGE), strict=False):
         draw_means(panels[3], of_systems[system].by("spans"), color=colour, label=system)
     draw_means(panels[4], spanning.by("path_over_height"), color=BLUE, label="shortest path / height")
@@ -133,13 +126,10 @@ def draw_limits(of_systems: Mapping[str, Table], limits: Mapping[str, Mapping[st
     panels[4].set(yscale="symlog", ylim=(0, 60), title="(e)")
     panels[4].set_yticks([0, 1, 3, 10, 30], ["0", "1", "3", "10", "30"])
     panels[4].legend(loc="upper left")
-    common = min(of.side.max() for of in of_systems.values())
     for row, of in enumerate(reversed(list(of_systems.values()))):
-        values = of.power_over_cut[of.side == common]
-        panels[5].plot(values, row + np.linspace(-0.22, 0.22, len(values)), ".", color=BLUE, ms=3, alpha=0.4, mew=0)
-        panels[5].plot([values.mean()] * 2, [row - 0.32, row + 0.32], color=BLUE, lw=1.6)
+        draw_row(panels[5], row, of.power_over_cut[of.side == named.common], BLUE)
     panels[5].set_yticks(range(len(of_systems)), list(of_systems)[::-1])
-    panels[5].set(xlabel=r"$P_\mathrm{min} / P_\mathrm{cut}$", title=f"(f) $L = {common}$")
+    panels[5].set(xlabel=r"$P_\mathrm{min} / P_\mathrm{cut}$", title=f"(f) $L = {named.common}$")
     return figure
 
 

@@ -10,8 +10,7 @@ alike at equal n / L^(1/3), and in large samples a vanishing density stops the b
 by cuts of the double cover. Contacts across the squares of cubic lattices of spheres are put beside: proven minima.
 """
 
-from collections.abc import Mapping
-from functools import lru_cache, partial
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -97,23 +96,17 @@ def least_spins(packing: Packing) -> np.ndarray:
     count, (first, second) = packing.spheres, packing.contact.T
     low, high = np.concatenate([first, first + count]), np.concatenate([second + count, second])
     held = np.where(packing.driven < 0, np.nan, packing.spin)
-    value, units = (
-        np.concatenate([held, -held]),
-        np.round(np.ldexp(np.asarray(packing.friction), UNIT_BITS)).astype(np.int64),
-    )
+    value = np.concatenate([held, -held])
+    units = np.tile(np.round(np.ldexp(np.asarray(packing.friction), UNIT_BITS)).astype(np.int64), 2)
     positive = np.unique(np.abs(held[packing.driven >= 0]))
     below = np.append(-positive[0], positive[:-1])
     level = np.zeros(2 * count)
     for upper, lower in zip(positive[positive > 0], below[positive > 0], strict=True):
         node = np.where(value >= upper, 0, np.where(value <= lower, 2 * count + 1, np.arange(1, 2 * count + 1)))
-        ends = np.sort([node[low], node[high]], axis=0)
-        pair, own = np.unique(ends[0] * (2 * count + 2) + ends[1], return_inverse=True)
-        capacity = np.zeros(len(pair), dtype=np.int64)
-        np.add.at(capacity, own, np.tile(units, 2))
-        ends = np.stack(np.divmod(pair, 2 * count + 2))
+        ends = np.stack([node[low], node[high]])
         apart = ends[0] != ends[1]
-        ends, capacity = ends[:, apart], capacity[apart]
-        flow = largest_flow(ends, capacity, int(capacity[ends[0] == 0].sum()))
+        ends, capacity = ends[:, apart], units[apart]
+        flow = largest_flow(ends, capacity, int(capacity[(ends == 0).any(axis=0)].sum()))
         level[within_reach(ends, np.stack([capacity - flow, capacity + flow]), 0)[node]] = upper
     return level[:count] - level[count:]
 
@@ -168,34 +161,26 @@ def study(folder: Path, effort: Effort) -> Found:
     named = {
         "drawn_samples": count,
         "rolling": {f"{lattice} {size}": of for lattice in discs for size, of in rolling[lattice].items()},
-        "rest": resting, "ruled": ruled, "few": min(odd for odd in numbers if odd >= 8), "most_odd": max(numbers),
-        "size": turned, "landscape": LANDSCAPE, "dimension": DIMENSION,
+        "courses": rolling, "rest": resting, "ruled": ruled, "few": min(odd for odd in numbers if odd >= 8),
+        "most_odd": max(numbers), "size": turned, "landscape": LANDSCAPE, "dimension": DIMENSION,
     }  # fmt: skip
-    return Found({".csv": Table.of(rows)}, partial(draw_odd_loops, rolling, ruled, resting), named)
+    return Found({".csv": Table.of(rows)}, draw_odd_loops, named)
 
 
 @in_our_style
-def draw_odd_loops(
-    rolling: Mapping[str, Mapping[int, Mapping[int, np.ndarray]]],
-    ruled: Mapping[str, Any],
-    resting: Mapping[str, Mapping[float, np.ndarray]],
-) -> Figure:
+def draw_odd_loops(of: Any) -> Figure:
     """A row a lattice: (a) share of the discs that roll with the top against the number n of odd contacts, (b) against
     n / L^a, with the exponent a at which three or more sizes lie closest together, from the smallest on from which they
-    do; (c) share of the discs that rest, against the bottom's speed.
-
-    rolling : L -> n -> (samples,). ruled : Collapse. resting : omega_B / omega_T -> (samples,), with as many odd
-    contacts as are drawn in (a) at most; all by lattice.
-    """
-    figure = new_figure(7.1, 2.4 * len(rolling))
-    rows: Any = figure.subplots(len(rolling), 3, squeeze=False)
-    for panels, (lattice, curves) in zip(rows, rolling.items(), strict=True):
-        rule, first = ruled[lattice].value, ruled[lattice].smallest
-        for (L, of), color in zip(curves.items(), shades(len(curves)), strict=True):
-            n = np.array([odd for odd in of if odd])
-            panels[0].axhline(of[0].mean(), color=color, lw=0.6, ls=":")
+    do; (c) share of the discs that rest, against the bottom's speed, with as many odd contacts as in (a) at most."""
+    figure = new_figure(7.1, 2.4 * len(of.courses))
+    rows: Any = figure.subplots(len(of.courses), 3, squeeze=False)
+    for panels, (lattice, curves) in zip(rows, of.courses.items(), strict=True):
+        rule, first = of.ruled[lattice].value, of.ruled[lattice].smallest
+        for (L, by), color in zip(curves.items(), shades(len(curves)), strict=True):
+            n = np.array([odd for odd in by if odd])
+            panels[0].axhline(by[0].mean(), color=color, lw=0.6, ls=":")
             for axes, x in ((panels[0], n), (panels[1], n / L**rule))[: 1 + (len(curves) > 2 and first <= L)]:
-                draw_means(axes, {odd: of[odd] for odd in n}, x, color=color, label=f"L = {L}")
+                draw_means(axes, {odd: by[odd] for odd in n}, x, color=color, label=f"L = {L}")
         name_sizes(panels[0], n, "odd contacts n")
         panels[0].set(ylabel="share of discs that roll", ylim=(0, 0.85))
         panels[0].set_title(f"{lattice}; dotted: none")
@@ -205,11 +190,11 @@ def draw_odd_loops(
             panels[1].set_title(f"together from {first} on")
         else:
             panels[1].set_axis_off()
-        if lattice not in resting:
+        if lattice not in of.rest:
             panels[2].set_axis_off()
             continue
-        bottoms = np.array(list(resting[lattice]))
-        panels[2].plot(bottoms, [values.mean() for values in resting[lattice].values()], "o-", color=BLUE, ms=3)
+        means = [values.mean() for values in of.rest[lattice].values()]
+        panels[2].plot(list(of.rest[lattice]), means, "o-", color=BLUE, ms=3)
         panels[2].axhline(1.0, color=GREY, lw=0.8)
         panels[2].set(xlabel=r"$\omega_B / \omega_T$", ylabel="share of discs that rest", ylim=(0, 1.05))
         panels[2].set_title("most odd contacts")

@@ -7,8 +7,7 @@ mu F_n / A_t.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -45,35 +44,14 @@ COLOURS = ("#000000", "#E69F00", "#56B4E9", "#009E73", "#D55E00", "#CC79A7", "#8
 GREATER, LOADED = ("K = 1e6", "A = 1e4", "K = 1e6, A = 1e4"), ("F_n = 5", "F_n = 500")
 
 
-@dataclass(frozen=True)
-class Course:
-    """Of R samples, at each of T times: time; scaled, F_n t over the paper's F_n; power over the initial one, and its
-    excess over the proven least power, relative, (T, R)."""
+def arrival(time: np.ndarray, excess: np.ndarray) -> np.ndarray:
+    """Time (R,) from which on the power is within LATE of the minimum; that of the last row if it never is.
 
-    time: np.ndarray
-    scaled: np.ndarray
-    power: np.ndarray
-    excess: np.ndarray
-
-    @classmethod
-    def of(cls, run: Run, force: float, bound: np.ndarray) -> "Course":
-        return cls(run.time, run.time * (force / FORCE), run.power / run.power[0], run.power / bound - 1)
-
-    def distance(self, other: "Course") -> np.ndarray:
-        """Largest difference (R,) of the power over P_0 at equal F_n t; what has ended stays as it is."""
-        at = np.union1d(self.scaled, other.scaled)
-        pairs = zip(self.power.T, other.power.T, strict=True)
-        return np.array(
-            [np.abs(np.interp(at, self.scaled, p) - np.interp(at, other.scaled, q)).max() for p, q in pairs]
-        )
-
-    @property
-    def arrival(self) -> np.ndarray:
-        """F_n t (R,) from which on the power is within LATE of the minimum; that of the last row if it never is."""
-        late = self.excess > LATE
-        last = len(late) - 1 - np.argmax(late[::-1], axis=0)
-        after = np.where(late.any(axis=0), np.minimum(last + 1, len(late) - 1), 0)
-        return np.asarray(self.scaled[after])
+    time : (T,). excess : of the power over the proven least one, relative, (T, R).
+    """
+    late = excess > LATE
+    last = len(late) - 1 - np.argmax(late[::-1], axis=0)
+    return np.asarray(time[np.where(late.any(axis=0), np.minimum(last + 1, len(late) - 1), 0)])
 
 
 def study(folder: Path, effort: Effort) -> Found:
@@ -89,28 +67,32 @@ def study(folder: Path, effort: Effort) -> Found:
         runs[name] = relax(scenes[force], START, method, STEPS, TIMES * (FORCE / force))
     with stage("minima"):
         minima = {force: solved(scene, InteriorPoint(), StopRule(1e-10)) for force, scene in scenes.items()}
-    courses = {
-        name: Course.of(run, force := VARIANTS[name][2], minima[force].lower_bound) for name, run in runs.items()
-    }
+    named = of_courses(runs, {force: found.lower_bound for force, found in minima.items()}) | of_minima(minima)
     rows = {
         name: curves(
-            scenes[FORCE].seeds, time=of.time, scaled_time=of.scaled, power_over_initial=of.power,
-            excess_over_minimum=of.excess,
+            scenes[FORCE].seeds, time=run.time, scaled_time=named["courses"][name].time,
+            power_over_initial=run.power / run.power[0], excess_over_minimum=named["excess"][name],
         )
-        for name, of in courses.items()
+        for name, run in runs.items()
     }  # fmt: skip
-    named = of_courses(courses) | of_minima(minima) | {"stretch": scenes[FORCE].coefficient * (FORCE / STIFFNESS)}
-    return Found({".csv": joined(rows, "variant")}, partial(draw_parameters, courses, effort.seed), named)
+    more = {"stretch": scenes[FORCE].coefficient * (FORCE / STIFFNESS), "seed": effort.seed}
+    return Found({".csv": joined(rows, "variant")}, draw_parameters, named | more)
 
 
-def of_courses(courses: Mapping[str, Course]) -> dict[str, Any]:
-    """What the claims name of them, by variant, (R,); the last excess, the distance from the paper's course and the
-    time until the minimum over that of the paper's."""
+def of_courses(runs: Mapping[str, Run], bounds: Mapping[float, np.ndarray]) -> dict[str, Any]:
+    """What figure and claims name of runs, by variant: courses, the runs with their times F_n t over the paper's F_n;
+    excess of the power over the proven least one, relative, (T, R), and its last; the distance from the paper's course
+    and the time until the minimum over that of the paper's, (R,). bounds : on the least power, by normal force, (R,).
+    """
+    forces = {name: VARIANTS[name][2] for name in runs}
+    courses = {name: replace(run, time=run.time * (forces[name] / FORCE)) for name, run in runs.items()}
+    excess = {name: run.power / bounds[forces[name]] - 1 for name, run in runs.items()}
     paper, others = courses[PAPER], {name: course for name, course in courses.items() if name != PAPER}
+    arrivals = {name: arrival(course.time, excess[name]) for name, course in courses.items()}
     return {
-        "last": {name: course.excess[-1] for name, course in courses.items()},
-        "apart": {name: course.distance(paper) for name, course in others.items()},
-        "ratio": {name: course.arrival / paper.arrival for name, course in others.items()},
+        "courses": courses, "excess": excess, "last": {name: of[-1] for name, of in excess.items()},
+        "apart": {name: one.distance(paper, np.union1d(one.time, paper.time)) for name, one in others.items()},
+        "ratio": {name: arrivals[name] / arrivals[PAPER] for name in others},
         "greater": GREATER, "loaded": LOADED, "late": LATE,
     }  # fmt: skip
 
@@ -126,21 +108,21 @@ def of_minima(minima: Mapping[float, Solution]) -> dict[str, Any]:
 
 
 @in_our_style
-def draw_parameters(courses: Mapping[str, Any], seed: int) -> Figure:
+def draw_parameters(of: Any) -> Figure:
     """(a) P / P_0 and (b) its excess over the least power against F_n t, of the first sample; the first course, the
     paper's, is black."""
     figure = new_figure(7.1, 3.2)
     left, right = figure.subplots(1, 2)
-    for (name, course), colour in zip(courses.items(), COLOURS, strict=True):
+    for (name, course), colour in zip(of.courses.items(), COLOURS, strict=True):
         look: dict[str, Any] = {"color": colour, "lw": 1.8 if name == PAPER else 1.1, "label": name}
-        later = course.scaled > 0
-        left.plot(course.scaled[later], course.power[later, 0], **look)
-        shown = later & (course.excess[:, 0] > 0)
-        right.plot(course.scaled[shown], course.excess[shown, 0], **look)
-    time = r"time, $\omega_T\, t\, F_n / 50$"
-    left.set(xscale="log", xlabel=time, ylabel=r"$P\,/\,P_0$", ylim=(0, 1.04))
-    right.set(xscale="log", yscale="log", xlabel=time, ylabel=r"$P\,/\,P_{\min} - 1$", ylim=(1e-8, 10))
-    left.set_title(f"(a) seed {seed}, random spins")
+        time, excess = course.time, of.excess[name][:, 0]
+        left.plot(time[time > 0], (course.power / course.power[0])[time > 0, 0], **look)
+        shown = (time > 0) & (excess > 0)
+        right.plot(time[shown], excess[shown], **look)
+    label = r"time, $\omega_T\, t\, F_n / 50$"
+    left.set(xscale="log", xlabel=label, ylabel=r"$P\,/\,P_0$", ylim=(0, 1.04))
+    right.set(xscale="log", yscale="log", xlabel=label, ylabel=r"$P\,/\,P_{\min} - 1$", ylim=(1e-8, 10))
+    left.set_title(f"(a) seed {of.seed}, random spins")
     right.set_title("(b) above the minimum")
     figure.legend(handles=left.lines, loc="outside lower center", ncols=4)
     return figure

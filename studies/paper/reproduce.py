@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 from matplotlib.figure import Figure
@@ -60,7 +61,8 @@ class PaperFigure:
         for ending in self.tables:
             found.tables[ending].write(folder / f"{self.name}{ending}")
         with stage("drawing"):
-            figure = found.draw() if title else _untitled(found.draw())
+            drawn = found.draw(SimpleNamespace(**found.named))
+            figure = drawn if title else _untitled(drawn)
             for ending in (".png", ".pdf"):
                 save(figure, folder / f"{self.name}{ending}")
         claims = claims_of(self.name, found.named)

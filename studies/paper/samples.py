@@ -107,11 +107,11 @@ def curves(seeds: Sequence[int], **columns: np.ndarray) -> Table:
 
 @dataclass(frozen=True)
 class Found:
-    """What a study has found: the tables to write, by the ends of their file names; the figure; and by their names the
-    numbers that its claims are about (see :mod:`.claims`)."""
+    """What a study has found: the tables to write, by the ends of their file names; what draws its figure from its
+    names, as attributes; and these names, of the numbers that its claims are about (see :mod:`.claims`), too."""
 
     tables: Mapping[str, Table]
-    draw: Callable[[], Figure]
+    draw: Callable[[Any], Figure]
     named: Mapping[str, Any]
 
 
@@ -194,9 +194,9 @@ def certified(settings: RunSettings) -> Structure:
     return structure_of(solved(build_scene(settings), InteriorPoint(), StopRule(1e-9)))
 
 
-def measured(chosen: Iterable[RunSettings], numbers: Numbers, journal: Path) -> list[dict[str, Any]]:
+def measured(chosen: Iterable[RunSettings], numbers: Numbers, journal: Path) -> Table:
     """`numbers` of the structure of each sample at its certified minimum."""
-    return computed([Part(sample_key(s), _measure, (s, numbers), s) for s in chosen], journal, "sample")
+    return Table.of(computed([Part(sample_key(s), _measure, (s, numbers), s) for s in chosen], journal, "sample"))
 
 
 def planned(scans: Mapping[str, int], effort: Effort) -> Iterator[RunSettings]:
@@ -237,18 +237,22 @@ def drawn(
 
 def told(structure: Structure, *names: str) -> dict[str, Any]:
     """Numbers of the minimum that studies share, and rows of `bearings analyse` by their names; fractions are of the
-    free spheres."""
-    network, cut = structure.network, structure.interface
+    free spheres. intermediate : share of them that are not locked to a driven plane in all components."""
+    cut, free = structure.interface, ~structure.scene.lattice.is_driven
+    locked = structure.rigid_domains.spheres_of_kind(free)
     numbers = {
+        "side": structure.scene.lattice.shape[0],
+        "seed": structure.scene.seeds[0],
+        "power": structure.power,
         "gap": (structure.power - structure.lower_bound) / structure.power if structure.power else 0.0,
         "power_over_cut": structure.power / cut.power if cut.power else 1.0,
         "below_cut": structure.power < cut.lower_bound * (1 - SAME),
-        "slipless_fraction": len(network.axis) / structure.scene.lattice.contacts,
         "states_proven": structure.states_proven,
-        "spans": network.spans,
-        "reached_fraction": network.reached_fraction,
+        "intermediate": 1 - (locked["bottom"] + locked["top"]) / int(free.sum()),
+        "largest_intermediate": structure.rigid_domains.largest_intermediate,
     }
-    return {name: plain(value) for name, value in (numbers | {n: ANALYSED[n].of(structure) for n in names}).items()}
+    shown = ("slipless_fraction", "spans", "reached_fraction", *names)
+    return {name: plain(of) for name, of in (numbers | {name: ANALYSED[name].of(structure) for name in shown}).items()}
 
 
 @dataclass(frozen=True)
@@ -270,6 +274,13 @@ class Run:
     def largest_rise(self) -> np.ndarray:
         """Height of the power above its lowest value before, at most, over the initial power, (R,)."""
         return np.asarray((self.power - np.minimum.accumulate(self.power)).max(axis=0) / self.power[0])
+
+    def distance(self, other: "Run", at: np.ndarray) -> np.ndarray:
+        """Largest difference of the power over the initial one at these times, of each sample that both have, linear
+        between the times of each; what has ended stays as it is."""
+        own, theirs = (run.power / run.power[0] for run in (self, other))
+        pairs = zip(own.T, theirs.T, strict=False)
+        return np.array([np.abs(np.interp(at, self.time, p) - np.interp(at, other.time, q)).max() for p, q in pairs])
 
 
 def relax(

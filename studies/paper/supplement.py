@@ -10,30 +10,19 @@ import zlib
 from base64 import b64decode, b64encode
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from taichi_bearings.lattice.grid import friction_by_axis
-from taichi_bearings.plots.style import (
-    BLUE,
-    GREY,
-    ORANGE,
-    in_our_style,
-    label_in_plain_text,
-    new_figure,
-    shades,
-)
+from taichi_bearings.plots.style import BLUE, GREY, ORANGE, in_our_style, label_in_plain_text, new_figure, shades
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene import Scene, Solution
 from taichi_bearings.solvers import GradientDescent, InteriorPoint
+from taichi_bearings.solvers.answer import judged
 from taichi_bearings.solvers.stopping import StopRule
 from taichi_bearings.verifier.curvature import Slipping, nearest_minimum
-from taichi_bearings.verifier.network import Network
-from taichi_bearings.verifier.samples import Samples
 
 from .claims import Effort
 from .samples import Found, Part, Table, computed, joined, solved
@@ -53,14 +42,13 @@ class Ending:
     """Where a method has ended in one sample, of the n contacts that can slip.
 
     power : (n,), over F_n R omega_T. slips : (n,), whether it does at the minimum (certified) or moves at all
-    (descent). excess : of the total power over the proven bound, relative. iterations : done. slip_error : share by
+    (descent). iterations : done. slip_error : share by
     which any slip differs from that of the minimum at most, proven; None where that is not known.
     """
 
     power: np.ndarray
     slips: np.ndarray
     total: float
-    excess: float
     iterations: int
     slip_error: float | None
 
@@ -89,8 +77,7 @@ def study(folder: Path, effort: Effort) -> Found:
     descents, minima = endings[: len(lengths)], endings[len(lengths) :]
     decades = [by_decade(descent, minima[0]) for descent in descents]
     table = joined({f"{of.iterations}": table for of, table in zip(descents, decades, strict=True)}, "iterations")
-    draw = partial(draw_decades, minima[0], descents, BINS_PER_DECADE)
-    return Found({".csv": table}, draw, names_of(descents, minima))
+    return Found({".csv": table}, draw_decades, names_of(descents, minima))
 
 
 def names_of(descents: Sequence[Ending], minima: Sequence[Ending]) -> dict[str, Any]:
@@ -128,8 +115,7 @@ def _ending(
     free = ~scene.lattice.between_driven
     power, state = solution.power_per_contact[0, free], solution.state[0, free]
     unit = scene.normal_force * scene.lattice.radius * abs(scene.spin_top)
-    total, bound = float(solution.power[0]), float(solution.lower_bound[0])
-    numbers = {"total": total / unit, "excess": total / bound - 1, "iterations": solution.iterations}
+    numbers = {"total": float(solution.power[0]) / unit, "iterations": solution.iterations}
     contacts = {"power": packed(power / unit), "slips": packed(slips(power, state))}
     return contacts | numbers | {"slip_error": slip_error}
 
@@ -147,15 +133,9 @@ def largest_slip_error(solution: Solution) -> float | None:
     """Share by which any slip differs from that of every minimum at most; None where the states are not proven."""
     if not solution.states_proven.all():
         return None
-    scene = solution.scene
-    samples = Samples(
-        scene.lattice.shape, scene.law.name, scene.lattice.by_axis(scene.coefficient), scene.spin_top,
-        scene.spin_bottom, scene.direction, scene.normal_force, scene.lattice.radius, solution.spin,
-        solution.spin_rounding, friction_by_axis(solution.friction, scene.lattice),
-    )  # fmt: skip
-    contacts = Slipping.of(Network.of_lattice(samples).motion)
-    near = nearest_minimum(contacts)
-    if near is None:
+    judgement = judged(solution.scene, solution.spin, solution.spin_rounding, solution.friction)
+    contacts = None if judgement is None else Slipping.of(judgement.network.motion)
+    if contacts is None or (near := nearest_minimum(contacts)) is None:
         return None
     improved, turn = near
     moved = np.abs(improved.size.value / contacts.size.value - 1)  # by Newton's method, before it was enclosed
@@ -184,20 +164,17 @@ def _exponents(power: np.ndarray, slips: np.ndarray) -> np.ndarray:
 
 
 @in_our_style
-def draw_decades(minimum: Any, descents: Sequence[Any], bins_per_decade: int) -> Figure:
+def draw_decades(of: Any) -> Figure:
     """(a) histograms of the minimum and of the descents; (b) the longest descent, and which of its contacts rest at the
-    minimum; (c) power by power, of those that slip.
-
-    minimum, descents : Ending, of the same contacts; shortest descent first.
-    """
+    minimum; (c) power by power, of those that slip."""
     figure = new_figure(7.1, 2.6)
     panels: Any = figure.subplots(1, 3)
-    slips, longest = minimum.slips, descents[-1].power
-    powers = [minimum.power[slips], *(descent.power for descent in descents)]
+    slips, longest, descents = of.minimum.slips, of.descent.power, of.descents
+    powers = [of.minimum.power[slips], *(descent.power for descent in descents)]
     low = min(float(values[values > 0].min()) for values in powers)
     high = max(float(values.max()) for values in powers)
-    first, last = np.floor(np.log10(low) * bins_per_decade), np.ceil(np.log10(high) * bins_per_decade)
-    edges = 10.0 ** (np.arange(first, last + 1) / bins_per_decade)
+    first, last = np.floor(np.log10(low) * BINS_PER_DECADE), np.ceil(np.log10(high) * BINS_PER_DECADE)
+    edges = 10.0 ** (np.arange(first, last + 1) / BINS_PER_DECADE)
     panels[0].hist(powers[0], edges, color=BLUE, alpha=0.3, label="minimum, certified")
     for descent, colour in zip(descents, reversed(shades(len(descents))), strict=True):
         label = f"descent, {descent.iterations:,}"

@@ -10,7 +10,6 @@ contacts by 1/L, the power fluctuates like L^(1/2), and the spin changes within 
 """
 
 from collections.abc import Mapping
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,8 +24,7 @@ from taichi_bearings.plots.style import BLUE, GREY, ORANGE, in_our_style, new_fi
 from .claims import Effort
 from .drawing import draw_growth, draw_means, mean_and_error, name_sizes, spread_and_error
 from .fits import exponent
-from .network import intermediate_share
-from .samples import Found, Table, drawn, measured, planned
+from .samples import Found, Table, drawn, measured, planned, told
 
 SIDEWAYS = 0.5**0.5  # weight of a contact along x or y over that of one along z: of a jump along x + y
 ROUGHNESS, ENERGY = 0.41, 0.84  # zeta and theta of surfaces
@@ -62,23 +60,16 @@ def cuts(length: int, lowest: float, samples: int, seed: int) -> dict[str, Any]:
 
 
 def numbers_of(structure: Structure) -> dict[str, Any]:
-    """The minimum of a sample in numbers.
-
-    power, cut : least power and that of the minimum cut, over F_n R omega_T. layers : in how many layers the spin
-    changes, one over the sum of the squares of the shares that each has in the change of the mean staggered spin.
-    intermediate : share of the free spheres that are locked to neither plane. largest : spheres of the largest such
-    domain. spans, proven : whether slipless contacts join the planes, and whether their states are proven.
-    """
+    """The minimum of a sample in numbers; power, cut : least power and that of the minimum cut, over F_n R omega_T.
+    layers : in how many layers the spin changes, one over the sum of the squares of the shares that each has in the
+    change of the mean staggered spin."""
     scene = structure.scene
     unit = scene.normal_force * scene.lattice.radius * scene.jump
     spin = scene.staggered_spin(structure.spin[None], scene.minimum_spin_axes)[:, 0]
     share = np.diff(spin.mean(axis=(0, 1, 2)))
-    return {
-        "side": scene.lattice.shape[0], "height": scene.lattice.shape[2], "power": structure.power / unit,
-        "gap": 1 - structure.lower_bound / structure.power, "cut": structure.interface.power / unit,
-        "layers": float(share.sum() ** 2 / (share**2).sum()), "intermediate": intermediate_share(structure),
-        "largest": structure.rigid_domains.largest_intermediate, "spans": structure.network.spans,
-        "proven": structure.states_proven,
+    return told(structure) | {
+        "height": scene.lattice.shape[2], "power": structure.power / unit, "cut": structure.interface.power / unit,
+        "layers": float(share.sum() ** 2 / (share**2).sum()),
     }  # fmt: skip
 
 
@@ -88,7 +79,7 @@ def study(folder: Path, effort: Effort) -> Found:
     wanted = {
         (L, lowest): max(BLOCK, round(part * effort.samples)) for lowest, of in sizes.items() for L, part in of.items()
     }
-    minima = Table.of(measured(planned(SCANS, effort), numbers_of, folder / "surfaces.jsonl"))
+    minima = measured(planned(SCANS, effort), numbers_of, folder / "surfaces.jsonl")
     found = drawn(cuts, wanted, BLOCK, effort.seed, folder / "surfaces-cuts.jsonl")
     is_cube = minima.side == minima.height
     cubes = {side: minima[is_cube & (minima.side == side)] for side in np.unique(minima.side[is_cube]).tolist()}
@@ -103,10 +94,10 @@ def study(folder: Path, effort: Effort) -> Found:
         "theta": theta, "zeta": zeta, "flat": flat, "weaker": weaker, "layers": layers, "cubes": cubes,
         "towers": towers, "roughness": ROUGHNESS, "energy": ENERGY, "tall": minima.side[~is_cube].min(),
         "paper_lowest": PAPER_LOWEST, "cut_samples": sum(map(len, weight.values())), "side_of_largest": max(cubes),
+        "weight": weight,
     }  # fmt: skip
     rows = Table.of([row_of(point, of) for point, of in found.items()])
-    draw_all = partial(draw_surfaces, weight, theta, zeta, flat, cubes, towers)
-    return Found({".csv": rows, "-minima.csv": minima}, draw_all, named)
+    return Found({".csv": rows, "-minima.csv": minima}, draw_surfaces, named)
 
 
 def row_of(point: tuple[int, float], found: Mapping[str, np.ndarray]) -> dict[str, Any]:
@@ -116,27 +107,22 @@ def row_of(point: tuple[int, float], found: Mapping[str, np.ndarray]) -> dict[st
 
 
 @in_our_style
-def draw_surfaces(
-    weight: Mapping[int, np.ndarray], theta: Any, zeta: Any, flat: Mapping[float, Mapping[int, np.ndarray]],
-    cubes: Mapping[int, Table], towers: Mapping[int, np.ndarray],
-) -> Figure:  # fmt: skip
+def draw_surfaces(of: Any) -> Figure:
     """(a) standard deviation of the weight of cut surfaces, (b) their width by the lowest friction, against the side;
     (c) standard deviations of the least power and of that of the cut, (d) layers in which the spin changes, of minima.
-
-    weight : L -> (samples,). flat : lowest friction -> L -> variances of the height (samples,). cubes : samples by
-    side. towers : height -> their layers.
     """
+    weight, theta, zeta, flat, cubes, towers = of.weight, of.theta, of.zeta, of.flat, of.cubes, of.towers
     figure = new_figure(7.1, 5.0)
     (a, b), (c, d) = figure.subplots(2, 2)
     sizes = np.array(sorted(weight))
     a.errorbar(sizes, *spread_and_error([weight[L] for L in sizes]), fmt="o", ms=3, color=BLUE, lw=0.8)
     draw_growth(a, sizes, theta, BLUE, rf"$\theta$ = {theta.value:.2f} ± {theta.total:.2f}")
     a.set(ylabel="sd of the weight of cuts", title="(a) friction in [0, 1]")
-    for (lowest, of), color in zip(flat.items(), shades(len(flat)), strict=True):
-        mean, error = mean_and_error(of.values())
+    for (lowest, squares), color in zip(flat.items(), shades(len(flat)), strict=True):
+        mean, error = mean_and_error(squares.values())
         width = np.sqrt(mean)
         above = np.sqrt(mean + error) - width
-        b.errorbar(list(of), width, above, fmt="o-", ms=3, lw=0.8, color=color, label=f"[{lowest:g}, 1]")
+        b.errorbar(list(squares), width, above, fmt="o-", ms=3, lw=0.8, color=color, label=f"[{lowest:g}, 1]")
     draw_growth(b, np.array(sorted(flat[0.0])), zeta, GREY, rf"$\zeta$ = {zeta.value:.2f} ± {zeta.total:.2f}")
     b.set(ylabel="width of cuts, spheres", title="(b) by the friction")
     sides = np.array(sorted(cubes))

@@ -11,8 +11,7 @@ left is |d_x| : |d_y|, one angle from 0 to 90 degrees. Bearing states A + C x ha
 both planes differs, the jump varies over the plane.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +24,7 @@ from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.runs.settings import RunSettings
 
 from .claims import Effort, Share
+from .drawing import draw_row
 from .network import BULK, PRACTICALLY_ALL
 from .samples import Found, Table, joined, measured, told
 
@@ -62,9 +62,7 @@ def distributions(folder: Path, effort: Effort) -> Found:
     variants = {name: {"distribution": name} for name in (*SPREAD, *TIED, EQUAL)}
     samples = max(1, int(SHARE_OF_SAMPLES * effort.samples))
     found = samples_of(variants, effort.seed, samples, spread_numbers, folder / "distributions.jsonl")
-    spans = {name: Share.of(table.spans) for name, table in found.items()}
-    draw = partial(draw_distributions, found, spans)
-    return Found({".csv": joined(found, "distribution")}, draw, names_of_distributions(found))
+    return Found({".csv": joined(found, "distribution")}, draw_distributions, names_of_distributions(found))
 
 
 def drivings(folder: Path, effort: Effort) -> Found:
@@ -72,9 +70,7 @@ def drivings(folder: Path, effort: Effort) -> Found:
     samples = max(1, min(MOST_SAMPLES, effort.samples // 4))
     tables = samples_of(DRIVINGS, effort.seed, samples, driven_numbers, folder / "drivings.jsonl")
     found = beside_reference(tables)
-    axes = sorted((found[name] for name in (REFERENCE, *OTHER)), key=lambda table: float(table.angle[0]))
-    rates = {DRIVINGS[name]["top"][3]: found[name] for name in RATES}
-    return Found({".csv": joined(found, "driving")}, partial(draw_drivings, axes, rates), names_of_drivings(found))
+    return Found({".csv": joined(found, "driving")}, draw_drivings, names_of_drivings(found))
 
 
 def samples_of(
@@ -83,8 +79,8 @@ def samples_of(
     """Numbers of so many certified cubes of each variant, of the same seeds, by its name."""
     seeds = range(seed, seed + samples)
     chosen = [RunSettings(shape=(BULK,) * 3, seed=of, **variant) for variant in variants.values() for of in seeds]
-    found = iter(measured(chosen, numbers, journal))
-    return {name: Table.of([{"seed": of} | next(found) for of in seeds]) for name in variants}
+    found = measured(chosen, numbers, journal)
+    return {name: found[samples * number : samples * (number + 1)] for number, name in enumerate(variants)}
 
 
 def spread_numbers(structure: Structure) -> dict[str, Any]:
@@ -114,7 +110,7 @@ def names_of_distributions(found: Mapping[str, Table]) -> dict[str, Any]:
     differ."""
     return {
         "bulk": BULK, "practically": PRACTICALLY_ALL, "paper_name": SPREAD[0],
-        "equal_name": EQUAL, "equal": found[EQUAL],
+        "equal_name": EQUAL, "equal": found[EQUAL], "all": found,
         "random": {name: table for name, table in found.items() if name != EQUAL},
         "judged": {name: found[name][found[name].states_proven] for name in SPREAD},
     }  # fmt: skip
@@ -142,25 +138,19 @@ def names_of_drivings(found: Mapping[str, Table]) -> dict[str, Any]:
 
 
 @in_our_style
-def draw_distributions(tables: Mapping[str, Any], spans: Mapping[str, Any]) -> Figure:
-    """P_min / P_cut, samples that span, slipless contacts and decades of power, a row a distribution.
-
-    tables, spans : the samples and the shares of them that join bottom and top, by distribution.
-    """
+def draw_distributions(of: Any) -> Figure:
+    """P_min / P_cut, samples that span, slipless contacts and decades of power, a row a distribution."""
     figure = new_figure(7.1, 2.5)
     panels: Any = figure.subplots(1, 4, sharey=True)
-    rows = range(len(tables), 0, -1)
-    for row, (name, table) in zip(rows, tables.items(), strict=True):
+    rows = range(len(of.all), 0, -1)
+    for row, table in zip(rows, of.all.values(), strict=True):
         colour = BLUE if 2 * table.states_proven.sum() > len(table) else GREY
         for axes, column in zip(panels[[0, 2, 3]], ("power_over_cut", "slipless_fraction", "decades"), strict=True):
-            values = getattr(table, column)
-            if np.isfinite(values).any():
-                place = row + np.linspace(-0.22, 0.22, len(values))
-                axes.plot(values, place, ".", color=colour, ms=4, alpha=0.5, mew=0)
-                axes.plot([np.nanmean(values)] * 2, [row - 0.32, row + 0.32], color=colour, lw=1.6)
-        share, ends = table.spans.mean(), np.array([[spans[name].least], [spans[name].most]])
+            draw_row(axes, row, getattr(table, column), colour)
+        share, spans = table.spans.mean(), Share.of(table.spans)
+        ends = np.array([[spans.least], [spans.most]])
         panels[1].errorbar(share, row, xerr=np.abs(ends - share), fmt="o", color=colour, ms=4, capsize=2)
-    panels[0].set_yticks(rows, list(tables))
+    panels[0].set_yticks(rows, list(of.all))
     panels[0].set_xlabel(r"$P_\mathrm{min} / P_\mathrm{cut}$")
     panels[1].set(xlabel="samples that span", xlim=(-0.04, 1.04))
     panels[2].set_xlabel("slipless contacts")
@@ -170,20 +160,17 @@ def draw_distributions(tables: Mapping[str, Any], spans: Mapping[str, Any]) -> F
 
 
 @in_our_style
-def draw_drivings(axes_of: Sequence[Any], rates: Mapping[float, Any]) -> Figure:
+def draw_drivings(of: Any) -> Figure:
     """(a) share of the slipless contacts that two axes have in common, (b) P_min / P_cut; both against the angle, and
-    (c) that share with and without C, against C: dots are samples, the line is their mean.
-
-    axes_of : the samples for each axis, by its angle with x. rates : by C, over A_x over the lattice
-    spacing, rising.
-    """
+    (c) that share with and without C, against C: dots are samples, the line is their mean."""
     figure = new_figure(7.1, 2.5)
     panels: Any = figure.subplots(1, 3)
-    angle = [table.angle[0] for table in axes_of]
+    by_angle = sorted((of.reference, *of.other.values()), key=lambda table: float(table.angle[0]))
+    angle, rates = [table.angle[0] for table in by_angle], [DRIVINGS[name]["top"][3] for name in of.rates]
     for axes, x, tables, column in (
-        (panels[0], angle, axes_of, "overlap"),
-        (panels[1], angle, axes_of, "power_over_cut"),
-        (panels[2], list(rates), list(rates.values()), "overlap"),
+        (panels[0], angle, by_angle, "overlap"),
+        (panels[1], angle, by_angle, "power_over_cut"),
+        (panels[2], rates, of.rates.values(), "overlap"),
     ):
         values = np.array([getattr(table, column) for table in tables])
         axes.plot(x, values, ".", color=BLUE, ms=4, alpha=0.35, mew=0)

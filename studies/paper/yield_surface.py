@@ -13,8 +13,6 @@ driving weakens. Where top and bottom differ in both components in each layer th
 analysis/torque_flow), so the surface has no flat part there.
 """
 
-from collections.abc import Mapping
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -81,18 +79,12 @@ def study(folder: Path, effort: Effort) -> Found:
     chosen = [settings_of(*point, direction) for point in points for direction in DIRECTIONS]
     parts = [Part(sample_key(settings), held, (settings,), settings) for settings in chosen]
     found = Table.of(computed(parts, folder / "yield.jsonl", "sample"))
-    rows = Table(
-        {
-            name: np.repeat(values, len(DIRECTIONS))
-            for name, values in zip(("side", "seed"), np.transpose(points), strict=True)
-        }
-    )
-    columns = {"a_x": 0, "a_y": 1, "c": 2}
-    rows |= {name: np.tile([d[k] for d in DIRECTIONS], len(points)) for name, k in columns.items()}
-    rows |= {"power": found.power, "lower_bound": found.lower_bound}
-    rows |= {f"torque_{name[-1]}": found.torque[:, k] for name, k in columns.items()}
+    asked = [(*point, *direction) for point in points for direction in DIRECTIONS]
+    columns = dict(zip(("side", "seed", "a_x", "a_y", "c"), zip(*asked, strict=True), strict=True))
+    torques = dict(zip(("torque_x", "torque_y", "torque_c"), found.torque.T, strict=True))
+    rows = Table({**columns, "power": found.power, "lower_bound": found.lower_bound, **torques})
     named = names_of(np.array(points), found.power.reshape(len(points), -1), found.torque.reshape(len(points), -1, 3))
-    return Found({".csv": rows}, partial(draw_yield_surface, named, np.array(DIRECTIONS), len(PLANE)), named)
+    return Found({".csv": rows}, draw_yield_surface, named)
 
 
 def names_of(points: np.ndarray, power: np.ndarray, torque: np.ndarray) -> dict[str, Any]:
@@ -138,20 +130,18 @@ def names_of(points: np.ndarray, power: np.ndarray, torque: np.ndarray) -> dict[
 
 
 @in_our_style
-def draw_yield_surface(named: Mapping[str, Any], directions: np.ndarray, plane: int) -> Figure:
+def draw_yield_surface(named: Any) -> Figure:
     """(a) the torques (T_x, T_y) and (b) (T_x, T_c) that a mean bearing holds: between those of its directions (points)
     and the half-spaces of its powers (thin), with the circle and the square of the largest size; (c) what crossed
     driving takes of the yield torque, and by how much the power falls short of the sum about x and about y, against the
-    size; (d) the power an area against 1 / L.
-
-    named : as names_of in paper.yield_surface has it. directions : (D, 3), the first `plane` about x and y.
-    """
+    size; (d) the power an area against 1 / L."""
+    directions, plane = np.array(DIRECTIONS), len(PLANE)
     figure = new_figure(DOUBLE, 5.2)
     axes: Any = figure.subplots(2, 2)
-    sides = sorted(named["body"])
+    sides = sorted(named.body)
     shown = [sides[k] for k in np.unique(np.linspace(0, len(sides) - 1, SHOWN).round().astype(int))]
     for side, color in zip(shown, shades(len(shown)), strict=True):
-        power, torque = named["body"][side]
+        power, torque = named.body[side]
         for panel, here, pair in (
             (axes[0, 0], np.arange(plane), [0, 1]),
             (axes[0, 1], np.r_[0, plane : len(power)], [0, 2]),
@@ -169,11 +159,11 @@ def draw_yield_surface(named: Mapping[str, Any], directions: np.ndarray, plane: 
     axes[0, 0].set_title("(a) turning about x and y")
     axes[0, 1].set_title("(b) turning about x, and C")
     axes[0, 0].legend(loc="center")
-    for name, fit, color, text in (
-        ("crossed", named["fading"], BLUE, "yield torque, crossed"),
-        ("square", named["squaring"], ORANGE, "power about x + y"),
+    for share, fit, color, text in (
+        (named.crossed, named.fading, BLUE, "yield torque, crossed"),
+        (named.square, named.squaring, ORANGE, "power about x + y"),
     ):
-        draw_means(axes[1, 0], {side: 1 - named[name][side] for side in sides}, fmt="o", color=color)
+        draw_means(axes[1, 0], {side: 1 - share[side] for side in sides}, fmt="o", color=color)
         far = np.array([fit.smallest, sides[-1]])
         label = f"{text}: $L^{{{2 * fit.value:.2f} \\pm {2 * fit.total:.2f}}}$"
         axes[1, 0].plot(far, fit.amplitude * far ** (2 * fit.value), color=color, label=label)
@@ -182,9 +172,9 @@ def draw_yield_surface(named: Mapping[str, Any], directions: np.ndarray, plane: 
     name_sizes(axes[1, 0], sides, "side of the cube, $L$")
     axes[1, 0].set_title("(c) what is missing")
     axes[1, 0].legend()
-    for (name, of), color in zip(named["per_area"].items(), (BLUE, ORANGE, GREEN), strict=True):
+    for (name, of), color in zip(named.per_area.items(), (BLUE, ORANGE, GREEN), strict=True):
         draw_means(axes[1, 1], of, 1 / np.array(list(of)), fmt="o", color=color, label=name)
-        fit = named["limits_of"][name]
+        fit = named.limits_of[name]
         near = np.array([0, 1 / fit.smallest])
         axes[1, 1].plot(near, fit.value + fit.amplitude * near, color=color)
     axes[1, 1].set(xlabel="$1 / L$", ylabel=r"$P / (F_n R L^2 |\Delta\omega|)$", xlim=(0, None))

@@ -243,7 +243,7 @@ def led_to(nodes: int, row: np.ndarray, column: np.ndarray, starts: np.ndarray) 
 def largest_flow(ends: np.ndarray, capacity: np.ndarray, at_most: int) -> np.ndarray:
     """A largest flow from the first to the last node of an undirected graph: (edges,) int64, from lower to upper end.
 
-    ends : (2, edges) nodes, lower and upper, no pair twice; capacity : (edges,) int64 below 2^62. at_most : no flow is
+    ends : (2, edges) nodes, lower and upper; capacity : (edges,) int64 below 2^62. at_most : no flow is
     larger; below 2^62. By OR-tools where it is installed, push and relabel, else by SciPy. The flow is not unique; the
     nodes that it leaves within reach of the first node are (Ford and Fulkerson).
     """

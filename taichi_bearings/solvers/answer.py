@@ -38,7 +38,7 @@ def answered(
     spin, spin_rounding = scene.laboratory_pair(final.staggered, final.rest, final.spin_axes)
     proof = certifying_forces(scene, forces, final.spin_axes, bound)
     friction = laboratory_forces(proof, scene.lattice, final.spin_axes)
-    judgement = _judged(scene, spin, spin_rounding, friction)
+    judgement = judged(scene, spin, spin_rounding, friction)
     slip = scene.slips(final.staggered, final.spin_axes) if final.slip is None else final.slip
     slip = slip if judgement is None else judgement.slip
     state, resolves, of_all = _told_apart(
@@ -92,7 +92,7 @@ def with_forces_of(answer: Solution, other: Solution) -> Solution:
         return np.where(more.reshape(-1, *(1,) * (old.ndim - 1)), new, old)
 
     friction = picked(other.friction, answer.friction)
-    judgement = _judged(answer.scene, answer.spin, answer.spin_rounding, friction) if more.any() else None
+    judgement = judged(answer.scene, answer.spin, answer.spin_rounding, friction) if more.any() else None
     if judgement is None:
         return answer
     return replace(
@@ -175,7 +175,7 @@ def _acting(scene: Scene, method: Method, final: Progress, slip: np.ndarray) -> 
     )
 
 
-def _judged(scene: Scene, spin: np.ndarray, spin_rounding: np.ndarray, friction: Forces) -> Judgement | None:
+def judged(scene: Scene, spin: np.ndarray, spin_rounding: np.ndarray, friction: Forces) -> Judgement | None:
     """What the answer proves by itself, whatever the method believes; None for numbers that no arithmetic can judge."""
     by_axis, (top, bottom) = scene.lattice.by_axis, scene.imposed
     samples = Samples(

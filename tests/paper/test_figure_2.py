@@ -79,9 +79,9 @@ def test_a_rise_is_measured_against_the_fall():
     assert falling(*[run_of(10, 9.95, 9.9)] * 3) == "too few samples"
 
 
-def test_powers_are_compared_at_equal_times_as_long_as_both_runs_last():
+def test_powers_are_compared_at_equal_times():
     rigid = replace(run_of(10, 6, 0), time=np.array([0.0, 1.5, 9.0]))
-    assert figure_2.distance_of_power(run_of(10, 8, 5), rigid) == pytest.approx([0.05])  # 6.5 and 6 at 1.5
+    assert run_of(10, 8, 5).distance(rigid, np.array([0.0, 1.5])) == pytest.approx([0.05])  # 6.5 and 6 at 1.5
 
 
 def test_a_minimum_is_below_its_cut_or_is_the_cut(needs_f64):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from taichi_bearings_studies.paper import parameters, reproduce, variants
 from taichi_bearings_studies.paper.claims import Effort, judge
-from taichi_bearings_studies.paper.parameters import PAPER, VARIANTS, Course
+from taichi_bearings_studies.paper.parameters import PAPER, VARIANTS
 from taichi_bearings_studies.paper.samples import Run, Table
 from taichi_bearings_studies.paper.variants import EQUAL, REFERENCE, SPREAD, TIED, beside_reference
 
@@ -95,22 +95,25 @@ def test_small_cubes_under_all_drivings(tmp_path, monkeypatch, taichi_runtime, n
     assert float(rows["axis (1, 1, 0), omega_B = 0"]["power_over_cut"]) <= 1 + 1e-12
 
 
-def course(force, *power, time=(0.0, 1.0, 2.0)):
+def course(force, *power):
     """Five samples whose power falls to `power` times the normal force, at times that scale; the minimum is 1."""
     power = force * np.repeat(np.array(power)[:, None], 5, axis=1)
-    time = np.array(time) * parameters.FORCE / force
-    return Course.of(Run("random", time, power, np.zeros(0), np.zeros(0)), force, np.full(5, force))
+    time = np.arange(len(power)) * parameters.FORCE / force
+    return Run("random", time, power, np.zeros(0), np.zeros(0))
 
 
-SCALED = {name: course(force, 4.0, 2.0, 1.0) for name, (*_, force) in VARIANTS.items()}
+RUNS = {name: course(force, 4.0, 2.0, 1.0) for name, (*_, force) in VARIANTS.items()}
+BOUNDS = {force: np.full(5, force) for *_, force in VARIANTS.values()}
 
 
 def test_courses_are_compared_at_scaled_times():
-    for same in SCALED.values():
-        assert same.distance(SCALED[PAPER]) == pytest.approx(np.zeros(5))
-        assert same.arrival == pytest.approx(np.full(5, 2.0))
-    assert course(500.0, 4.0, 2.8, 1.0).distance(SCALED[PAPER]) == pytest.approx(np.full(5, 0.2))
-    assert course(50.0, 4.0, 1.0, 1.0).arrival == pytest.approx(np.full(5, 1.0))
+    found = parameters.of_courses(
+        RUNS | {"F_n = 500": course(500.0, 4.0, 2.8, 1.0), "K = 1e6": course(50.0, 4.0, 1.0, 1.0)}, BOUNDS
+    )
+    away = {"F_n = 500": 0.2, "K = 1e6": 0.25}
+    for name, apart in found["apart"].items():
+        assert apart == pytest.approx(np.full(5, away.get(name, 0.0)))
+        assert found["ratio"][name] == pytest.approx(np.full(5, 0.5 if name == "K = 1e6" else 1.0))
 
 
 @pytest.mark.parametrize(
@@ -126,7 +129,7 @@ def test_courses_are_compared_at_scaled_times():
     ],
 )
 def test_courses_refine_and_refute(claim, variant, powers, verdict):
-    named = parameters.of_courses(SCALED | {variant: course(VARIANTS[variant][2], *powers)})
+    named = parameters.of_courses(RUNS | {variant: course(VARIANTS[variant][2], *powers)}, BOUNDS)
     assert judge(f"parameters.{claim}", **named).verdict == verdict
 
 

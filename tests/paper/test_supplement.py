@@ -18,7 +18,7 @@ from taichi_bearings.solvers.stopping import StopRule
 
 def ending(*power):
     power = np.array(power, dtype=float)
-    return Ending(power, power > 0, total=1.0, excess=1e-3, iterations=10**6, slip_error=1e-12)
+    return Ending(power, power > 0, total=1.0, iterations=10**6, slip_error=1e-12)
 
 
 def judged(name, minima, *descents):
