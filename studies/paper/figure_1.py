@@ -77,7 +77,7 @@ def study(folder: Path, effort: Effort) -> Found:
         "sizes": {"x".join(map(str, of.scene.lattice.shape)): viscous_numbers(of) for of in (viscous, cubes)},
         "exact": exact, "settled": settled, "others": others, "driven": driven, "apart": apart,
         "few_samples": len(few().seeds), "boundaries": boundaries, "iterations": DESCENT, "visible_slip": VISIBLE,
-        "paper_others": PAPER_OTHERS, "share_above": share_above, "above": cut.above[shown],
+        "paper_others": PAPER_OTHERS, "above": cut.above[shown],
         "viscous": np.abs(viscous.spin[shown]), "coulomb": np.abs(minimum.spin[shown]),
     }  # fmt: skip
     return Found({".csv": joined(spins, "law"), "-samples.csv": exact}, draw_configurations, named)
@@ -168,11 +168,6 @@ def least_rise(scene: Scene, spin: np.ndarray) -> float:
     layers = staggered.mean(axis=tuple(range(2, staggered.ndim - 1)))
     along = np.tensordot(top / scene.jump**2, layers, axes=1)
     return float(np.diff(along, axis=-1).min())
-
-
-def share_above(values: np.ndarray, others: np.ndarray) -> float:
-    """Share of all pairs whose value is larger than the other one; 1 without pairs (Mann and Whitney)."""
-    return float((values[:, None] > others).mean()) if values.size and others.size else 1.0
 
 
 def two_boundaries(exact: Table, cut: MinimumCut, ended: Solution) -> Table:

@@ -86,7 +86,7 @@ def test_contacts_that_differ_refute(exact, settled):
 def counted(exact, differs, excess):
     table = exact | {"differs": differs, "excess": np.full(len(exact), excess)}
     named = {"iterations": 1, "visible_slip": figure_1.VISIBLE, "paper_others": figure_1.PAPER_OTHERS}
-    return judge("fig1.counted", exact=table, share_above=figure_1.share_above, **named).verdict
+    return judge("fig1.counted", exact=table, **named).verdict
 
 
 def test_a_descent_that_errs_where_cuts_nearly_tie_is_explained(exact, monkeypatch):
