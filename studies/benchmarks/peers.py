@@ -87,7 +87,8 @@ class ConicProgramme:
     def with_friction(self, scene: Scene) -> "ConicProgramme":
         """The Coulomb programme of another sample of the same lattice and driving: nothing but the costs changes."""
         linear = self.linear.copy()
-        linear[self.system.unknowns :] = scene.coefficient[0, self.system.contact]
+        costs = linear[self.system.unknowns :]
+        costs[costs > 0] = scene.coefficient[0, self.system.contact][costs > 0]
         return replace(self, scene=scene, linear=linear)
 
 
@@ -104,7 +105,8 @@ def conic_programme(scene: Scene) -> ConicProgramme:
     one = live.sum(axis=0) == 1
     slips = np.concatenate([np.flatnonzero(live & one), np.flatnonzero(live & ~one)])
     matrix, offset = system.matrix[slips], system.offset.ravel()[slips] / (scene.lattice.radius * (scene.jump or 1.0))
-    coefficient, unknowns, nothing = scene.coefficient[0, system.contact], system.unknowns, np.zeros(system.unknowns)
+    coefficient = np.where(live.any(axis=0), scene.coefficient[0, system.contact], 0.0)  # others have no slip to bound
+    unknowns, nothing = system.unknowns, np.zeros(system.unknowns)
     if not scene.law.holds:
         rows = len(slips)
         return ConicProgramme(
