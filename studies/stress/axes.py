@@ -147,8 +147,10 @@ def _absent(case: Case, value: str, row: Row) -> Case:
         "a sphere": (lattice.ends == np.ravel_multi_index(middle, lattice.shape)).any(axis=0),
         "a layer": upright & (lattice.ends[0] % lattice.shape[-1] == middle[-1] - 1),
     }[value]  # fmt: skip
-    named = {name: getattr(scene, name) for name in ("coefficients", "viscosity")}
-    left = {name: lattice.by_axis(np.where(absent, 0.0, lattice.flat(of))) for name, of in named.items() if of}
+    left: dict[str, Any] = {
+        name: getattr(scene, name) for name in ("coefficients", "viscosity") if getattr(scene, name)
+    }
+    left = {name: lattice.by_axis(np.where(absent, 0.0, lattice.flat(of))) for name, of in left.items()}
     return replace(case, scene=replace(scene, **left))
 
 
