@@ -27,6 +27,16 @@ MOST_LINE = 2**20  # bytes of a line of a journal
 CLAIMED_FACTOR, CLAIMED_BYTES = 16, 2**25  # bytes that may be claimed for each one that is there, and in any case
 
 
+@contextlib.contextmanager
+def writing(what: object, inside: bool = False) -> Iterator[None]:
+    """WriteError for an OSError within: `what` cannot be written, or, `inside` a folder, what the error names."""
+    try:
+        yield
+    except OSError as error:
+        named = (error.filename2 or error.filename or what) if inside else what
+        raise WriteError(f"{named} cannot be written: {error.strerror or error}") from None
+
+
 def opened(path: Path, flags: int = os.O_RDONLY) -> IO[bytes]:
     """A regular file, unbuffered where it is written; OSError if there is none, FileError if it is something else."""
     strange = FileError(f"{path} is not a regular file")
@@ -165,10 +175,8 @@ def locked(path: Path, what: str) -> Iterator[bool]:
     """Hold a lock file, which is there as long; FileError if another process does. False where there are no locks."""
     refuse_link_out(path)
     while True:
-        try:
+        with writing(path.parent):
             file = opened(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | NO_LINK)
-        except OSError as error:
-            raise WriteError(f"{path.parent} cannot be written: {error.strerror or error}") from None
         with file:
             held = lock(file)
             if held is False:

@@ -14,9 +14,9 @@ import h5py
 import numpy as np
 
 from taichi_bearings.checksums import check, seal
-from taichi_bearings.errors import FileError, InputError, WriteError, printable
+from taichi_bearings.errors import FileError, InputError, printable
 from taichi_bearings.hdf5 import UNREADABLE, open_hdf5
-from taichi_bearings.plain_files import new_file, real_path, refuse_link_out, write_all
+from taichi_bearings.plain_files import new_file, real_path, refuse_link_out, write_all, writing
 from taichi_bearings.words import shown
 
 Buffer = bytes | memoryview
@@ -25,10 +25,8 @@ EMPTY: Mapping[str, Any] = MappingProxyType({})
 
 def make_folder(path: Path) -> None:
     """A folder and those above it, unless it is there; WriteError if that fails."""
-    try:
+    with writing(path):
         path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise WriteError(f"{path} cannot be written: {error.strerror or error}") from None
 
 
 def refuse_ending(out: Path | None, *endings: str) -> None:
@@ -48,22 +46,18 @@ def refuse_standing(paths: Iterable[Path], force: bool = False) -> None:
 def replace_file(path: Path, content: Buffer) -> None:
     """Replace `path` by a file with this content in one move; WriteError if that cannot be done."""
     refuse_link_out(path)
-    path, temporary = real_path(path), None  # a link stays one
-    try:
+    path = real_path(path)  # a link stays one
+    with writing(path):
         file, temporary = new_file(path)
-        with file:
-            write_all(file, content)
-            if sys.platform != "win32":  # where no open file can be renamed
+        try:
+            with file:
+                write_all(file, content)
+                if sys.platform != "win32":  # where no open file can be renamed
+                    os.replace(temporary, path)
+            if sys.platform == "win32":
                 os.replace(temporary, path)
-        if sys.platform == "win32":
-            os.replace(temporary, path)
-    except BaseException as error:  # Ctrl-C too
-        if temporary is not None:
-            with contextlib.suppress(OSError):
-                temporary.unlink(missing_ok=True)
-        if isinstance(error, OSError):
-            raise WriteError(f"{path} cannot be written: {error.strerror or error}") from None
-        raise
+        finally:
+            temporary.unlink(missing_ok=True)
 
 
 def write_text(path: Path, text: str) -> None:

@@ -18,6 +18,7 @@ from taichi_bearings.options import SEED
 from taichi_bearings.packing import checks, random_packing, space_filling
 from taichi_bearings.packing.lammps import read_dumps
 from taichi_bearings.packing.lattices import KINDS, Built, built, driven_bodies
+from taichi_bearings.plain_files import writing
 from taichi_bearings.scene.array_files import read_arrays
 from taichi_bearings.scene.disorder import Distribution, Draw
 from taichi_bearings.scene.given import finite_number, own_array
@@ -251,7 +252,7 @@ class Packing:
     def save(self, path: str | Path) -> Path:
         """Write the arrays into a new file, npz or HDF5 by its name; WriteError if it is there or cannot be written."""
         path = Path(path)
-        try:
+        with writing(path):
             if path.suffix == ".npz":
                 with open(path, "xb") as file:
                     np.savez(file, **self.arrays())  # type: ignore[arg-type]
@@ -261,8 +262,6 @@ class Packing:
                         stored[name] = values
             else:
                 raise WriteError(f"{path} must end in .npz, .h5 or .hdf5")
-        except OSError as error:
-            raise WriteError(f"{path} cannot be written: {error.strerror or error}") from None
         return path
 
 
