@@ -15,7 +15,7 @@ import numpy as np
 
 from taichi_bearings.checksums import check, seal
 from taichi_bearings.errors import FileError, InputError, printable
-from taichi_bearings.hdf5 import UNREADABLE, open_hdf5
+from taichi_bearings.hdf5 import open_hdf5
 from taichi_bearings.plain_files import new_file, real_path, refuse_link_out, write_all, writing
 from taichi_bearings.words import shown
 
@@ -115,7 +115,7 @@ def read_hdf5(path: Path, schema: str, version: int, kind: str) -> Iterator[h5py
     kind : what it is for people, such as "a run".
     """
     try:
-        with open_hdf5(path) as file:
+        with open_hdf5(path, kind) as file:
             if (stored := file.attrs.get("schema")) != schema:
                 raise FileError(f"{path} is not {kind}: its schema is {shown(stored)}, not {schema!r}")
             found = file.attrs.get("schema_version")
@@ -129,29 +129,19 @@ def read_hdf5(path: Path, schema: str, version: int, kind: str) -> Iterator[h5py
         raise
     except InputError as error:
         raise FileError(f"{path} is damaged or was changed: {error}") from None
-    except UNREADABLE as error:
-        raise _unreadable(path, f"as {kind}", error) from None
-
-
-def _unreadable(path: Path, how: str, error: Exception) -> FileError:
-    words = " ".join(str(error).strip("'").split())
-    return FileError(f"{path} cannot be read {how}: {words}")
 
 
 def replace_group(path: Path, name: str, fill: Callable[[h5py.Group], None]) -> None:
     """Write a file anew with its group `name` as `fill` makes it and everything else as it was."""
 
     with _new_hdf5(path) as whole:
-        try:
-            with open_hdf5(path) as old:
-                check(path, old)
-                for key, value in old.attrs.items():
-                    whole.attrs[key] = value
-                for key in old:
-                    if key != name:
-                        old.copy(key, whole)
-        except UNREADABLE as error:
-            raise _unreadable(path, "in full", error) from None
+        with open_hdf5(path) as old:
+            check(path, old)
+            for key, value in old.attrs.items():
+                whole.attrs[key] = value
+            for key in old:
+                if key != name:
+                    old.copy(key, whole)
         group = whole.create_group(name)
         fill(group)
         seal(group)

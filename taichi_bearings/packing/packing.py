@@ -84,7 +84,7 @@ class Packing:
         two = len(self.kind.quantities) > 1
         if self.viscosity is not None and not two:
             raise InputError(f"viscosity is given, but the law {self.law} does not use it; it needs coulomb-viscous")
-        seed = SEED.read(self.seed)
+        seed = SEED.named("seed", self.seed)
         usual: list[Any] = [("friction", seed, self.distribution), ("viscosity", [seed, 2], DISTRIBUTION)]
         for name, state, values in usual[: 1 + two]:
             given: Any = getattr(self, name)
@@ -177,7 +177,7 @@ class Packing:
         width : of the box in diameters of small spheres; if None about its height. seed : of places and coefficients.
         others : as of :meth:`lattice`; `radius` is that of the small spheres.
         """
-        seed = SEED.read(seed)
+        seed = SEED.named("seed", seed)
         radius, found = random_packing.built(spheres, dimension, ratio, large, width, np.random.default_rng([seed, 3]))
         return cls._between_sides(radius, found, 1.0, seed, others)
 

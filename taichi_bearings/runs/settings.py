@@ -22,6 +22,7 @@ from taichi_bearings.options import (
     POSITIVE,
     REAL,
     SEED,
+    SHAPE,
     TEXT,
     TRUTH,
     Kind,
@@ -29,7 +30,6 @@ from taichi_bearings.options import (
     Option,
     bounded,
     how,
-    integer,
     numbers,
     option,
     options_of,
@@ -69,7 +69,6 @@ def _sides(value: Any) -> tuple[str, ...]:
         raise ValueError from error
 
 
-SHAPE = Kind(numbers(integer, (2, 3)), "two or three whole numbers such as 32,32,32", "NX,NY[,NZ]")
 BEARING_STATE = Kind(
     _state, "three numbers and C such as 1,1,0;0.2, in 2D one number, each 0 or of size 1e-15 to 1e15", "AX,AY,AZ[;C]"
 )
@@ -384,21 +383,21 @@ def read_toml(path: Path) -> dict[str, Any]:
     path : a TOML file, a run directory (its scene.toml), or a run.h5 (its attribute `scene`).
     """
     from taichi_bearings.checksums import check
-    from taichi_bearings.hdf5 import UNREADABLE, open_hdf5
+    from taichi_bearings.hdf5 import open_hdf5
 
     if path.is_dir():
         path = path / "scene.toml"
     if not path.is_file():
         raise FileError(f"scene file {path} does not exist")
-    try:
-        if path.suffix not in (".h5", ".hdf5"):
-            return parse_toml(read_whole(path, MOST_SETTINGS_TEXT).decode(), path)
-        with open_hdf5(path) as file:
+    if path.suffix in (".h5", ".hdf5"):
+        with open_hdf5(path, "a run") as file:
             check(path, file)
             if "scene" not in file.attrs:
                 raise FileError(f"{path} holds no scene; it was not written by `bearings run`")
             return parse_toml(str(file.attrs["scene"]), path)
-    except UNREADABLE as error:
+    try:
+        return parse_toml(read_whole(path, MOST_SETTINGS_TEXT).decode(), path)
+    except UnicodeDecodeError as error:
         raise FileError(f"scene file {path} cannot be read: {error}") from None
 
 

@@ -20,7 +20,7 @@ from taichi_bearings.files.scan_file import (
     dense_histograms,
     read_scan,
 )  # fmt: skip
-from taichi_bearings.hdf5 import UNREADABLE, open_hdf5
+from taichi_bearings.hdf5 import open_hdf5
 from taichi_bearings.plain_files import read_lines, read_whole
 from taichi_bearings.quantities import COLUMNS
 from taichi_bearings.runs.run import versions
@@ -48,7 +48,7 @@ def is_scan(path: Path) -> bool:
     try:
         with open_hdf5(path) as file:
             return bool(file.attrs.get("schema") == SCAN_SCHEMA)
-    except (*UNREADABLE, FileError):
+    except FileError:
         return False
 
 

@@ -4,7 +4,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from itertools import product
-from operator import index
 from typing import Any, ClassVar
 
 import numpy as np
@@ -14,8 +13,8 @@ from taichi_bearings.lattice import Lattice
 from taichi_bearings.lattice.grid import AXIS_NAMES, MOST_SITES, axis_numbers
 from taichi_bearings.lattice.incidence import contact_differences
 from taichi_bearings.numerics.double_double import Pair, add
-from taichi_bearings.options import SEED
-from taichi_bearings.scene.disorder import Distribution, Draw, draw_coefficients, draw_viscosities
+from taichi_bearings.options import COUNT, SEED, SHAPE
+from taichi_bearings.scene.disorder import Distribution, Draw, draw_coefficients
 from taichi_bearings.scene.driving import Driving
 from taichi_bearings.scene.given import finite_number, own_array
 from taichi_bearings.scene.law import COULOMB, LAWS, Coefficients, Law, law_named
@@ -87,33 +86,23 @@ class Scene:
             coefficient of "coulomb-viscous"; `normal_force`, `radius`, `periodic`, and the states `top` and `bottom`.
         """
         law, replicas = law_named(law), others.pop("replicas", 1)
-        try:
-            sides, seed, replicas = tuple(map(index, shape)), index(seed), index(replicas)
-        except TypeError:
-            raise InputError(
-                f"shape is {shown(shape)}, seed is {shown(seed)} and replicas is {shown(replicas)}; they must be whole "
-                "numbers, and two or three of them the shape"
-            ) from None
+        seed, replicas = SEED.named("seed", seed), COUNT.named("replicas", replicas)
         viscosity = others.pop("viscosity", None)
         if viscosity is not None and len(law.quantities) == 1:
             laws = " or ".join(name for name, other in LAWS.items() if len(other.quantities) > 1)
             raise InputError(f"viscosity is {shown(viscosity)}, but the law {law} does not use it; it needs law {laws}")
-        if seed < 0:
-            raise InputError(f"seed is {seed}; it must be 0 or more")
         others["periodic"] = periodic_axes(others.get("periodic", ()))
         radius = finite_number("radius", others.get("radius", cls.radius))
-        lattice = Lattice(sides, radius, axis_numbers(others["periodic"]))
-        if not 1 <= replicas <= MOST_SITES // 8 // lattice.sites:
-            most = MOST_SITES // 8 // lattice.sites
-            raise InputError(
-                f"replicas is {shown(replicas)}; with this shape at least 1 and at most {most} can be indexed"
-            )
+        lattice = Lattice(SHAPE.named("shape", shape), radius, axis_numbers(others["periodic"]))
+        if replicas > (most := MOST_SITES // 8 // lattice.sites):
+            raise InputError(f"replicas is {replicas}; with this shape at most {most} can be indexed")
         others["seeds"] = tuple(range(seed, seed + replicas))
         sources = dict(zip(cls.DRAWN, (distribution, viscosity or "uniform:0.1,1.0"), strict=True))
         values = [source if callable(source) else Distribution.parse(source) for source in sources.values()]
         found = []
-        for _, draw, value in zip(law.quantities, (draw_coefficients, draw_viscosities), values, strict=False):
-            parts = zip(*(draw(lattice, value, number) for number in others["seeds"]), strict=True)
+        for second, value in enumerate(values[: len(law.quantities)]):
+            drawn = (draw_coefficients(lattice, value, number, bool(second)) for number in others["seeds"])
+            parts = zip(*drawn, strict=True)
             found.append(tuple(np.stack(part) if replicas > 1 else part[0] for part in parts))
         if len(found) > 1:
             others["viscosity"] = found[1]
