@@ -91,6 +91,11 @@ def bounded(convert: Callable[[Any], Any], low: float, high: float = math.inf, o
     return read
 
 
+def whole(least: int, most: int) -> Kind:
+    """A whole number in this range."""
+    return Kind(bounded(integer, least, most), f"a whole number from {least:,} to {most:,}", "N")
+
+
 def _text(value: Any) -> str:
     if not isinstance(value, str) or not value:
         raise ValueError

@@ -121,7 +121,7 @@ class Scene:
             object.__setattr__(self, name, finite_number(name, getattr(self, name)))
         if self.normal_force <= 0:
             raise InputError(f"normal_force is {self.normal_force}; it must be positive")
-        object.__setattr__(self, "direction", _direction(self.direction))
+        object.__setattr__(self, "direction", imposed_direction(self.direction))
         object.__setattr__(self, "periodic", periodic_axes(self.periodic))
         self._read_states()
         object.__setattr__(self, "coefficients", _arrays("coefficients", self.coefficients))
@@ -419,7 +419,7 @@ class Scene:
         return np.clip(staggered, low.reshape(shape), high.reshape(shape))
 
 
-def _direction(given: Any) -> tuple[float, float, float]:
+def imposed_direction(given: Any) -> tuple[float, float, float]:
     """Three finite numbers, not all 0."""
     try:
         parts = tuple(finite_number("direction", part) for part in given)
@@ -450,11 +450,12 @@ def bearing_state(name: str, given: Any, dimension: int) -> tuple[float, ...]:
     raise InputError(f"{name} is {shown(given)}; the state of a plane must be {needed}")
 
 
-def periodic_axes(given: Any) -> tuple[str, ...]:
+def periodic_axes(given: Any, allowed: tuple[str, ...] = AXIS_NAMES[:2]) -> tuple[str, ...]:
     """Names of axes in their order, of several in a list or in one text, x,y."""
     parts = tuple(given.split(",") if given else ()) if isinstance(given, str) else tuple(given)
-    if any(part not in AXIS_NAMES[:2] for part in parts) or len(set(parts)) < len(parts):
-        raise InputError(f"periodic is {shown(given)}; it must be x, y or x,y, the axes that close on themselves")
+    if any(part not in allowed for part in parts) or len(set(parts)) < len(parts):
+        names = f"names of axes that close on themselves, among {', '.join(allowed)}, each once"
+        raise InputError(f"periodic is {shown(given)}; it must be {names}")
     return tuple(name for name in AXIS_NAMES if name in parts)
 
 
