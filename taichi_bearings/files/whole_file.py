@@ -15,7 +15,7 @@ import numpy as np
 
 from taichi_bearings.checksums import check, seal
 from taichi_bearings.errors import FileError, InputError, printable
-from taichi_bearings.hdf5 import open_hdf5
+from taichi_bearings.hdf5 import LAYOUT, open_hdf5
 from taichi_bearings.plain_files import new_file, real_path, refuse_link_out, write_all, writing
 from taichi_bearings.words import shown
 
@@ -107,22 +107,28 @@ def _new_hdf5(path: Path) -> Iterator[h5py.File]:
     replace_file(path, whole.getvalue())
 
 
+def layout_of(kind: str) -> dict[str, Any]:
+    """Attributes that tell a "run", a "scan" or a "checkpoint"."""
+    return {"schema": f"taichi_bearings.{kind}", "schema_version": LAYOUT}
+
+
 @contextlib.contextmanager
-def read_hdf5(path: Path, schema: str, version: int, kind: str) -> Iterator[h5py.File]:
+def read_hdf5(path: Path, kind: str) -> Iterator[h5py.File]:
     """The open file, its checksums checked; FileError if it cannot be read, is of another kind or version, or changed,
     and for an InputError inside: what it holds cannot be.
 
-    kind : what it is for people, such as "a run".
+    kind : as of :func:`layout_of`.
     """
     try:
-        with open_hdf5(path, kind) as file:
-            if (stored := file.attrs.get("schema")) != schema:
-                raise FileError(f"{path} is not {kind}: its schema is {shown(stored)}, not {schema!r}")
+        with open_hdf5(path, f"a {kind}") as file:
+            stored, schema = file.attrs.get("schema"), layout_of(kind)["schema"]
+            if stored != schema:
+                raise FileError(f"{path} is not a {kind}: its schema is {shown(stored)}, not {schema!r}")
             found = file.attrs.get("schema_version")
             if found is None:
                 raise FileError(f"{path} is damaged or was changed: it has lost its layout version")
-            if found != version:
-                raise FileError(f"{path} has layout version {found}; this program reads version {version}")
+            if found != LAYOUT:
+                raise FileError(f"{path} has layout version {found}; this program reads version {LAYOUT}")
             check(path, file)
             yield file
     except FileError:

@@ -18,11 +18,9 @@ import h5py
 import numpy as np
 
 from taichi_bearings.errors import FileError, InputError
-from taichi_bearings.files.whole_file import make_folder, read_hdf5, refuse_standing, write_hdf5
+from taichi_bearings.files.whole_file import layout_of, make_folder, read_hdf5, refuse_standing, write_hdf5
 from taichi_bearings.plain_files import locked, real_path, remove, remove_leftover, writing
 
-CHECKPOINT_SCHEMA = "taichi_bearings.checkpoint"
-CHECKPOINT_VERSION = 1
 CHECKPOINT_NAME = "checkpoint.h5"
 
 LEFTOVER = re.compile(r"\.(?P<name>.+)\.(?P<kind>in-use|partial-\d+-[0-9a-f]{6}(?P<old>-replaced)?)", re.DOTALL)
@@ -245,8 +243,8 @@ def write_checkpoint(folder: Path, scene: str, versions: Mapping[str, str], arra
 
     scene : the settings as TOML. arrays : none before the first step.
     """
-    layout = {"schema": CHECKPOINT_SCHEMA, "schema_version": CHECKPOINT_VERSION, "scene": scene}
-    write_hdf5(folder / CHECKPOINT_NAME, lambda file: file.update(arrays), layout | dict(versions))
+    attributes = layout_of("checkpoint") | {"scene": scene} | dict(versions)
+    write_hdf5(folder / CHECKPOINT_NAME, lambda file: file.update(arrays), attributes)
 
 
 def checkpoint_of(folder: Path) -> Path:
@@ -261,6 +259,6 @@ def read_checkpoint(folder: Path) -> tuple[str, dict[str, np.ndarray]]:
     """Scene and arrays of the checkpoint of a run directory, none if the run had not come to its first one; FileError
     if there is no checkpoint, or one damaged, changed or unknown."""
     arrays: dict[str, np.ndarray] = {}
-    with read_hdf5(checkpoint_of(folder), CHECKPOINT_SCHEMA, CHECKPOINT_VERSION, "a checkpoint") as file:
+    with read_hdf5(checkpoint_of(folder), "checkpoint") as file:
         file.visititems(lambda name, item: arrays.update({name: item[()]}) if isinstance(item, h5py.Dataset) else None)
         return str(file.attrs["scene"]), arrays

@@ -80,12 +80,7 @@ TIME_LIST = Kind(_times, "times such as 0.1,0.2,1 or linear:0,10,101 or log:1e-4
 BETWEEN_PLANES = "planes"
 SIZES = ("radius", "normal_force")
 OF_DRIVEN = ("shape", "periodic", "spin_top", "spin_bottom", "direction", "top", "bottom", "driven", "coefficients")
-OF_PACKINGS = (
-    "packing", "law", "tolerance", "seed", "distribution", "viscosity", "normal_force", "radius", "method", "figures",
-    "initial", "iterations", "time_limit", "duration", "record", "snapshots", "checkpoint_every", "replicas", "arch",
-    "precision", "threads", "slip_threshold", "torque",
-)  # fmt: skip
-"""Keys of a run that a packing uses; and further ones of a lattice with other driven bodies than planes."""
+"""Keys of a lattice, with planes or other driven bodies: a packing out of a file uses all but these."""
 DRIVING_KEYS = ("periodic", "top", "bottom", "driven")  # keys that summaries name where they are not the defaults
 
 motion = partial(option, methods=attrgetter("is_dynamics"))
