@@ -149,6 +149,12 @@ def write_all(file: IO[bytes], content: bytes | memoryview) -> None:
     os.fsync(file.fileno())
 
 
+def let_go(file: IO[bytes]) -> None:
+    """Before a file that we hold open is renamed or removed: Windows wants it closed, other systems keep it locked."""
+    if sys.platform == "win32":
+        file.close()
+
+
 def remove(path: Path) -> None:
     """Whatever is there under this name goes, and nothing that a link leads to."""
     if path.is_dir() and not path.is_symlink():
@@ -161,11 +167,9 @@ def remove_leftover(path: Path) -> None:
     """Remove a new file that a killed process has left; one that is being written stays."""
     try:
         with opened(path, os.O_WRONLY | NO_LINK) as file:
-            is_left = lock(file) is True
-            if is_left and sys.platform != "win32":
+            if lock(file) is True:
+                let_go(file)
                 path.unlink()
-        if is_left and sys.platform == "win32":  # where an open file cannot be removed
-            path.unlink()
     except FileError:  # a link, a pipe
         path.unlink(missing_ok=True)
 
@@ -186,12 +190,10 @@ def locked(path: Path, what: str) -> Iterator[bool]:
             try:
                 yield bool(held)
             finally:
-                if is_at(file, path) and sys.platform != "win32":  # an exchanged directory takes its lock with it
+                if is_at(file, path):  # an exchanged directory takes its lock with it
                     with contextlib.suppress(OSError):
+                        let_go(file)
                         path.unlink()
-        with contextlib.suppress(OSError):
-            if sys.platform == "win32":  # where an open file cannot be removed
-                path.unlink()
         return
 
 

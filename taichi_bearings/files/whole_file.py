@@ -4,7 +4,6 @@ import contextlib
 import csv
 import io
 import os
-import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
@@ -16,7 +15,7 @@ import numpy as np
 from taichi_bearings.checksums import check, seal
 from taichi_bearings.errors import FileError, InputError, printable
 from taichi_bearings.hdf5 import LAYOUT, open_hdf5
-from taichi_bearings.plain_files import new_file, real_path, refuse_link_out, write_all, writing
+from taichi_bearings.plain_files import let_go, new_file, real_path, refuse_link_out, write_all, writing
 from taichi_bearings.words import shown
 
 Buffer = bytes | memoryview
@@ -52,9 +51,7 @@ def replace_file(path: Path, content: Buffer) -> None:
         try:
             with file:
                 write_all(file, content)
-                if sys.platform != "win32":  # where no open file can be renamed
-                    os.replace(temporary, path)
-            if sys.platform == "win32":
+                let_go(file)
                 os.replace(temporary, path)
         finally:
             temporary.unlink(missing_ok=True)
