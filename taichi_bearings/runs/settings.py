@@ -62,17 +62,10 @@ def _state(value: Any) -> tuple[float, ...]:
     return (*parts, 0.0) if len(parts) == 3 else parts
 
 
-def _sides(value: Any) -> tuple[str, ...]:
-    try:
-        return periodic_axes(value)
-    except InputError as error:
-        raise ValueError from error
-
-
 BEARING_STATE = Kind(
     _state, "three numbers and C such as 1,1,0;0.2, in 2D one number, each 0 or of size 1e-15 to 1e15", "AX,AY,AZ[;C]"
 )
-PERIODIC_AXES = Kind(_sides, "x, y or x,y, the axes that close on themselves", "x|y|x,y")
+PERIODIC_AXES = Kind(periodic_axes, "x, y or x,y, the axes that close on themselves", "x|y|x,y")
 THREE_NUMBERS = Kind(numbers(real, (3,)), "three finite numbers such as 1,1,0", "X,Y,Z")
 TIME_LIST = Kind(_times, "times such as 0.1,0.2,1 or linear:0,10,101 or log:1e-4,10,50 (start,stop,count)", "TIMES")
 
