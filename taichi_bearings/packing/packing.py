@@ -270,7 +270,7 @@ def _states(given: dict[str, Any], dimension: int) -> np.ndarray:
     spins = [finite_number(n, given.pop(n, d)) for n, d in (("spin_bottom", 0.0), ("spin_top", 1.0))]
     direction = np.array(imposed_direction(given.pop("direction", (1.0, 1.0, 0.0))))
     states = {name: given.pop(name, None) for name in ("bottom", "top")}
-    if list(states.values()) == [None, None]:
+    if all(state is None for state in states.values()):
         axis = direction / np.linalg.norm(direction) if dimension == 3 else np.array([0.0, 0.0, 1.0])
         return np.column_stack([np.outer(spins, axis), np.zeros(2)])
     parts = [bearing_state(name, 0.0 if state is None else state, dimension) for name, state in states.items()]
