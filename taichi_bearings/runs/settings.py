@@ -347,15 +347,12 @@ def _table(rows: tuple[type[MethodOptions], ...]) -> dict[str, Option]:
 
 def toml_value(value: Any) -> str:
     """A text, number, truth value, list or (inline) table as it is written in TOML."""
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")  # the same escapes, but for that one
     if isinstance(value, (list, tuple)):
         return "[" + ", ".join(toml_value(part) for part in value) + "]"
     if isinstance(value, Mapping):
         return "{ " + ", ".join(f"{key} = {toml_value(part)}" for key, part in value.items()) + " }"
-    return repr(value)
+    written = json.dumps(value, ensure_ascii=False, default=str)  # as in JSON, but for one letter that must be escaped
+    return written.replace("\x7f", "\\u007f")
 
 
 MOST_SETTINGS_TEXT = 2**22  # bytes of a scene or scan file
