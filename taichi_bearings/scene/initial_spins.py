@@ -14,8 +14,7 @@ from taichi_bearings.words import meant
 
 def random_spin(scene: Scene) -> np.ndarray:
     """Free spheres uniform in [-w, w] for each component, w the larger imposed spin; drawn from [seed, 1]."""
-    largest = scene.fastest
-    shape = scene.lattice.shape if scene.lattice.dimension == 2 else (*scene.lattice.shape, 3)
+    largest, shape = scene.fastest, zero_spin(scene).shape[1:]
     draws = [np.random.default_rng([seed, 1]).uniform(-largest, largest, shape) for seed in scene.seeds]
     return np.stack(draws)
 
