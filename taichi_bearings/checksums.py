@@ -37,29 +37,25 @@ def digest_of_attribute(value: Any) -> str:
     return hashlib.sha256(json.dumps(np.asarray(value).tolist(), default=str).encode()).hexdigest()
 
 
-def _digest(group: h5py.Group, name: str) -> str | None:
-    """Of what has this name; None if there is no such thing."""
-    path, is_attribute, attribute = name.partition("@")
-    found = group.get(path) if path else group
-    if not is_attribute:
-        return None if found is None else digest_of_array(np.asarray(found[()]))
-    return None if found is None or attribute not in found.attrs else digest_of_attribute(found.attrs[attribute])
+def _digest(item: Any, attribute: str | None) -> str:
+    """Of an attribute, or of a data set where none is named."""
+    return digest_of_array(np.asarray(item[()])) if attribute is None else digest_of_attribute(item.attrs[attribute])
 
 
-def _names(group: h5py.Group) -> Iterator[str]:
-    """All data sets in a group, and the attributes of the groups."""
+def _parts(group: h5py.Group) -> Iterator[tuple[str, Any, str | None]]:
+    """All data sets in a group, and the attributes of the groups: name, data set or group, and attribute."""
     items: list[tuple[str, Any]] = [("", group)]
     group.visititems(lambda path, item: items.append((path, item)))
     for path, item in items:
         if isinstance(item, h5py.Dataset):
-            yield path
+            yield path, item, None
         else:
-            yield from (f"{path}@{attribute}" for attribute in item.attrs if attribute != ATTRIBUTE)
+            yield from ((f"{path}@{attribute}", item, attribute) for attribute in item.attrs if attribute != ATTRIBUTE)
 
 
 def seal(group: h5py.Group) -> None:
     """Write the checksums of everything in a file or a group into it."""
-    group.attrs[ATTRIBUTE] = json.dumps({name: _digest(group, name) for name in _names(group)})
+    group.attrs[ATTRIBUTE] = json.dumps({name: _digest(*part) for name, *part in _parts(group)})
 
 
 def changed(path: Path, group: h5py.Group) -> Iterator[str]:
@@ -68,8 +64,8 @@ def changed(path: Path, group: h5py.Group) -> Iterator[str]:
     digests = parse_json(str(group.attrs.get(ATTRIBUTE, "{}")))
     if not isinstance(digests, dict):
         raise FileError(f"{path} is damaged or was changed: its {ATTRIBUTE} is no table of checksums")
-    for name in _names(group):  # each thing once, whatever names it is given
-        if name in digests and digests[name] != _digest(group, name):
+    for name, *part in _parts(group):  # each thing once, whatever names it is given
+        if name in digests and digests[name] != _digest(*part):
             yield f"{group.name.strip('/')}/{name}".strip("/")
 
 

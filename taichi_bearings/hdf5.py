@@ -26,6 +26,7 @@ from h5py._objects import phil
 from taichi_bearings.errors import FileError
 from taichi_bearings.plain_files import CLAIMED_BYTES, CLAIMED_FACTOR, opened
 
+LAYOUT = 1  # version of all files of the package
 UNREADABLE = (OSError, KeyError, ValueError, TypeError, AttributeError, IndexError, RuntimeError)
 """What HDF5 and NumPy raise at damaged files."""
 GZIP_FACTOR, UNPACKED_BYTES = 1032, 2**20  # bytes that gzip makes of one, at most; what may be claimed without any
@@ -36,11 +37,16 @@ FILTERS = {1: "gzip", 2: "shuffle", 3: "fletcher32", 32000: "lzf"}
 
 
 @contextlib.contextmanager
-def open_hdf5(path: Path) -> Iterator[h5py.File]:
-    """The file, open for reading; FileError if it would do harm. What else HDF5 raises is in UNREADABLE."""
-    look_through(path)
-    with h5py.File(path, "r") as file:
-        yield file
+def open_hdf5(path: Path, kind: str = "an HDF5 file") -> Iterator[h5py.File]:
+    """The file, open for reading; FileError if it would do harm, and for what a damaged one makes HDF5 and NumPy raise
+    inside. kind : what it is read as, for people."""
+    try:
+        look_through(path)
+        with h5py.File(path, "r") as file:
+            yield file
+    except UNREADABLE as error:
+        words = " ".join(str(error).strip("'").split())
+        raise FileError(f"{path} cannot be read as {kind}: {words}") from None
 
 
 def look_through(path: Path) -> None:

@@ -19,6 +19,17 @@ class Kind:
     def __init__(self, read: Callable[[Any], Any], allowed: str, metavar: str) -> None:
         self.read, self.allowed, self.metavar = read, allowed, metavar
 
+    def named(self, name: str, value: Any) -> Any:
+        """The value as it is kept; InputError names it and what is allowed."""
+        try:
+            return self.read(value)
+        except (ValueError, TypeError, KeyError, OverflowError):
+            try:
+                text = ",".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)
+            except ValueError:  # more digits than Python writes
+                text = shown(value)
+            raise InputError(f"{name} is {shown(text)}; it must be {self.allowed}{meant(text, self.known)}") from None
+
 
 def numbers(convert: Callable[[Any], Any], counts: tuple[int, ...]) -> Callable[[Any], Any]:
     def read(value: Any) -> tuple:
@@ -80,6 +91,11 @@ def bounded(convert: Callable[[Any], Any], low: float, high: float = math.inf, o
     return read
 
 
+def whole(least: int, most: int) -> Kind:
+    """A whole number in this range."""
+    return Kind(bounded(integer, least, most), f"a whole number from {least:,} to {most:,}", "N")
+
+
 def _text(value: Any) -> str:
     if not isinstance(value, str) or not value:
         raise ValueError
@@ -119,6 +135,7 @@ POSITIVE = Kind(bounded(real, LEAST_NUMBER, MOST_NUMBER), "a positive number fro
 NOT_NEGATIVE = Kind(bounded(real, 0, MOST_NUMBER), "0 or a positive number up to 1e15", "NUMBER")
 COUNT = Kind(bounded(integer, 1, 2**31), "a whole number, 1 or more", "N")
 SEED = Kind(bounded(integer, 0, 2**62), "a whole number, 0 or more and below 2^62", "N")
+SHAPE = Kind(numbers(integer, (2, 3)), "two or three whole numbers such as 32,32,32", "NX,NY[,NZ]")
 TRUTH = Kind(_truth, "true or false", "")
 
 
@@ -146,18 +163,7 @@ class Option:
 
     def read(self, name: str, value: Any) -> Any:
         """The value as it is kept; InputError names it and what is allowed."""
-        if value is None and self.default is None:
-            return None
-        try:
-            return self.kind.read(value)
-        except (ValueError, TypeError, KeyError, OverflowError):
-            try:
-                text = ",".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)
-            except ValueError:  # more digits than Python writes
-                text = shown(value)
-            raise InputError(
-                f"{name} is {shown(text)}; it must be {self.kind.allowed}{meant(text, self.kind.known)}"
-            ) from None
+        return None if value is None and self.default is None else self.kind.named(name, value)
 
     def is_used_by(self, method: Any, law: Any) -> bool:
         """method : None for one that is not known, which uses what all use."""

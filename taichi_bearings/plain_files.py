@@ -27,6 +27,16 @@ MOST_LINE = 2**20  # bytes of a line of a journal
 CLAIMED_FACTOR, CLAIMED_BYTES = 16, 2**25  # bytes that may be claimed for each one that is there, and in any case
 
 
+@contextlib.contextmanager
+def writing(what: object, inside: bool = False) -> Iterator[None]:
+    """WriteError for an OSError within: `what` cannot be written, or, `inside` a folder, what the error names."""
+    try:
+        yield
+    except OSError as error:
+        named = (error.filename2 or error.filename or what) if inside else what
+        raise WriteError(f"{named} cannot be written: {error.strerror or error}") from None
+
+
 def opened(path: Path, flags: int = os.O_RDONLY) -> IO[bytes]:
     """A regular file, unbuffered where it is written; OSError if there is none, FileError if it is something else."""
     strange = FileError(f"{path} is not a regular file")
@@ -139,6 +149,12 @@ def write_all(file: IO[bytes], content: bytes | memoryview) -> None:
     os.fsync(file.fileno())
 
 
+def let_go(file: IO[bytes]) -> None:
+    """Before a file that we hold open is renamed or removed: Windows wants it closed, other systems keep it locked."""
+    if sys.platform == "win32":
+        file.close()
+
+
 def remove(path: Path) -> None:
     """Whatever is there under this name goes, and nothing that a link leads to."""
     if path.is_dir() and not path.is_symlink():
@@ -151,11 +167,9 @@ def remove_leftover(path: Path) -> None:
     """Remove a new file that a killed process has left; one that is being written stays."""
     try:
         with opened(path, os.O_WRONLY | NO_LINK) as file:
-            is_left = lock(file) is True
-            if is_left and sys.platform != "win32":
+            if lock(file) is True:
+                let_go(file)
                 path.unlink()
-        if is_left and sys.platform == "win32":  # where an open file cannot be removed
-            path.unlink()
     except FileError:  # a link, a pipe
         path.unlink(missing_ok=True)
 
@@ -165,10 +179,8 @@ def locked(path: Path, what: str) -> Iterator[bool]:
     """Hold a lock file, which is there as long; FileError if another process does. False where there are no locks."""
     refuse_link_out(path)
     while True:
-        try:
+        with writing(path.parent):
             file = opened(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | NO_LINK)
-        except OSError as error:
-            raise WriteError(f"{path.parent} cannot be written: {error.strerror or error}") from None
         with file:
             held = lock(file)
             if held is False:
@@ -178,12 +190,10 @@ def locked(path: Path, what: str) -> Iterator[bool]:
             try:
                 yield bool(held)
             finally:
-                if is_at(file, path) and sys.platform != "win32":  # an exchanged directory takes its lock with it
+                if is_at(file, path):  # an exchanged directory takes its lock with it
                     with contextlib.suppress(OSError):
+                        let_go(file)
                         path.unlink()
-        with contextlib.suppress(OSError):
-            if sys.platform == "win32":  # where an open file cannot be removed
-                path.unlink()
         return
 
 

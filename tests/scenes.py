@@ -9,7 +9,7 @@ import pytest
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.lattice.grid import axis_numbers
 from taichi_bearings.scene import Scene
-from taichi_bearings.scene.disorder import Distribution, draw_coefficients, draw_viscosities
+from taichi_bearings.scene.disorder import Distribution, draw_coefficients
 from taichi_bearings.scene.law import law_named
 
 MINIMA = json.loads((Path(__file__).parent / "reference" / "minima.json").read_text())["scenes"]
@@ -31,10 +31,10 @@ def make_scene(
     **driving,
 ):
     lattice = Lattice(tuple(shape), radius, axis_numbers(periodic))
-    given = {"coefficients": (draw_coefficients, distribution), "viscosity": (draw_viscosities, viscosity)}
+    given = {"coefficients": distribution, "viscosity": viscosity}
     found = {}
-    for _, (name, (draw, text)) in zip(law_named(law).quantities, given.items(), strict=False):
-        drawn = [draw(lattice, Distribution.parse(text), seed) for seed in seeds]
+    for _, (name, text) in zip(law_named(law).quantities, given.items(), strict=False):
+        drawn = [draw_coefficients(lattice, Distribution.parse(text), seed, name == "viscosity") for seed in seeds]
         found[name] = tuple(np.stack(parts) for parts in zip(*drawn, strict=True))
     return Scene(law=law, radius=radius, seeds=tuple(seeds), periodic=periodic, **found, **driving)
 

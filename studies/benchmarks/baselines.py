@@ -33,11 +33,17 @@ class Arrays:
         self.dtype, self.layout = dtype, Layout(1, scene.lattice.shape, block=1)
         self.kept = [tangential(axis, axes) for axis in range(scene.lattice.dimension)]
         spin = scene.staggered_spin(initial_spin(scene, "random"), axes)
-        self.spin = self.layout.rows(spin).astype(dtype)
-        self.friction = self.layout.rows(self.layout.at_lower_sphere(scene.acting_coefficient)).astype(dtype)
+        self.spin = self._rows(spin)
+        self.friction = self._rows(self.layout.at_lower_sphere(scene.acting_coefficient))
         weight = weights(scene.acting_coefficient, scene.lattice, axes)
         weight[..., scene.lattice.is_driven] = np.inf
-        self.step = self.layout.rows(1e-3 / weight).astype(dtype)
+        self.step = self._rows(1e-3 / weight)
+
+    def _rows(self, values: np.ndarray) -> np.ndarray:
+        """(C, 1, *N) -> (C, length), zero in the margins."""
+        margin, sites = self.layout.margin, self.layout.sites
+        sides = ((0, 0), (margin, self.layout.length - margin - sites))
+        return np.pad(values.reshape(len(values), -1), sides).astype(self.dtype)
 
 
 class NumpySweep:

@@ -1,5 +1,5 @@
 """The numbers of spheres and contacts, row by row in one array, on the device that runs."""
 
-from taichi_bearings.fields.fields import Fields, FieldSpec, block_size, first_slots, make_layout, on_device, team_size
+from taichi_bearings.fields.fields import Fields, FieldSpec, block_size, first_slots, on_device, team_size
 
-__all__ = ["FieldSpec", "Fields", "block_size", "first_slots", "make_layout", "on_device", "team_size"]
+__all__ = ["FieldSpec", "Fields", "block_size", "first_slots", "on_device", "team_size"]

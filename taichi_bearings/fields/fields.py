@@ -6,7 +6,7 @@ import numpy as np
 
 from taichi_bearings import runtime
 from taichi_bearings.errors import DeviceError
-from taichi_bearings.lattice.layout import Layout, Rows
+from taichi_bearings.lattice.layout import Rows
 from taichi_bearings.memory import aligned_zeros
 
 FieldSpec = tuple[tuple[str, int], ...]  # (name, number of components); site fields of the flat layout
@@ -19,11 +19,6 @@ MOST_FIELD_NUMBERS = 2**30  # in all fields of a scene, so that kernels can inde
 def block_size() -> int:
     """Sites that a kernel works on together: blocks for SIMD on a CPU, one site a thread on a GPU."""
     return 1 if runtime.current().is_gpu else CPU_BLOCK
-
-
-def make_layout(replicas: int, shape: tuple[int, ...], periodic: tuple[int, ...] = ()) -> Layout:
-    """The flat layout of a lattice for the running device."""
-    return Layout(replicas, shape, block_size(), periodic)
 
 
 def number_type() -> np.dtype:

@@ -25,12 +25,10 @@ import numpy as np
 
 from taichi_bearings.analysis.histogram import SampleCounts
 from taichi_bearings.errors import FileError, InputError, printable
-from taichi_bearings.files.whole_file import attributes_of, put, read_hdf5, write_csv, write_hdf5
+from taichi_bearings.files.whole_file import attributes_of, layout_of, put, read_hdf5, write_csv, write_hdf5
 from taichi_bearings.scene.law import LAWS
 from taichi_bearings.scene.solution import is_crossed
 
-SCAN_SCHEMA = "taichi_bearings.scan"
-SCAN_VERSION = 1
 BINS_PER_DECADE = 20
 FAILED = "failed"  # the status of a sample without a result
 MISSING = "missing"  # the status of a sample that is not computed yet
@@ -104,8 +102,7 @@ def write_scan(path: Path, columns: Sequence[Column], histograms: SampleCounts, 
             packed = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if values.size > 1000 else {}
             put(group, name, values, units, text, dtype=values.dtype, **packed)
 
-    layout = {"schema": SCAN_SCHEMA, "schema_version": SCAN_VERSION, "samples": len(histograms.count)}
-    write_hdf5(path, fill, {**layout, **attributes})
+    write_hdf5(path, fill, {**layout_of("scan"), "samples": len(histograms.count), **attributes})
 
 
 def write_scan_csv(path: Path, columns: Sequence[Column]) -> None:
@@ -192,7 +189,7 @@ def read_scan(scan: Path) -> StoredScan:
     path = scan / "scan.h5" if scan.is_dir() else scan
     if not path.is_file():
         raise FileError(f"{scan} is not a scan: there is no {path}")
-    with read_hdf5(path, SCAN_SCHEMA, SCAN_VERSION, "a scan") as file:
+    with read_hdf5(path, "scan") as file:
         group = file["table"]
         sets = {str(name): group[str(name)] for name in group.attrs["columns"]}
         table = {name: (s.asstr() if h5py.check_string_dtype(s.dtype) else s)[()] for name, s in sets.items()}

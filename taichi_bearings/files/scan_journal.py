@@ -18,7 +18,7 @@ from typing import Any
 
 from taichi_bearings.errors import FileError
 from taichi_bearings.files.whole_file import replace_file
-from taichi_bearings.plain_files import opened, read_lines, refuse_link_out, write_all
+from taichi_bearings.plain_files import opened, read_lines, refuse_link_out, write_all, writing
 from taichi_bearings.scene.solution import is_crossed
 
 JOURNAL_NAME = "samples.jsonl"
@@ -93,11 +93,9 @@ class Journal:
     def __init__(self, path: Path) -> None:
         self.path = path
         refuse_link_out(path)
-        try:
+        with writing(path):
             self._length = self._drop_damaged_lines()
             self._file = opened(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
-        except OSError as error:
-            raise FileError(f"{path} cannot be written: {error.strerror or error}") from None
 
     def _drop_damaged_lines(self) -> int:
         """Leave nothing but whole lines in the file, in one move, and no other name of it; their bytes. A torn end goes

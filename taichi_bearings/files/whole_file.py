@@ -4,7 +4,6 @@ import contextlib
 import csv
 import io
 import os
-import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
@@ -14,9 +13,9 @@ import h5py
 import numpy as np
 
 from taichi_bearings.checksums import check, seal
-from taichi_bearings.errors import FileError, InputError, WriteError, printable
-from taichi_bearings.hdf5 import UNREADABLE, open_hdf5
-from taichi_bearings.plain_files import new_file, real_path, refuse_link_out, write_all
+from taichi_bearings.errors import FileError, InputError, printable
+from taichi_bearings.hdf5 import LAYOUT, open_hdf5
+from taichi_bearings.plain_files import let_go, new_file, real_path, refuse_link_out, write_all, writing
 from taichi_bearings.words import shown
 
 Buffer = bytes | memoryview
@@ -25,10 +24,8 @@ EMPTY: Mapping[str, Any] = MappingProxyType({})
 
 def make_folder(path: Path) -> None:
     """A folder and those above it, unless it is there; WriteError if that fails."""
-    try:
+    with writing(path):
         path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise WriteError(f"{path} cannot be written: {error.strerror or error}") from None
 
 
 def refuse_ending(out: Path | None, *endings: str) -> None:
@@ -48,22 +45,16 @@ def refuse_standing(paths: Iterable[Path], force: bool = False) -> None:
 def replace_file(path: Path, content: Buffer) -> None:
     """Replace `path` by a file with this content in one move; WriteError if that cannot be done."""
     refuse_link_out(path)
-    path, temporary = real_path(path), None  # a link stays one
-    try:
+    path = real_path(path)  # a link stays one
+    with writing(path):
         file, temporary = new_file(path)
-        with file:
-            write_all(file, content)
-            if sys.platform != "win32":  # where no open file can be renamed
+        try:
+            with file:
+                write_all(file, content)
+                let_go(file)
                 os.replace(temporary, path)
-        if sys.platform == "win32":
-            os.replace(temporary, path)
-    except BaseException as error:  # Ctrl-C too
-        if temporary is not None:
-            with contextlib.suppress(OSError):
-                temporary.unlink(missing_ok=True)
-        if isinstance(error, OSError):
-            raise WriteError(f"{path} cannot be written: {error.strerror or error}") from None
-        raise
+        finally:
+            temporary.unlink(missing_ok=True)
 
 
 def write_text(path: Path, text: str) -> None:
@@ -113,51 +104,47 @@ def _new_hdf5(path: Path) -> Iterator[h5py.File]:
     replace_file(path, whole.getvalue())
 
 
+def layout_of(kind: str) -> dict[str, Any]:
+    """Attributes that tell a "run", a "scan" or a "checkpoint"."""
+    return {"schema": f"taichi_bearings.{kind}", "schema_version": LAYOUT}
+
+
 @contextlib.contextmanager
-def read_hdf5(path: Path, schema: str, version: int, kind: str) -> Iterator[h5py.File]:
+def read_hdf5(path: Path, kind: str) -> Iterator[h5py.File]:
     """The open file, its checksums checked; FileError if it cannot be read, is of another kind or version, or changed,
     and for an InputError inside: what it holds cannot be.
 
-    kind : what it is for people, such as "a run".
+    kind : as of :func:`layout_of`.
     """
     try:
-        with open_hdf5(path) as file:
-            if (stored := file.attrs.get("schema")) != schema:
-                raise FileError(f"{path} is not {kind}: its schema is {shown(stored)}, not {schema!r}")
+        with open_hdf5(path, f"a {kind}") as file:
+            stored, schema = file.attrs.get("schema"), layout_of(kind)["schema"]
+            if stored != schema:
+                raise FileError(f"{path} is not a {kind}: its schema is {shown(stored)}, not {schema!r}")
             found = file.attrs.get("schema_version")
             if found is None:
                 raise FileError(f"{path} is damaged or was changed: it has lost its layout version")
-            if found != version:
-                raise FileError(f"{path} has layout version {found}; this program reads version {version}")
+            if found != LAYOUT:
+                raise FileError(f"{path} has layout version {found}; this program reads version {LAYOUT}")
             check(path, file)
             yield file
     except FileError:
         raise
     except InputError as error:
         raise FileError(f"{path} is damaged or was changed: {error}") from None
-    except UNREADABLE as error:
-        raise _unreadable(path, f"as {kind}", error) from None
-
-
-def _unreadable(path: Path, how: str, error: Exception) -> FileError:
-    words = " ".join(str(error).strip("'").split())
-    return FileError(f"{path} cannot be read {how}: {words}")
 
 
 def replace_group(path: Path, name: str, fill: Callable[[h5py.Group], None]) -> None:
     """Write a file anew with its group `name` as `fill` makes it and everything else as it was."""
 
     with _new_hdf5(path) as whole:
-        try:
-            with open_hdf5(path) as old:
-                check(path, old)
-                for key, value in old.attrs.items():
-                    whole.attrs[key] = value
-                for key in old:
-                    if key != name:
-                        old.copy(key, whole)
-        except UNREADABLE as error:
-            raise _unreadable(path, "in full", error) from None
+        with open_hdf5(path) as old:
+            check(path, old)
+            for key, value in old.attrs.items():
+                whole.attrs[key] = value
+            for key in old:
+                if key != name:
+                    old.copy(key, whole)
         group = whole.create_group(name)
         fill(group)
         seal(group)

@@ -12,7 +12,7 @@ components a computation carries, e.g. (2,) in 2D and (0, 1) for a cubic lattice
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -212,10 +212,8 @@ def laboratory_forces(force: np.ndarray, lattice: Lattice, spin_axes: tuple[int,
     if lattice.dimension == 2:
         return -lattice.lower_parity * force[0]
     friction = np.zeros((*force.shape[1:], 3))
-    for axis, span in enumerate(lattice.spans):
-        for slot in tangential(axis, spin_axes):
-            turned, turn = _turned(axis, spin_axes[slot])
-            friction[:, span, turned] = turn * lattice.lower_parity[span] * force[slot][:, span]
+    for slot, span, turned, sign in _turns(lattice, spin_axes):
+        friction[:, span, turned] = sign * force[slot][:, span]
     return friction
 
 
@@ -232,13 +230,15 @@ def staggered_forces(friction: np.ndarray, lattice: Lattice, spin_axes: tuple[in
     if lattice.dimension == 2:
         return -lattice.lower_parity * friction[None]
     force = np.zeros((len(spin_axes), *friction.shape[:-1]))
-    for axis, span in enumerate(lattice.spans):
-        for slot in tangential(axis, spin_axes):
-            turned, turn = _turned(axis, spin_axes[slot])
-            force[slot][:, span] = turn * lattice.lower_parity[span] * friction[:, span, turned]
+    for slot, span, turned, sign in _turns(lattice, spin_axes):
+        force[slot][:, span] = sign * friction[:, span, turned]
     return force
 
 
-def _turned(axis: int, component: int) -> tuple[int, int]:
-    """Laboratory axis and sign of -e_component x e_axis."""
-    return 3 - axis - component, 1 if (component - axis) % 3 == 1 else -1
+def _turns(lattice: Lattice, spin_axes: tuple[int, ...]) -> Iterator[tuple[int, slice, int, np.ndarray]]:
+    """For each component and the contacts across it the laboratory axis of -e_component x e_axis, and the signs of that
+    and of the lower spheres."""
+    for axis, span in enumerate(lattice.spans):
+        for slot in tangential(axis, spin_axes):
+            turn = 1 if (spin_axes[slot] - axis) % 3 == 1 else -1
+            yield slot, span, 3 - axis - spin_axes[slot], turn * lattice.lower_parity[span]

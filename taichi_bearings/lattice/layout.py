@@ -79,17 +79,6 @@ class Layout:
         """Fields (C, R, *N) with the place of their rows: here all are alike."""
         return [(spec, Rows(self.length, self.margin, (self.replicas, *self.shape)))]
 
-    @property
-    def inside(self) -> slice:
-        """The sites without their margins."""
-        return slice(self.margin, self.margin + self.sites)
-
-    def rows(self, values: np.ndarray) -> np.ndarray:
-        """(C, R, *N) -> (C, length), zero in the margins."""
-        result = np.zeros((len(values), self.length))
-        result[:, self.inside] = values.reshape(len(values), -1)
-        return result
-
     def at_lower_sphere(self, contacts: np.ndarray) -> np.ndarray:
         """(R, E) -> (D, R, *N): each contact at its lower sphere, 0 where there is none."""
         full = np.zeros((len(self.shape), self.replicas, *self.shape))

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from taichi_bearings.errors import InputError
+from taichi_bearings.lattice.grid import AXIS_NAMES, axis_numbers
 from taichi_bearings.packing.checks import MOST_SPHERES
+from taichi_bearings.scene.scene import periodic_axes
 from taichi_bearings.words import shown
-
-AXES = "xyz"
 
 
 @dataclass(frozen=True)
@@ -52,8 +52,8 @@ def built(
     dimension = len(cell.size)
     if len(cells) != dimension or min(cells) < 1 or np.prod([float(n) for n in cells]) > MOST_SPHERES / len(cell.basis):
         raise InputError(f"cells is {shown(cells)}; a {kind} lattice has {dimension} numbers of cells, 1 or more each")
-    closed = _closed(periodic, dimension)
-    if short := [AXES[axis] for axis in closed if cells[axis] < 2]:
+    closed = set(axis_numbers(periodic_axes(periodic, AXIS_NAMES[:dimension])))
+    if short := [AXIS_NAMES[axis] for axis in closed if cells[axis] < 2]:
         raise InputError(f"cells is {shown(cells)}; along {short[0]}, which is periodic, there must be 2 or more")
     grid = np.stack(np.meshgrid(*map(np.arange, cells), indexing="ij"), axis=-1).reshape(-1, dimension)
     basis, size = np.array(cell.basis), np.array(cell.size)
@@ -89,7 +89,7 @@ def driven_bodies(place: np.ndarray, closed: set[int], driven: str) -> np.ndarra
         raise InputError(
             f"driven is {shown(driven)}; it must be planes, walls, or shaft:r with its radius in diameters"
         )
-    if named := [AXES[axis] for axis in (0, 1) if axis in closed]:
+    if named := [AXIS_NAMES[axis] for axis in (0, 1) if axis in closed]:
         raise InputError(f"driven is {driven!r}, whose walls are at the ends of x and y, but {named[0]} is periodic")
     for axis in (0, 1):
         body[_ends(place, axis, 1) | _ends(place, axis, -1)] = 0
@@ -105,15 +105,6 @@ def _ends(place: np.ndarray, axis: int, side: int) -> np.ndarray:
     """True for the spheres (N,) that lie at the end of an axis, or at its beginning, side -1."""
     height = side * place[:, axis]
     return np.asarray(height > height.max() - 1e-6)
-
-
-def _closed(periodic: Any, dimension: int) -> set[int]:
-    names = [periodic] if isinstance(periodic, str) else list(periodic)
-    if strange := [name for name in names if name not in tuple(AXES[:dimension])]:
-        raise InputError(
-            f"periodic has {shown(strange[0])}; it must be names of axes among {', '.join(AXES[:dimension])}"
-        )
-    return {AXES.index(name) for name in names}
 
 
 def _bonds(cell: Cell) -> Iterator[tuple[int, int, np.ndarray, np.ndarray]]:

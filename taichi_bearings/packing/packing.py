@@ -6,7 +6,6 @@ radii drop out, and a packing out of a simulation, a space-filling bearing and a
 
 from dataclasses import dataclass, field, fields
 from functools import cached_property
-from operator import index
 from pathlib import Path
 from typing import Any
 
@@ -14,14 +13,16 @@ import h5py
 import numpy as np
 
 from taichi_bearings.errors import FileError, InputError, WriteError
-from taichi_bearings.options import SEED
+from taichi_bearings.options import SEED, SHAPE
 from taichi_bearings.packing import checks, random_packing, space_filling
 from taichi_bearings.packing.lammps import read_dumps
 from taichi_bearings.packing.lattices import KINDS, Built, built, driven_bodies
+from taichi_bearings.plain_files import writing
 from taichi_bearings.scene.array_files import read_arrays
 from taichi_bearings.scene.disorder import Distribution, Draw
-from taichi_bearings.scene.given import finite_number, own_array
+from taichi_bearings.scene.given import finite_number
 from taichi_bearings.scene.law import Coefficients, Law, law_named
+from taichi_bearings.scene.scene import bearing_state, imposed_direction
 from taichi_bearings.words import html_table, meant, shown
 
 NEEDED, OPTIONAL = (
@@ -83,7 +84,7 @@ class Packing:
         two = len(self.kind.quantities) > 1
         if self.viscosity is not None and not two:
             raise InputError(f"viscosity is given, but the law {self.law} does not use it; it needs coulomb-viscous")
-        seed = SEED.read(self.seed)
+        seed = SEED.named("seed", self.seed)
         usual: list[Any] = [("friction", seed, self.distribution), ("viscosity", [seed, 2], DISTRIBUTION)]
         for name, state, values in usual[: 1 + two]:
             given: Any = getattr(self, name)
@@ -160,7 +161,7 @@ class Packing:
         """
         if kind not in KINDS:
             raise InputError(f"kind is {shown(kind)}; allowed are {', '.join(KINDS)}{meant(kind, KINDS)}")
-        place, contact, normal, sign, closed = built(kind, _whole(cells), periodic)
+        place, contact, normal, sign, closed = built(kind, SHAPE.named("cells", cells), periodic)
         body = driven_bodies(place, closed, others.pop("driven", "planes"))
         return cls._between_sides(1.0, (place, contact, normal, sign, body), 2.0, seed, others)
 
@@ -176,7 +177,7 @@ class Packing:
         width : of the box in diameters of small spheres; if None about its height. seed : of places and coefficients.
         others : as of :meth:`lattice`; `radius` is that of the small spheres.
         """
-        seed = SEED.read(seed)
+        seed = SEED.named("seed", seed)
         radius, found = random_packing.built(spheres, dimension, ratio, large, width, np.random.default_rng([seed, 3]))
         return cls._between_sides(radius, found, 1.0, seed, others)
 
@@ -251,7 +252,7 @@ class Packing:
     def save(self, path: str | Path) -> Path:
         """Write the arrays into a new file, npz or HDF5 by its name; WriteError if it is there or cannot be written."""
         path = Path(path)
-        try:
+        with writing(path):
             if path.suffix == ".npz":
                 with open(path, "xb") as file:
                     np.savez(file, **self.arrays())  # type: ignore[arg-type]
@@ -261,37 +262,20 @@ class Packing:
                         stored[name] = values
             else:
                 raise WriteError(f"{path} must end in .npz, .h5 or .hdf5")
-        except OSError as error:
-            raise WriteError(f"{path} cannot be written: {error.strerror or error}") from None
         return path
 
 
 def _states(given: dict[str, Any], dimension: int) -> np.ndarray:
     """Bearing states (2, 4) of bottom and top: A and C. given : what says so is taken out."""
     spins = [finite_number(n, given.pop(n, d)) for n, d in (("spin_bottom", 0.0), ("spin_top", 1.0))]
-    direction = own_array("components of direction", given.pop("direction", (1.0, 1.0, 0.0)))
-    if direction.shape != (3,) or not 0 < np.linalg.norm(direction) < np.inf:
-        raise InputError(f"direction is {shown(direction)}; it must be a vector that is not 0")
-    states = [given.pop(name, None) for name in ("bottom", "top")]
-    if states == [None, None]:
+    direction = np.array(imposed_direction(given.pop("direction", (1.0, 1.0, 0.0))))
+    states = {name: given.pop(name, None) for name in ("bottom", "top")}
+    if all(state is None for state in states.values()):
         axis = direction / np.linalg.norm(direction) if dimension == 3 else np.array([0.0, 0.0, 1.0])
         return np.column_stack([np.outer(spins, axis), np.zeros(2)])
-    found = np.zeros((2, 4))
-    for row, name, state in zip(found, ("bottom", "top"), states, strict=True):
-        numbers = own_array(f"components of {name}", np.zeros(1) if state is None else state).ravel()
-        if len(numbers) not in ((1, 3, 4) if state is None else (1,) if dimension == 2 else (3, 4)):
-            raise InputError(f"{name} is {shown(state)}; it must be A and C, of discs one number")
-        if state is not None:
-            row[2 if dimension == 2 else slice(len(numbers))] = numbers if dimension == 3 else numbers[0]
-    return found
+    parts = [bearing_state(name, 0.0 if state is None else state, dimension) for name, state in states.items()]
+    return np.array([part if dimension == 3 else (0.0, 0.0, *part, 0.0) for part in parts])
 
 
 def _in_space(place: np.ndarray) -> np.ndarray:
     return place if place.shape[1] == 3 else np.column_stack([place, np.zeros(len(place))])
-
-
-def _whole(cells: Any) -> tuple[int, ...]:
-    try:
-        return tuple(index(number) for number in cells)
-    except TypeError:
-        raise InputError(f"cells is {shown(cells)}; it must be two or three whole numbers") from None

@@ -12,8 +12,8 @@ from math import pi
 import numpy as np
 
 from taichi_bearings.errors import InputError
+from taichi_bearings.options import whole
 from taichi_bearings.packing.lattices import Built
-from taichi_bearings.packing.space_filling import whole
 from taichi_bearings.scene.given import finite_number
 from taichi_bearings.words import shown
 
@@ -104,7 +104,7 @@ def built(
 ) -> tuple[np.ndarray, Built]:
     """Radii (N,) of small spheres; places, contacts, normals, signs, all 1, and sides, 0 of the floor, 1 of spheres at
     the surface, else -1. large : share of large spheres. width : of the box, in diameters of small ones."""
-    spheres = whole("spheres", spheres, 10, MOST_DEPOSITED)
+    spheres = whole(10, MOST_DEPOSITED).named("spheres", spheres)
     if dimension not in (2, 3):
         raise InputError(f"dimension is {shown(dimension)}; it must be 2 or 3")
     ratio, large = finite_number("ratio", ratio), finite_number("large", large)

@@ -18,10 +18,9 @@ from math import ceil, cos, pi, sqrt
 import numpy as np
 
 from taichi_bearings.errors import InputError
-from taichi_bearings.options import plain
+from taichi_bearings.options import whole
 from taichi_bearings.packing.lattices import Built
 from taichi_bearings.scene.given import finite_number
-from taichi_bearings.words import shown
 
 LEAST_RADIUS = 1e-4  # of the height of the strip; some 30 000 discs a period
 LARGEST_COUNT, MOST_PERIODS = 20, 1000
@@ -32,8 +31,8 @@ TANGENT = 1e-9  # gap of discs that touch, over the sum of their radii
 def built(m: int, n: int, least_radius: float, periods: int) -> tuple[np.ndarray, Built]:
     """Radii (N,); places (N, 2), contacts (E, 2), normals (E, 2), signs of the two kinds (N,) and sides (N,): 0 of
     discs on the lower line, 1 on the upper one, else -1. Heights are 0 to 1, x is periodic, large discs come first."""
-    m, n = whole("m", m, 0, LARGEST_COUNT), whole("n", n, 0, LARGEST_COUNT)
-    periods = whole("periods", periods, 1, MOST_PERIODS)
+    m, n = (whole(0, LARGEST_COUNT).named(name, value) for name, value in (("m", m), ("n", n)))
+    periods = whole(1, MOST_PERIODS).named("periods", periods)
     least = finite_number("least_radius", least_radius)
     if not LEAST_RADIUS <= least <= 0.25:
         raise InputError(
@@ -49,13 +48,6 @@ def built(m: int, n: int, least_radius: float, periods: int) -> tuple[np.ndarray
     contact, normal = _contacts(place, radius, 2 * half * periods)
     side = np.where(place[:, 1] - radius < TANGENT, 0, np.where(place[:, 1] + radius > 1 - TANGENT, 1, -1))
     return radius, (place, contact, normal, sign, side)
-
-
-def whole(name: str, value: object, least: int, most: int) -> int:
-    number = plain(value)
-    if not isinstance(number, int) or isinstance(number, bool) or not least <= number <= most:
-        raise InputError(f"{name} is {shown(value)}; it must be a whole number from {least:,} to {most:,}")
-    return number
 
 
 def _half_period(m: int, n: int, least: float) -> tuple[np.ndarray, float]:

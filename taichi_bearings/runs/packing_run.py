@@ -14,7 +14,7 @@ from taichi_bearings.lattice import Lattice
 from taichi_bearings.options import options_of
 from taichi_bearings.packing import Packing, PackingSolution, solve_packing
 from taichi_bearings.packing.system import System
-from taichi_bearings.runs.settings import OF_DRIVEN, OF_PACKINGS, SIZES, RunSettings, settings_table
+from taichi_bearings.runs.settings import OF_DRIVEN, SIZES, RunSettings, settings_table
 from taichi_bearings.runs.solved import Packed, Run
 from taichi_bearings.runs.torque import refuse_driven, torque_on_packing
 from taichi_bearings.scene import Status
@@ -91,7 +91,7 @@ def packing_of(settings: RunSettings) -> Packing:
 def refuse_unused(settings: RunSettings) -> None:
     """InputError for what a packing, its method or its law does not use."""
     given = settings.given
-    used = OF_PACKINGS if settings.packing is not None else (*OF_PACKINGS, *OF_DRIVEN)
+    used = [key for key in options_of(RunSettings) if settings.packing is None or key not in OF_DRIVEN]
     if strange := [key for key in given if key not in (*used, *options_of(method_of_packing(settings)))]:
         raise InputError(
             f"{strange[0]} is {shown(given[strange[0]])}, but a packing does not use it; it uses {', '.join(used)}"

@@ -17,12 +17,10 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from taichi_bearings.errors import FileError, InputError, WriteError
-from taichi_bearings.files.whole_file import make_folder, read_hdf5, refuse_standing, write_hdf5
-from taichi_bearings.plain_files import locked, real_path, remove, remove_leftover
+from taichi_bearings.errors import FileError, InputError
+from taichi_bearings.files.whole_file import layout_of, make_folder, read_hdf5, refuse_standing, write_hdf5
+from taichi_bearings.plain_files import locked, real_path, remove, remove_leftover, writing
 
-CHECKPOINT_SCHEMA = "taichi_bearings.checkpoint"
-CHECKPOINT_VERSION = 1
 CHECKPOINT_NAME = "checkpoint.h5"
 
 LEFTOVER = re.compile(r"\.(?P<name>.+)\.(?P<kind>in-use|partial-\d+-[0-9a-f]{6}(?P<old>-replaced)?)", re.DOTALL)
@@ -40,7 +38,7 @@ class RunDirectory:
     def publish(self) -> None:
         """Give the directory its name in one move, in exchange for the one that it replaces; WriteError if that cannot
         be, such as if something else has taken the name meanwhile, which stays."""
-        try:
+        with writing(self.path):
             standing = os.lstat(self.path) if os.path.lexists(self.path) else None
             if standing is None or self.replaced is None:
                 self.partial.rename(self.path)  # the system refuses to replace anything but an empty folder
@@ -49,8 +47,6 @@ class RunDirectory:
                 shutil.rmtree(self.partial, ignore_errors=True)
             else:
                 raise FileExistsError(errno.EEXIST, "something else was created there meanwhile")
-        except OSError as error:
-            raise WriteError(f"{self.path} cannot be written: {error.strerror or error}") from None
 
 
 @contextlib.contextmanager
@@ -67,7 +63,7 @@ def run_directory(path: Path, force: bool = False) -> Iterator[RunDirectory]:
     made = [folder for folder in path.parents if not folder.exists()]  # nearest first
     with contextlib.ExitStack() as stack:
         stack.callback(_remove_empty, made)
-        try:
+        with writing(f"output directory {path}"):
             path.parent.mkdir(parents=True, exist_ok=True)
             held = stack.enter_context(locked(path.with_name(f".{path.name}.in-use"), f"output directory {path}"))
             tidy(path.parent, ours=path.name if held else "")
@@ -84,8 +80,6 @@ def run_directory(path: Path, force: bool = False) -> Iterator[RunDirectory]:
             partial = path.with_name(f".{path.name}.partial-{os.getpid()}-{secrets.token_hex(3)}")
             stack.callback(shutil.rmtree, partial, ignore_errors=True)
             partial.mkdir()
-        except OSError as error:
-            raise WriteError(f"output directory {path} cannot be written: {error.strerror or error}") from None
         yield RunDirectory(path, partial, standing)
 
 
@@ -171,16 +165,15 @@ def completed(path: Path, outdated: Sequence[str] = ()) -> Iterator[Path]:
     """
     folder = path / PARTIAL
     try:
-        remove(folder)
-        folder.mkdir()
-        yield folder
-        for name in outdated:
-            with contextlib.suppress(OSError):
-                (path / name).unlink()
-        folder.rename(path / COMPLETE)
-        _complete(path)
-    except OSError as error:
-        raise WriteError(f"{error.filename or path} cannot be written: {error.strerror or error}") from None
+        with writing(path, inside=True):
+            remove(folder)
+            folder.mkdir()
+            yield folder
+            for name in outdated:
+                with contextlib.suppress(OSError):
+                    (path / name).unlink()
+            folder.rename(path / COMPLETE)
+            _complete(path)
     finally:
         remove(folder)
 
@@ -204,15 +197,13 @@ def in_use(path: Path, part: str = "") -> Iterator[None]:
     part : keeps others from that part of the work alone.
     """
     with locked(path / (f".in-use-{part}" if part else ".in-use"), f"{part} in {path}" if part else f"{path}") as held:
-        try:
+        with writing(path):
             tidy(path)
             if held and not part:
                 if (path / COMPLETE).is_dir() and not (path / COMPLETE).is_symlink():
                     _complete(path)
                 for left in (COMPLETE, PARTIAL):
                     remove(path / left)
-        except OSError as error:
-            raise WriteError(f"{path} cannot be written: {error.strerror or error}") from None
         yield
 
 
@@ -238,12 +229,8 @@ def writable_folder(path: Path, part: str = "") -> Iterator[None]:
     """
     refuse_name(path)
     make_folder(path)
-    with in_use(path, part):
-        try:
-            yield
-        except OSError as error:
-            name = error.filename2 or error.filename or path
-            raise WriteError(f"{name} cannot be written: {error.strerror or error}") from None
+    with in_use(path, part), writing(path, inside=True):
+        yield
 
 
 def default_run_path(command: str = "run") -> Path:
@@ -256,8 +243,8 @@ def write_checkpoint(folder: Path, scene: str, versions: Mapping[str, str], arra
 
     scene : the settings as TOML. arrays : none before the first step.
     """
-    layout = {"schema": CHECKPOINT_SCHEMA, "schema_version": CHECKPOINT_VERSION, "scene": scene}
-    write_hdf5(folder / CHECKPOINT_NAME, lambda file: file.update(arrays), layout | dict(versions))
+    attributes = layout_of("checkpoint") | {"scene": scene} | dict(versions)
+    write_hdf5(folder / CHECKPOINT_NAME, lambda file: file.update(arrays), attributes)
 
 
 def checkpoint_of(folder: Path) -> Path:
@@ -272,6 +259,6 @@ def read_checkpoint(folder: Path) -> tuple[str, dict[str, np.ndarray]]:
     """Scene and arrays of the checkpoint of a run directory, none if the run had not come to its first one; FileError
     if there is no checkpoint, or one damaged, changed or unknown."""
     arrays: dict[str, np.ndarray] = {}
-    with read_hdf5(checkpoint_of(folder), CHECKPOINT_SCHEMA, CHECKPOINT_VERSION, "a checkpoint") as file:
+    with read_hdf5(checkpoint_of(folder), "checkpoint") as file:
         file.visititems(lambda name, item: arrays.update({name: item[()]}) if isinstance(item, h5py.Dataset) else None)
         return str(file.attrs["scene"]), arrays

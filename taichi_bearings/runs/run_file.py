@@ -12,7 +12,7 @@ import numpy as np
 
 from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.files.scan_journal import JOURNAL_NAME
-from taichi_bearings.files.whole_file import attributes_of, put, read_hdf5, write_hdf5
+from taichi_bearings.files.whole_file import attributes_of, layout_of, put, read_hdf5, write_hdf5
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.lattice.grid import axis_numbers, friction_by_axis
 from taichi_bearings.proof.contact_state import ContactState, nothing_proven
@@ -28,9 +28,6 @@ from taichi_bearings.stages import stage
 if TYPE_CHECKING:
     from taichi_bearings.packing import PackingSolution
 
-RUN_SCHEMA = "taichi_bearings.run"
-RUN_VERSION = 1
-RUN_LAYOUT = {"schema": RUN_SCHEMA, "schema_version": RUN_VERSION}
 AXES = "xyz"
 SCAN_NAME = "scan.h5"  # beside the settings and the journal of a scan
 PACKING_ARRAYS = {
@@ -72,7 +69,7 @@ def write_run_file(path: Path, solution: Solution | Packed, attributes: Mapping[
             put(file, name, values[0] if one else values, unit, text, **packed)
 
     found = {} if isinstance(solution, Packed) else {"findings": list(solution.findings)}
-    write_hdf5(path, fill, {**RUN_LAYOUT, **attributes, **found})
+    write_hdf5(path, fill, {**layout_of("run"), **attributes, **found})
 
 
 def _rows_of_lattice(solution: Solution) -> Iterator[Row]:
@@ -165,7 +162,7 @@ def read_run(run: Path) -> Run:
         unfinished = path.with_name(CHECKPOINT_NAME).is_file()
         hint = f"; it is unfinished, `bearings run --resume {run}` goes on with it" if unfinished else ""
         raise FileError(f"{run} is not a run: there is no {path}{hint}")
-    with read_hdf5(path, RUN_SCHEMA, RUN_VERSION, "a run") as file:
+    with read_hdf5(path, "run") as file:
         attributes = attributes_of(file)
         told = (np.atleast_1d(attributes.get(name, np.nan)) for name in ("power", "lower_bound", "gap"))
         numbers = [v if v.dtype.kind in "iuf" else np.full(v.shape, np.nan) for v in told]  # no number says nothing

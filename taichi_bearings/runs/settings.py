@@ -22,6 +22,7 @@ from taichi_bearings.options import (
     POSITIVE,
     REAL,
     SEED,
+    SHAPE,
     TEXT,
     TRUTH,
     Kind,
@@ -29,7 +30,6 @@ from taichi_bearings.options import (
     Option,
     bounded,
     how,
-    integer,
     numbers,
     option,
     options_of,
@@ -62,18 +62,10 @@ def _state(value: Any) -> tuple[float, ...]:
     return (*parts, 0.0) if len(parts) == 3 else parts
 
 
-def _sides(value: Any) -> tuple[str, ...]:
-    try:
-        return periodic_axes(value)
-    except InputError as error:
-        raise ValueError from error
-
-
-SHAPE = Kind(numbers(integer, (2, 3)), "two or three whole numbers such as 32,32,32", "NX,NY[,NZ]")
 BEARING_STATE = Kind(
     _state, "three numbers and C such as 1,1,0;0.2, in 2D one number, each 0 or of size 1e-15 to 1e15", "AX,AY,AZ[;C]"
 )
-PERIODIC_AXES = Kind(_sides, "x, y or x,y, the axes that close on themselves", "x|y|x,y")
+PERIODIC_AXES = Kind(periodic_axes, "x, y or x,y, the axes that close on themselves", "x|y|x,y")
 THREE_NUMBERS = Kind(numbers(real, (3,)), "three finite numbers such as 1,1,0", "X,Y,Z")
 TIME_LIST = Kind(_times, "times such as 0.1,0.2,1 or linear:0,10,101 or log:1e-4,10,50 (start,stop,count)", "TIMES")
 
@@ -81,12 +73,7 @@ TIME_LIST = Kind(_times, "times such as 0.1,0.2,1 or linear:0,10,101 or log:1e-4
 BETWEEN_PLANES = "planes"
 SIZES = ("radius", "normal_force")
 OF_DRIVEN = ("shape", "periodic", "spin_top", "spin_bottom", "direction", "top", "bottom", "driven", "coefficients")
-OF_PACKINGS = (
-    "packing", "law", "tolerance", "seed", "distribution", "viscosity", "normal_force", "radius", "method", "figures",
-    "initial", "iterations", "time_limit", "duration", "record", "snapshots", "checkpoint_every", "replicas", "arch",
-    "precision", "threads", "slip_threshold", "torque",
-)  # fmt: skip
-"""Keys of a run that a packing uses; and further ones of a lattice with other driven bodies than planes."""
+"""Keys of a lattice, with planes or other driven bodies: a packing out of a file uses all but these."""
 DRIVING_KEYS = ("periodic", "top", "bottom", "driven")  # keys that summaries name where they are not the defaults
 
 motion = partial(option, methods=attrgetter("is_dynamics"))
@@ -360,15 +347,12 @@ def _table(rows: tuple[type[MethodOptions], ...]) -> dict[str, Option]:
 
 def toml_value(value: Any) -> str:
     """A text, number, truth value, list or (inline) table as it is written in TOML."""
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")  # the same escapes, but for that one
     if isinstance(value, (list, tuple)):
         return "[" + ", ".join(toml_value(part) for part in value) + "]"
     if isinstance(value, Mapping):
         return "{ " + ", ".join(f"{key} = {toml_value(part)}" for key, part in value.items()) + " }"
-    return repr(value)
+    written = json.dumps(value, ensure_ascii=False, default=str)  # as in JSON, but for one letter that must be escaped
+    return written.replace("\x7f", "\\u007f")
 
 
 MOST_SETTINGS_TEXT = 2**22  # bytes of a scene or scan file
@@ -384,21 +368,21 @@ def read_toml(path: Path) -> dict[str, Any]:
     path : a TOML file, a run directory (its scene.toml), or a run.h5 (its attribute `scene`).
     """
     from taichi_bearings.checksums import check
-    from taichi_bearings.hdf5 import UNREADABLE, open_hdf5
+    from taichi_bearings.hdf5 import open_hdf5
 
     if path.is_dir():
         path = path / "scene.toml"
     if not path.is_file():
         raise FileError(f"scene file {path} does not exist")
-    try:
-        if path.suffix not in (".h5", ".hdf5"):
-            return parse_toml(read_whole(path, MOST_SETTINGS_TEXT).decode(), path)
-        with open_hdf5(path) as file:
+    if path.suffix in (".h5", ".hdf5"):
+        with open_hdf5(path, "a run") as file:
             check(path, file)
             if "scene" not in file.attrs:
                 raise FileError(f"{path} holds no scene; it was not written by `bearings run`")
             return parse_toml(str(file.attrs["scene"]), path)
-    except UNREADABLE as error:
+    try:
+        return parse_toml(read_whole(path, MOST_SETTINGS_TEXT).decode(), path)
+    except UnicodeDecodeError as error:
         raise FileError(f"scene file {path} cannot be read: {error}") from None
 
 

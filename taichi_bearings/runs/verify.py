@@ -1,26 +1,23 @@
 """Independent verification of a run from its file alone."""
 
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from taichi_bearings.checksums import ATTRIBUTE, changed
-from taichi_bearings.errors import FileError, InputError
-from taichi_bearings.hdf5 import UNREADABLE, look_through, open_hdf5
+from taichi_bearings.errors import InputError
+from taichi_bearings.hdf5 import look_through, open_hdf5
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.runs.run_file import file_of, refuse_scan
-from taichi_bearings.scene.disorder import Distribution, draw_coefficients, draw_viscosities
+from taichi_bearings.scene.disorder import Distribution, draw_coefficients
 from taichi_bearings.stages import stage
 from taichi_bearings.verifier.claims import is_drawn
 from taichi_bearings.verifier.samples import Samples
 from taichi_bearings.verifier.stored_run import StoredRun, read_stored_run
 from taichi_bearings.verifier.verdict import report_of, together
-
-Draw = Callable[[Lattice, Distribution, int], tuple[np.ndarray, ...]]
 
 
 def verify(path: Path) -> dict[str, Any]:
@@ -46,8 +43,8 @@ def verify(path: Path) -> dict[str, Any]:
         size, drawn = {"shape": list(samples.shape)}, is_drawn(run)
         with stage("drawing the coefficients again"):
             lattice = Lattice(samples.shape, periodic=samples.periodic)
-            sets = [("coefficients", "distribution", draw_coefficients, samples.coefficient)]
-            sets += [("viscosities", "viscosity", draw_viscosities, samples.viscosity)] if samples.viscosity else []
+            sets = [("coefficients", "distribution", samples.coefficient)]
+            sets += [("viscosities", "viscosity", samples.viscosity)] if samples.viscosity else []
             report["contradictions"] += [said for one in sets * drawn for said in _redrawn(run, lattice, *one)]
     else:
         size = {"shape": None, "spheres": len(samples.spin), "contacts": len(samples.arrays["contact"])}
@@ -69,19 +66,15 @@ def verify(path: Path) -> dict[str, Any]:
 
 def _changed(path: Path) -> list[str] | None:
     """Names of what is not as it was written, by the checksums in the file; None where it has none."""
-    try:
-        with open_hdf5(path) as file:
-            return [*changed(path, file)] if ATTRIBUTE in file.attrs else None
-    except UNREADABLE as error:
-        raise FileError(f"{path} cannot be read as a run: {error}") from None
+    with open_hdf5(path, "a run") as file:
+        return [*changed(path, file)] if ATTRIBUTE in file.attrs else None
 
 
-def _redrawn(
-    run: StoredRun, lattice: Lattice, kind: str, key: str, draw: Draw, values: tuple[np.ndarray, ...]
-) -> list[str]:
+def _redrawn(run: StoredRun, lattice: Lattice, kind: str, key: str, values: tuple[np.ndarray, ...]) -> list[str]:
+    """Sentences on the arrays of a kind of coefficient that are not those of their seeds."""
     try:
-        distribution = Distribution.parse(str(run.settings[key]))
-        samples = [draw(lattice, distribution, int(seed)) for seed in run.claimed("seed")]
+        distribution, seeds = Distribution.parse(str(run.settings[key])), map(int, run.claimed("seed"))
+        samples = [draw_coefficients(lattice, distribution, seed, key == "viscosity") for seed in seeds]
     except (KeyError, InputError, TypeError, ValueError):
         return ["the scene names no distribution and seed that coefficients can be drawn from"]
     found = []

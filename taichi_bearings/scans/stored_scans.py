@@ -13,14 +13,14 @@ from taichi_bearings.errors import BearingsError, FileError
 from taichi_bearings.files.scan_file import (
     CONTACT_SETS,
     MISSING,
-    SCAN_SCHEMA,
     Column,
     StoredScan,
     column,
     dense_histograms,
     read_scan,
 )  # fmt: skip
-from taichi_bearings.hdf5 import UNREADABLE, open_hdf5
+from taichi_bearings.files.whole_file import layout_of
+from taichi_bearings.hdf5 import open_hdf5
 from taichi_bearings.plain_files import read_lines, read_whole
 from taichi_bearings.quantities import COLUMNS
 from taichi_bearings.runs.run import versions
@@ -47,8 +47,8 @@ def is_scan(path: Path) -> bool:
         return (path / "scan.h5").is_file() or journal_bytes(path) is not None
     try:
         with open_hdf5(path) as file:
-            return bool(file.attrs.get("schema") == SCAN_SCHEMA)
-    except (*UNREADABLE, FileError):
+            return bool(file.attrs.get("schema") == layout_of("scan")["schema"])
+    except FileError:
         return False
 
 

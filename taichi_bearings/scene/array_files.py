@@ -9,10 +9,8 @@ import numpy as np
 
 from taichi_bearings.checksums import check
 from taichi_bearings.errors import FileError
-from taichi_bearings.hdf5 import open_hdf5
+from taichi_bearings.hdf5 import LAYOUT, open_hdf5
 from taichi_bearings.plain_files import CLAIMED_BYTES, CLAIMED_FACTOR, opened
-
-LAYOUT = 1  # version of run.h5
 
 
 def read_arrays(path: Path, names: Sequence[str], optional: Sequence[str] = ()) -> dict[str, np.ndarray]:

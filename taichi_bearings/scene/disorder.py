@@ -101,18 +101,12 @@ Draw = Callable[[np.random.Generator, tuple[int, ...]], np.ndarray]
 """Coefficients of a shape: a distribution, or a function of one's own."""
 
 
-def draw_coefficients(lattice: Lattice, distribution: Draw, seed: int) -> tuple[np.ndarray, ...]:
-    """One array an axis of that axis' contact shape, drawn from ``default_rng(seed)``; dimensionless or damping."""
-    return _draw(lattice, distribution, np.random.default_rng(seed))
+def draw_coefficients(lattice: Lattice, distribution: Draw, seed: int, second: bool = False) -> tuple[np.ndarray, ...]:
+    """One array an axis of that axis' contact shape, drawn from ``default_rng(seed)``; dimensionless or damping.
 
-
-def draw_viscosities(lattice: Lattice, distribution: Draw, seed: int) -> tuple[np.ndarray, ...]:
-    """The same of the second coefficient of a law that has two, from ``default_rng([seed, 2])``."""
-    return _draw(lattice, distribution, np.random.default_rng([seed, 2]))
-
-
-def _draw(lattice: Lattice, distribution: Draw, rng: np.random.Generator) -> tuple[np.ndarray, ...]:
-    found = []
+    second : of the second coefficient of a law that has two, a viscosity, from ``default_rng([seed, 2])``.
+    """
+    rng, found = np.random.default_rng([seed, 2] if second else seed), []
     for shape in map(lattice.contact_shape, range(lattice.dimension)):
         values = own_array("values of the distribution", distribution(rng, shape))
         if values.shape != shape:

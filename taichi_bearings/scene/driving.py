@@ -46,15 +46,15 @@ class BearingState:
 class Driving:
     """bottom : state imposed on the bottom plane. jump : that of the top less that of the bottom.
 
-    unit : (1,), what spins are measured in where they are to be of order one, 1/time, in twice the precision; shares :
-    the jump in this unit where it is the same on the whole top, else None.
+    unit : (1,), what spins are measured in where they are to be of order one, 1/time, in twice the precision; in_units
+    : the jump in this unit where it is the same on the whole top, else None.
     """
 
     lattice: Lattice
     bottom: BearingState
     jump: BearingState
     unit: Pair
-    shares: Pair | None = None
+    in_units: BearingState | None = None
 
     @classmethod
     def by_spins(cls, lattice: Lattice, top: float, bottom: float, direction: tuple[float, float, float]) -> "Driving":
@@ -64,7 +64,7 @@ class Driving:
         low = BearingState(multiply(exactly(np.array([bottom])), axis), at_rest)
         jump = BearingState(multiply(two_sum(np.array([top]), np.array([-bottom])), axis), at_rest)
         unit = two_sum(np.array([sign * top]), np.array([-sign * bottom]))
-        return cls(lattice, low, jump, unit, (sign * axis[0], sign * axis[1]))
+        return cls(lattice, low, jump, unit, BearingState((sign * axis[0], sign * axis[1]), at_rest))
 
     @classmethod
     def by_states(cls, lattice: Lattice, top: tuple[float, ...], bottom: tuple[float, ...]) -> "Driving":
@@ -105,15 +105,10 @@ class Driving:
 
     def top_in_units(self, spin_axes: tuple[int, ...]) -> Pair:
         """The same over `unit`, a power of two where the jump varies."""
-        if self.shares is None:
-            high, low = self.imposed_on_top(spin_axes)
-            return high / self.unit[0], low / self.unit[0]
-        shape = (len(spin_axes), *(1,) * (self.lattice.dimension - 1))
-        high, low = (
-            np.broadcast_to(part[list(spin_axes)].reshape(shape), (len(spin_axes), *self.lattice.shape[:-1]))
-            for part in self.shares
-        )
-        return high, low
+        if self.in_units is not None:
+            return self._of_layers(self.in_units, spin_axes, self.lattice.shape[:-1])
+        high, low = self.imposed_on_top(spin_axes)
+        return high / self.unit[0], low / self.unit[0]
 
     def bottom_state(self, spin_axes: tuple[int, ...]) -> Pair:
         """Staggered spin of the bottom's state at all spheres, (C, 1, *N) or with sides of 1 where it does not vary, in
@@ -127,7 +122,7 @@ class Driving:
     @cached_property
     def largest_jump(self) -> float:
         """|jump| where it is largest on the top plane, 1/time: the natural unit of spin differences."""
-        if self.shares is not None:
+        if self.in_units is not None:
             return float(self.unit[0][0])
         return float(np.linalg.norm(self.imposed_on_top(self.lattice.all_spin_axes)[0], axis=0).max())
 

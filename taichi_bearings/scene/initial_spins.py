@@ -11,13 +11,10 @@ from taichi_bearings.scene.given import own_array
 from taichi_bearings.scene.scene import Scene, vector_length
 from taichi_bearings.words import meant
 
-STARTS = ("random", "zero", "linear", "minimum-cut")
-
 
 def random_spin(scene: Scene) -> np.ndarray:
     """Free spheres uniform in [-w, w] for each component, w the larger imposed spin; drawn from [seed, 1]."""
-    largest = scene.fastest
-    shape = scene.lattice.shape if scene.lattice.dimension == 2 else (*scene.lattice.shape, 3)
+    largest, shape = scene.fastest, zero_spin(scene).shape[1:]
     draws = [np.random.default_rng([seed, 1]).uniform(-largest, largest, shape) for seed in scene.seeds]
     return np.stack(draws)
 
@@ -68,6 +65,9 @@ def minimum_cut_spin(scene: Scene) -> np.ndarray:
     return scene.laboratory_spin(np.where(cut_of(scene).above, top, 0.0), axes)
 
 
+STARTS = {"random": random_spin, "zero": zero_spin, "linear": linear_spin, "minimum-cut": minimum_cut_spin}
+
+
 def initial_spin(scene: Scene, start: str | np.ndarray, called: str = "initial") -> np.ndarray:
     """Laboratory spins (R, *N) or (R, *N, 3), 1/time.
 
@@ -77,8 +77,7 @@ def initial_spin(scene: Scene, start: str | np.ndarray, called: str = "initial")
     if not isinstance(start, str):
         return _fitting(scene, start, "start")
     if start in STARTS:
-        start_of = dict(zip(STARTS, (random_spin, zero_spin, linear_spin, minimum_cut_spin), strict=True))
-        return start_of[start](scene)
+        return STARTS[start](scene)
     if not Path(start).exists():
         allowed = f"{', '.join(STARTS)} or a file with an array `spin`"
         raise InputError(f"{called} is {start!r}; allowed are {allowed}{meant(start, STARTS)}")

@@ -4,7 +4,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from itertools import product
-from operator import index
 from typing import Any, ClassVar
 
 import numpy as np
@@ -14,8 +13,8 @@ from taichi_bearings.lattice import Lattice
 from taichi_bearings.lattice.grid import AXIS_NAMES, MOST_SITES, axis_numbers
 from taichi_bearings.lattice.incidence import contact_differences
 from taichi_bearings.numerics.double_double import Pair, add
-from taichi_bearings.options import SEED
-from taichi_bearings.scene.disorder import Distribution, Draw, draw_coefficients, draw_viscosities
+from taichi_bearings.options import COUNT, SEED, SHAPE
+from taichi_bearings.scene.disorder import Distribution, Draw, draw_coefficients
 from taichi_bearings.scene.driving import Driving
 from taichi_bearings.scene.given import finite_number, own_array
 from taichi_bearings.scene.law import COULOMB, LAWS, Coefficients, Law, law_named
@@ -87,33 +86,23 @@ class Scene:
             coefficient of "coulomb-viscous"; `normal_force`, `radius`, `periodic`, and the states `top` and `bottom`.
         """
         law, replicas = law_named(law), others.pop("replicas", 1)
-        try:
-            sides, seed, replicas = tuple(map(index, shape)), index(seed), index(replicas)
-        except TypeError:
-            raise InputError(
-                f"shape is {shown(shape)}, seed is {shown(seed)} and replicas is {shown(replicas)}; they must be whole "
-                "numbers, and two or three of them the shape"
-            ) from None
+        seed, replicas = SEED.named("seed", seed), COUNT.named("replicas", replicas)
         viscosity = others.pop("viscosity", None)
         if viscosity is not None and len(law.quantities) == 1:
             laws = " or ".join(name for name, other in LAWS.items() if len(other.quantities) > 1)
             raise InputError(f"viscosity is {shown(viscosity)}, but the law {law} does not use it; it needs law {laws}")
-        if seed < 0:
-            raise InputError(f"seed is {seed}; it must be 0 or more")
         others["periodic"] = periodic_axes(others.get("periodic", ()))
         radius = finite_number("radius", others.get("radius", cls.radius))
-        lattice = Lattice(sides, radius, axis_numbers(others["periodic"]))
-        if not 1 <= replicas <= MOST_SITES // 8 // lattice.sites:
-            most = MOST_SITES // 8 // lattice.sites
-            raise InputError(
-                f"replicas is {shown(replicas)}; with this shape at least 1 and at most {most} can be indexed"
-            )
+        lattice = Lattice(SHAPE.named("shape", shape), radius, axis_numbers(others["periodic"]))
+        if replicas > (most := MOST_SITES // 8 // lattice.sites):
+            raise InputError(f"replicas is {replicas}; with this shape at most {most} can be indexed")
         others["seeds"] = tuple(range(seed, seed + replicas))
         sources = dict(zip(cls.DRAWN, (distribution, viscosity or "uniform:0.1,1.0"), strict=True))
         values = [source if callable(source) else Distribution.parse(source) for source in sources.values()]
         found = []
-        for _, draw, value in zip(law.quantities, (draw_coefficients, draw_viscosities), values, strict=False):
-            parts = zip(*(draw(lattice, value, number) for number in others["seeds"]), strict=True)
+        for second, value in enumerate(values[: len(law.quantities)]):
+            drawn = (draw_coefficients(lattice, value, number, bool(second)) for number in others["seeds"])
+            parts = zip(*drawn, strict=True)
             found.append(tuple(np.stack(part) if replicas > 1 else part[0] for part in parts))
         if len(found) > 1:
             others["viscosity"] = found[1]
@@ -132,7 +121,7 @@ class Scene:
             object.__setattr__(self, name, finite_number(name, getattr(self, name)))
         if self.normal_force <= 0:
             raise InputError(f"normal_force is {self.normal_force}; it must be positive")
-        object.__setattr__(self, "direction", _direction(self.direction))
+        object.__setattr__(self, "direction", imposed_direction(self.direction))
         object.__setattr__(self, "periodic", periodic_axes(self.periodic))
         self._read_states()
         object.__setattr__(self, "coefficients", _arrays("coefficients", self.coefficients))
@@ -430,7 +419,7 @@ class Scene:
         return np.clip(staggered, low.reshape(shape), high.reshape(shape))
 
 
-def _direction(given: Any) -> tuple[float, float, float]:
+def imposed_direction(given: Any) -> tuple[float, float, float]:
     """Three finite numbers, not all 0."""
     try:
         parts = tuple(finite_number("direction", part) for part in given)
@@ -461,11 +450,12 @@ def bearing_state(name: str, given: Any, dimension: int) -> tuple[float, ...]:
     raise InputError(f"{name} is {shown(given)}; the state of a plane must be {needed}")
 
 
-def periodic_axes(given: Any) -> tuple[str, ...]:
+def periodic_axes(given: Any, allowed: tuple[str, ...] = AXIS_NAMES[:2]) -> tuple[str, ...]:
     """Names of axes in their order, of several in a list or in one text, x,y."""
     parts = tuple(given.split(",") if given else ()) if isinstance(given, str) else tuple(given)
-    if any(part not in AXIS_NAMES[:2] for part in parts) or len(set(parts)) < len(parts):
-        raise InputError(f"periodic is {shown(given)}; it must be x, y or x,y, the axes that close on themselves")
+    if any(part not in allowed for part in parts) or len(set(parts)) < len(parts):
+        names = f"names of axes that close on themselves, among {', '.join(allowed)}, each once"
+        raise InputError(f"periodic is {shown(given)}; it must be {names}")
     return tuple(name for name in AXIS_NAMES if name in parts)
 
 

@@ -33,7 +33,7 @@ GEAR_COEFFICIENTS = {
 }
 LARGEST_GROWTH = 1 + 1e-9
 SOFTER_MODES = np.linspace(1.0, 0.02, 25)  # eigenvalues of the softer modes relative to the stiffest
-SAMPLE_MODES = 32  # that stand for all of a lattice, and wave numbers that stand for all along one of its axes
+SAMPLE_MODES = 32  # that stand for all of a lattice
 TIMES_IN_STEPS = np.unique(np.round(np.geomspace(1, 1e12, 600)))  # in steps
 ACCURATE_ERROR = 1e-2  # error up to which a step counts as accurate
 LEAST_EIGENVALUE = 1e-9  # eigenvalue; that of a layer that turns about the height as a whole is 0
@@ -130,19 +130,8 @@ def largest_weighted_eigenvalue(scene: Scene, spin_axes: tuple[int, ...], held: 
 def laplacian_spectrum(lattice: Lattice, spin_axes: tuple[int, ...]) -> np.ndarray:
     """Eigenvalues (SAMPLE_MODES,) of the unweighted lattice Laplacian, driven planes held: the middle ones of equal
     shares of those of all carried components."""
-    found = []
-    for component in spin_axes:
-        total = np.zeros(1)
-        for axis, side in enumerate(lattice.shape):
-            first, last, parts = (1, side - 2, side - 1) if axis == lattice.height_axis else (0, side - 1, side)
-            turn = 2 * np.pi if axis in lattice.periodic else np.pi
-            wave = np.linspace(first, last, min(last - first + 1, SAMPLE_MODES))
-            along = 2 - 2 * np.cos(turn * wave / parts) if axis != component else np.zeros(len(wave))
-            total = np.add.outer(total, along).ravel()
-        found.append(total)
-    return np.maximum(
-        np.quantile(np.concatenate(found), (np.arange(SAMPLE_MODES) + 0.5) / SAMPLE_MODES), LEAST_EIGENVALUE
-    )
+    found = [np.broadcast_to(eigenvalues(lattice, component), lattice.free_shape) for component in spin_axes]
+    return np.maximum(np.quantile(found, (np.arange(SAMPLE_MODES) + 0.5) / SAMPLE_MODES), LEAST_EIGENVALUE)
 
 
 @dataclass(frozen=True)

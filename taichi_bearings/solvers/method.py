@@ -4,9 +4,10 @@ from typing import Any
 
 import numpy as np
 
-from taichi_bearings.fields import Fields, FieldSpec, make_layout
+from taichi_bearings.fields import Fields, FieldSpec, block_size
 from taichi_bearings.kernels.stencil import Stencil
 from taichi_bearings.lattice.incidence import contact_differences, torques
+from taichi_bearings.lattice.layout import Layout
 from taichi_bearings.proof.certificate import Forces, largest_unbalanced_torque, lower_bound
 from taichi_bearings.scene import Progress, Scene
 from taichi_bearings.scene.scene import vector_length
@@ -111,7 +112,7 @@ class Method:
     def on_device(self, spec: FieldSpec) -> Fields:
         """Fields of a spec, on the device that runs."""
         lattice = self.scene.lattice
-        return Fields(make_layout(self.scene.replicas, lattice.shape, lattice.periodic), spec)
+        return Fields(Layout(self.scene.replicas, lattice.shape, block_size(), lattice.periodic), spec)
 
     def use(self, spec: Any, viscosity: np.ndarray | None) -> None:
         """Fields of a spec, with the coefficients of the contacts loaded.

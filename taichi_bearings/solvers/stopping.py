@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 
-from taichi_bearings.errors import InputError
 from taichi_bearings.proof.certificate import relative_gap
 from taichi_bearings.scene import Progress, Scene, Status
 
@@ -34,16 +33,6 @@ class StopRule:
         iterations = unlimited if settings.iterations is None else settings.iterations
         seconds, duration = (value or float("inf") for value in (settings.time_limit, settings.duration))
         return cls(settings.tolerance, iterations, seconds, duration)
-
-    def __post_init__(self) -> None:
-        if not 0 < self.tolerance < 1:
-            raise InputError(f"tolerance is {self.tolerance}; it must be between 0 and 1")
-        if self.iterations < 0:
-            raise InputError(f"iterations is {self.iterations}; it must be 0 or more")
-        if not self.seconds > 0:
-            raise InputError(f"time_limit is {self.seconds}; it must be a positive number of seconds")
-        if not self.duration > 0:
-            raise InputError(f"duration is {self.duration}; it must be a positive simulated time")
 
     def judge(
         self,

@@ -22,10 +22,10 @@ from taichi_bearings.options import (
     OneOf,
     bounded,
     how,
-    integer,
     option,
     options_of,
     real,
+    whole,
 )
 from taichi_bearings.scene.law import LAWS, Law
 from taichi_bearings.words import meant, shown
@@ -321,9 +321,7 @@ class CundallStrack(Springs):
     static_ratio: float = material(
         1.0, Kind(bounded(real, 1), "1 or more", "NUMBER"), "Static over kinetic friction, mu_s/mu_k."
     )
-    gear_order: int = how(
-        2, Kind(bounded(integer, 2, 5), "a whole number from 2 to 5", "N"), "Derivatives that the predictor keeps."
-    )
+    gear_order: int = how(2, whole(2, 5), "Derivatives that the predictor keeps.")
     energy: bool = how(False, TRUTH, "Keep an energy balance; a step takes a third longer.")
 
 

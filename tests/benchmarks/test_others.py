@@ -19,7 +19,8 @@ SWEEPS = 6
 
 
 def inside(arrays):
-    return arrays.spin[:, arrays.layout.inside].astype(float)
+    first = arrays.layout.margin
+    return arrays.spin[:, first : first + arrays.layout.sites].astype(float)
 
 
 def ours(scene):

@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from taichi_bearings.fields import Fields, make_layout
+from taichi_bearings.fields import Fields, block_size
 from taichi_bearings.kernels.stencil import Stencil
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.lattice.incidence import contact_differences, torques
+from taichi_bearings.lattice.layout import Layout
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import OperatorSplitting
 from taichi_bearings.solvers.operator_splitting import TorqueBalance
@@ -74,7 +75,7 @@ def test_springs_balance_the_pull_of_each_sphere(shape, axes, periodic, precisio
     weights, rng = (1.0,) * (len(shape) - 1) + (0.3,), np.random.default_rng(5)
     lattice = Lattice(shape, periodic=periodic)
     spec = (("potential", len(axes)), ("friction", 1), ("pull", len(axes)))
-    fields = Fields(make_layout(3, shape, periodic), spec)
+    fields = Fields(Layout(3, shape, block_size(), periodic), spec)
     balance = TorqueBalance(spec, Stencil(axes, len(shape), fields.layout.block, periodic), weights, fields)
     pull, start = rng.standard_normal((2, len(axes), 3, *shape)).astype(np.float32).astype(np.float64)
     fields.load("potential", start)

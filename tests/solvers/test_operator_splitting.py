@@ -21,7 +21,7 @@ def split(scene, tolerance, start="linear", iterations=30_000):
 @pytest.mark.parametrize("number", range(7))
 def test_exact_minima_are_enclosed_to_1e_5(number):
     """From one start or another; a sample of 5x5x5 and one of 10x10x10 from random spins."""
-    entry, start = minima((3, 3, 3), (5, 5, 5), (10, 10, 10))[number], STARTS[number % len(STARTS)]
+    entry, start = minima((3, 3, 3), (5, 5, 5), (10, 10, 10))[number], [*STARTS][number % len(STARTS)]
     solution, exact = split(scene_of(entry), 1e-5, start), entry["power_minimum"]
     assert solution.status is Status.CERTIFIED
     assert solution.lower_bound[0] <= exact * (1 + 1e-12)
