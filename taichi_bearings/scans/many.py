@@ -5,72 +5,57 @@ from contextlib import closing
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
-
 from taichi_bearings.errors import BearingsError
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.packing import Packing
-from taichi_bearings.runs.run import Job, job_of
+from taichi_bearings.runs.run import Job
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.runs.solved import Packed, Run
 from taichi_bearings.scans.engine import LocalEngine, failure, run_samples
-from taichi_bearings.scene import Scene
 
 
 @dataclass(frozen=True)
-class SceneTask:
-    """A scene or a packing to solve, from these spins; those that the settings name if None. number : which of many,
-    from 0."""
+class JobTask:
+    """One of many jobs. key : which, counted from 0. scene : a Scene or a Packing. job : what solves it."""
 
-    number: int
-    settings: RunSettings
-    scene: Scene | Packing
-    spin: np.ndarray | None
-
-    @property
-    def key(self) -> str:
-        return str(self.number)
+    key: str
+    scene: Any
+    job: Job
 
     @property
     def label(self) -> str:
-        return f"number {self.number}, {self.scene}"
+        return f"number {self.key}, {self.scene}"
 
-    def job(self, threads: int) -> Job:
-        """What solves it; InputError for what cannot be. threads : where the settings leave them open."""
-        settings = replace(self.settings, threads=self.settings.threads or threads)
-        if isinstance(self.scene, Packing):
-            return Job(settings, (self.scene,), self.spin)
-        assert self.spin is not None
-        return job_of(settings, self.scene, self.spin)
+    @property
+    def settings(self) -> RunSettings:
+        return self.job.settings
 
 
-def solve_tasks(tasks: Sequence[SceneTask]) -> list[dict[str, Any]]:
-    """In a worker: a record of each, with its `run`, or why there is none."""
+def solve_tasks(tasks: Sequence[JobTask]) -> list[dict[str, Any]]:
+    """In a worker, with one thread where the settings leave that open: a record of each, with its `run`, or why there
+    is none."""
     records = []
     with one_thread():
         for task in tasks:
             try:
-                run = task.job(threads=1).solve()
-                record = {"key": task.key, "scalars": {"status": run.status[0].value}, "run": run}
+                run = replace(task.job, settings=replace(task.settings, threads=task.settings.threads or 1)).solve()
+                records.append({"key": task.key, "scalars": {"status": run.status[0].value}, "run": run})
             except Exception as error:
-                record = failure(task, error)
-            records.append(record)
+                records.append(failure(task, error))
     return records
 
 
-def solve_all(tasks: Sequence[SceneTask], workers: int) -> Iterator[tuple[int, Run]]:
-    """The number and the answer of each, as they come; BearingsError for the first that has none."""
-    by_key = {task.key: task for task in tasks}
+def solve_all(tasks: Sequence[JobTask], workers: int) -> Iterator[Run]:
+    """The answers as they come, of the very scenes that were given; BearingsError for the first that has none."""
     with closing(LocalEngine(solve_tasks, workers)) as engine:
-        units = [(task,) for task in tasks]
-        for records in run_samples(units, engine):
+        for records in run_samples([(task,) for task in tasks], engine):
             for record in records:
-                task = by_key.pop(record["key"])
+                task = tasks[int(record["key"])]
                 if "run" not in record:
                     raise BearingsError(f"scene {task.label} has no answer: {record['scalars']['error']}")
-                run, scene = record["run"], task.scene
-                if isinstance(scene, Packing):
-                    solution: Any = Packed((replace(run.result, packing=scene),))
+                run, solution = record["run"], record["run"].solution
+                if isinstance(task.scene, Packing):
+                    solution = Packed((replace(run.result, packing=task.scene),))
                 else:
-                    solution = replace(run.solution, scene=scene)
-                yield task.number, replace(run, settings=task.settings, solution=solution)
+                    solution = replace(solution, scene=task.scene)
+                yield replace(run, settings=task.settings, solution=solution)
