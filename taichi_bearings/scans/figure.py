@@ -41,8 +41,8 @@ Point = dict[str, Any]
 """Samples of equal parameters, as the table beside the figure has them.
 
 x. number : disorders of each system, each counted once. mean, standard_error, or ratio; low, high : statistics of y.
-DRAWN_COLUMNS : x, y and the ends of the bar as drawn; not-a-number where no sample is left. CENSUS_COLUMNS : how many of
-how many samples that the scan asks for here are in it, and why others are not.
+DRAWN_COLUMNS : x, y and the ends of the bar as drawn; not-a-number where no sample is left. CENSUS_COLUMNS : how many
+samples are in it, of how many that the scan asks for here, and why others are not.
 """
 Points = dict[tuple[Any, ...], list[Point]]  # by the values of the parting columns
 
