@@ -22,28 +22,14 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from taichi_bearings.errors import BearingsError, InputError, WriteError
 from taichi_bearings.files.scan_file import FAILED
 from taichi_bearings.interrupts import unheard_by_children
-from taichi_bearings.runs.settings import RunSettings
 
-
-class Task(Protocol):
-    """What a worker solves: a sample of a scan, or a scene that somebody has made. It must be possible to pickle it."""
-
-    @property
-    def key(self) -> str: ...
-
-    @property
-    def label(self) -> str: ...
-
-    @property
-    def settings(self) -> RunSettings: ...
-
-
-Unit = tuple[Any, ...]  # of tasks of one kind
+Unit = tuple[Any, ...]
+"""Tasks that can be pickled: samples of a scan, or scenes that somebody has made. Each has key, label and settings."""
 Record = dict[str, Any]  # of a task, as in sample.solve_samples
 Work = Callable[[Sequence[Any]], list[Record]]
 TRIES = 2  # of each sample
@@ -62,7 +48,7 @@ class Outcome:
     reason: str = ""
 
 
-def failure(task: Task, reason: Exception | str) -> Record:
+def failure(task: Any, reason: Exception | str) -> Record:
     """The record of a sample that has no result."""
     words = str(reason) if isinstance(reason, (str, BearingsError)) else f"{type(reason).__name__}: {reason}"
     if isinstance(reason, Exception):
@@ -207,11 +193,7 @@ class _Solver:
                 self._end()
                 return None, f"no result within {seconds:g} s"
             records, is_healthy = self._pipe.recv()
-        except (
-            EOFError,
-            OSError,
-            pickle.UnpicklingError,
-        ):  # the end of the pipe, or a message torn by that of the worker
+        except (EOFError, OSError, pickle.UnpicklingError):  # it has ended, perhaps amid a message
             return None, self._end()
         if not is_healthy:
             self._end()
