@@ -33,57 +33,39 @@ def is_seen() -> bool:
     return in_notebook() or (sys.stderr is not None and sys.stderr.isatty())
 
 
-class NotebookLine(threading.Thread):
-    """A line below the cell that runs, written anew until it is stopped; then it is empty."""
-
-    def __init__(self, line: Callable[[], str]) -> None:
-        super().__init__(daemon=True)
-        self.line, self.over = line, threading.Event()
-
-    def run(self) -> None:
-        display = import_module("IPython.display").display
-        handle = display({"text/plain": self.line()}, raw=True, display_id=True)
-        while not self.over.wait(1 / REFRESH_NOTEBOOK):
-            handle.update({"text/plain": self.line()}, raw=True)
-        handle.update({"text/plain": ""}, raw=True)
-
-    def stop(self) -> None:
-        self.over.set()
-        self.join()
-
-
 class TerminalLine:
     """One line on stderr, no longer than the terminal is wide, that is written anew until the end; if it is a terminal.
-    In a notebook a line below the cell.
+    In a notebook a line below the cell, empty in the end.
 
     line : what it says, asked for at each writing.
     """
 
     def __init__(self, line: Callable[[], str]) -> None:
-        self.line = line
-        self.shown = is_seen()
-        self._live: Any = None
-        self._ended, self._lock = False, threading.Lock()
-        self._timer = threading.Timer(QUIET_SECONDS, self._start)
+        self.line, self._over = line, threading.Event()
+        self._thread = threading.Thread(target=self._show, daemon=True)
 
     def __enter__(self) -> Any:
-        if self.shown:
-            self._timer.daemon = True
-            self._timer.start()
+        if is_seen():
+            self._thread.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._timer.cancel()
-        with self._lock:
-            self._ended = True
-            if self._live is not None:
-                self._live.stop()
+        self._over.set()
+        if self._thread.is_alive():
+            self._thread.join()
 
-    def _start(self) -> None:
-        with self._lock:
-            if not self._ended:
-                self._live = NotebookLine(self.line) if in_notebook() else _live(self.line)
-                self._live.start()
+    def _show(self) -> None:
+        if self._over.wait(QUIET_SECONDS):
+            return
+        if in_notebook():
+            display = import_module("IPython.display").display
+            handle = display({"text/plain": self.line()}, raw=True, display_id=True)
+            while not self._over.wait(1 / REFRESH_NOTEBOOK):
+                handle.update({"text/plain": self.line()}, raw=True)
+            handle.update({"text/plain": ""}, raw=True)
+        else:
+            with _live(self.line):
+                self._over.wait()
 
 
 def _live(line: Callable[[], str]) -> Any:
