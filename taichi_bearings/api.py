@@ -30,7 +30,7 @@ from taichi_bearings.runs.run_file import read_run
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.runs.solved import Packed, Run
 from taichi_bearings.runtime import available_threads
-from taichi_bearings.scans.many import JobTask, solve_all
+from taichi_bearings.scans.sample import JobTask, solve_all
 from taichi_bearings.scene import Scene, Snapshots
 from taichi_bearings.scene.given import finite_number
 from taichi_bearings.scene.initial_spins import initial_spin
