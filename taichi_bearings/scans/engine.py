@@ -11,14 +11,13 @@ import multiprocessing
 import os
 import pickle
 import signal
-import sys
 import threading
-import types
 import uuid
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
+from multiprocessing import spawn
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
@@ -237,12 +236,15 @@ class _Solver:
 def _main_left_out() -> Iterator[None]:
     """Processes that are started within do not run the user's script again, which needs no guard against that, nor
     modules of the working folder, which Python would look for first (3.10 still does)."""
-    main, before = sys.modules["__main__"], os.environ.get("PYTHONSAFEPATH", "")
-    sys.modules["__main__"], os.environ["PYTHONSAFEPATH"] = types.ModuleType("__main__"), "1"
+    told, before = spawn.get_preparation_data, os.environ.get("PYTHONSAFEPATH")
+    spawn.get_preparation_data = lambda name: {k: v for k, v in told(name).items() if not k.startswith("init_main_")}
+    os.environ["PYTHONSAFEPATH"] = "1"
     try:
         yield
     finally:
-        sys.modules["__main__"], os.environ["PYTHONSAFEPATH"] = main, before
+        spawn.get_preparation_data = told
+        del os.environ["PYTHONSAFEPATH"]
+        os.environ.update({} if before is None else {"PYTHONSAFEPATH": before})
 
 
 def serve(pipe: Connection, work: Work) -> None:

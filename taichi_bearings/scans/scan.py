@@ -119,19 +119,16 @@ def unused_keys(plan: ScanPlan, is_here: bool = False) -> list[str]:
     return [sentence for key, sentence in found.items() if key not in used]
 
 
-def estimate(plan: ScanPlan, folder: Path | None, workers: int = 0, part: parts.Part | None = None) -> dict[str, Any]:
+def estimate(plan: ScanPlan, folder: Path, workers: int = 0, part: parts.Part | None = None) -> dict[str, Any]:
     """What a scan would do, without doing it: `samples`, `missing`, `workers`, `seconds` (None: unknown), `bytes`."""
     unused_keys(plan)  # which refuses what cannot be
-    ours = parts.part_of(plan, part).samples
-    missing: Sequence[Sample] = ours
-    if folder is not None:
-        plan = plan.going_on_in(folder)
-        missing, _ = missing_samples(plan, folder, part)
+    plan = plan.going_on_in(folder)
+    missing, _ = missing_samples(plan, folder, part)
     analyse = bool(plan.wishes.get("analyse"))
     number = _number_of_workers(missing, workers, analyse)
     seconds = cost.seconds_in_all(missing, number, analyse) + cost.WORKER_START if missing else 0.0
     return {
-        "samples": len(ours),
+        "samples": len(parts.part_of(plan, part).samples),
         "scanned": list(plan.scanned),
         "missing": len(missing),
         "workers": number,
