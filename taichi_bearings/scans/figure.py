@@ -154,9 +154,8 @@ def points_of(columns: Mapping[str, np.ndarray], request: Request) -> Points:
             continue
         used, census = rows[reasons[rows] == ""], Census.of(reasons[rows].tolist())
         own = [independent(values[used], disorder[used]) for values in terms]
-        point = {"x": x, "number": len(own[0])} | _statistics(
-            own, float(x) if isinstance(x, (int, float)) else place[x]
-        )
+        at = float(x) if isinstance(x, (int, float)) else place[x]
+        point: Point = {"x": x, "number": len(own[0]), **_statistics(own, at)}
         point |= zip(CENSUS_COLUMNS, (census.used, census.asked, census.reasons), strict=True)
         points.setdefault(tuple(part), []).append(point)
     every = list(itertools.chain(*points.values()))

@@ -14,7 +14,6 @@ from taichi_bearings.errors import BearingsError, InputError, WriteError
 from taichi_bearings.files.scan_file import bin_of
 from taichi_bearings.files.whole_file import make_folder
 from taichi_bearings.numerics.blas import one_thread
-from taichi_bearings.packing import Packing
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.quantities import plain
 from taichi_bearings.runs.run import Job, prepare, row_of, write_state
@@ -165,9 +164,9 @@ def solve_all(tasks: Sequence[JobTask], workers: int) -> Iterator[Run]:
                 task = tasks[int(record["key"])]
                 if "run" not in record:
                     raise BearingsError(f"scene {task.label} has no answer: {record['scalars']['error']}")
-                run, solution = record["run"], record["run"].solution
-                if isinstance(task.scene, Packing):
-                    solution = Packed((replace(run.result, packing=task.scene),))
+                run = record["run"]
+                if run.is_packing:
+                    solution: Any = Packed((replace(run.result, packing=task.scene),))
                 else:
-                    solution = replace(solution, scene=task.scene)
+                    solution = replace(run.solution, scene=task.scene)
                 yield replace(run, settings=task.settings, solution=solution)
