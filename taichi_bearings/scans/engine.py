@@ -176,6 +176,7 @@ class _Solver:
     engine: str
     work: Work
     process: BaseProcess | None = None
+    _device: tuple[str, str, int] | None = None
 
     def solve(self, unit: Unit, seconds: float) -> Solved:
         settings = unit[0].settings
