@@ -8,6 +8,7 @@ import contextlib
 import logging
 import math
 import multiprocessing
+import multiprocessing.connection
 import os
 import pickle
 import signal
@@ -181,7 +182,7 @@ class _Solver:
     def solve(self, unit: Unit, seconds: float) -> Solved:
         settings = unit[0].settings
         device = (settings.arch, settings.precision, settings.threads)
-        if self.process is not None and (self._device != device or self._pipe.poll()):  # it has ended meanwhile
+        if self.process is not None and (self._device != device or self._heard(0)):  # it has ended meanwhile
             self._end()
         try:
             if self.process is None:
@@ -189,7 +190,7 @@ class _Solver:
                 self._device = device
             with contextlib.suppress(BrokenPipeError, ConnectionResetError):
                 self._pipe.send(unit)
-            if not self._pipe.poll(min(seconds, LONGEST_WAIT)):
+            if not self._heard(seconds):
                 self._end()
                 return None, f"no result within {seconds:g} s"
             records, is_healthy = self._pipe.recv()
@@ -198,6 +199,10 @@ class _Solver:
         if not is_healthy:
             self._end()
         return records, ""
+
+    def _heard(self, seconds: float) -> bool:
+        """Whether the process says something within so many seconds, or ends."""
+        return bool(multiprocessing.connection.wait([self._pipe], min(seconds, LONGEST_WAIT)))
 
     def _start(self) -> None:
         context = multiprocessing.get_context("spawn")
