@@ -36,6 +36,7 @@ TRIES = 2  # of each sample
 HOPELESS = 10  # workers that end one after the other without any result
 LOOK_SECONDS = 0.2  # seconds between looks at what else is going on
 IDLE_SECONDS = 60.0  # seconds without work after which a worker ends
+OF_DASK = {"KilledWorker": "its Dask workers were lost", "CancelledError": "Dask has cancelled it"}
 LONGEST_WAIT = 2e6  # seconds; more would be more milliseconds than the system counts
 
 
@@ -139,7 +140,8 @@ class LocalEngine:
             try:
                 found.append(Outcome(unit, *future.result()))
             except Exception as error:
-                found.append(Outcome(unit, None, f"{type(error).__name__}: {error}"))
+                kind = type(error).__name__
+                found.append(Outcome(unit, None, OF_DASK.get(kind, f"{kind}: {error}")))
         return found
 
     def close(self) -> None:
