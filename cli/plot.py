@@ -1,13 +1,10 @@
 """bearings plot"""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 from taichi_bearings_cli.options import Choice, out_options, replica_option, run_argument, title_option
-
-if TYPE_CHECKING:
-    from taichi_bearings.plots.page import Page
 
 STRUCTURE_KINDS = ("domains", "network")
 PLOT_KINDS = ("spins", "power", "history", "energy", *STRUCTURE_KINDS, "scan")
@@ -68,6 +65,7 @@ def command(kind: str, run: Path, replica: int, time: float | None, out: Path | 
       bearings plot scan outputs/my-scan --y power --x L --log xy
       bearings plot scan outputs/my-scan --y power/power_minimum_cut --x L --where law=coulomb
     """
+    from taichi_bearings.errors import InputError
     from taichi_bearings.plots.page import Page, read_plane, read_view, read_width
 
     width, dpi, planes, seen, title = (more.pop(name) for name in ("width", "dpi", "planes", "view", "title"))
@@ -79,44 +77,32 @@ def command(kind: str, run: Path, replica: int, time: float | None, out: Path | 
         title,
     )
     if kind == "scan":
-        _plot_scan(run, out, force, page, **more)
+        from taichi_bearings.scans.figure import Request, plot_scan
+
+        if more["y"] is None or more["x"] is None:
+            raise InputError("`bearings plot scan` needs --y and --x, the names of columns")
+        if planes or seen:
+            words = f"--{'plane' if planes else 'view'} belongs to figures of runs, not to `bearings plot scan`"
+            raise InputError(words)
+        request = Request(**more | {"log": more["log"] or ""})
+        click.echo("\n".join(map(str, plot_scan(run, request, out, force, click.echo, page))))
     else:
-        _plot_run(kind, run, replica, time, out, force, page, more)
+        if given := [name for name, value in more.items() if value]:
+            raise InputError(f"--{given[0]} belongs to `bearings plot scan`, not to `bearings plot {kind}`")
+        _plot_run(kind, run, replica, time, out, force, page)
 
 
-def _plot_run(
-    kind: str, run: Path, replica: int, time: float | None, out: Path | None, force: bool, page: "Page", of_scan: Any
-) -> None:
-    from taichi_bearings.errors import InputError
+def _plot_run(kind: str, run: Path, replica: int, time: float | None, out: Path | None, force: bool, page: Any) -> None:
     from taichi_bearings.files.whole_file import refuse_ending
     from taichi_bearings.plots.style import ENDINGS, save, save_small
     from taichi_bearings.runs.figures import draw_figure
     from taichi_bearings.runs.run_directory import claimed
     from taichi_bearings.runs.run_file import read_run
 
-    if given := [name for name, value in of_scan.items() if value]:
-        raise InputError(f"--{given[0]} belongs to `bearings plot scan`, not to `bearings plot {kind}`")
     refuse_ending(out, *ENDINGS)
-    stored = read_run(run)
-    path = (run if run.is_dir() else run.parent) / kind
+    stored, path = read_run(run), (run if run.is_dir() else run.parent) / kind
     with claimed(out or path, force or out is None):
         figure = draw_figure(kind, stored.solution, replica, time, stored.settings.slip_threshold, page)
         if out:
             save(figure, out)
         click.echo(out or save_small(figure, path))
-
-
-def _plot_scan(
-    scan: Path, out: Path | None, force: bool, page: "Page", y: str | None, x: str | None, **rest: Any
-) -> None:
-    from taichi_bearings.errors import InputError
-    from taichi_bearings.scans.figure import Request, plot_scan
-
-    if y is None or x is None:
-        raise InputError("`bearings plot scan` needs --y and --x, the names of columns")
-    if page.planes or page.view:
-        raise InputError(
-            f"--{'plane' if page.planes else 'view'} belongs to figures of runs, not to `bearings plot scan`"
-        )
-    request = Request(y, x, rest["by"], rest["where"], rest["log"] or "")
-    click.echo("\n".join(map(str, plot_scan(scan, request, out, force, click.echo, page))))

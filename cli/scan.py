@@ -77,16 +77,16 @@ def command(context: click.Context, scan: Path, dry_run: bool, as_json: bool, **
         raise InputError("--merge solves nothing; leave out --part and --scheduler")
     if folder is None and (merge or one_part):
         raise InputError("--part and --merge need --out DIR, the same for all parts")
-    workers, part = asked["workers"] or 0, Part.parse(asked["part"]) if one_part else None
+    folder, workers = folder or default_run_path("scan"), asked["workers"] or 0
+    part = Part.parse(asked["part"]) if one_part else None
     plan = read_plan(path, asked["overrides"], {name: asked[name] for name in WISHES if asked[name] is not None})
     if dry_run:
         expected = study.estimate(plan, folder, workers, part)
         answer(expected, as_json, lambda: describe_estimate(expected))
         return
-    if merge and folder is not None:
+    if merge:
         report = study.merge(plan, folder)
     else:
-        folder = folder or default_run_path("scan")
         with ScanDisplay() as display, connected(asked["scheduler"]) as client:
             report = study.scan(plan, folder, workers, display, client=client, part=part)
     answer(report, as_json, lambda: describe(report))

@@ -30,7 +30,7 @@ from taichi_bearings.runs.run_file import read_run
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.runs.solved import Packed, Run
 from taichi_bearings.runtime import available_threads
-from taichi_bearings.scans.many import SceneTask, solve_all
+from taichi_bearings.scans.sample import JobTask, solve_all
 from taichi_bearings.scene import Scene, Snapshots
 from taichi_bearings.scene.given import finite_number
 from taichi_bearings.scene.initial_spins import initial_spin
@@ -332,13 +332,10 @@ def solve(
             raise InputError(f"callback is {shown(callback)}; it must be a function that takes a Check")
         monitors = [] if callback is None else [_monitor(callback)]
         density = {"density": options.pop("density")} if isinstance(scene, Packing) and "density" in options else {}
-        settings, spin = _settings(scene, method, {"tolerance": tolerance, **options}, start)
-        if isinstance(scene, Packing):
-            if monitors and minimises(settings):
-                raise InputError(f"callback is given, but method {settings.method} of a packing does not use it")
-            return PackingResult(**vars(runs.Job(settings, (scene,), spin).solve(monitors, **density).result))
-        assert spin is not None
-        return Result(replace(runs.job_of(settings, scene, spin).solve(monitors), command="taichi_bearings.solve"))
+        job = _job(scene, method, {"tolerance": tolerance, **options}, start)
+        if isinstance(scene, Packing) and monitors and minimises(job.settings):
+            raise InputError(f"callback is given, but method {job.settings.method} of a packing does not use it")
+        return _result(replace(job.solve(monitors, **density), command="taichi_bearings.solve"))
 
 
 def solve_many(
@@ -363,14 +360,10 @@ def solve_many(
         raise InputError(f"workers is {shown(workers)}; it must be 1 or more, or 0 for one a processor") from None
     if not isinstance(scenes, Iterable):
         raise InputError(f"scenes is a {type(scenes).__name__}; it must be scenes, as in solve_many([scene])")
-    tasks = []
-    for number, scene in enumerate(scenes):
-        settings, spin = _settings(scene, method, {"tolerance": tolerance, **options}, start)
-        task = SceneTask(number, settings, scene, spin)
-        task.job(threads=1)  # refuses what cannot be
-        tasks.append(task)
+    asked = {"tolerance": tolerance, **options}
+    tasks = [JobTask(str(number), scene, _job(scene, method, asked, start)) for number, scene in enumerate(scenes)]
     found = solve_all(tasks, min(workers or available_threads(), max(1, len(tasks))))
-    return (_result(replace(run, command="taichi_bearings.solve_many")) for _, run in found)
+    return (_result(replace(run, command="taichi_bearings.solve_many")) for run in found)
 
 
 def _result(run: Run) -> Result | PackingResult:
@@ -410,18 +403,18 @@ def load(path: str | Path) -> Any:
     return Result(stored)
 
 
-def _settings(
+def _job(
     scene: Scene | Packing, method: str | MethodOptions, options: Mapping[str, Any], start: str | np.ndarray
-) -> tuple[RunSettings, np.ndarray | None]:
-    """The settings of `bearings run` that solve this scene, and the spins to start from, of a packing None if they have
-    a name; arrays lie beside it."""
+) -> runs.Job:
+    """What solves this scene, with the settings of `bearings run`; InputError for what cannot be. Spins to start from
+    that are an array lie beside the settings."""
     if isinstance(scene, Packing):
         settings = RunSettings(packing="run.h5", law=str(scene.law), **_asked(method, options, start))
         settings = settings if isinstance(method, str) else used(settings)  # of its options all are given
         if "initial" in settings.given and minimises(settings):
             raise InputError(f"start is given, but method {settings.method} of a packing does not use it")
         refuse_unused(settings)
-        return settings, None if isinstance(start, str) else start
+        return runs.Job(settings, (scene,), None if isinstance(start, str) else start)
     if not isinstance(scene, Scene):
         raise InputError(f"the scene is a {type(scene).__name__}; it must be a taichi_bearings.Scene or a Packing")
     values: dict[str, Any] = {name: getattr(scene, name) for name in Scene.PARAMETERS}
@@ -430,7 +423,8 @@ def _settings(
         del values["direction"]  # which has no meaning there
     values |= scene.drawn or {"coefficients": "run.h5"}
     values |= _asked(method, options, start)
-    return RunSettings.from_mapping(values, "the options"), initial_spin(scene, start, "start")
+    settings = RunSettings.from_mapping(values, "the options")
+    return runs.job_of(settings, scene, initial_spin(scene, start, "start"))
 
 
 def _asked(method: str | MethodOptions, options: Mapping[str, Any], start: str | np.ndarray) -> dict[str, Any]:

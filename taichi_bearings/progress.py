@@ -33,57 +33,39 @@ def is_seen() -> bool:
     return in_notebook() or (sys.stderr is not None and sys.stderr.isatty())
 
 
-class NotebookLine(threading.Thread):
-    """A line below the cell that runs, written anew until it is stopped; then it is empty."""
-
-    def __init__(self, line: Callable[[], str]) -> None:
-        super().__init__(daemon=True)
-        self.line, self.over = line, threading.Event()
-
-    def run(self) -> None:
-        display = import_module("IPython.display").display
-        handle = display({"text/plain": self.line()}, raw=True, display_id=True)
-        while not self.over.wait(1 / REFRESH_NOTEBOOK):
-            handle.update({"text/plain": self.line()}, raw=True)
-        handle.update({"text/plain": ""}, raw=True)
-
-    def stop(self) -> None:
-        self.over.set()
-        self.join()
-
-
 class TerminalLine:
     """One line on stderr, no longer than the terminal is wide, that is written anew until the end; if it is a terminal.
-    In a notebook a line below the cell.
+    In a notebook a line below the cell, empty in the end.
 
     line : what it says, asked for at each writing.
     """
 
     def __init__(self, line: Callable[[], str]) -> None:
-        self.line = line
-        self.shown = is_seen()
-        self._live: Any = None
-        self._ended, self._lock = False, threading.Lock()
-        self._timer = threading.Timer(QUIET_SECONDS, self._start)
+        self.line, self._over = line, threading.Event()
+        self._thread = threading.Thread(target=self._show, daemon=True)
 
     def __enter__(self) -> Any:
-        if self.shown:
-            self._timer.daemon = True
-            self._timer.start()
+        if is_seen():
+            self._thread.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._timer.cancel()
-        with self._lock:
-            self._ended = True
-            if self._live is not None:
-                self._live.stop()
+        self._over.set()
+        if self._thread.is_alive():
+            self._thread.join()
 
-    def _start(self) -> None:
-        with self._lock:
-            if not self._ended:
-                self._live = NotebookLine(self.line) if in_notebook() else _live(self.line)
-                self._live.start()
+    def _show(self) -> None:
+        if self._over.wait(QUIET_SECONDS):
+            return
+        if in_notebook():
+            display = import_module("IPython.display").display
+            handle = display({"text/plain": self.line()}, raw=True, display_id=True)
+            while not self._over.wait(1 / REFRESH_NOTEBOOK):
+                handle.update({"text/plain": self.line()}, raw=True)
+            handle.update({"text/plain": ""}, raw=True)
+        else:
+            with _live(self.line):
+                self._over.wait()
 
 
 def _live(line: Callable[[], str]) -> Any:
@@ -110,7 +92,6 @@ class Display(Watch):
     def __init__(self, since: float | None = None) -> None:
         """since : when the time begins, by time.perf_counter()."""
         super().__init__(since=since)
-        self._forecasts: dict[int, Forecast] = {}  # of the solves under way, by their stage
         self._context = ExitStack()
 
     def __enter__(self) -> "Display":
@@ -123,11 +104,7 @@ class Display(Watch):
 
     def hear(self, stage: Stage) -> None:
         if stage.report is not None:
-            self._forecasts.setdefault(id(stage), Forecast()).look(stage.report)
-
-    def end(self, old: Stage) -> None:
-        super().end(old)
-        self._forecasts.pop(id(old), None)
+            stage.done.append((time.perf_counter() - stage.began, share_of(stage.report)[0]))
 
     def line(self) -> str:
         """Stages under way, outermost first, with what is known of them; the innermost one is always timed."""
@@ -137,15 +114,15 @@ class Display(Watch):
             if stage.total == 1 and not is_innermost:
                 continue
             words = [stage.name + (f" {stage.number:,} of {stage.total:,}" if stage.total > 1 else "")]
-            forecast = self._forecasts.get(id(stage)) if is_innermost else None
-            if forecast is not None:
-                words += [forecast.left(now), forecast.standing]
-            elif stage.done:  # in parts, of which the first may compile
-                left = seconds_left(stage.done[1:]) - (now - stage.began - stage.done[-1][0])
-                words.append(f"{duration(left)} left" if 0 < left < math.inf else "")
-            if is_innermost and not any(words[1:2]) and now - stage.began >= 1:
-                words.insert(1, f"{duration(now - stage.began)} so far")
-            told.append(", ".join(filter(None, words)))
+            if is_innermost or stage.report is None:
+                left, until = forecast(stage)
+                left -= now - stage.began - (stage.done[-1][0] if stage.done else 0.0)
+                if 0 < left < math.inf:
+                    words.append(f"{duration(left)} left{until}")
+                elif is_innermost and now - stage.began >= 1:
+                    words.append(f"{duration(now - stage.began)} so far")
+                words += [] if stage.report is None else [standing(stage.report)]
+            told.append(", ".join(words))
         return " · ".join(told) or self.between
 
     def times(self) -> str:
@@ -160,34 +137,23 @@ def displayed(wanted: bool = True) -> AbstractContextManager[Any]:
     return Display() if wanted and is_seen() and not is_watched() else nullcontext()
 
 
-class Forecast:
-    """Where a solve stands, and when it ends at the pace of the last two thirds of its time."""
+def standing(report: Any) -> str:
+    """Where a solve stands, by what it reports (solvers.drive.Report)."""
+    progress = report.progress
+    words = [counted(progress.iteration, "iteration")]
+    words += [f"t = {progress.time:.3g}"] if progress.time is not None else []
+    return ", ".join([*words, f"P = {float(np.mean(report.objective)):.8g}", f"gap {float(np.max(report.gap)):.1e}"])
 
-    def __init__(self) -> None:
-        self.points: list[tuple[float, float]] = []  # (seconds, share done) at each report
-        self.told_at, self.left_then, self.until = 0.0, math.inf, ""
-        self.standing = ""
 
-    def look(self, report: Any) -> None:
-        """Hear a report of a solve (solvers.drive.Report)."""
-        progress, seconds = report.progress, report.seconds
-        share, until = share_of(report)
-        self.points.append((seconds, share))
-        left = seconds_left([point for point in self.points if point[0] >= seconds / WINDOW])
-        if left > FARTHEST * seconds:
-            left = math.inf
-        limit = report.stop.seconds - seconds
-        self.left_then, self.until = (left, until) if left < limit else (limit, "the time limit")
-        self.told_at = time.perf_counter()
-        words = [counted(progress.iteration, "iteration")]
-        words += [f"t = {progress.time:.3g}"] if progress.time is not None else []
-        words += [f"P = {float(np.mean(report.objective)):.8g}", f"gap {float(np.max(report.gap)):.1e}"]
-        self.standing = ", ".join(words)
-
-    def left(self, now: float) -> str:
-        """Time left and until what, where that is known and not over."""
-        left = self.left_then - (now - self.told_at)
-        return f"{duration(left)} left to {self.until}" if 0 < left < math.inf else ""
+def forecast(stage: Stage) -> tuple[float, str]:
+    """Seconds that were left when a stage was last heard of, at the pace of the last two thirds of its time, infinite
+    where that is not known; and for a solve in words until what."""
+    seconds, report = (stage.done[-1][0] if stage.done else 0.0), stage.report
+    left = seconds_left([point for point in stage.done if point[0] >= seconds / WINDOW])  # the first part may compile
+    if report is None:
+        return left, ""
+    left, limit = (left if left <= FARTHEST * seconds else math.inf), report.stop.seconds - report.seconds
+    return (left, f" to {share_of(report)[1]}") if left < limit else (limit, " to the time limit")
 
 
 def share_of(report: Any) -> tuple[float, str]:

@@ -169,19 +169,10 @@ class StoredScan:
         return self.table["status"] == FAILED
 
     @property
-    def missing(self) -> np.ndarray:
-        """(samples,) True for a sample that is not computed yet; scan.h5 has none of them."""
-        return self.table["status"] == MISSING
-
-    @property
     def reasons(self) -> np.ndarray:
         """(samples,) why each has no result, in words that follow a number; empty texts for those that have one."""
-        return np.where(self.failed, "failed", np.where(self.missing, "not computed yet", "")).astype(object)
-
-    @property
-    def is_complete(self) -> bool:
-        """True if there is a row for each sample that the scan asks for."""
-        return bool(self.attributes.get("asked") == self.samples)
+        words = {FAILED: "failed", MISSING: "not computed yet"}
+        return np.array([words.get(status, "") for status in self.table["status"]], dtype=object)
 
 
 def read_scan(scan: Path) -> StoredScan:

@@ -1,34 +1,30 @@
 """Solving the samples of a scan on a Dask cluster, by the same worker processes as on this machine.
 
-Every thread of a Dask worker keeps one process of its own, in which a :class:`LocalEngine` has the samples solved. So a
-sample gets a fresh main thread and a Taichi runtime of one thread wherever it is solved, and the same bits; one that
-hangs, aborts or runs out of memory ends that process, not the Dask worker, which stays in touch with its scheduler
-however long a sample takes. A Dask worker that is lost with its machine costs what it was at: Dask gives that to
-another one, and if it is lost again the scan tries it once more.
+Every thread of a Dask worker keeps one process of its own, as those of a :class:`LocalEngine` do. So a sample gets a
+fresh main thread and a Taichi runtime of one thread wherever it is solved, and the same bits; one that hangs, aborts or
+runs out of memory ends that process, not the Dask worker, which stays in touch with its scheduler however long a sample
+takes. A Dask worker that is lost with its machine costs what it was at: Dask gives that to another one, and if it is
+lost again the scan tries it once more.
 """
 
 import contextlib
 import logging
 import math
-import multiprocessing
-import threading
 import time
-import uuid
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from taichi_bearings.errors import BearingsError, InputError
-from taichi_bearings.scans.engine import LOOK_SECONDS, LocalEngine, Outcome, Record, Unit, Work
+from taichi_bearings.scans.engine import LocalEngine, Outcome, Unit, Work, end_solvers
 from taichi_bearings.scans.plan import files_of
 
 if TYPE_CHECKING:
-    from distributed import Client, Future
+    from distributed import Client
 
 CONNECT = 5.0  # seconds to wait for a scheduler
 UNITS_AHEAD = 2  # units at a time for each thread, so that the next one is there when one is done
-PAUSE = 0.02  # seconds between two looks at units
 LOOK = 1.0  # seconds between two counts of the workers
 LONELY = 10.0  # seconds without any worker after which that is said
 
@@ -59,26 +55,16 @@ def connected(scheduler: str | None) -> "contextlib.AbstractContextManager[Clien
         logger.setLevel(level)
 
 
-@dataclass
-class DaskEngine:
-    """Workers of a Dask cluster, each thread of which has a process that solves.
+class DaskEngine(LocalEngine):
+    """The threads of the workers of a Dask cluster instead; `workers` are those at most so far.
 
     client : of the cluster. work, allowed : as in :class:`LocalEngine`.
     """
 
-    client: "Client"
-    work: Work
-    allowed: Callable[[Unit], float] = lambda unit: math.inf
-    workers: int = 0  # threads at most so far
-    _name: str = field(default_factory=lambda: uuid.uuid4().hex)
-    _submitted: "dict[str, tuple[Future, Unit]]" = field(default_factory=dict)
-    _threads: int = 0
-    _looked: float = -LOOK
-    _seen: float = field(default_factory=time.monotonic)
-
-    @property
-    def running(self) -> list[Unit]:
-        return [unit for _, unit in self._submitted.values()]
+    def __init__(self, client: "Client", work: Work, allowed: Callable[[Unit], float] = lambda unit: math.inf) -> None:
+        super().__init__(work, 1, allowed)
+        self.client, self.workers, self.executor = client, 0, client.get_executor(pure=False)
+        self._threads, self._looked, self._seen = 0, -LOOK, time.monotonic()
 
     @property
     def has_room(self) -> bool:
@@ -92,67 +78,25 @@ class DaskEngine:
             if now > self._seen + LONELY:
                 self._seen = now + 10 * LONELY
                 logging.getLogger(__name__).warning("bearings: the Dask cluster has no workers; waiting for some")
-        return len(self._submitted) < UNITS_AHEAD * self._threads
+        return len(self.running) < UNITS_AHEAD * self._threads
 
-    def submit(self, unit: Unit) -> None:
-        sent = []  # with its files named in full, since workers run elsewhere
+    def sent(self, unit: Unit) -> Unit:
+        """With its files named in full, since workers run elsewhere."""
+        named = []
         for sample in unit:
             names: dict[str, Any] = {name: str(Path(file).absolute()) for name, file in files_of(sample.settings)}
-            sent.append(replace(sample, settings=replace(sample.settings, **names)) if names else sample)
-        key = f"bearings-{self._name}-{uuid.uuid4().hex}"
-        future = self.client.submit(solve_unit, tuple(sent), self._name, self.work, self.allowed, key=key, pure=False)
-        self._submitted[key] = future, unit
+            named.append(replace(sample, settings=replace(sample.settings, **names)) if names else sample)
+        return tuple(named)
 
     def collect(self, seconds: float) -> list[Outcome]:
-        end = time.monotonic() + seconds
-        while not (done := [key for key, (future, _) in self._submitted.items() if future.done()]):
-            if time.monotonic() >= end:
-                break
-            time.sleep(PAUSE)
+        if not self.running:  # as long as there is no worker
+            time.sleep(seconds)
+        found = super().collect(seconds)
         if self.client.status != "running":  # then its units are cancelled
             raise BearingsError("the connection to the Dask scheduler is lost; the same scan again goes on")
-        return [outcome for key in done if (outcome := self._outcome(key)) is not None]
-
-    def _outcome(self, key: str) -> Outcome | None:
-        """What became of a unit; None if its result was lost again, with the worker that had it."""
-        import distributed
-
-        future, unit = self._submitted[key]
-        records, reason = None, "Dask has cancelled it"
-        try:
-            if future.status == "finished":
-                records, reason = future.result(timeout=CONNECT)
-            elif future.status == "error":
-                error = future.exception(timeout=CONNECT)
-                lost = isinstance(error, distributed.KilledWorker)
-                reason = "its Dask workers were lost" if lost else f"{type(error).__name__}: {error}"
-        except distributed.TimeoutError:
-            return None
-        del self._submitted[key]
-        return Outcome(unit, records, reason)
+        return found
 
     def close(self) -> None:
         with contextlib.suppress(Exception):  # a scheduler that is lost needs no telling
-            self.client.cancel([future for future, _ in self._submitted.values()])
-            self.client.run(end_solvers, self._name, on_error="ignore")
-        self._submitted.clear()
-
-
-_engines: dict[tuple[str, int], LocalEngine] = {}  # of this Dask worker, by scan and thread
-
-
-def solve_unit(unit: Unit, scan: str, work: Work, allowed: Callable[[Unit], float]) -> tuple[list[Record] | None, str]:
-    """On a Dask worker: the records of a unit, or None and the reason why there are none."""
-    multiprocessing.current_process().daemon = False  # Dask sets this, and then no process can be started from here
-    engine = _engines.setdefault((scan, threading.get_ident()), LocalEngine(work, 1, allowed))
-    engine.submit(unit)
-    while not (outcomes := engine.collect(LOOK_SECONDS)):
-        pass
-    return outcomes[0].records, outcomes[0].reason
-
-
-def end_solvers(scan: str) -> None:
-    """On a Dask worker: end the processes of a scan. The threads that listen to them hear of it."""
-    for name, thread in list(_engines):
-        if name == scan:
-            _engines.pop((name, thread)).kill()
+            self.executor.shutdown(wait=False)
+            self.client.run(end_solvers, self.name, on_error="ignore")

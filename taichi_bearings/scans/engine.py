@@ -1,7 +1,7 @@
 """Solving many samples in worker processes, of which any may fail: that costs the sample it was at and nothing else.
 
 An engine takes units of work (a few samples each) and tells what became of them; :func:`run_samples` decides what to do
-about units that fail, for every engine alike. The local engine starts its workers by spawn: a fork hangs in Taichi.
+about units that fail, for every engine alike. Workers are started by spawn: a fork hangs in Taichi.
 """
 
 import contextlib
@@ -10,45 +10,34 @@ import math
 import multiprocessing
 import multiprocessing.connection
 import os
+import pickle
 import signal
-import sys
 import threading
-import time
-import types
+import uuid
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
+from dataclasses import dataclass
+from multiprocessing import spawn
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from taichi_bearings.errors import BearingsError, InputError, WriteError
 from taichi_bearings.files.scan_file import FAILED
 from taichi_bearings.interrupts import unheard_by_children
-from taichi_bearings.runs.settings import RunSettings
 
-
-class Task(Protocol):
-    """What a worker solves: a sample of a scan, or a scene that somebody has made. It must be possible to pickle it."""
-
-    @property
-    def key(self) -> str: ...
-
-    @property
-    def label(self) -> str: ...
-
-    @property
-    def settings(self) -> RunSettings: ...
-
-
-Unit = tuple[Any, ...]  # of tasks of one kind
+Unit = tuple[Any, ...]
+"""Tasks that can be pickled: samples of a scan, or scenes that somebody has made. Each has key, label and settings."""
 Record = dict[str, Any]  # of a task, as in sample.solve_samples
 Work = Callable[[Sequence[Any]], list[Record]]
 TRIES = 2  # of each sample
 HOPELESS = 10  # workers that end one after the other without any result
 LOOK_SECONDS = 0.2  # seconds between looks at what else is going on
 IDLE_SECONDS = 60.0  # seconds without work after which a worker ends
+OF_DASK = {"KilledWorker": "its Dask workers were lost", "CancelledError": "Dask has cancelled it"}
+LONGEST_WAIT = 2e6  # seconds; more would be more milliseconds than the system counts
 
 
 @dataclass(frozen=True)
@@ -60,36 +49,7 @@ class Outcome:
     reason: str = ""
 
 
-class Engine(Protocol):
-    """Where units of work are solved."""
-
-    @property
-    def workers(self) -> int:
-        """Units at most that have been or can be in work at a time."""
-        ...
-
-    @property
-    def has_room(self) -> bool:
-        """True if a unit can be submitted that would be begun at once, or soon."""
-        ...
-
-    @property
-    def running(self) -> list[Unit]:
-        """Units that were submitted and of which nothing has been heard yet."""
-        ...
-
-    def submit(self, unit: Unit) -> None: ...
-
-    def collect(self, seconds: float) -> list[Outcome]:
-        """What has become of units since; waits for that, but no longer than `seconds`."""
-        ...
-
-    def close(self) -> None:
-        """End all workers at once, whatever they do."""
-        ...
-
-
-def failure(task: Task, reason: Exception | str) -> Record:
+def failure(task: Any, reason: Exception | str) -> Record:
     """The record of a sample that has no result."""
     words = str(reason) if isinstance(reason, (str, BearingsError)) else f"{type(reason).__name__}: {reason}"
     if isinstance(reason, Exception):
@@ -98,7 +58,7 @@ def failure(task: Task, reason: Exception | str) -> Record:
     return record | ({"final": True} if isinstance(reason, InputError) else {})
 
 
-def run_samples(units: Sequence[Unit], engine: Engine) -> Iterator[list[Record]]:
+def run_samples(units: Sequence[Unit], engine: "LocalEngine") -> Iterator[list[Record]]:
     """Solve all units; gives records of finished samples, failed ones too, as they come, and often none of them.
 
     A unit that fails as a whole is split into its samples; a sample that fails is named and tried once more, at the end
@@ -142,111 +102,136 @@ def run_samples(units: Sequence[Unit], engine: Engine) -> Iterator[list[Record]]
             raise BearingsError(f"{lost} workers ended one after the other without a result: {outcome.reason}")
 
 
-@dataclass
-class _Worker:
-    """A worker process. unit : what it solves, or will once it has started; since `began`, of the monotonic clock."""
-
-    process: BaseProcess
-    pipe: Connection
-    device: tuple[str, str, int]
-    started: bool = False
-    unit: Unit | None = None
-    began: float = math.inf
-
-    def send(self) -> None:
-        """Hand over the unit. A worker that has ended meanwhile is noticed when it is listened to."""
-        self.began = time.monotonic()
-        with contextlib.suppress(OSError):
-            self.pipe.send(self.unit)
-
-
-@dataclass
 class LocalEngine:
-    """Processes on this machine, started as they are needed.
+    """Threads of this program, each of which has a process that solves, as it is needed.
 
-    work : solves a unit in a worker; a function that can be pickled. workers : at most so many at a time.
-    allowed : seconds that a unit may take.
+    work : solves a unit in a process; a function that can be pickled. workers : units at most that have been or can be
+    in work at a time. allowed : seconds that a unit may take.
     """
 
-    work: Work
-    workers: int
-    allowed: Callable[[Unit], float] = lambda unit: math.inf
-    _pool: list[_Worker] = field(default_factory=list)
+    def __init__(self, work: Work, workers: int, allowed: Callable[[Unit], float] = lambda unit: math.inf) -> None:
+        self.work, self.workers, self.allowed = work, workers, allowed
+        self.name = uuid.uuid4().hex
+        self.executor: Executor = ThreadPoolExecutor(workers)
+        self._units = dict[Future[Solved], Unit]()
 
     @property
     def running(self) -> list[Unit]:
-        return [worker.unit for worker in self._pool if worker.unit is not None]
+        """Units that were submitted and of which nothing has been collected yet."""
+        return list(self._units.values())
 
     @property
     def has_room(self) -> bool:
-        return len(self.running) < self.workers
+        """True if a unit can be submitted that would be begun at once, or soon."""
+        return len(self._units) < self.workers
+
+    def sent(self, unit: Unit) -> Unit:
+        """A unit as workers get it."""
+        return unit
 
     def submit(self, unit: Unit) -> None:
-        settings = unit[0].settings
-        device = (settings.arch, settings.precision, settings.threads)  # of the one Taichi runtime a process can have
-        for known in [known for known in self._pool if known.unit is None]:
-            if multiprocessing.connection.wait([known.pipe], 0):  # it has ended meanwhile
-                self._end(known)
-        idle = [worker for worker in self._pool if worker.unit is None]
-        worker = next((worker for worker in idle if worker.device == device), None)
-        if worker is None:
-            if len(self._pool) >= self.workers:
-                self._end(idle[0])
-            context = multiprocessing.get_context("spawn")
-            ours, theirs = context.Pipe()
-            process = context.Process(target=serve, args=(theirs, self.work), daemon=True, name="bearings-worker")
-            worker = _Worker(process, ours, device)
-            with _main_left_out(), unheard_by_children():  # the tracker is started without the working folder too
-                process.start()
-                theirs.close()
-                self._pool.append(worker)
-        worker.unit = unit
-        if worker.started:  # else when it says so: a large unit would block the pipe until then
-            worker.send()
+        self._units[self.executor.submit(solve_unit, self.sent(unit), self.name, self.work, self.allowed)] = unit
 
     def collect(self, seconds: float) -> list[Outcome]:
-        if not self._pool:
-            return []
-        ready = multiprocessing.connection.wait([worker.pipe for worker in self._pool], seconds)
-        found = list[Outcome | None]()
-        for worker in list(self._pool):
-            unit = worker.unit
-            if worker.pipe in ready:
-                found.append(self._hear(worker))
-            elif unit is not None and time.monotonic() - worker.began >= (allowed := self.allowed(unit)):
-                self._end(worker)
-                found.append(Outcome(unit, None, f"no result within {allowed:g} s"))
-        return [outcome for outcome in found if outcome is not None]
+        """What has become of units since; waits for that, but no longer than `seconds`."""
+        found, (done, _) = list[Outcome](), wait(self._units, seconds, FIRST_COMPLETED)
+        for future in done:
+            unit = self._units.pop(future)
+            try:
+                found.append(Outcome(unit, *future.result()))
+            except Exception as error:
+                kind = type(error).__name__
+                found.append(Outcome(unit, None, OF_DASK.get(kind, f"{kind}: {error}")))
+        return found
 
-    def _hear(self, worker: _Worker) -> Outcome | None:
-        """What a worker has sent, or that it is gone."""
-        unit = worker.unit
+    def close(self) -> None:
+        """End all workers at once, whatever they do."""
+        end_solvers(self.name)
+        self.executor.shutdown()
+
+
+Solved = tuple[list[Record] | None, str]  # the records of a unit, or the reason why there are none
+_solvers: dict[tuple[str, int], "_Solver"] = {}  # of this process, by engine and thread
+_ended: set[str] = set()  # engines that are closed
+_alone = threading.Lock()  # processes are started and ended one by one: each start looks after all others
+
+
+def solve_unit(unit: Unit, engine: str, work: Work, allowed: Callable[[Unit], float]) -> Solved:
+    """Have the process of this thread solve a unit for the engine of this name."""
+    return _solvers.setdefault((engine, threading.get_ident()), _Solver(engine, work)).solve(unit, allowed(unit))
+
+
+def end_solvers(engine: str) -> None:
+    """End the processes of an engine; the threads that listen to them hear of it."""
+    with _alone:
+        _ended.add(engine)
+        for key in [key for key in list(_solvers) if key[0] == engine]:
+            if (process := _solvers.pop(key).process) is not None:
+                process.kill()
+                process.join()
+
+
+@dataclass
+class _Solver:
+    """A process that solves units one by one. It starts with the first of them, and anew if it has ended, or for
+    another device: a process can have one Taichi runtime."""
+
+    engine: str
+    work: Work
+    process: BaseProcess | None = None
+    _device: tuple[str, str, int] | None = None
+
+    def solve(self, unit: Unit, seconds: float) -> Solved:
+        settings = unit[0].settings
+        device = (settings.arch, settings.precision, settings.threads)
+        if self.process is not None and (self._device != device or self._heard(0)):  # it has ended meanwhile
+            self._end()
         try:
-            message = worker.pipe.recv()
-        except Exception:  # the end of the pipe, or a message torn by the end of the worker
-            reason = self._end(worker)
-            return None if unit is None else Outcome(unit, None, reason)
-        if not worker.started:
-            worker.started = True
-            worker.send()
-            return None
-        records, healthy = message
-        worker.unit = None
-        if not healthy:
-            self._end(worker)
-        return None if unit is None else Outcome(unit, records)
+            if self.process is None:
+                self._start()
+                self._device = device
+            with contextlib.suppress(BrokenPipeError, ConnectionResetError):
+                self._pipe.send(unit)
+            if not self._heard(seconds):
+                self._end()
+                return None, f"no result within {seconds:g} s"
+            records, is_healthy = self._pipe.recv()
+        except (EOFError, OSError, pickle.UnpicklingError):  # it has ended, perhaps amid a message
+            return None, self._end()
+        if not is_healthy:
+            self._end()
+        return records, ""
 
-    def _end(self, worker: _Worker) -> str:
-        """Remove a worker from the pool; says how it ended."""
-        self._pool.remove(worker)
-        worker.pipe.close()
-        worker.process.join(0.5)
-        alive = worker.process.exitcode is None
-        if alive:
-            worker.process.kill()
-            worker.process.join()
-        code = worker.process.exitcode or 0
-        worker.process.close()
+    def _heard(self, seconds: float) -> bool:
+        """Whether the process says something within so many seconds, or ends."""
+        return bool(multiprocessing.connection.wait([self._pipe], min(seconds, LONGEST_WAIT)))
+
+    def _start(self) -> None:
+        context = multiprocessing.get_context("spawn")
+        multiprocessing.current_process().daemon = False  # where Dask has set this, no process could be started
+        with _alone, _main_left_out(), unheard_by_children():  # the tracker starts without the working folder too
+            if self.engine in _ended:
+                raise EOFError
+            self._pipe, theirs = context.Pipe()
+            process = context.Process(target=serve, args=(theirs, self.work), daemon=True, name="bearings-worker")
+            process.start()
+            theirs.close()
+            self.process = process
+        self._pipe.recv()  # that it has started
+
+    def _end(self) -> str:
+        """Ends the process, and says how it ended."""
+        with _alone:
+            process, self.process = self.process, None
+            if process is None:
+                return "no worker could be started"
+            self._pipe.close()
+            process.join(0.5)
+            if alive := process.exitcode is None:
+                process.kill()
+                process.join()
+            code = process.exitcode or 0
+            process.close()
         if alive:
             return "the worker no longer answered"
         if code >= 0:
@@ -254,28 +239,20 @@ class LocalEngine:
         name = signal.Signals(-code).name if -code in {s.value for s in signal.Signals} else f"signal {-code}"
         return f"the worker was ended by {name}" + (" (out of memory?)" if name == "SIGKILL" else "")
 
-    def kill(self) -> None:
-        """End all workers at once, from any thread; the one that listens to them removes them."""
-        for worker in list(self._pool):
-            with contextlib.suppress(ValueError):  # it is removed already
-                worker.process.kill()
-
-    def close(self) -> None:
-        self.kill()
-        for worker in list(self._pool):
-            self._end(worker)
-
 
 @contextlib.contextmanager
 def _main_left_out() -> Iterator[None]:
     """Processes that are started within do not run the user's script again, which needs no guard against that, nor
     modules of the working folder, which Python would look for first (3.10 still does)."""
-    main, before = sys.modules["__main__"], os.environ.get("PYTHONSAFEPATH", "")
-    sys.modules["__main__"], os.environ["PYTHONSAFEPATH"] = types.ModuleType("__main__"), "1"
+    told, before = spawn.get_preparation_data, os.environ.get("PYTHONSAFEPATH")
+    spawn.get_preparation_data = lambda name: {k: v for k, v in told(name).items() if not k.startswith("init_main_")}
+    os.environ["PYTHONSAFEPATH"] = "1"
     try:
         yield
     finally:
-        sys.modules["__main__"], os.environ["PYTHONSAFEPATH"] = main, before
+        spawn.get_preparation_data = told
+        del os.environ["PYTHONSAFEPATH"]
+        os.environ.update({} if before is None else {"PYTHONSAFEPATH": before})
 
 
 def serve(pipe: Connection, work: Work) -> None:

@@ -1,5 +1,6 @@
 """Any number of a scan against any of its parameters, with error bars, as figure and table: `bearings plot scan`."""
 
+import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -35,7 +36,15 @@ from taichi_bearings.words import meant
 SIZE = "L"
 REASON = "left out"  # column of why a sample is in no point; empty for one that is
 MOST_CURVES = 24
-Plotted = tuple[float, float, float, float]
+DRAWN_COLUMNS = ("plot_x", "plot_y", "plot_low", "plot_high")
+Point = dict[str, Any]
+"""Samples of equal parameters, as the table beside the figure has them.
+
+x. number : disorders of each system, each counted once. mean, standard_error, or ratio; low, high : statistics of y.
+DRAWN_COLUMNS : x, y and the ends of the bar as drawn; not-a-number where no sample is left. CENSUS_COLUMNS : how many
+samples are in it, of how many that the scan asks for here, and why others are not.
+"""
+Points = dict[tuple[Any, ...], list[Point]]  # by the values of the parting columns
 
 
 @dataclass(frozen=True)
@@ -58,22 +67,6 @@ class Request:
     def stem(self) -> str:
         """Name of the files."""
         return "_".join([self.y.replace("/", "_over_"), "against", self.x, *(f"by_{key}" for key in self.by)])
-
-
-@dataclass(frozen=True)
-class Point:
-    """Samples of equal parameters.
-
-    part : values of the parting columns. number : disorders of each system, each counted once. plot : x, y and the ends
-    of the bar as drawn; not-a-number where no sample is left. census : of the samples that the scan asks for here.
-    """
-
-    part: tuple[Any, ...]
-    x: Any
-    number: int
-    statistics: Mapping[str, float]
-    plot: Plotted
-    census: Census
 
 
 def plot_scan(
@@ -141,7 +134,7 @@ def columns_of(scan: StoredScan, request: Request) -> dict[str, np.ndarray]:
     return {name: values[chosen] for name, values in (table | {REASON: _reasons(scan, table, request)}).items()}
 
 
-def points_of(columns: Mapping[str, np.ndarray], request: Request) -> list[Point]:
+def points_of(columns: Mapping[str, np.ndarray], request: Request) -> Points:
     """Statistics of y at each value of x and of the parting columns, in their order; some sample must have both."""
     names, terms = request.y.split("/"), list[np.ndarray]()
     for name in names:
@@ -155,22 +148,24 @@ def points_of(columns: Mapping[str, np.ndarray], request: Request) -> list[Point
         raise InputError(f"no sample has both {request.y} and {request.x}: {Census.of(reasons.tolist()).reasons}")
     known = (value for (value,) in groups(columns, [request.x]) if value not in (None, ""))
     place = {value: float(n) for n, value in enumerate(known)}
-    points = []
+    points: Points = {}
     for (*part, x), rows in groups(columns, [*request.by, request.x]).items():
         if x not in place:
             continue
-        used = rows[reasons[rows] == ""]
+        used, census = rows[reasons[rows] == ""], Census.of(reasons[rows].tolist())
         own = [independent(values[used], disorder[used]) for values in terms]
-        statistics, shown = _statistics(own)
-        plot: Plotted = (float(x) if isinstance(x, (int, float)) else place[x], *shown)
-        points.append(Point(tuple(part), x, len(own[0]), statistics, plot, Census.of(reasons[rows].tolist())))
-    if "x" in request.log and any(isinstance(point.x, str) for point in points):
+        at = float(x) if isinstance(x, (int, float)) else place[x]
+        point: Point = {"x": x, "number": len(own[0]), **_statistics(own, at)}
+        point |= zip(CENSUS_COLUMNS, (census.used, census.asked, census.reasons), strict=True)
+        points.setdefault(tuple(part), []).append(point)
+    every = list(itertools.chain(*points.values()))
+    if "x" in request.log and any(isinstance(point["x"], str) for point in every):
         raise InputError(
             f"log is {request.log!r}, but {request.x} has words, not numbers; the length of cubes and squares is L"
         )
-    for axis, name in enumerate("xy"):
-        least = min(point.plot[axis] for point in points if point.number)
-        if name in request.log and least <= 0:
+    for name in request.log:
+        least = min(point[f"plot_{name}"] for point in every if point["number"])
+        if least <= 0:
             raise InputError(
                 f"log is {request.log!r}, but the least {name} is {least:g}; a logarithmic axis needs numbers above 0"
             )
@@ -189,67 +184,59 @@ def _reasons(scan: StoredScan, table: Mapping[str, np.ndarray], request: Request
     return np.where(scan.reasons == "", reasons, scan.reasons)
 
 
-def _statistics(terms: Sequence[np.ndarray]) -> tuple[dict[str, float], tuple[float, float, float]]:
-    """Statistics of a number of the samples, or of the ratio of the means of two; and what is drawn: the point and the
-    ends of its bar, of a mean its standard error, if it has enough samples for one."""
+def _statistics(terms: Sequence[np.ndarray], x: float) -> Point:
+    """Statistics of a number of the samples, or of the ratio of the means of two; and what is drawn at x: the point and
+    the ends of its bar, of a mean its standard error, if it has enough samples for one."""
     values, number = terms[0], len(terms[0])
     if len(terms) == 2:
         found = ratio_interval(values, terms[1])
-        statistics, (low, high) = {"ratio": found.value}, (found.low, found.high)
+        statistics, bar = {"ratio": found.value}, (found.low, found.high)
     else:
         found = mean_interval(values)
         error = float(values.std(ddof=1) / np.sqrt(number)) if number > 1 else np.nan
-        statistics, (low, high) = (
-            {"mean": found.value, "standard_error": error},
-            (found.value - error, found.value + error),
-        )
-    bar = (low, high) if number >= LEAST_SAMPLES else (math.nan, math.nan)
-    return statistics | {"low": found.low, "high": found.high}, (found.value, *bar)
+        statistics = {"mean": found.value, "standard_error": error}
+        bar = (found.value - error, found.value + error)
+    drawn = (x, found.value, *(bar if number >= LEAST_SAMPLES else (math.nan, math.nan)))
+    return statistics | {"low": found.low, "high": found.high} | dict(zip(DRAWN_COLUMNS, drawn, strict=True))
 
 
-def curves_of(points: Sequence[Point], request: Request) -> list[Curve]:
+def curves_of(points: Points, request: Request) -> list[Curve]:
     """A curve for each value of the parting columns."""
-    parts: dict[tuple[Any, ...], list[Point]] = {}
-    for point in points:
-        parts.setdefault(point.part, []).append(point)
-    if len(parts) > MOST_CURVES:
-        raise InputError(f"{', '.join(request.by)} make {len(parts)} curves; a figure has at most {MOST_CURVES}")
+    if len(points) > MOST_CURVES:
+        raise InputError(f"{', '.join(request.by)} make {len(points)} curves; a figure has at most {MOST_CURVES}")
     curves = []
-    for part, own in parts.items():
-        drawn = np.array([point.plot for point in own if point.number]).reshape(-1, 4)
-        asked = sum(point.census.asked for point in own)
+    for part, own in points.items():
+        drawn = np.array([[p[name] for name in DRAWN_COLUMNS] for p in own if p["number"]]).reshape(-1, 4)
+        asked = sum(point["asked"] for point in own)
         curves.append(Curve(", ".join(map(str, part)) + f": none of {asked:,} samples" * (not len(drawn)), *drawn.T))
     return curves
 
 
-def look_of(scan: StoredScan, columns: Mapping[str, np.ndarray], points: Sequence[Point], request: Request) -> Look:
+def look_of(scan: StoredScan, columns: Mapping[str, np.ndarray], points: Points, request: Request) -> Look:
     """Labels, and a title that says what was averaged over."""
     used = {request.x, *request.by, *(condition.partition("=")[0] for condition in request.where)}
     used |= {"shape"} if SIZE in used else set()
     over = [key for key in scan.scanned if key in columns and key not in used and len(groups(columns, [key])) > 1]
     census = Census.of(columns[REASON].tolist())
-    number = sum(point.number for point in points)
+    every = sorted(itertools.chain(*points.values()), key=lambda point: point["plot_x"])
+    number = sum(point["number"] for point in every)
     alike = f", {number:,} independent" if number < census.used else ""
     left_out = f"\nleft out: {census.reasons}" if census.left_out else ""
     bars = "ratios of means with 95 % intervals" if "/" in request.y else "means with standard errors"
-    numbers = all(isinstance(point.x, (int, float)) for point in points)
+    numbers = all(isinstance(point["x"], (int, float)) for point in every)
     return Look(
         x_label=column_label(request.x),
         y_label=column_label(request.y),
         title=f"{census.share}{alike}{' over ' + ', '.join(over) if over else ''}: {bars}{left_out}",
         legend=", ".join(request.by),
         log=request.log,
-        ticks=() if numbers else list(dict.fromkeys(point.x for point in sorted(points, key=lambda p: p.plot[0]))),
+        ticks=() if numbers else list(dict.fromkeys(point["x"] for point in every)),
     )
 
 
-def rows_of(points: Sequence[Point], request: Request) -> tuple[list[str], list[list[Any]]]:
-    """The points as a table: parameters, statistics, what is drawn, and how many of how many samples are in it."""
-    names = [*request.by, request.x, "number", *points[0].statistics, "plot_x", "plot_y", "plot_low", "plot_high"]
-    names += CENSUS_COLUMNS
-    rows = [
-        [*point.part, point.x, point.number, *point.statistics.values(), *point.plot]
-        + [point.census.used, point.census.asked, point.census.reasons]
-        for point in points
-    ]
-    return names, [["" if isinstance(v, float) and math.isnan(v) else v for v in row] for row in rows]
+def rows_of(points: Points, request: Request) -> tuple[list[str], list[list[Any]]]:
+    """The points as a table: parameters, then whatever else a point has."""
+    rows = [[*part, *point.values()] for part, own in points.items() for point in own]
+    _, *others = next(iter(points.values()))[0]
+    cells = [["" if isinstance(v, float) and math.isnan(v) else v for v in row] for row in rows]
+    return [*request.by, request.x, *others], cells

@@ -1,21 +1,25 @@
-"""The samples of a scan as a worker solves them: one by one, or many seeds at once where that changes no bit."""
+"""What workers solve: samples of a scan, one by one, or many seeds at once where that changes no bit; and scenes that
+somebody has made."""
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from contextlib import closing
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from taichi_bearings.errors import InputError, WriteError
+from taichi_bearings.errors import BearingsError, InputError, WriteError
 from taichi_bearings.files.scan_file import bin_of
 from taichi_bearings.files.whole_file import make_folder
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.quantities import plain
-from taichi_bearings.runs.run import prepare, row_of, write_state
-from taichi_bearings.scans.engine import failure
+from taichi_bearings.runs.run import Job, prepare, row_of, write_state
+from taichi_bearings.runs.settings import RunSettings
+from taichi_bearings.runs.solved import Packed, Run
+from taichi_bearings.scans.engine import LocalEngine, failure, run_samples
 from taichi_bearings.scans.plan import Sample, files_of, groups_of, sample_key
 
 STATES = "states"  # folder of the full states
@@ -119,3 +123,50 @@ def _record(key: str, run: Any, analyse: bool) -> dict[str, Any]:
 def state_path(folder: Path, key: str) -> Path:
     """The file of a sample's full state, in the layout of run.h5."""
     return folder / f"{key}.h5"
+
+
+@dataclass(frozen=True)
+class JobTask:
+    """One of many jobs. key : which, counted from 0. scene : a Scene or a Packing. job : what solves it."""
+
+    key: str
+    scene: Any
+    job: Job
+
+    @property
+    def label(self) -> str:
+        return f"number {self.key}, {self.scene}"
+
+    @property
+    def settings(self) -> RunSettings:
+        return self.job.settings
+
+
+def solve_tasks(tasks: Sequence[JobTask]) -> list[dict[str, Any]]:
+    """In a worker, with one thread where the settings leave that open: a record of each, with its `run`, or why there
+    is none."""
+    records = []
+    with one_thread():
+        for task in tasks:
+            try:
+                run = replace(task.job, settings=replace(task.settings, threads=task.settings.threads or 1)).solve()
+                records.append({"key": task.key, "scalars": {"status": run.status[0].value}, "run": run})
+            except Exception as error:
+                records.append(failure(task, error))
+    return records
+
+
+def solve_all(tasks: Sequence[JobTask], workers: int) -> Iterator[Run]:
+    """The answers as they come, of the very scenes that were given; BearingsError for the first that has none."""
+    with closing(LocalEngine(solve_tasks, workers)) as engine:
+        for records in run_samples([(task,) for task in tasks], engine):
+            for record in records:
+                task = tasks[int(record["key"])]
+                if "run" not in record:
+                    raise BearingsError(f"scene {task.label} has no answer: {record['scalars']['error']}")
+                run = record["run"]
+                if run.is_packing:
+                    solution: Any = Packed((replace(run.result, packing=task.scene),))
+                else:
+                    solution = replace(run.solution, scene=task.scene)
+                yield replace(run, settings=task.settings, solution=solution)

@@ -23,7 +23,7 @@ from taichi_bearings.runs.run_directory import tidy, writable_folder
 from taichi_bearings.runtime import available_threads, refuse_absent
 from taichi_bearings.scans import estimate as cost
 from taichi_bearings.scans import parts
-from taichi_bearings.scans.engine import Engine, LocalEngine, Record, Unit, run_samples
+from taichi_bearings.scans.engine import LocalEngine, Record, Unit, run_samples
 from taichi_bearings.scans.plan import Sample, ScanPlan, groups_of
 from taichi_bearings.scans.sample import STATES, solve_samples, state_path
 from taichi_bearings.scans.stored_scans import attributes_of, columns_of, histograms_of, outdated_figures
@@ -119,19 +119,16 @@ def unused_keys(plan: ScanPlan, is_here: bool = False) -> list[str]:
     return [sentence for key, sentence in found.items() if key not in used]
 
 
-def estimate(plan: ScanPlan, folder: Path | None, workers: int = 0, part: parts.Part | None = None) -> dict[str, Any]:
+def estimate(plan: ScanPlan, folder: Path, workers: int = 0, part: parts.Part | None = None) -> dict[str, Any]:
     """What a scan would do, without doing it: `samples`, `missing`, `workers`, `seconds` (None: unknown), `bytes`."""
     unused_keys(plan)  # which refuses what cannot be
-    ours = parts.part_of(plan, part).samples
-    missing: Sequence[Sample] = ours
-    if folder is not None:
-        plan = plan.going_on_in(folder)
-        missing, _ = missing_samples(plan, folder, part)
+    plan = plan.going_on_in(folder)
+    missing, _ = missing_samples(plan, folder, part)
     analyse = bool(plan.wishes.get("analyse"))
     number = _number_of_workers(missing, workers, analyse)
     seconds = cost.seconds_in_all(missing, number, analyse) + cost.WORKER_START if missing else 0.0
     return {
-        "samples": len(ours),
+        "samples": len(parts.part_of(plan, part).samples),
         "scanned": list(plan.scanned),
         "missing": len(missing),
         "workers": number,
@@ -150,7 +147,7 @@ def scan(
     folder: Path,
     workers: int = 0,
     monitor: Monitor = lambda _: None,
-    engine: Engine | None = None,
+    engine: LocalEngine | None = None,
     client: "Client | None" = None,
     part: parts.Part | None = None,
 ) -> dict[str, Any]:
@@ -204,7 +201,9 @@ def merge(plan: ScanPlan, folder: Path) -> dict[str, Any]:
         return course.report(False) | {"incomplete_parts": parts.incomplete_parts(plan, folder, course.records)}
 
 
-def _engine(plan: ScanPlan, folder: Path, missing: Sequence[Sample], workers: int, client: "Client | None") -> Engine:
+def _engine(
+    plan: ScanPlan, folder: Path, missing: Sequence[Sample], workers: int, client: "Client | None"
+) -> LocalEngine:
     analyse, states = bool(plan.wishes.get("analyse")), plan.wishes.get("keep_states")
     work = partial(solve_samples, analyse=analyse, states=(folder / STATES).absolute() if states else None)
     allowed = partial(_allowed, sample_timeout=plan.wishes.get("sample_timeout"), analyse=analyse)
@@ -243,7 +242,7 @@ class _Course:
         self.progress = ScanProgress(len(self.plan.samples), before, done=before)
         self.removed: list[Path] = []
 
-    def follow(self, engine: Engine, journal: Journal, stopped: threading.Event) -> None:
+    def follow(self, engine: LocalEngine, journal: Journal, stopped: threading.Event) -> None:
         """Have the missing samples solved and written down, until all are or it is stopped."""
         analyse, missing = bool(self.plan.wishes.get("analyse")), list(self.missing.values())
         units, work = cost.units_of(missing, analyse, engine.workers or 1), cost.WorkLeft(missing, analyse)

@@ -70,10 +70,10 @@ def open_scan(path: Path) -> StoredScan:
     except FileError as error:
         stored, why = None, str(error)
     scan = folder / "scan.toml"
-    made_of = None if stored is None else (stored.attributes["journals"], str(stored.attributes["scan"]).encode())
-    is_whole = stored is not None and stored.is_complete and scan.is_file()
-    if stored is not None and is_whole and made_of == (journals, read_whole(scan, MOST_SETTINGS_TEXT)):
-        return stored
+    if stored is not None and stored.attributes.get("asked") == stored.samples and scan.is_file():
+        made_of = stored.attributes.get("journals"), stored.attributes["scan"].encode()
+        if made_of == (journals, read_whole(scan, MOST_SETTINGS_TEXT)):
+            return stored
     try:
         plan = read_plan(scan)
         nothing = {sample.key: {"scalars": {"status": MISSING}, "bins": {}} for sample in plan.samples}

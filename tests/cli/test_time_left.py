@@ -6,7 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from taichi_bearings.progress import Forecast
+from taichi_bearings.progress import forecast, share_of
+from taichi_bearings.stages import Stage
 
 
 def reports(seconds, gap=(), time=None, falls_to=0.0, duration=math.inf):
@@ -22,10 +23,11 @@ def reports(seconds, gap=(), time=None, falls_to=0.0, duration=math.inf):
 
 def foretold(heard):
     """(seconds, time left) wherever it is known."""
-    forecast, found = Forecast(), []
+    solving, found = Stage("solving"), []
     for report in heard:
-        forecast.look(report)
-        found.append((report.seconds, forecast.left_then))
+        solving.report = report
+        solving.done.append((report.seconds, share_of(report)[0]))
+        found.append((report.seconds, forecast(solving)[0]))
     return [(seconds, left) for seconds, left in found if left < math.inf]
 
 

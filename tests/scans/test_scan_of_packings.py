@@ -70,7 +70,7 @@ def assert_row_is_run(stored, row, found):
 
 def test_a_packing_over_laws_and_seeds_is_its_runs_to_the_last_bit(plan_of, bcc, tmp_path, needs_f64):
     plan = plan_of(LAWS_BY_SEEDS)
-    expected = estimate(plan, None)
+    expected = estimate(plan, tmp_path / "scan")
     assert (expected["samples"], expected["seconds"]) == (6, None)
     assert expected["bytes"] > 1e8
     report = scan(asking(plan, analyse=True, keep_states=True), tmp_path / "scan", workers=2)
