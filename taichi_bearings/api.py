@@ -19,16 +19,17 @@ from taichi_bearings.analysis.packing_structure import PackingStructure
 from taichi_bearings.errors import InputError
 from taichi_bearings.lattice.grid import friction_by_axis
 from taichi_bearings.options import SEED, options_of
-from taichi_bearings.packing import Packing, PackingSolution
+from taichi_bearings.packing import Packing
+from taichi_bearings.packing.answer import OF_PACKINGS
 from taichi_bearings.progress import displayed
-from taichi_bearings.quantities import CONTACTS, SAMPLES, SPHERES, Quantity
+from taichi_bearings.quantities import CONTACTS, FINDINGS, SAMPLES, SPHERES, Quantity, plain
 from taichi_bearings.runs import run as runs
 from taichi_bearings.runs.analysis import Analysis
 from taichi_bearings.runs.packing_run import minimises, refuse_unused, used
 from taichi_bearings.runs.run_directory import run_directory
 from taichi_bearings.runs.run_file import read_run
 from taichi_bearings.runs.settings import RunSettings
-from taichi_bearings.runs.solved import Packed, Run
+from taichi_bearings.runs.solved import Run
 from taichi_bearings.runtime import available_threads
 from taichi_bearings.scans.many import SceneTask, solve_all
 from taichi_bearings.scene import Scene, Snapshots
@@ -150,11 +151,15 @@ class Result:
         kept = self._run.solution.snapshots
         return None if kept is None else Snapshots(kept.time, self._of_samples(np.moveaxis(kept.spin, 1, 0)))
 
+    def _by_axis(self, values: np.ndarray) -> ByAxis:
+        """Values (..., E) of contacts as users meet them."""
+        return self.scene.lattice.by_axis(values)
+
     def _of_samples(self, values: Any) -> Any:
         """The values of all samples, (R, ...), as users meet them; what is one for all stays."""
         if self._run.solution.scene.replicas > 1 or not isinstance(values, (np.ndarray, list)):
             return values
-        return values[0].item() if isinstance(values, np.ndarray) and values.ndim == 1 else values[0]
+        return values.item() if isinstance(values, np.ndarray) and values.ndim == 1 else values[0]
 
     def __len__(self) -> int:
         return self._run.solution.scene.replicas
@@ -224,9 +229,16 @@ def _of_contacts(row: Quantity) -> property:
 
     def found(result: Result) -> ByAxis:
         values = row.of(result._run.solution)
-        return () if values is None else result.scene.lattice.by_axis(result._of_samples(values))
+        return () if values is None else result._by_axis(result._of_samples(values))
 
     return property(found, doc=f"{_described(row)[:-1]}; an array an axis.")
+
+
+def _of_packing(row: Quantity) -> property:
+    """What is found of packings alone."""
+    return property(
+        lambda result: plain(result._of_samples(result._run.solution.findings[row.name])), doc=_described(row)
+    )
 
 
 for _name in Result.__annotations__.keys() & SAMPLES.keys():
@@ -238,33 +250,53 @@ for _name, _row in CONTACTS.items():
     setattr(Result, "power_per_contact" if _name == "power" else _name, _of_contacts(_row))
 
 
-class PackingResult(PackingSolution):
-    __doc__ = PackingSolution.__doc__
+class PackingResult(Result):
+    """The answer to a packing, a :class:`Result` of one sample whose arrays are flat, of N spheres and E contacts.
+
+    spin : (N, 3), of discs (N,). slip, force, power_per_contact, state, proven, slip_bound : (E,). Contacts between
+    driven spheres, or without coefficient, are left out of `power`. `findings` : what the torque on the last body does
+    that a run was asked for.
+    """
+
+    packing = property(lambda self: self._run.solution.scene, doc="The :class:`Packing` that was solved.")
+    torque = property(lambda self: self._run.settings.torque, doc="On the last body, if a run was asked for one.")
+    proof: str
+    driven_power: float
+    slipless_motions: int | None
+    unbalanced = property(
+        lambda self: self.largest_balance_residual, doc="Largest torque left on a free sphere, over its radius; force."
+    )
+    friction = property(
+        lambda self: self._of_samples(self._run.solution.friction),
+        doc="Force on the second sphere of each contact, laboratory frame, force; (E, 3), of discs (E,), its component "
+        "along z x n. The lower bound follows from it.",
+    )
+
+    @property
+    def time(self) -> float | None:
+        """Simulated time of a dynamics, else None."""
+        return plain(self.history["time"][-1]) if "time" in self.history else None
+
+    @property
+    def findings(self) -> dict[str, Any]:
+        """What a torque does, by name, as of :class:`Result`."""
+        found = self._run.solution.findings
+        return {name: self._of_samples(values) for name, values in found.items() if name not in OF_PACKINGS}
+
+    def _by_axis(self, values: np.ndarray) -> Any:
+        return values
+
+    def __repr__(self) -> str:
+        words = f"{self.method}: {self.status}, P = {self.power:.12g}, gap {self.gap:.1e}, {self.seconds:.2g} s"
+        return f"<PackingResult {self.packing!r}, {words}>"
 
     def _repr_html_(self) -> str:
         names = ("status", "proof", "power", "lower_bound", "gap", "driven_power", "critical", "slipless_motions")
         return html_table(repr(self), [[name, getattr(self, name)] for name in names])
 
-    def save(self, path: str | Path, force: bool = False) -> Path:
-        """Write what `bearings run` writes into a new directory, which is returned; :func:`load` reads it.
 
-        force : replace a run directory that stands there. FileError if something does, or if it cannot be written.
-        """
-        asked: dict[str, Any] = {"torque": self.torque, "slip_threshold": self.slip_threshold or None}
-        settings = RunSettings(packing="run.h5", law=str(self.packing.law), **asked)
-        with run_directory(Path(path), force) as directory:
-            found = runs.publish(directory, Run(settings, Packed((self,)), command="taichi_bearings.solve"))
-        assert found.path is not None
-        return found.path
-
-    def plot(self, kind: str = "spins", time: float | None = None, page: "Page | None" = None) -> "Figure":
-        """A figure: "spins", "power", "history", "energy", "domains" or "network". time, page : as of
-        :meth:`Result.plot`."""
-        from taichi_bearings.plots.page import PAGE
-        from taichi_bearings.runs.figures import draw_figure
-
-        return draw_figure(kind, Packed((self,)), 0, time, page=page or PAGE)
-
+for _name in OF_PACKINGS:
+    setattr(PackingResult, _name, _of_packing(FINDINGS[_name]))
 
 OPTIONS = (
     "torque", "iterations", "time_limit", "duration", "record", "snapshots", "slip_threshold", "arch", "precision",
@@ -336,9 +368,11 @@ def solve(
         if isinstance(scene, Packing):
             if monitors and minimises(settings):
                 raise InputError(f"callback is given, but method {settings.method} of a packing does not use it")
-            return PackingResult(**vars(runs.Job(settings, (scene,), spin).solve(monitors, **density).result))
-        assert spin is not None
-        return Result(replace(runs.job_of(settings, scene, spin).solve(monitors), command="taichi_bearings.solve"))
+            run = runs.Job(settings, scene, spin).solve(monitors, **density)
+        else:
+            assert spin is not None
+            run = runs.job_of(settings, scene, spin).solve(monitors)
+        return _result(replace(run, command="taichi_bearings.solve"))
 
 
 def solve_many(
@@ -374,7 +408,7 @@ def solve_many(
 
 
 def _result(run: Run) -> Result | PackingResult:
-    return PackingResult(**vars(run.result)) if run.is_packing else Result(run)
+    return PackingResult(run) if run.is_packing else Result(run)
 
 
 def analyse(result: Result | PackingResult | str | Path, threshold: float | None = None, sample: int = 0) -> Any:
@@ -391,7 +425,7 @@ def analyse(result: Result | PackingResult | str | Path, threshold: float | None
             raise InputError(f"sample is {sample}; the run has {len(found)}, counted from 0")
         found = found[sample]
     if isinstance(found, PackingResult):
-        return PackingStructure.of(found, threshold)
+        return PackingStructure.of(found._run.solution, threshold)
     return Analysis(found._run, threshold, sample)
 
 
@@ -404,10 +438,10 @@ def load(path: str | Path) -> Any:
     if not isinstance(path, (str, os.PathLike)):
         raise InputError(f"{shown(path)} is not a path; it must name a run directory or its run.h5")
     stored = read_run(Path(path))
-    if stored.is_packing:
-        found = [PackingResult(**vars(result)) for result in stored.results]
-        return found if len(found) > 1 else found[0]
-    return Result(stored)
+    replicas = stored.solution.scene.replicas
+    if stored.is_packing and replicas > 1:
+        return [PackingResult(stored.sample(number)) for number in range(replicas)]
+    return _result(stored)
 
 
 def _settings(
@@ -416,7 +450,7 @@ def _settings(
     """The settings of `bearings run` that solve this scene, and the spins to start from, of a packing None if they have
     a name; arrays lie beside it."""
     if isinstance(scene, Packing):
-        settings = RunSettings(packing="run.h5", law=str(scene.law), **_asked(method, options, start))
+        settings = RunSettings(packing="run.h5", law=str(scene.law), seed=scene.seed, **_asked(method, options, start))
         settings = settings if isinstance(method, str) else used(settings)  # of its options all are given
         if "initial" in settings.given and minimises(settings):
             raise InputError(f"start is given, but method {settings.method} of a packing does not use it")

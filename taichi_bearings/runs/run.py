@@ -117,7 +117,7 @@ MEMORY_ERROR = 3  # up to which factor the memory of a method is known
 
 @dataclass(frozen=True)
 class Job:
-    """A checked run that is ready to be solved. scene : a Scene, or of each replica a Packing. spin : as of Run."""
+    """A checked run that is ready to be solved. scene : as of a Solution. spin : as of Run."""
 
     settings: RunSettings
     scene: Any
@@ -216,7 +216,7 @@ def solve_job(job: Job, monitors: Sequence[Any] = (), checkpoints: Any = None) -
     if ramp is None or solution.interrupted or method is not job.method:
         return solution
     again = _solve_again(job, replace(settings, torque=None))
-    return under_torque(solution, by_friction(solution, again), ramp.stop, again)
+    return under_torque(solution, ramp.stop, again)
 
 
 def _solve_again(job: Job, settings: RunSettings) -> Callable[[Scene], Solution]:
@@ -235,7 +235,7 @@ def _rigid_top(job: Job, ramp: Ramp) -> Any:
     again = _solve_again(replace(job, method=method_row(settings, job.scene)().build()), settings)
     solution = uninterrupted(again(job.scene))
     friction = by_friction(solution, again)
-    known = uninterrupted(under_torque(solution, friction, ramp.stop, again))
+    known = uninterrupted(under_torque(solution, ramp.stop, again, friction))
     return kind(job.method.options, ramp.rate(job.settings.duration), ramp, known, friction)
 
 
@@ -461,6 +461,5 @@ def _draw(found: Run, title: bool) -> None:
     assert found.path is not None
     page = Page(title=title)
     save(draw_histogram(found.histogram, page), found.path / "power_histogram.png")
-    answer = found.results if found.is_packing else found.solution
-    if courses_of(answer):
-        save(draw_history(answer, page), found.path / "history.png")
+    if courses_of(found.solution):
+        save(draw_history(found.solution, page), found.path / "history.png")

@@ -13,11 +13,12 @@ from taichi_bearings import runtime
 from taichi_bearings.analysis.bottlenecks import Bottlenecks
 from taichi_bearings.analysis.packing_structure import PackingNetwork
 from taichi_bearings.errors import DeviceError, InputError
+from taichi_bearings.packing import Packings
 from taichi_bearings.quantities import STRUCTURE
 from taichi_bearings.runs.figures import draw_figure
-from taichi_bearings.runs.solved import Packed
 from taichi_bearings.runs.verify import verify
 from taichi_bearings.scans.histogram import pooled, read_source
+from taichi_bearings.scene import Solution
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers.network import Network
 from tests.cli.commands import bearings
@@ -203,7 +204,8 @@ def test_what_cannot_be_is_one_sentence(call, sentence):
 def test_the_history_shows_every_replica():
     packings = [tb.Packing.lattice("bcc", (2, 2, 3), seed=seed) for seed in range(2)]
     found = [solve(p, "gradient-descent", iterations=100 * (n + 1)) for n, p in enumerate(packings)]
-    lines = draw_figure("history", Packed(tuple(found))).axes[0].lines
+    together = Solution.joined([one._run.solution for one in found], Packings(tuple(packings)))
+    lines = draw_figure("history", together).axes[0].lines
     assert [line.get_xdata()[-1] for line in lines] == [100, 100, 200, 200]
 
 
