@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any, ClassVar, overload
 
 import numpy as np
 
@@ -19,10 +19,9 @@ from taichi_bearings.analysis.packing_structure import PackingStructure
 from taichi_bearings.errors import InputError
 from taichi_bearings.lattice.grid import friction_by_axis
 from taichi_bearings.options import SEED, options_of
-from taichi_bearings.packing import Packing
-from taichi_bearings.packing.answer import OF_PACKINGS
+from taichi_bearings.packing import Packing, Packings
 from taichi_bearings.progress import displayed
-from taichi_bearings.quantities import CONTACTS, FINDINGS, SAMPLES, SPHERES, Quantity, plain
+from taichi_bearings.quantities import CONTACTS, FINDINGS, SAMPLES, SPHERES, Quantity
 from taichi_bearings.runs import run as runs
 from taichi_bearings.runs.analysis import Analysis
 from taichi_bearings.runs.packing_run import minimises, refuse_unused, used
@@ -76,6 +75,8 @@ class Result:
     `result[0]` is one of them alone, and `for one in result` goes through all. N is the lattice, such as (nx, ny, nz).
     What lies on contacts is a tuple with an array an axis, x, y(, z), of the shapes of `scene.coefficients`.
     """
+
+    _tabled: ClassVar = ("seed", "status", "power", "lower_bound", "gap", "slipping", "slipless", "undecided")
 
     def __init__(self, run: Run) -> None:
         self._run = run
@@ -174,9 +175,13 @@ class Result:
     def __iter__(self) -> Iterator["Result"]:
         return (self[number] for number in range(len(self)))
 
+    @property
+    def _what(self) -> str:
+        """What was solved, in a few words."""
+        return f"{'x'.join(map(str, self.scene.lattice.shape))} {self.scene.law}"
+
     def __repr__(self) -> str:
-        shape = "x".join(map(str, self.scene.lattice.shape))
-        words = f"<Result {shape} {self.scene.law}, {self.method}"
+        words = f"<{type(self).__name__} {self._what}, {self.method}"
         if len(self) > 1:
             done = sum(status.reached for status in self._run.status)
             return f"{words}: {len(self)} samples, {done} reached, gap at most {self.gap.max():.1e}>"
@@ -184,9 +189,8 @@ class Result:
 
     def _repr_html_(self) -> str:
         """A table for notebooks, a row a sample."""
-        names = ("seed", "status", "power", "lower_bound", "gap", "slipping", "slipless", "undecided")
-        columns = [np.atleast_1d(self.summary[name]).tolist() for name in names]
-        return html_table(repr(self), zip(*columns, strict=True), names)
+        columns = [np.atleast_1d(self.summary[name]).tolist() for name in self._tabled]
+        return html_table(repr(self), zip(*columns, strict=True), self._tabled)
 
     def plot(
         self, kind: str = "spins", sample: int = 0, time: float | None = None, page: "Page | None" = None
@@ -235,10 +239,8 @@ def _of_contacts(row: Quantity) -> property:
 
 
 def _of_packing(row: Quantity) -> property:
-    """What is found of packings alone."""
-    return property(
-        lambda result: plain(result._of_samples(result._run.solution.findings[row.name])), doc=_described(row)
-    )
+    """A number or word of a packing, None where it is not known."""
+    return property(lambda result: result._run.numbers.get(row.name), doc=_described(row))
 
 
 for _name in Result.__annotations__.keys() & SAMPLES.keys():
@@ -254,15 +256,16 @@ class PackingResult(Result):
     """The answer to a packing, a :class:`Result` of one sample whose arrays are flat, of N spheres and E contacts.
 
     spin : (N, 3), of discs (N,). slip, force, power_per_contact, state, proven, slip_bound : (E,). Contacts between
-    driven spheres, or without coefficient, are left out of `power`. `findings` : what the torque on the last body does
-    that a run was asked for.
+    driven spheres, or without coefficient, are left out of `power`.
     """
 
-    packing = property(lambda self: self._run.solution.scene, doc="The :class:`Packing` that was solved.")
+    _tabled = ("status", "proof", "power", "lower_bound", "gap", "driven_power", "critical", "slipless_motions")
+    packing = property(lambda self: self._run.solution.scene[0], doc="The :class:`Packing` that was solved.")
     torque = property(lambda self: self._run.settings.torque, doc="On the last body, if a run was asked for one.")
     proof: str
     driven_power: float
     slipless_motions: int | None
+    time: float | None
     unbalanced = property(
         lambda self: self.largest_balance_residual, doc="Largest torque left on a free sphere, over its radius; force."
     )
@@ -272,31 +275,16 @@ class PackingResult(Result):
         "along z x n. The lower bound follows from it.",
     )
 
-    @property
-    def time(self) -> float | None:
-        """Simulated time of a dynamics, else None."""
-        return plain(self.history["time"][-1]) if "time" in self.history else None
-
-    @property
-    def findings(self) -> dict[str, Any]:
-        """What a torque does, by name, as of :class:`Result`."""
-        found = self._run.solution.findings
-        return {name: self._of_samples(values) for name, values in found.items() if name not in OF_PACKINGS}
-
     def _by_axis(self, values: np.ndarray) -> Any:
         return values
 
-    def __repr__(self) -> str:
-        words = f"{self.method}: {self.status}, P = {self.power:.12g}, gap {self.gap:.1e}, {self.seconds:.2g} s"
-        return f"<PackingResult {self.packing!r}, {words}>"
-
-    def _repr_html_(self) -> str:
-        names = ("status", "proof", "power", "lower_bound", "gap", "driven_power", "critical", "slipless_motions")
-        return html_table(repr(self), [[name, getattr(self, name)] for name in names])
+    @property
+    def _what(self) -> str:
+        return repr(self.packing)
 
 
-for _name in OF_PACKINGS:
-    setattr(PackingResult, _name, _of_packing(FINDINGS[_name]))
+for _name in PackingResult.__annotations__:
+    setattr(PackingResult, _name, _of_packing((SAMPLES | FINDINGS)[_name]))
 
 OPTIONS = (
     "torque", "iterations", "time_limit", "duration", "record", "snapshots", "slip_threshold", "arch", "precision",
@@ -368,7 +356,7 @@ def solve(
         if isinstance(scene, Packing):
             if monitors and minimises(settings):
                 raise InputError(f"callback is given, but method {settings.method} of a packing does not use it")
-            run = runs.Job(settings, scene, spin).solve(monitors, **density)
+            run = runs.Job(settings, Packings((scene,)), spin).solve(monitors, **density)
         else:
             assert spin is not None
             run = runs.job_of(settings, scene, spin).solve(monitors)

@@ -93,7 +93,7 @@ def _of_lattice(of: Callable[[Any], Any], otherwise: Callable[[Any], Any] = lamb
 
 def _of_packing(of: Callable[[Any], Any]) -> Callable[[Any], Any]:
     """What is the same for all packings of an Answered; None of lattices."""
-    return _of_lattice(lambda _: None, lambda answered: of(answered.scene.packings[0]))
+    return _of_lattice(lambda _: None, lambda answered: of(answered.scene[0]))
 
 
 def _named(rows: Iterable[Quantity]) -> dict[str, Quantity]:

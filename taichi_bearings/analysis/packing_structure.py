@@ -85,7 +85,7 @@ class PackingStructure:
         slip, state = solution.slip[0], solution.state[0]
         state = state if threshold is None else by_threshold(slip, state, threshold)
         slipless, power = state == ContactState.SLIPLESS, float(solution.power[0])
-        return cls(solution.scene, solution.spin[0], slip, state, solution.friction[0], power, slipless)
+        return cls(solution.scene[0], solution.spin[0], slip, state, solution.friction[0], power, slipless)
 
     @cached_property
     def network(self) -> "PackingNetwork":

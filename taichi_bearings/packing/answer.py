@@ -12,7 +12,7 @@ from taichi_bearings.errors import InputError
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.packing import planar
 from taichi_bearings.packing.motions import order_of, slipless_motions
-from taichi_bearings.packing.packing import Packing
+from taichi_bearings.packing.packing import Packing, Packings
 from taichi_bearings.packing.system import Found, System
 from taichi_bearings.proof.contact_state import all_proven
 from taichi_bearings.scene import Solution, Status
@@ -27,7 +27,7 @@ MOST_TIES = 200  # whose motions are found; more of them leave every slipping co
 MOVED = 1e-7  # of a slip that a motion makes
 
 SLIPLESS, SLIPPING, UNDECIDED, DRIVEN = range(4)
-OF_PACKINGS = ("proof", "driven_power", "slipless_motions")  # findings of every packing
+SAID_OF_PACKINGS = ("proof", "driven_power", "slipless_motions")  # findings of every packing
 
 
 def solve_packing(
@@ -52,7 +52,8 @@ def solve_packing(
     runtime.current()
     with one_thread():
         system = system_of(packing)
-        return judged(system, _found(system, method), tolerance, begun)
+        found = judged(system, _found(system, method), tolerance)
+    return replace(found, seconds=perf_counter() - begun)
 
 
 def _found(system: System, method: str) -> Found:
@@ -90,8 +91,8 @@ def spins_of(packing: Packing, u: np.ndarray) -> np.ndarray:
     return spin
 
 
-def judged(system: System, found: Found, tolerance: float, begun: float) -> Solution:
-    """What was found, with all that is proven of it. begun : when, by `perf_counter`."""
+def judged(system: System, found: Found, tolerance: float) -> Solution:
+    """What was found, with all that is proven of it."""
     packing, law = system.packing, system.packing.kind
     u = system.all_spins(found.spins) if found.everywhere is None else found.everywhere
     spin = spins_of(packing, np.nan_to_num(u, posinf=0.0, neginf=0.0))
@@ -105,7 +106,7 @@ def judged(system: System, found: Found, tolerance: float, begun: float) -> Solu
     state = np.where(acts, np.where(known == UNPROVEN, _states(system, found, judgement), known), DRIVEN)
     state, proven = state.astype(np.uint8), np.where(acts, known, DRIVEN).astype(np.uint8)
     return Solution(
-        scene=packing,
+        scene=Packings((packing,)),
         method=found.method,
         status=Status.CERTIFIED if judgement.gap[0] <= tolerance else Status.STALLED,
         iterations=found.steps,
@@ -125,7 +126,7 @@ def judged(system: System, found: Found, tolerance: float, begun: float) -> Solu
         gap=judgement.gap,
         slip_threshold=0.0,
         largest_balance_residual=judgement.largest_torque,
-        seconds=perf_counter() - begun,
+        seconds=0.0,
         seconds_compile=0.0,
         findings={
             "proof": np.array([judgement.proof]),

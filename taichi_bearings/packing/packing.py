@@ -4,12 +4,11 @@ With u = R omega the slip at a contact with unit normal n, from the first to the
 radii drop out, and a packing out of a simulation, a space-filling bearing and a lattice are the same convex problem.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from operator import index
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import h5py
 import numpy as np
@@ -65,8 +64,6 @@ class Packing:
     distribution: str | Draw = DISTRIBUTION
     seed: int = 0
     normals_given: bool = field(init=False)
-    replicas: ClassVar[int] = 1
-    strength: ClassVar[float] = 1.0  # by which coefficients are multiplied to be forces
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "normals_given", self.normal is not None)
@@ -120,24 +117,6 @@ class Packing:
         given = (self.friction, self.viscosity)
         pairs = zip(self.kind.quantities, given, strict=False)
         return tuple(np.asarray(v) * (self.normal_force if quantity.is_friction else 1.0) for quantity, v in pairs)
-
-    @property
-    def coefficient(self) -> np.ndarray:
-        """The first of these, (1, E), as a `Scene` of one sample has it."""
-        return self.coefficients[0][None]
-
-    @property
-    def packings(self) -> "tuple[Packing, ...]":
-        """One for each sample, as `Packings` has them."""
-        return (self,)
-
-    @property
-    def seeds(self) -> tuple[int, ...]:
-        return (self.seed,)
-
-    def sample(self, number: int) -> "Packing":
-        """It has one."""
-        return self
 
     def slips(self, spin: np.ndarray) -> np.ndarray:
         """Slip speeds (E,) of spins (N, 3), of discs (N,); length/time."""
@@ -287,37 +266,34 @@ class Packing:
         return path
 
 
-@dataclass(frozen=True)
-class Packings:
-    """Packings of as many spheres and contacts each, the samples of a run, with what an answer asks of a packing."""
+class Packings(tuple[Packing, ...]):
+    """Packings of as many spheres and contacts each, the samples of a run: what an answer asks of a `Scene`."""
 
-    packings: tuple[Packing, ...]
-    strength: ClassVar[float] = 1.0
-
-    @classmethod
-    def of(cls, packings: Sequence[Packing]) -> "Packing | Packings":
-        """A single one is its own sample."""
-        return packings[0] if len(packings) == 1 else cls(tuple(packings))
+    strength = 1.0  # by which coefficients are multiplied to be forces
 
     @property
     def replicas(self) -> int:
-        return len(self.packings)
+        return len(self)
 
-    def sample(self, number: int) -> Packing:
-        return self.packings[number]
+    def sample(self, number: int) -> "Packings":
+        return Packings(self[number : number + 1])
 
     @property
     def law(self) -> Law:
-        return self.packings[0].kind
+        return self[0].kind
 
     @property
     def seeds(self) -> tuple[int, ...]:
-        return tuple(packing.seed for packing in self.packings)
+        return tuple(packing.seed for packing in self)
+
+    @property
+    def contact(self) -> Coefficients:
+        """As laws want them, (R, E) each."""
+        return tuple(map(np.stack, zip(*(packing.coefficients for packing in self), strict=True)))
 
     @property
     def coefficient(self) -> np.ndarray:
-        """(R, E)."""
-        return np.concatenate([packing.coefficient for packing in self.packings])
+        return self.contact[0]
 
 
 def _states(given: dict[str, Any], dimension: int) -> np.ndarray:

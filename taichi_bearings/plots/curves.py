@@ -36,7 +36,7 @@ def draw_history(answer: Solution, page: Page = PAGE) -> Figure:
     if not courses:
         steps = counted(_steps(answer.sample(0)), "step")
         raise InputError(f"the run kept {steps} of {answer.method}; a history is drawn of 2 or more")
-    course, scene = courses[0], courses[0].scene
+    course, scene = courses[0], courses[0].system
     if "torque" in course.history:
         return _draw_turning(course, page)
     width = page.inches("single")
@@ -67,8 +67,8 @@ def draw_history(answer: Solution, page: Page = PAGE) -> Figure:
 
 def courses_of(solution: Solution) -> list[Solution]:
     """The answers, or of packings each replica's, where there is more to show than a start and an answer."""
-    together = isinstance(solution.scene, Scene)
-    each = [solution] if together else [solution.sample(number) for number in range(solution.scene.replicas)]
+    replicas = 1 if isinstance(solution.scene, Scene) else solution.scene.replicas
+    each = [solution] if replicas == 1 else [solution.sample(number) for number in range(replicas)]
     return [one for one in each if _steps(one) > 1]
 
 
@@ -110,7 +110,7 @@ def draw_energy(solution: Solution, page: Page = PAGE) -> Figure:
     An account that is negative at times is drawn as such: the axis is then linear around 0 and logarithmic beyond.
     InputError if the run keeps no energy balance.
     """
-    history, scene = solution.history, solution.scene
+    history, scene = solution.history, solution.system
     if "energy_residual" not in history:
         raise InputError("the run keeps no energy balance; run a dynamics with --energy")
     width = page.inches("single")

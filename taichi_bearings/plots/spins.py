@@ -95,7 +95,7 @@ def draw_power(answer: Solution, page: Page = PAGE) -> Figure:
 
     Where more contacts slip than lines can show, each disc has the colour of the power of its contacts, half of each.
     """
-    system, state, power = answer.scene, answer.state[0], answer.power_per_contact[0]
+    system, state, power = answer.system, answer.state[0], answer.power_per_contact[0]
     place = system if isinstance(system, Packing) else system.lattice
     unit, symbol = power_unit(system)
     power = np.where(state == ContactState.SLIPPING, power / unit, 0.0)

@@ -40,7 +40,7 @@ FIGURES: dict[str, Callable[[Any, Page], Figure]] = {"domains": _draw_domains, "
 
 def _draw_spins(answer: Solution, sample: int, page: Page) -> Figure:
     one = answer.sample(sample)
-    return draw_spins(one.scene, one.spin[0], one.state[0], page)
+    return draw_spins(one.system, one.spin[0], one.state[0], page)
 
 
 OF_ANSWERS: dict[str, Callable[[Any, int, Page], Figure]] = {
@@ -155,7 +155,7 @@ def moment_of(answer: Solution, spin: np.ndarray, slip_threshold: float | None =
     Springs give way, so with them that is at least a thousandth of R times the jump, of packings of the largest imposed
     R omega, unless the run was asked for `slip_threshold`. spin : laboratory frame, (*N) or (*N, 3), 1/time.
     """
-    system, threshold = answer.scene, answer.slip_threshold
+    system, threshold = answer.system, answer.slip_threshold
     if isinstance(system, Packing):
         slip, idle = system.slips(spin), answer.state[0] == ContactState.DRIVEN
         threshold = threshold or STRETCHED_SLIP * float(np.linalg.norm(system.imposed, axis=1).max(initial=0.0))

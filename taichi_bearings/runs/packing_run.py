@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -30,21 +29,21 @@ from taichi_bearings.words import counted, shown
 AXES_OF_PACKINGS = {"center": 2, "contact": 2, "normal": 2}  # of arrays of one sample; others have one
 
 
-def packings_to_solve(settings: RunSettings) -> tuple[Packing | Packings, np.ndarray | None]:
+def packings_to_solve(settings: RunSettings) -> tuple[Packings, np.ndarray | None]:
     """The packings of all replicas, and the spins that they start from if those lie in a file. Raises InputError or
     FileError."""
     packings, named = packings_of(settings), settings.initial
     if named in STARTS or not Path(named).exists():
         return packings, None
-    start, one = read_arrays(Path(named), ["spin"])["spin"], packings.packings[0].spin.shape
-    if start.shape not in (one, (packings.replicas, *one)):
+    start, one = read_arrays(Path(named), ["spin"])["spin"], packings[0].spin.shape
+    if start.shape not in (one, (len(packings), *one)):
         raise InputError(f"spin in {named} has shape {start.shape}; this packing needs {one}")
     return packings, start
 
 
 def solve_packings(
     settings: RunSettings,
-    packings: Packing | Packings,
+    packings: Packings,
     start: Any,
     monitors: Sequence[Any] = (),
     checkpoints: Any = None,
@@ -52,10 +51,10 @@ def solve_packings(
 ) -> Run:
     """The replicas one after another, each as alone. Ctrl-C leaves those that were begun; with checkpoints, from which
     the others can go on, it is a KeyboardInterrupt unless all were."""
-    count, each, found = packings.replicas, packings.packings, list[Solution]()
-    several, is_interrupted = np.ndim(start) > each[0].spin.ndim, False
+    count, found = len(packings), list[Solution]()
+    several, is_interrupted = np.ndim(start) > packings[0].spin.ndim, False
     written = [None] * count if checkpoints is None else checkpoints.of_each(count)
-    for number, (packing, own) in enumerate(zip(each, written, strict=True)):
+    for number, (packing, own) in enumerate(zip(packings, written, strict=True)):
         told = {} if minimises(settings) else {"monitors": monitors, "checkpoints": own}
         try:
             with stage("solving"):
@@ -69,7 +68,7 @@ def solve_packings(
                 raise KeyboardInterrupt
             settings, start = replace(settings, replicas=len(found)), start[: len(found)] if several else start
             break
-    solution = Solution.joined(found, Packings.of(each[: len(found)]))
+    solution = Solution.joined(found, Packings(packings[: len(found)]))
     return Run(settings, solution, start, interrupted=is_interrupted)
 
 
@@ -83,11 +82,6 @@ def method_of_packing(settings: RunSettings) -> type[MethodOptions]:
 
 
 STOPPED_BY = ("iterations", "time_limit", "duration", "record", "snapshots")
-
-
-def packing_of(settings: RunSettings) -> Packing:
-    """That of a single replica."""
-    return packings_of(settings).packings[0]
 
 
 def refuse_unused(settings: RunSettings) -> None:
@@ -114,13 +108,13 @@ def used(settings: RunSettings) -> RunSettings:
     return replace(settings, **{key: table[key].default for key in unused_of_packing(settings)})
 
 
-def packings_of(settings: RunSettings) -> Packing | Packings:
+def packings_of(settings: RunSettings) -> Packings:
     """The packings that the settings describe, one a replica: the arrays of the file, and of the settings what that
     lacks, drawn from seeds; or lattices with other driven bodies than planes."""
     refuse_unused(settings)
     given = settings.given
     if settings.packing is None:
-        return Packings.of([_lattice(replace(settings, seed=seed)) for seed in settings.seeds])
+        return Packings(_lattice(replace(settings, seed=seed)) for seed in settings.seeds)
     found = Packing.read(settings.packing)
     axes = {name: np.ndim(values) - AXES_OF_PACKINGS.get(name, 1) for name, values in found.items()}
     axes["spin"] = np.ndim(found["spin"]) - (1 if np.shape(found["center"])[-1:] == (2,) else 2)
@@ -140,10 +134,10 @@ def packings_of(settings: RunSettings) -> Packing | Packings:
                 f"{key} is {shown(given[key])}, but {settings.packing} holds {name}; leave one of the two out"
             )
     others = {key: getattr(settings, key) for key in ("law", "distribution", *SIZES)} | _drawn_viscosity(settings)
-    return Packings.of([
+    return Packings(
         Packing(**{**others, "seed": seed, **{n: v[number] if axes[n] == 1 else v for n, v in found.items()}})
         for number, seed in enumerate(settings.seeds)
-    ])  # fmt: skip
+    )
 
 
 def unused_of_packing(settings: RunSettings) -> dict[str, str]:
@@ -189,8 +183,11 @@ def solved_packing(
     one that the settings name. others : density, monitors and checkpoints of :func:`follow_packing`."""
     found = _solved(settings, packing, system_of, start, **others)
     if settings.torque is not None and found.status is not Status.INTERRUPTED:
-        again = partial(_solved, settings, system_of=System.of, start=None, **others)
-        found = under_torque(found, Ramp.of(settings.torque).stop, again)
+        found = under_torque(
+            found,
+            Ramp.of(settings.torque).stop,
+            lambda packings: _solved(settings, packings[0], System.of, None, **others),
+        )
     if (threshold := settings.slip_threshold) is None:
         return found
     state = by_threshold(found.slip, found.state, threshold)

@@ -84,7 +84,7 @@ def points_and_lines(run: Run, replica: int = 0) -> PointsAndLines:
 
 
 def _of_packing(solution: Solution, time: float | None, moments: Moments | None) -> PointsAndLines:
-    packing, structure = solution.scene, PackingStructure.of(solution)
+    packing, structure = solution.scene[0], PackingStructure.of(solution)
     spheres, contacts = columns_of_structure(structure)
     spheres |= {
         "spin": Finding(_in_space(solution.spin, packing.dimension)[0], *SPIN_WORDS),
@@ -152,7 +152,7 @@ def _moments(answer: Solution, end: float | None, slip_threshold: float | None) 
     if kept is None or end is None or not (early := np.flatnonzero(kept.time < end)).size:
         return None
     spins, scene = kept.spin[early, 0], answer.scene
-    dimension = scene.lattice.dimension if isinstance(scene, Scene) else scene.dimension
+    dimension = scene.lattice.dimension if isinstance(scene, Scene) else scene[0].dimension
     found = [moment_of(answer, spin, slip_threshold) for spin in spins]
     slip, state = np.stack([one.slip for one in found]), np.stack([one.state for one in found])
     return Moments(kept.time[early], _in_space(spins, dimension), slip, state, found[0].threshold)

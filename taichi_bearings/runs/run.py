@@ -145,8 +145,9 @@ def prepare(settings: RunSettings, strict: bool = True) -> Job:
     """
     with stage("reading"):
         if settings.is_packing:
-            from taichi_bearings.runs.packing_run import packings_to_solve
+            from taichi_bearings.runs.packing_run import packings_to_solve, used
 
+            settings = settings if strict else used(settings)
             return Job(settings, *packings_to_solve(settings))
         compiler.name()  # refuses one that is unknown or absent
         scene = build_scene(settings)

@@ -104,7 +104,7 @@ def _rows_of_lattice(solution: Solution) -> Iterator[Row]:
 
 
 def _rows_of_packings(solution: Solution) -> Iterator[Row]:
-    packings = solution.scene.packings
+    packings = solution.scene
     for name, values in stacked([packing.arrays() for packing in packings]).items():
         yield f"packing/{name}", values, *PACKING_ARRAYS[name]
     for row, found in found_in(solution, CONTACTS):
@@ -213,6 +213,24 @@ class _Sets:
         found = self.by_axis(f"contact/{{}}/{key}", lattice, *parts)
         return np.concatenate([values.reshape(len(values), -1, *parts) for values in found], axis=1)
 
+    def history(self, apart: bool, is_needed: bool) -> dict[str, np.ndarray]:
+        """Columns (checks,) or (checks, R). apart : replicas have rows of their own. FileError for other columns than
+        a solve leaves, or none where some are needed."""
+        columns = {key: self.get(f"history/{key}", None) for key in self.file.get("history", ())}
+        needed = {"iteration", "power", "lower_bound"} | (ENERGIES if "energy_residual" in columns else set())
+        lengths = {values.shape[1] for values in columns.values()}
+        if (is_needed or columns) and (needed - columns.keys() or len(lengths) != 1 or 0 in lengths):
+            words = f"it must hold columns of one length, {', '.join(needed)}"
+            raise FileError(f"history in {self.path} is damaged: {words}")
+        return {key: column[0] if key in OF_ALL and not apart else column.T for key, column in columns.items()}
+
+    def snapshots(self, apart: bool, *spins: int) -> Snapshots:
+        """spins : the shape of those of a sample."""
+        time, ways = self.get("snapshots/time", None), self.get("snapshots/spin", None, *spins)
+        if time.shape[1] != ways.shape[1]:
+            raise FileError(f"snapshots in {self.path} are damaged: times and spins differ in number")
+        return Snapshots(time.T if apart else time[0], np.moveaxis(ways, 0, 1))
+
     def check(self, name: str, values: np.ndarray, is_fine: Callable[[np.ndarray], Any] = np.isfinite) -> None:
         """FileError for numbers that no solve leaves, where what reads them would fail or mislead."""
         words, known = "", max(ContactState)
@@ -254,17 +272,6 @@ def _read(path: Path, file: h5py.File, attributes: Mapping[str, Any], settings: 
         is_fine = _is_number if name == "slip_bound" else np.isfinite
         arrays.check(name, values, is_fine if status is not Status.NOT_FINITE else np.isreal)
     rounding = arrays.get("spin_rounding", *sites, *vector) if "spin_rounding" in file else np.zeros_like(sets["spin"])
-    columns = {key: arrays.get(f"history/{key}", None) for key in file.get("history", ())}
-    needed = {"iteration", "power", "lower_bound"} | (ENERGIES if "energy_residual" in columns else set())
-    lengths = {values.shape[1] for values in columns.values()}
-    if (is_lattice or columns) and (needed - columns.keys() or len(lengths) != 1 or 0 in lengths):
-        raise FileError(f"history in {path} is damaged: it must hold columns of one length, {', '.join(needed)}")
-    kept = None
-    if "snapshots" in file:
-        time, ways = arrays.get("snapshots/time", None), arrays.get("snapshots/spin", None, *sites, *vector)
-        kept = Snapshots(time.T if apart else time[0], np.moveaxis(ways, 0, 1))
-        if len(kept.time) != len(kept.spin):
-            raise FileError(f"snapshots in {path} are damaged: times and spins differ in number")
     own: dict[str, np.ndarray] = {"status": np.broadcast_to(np.array(ended, dtype=object), replicas)}
     if apart:
         own["iterations"] = number("iterations").astype(np.int64)
@@ -280,11 +287,11 @@ def _read(path: Path, file: h5py.File, attributes: Mapping[str, Any], settings: 
         power_per_contact=more.pop("power"),
         states_proven=number("states_proven") == 1,
         objective=number("potential" if scene.law.minimises == "potential" else "power"),
-        history={key: column[0] if key in OF_ALL and not apart else column.T for key, column in columns.items()},
+        history=arrays.history(apart, is_needed=is_lattice),
         findings={name: number(name) for name in attributes.get("findings", FINDINGS) if name in attributes},
         own=own,
         running=Runtime(**{key: attributes.get(key, value) for key, value in vars(HOST).items()}),
-        snapshots=kept,
+        snapshots=arrays.snapshots(apart, *sites, *vector) if "snapshots" in file else None,
         **numbers,
         **more,
     )
@@ -309,13 +316,13 @@ def _lattice_in(path: Path, file: h5py.File, attributes: Mapping[str, Any], sett
 
 
 def _packings_in(path: Path, file: h5py.File, attributes: Mapping[str, Any], settings: RunSettings) -> _Found:
-    from taichi_bearings.packing.answer import OF_PACKINGS  # and with it much of SciPy
+    from taichi_bearings.packing.answer import SAID_OF_PACKINGS  # and with it much of SciPy
     from taichi_bearings.runs.packing_run import packings_of
 
-    if lacking := [name for name in OF_PACKINGS if name not in attributes]:
+    if lacking := [name for name in SAID_OF_PACKINGS if name not in attributes]:
         raise KeyError(f"it lacks {lacking[0]}")
     scene = packings_of(replace(settings, packing=str(path)))
-    first, arrays = scene.packings[0], _Sets(path, file, (scene.replicas,) * (scene.replicas > 1))
+    first, arrays = scene[0], _Sets(path, file, (scene.replicas,) * (scene.replicas > 1))
 
     def of_contacts(name: str, *parts: int) -> np.ndarray:
         return arrays.get(f"contact/{name}", first.contacts, *parts)

@@ -121,7 +121,7 @@ def self_contained(settings: RunSettings, scene: Any, spin: Any, folder: Path, n
         kept = {key: value for key, value in settings.given.items() if key not in LED_TO_ARRAYS}
         name = "packing.npz" if with_file else name
         if with_file:
-            found = stacked([packing.arrays() for packing in scene.packings])
+            found = stacked([packing.arrays() for packing in scene])
             write_arrays(folder / name, {n: v[0] if scene.replicas == 1 else v for n, v in found.items()})
         settings = RunSettings(**{**kept, "packing": name})
     if spin is not None:

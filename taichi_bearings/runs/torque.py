@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from taichi_bearings.errors import InputError
-from taichi_bearings.packing import Packing
+from taichi_bearings.packing import Packing, Packings
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene import Scene, Solution, Status
@@ -30,7 +30,7 @@ from taichi_bearings.scene.law import COULOMB, LAWS
 from taichi_bearings.solvers.table import MethodOptions
 
 Solve = Callable[[Any], Solution]
-"""Of a scene or a packing."""
+"""Of a scene, or of a packing."""
 SURELY = 1 + 1e-12  # factor that makes up for the rounding of the power
 ROUNDED_SUM = 1e-13  # relative, of the power of contacts between driven spheres
 HELD_TURN = 1e-4  # of the spin of the bottom, by which a top that counts as held may turn
@@ -61,7 +61,7 @@ def _imposed(scene: Any) -> tuple[float, float]:
     and of all others, length/time."""
     if isinstance(scene, Scene):
         return scene.imposed
-    speed, top = np.linalg.norm(scene.imposed, axis=1), _top(scene)
+    speed, top = np.linalg.norm(scene[0].imposed, axis=1), _top(scene[0])
     return float(speed[top].max(initial=0.0)), float(speed[~top].max(initial=0.0))
 
 
@@ -70,18 +70,18 @@ def _top(packing: Packing) -> np.ndarray:
     return np.asarray(packing.driven == max(packing.driven.max(), 0))
 
 
-def _changed(packing: Packing, **arrays: Any) -> Packing:
-    """With other arrays; those that are None are left out."""
-    given = {"law": packing.law, **packing.arrays(), **arrays}
-    return Packing(**{name: values for name, values in given.items() if values is not None})
+def _changed(packings: Packings, **arrays: Any) -> Packings:
+    """A packing with other arrays; those that are None are left out."""
+    given = {"law": packings.law, **packings[0].arrays(), **arrays}
+    return Packings([Packing(**{name: values for name, values in given.items() if values is not None})])
 
 
 def _with_driven(found: Solution) -> Solution:
     """Of a packing with what contacts between driven spheres take beside."""
     if isinstance(found.scene, Scene):
         return found
-    packing, among, low = found.scene, found.state == ContactState.DRIVEN, found.lower_bound
-    beside = float(packing.kind.objective(packing.coefficients, found.slip)[among].sum())
+    scene, among, low = found.scene, found.state == ContactState.DRIVEN, found.lower_bound
+    beside = float(scene.law.objective(scene.contact, found.slip)[among].sum())
     low = (low + beside) * (1 - ROUNDED_SUM) if beside else low
     power, objective = found.power + found.findings["driven_power"], found.objective + beside
     return replace(found, power=power, objective=objective, lower_bound=low)
@@ -92,7 +92,7 @@ def by_friction(solution: Solution, solve: Solve) -> Solution:
     scene = solution.scene
     if not (scene.law.holds and scene.law.flows):
         return solution
-    if isinstance(scene, Packing):
+    if not isinstance(scene, Scene):
         return solve(_changed(scene, law=COULOMB, viscosity=None))
     return solve(replace(scene, law=COULOMB, viscosity=()))
 
@@ -106,11 +106,11 @@ def under_torque(solution: Solution, torque: float, solve: Solve, friction: Solu
     the torque is proven to be held, NaN where nothing limits the motion or it is not known.
     """
     scene = solution.scene
-    if isinstance(scene, Packing):
+    if not isinstance(scene, Scene):
         top, others = _imposed(scene)
         if not top:
             raise InputError(f"torque is {torque:g}, but no body turns, along whose spins it would act")
-        if others and not scene.kind.holds:
+        if others and not scene.law.holds:
             raise InputError(f"torque is {torque:g}; with the law viscous all bodies but the last must be at rest")
     found = _found(_with_driven(solution), torque, lambda other: _with_driven(solve(other)), friction)
     return replace(solution, findings={**solution.findings, **found})
@@ -130,8 +130,7 @@ def _found(solution: Solution, torque: float, solve: Solve, friction: Solution |
     amplitude[limited] = np.abs(torque) / solution.power[limited]
     if scene.law.holds:
         for number in np.flatnonzero(limited):
-            contact = scene.coefficients if isinstance(scene, Packing) else scene.contact
-            viscous = scene.law.power(contact, friction.slip)[number].sum() - friction.power[number]
+            viscous = scene.law.power(scene.contact, friction.slip)[number].sum() - friction.power[number]
             least = (abs(torque) - high[number]) / (2 * viscous)
             amplitude[number] = _strength(scene.sample(int(number)), abs(torque), least, solve)
     return {
@@ -181,9 +180,9 @@ def _strength(scene: Any, torque: float, least: float, solve: Solve) -> float:
 
 
 def _scaled(scene: Any, strength: float) -> Any:
-    if isinstance(scene, Packing):
-        top = _top(scene).reshape(-1, *(1,) * (scene.spin.ndim - 1))
-        return _changed(scene, spin=np.where(top, strength, 1.0) * scene.spin)
+    if not isinstance(scene, Scene):
+        top = _top(scene[0]).reshape(-1, *(1,) * (scene[0].spin.ndim - 1))
+        return _changed(scene, spin=np.where(top, strength, 1.0) * scene[0].spin)
     if scene.top is None:
         return replace(scene, spin_top=strength * scene.spin_top)
     return replace(scene, top=tuple(strength * part for part in scene.top))

@@ -107,10 +107,9 @@ def _of_scan(scan: StoredScan) -> Source:
 def _of_run(run: Run) -> Source:
     assert run.path is not None
     settings, path, given = run.settings, file_of(run.path), list[tuple[np.ndarray, ...]]()
-    attributes = run.summary if run.is_packing else run.attributes
-    power, state = run.solution.power_per_contact, run.solution.state
+    attributes, power, state = run.attributes, run.solution.power_per_contact, run.solution.state
     if run.is_packing:
-        given = [(packing.contact, *packing.coefficients) for packing in run.solution.scene.packings]
+        given = [(packing.contact, *packing.coefficients) for packing in run.solution.scene]
     elif attributes.get("coefficients"):
         given = [(values,) for values in run.solution.scene.coefficient]
     replicas = len(state)

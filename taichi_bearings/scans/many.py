@@ -9,7 +9,7 @@ import numpy as np
 
 from taichi_bearings.errors import BearingsError
 from taichi_bearings.numerics.blas import one_thread
-from taichi_bearings.packing import Packing
+from taichi_bearings.packing import Packing, Packings
 from taichi_bearings.runs.run import Job, job_of
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.runs.solved import Run
@@ -39,7 +39,7 @@ class SceneTask:
         """What solves it; InputError for what cannot be. threads : where the settings leave them open."""
         settings = replace(self.settings, threads=self.settings.threads or threads)
         if isinstance(self.scene, Packing):
-            return Job(settings, self.scene, self.spin)
+            return Job(settings, Packings((self.scene,)), self.spin)
         assert self.spin is not None
         return job_of(settings, self.scene, self.spin)
 
@@ -69,5 +69,6 @@ def solve_all(tasks: Sequence[SceneTask], workers: int) -> Iterator[tuple[int, R
                 if "run" not in record:
                     raise BearingsError(f"scene {task.label} has no answer: {record['scalars']['error']}")
                 run, scene = record["run"], task.scene
-                solution = replace(run.solution, scene=scene)
+                of = Packings((scene,)) if isinstance(scene, Packing) else scene
+                solution = replace(run.solution, scene=of)
                 yield task.number, replace(run, settings=task.settings, solution=solution)

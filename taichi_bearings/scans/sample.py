@@ -70,20 +70,22 @@ def _blocks(samples: Sequence[Sample]) -> Iterator[list[Sample]]:
 
 def _solve_block(block: Sequence[Sample], analyse: bool, states: Path | None) -> list[dict[str, Any]]:
     """Records of a block, whose packings are alone."""
-    first, runs = block[0].settings, list[Any]()
+    first = block[0].settings
     files = [file for _, file in files_of(first)]
     if files and sample_key(first) != block[0].key:
         raise InputError(f"{' or '.join(files)} has changed since the scan began; the same scan again would do it anew")
     settings = replace(first, replicas=len(block), threads=first.threads or 1)
+    more: dict[str, Any] = {}
     if settings.is_packing:
-        from taichi_bearings.scans.packings import solve_packing_sample
+        from taichi_bearings.scans.packings import system_of
 
-        runs = [solve_packing_sample(settings)]
-    else:
-        found = prepare(settings, strict=False).solve()
-        runs = [replace(found.sample(number), settings=sample.settings) for number, sample in enumerate(block)]
-    if any(run.interrupted for run in runs):
+        more = {"system_of": system_of}
+    found = prepare(settings, strict=False).solve(**more)
+    if found.interrupted:
         raise Interrupted
+    runs = [found.sample(number) for number in range(len(block))]
+    if not settings.is_packing:
+        runs = [replace(run, settings=sample.settings) for run, sample in zip(runs, block, strict=True)]
     for sample, run in zip(block, runs, strict=True):
         if states is not None:
             make_folder(states)

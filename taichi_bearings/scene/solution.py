@@ -9,6 +9,7 @@ import numpy as np
 
 from taichi_bearings.errors import BearingsError
 from taichi_bearings.runtime import HOST, Runtime
+from taichi_bearings.scene.scene import Scene
 
 CROSSED_BOUND = 1e-11  # relative amount by which a lower bound may seem to lie above the power
 
@@ -151,7 +152,7 @@ OF_ALL = ("iteration", "seconds", "time")
 class Solution:
     """The answer of a run, one entry a replica where an axis R is named.
 
-    scene : the `Scene`, or of packings the `Packing`, of several replicas `Packings`. Their arrays are flat: N is the
+    scene : the `Scene`, or the `Packings` of all replicas. Their arrays are flat: N is the
         number of spheres, `friction` is that on the second sphere of each contact, and `findings` has what is said of
         packings alone: `proof`, `driven_power` and `slipless_motions`.
     spin, spin_rounding : laboratory frame, (R, *N) in 2D and (R, *N, 3) in 3D, 1/time; the spins are their sums.
@@ -211,6 +212,11 @@ class Solution:
                     f"the lower bound {bound:.17g} lies above the {self.scene.law.minimises} {value:.17g}: one of them "
                     "is wrong, and this is no result; please report it with the command"
                 )
+
+    @property
+    def system(self) -> Any:
+        """The scene, or of packings the first one."""
+        return self.scene if isinstance(self.scene, Scene) else self.scene[0]
 
     @property
     def minimum_is_unique(self) -> list[bool | None]:

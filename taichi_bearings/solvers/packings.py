@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -145,12 +144,12 @@ def follow_packing(
     row = type(method)
     if density is not None and not row.is_dynamics:
         raise InputError(f"density is given, but {row.name} has no use for it; dynamics have")
-    begun, network, built = perf_counter(), Network(packing, density), method.build_for_packing()
+    network, built = Network(packing, density), method.build_for_packing()
     with (
         one_thread(),
         followed(network, built, network.start(start), stop, monitors, recording, checkpoints) as course,
     ):
-        found = _answer(network, course, row, stop.tolerance, begun)
+        found = _answer(network, course, row, stop.tolerance)
     cut_short = np.isfinite(stop.duration) and course.status in (Status.STEP_LIMIT, Status.TIME_LIMIT)
     return replace(
         found,
@@ -162,7 +161,7 @@ def follow_packing(
     )
 
 
-def _answer(network: Network, course: Course, row: type[MethodOptions], tolerance: float, begun: float) -> Solution:
+def _answer(network: Network, course: Course, row: type[MethodOptions], tolerance: float) -> Solution:
     """The best state and the best forces; `force`, the states of a dynamics, and those of parts that nothing drives
     are those of now."""
     system, best = network.proof[0], course.best
@@ -172,7 +171,7 @@ def _answer(network: Network, course: Course, row: type[MethodOptions], toleranc
     found = Found(
         np.zeros(system.unknowns), proof[:, 0, network.of_system], row.name, everywhere=last.staggered[:, 0].T
     )
-    result = judged(system, found, tolerance, begun)
+    result = judged(system, found, tolerance)
     force, state, slip = result.force.copy(), result.state.copy(), result.slip[0]
     force[:, network.acting] = vector_length(last.force)
     loose = np.setdiff1d(network.acting, system.contact)

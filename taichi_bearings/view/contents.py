@@ -134,7 +134,7 @@ def _of_lattice(drawn: PointsAndLines) -> tuple[Law, str, float, dict[str, Any]]
 def _of_packing(drawn: PointsAndLines) -> tuple[Law, str, float, dict[str, Any]]:
     """The same of a packing; for the spin the largest imposed R omega over the median of R."""
     solution: Solution = drawn.answer
-    packing, law, body = solution.scene, solution.scene.kind, drawn.body
+    packing, law, body = solution.scene[0], solution.scene.law, drawn.body
     fastest = float(np.linalg.norm(packing.imposed, axis=1).max(initial=0.0))
     bodies = np.unique(body[body >= 0])
     named = [f"driven body {number}" for number in bodies] if len(bodies) == 2 else ["one driven body"] * 2
