@@ -152,9 +152,11 @@ OF_ALL = ("iteration", "seconds", "time")
 class Solution:
     """The answer of a run, one entry a replica where an axis R is named.
 
-    scene : the `Scene`, or the `Packings` of all replicas. Their arrays are flat: N is the
-        number of spheres, `friction` is that on the second sphere of each contact, and `findings` has what is said of
-        packings alone: `proof`, `driven_power` and `slipless_motions`.
+    scene : the `Scene`, or the `Packings` of all replicas. Of packings N is the number of spheres, `friction` is that
+        on the second sphere of each contact, and `findings` has what is said of them alone: `proof`, "proven", or of
+        which spins the bound is, where some motions slip by no more than the rounding of the normals, or why there is
+        none; `driven_power`, energy/time, what contacts between driven spheres dissipate; `slipless_motions` of the
+        free spheres that driven ones reach, None if undecided.
     spin, spin_rounding : laboratory frame, (R, *N) in 2D and (R, *N, 3) in 3D, 1/time; the spins are their sums.
     slip, power_per_contact, force, state : (R, E); force is its magnitude.
     friction : on the upper sphere of each contact, laboratory frame, (R, E, 3); in 2D (R, E),
