@@ -124,10 +124,7 @@ def judged(system: System, found: Found, tolerance: float) -> Solution:
         objective=judgement.objective,
         lower_bound=judgement.lower_bound,
         gap=judgement.gap,
-        slip_threshold=0.0,
         largest_balance_residual=judgement.largest_torque,
-        seconds=0.0,
-        seconds_compile=0.0,
         findings={
             "proof": np.array([judgement.proof]),
             "driven_power": np.array([judgement.driven_power]),

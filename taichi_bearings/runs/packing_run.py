@@ -181,22 +181,6 @@ def solved_packing(
 ) -> Solution:
     """The answer of the method that the settings name. system_of : see :func:`solve_packing`. start : instead of the
     one that the settings name. others : density, monitors and checkpoints of :func:`follow_packing`."""
-    found = _solved(settings, packing, system_of, start, **others)
-    if settings.torque is not None and found.status is not Status.INTERRUPTED:
-        found = under_torque(
-            found,
-            Ramp.of(settings.torque).stop,
-            lambda packings: _solved(settings, packings[0], System.of, None, **others),
-        )
-    if (threshold := settings.slip_threshold) is None:
-        return found
-    state = by_threshold(found.slip, found.state, threshold)
-    return replace(found, state=state, slip_threshold=threshold, states_proven=all_proven(state, found.proven))
-
-
-def _solved(
-    settings: RunSettings, packing: Packing, system_of: Callable[[Packing], System], start: Any, **others: Any
-) -> Solution:
     row, given = row_of_packing(settings.method), settings.given
     device = {key: given[key] for key in ON_DEVICE if key in given}
     if row is None:
@@ -204,13 +188,22 @@ def _solved(
             raise DeviceError("the least power of a packing is found in the memory of the CPU; use --arch cpu")
         if threads := device.get("threads"):
             runtime.start(threads=threads)
-        return solve_packing(packing, settings.tolerance, system_of, settings.method)
-    from taichi_bearings.solvers.packings import follow_packing  # and with it Taichi's kernels
-    from taichi_bearings.solvers.recording import Recording
-    from taichi_bearings.solvers.stopping import StopRule
+        found = solve_packing(packing, settings.tolerance, system_of, settings.method)
+    else:
+        from taichi_bearings.solvers.packings import follow_packing  # and with it Taichi's kernels
+        from taichi_bearings.solvers.recording import Recording
+        from taichi_bearings.solvers.stopping import StopRule
 
-    method = row(**{key: value for key in options_of(row) if (value := getattr(settings, key)) is not None})
-    if device:
-        runtime.start(**device)
-    first = settings.initial if start is None else start
-    return follow_packing(packing, method, first, StopRule.of(settings), Recording.of(settings), **others)
+        method = row(**{key: value for key in options_of(row) if (value := getattr(settings, key)) is not None})
+        if device:
+            runtime.start(**device)
+        first, stop = settings.initial if start is None else start, StopRule.of(settings)
+        found = follow_packing(packing, method, first, stop, Recording.of(settings), **others)
+    if settings.torque is not None and found.status is not Status.INTERRUPTED:
+        free = replace(settings, torque=None, slip_threshold=None)
+        torque = Ramp.of(settings.torque).stop
+        found = under_torque(found, torque, lambda packings: solved_packing(free, packings[0], **others))
+    if (threshold := settings.slip_threshold) is None:
+        return found
+    state = by_threshold(found.slip, found.state, threshold)
+    return replace(found, state=state, slip_threshold=threshold, states_proven=all_proven(state, found.proven))

@@ -124,10 +124,6 @@ class Job:
     spin: Any
     method: Any = None
 
-    def self_contained(self, folder: Path) -> RunSettings:
-        """As of a Run."""
-        return self_contained(self.settings, self.scene, self.spin, folder)
-
     def solve(self, monitors: Sequence[Any] = (), checkpoints: Any = None, **others: Any) -> Run:
         """On the device that the settings name. checkpoints : a solvers.drive.Checkpoints, for a dynamics."""
         if isinstance(self.scene, Scene):
@@ -276,7 +272,7 @@ def run(
         if settings.checkpoint_every is None:
             found = replace(job.solve(monitors), path=directory.path, command=command())
             return kept(found, partial(publish, directory, found), title)
-        stored = job.self_contained(directory.partial)
+        stored = self_contained(job.settings, job.scene, job.spin, directory.partial)
         write_text(directory.partial / "scene.toml", stored.to_toml())
         write_checkpoint(directory.partial, stored.to_toml(), versions(), {})
         directory.publish()

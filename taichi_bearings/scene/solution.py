@@ -196,10 +196,10 @@ class Solution:
     objective: np.ndarray
     lower_bound: np.ndarray
     gap: np.ndarray
-    slip_threshold: float
     largest_balance_residual: np.ndarray
-    seconds: float
-    seconds_compile: float
+    slip_threshold: float = 0.0
+    seconds: float = 0.0
+    seconds_compile: float = 0.0
     history: dict[str, np.ndarray] = field(default_factory=dict)
     findings: Mapping[str, np.ndarray] = field(default_factory=dict)
     own: Mapping[str, np.ndarray] = field(default_factory=dict)
