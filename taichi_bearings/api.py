@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any, ClassVar, overload
 
 import numpy as np
 
@@ -19,16 +19,16 @@ from taichi_bearings.analysis.packing_structure import PackingStructure
 from taichi_bearings.errors import InputError
 from taichi_bearings.lattice.grid import friction_by_axis
 from taichi_bearings.options import SEED, options_of
-from taichi_bearings.packing import Packing, PackingSolution
+from taichi_bearings.packing import Packing, Packings
 from taichi_bearings.progress import displayed
-from taichi_bearings.quantities import CONTACTS, SAMPLES, SPHERES, Quantity
+from taichi_bearings.quantities import CONTACTS, FINDINGS, SAMPLES, SPHERES, Quantity
 from taichi_bearings.runs import run as runs
 from taichi_bearings.runs.analysis import Analysis
 from taichi_bearings.runs.packing_run import minimises, refuse_unused, used
 from taichi_bearings.runs.run_directory import run_directory
 from taichi_bearings.runs.run_file import read_run
 from taichi_bearings.runs.settings import RunSettings
-from taichi_bearings.runs.solved import Packed, Run
+from taichi_bearings.runs.solved import Run
 from taichi_bearings.runtime import available_threads
 from taichi_bearings.scans.sample import JobTask, solve_all
 from taichi_bearings.scene import Scene, Snapshots
@@ -75,6 +75,8 @@ class Result:
     `result[0]` is one of them alone, and `for one in result` goes through all. N is the lattice, such as (nx, ny, nz).
     What lies on contacts is a tuple with an array an axis, x, y(, z), of the shapes of `scene.coefficients`.
     """
+
+    _tabled: ClassVar = ("seed", "status", "power", "lower_bound", "gap", "slipping", "slipless", "undecided")
 
     def __init__(self, run: Run) -> None:
         self._run = run
@@ -150,11 +152,15 @@ class Result:
         kept = self._run.solution.snapshots
         return None if kept is None else Snapshots(kept.time, self._of_samples(np.moveaxis(kept.spin, 1, 0)))
 
+    def _by_axis(self, values: np.ndarray) -> ByAxis:
+        """Values (..., E) of contacts as users meet them."""
+        return self.scene.lattice.by_axis(values)
+
     def _of_samples(self, values: Any) -> Any:
         """The values of all samples, (R, ...), as users meet them; what is one for all stays."""
         if self._run.solution.scene.replicas > 1 or not isinstance(values, (np.ndarray, list)):
             return values
-        return values[0].item() if isinstance(values, np.ndarray) and values.ndim == 1 else values[0]
+        return values.item() if isinstance(values, np.ndarray) and values.ndim == 1 else values[0]
 
     def __len__(self) -> int:
         return self._run.solution.scene.replicas
@@ -169,9 +175,13 @@ class Result:
     def __iter__(self) -> Iterator["Result"]:
         return (self[number] for number in range(len(self)))
 
+    @property
+    def _what(self) -> str:
+        """What was solved, in a few words."""
+        return f"{'x'.join(map(str, self.scene.lattice.shape))} {self.scene.law}"
+
     def __repr__(self) -> str:
-        shape = "x".join(map(str, self.scene.lattice.shape))
-        words = f"<Result {shape} {self.scene.law}, {self.method}"
+        words = f"<{type(self).__name__} {self._what}, {self.method}"
         if len(self) > 1:
             done = sum(status.reached for status in self._run.status)
             return f"{words}: {len(self)} samples, {done} reached, gap at most {self.gap.max():.1e}>"
@@ -179,9 +189,8 @@ class Result:
 
     def _repr_html_(self) -> str:
         """A table for notebooks, a row a sample."""
-        names = ("seed", "status", "power", "lower_bound", "gap", "slipping", "slipless", "undecided")
-        columns = [np.atleast_1d(self.summary[name]).tolist() for name in names]
-        return html_table(repr(self), zip(*columns, strict=True), names)
+        columns = [np.atleast_1d(self.summary[name]).tolist() for name in self._tabled]
+        return html_table(repr(self), zip(*columns, strict=True), self._tabled)
 
     def plot(
         self, kind: str = "spins", sample: int = 0, time: float | None = None, page: "Page | None" = None
@@ -224,9 +233,14 @@ def _of_contacts(row: Quantity) -> property:
 
     def found(result: Result) -> ByAxis:
         values = row.of(result._run.solution)
-        return () if values is None else result.scene.lattice.by_axis(result._of_samples(values))
+        return () if values is None else result._by_axis(result._of_samples(values))
 
     return property(found, doc=f"{_described(row)[:-1]}; an array an axis.")
+
+
+def _of_packing(row: Quantity) -> property:
+    """A number or word of a packing, None where it is not known."""
+    return property(lambda result: result._run.numbers.get(row.name), doc=_described(row))
 
 
 for _name in Result.__annotations__.keys() & SAMPLES.keys():
@@ -238,33 +252,39 @@ for _name, _row in CONTACTS.items():
     setattr(Result, "power_per_contact" if _name == "power" else _name, _of_contacts(_row))
 
 
-class PackingResult(PackingSolution):
-    __doc__ = PackingSolution.__doc__
+class PackingResult(Result):
+    """The answer to a packing, a :class:`Result` of one sample whose arrays are flat, of N spheres and E contacts.
 
-    def _repr_html_(self) -> str:
-        names = ("status", "proof", "power", "lower_bound", "gap", "driven_power", "critical", "slipless_motions")
-        return html_table(repr(self), [[name, getattr(self, name)] for name in names])
+    spin : (N, 3), of discs (N,). slip, force, power_per_contact, state, proven, slip_bound : (E,). Contacts between
+    driven spheres, or without coefficient, are left out of `power`.
+    """
 
-    def save(self, path: str | Path, force: bool = False) -> Path:
-        """Write what `bearings run` writes into a new directory, which is returned; :func:`load` reads it.
+    _tabled = ("status", "proof", "power", "lower_bound", "gap", "driven_power", "critical", "slipless_motions")
+    packing = property(lambda self: self._run.solution.scene[0], doc="The :class:`Packing` that was solved.")
+    torque = property(lambda self: self._run.settings.torque, doc="On the last body, if a run was asked for one.")
+    proof: str
+    driven_power: float
+    slipless_motions: int | None
+    time: float | None
+    unbalanced = property(
+        lambda self: self.largest_balance_residual, doc="Largest torque left on a free sphere, over its radius; force."
+    )
+    friction = property(
+        lambda self: self._of_samples(self._run.solution.friction),
+        doc="Force on the second sphere of each contact, laboratory frame, force; (E, 3), of discs (E,), its component "
+        "along z x n. The lower bound follows from it.",
+    )
 
-        force : replace a run directory that stands there. FileError if something does, or if it cannot be written.
-        """
-        asked: dict[str, Any] = {"torque": self.torque, "slip_threshold": self.slip_threshold or None}
-        settings = RunSettings(packing="run.h5", law=str(self.packing.law), **asked)
-        with run_directory(Path(path), force) as directory:
-            found = runs.publish(directory, Run(settings, Packed((self,)), command="taichi_bearings.solve"))
-        assert found.path is not None
-        return found.path
+    def _by_axis(self, values: np.ndarray) -> Any:
+        return values
 
-    def plot(self, kind: str = "spins", time: float | None = None, page: "Page | None" = None) -> "Figure":
-        """A figure: "spins", "power", "history", "energy", "domains" or "network". time, page : as of
-        :meth:`Result.plot`."""
-        from taichi_bearings.plots.page import PAGE
-        from taichi_bearings.runs.figures import draw_figure
+    @property
+    def _what(self) -> str:
+        return repr(self.packing)
 
-        return draw_figure(kind, Packed((self,)), 0, time, page=page or PAGE)
 
+for _name in PackingResult.__annotations__:
+    setattr(PackingResult, _name, _of_packing((SAMPLES | FINDINGS)[_name]))
 
 OPTIONS = (
     "torque", "iterations", "time_limit", "duration", "record", "snapshots", "slip_threshold", "arch", "precision",
@@ -367,7 +387,7 @@ def solve_many(
 
 
 def _result(run: Run) -> Result | PackingResult:
-    return PackingResult(**vars(run.result)) if run.is_packing else Result(run)
+    return PackingResult(run) if run.is_packing else Result(run)
 
 
 def analyse(result: Result | PackingResult | str | Path, threshold: float | None = None, sample: int = 0) -> Any:
@@ -384,7 +404,7 @@ def analyse(result: Result | PackingResult | str | Path, threshold: float | None
             raise InputError(f"sample is {sample}; the run has {len(found)}, counted from 0")
         found = found[sample]
     if isinstance(found, PackingResult):
-        return PackingStructure.of(found, threshold)
+        return PackingStructure.of(found._run.solution, threshold)
     return Analysis(found._run, threshold, sample)
 
 
@@ -397,10 +417,10 @@ def load(path: str | Path) -> Any:
     if not isinstance(path, (str, os.PathLike)):
         raise InputError(f"{shown(path)} is not a path; it must name a run directory or its run.h5")
     stored = read_run(Path(path))
-    if stored.is_packing:
-        found = [PackingResult(**vars(result)) for result in stored.results]
-        return found if len(found) > 1 else found[0]
-    return Result(stored)
+    replicas = stored.solution.scene.replicas
+    if stored.is_packing and replicas > 1:
+        return [PackingResult(stored.sample(number)) for number in range(replicas)]
+    return _result(stored)
 
 
 def _job(
@@ -409,12 +429,12 @@ def _job(
     """What solves this scene, with the settings of `bearings run`; InputError for what cannot be. Spins to start from
     that are an array lie beside the settings."""
     if isinstance(scene, Packing):
-        settings = RunSettings(packing="run.h5", law=str(scene.law), **_asked(method, options, start))
+        settings = RunSettings(packing="run.h5", law=str(scene.law), seed=scene.seed, **_asked(method, options, start))
         settings = settings if isinstance(method, str) else used(settings)  # of its options all are given
         if "initial" in settings.given and minimises(settings):
             raise InputError(f"start is given, but method {settings.method} of a packing does not use it")
         refuse_unused(settings)
-        return runs.Job(settings, (scene,), None if isinstance(start, str) else start)
+        return runs.Job(settings, Packings((scene,)), None if isinstance(start, str) else start)
     if not isinstance(scene, Scene):
         raise InputError(f"the scene is a {type(scene).__name__}; it must be a taichi_bearings.Scene or a Packing")
     values: dict[str, Any] = {name: getattr(scene, name) for name in Scene.PARAMETERS}

@@ -27,7 +27,7 @@ class Answered:
     duration: float | None
 
     @property
-    def scene(self) -> Scene:
+    def scene(self) -> Any:
         return self.solution.scene
 
     @property
@@ -37,10 +37,11 @@ class Answered:
         One whose own gap is within the tolerance is certified, however the run as a whole ended, unless a limit came
         before the simulated time that was asked for.
         """
-        solution = self.solution
-        cut_short = self.duration is not None and solution.status in (Status.STEP_LIMIT, Status.TIME_LIMIT)
-        close = (solution.gap <= self.tolerance) & (not cut_short)
-        return [Status.CERTIFIED if certified else solution.status for certified in close]
+        found, limits = list[Status](), (Status.STEP_LIMIT, Status.TIME_LIMIT) if self.duration is not None else ()
+        ended = self.solution.own.get("status", [self.solution.status] * self.scene.replicas)
+        for status, gap in zip(ended, self.solution.gap, strict=True):
+            found.append(Status.CERTIFIED if gap <= self.tolerance and status not in limits else status)
+        return found
 
     @cached_property
     def contacts_in(self) -> np.ndarray:
@@ -83,6 +84,16 @@ class Quantity:
     text: str
     of: Callable[[Any], Any] = lambda _: None
     symbol: str = ""
+
+
+def _of_lattice(of: Callable[[Any], Any], otherwise: Callable[[Any], Any] = lambda _: None) -> Callable[[Any], Any]:
+    """What is asked of an Answered with a scene, and what of one with packings."""
+    return lambda answered: (of if isinstance(answered.scene, Scene) else otherwise)(answered)
+
+
+def _of_packing(of: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """What is the same for all packings of an Answered; None of lattices."""
+    return _of_lattice(lambda _: None, lambda answered: of(answered.scene[0]))
 
 
 def _named(rows: Iterable[Quantity]) -> dict[str, Quantity]:
@@ -156,14 +167,22 @@ SAMPLES = _named(
                  lambda a: [status.value for status in a.status]),
         Quantity("method", "1", "method that solved the sample", lambda a: a.solution.method),
         Quantity("law", "1", "contact law", lambda a: a.scene.law.name),
-        Quantity("shape", "1", "spheres along each axis, height last", lambda a: Whole(a.scene.lattice.shape)),
+        Quantity("shape", "1", "spheres along each axis, height last",
+                 _of_lattice(lambda a: Whole(a.scene.lattice.shape))),
+        Quantity("spheres", "1", "spheres of a packing", _of_packing(lambda packing: packing.spheres)),
+        Quantity("driven_spheres", "1", "driven spheres of a packing",
+                 _of_packing(lambda packing: int((packing.driven >= 0).sum()))),
         Quantity("seed", "1", "seed of the disorder", lambda a: list(a.scene.seeds)),
-        Quantity("iterations", "1", "iterations of the method", lambda a: a.solution.iterations),
+        Quantity("iterations", "1", "iterations of the method",
+                 _of_lattice(lambda a: a.solution.iterations,
+                             lambda a: a.solution.own.get("iterations", a.solution.iterations))),
         Quantity("seconds", "s", "wall time of the solve, compilation apart; of seeds solved together a share",
                  lambda a: a.solution.seconds, r"t_\mathrm{solve}"),
         Quantity("seconds_compile", "s", "wall time to load and compile", lambda a: a.solution.seconds_compile),
         Quantity("contacts", "1", "contacts that take part",
-                 lambda a: a.scene.lattice.contacts, r"N_\mathrm{contacts}"),
+                 _of_lattice(lambda a: a.scene.lattice.contacts,
+                             lambda a: len(a.solution.state[0]) - int(a.contacts_in[0, ContactState.DRIVEN])),
+                 r"N_\mathrm{contacts}"),
         Quantity("slipping", "1", "number of contacts that slip",
                  lambda a: a.contacts_in[:, ContactState.SLIPPING], r"N_\mathrm{slipping}"),
         Quantity("slipless", "1", "number of contacts that do not slip",
@@ -177,24 +196,25 @@ SAMPLES = _named(
         Quantity("unproven", "1", "contacts not proven to slip at every minimum, at none or at some",
                  lambda a: a.solution.unproven),
         Quantity("largest_slipless_slip", "length/time", "largest slip of a slipless contact",
-                 lambda a: a.separation.largest_slipless),
+                 _of_lattice(lambda a: a.separation.largest_slipless)),
         Quantity("smallest_slipping_slip", "length/time", "smallest slip of a slipping contact",
-                 lambda a: a.separation.smallest_slipping),
+                 _of_lattice(lambda a: a.separation.smallest_slipping)),
         Quantity("separation_decades", "1", "decades of slip between slipping and slipless contacts",
-                 lambda a: a.decades),
+                 _of_lattice(lambda a: a.decades)),
         Quantity("slip_threshold", "length/time", "slip up to which a contact counts as slipless",
                  lambda a: a.solution.slip_threshold, r"v_\mathrm{slip}"),
         Quantity("largest_balance_residual", "force*length", "largest torque left over on a free sphere",
                  lambda a: a.solution.largest_balance_residual),
-        Quantity("spin_top", "1/time", "spin of the top plane", lambda a: a.scene.imposed[0], r"\omega_T"),
-        Quantity("spin_bottom", "1/time", "spin of the bottom plane", lambda a: a.scene.imposed[1], r"\omega_B"),
-        Quantity("normal_force", "force", "force at every contact", lambda a: a.scene.normal_force, "F_n"),
-        Quantity("radius", "length", "radius of the spheres", lambda a: a.scene.lattice.radius, "R"),
+        Quantity("spin_top", "1/time", "spin of the top plane", _of_lattice(lambda a: a.scene.imposed[0]), r"\omega_T"),
+        Quantity("spin_bottom", "1/time", "spin of the bottom plane",
+                 _of_lattice(lambda a: a.scene.imposed[1]), r"\omega_B"),
+        Quantity("normal_force", "force", "force at every contact", _of_lattice(lambda a: a.scene.normal_force), "F_n"),
+        Quantity("radius", "length", "radius of the spheres", _of_lattice(lambda a: a.scene.lattice.radius), "R"),
         Quantity("version", "1", "version of the program that solved it", lambda a: VERSION),
         Quantity("power_normalised", "1", "power / (normal_force radius spin_top)",
-                 lambda a: a.power_normalised, r"P\,/\,(F_n R\,\omega_T)"),
+                 _of_lattice(lambda a: a.power_normalised), r"P\,/\,(F_n R\,\omega_T)"),
         Quantity("minimum_is_unique", "1", "no other slips have the least power, proven either way",
-                 lambda a: a.solution.minimum_is_unique),
+                 _of_lattice(lambda a: a.solution.minimum_is_unique)),
         Quantity("time", "time", "simulated time", lambda a: a.at_end("time")),
         Quantity("duration", "time", "simulated time that was asked for",
                  lambda a: a.duration if "time" in a.solution.history else None),
@@ -206,6 +226,9 @@ SAMPLES = _named(
 
 FINDINGS = _named(
     [
+        Quantity("proof", "1", "what is proven of the least power of a packing, in words"),
+        Quantity("driven_power", "energy/time", "power of the contacts between driven spheres of a packing"),
+        Quantity("slipless_motions", "1", "motions of a packing at which nothing slips, its driven spheres at rest"),
         Quantity("tied_contacts", "1", "contacts that slip at some minima and not at others"),
         Quantity("cut_is_unique", "1", "whether every other cut is heavier"),
         Quantity("next_cut_over_minimum", "1", "weight of the lightest other cut over that of the minimum cut"),
@@ -315,11 +338,6 @@ OF_SCANS = _named(
         Quantity("stiffness", "force/length", "stiffness of the springs", symbol="K_t"),
         Quantity("damping", "force*time/length", "damping of the springs", symbol="A_t"),
         Quantity("warnings", "1", "where the result could be misread, in sentences with a number"),
-        Quantity("proof", "1", "what is proven of the least power of a packing, in words"),
-        Quantity("spheres", "1", "spheres of a packing"),
-        Quantity("driven_spheres", "1", "driven spheres of a packing"),
-        Quantity("driven_power", "energy/time", "power of the contacts between driven spheres of a packing"),
-        Quantity("slipless_motions", "1", "motions of a packing at which nothing slips, its driven spheres at rest"),
         Quantity("largest_domain", "1", "free spheres of the largest rigid domain of a packing"),
         Quantity("sample", "1", "name of the sample, the same for the same settings"),
         Quantity("error", "1", "why the sample has no result"),
@@ -359,6 +377,7 @@ def numbers_of(answered: Answered) -> dict[str, Any]:
     """
     several = answered.scene.replicas > 1
     found = {row.name: _told(value, several) for row, value in found_in(answered, SAMPLES)}
+    found["shape"] = found.get("shape")  # packings have none
     return found | {name: _told(values, several) for name, values in answered.solution.findings.items()}
 
 

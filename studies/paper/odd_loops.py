@@ -117,7 +117,7 @@ def draw(lattice: str, size: int, odd: int, bottom: float, samples: int, seed: i
     found: dict[str, list[float]] = {"rolling": [], "resting": [], "power_over_rest": []}
     for number in range(seed, seed + samples):
         packing = network(lattice, size, odd, bottom, number)
-        spin = solve_packing(packing, SURE).spin if lattice == "cubic" else least_spins(packing)
+        spin = solve_packing(packing, SURE).spin[0] if lattice == "cubic" else least_spins(packing)
         at_rest = spin * (packing.driven >= 0).reshape(-1, *[1] * (spin.ndim - 1))
         speed = np.linalg.norm(spin.reshape(len(spin), -1), axis=1)[packing.driven < 0]
         found["rolling"].append(float((speed > 0.5).mean()))

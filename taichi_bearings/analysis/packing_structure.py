@@ -16,12 +16,13 @@ from scipy.sparse.linalg import spsolve
 from taichi_bearings.analysis.bottlenecks import Bottlenecks
 from taichi_bearings.analysis.domains import Lock, RigidDomains, refined
 from taichi_bearings.analysis.network import ContactNetwork
-from taichi_bearings.packing import Packing, PackingSolution
+from taichi_bearings.packing import Packing
 from taichi_bearings.packing.interface import SAME_STATE, Interface, bearing_states, nodes_of
 from taichi_bearings.packing.structure import self_stress_of
 from taichi_bearings.packing.system import acting, along_axes, odd_parts
-from taichi_bearings.proof.contact_state import ContactState
+from taichi_bearings.proof.contact_state import ContactState, by_threshold
 from taichi_bearings.quantities import STRUCTURE, plain
+from taichi_bearings.scene import Solution
 from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.words import html_table
 
@@ -63,20 +64,32 @@ class PackingFlow:
 
 @dataclass(frozen=True)
 class PackingStructure:
-    """slipless : (E,) contacts that count as slipless."""
+    """A solved packing and what its contacts form.
 
-    result: PackingSolution
+    spin : (N, 3), of discs (N,), laboratory frame, 1/time. slip, state, slipless : (E,); those that count as slipless.
+    friction : on the second sphere, (E, 3), of discs (E,). power : energy/time.
+    """
+
+    packing: Packing
+    spin: np.ndarray
+    slip: np.ndarray
+    state: np.ndarray
+    friction: np.ndarray
+    power: float
     slipless: np.ndarray
 
     @classmethod
-    def of(cls, result: PackingSolution, threshold: float | None = None) -> "PackingStructure":
-        """threshold : slip, length/time, up to which contacts count as slipless; the states of the result if None."""
-        result = result if threshold is None else result.by_threshold(threshold)
-        return cls(result, result.state == ContactState.SLIPLESS)
+    def of(cls, solution: Solution, threshold: float | None = None) -> "PackingStructure":
+        """Of one sample. threshold : slip, length/time, up to which contacts count as slipless; the states of the
+        solution if None."""
+        slip, state = solution.slip[0], solution.state[0]
+        state = state if threshold is None else by_threshold(slip, state, threshold)
+        slipless, power = state == ContactState.SLIPLESS, float(solution.power[0])
+        return cls(solution.scene[0], solution.spin[0], slip, state, solution.friction[0], power, slipless)
 
     @cached_property
     def network(self) -> "PackingNetwork":
-        return PackingNetwork.of(self.result.packing, self.slipless)
+        return PackingNetwork.of(self.packing, self.slipless)
 
     @cached_property
     def bottlenecks(self) -> Bottlenecks:
@@ -104,9 +117,9 @@ class PackingStructure:
     def turned(self) -> np.ndarray:
         """s R omega (N, C), length/time, with signs s by which neighbours differ; in parts with odd loops, where each
         sphere has neighbours of its own sign, that of its first component is taken away."""
-        packing = self.result.packing
+        packing = self.packing
         odd, sign = odd_parts(packing.spheres, *packing.contact.T)
-        u = sign[:, None] * self.result.spin.reshape(packing.spheres, -1) * np.asarray(packing.radius)[:, None]
+        u = sign[:, None] * self.spin.reshape(packing.spheres, -1) * np.asarray(packing.radius)[:, None]
         first = np.argmax(np.abs(u) > SAME_STATE * np.abs(u).max(initial=0.0), axis=1)
         return np.where(odd[:, None] & (u[np.arange(len(u)), first] < 0)[:, None], -u, u)
 
@@ -114,8 +127,8 @@ class PackingStructure:
     def rigid_domains(self) -> RigidDomains:
         """Spheres of one connected piece of slipless contacts that turn as fast, but for their signs. Components that
         all have alike are left out; those of one piece with a body that turn as it does are locked to it."""
-        packing, u, piece = self.result.packing, self.turned, self.network.component
-        near = max(SAME_STATE * np.abs(u).max(initial=0.0), 2 * self.result.slip[self.slipless].max(initial=0.0))
+        packing, u, piece = self.packing, self.turned, self.network.component
+        near = max(SAME_STATE * np.abs(u).max(initial=0.0), 2 * self.slip[self.slipless].max(initial=0.0))
         axes = self._slipping_components(near)
         states = bearing_states(packing)
         low, high = np.zeros((2, *u.shape)) if states is None else states[1]
@@ -146,8 +159,8 @@ class PackingStructure:
 
     def _slipping_components(self, near: float) -> tuple[int, ...]:
         """Components in which some contact slips; all where none does."""
-        packing, acts = self.result.packing, self.result.state != ContactState.DRIVEN
-        u = self.result.spin.reshape(packing.spheres, -1) * np.asarray(packing.radius)[:, None]
+        packing, acts = self.packing, self.state != ContactState.DRIVEN
+        u = self.spin.reshape(packing.spheres, -1) * np.asarray(packing.radius)[:, None]
         both, normal = u[packing.contact[acts]].sum(axis=1), np.asarray(packing.normal)[acts]
         if packing.dimension == 3:
             both = both - normal * (both * normal).sum(axis=1)[:, None]
@@ -157,8 +170,8 @@ class PackingStructure:
     @cached_property
     def torque_flow(self) -> PackingFlow:
         """What drives the bodies, and how it goes through the network."""
-        packing, acts = self.result.packing, self.result.state != ContactState.DRIVEN
-        friction, normal = self.result.friction, np.asarray(packing.normal)
+        packing, acts = self.packing, self.state != ContactState.DRIVEN
+        friction, normal = self.friction, np.asarray(packing.normal)
         pull = friction[:, None] if packing.dimension == 2 else np.cross(normal, friction)
         odd, sign = odd_parts(packing.spheres, *packing.contact.T)
         sign = np.where(odd, 1, sign)
@@ -167,7 +180,7 @@ class PackingStructure:
     @cached_property
     def interface(self) -> Interface | None:
         """The lightest interface; None where there is none of two bearing states."""
-        return Interface.of(self.result.packing)
+        return Interface.of(self.packing)
 
     def __getattr__(self, name: str) -> Any:
         if name in (numbers := {} if name.startswith("_") else self.numbers):
@@ -177,7 +190,7 @@ class PackingStructure:
     @property
     def mean_saturation(self) -> float | None:
         """As of lattices."""
-        packing, size = self.result.packing, vector_length(np.atleast_2d(self.result.friction.T))
+        packing, size = self.packing, vector_length(np.atleast_2d(self.friction.T))
         if not packing.kind.is_rate_independent:
             return None
         loaded = self.slipless & (packing.coefficients[0] > 0)
@@ -186,22 +199,22 @@ class PackingStructure:
     @cached_property
     def self_stress(self) -> int | None:
         """States of self-stress: how far the forces of slipless contacts are left open; None if rounding hides it."""
-        packing, chosen = self.result.packing, np.flatnonzero(self.slipless)
+        packing, chosen = self.packing, np.flatnonzero(self.slipless)
         every = range(packing.imposed.shape[1])
         return self_stress_of(packing, chosen, self.rigid_domains.spin_axes if along_axes(packing, chosen) else every)
 
     @cached_property
     def numbers(self) -> dict[str, Any]:
         """As `bearings analyse --json` has them, for JSON; each is an attribute too, such as `spans`."""
-        packing, cut = self.result.packing, self.interface
-        free, acts = packing.driven < 0, self.result.state != ContactState.DRIVEN
+        packing, cut = self.packing, self.interface
+        free, acts = packing.driven < 0, self.state != ContactState.DRIVEN
         sections = ["rigid domains", "forces"] if self.bodies <= MOST_BODIES else ["forces"]
         sections += ["bottlenecks"] if self.has_pairs else []
         rows = [row for section in sections for row in STRUCTURE[section]]
         return {
-            "power": self.result.power,
+            "power": self.power,
             "power_minimum_cut": None if cut is None else cut.power,
-            "power_over_cut": self.result.power / cut.power if cut is not None and cut.power > 0 else None,
+            "power_over_cut": self.power / cut.power if cut is not None and cut.power > 0 else None,
             "cut_is_unique": None if cut is None else cut.unique,
             "cut_contacts": None if cut is None else int(cut.contacts.sum()),
             "slipless_fraction": float(self.slipless.sum() / acts.sum()) if acts.any() else None,
@@ -214,7 +227,7 @@ class PackingStructure:
 
     def _repr_html_(self) -> str:
         """For notebooks."""
-        return html_table(f"structure of {self.result.packing!r}", self.numbers.items())
+        return html_table(f"structure of {self.packing!r}", self.numbers.items())
 
     @property
     def columns(self) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:

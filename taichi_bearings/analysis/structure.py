@@ -11,7 +11,7 @@ from taichi_bearings.analysis.network import SliplessNetwork, network_of
 from taichi_bearings.analysis.torque_flow import TorqueFlow, saturation, self_stress, torque_flow
 from taichi_bearings.lattice.grid import staggered_forces
 from taichi_bearings.numerics.minimum_cut import minimum_cut
-from taichi_bearings.proof.contact_state import ContactState, critical
+from taichi_bearings.proof.contact_state import ContactState, by_threshold, critical
 from taichi_bearings.scene import Scene, Solution
 from taichi_bearings.scene.initial_spins import cut_unit, cut_weights, minimum_cut_spin
 
@@ -107,10 +107,8 @@ class Structure:
         return rigid_domains(self.network, self.scene.staggered_spin(self.spin[None], axes)[:, 0], axes)
 
     def by_threshold(self, threshold: float) -> "Structure":
-        """The sample where contacts that slip faster than the threshold slip, and all others are slipless; those
-        between driven spheres stay. threshold : length/time."""
-        told = np.where(self.slip > threshold, ContactState.SLIPPING, ContactState.SLIPLESS)
-        state = np.where(self.state == ContactState.DRIVEN, self.state, told).astype(np.uint8)
+        """The sample with states as :func:`by_threshold` of contact states says."""
+        state = by_threshold(self.slip, self.state, threshold)
         return replace(self, state=state, critical=0, tied=0, states_proven=False, minimum_is_unique=None)
 
     @cached_property

@@ -37,7 +37,7 @@ def export_problem(run: Path, form: str, out: Path | None, force: bool = False, 
     """
     with opened_to_draw(run, out, PROBLEM_NAMES[form], force, replica) as (found, path):
         if found.is_packing:
-            return write_problem(found.result.packing, form, path)
+            return write_problem(found.solution.scene[0], form, path)
         torque = found.settings.torque
         if torque is not None:
             raise InputError(f"the run has a torque of {torque} on its top; only imposed spins can be exported")

@@ -1,9 +1,8 @@
 """A packing solved: spins of least dissipation, what is proven of them, and which contacts slip."""
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import replace
 from time import perf_counter
-from typing import Any
 
 import numpy as np
 from scipy import sparse
@@ -13,9 +12,10 @@ from taichi_bearings.errors import InputError
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.packing import planar
 from taichi_bearings.packing.motions import order_of, slipless_motions
-from taichi_bearings.packing.packing import Packing
+from taichi_bearings.packing.packing import Packing, Packings
 from taichi_bearings.packing.system import Found, System
-from taichi_bearings.scene.solution import Snapshots, Status
+from taichi_bearings.proof.contact_state import all_proven
+from taichi_bearings.scene import Solution, Status
 from taichi_bearings.verifier.judgement import Judgement
 from taichi_bearings.verifier.network import StoredPacking
 from taichi_bearings.verifier.samples import UNPROVEN
@@ -27,82 +27,7 @@ MOST_TIES = 200  # whose motions are found; more of them leave every slipping co
 MOVED = 1e-7  # of a slip that a motion makes
 
 SLIPLESS, SLIPPING, UNDECIDED, DRIVEN = range(4)
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class PackingSolution:
-    """What was found for a packing. Contacts between driven spheres, or with no coefficient, are left out of `power`.
-
-    power : energy/time. potential : what is minimised; the power, but for "coulomb-viscous". lower_bound : rigorous, on
-    the least potential (for "viscous" the least power); 0 where nothing is proven. proof : "proven"; or of which spins
-    the bound is, where some motions slip by no more than the rounding of the normals; or why there is none.
-    gap : (potential - lower_bound) / potential; where next to nothing is dissipated, over what all contacts would at
-    the largest imposed surface velocity.
-    status : "certified" if the gap is within the tolerance, else "stalled", or how a dynamics or descent ended.
-    method : "planar-cut", "interior-point", "linear-solver", or the one that was asked for.
-    spin : (N, 3), of discs (N,), laboratory frame, 1/time; slipless motions that nothing decides are left at rest, by a
-    dynamics as it moves them.
-    slip : (E,), length/time. force : (E,), its size. friction : (E, 3), of discs (E,), force on the second sphere,
-    of discs its component along z x n. power_per_contact : (E,). state : (E,) 0 slipless, 1 slipping, 2 undecided, 3
-    between driven or absent; of a dynamics those of its own motion. driven_power : what contacts between driven spheres
-    dissipate, energy/time.
-    slipless_motions : of the free spheres that driven ones reach; None if undecided. unbalanced : largest torque left.
-    proven : (E,) 0 slips at no minimum, 1 at every minimum, 2 not proven, 3 between driven or absent. slip_bound : (E,)
-    what no slip of any minimum exceeds, length/time; infinite at absent contacts.
-    slip_threshold : slip up to which contacts count as slipless, where a run was asked for one, else 0. findings : what
-    the torque on the last body does that a run was asked for, as of `Result.findings`.
-    seconds : wall time. iterations : of the method, factorisations of an interior point.
-    history : of dynamics and descent, the columns of `Result.history`. time : simulated time of a dynamics, else None.
-    snapshots : of a dynamics that was asked for them; times (S,) and spins (S, N, 3), of discs (S, N).
-    """
-
-    packing: Packing
-    power: float
-    potential: float
-    lower_bound: float
-    gap: float
-    proof: str
-    status: str
-    method: str
-    spin: np.ndarray
-    slip: np.ndarray
-    force: np.ndarray
-    friction: np.ndarray
-    power_per_contact: np.ndarray
-    state: np.ndarray
-    driven_power: float
-    slipless_motions: int | None
-    unbalanced: float
-    seconds: float
-    proven: np.ndarray | None = None
-    slip_bound: np.ndarray | None = None
-    iterations: int = 0
-    history: Mapping[str, np.ndarray] = field(default_factory=dict)
-    time: float | None = None
-    snapshots: Snapshots | None = None
-    slip_threshold: float = 0.0
-    torque: float | None = None
-    findings: Mapping[str, Any] = field(default_factory=dict)
-
-    def by_threshold(self, threshold: float) -> "PackingSolution":
-        """The same where contacts that slip faster slip, and all others are slipless. threshold : length/time."""
-        state = np.where(self.slip > threshold, SLIPPING, SLIPLESS)
-        state = np.where(self.state == DRIVEN, DRIVEN, state).astype(np.uint8)
-        return replace(self, state=state, slip_threshold=threshold)
-
-    @property
-    def critical(self) -> int:
-        """Undecided contacts at their friction limit with a slip that the proven gap does not resolve."""
-        held = self.packing.kind.holding_force(self.packing.coefficients)
-        if held is None:
-            return 0
-        left = self.potential - self.lower_bound
-        full = (self.force >= (1 - SURE_MARGIN) * held) & (held * self.slip <= left)
-        return int((full & (self.state == UNDECIDED)).sum())
-
-    def __repr__(self) -> str:
-        words = f"{self.method}: {self.status}, P = {self.power:.12g}, gap {self.gap:.1e}, {self.seconds:.2g} s"
-        return f"<PackingResult {self.packing!r}, {words}>"
+SAID_OF_PACKINGS = ("proof", "driven_power", "slipless_motions")  # findings of every packing
 
 
 def solve_packing(
@@ -110,9 +35,11 @@ def solve_packing(
     tolerance: float = 1e-8,
     system_of: Callable[[Packing], System] = System.of,
     method: str = "auto",
-) -> PackingSolution:
-    """The state of least dissipation. tolerance : proven relative gap at which it counts as certified.
-    system_of : finds the system, perhaps out of one that is known. method : one of those below by its name.
+) -> Solution:
+    """The state of least dissipation; slipless motions that nothing decides are left at rest.
+
+    tolerance : proven relative gap at which it counts as certified. system_of : finds the system, perhaps out of one
+    that is known. method : one of those below by its name.
 
     Friction of discs, and of spheres whose contacts feel one spin component each, by minimum cuts, exactly; viscous
     networks by one linear system; all else by the central path.
@@ -125,7 +52,8 @@ def solve_packing(
     runtime.current()
     with one_thread():
         system = system_of(packing)
-        return judged(system, _found(system, method), tolerance, begun)
+        found = judged(system, _found(system, method), tolerance)
+    return replace(found, seconds=perf_counter() - begun)
 
 
 def _found(system: System, method: str) -> Found:
@@ -163,8 +91,8 @@ def spins_of(packing: Packing, u: np.ndarray) -> np.ndarray:
     return spin
 
 
-def judged(system: System, found: Found, tolerance: float, begun: float) -> PackingSolution:
-    """What was found, with all that is proven of it. begun : when, by `perf_counter`."""
+def judged(system: System, found: Found, tolerance: float) -> Solution:
+    """What was found, with all that is proven of it."""
     packing, law = system.packing, system.packing.kind
     u = system.all_spins(found.spins) if found.everywhere is None else found.everywhere
     spin = spins_of(packing, np.nan_to_num(u, posinf=0.0, neginf=0.0))
@@ -174,21 +102,35 @@ def judged(system: System, found: Found, tolerance: float, begun: float) -> Pack
         raise InputError(
             "the spins imposed are too small or too large to be judged; the largest must be above 1e-100 length/time"
         )
-    proven, slip_bound = judgement.states[0].proven, judgement.slip_bound
-    (power,), (objective,), (lower_bound,), (gap,) = (
-        v.tolist() for v in (judgement.power, judgement.objective, judgement.lower_bound, judgement.gap)
+    known, acts, slip = judgement.states[0].proven, judgement.acts, judgement.slip
+    state = np.where(acts, np.where(known == UNPROVEN, _states(system, found, judgement), known), DRIVEN)
+    state, proven = state.astype(np.uint8), np.where(acts, known, DRIVEN).astype(np.uint8)
+    return Solution(
+        scene=Packings((packing,)),
+        method=found.method,
+        status=Status.CERTIFIED if judgement.gap[0] <= tolerance else Status.STALLED,
+        iterations=found.steps,
+        spin=spin[None],
+        spin_rounding=np.zeros((1, *spin.shape)),
+        slip=slip,
+        power_per_contact=law.power(packing.coefficients, slip),
+        force=force[None],
+        friction=friction[None],
+        state=state,
+        slip_bound=judgement.slip_bound,
+        proven=proven,
+        states_proven=all_proven(state, proven),
+        power=judgement.power,
+        objective=judgement.objective,
+        lower_bound=judgement.lower_bound,
+        gap=judgement.gap,
+        largest_balance_residual=judgement.largest_torque,
+        findings={
+            "proof": np.array([judgement.proof]),
+            "driven_power": np.array([judgement.driven_power]),
+            "slipless_motions": np.array([system.motions], dtype=object),
+        },
     )
-    assert slip_bound is not None
-    acts, slip = judgement.acts[0], judgement.slip[0]
-    state = np.where(acts, np.where(proven == UNPROVEN, _states(system, found, judgement), proven), DRIVEN)
-    return PackingSolution(
-        packing, power, objective, lower_bound, gap, judgement.proof,
-        (Status.CERTIFIED if gap <= tolerance else Status.STALLED).value, found.method, spin,
-        slip, force, friction, law.power(packing.coefficients, slip), state.astype(np.uint8),
-        judgement.driven_power, system.motions, float(judgement.largest_torque[0]),
-        perf_counter() - begun, np.where(acts, proven, DRIVEN).astype(np.uint8), slip_bound[0],
-        found.steps,
-    )  # fmt: skip
 
 
 def forces_of(system: System, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -265,6 +265,36 @@ class Packing:
         return path
 
 
+class Packings(tuple[Packing, ...]):
+    """Packings of as many spheres and contacts each, the samples of a run: what an answer asks of a `Scene`."""
+
+    strength = 1.0  # by which coefficients are multiplied to be forces
+
+    @property
+    def replicas(self) -> int:
+        return len(self)
+
+    def sample(self, number: int) -> "Packings":
+        return Packings(self[number : number + 1])
+
+    @property
+    def law(self) -> Law:
+        return self[0].kind
+
+    @property
+    def seeds(self) -> tuple[int, ...]:
+        return tuple(packing.seed for packing in self)
+
+    @property
+    def contact(self) -> Coefficients:
+        """As laws want them, (R, E) each."""
+        return tuple(map(np.stack, zip(*(packing.coefficients for packing in self), strict=True)))
+
+    @property
+    def coefficient(self) -> np.ndarray:
+        return self.contact[0]
+
+
 def _states(given: dict[str, Any], dimension: int) -> np.ndarray:
     """Bearing states (2, 4) of bottom and top: A and C. given : what says so is taken out."""
     spins = [finite_number(n, given.pop(n, d)) for n, d in (("spin_bottom", 0.0), ("spin_top", 1.0))]

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,11 +11,10 @@ from matplotlib.ticker import NullLocator
 
 from taichi_bearings.analysis.histogram import ENERGY_PER_TIME, PowerHistogram
 from taichi_bearings.errors import InputError
-from taichi_bearings.packing import PackingSolution
 from taichi_bearings.plots import style
 from taichi_bearings.plots.page import PAGE, Page
 from taichi_bearings.plots.style import as_text, describe, driving, energy_unit, over, power_unit, time_label
-from taichi_bearings.scene import Solution
+from taichi_bearings.scene import Scene, Solution
 from taichi_bearings.words import counted
 
 ACCOUNTS = {
@@ -25,23 +23,20 @@ ACCOUNTS = {
     "kinetic": (style.GREEN, "--"),
     "spring": (style.GREY, (0, (4, 1, 1, 1))),
 }
-LIVES = ("iteration", "seconds", "time")  # columns that are the same for all samples
 MOST_DECADES = 6  # on each side of zero
 MOST_TICKS = 9
 LEAST_DECADES = 30.0  # from the first to the last step, for a logarithmic axis
 
 
 @style.in_our_style
-def draw_history(answer: Solution | Sequence[PackingSolution], page: Page = PAGE) -> Figure:
+def draw_history(answer: Solution, page: Page = PAGE) -> Figure:
     """Power and lower bound, and below it their relative gap, against iterations (or time, for a dynamics), of every
     sample or replica; where a torque turns the top, how fast it does. InputError for a method without steps."""
     courses = courses_of(answer)
     if not courses:
-        first = answer if isinstance(answer, Solution) else answer[0]
-        raise InputError(
-            f"the run kept {counted(_steps(first), 'step')} of {first.method}; a history is drawn of 2 or more"
-        )
-    course, scene = courses[0], courses[0].scene
+        steps = counted(_steps(answer.sample(0)), "step")
+        raise InputError(f"the run kept {steps} of {answer.method}; a history is drawn of 2 or more")
+    course, scene = courses[0], courses[0].system
     if "torque" in course.history:
         return _draw_turning(course, page)
     width = page.inches("single")
@@ -70,22 +65,15 @@ def draw_history(answer: Solution | Sequence[PackingSolution], page: Page = PAGE
     return figure
 
 
-def course_of(solution: Solution | PackingSolution) -> Any:
-    """What the figures here ask of an answer, that of a packing as that of a lattice of one sample."""
-    if isinstance(solution, Solution):
-        return solution
-    history = {name: v if name in LIVES else v[:, None] for name, v in solution.history.items()}
-    return SimpleNamespace(scene=solution.packing, method=solution.method, history=history)
+def courses_of(solution: Solution) -> list[Solution]:
+    """The answers, or of packings each replica's, where there is more to show than a start and an answer."""
+    replicas = 1 if isinstance(solution.scene, Scene) else solution.scene.replicas
+    each = [solution] if replicas == 1 else [solution.sample(number) for number in range(replicas)]
+    return [one for one in each if _steps(one) > 1]
 
 
-def courses_of(answer: Solution | Sequence[PackingSolution]) -> list[Any]:
-    """Of a lattice or of each replica of a packing, where there is more to show than a start and an answer."""
-    answers = [answer] if isinstance(answer, Solution) else answer
-    return [course_of(one) for one in answers if _steps(one) > 1]
-
-
-def _steps(solution: Solution | PackingSolution) -> int:
-    """That the history kept."""
+def _steps(solution: Solution) -> int:
+    """That the history kept, of several packings that of all."""
     return int((solution.history.get("iteration", np.zeros(0)) > 0).sum())
 
 
@@ -116,14 +104,13 @@ def _draw_turning(solution: Solution, page: Page) -> Figure:
 
 
 @style.in_our_style
-def draw_energy(solution: Solution | PackingSolution, replica: int = 0, page: Page = PAGE) -> Figure:
-    """The four accounts, and below them what they leave unexplained, against time.
+def draw_energy(solution: Solution, page: Page = PAGE) -> Figure:
+    """The four accounts of one sample, and below them what they leave unexplained, against time.
 
     An account that is negative at times is drawn as such: the axis is then linear around 0 and logarithmic beyond.
     InputError if the run keeps no energy balance.
     """
-    course = course_of(solution)
-    history, scene = course.history, course.scene
+    history, scene = solution.history, solution.system
     if "energy_residual" not in history:
         raise InputError("the run keeps no energy balance; run a dynamics with --energy")
     width = page.inches("single")
@@ -133,16 +120,16 @@ def draw_energy(solution: Solution | PackingSolution, replica: int = 0, page: Pa
     spin, spin_symbol = driving(scene)
     later = history["time"] > 0
     time = history["time"][later] * spin
-    accounts = {name: history[f"{name}_energy"][later, replica] / unit for name in ACCOUNTS}
+    accounts = {name: history[f"{name}_energy"][later, 0] / unit for name in ACCOUNTS}
     for name, (colour, dashes) in ACCOUNTS.items():
         top.plot(time, accounts[name], color=colour, ls=dashes, lw=1.2, label=name)
     if later.any():
         top.set_xscale("log")
         _scale(top, np.concatenate(list(accounts.values())))
     top.set(ylabel=over("E", symbol, "energy"))
-    style.put_title(figure, f"{describe(scene, replica)}\n{solution.method}", page)
+    style.put_title(figure, f"{describe(scene)}\n{solution.method}", page)
     figure.legend(*top.get_legend_handles_labels(), ncols=4, loc="outside lower center", columnspacing=1.0)
-    missing = np.abs(history["energy_residual"][later, replica])
+    missing = np.abs(history["energy_residual"][later, 0])
     if (missing > 0).any():
         bottom.plot(time[missing > 0], missing[missing > 0], color="black", lw=1.0)
         bottom.set_yscale("log")

@@ -8,7 +8,7 @@ from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 
 from taichi_bearings.lattice import Lattice
-from taichi_bearings.packing import Packing, PackingSolution
+from taichi_bearings.packing import Packing
 from taichi_bearings.plots import bearing
 from taichi_bearings.plots.bearing import SPIN_COLOURS, Sheet
 from taichi_bearings.plots.page import BELOW, NARROW, PAGE, VIEW, Page, columns_on, middle_planes
@@ -89,18 +89,14 @@ def _draw_block(lattice: Lattice, colour: np.ndarray, slips: np.ndarray, page: P
 
 
 @in_our_style
-def draw_power(answer: Solution | PackingSolution, replica: int = 0, page: Page = PAGE) -> Figure:
-    """The slipping contacts by their power; of a cubic lattice those of two cuts, and the power of each layer of the
-    height.
+def draw_power(answer: Solution, page: Page = PAGE) -> Figure:
+    """The slipping contacts of one sample by their power; of a cubic lattice those of two cuts, and the power of each
+    layer of the height.
 
     Where more contacts slip than lines can show, each disc has the colour of the power of its contacts, half of each.
     """
-    if isinstance(answer, PackingSolution):
-        system: Any = answer.packing
-        place, state, power = system, answer.state, answer.power_per_contact
-    else:
-        system, state, power = answer.scene, answer.state[replica], answer.power_per_contact[replica]
-        place = system.lattice
+    system, state, power = answer.system, answer.state[0], answer.power_per_contact[0]
+    place = system if isinstance(system, Packing) else system.lattice
     unit, symbol = power_unit(system)
     power = np.where(state == ContactState.SLIPPING, power / unit, 0.0)
     if isinstance(place, Lattice) and place.dimension == 3:
@@ -117,7 +113,7 @@ def draw_power(answer: Solution | PackingSolution, replica: int = 0, page: Page 
             sheet.paint(axes, np.where((shown > 0)[:, None], colormaps[POWER_COLOURS](norm(shown)), bearing.PALE))
         label = over("P_{ij}" if lines else "P_i", symbol, "energy / time")
         bearing.colour_bar(figure, axes, label, norm, POWER_COLOURS, extend="min", **look)
-    put_title(figure, describe(system, replica), page)
+    put_title(figure, describe(system), page)
     return figure
 
 

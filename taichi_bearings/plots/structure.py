@@ -17,8 +17,8 @@ from matplotlib.lines import Line2D
 
 from taichi_bearings.analysis.domains import LOCKS, RigidDomains
 from taichi_bearings.analysis.network import SliplessNetwork
+from taichi_bearings.analysis.packing_structure import PackingStructure
 from taichi_bearings.lattice import Lattice
-from taichi_bearings.packing import PackingSolution
 from taichi_bearings.plots import bearing
 from taichi_bearings.plots.bearing import SPIN_COLOURS, Sheet
 from taichi_bearings.plots.page import AXES, BELOW, PAGE, VIEW, Page, View, columns_on, middle_planes
@@ -62,10 +62,11 @@ def draw_domains(domains: RigidDomains, page: Page = PAGE) -> Figure:
 
 
 @in_our_style
-def draw_domains_of_packing(result: PackingSolution, domains: RigidDomains, page: Page = PAGE) -> Figure:
+def draw_domains_of_packing(structure: PackingStructure, page: Page = PAGE) -> Figure:
     """Rigid domains: with two bodies in bearing states as they turn between them, blue as the first and red as the
     second, else each of the largest in a colour of its own; of discs walls between domains in black."""
-    figure, axes, sheet, site, look = bearing.one_panel(result.packing, page)
+    packing, domains = structure.packing, structure.rigid_domains
+    figure, axes, sheet, site, look = bearing.one_panel(packing, page)
     moving = np.flatnonzero(domains.jump.any(axis=0))
     if len(moving):
         colour = colour_of_turn(domains.turn[:, moving])
@@ -81,7 +82,7 @@ def draw_domains_of_packing(result: PackingSolution, domains: RigidDomains, page
         label += "\nyellow, green: one component is ahead" if len(moving) > 1 else ""
         bearing.colour_bar(figure, axes, label, Normalize(0, 1), SPIN_COLOURS, **look)
     kinds = ", ".join(f"{count:,} {kind}" for kind, count in domains.domains_of_kind().items() if count)
-    put_title(figure, f"{describe(result.packing)}\n{domains.number:,} rigid domains, locked to: {kinds}", page)
+    put_title(figure, f"{describe(packing)}\n{domains.number:,} rigid domains, locked to: {kinds}", page)
     return figure
 
 
@@ -184,14 +185,14 @@ def draw_network(
 
 
 @in_our_style
-def draw_network_of_packing(result: PackingSolution, page: Page = PAGE) -> Figure:
+def draw_network_of_packing(structure: PackingStructure, page: Page = PAGE) -> Figure:
     """The slipless contacts of a packing, over its spheres."""
-    figure, axes, sheet, site, _ = bearing.one_panel(result.packing, page)
-    slipless, acts = result.state == ContactState.SLIPLESS, int((result.state != ContactState.DRIVEN).sum())
+    figure, axes, sheet, site, _ = bearing.one_panel(structure.packing, page)
+    slipless, acts = structure.slipless, int((structure.state != ContactState.DRIVEN).sum())
     sheet.paint(axes, bearing.PALE if sheet.is_flat else bearing.PALE * [1, 1, 1, 0.25])
     sheet.draw(axes, slipless, colors=GREY, lw=bearing.line_on_site(site, 0.12, 0.3))
     words = f"{int(slipless.sum()):,} of {acts:,} contacts do not slip"
-    put_title(figure, f"{describe(result.packing)}\n{words}", page)
+    put_title(figure, f"{describe(structure.packing)}\n{words}", page)
     return figure
 
 

@@ -98,23 +98,36 @@ def _at_smallest_jump(solution: Solution) -> np.ndarray:
 
 def critical(solution: Solution) -> np.ndarray:
     """Number (R,) of undecided contacts that bear all their friction, with a slip that the gap does not resolve; but
-    for those that are known to slip at other minima. Those that are not proven to rest count where the gap would
-    resolve a hundredth of the jump, and coefficients are not too uneven."""
+    for those that are known to slip at other minima. On lattices those that are not proven to rest count where the gap
+    would resolve a hundredth of the jump, and coefficients are not too uneven."""
     scene, undecided = solution.scene, solution.state == ContactState.UNDECIDED
     others = undecided.sum(axis=1) - solution.findings.get("tied_contacts", 0)
     if not scene.law.holds:
         return np.zeros(scene.replicas, dtype=np.int64)
     full = solution.force >= SATURATED * scene.strength * scene.coefficient
     left = (solution.objective - solution.lower_bound)[:, None]
-    clear = (left <= SLIP_AT_LIMIT * _at_smallest_jump(solution)) & ~too_uneven(solution)[:, None]
-    found = undecided & full & unresolved(solution) & (clear | (solution.proven == ContactState.SLIPLESS))
-    found &= solution.proven != ContactState.TIED
+    found = undecided & full & unresolved(solution) & (solution.proven != ContactState.TIED)
+    if isinstance(scene, Scene):
+        clear = (left <= SLIP_AT_LIMIT * _at_smallest_jump(solution)) & ~too_uneven(solution)[:, None]
+        found &= clear | (solution.proven == ContactState.SLIPLESS)
     return np.minimum(found.sum(axis=1), others)
 
 
 def nothing_proven(state: np.ndarray) -> np.ndarray:
     """`Solution.proven` of contacts in these states, (R, E), where no proof is known."""
     return np.where(state == ContactState.DRIVEN, ContactState.DRIVEN, ContactState.UNDECIDED).astype(np.uint8)
+
+
+def by_threshold(slip: np.ndarray, state: np.ndarray, threshold: float) -> np.ndarray:
+    """States of contacts of which those that are faster than `threshold` slip, and all others are slipless, but for
+    those that take no part. slip, threshold : length/time. slip, state : (..., E)."""
+    told = np.where(slip > threshold, ContactState.SLIPPING, ContactState.SLIPLESS)
+    return np.where(state == ContactState.DRIVEN, state, told).astype(np.uint8)
+
+
+def all_proven(state: np.ndarray, proven: np.ndarray) -> np.ndarray:
+    """(R,) True where every contact has the state that is proven of it; state, proven : (R, E)."""
+    return np.asarray(((proven == state) & (proven != ContactState.UNDECIDED)).all(axis=1))
 
 
 def counts(state: np.ndarray) -> np.ndarray:

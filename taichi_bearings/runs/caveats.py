@@ -17,7 +17,7 @@ from taichi_bearings.proof.contact_state import (
     unresolved,
 )
 from taichi_bearings.runs.settings import RunSettings
-from taichi_bearings.scene import Solution, Status
+from taichi_bearings.scene import Scene, Solution, Status
 from taichi_bearings.solvers.gear import ACCURATE_ERROR
 from taichi_bearings.words import counted
 
@@ -34,7 +34,16 @@ UNFINISHED = {
 
 def caveats(solution: Solution, settings: RunSettings) -> list[str]:
     """All that is to be said of an answer, (R,) samples together."""
-    return [sentence for of in CAVEATS for sentence in of(solution, settings)]
+    of_kind = CAVEATS if isinstance(solution.scene, Scene) else (_not_proven,)
+    return [sentence for of in of_kind for sentence in of(solution, settings)]
+
+
+def _not_proven(solution: Solution, settings: RunSettings) -> Iterator[str]:
+    """Of packings, why a lower bound is not one of the least power."""
+    several = solution.scene.replicas > 1
+    for seed, proof in zip(solution.scene.seeds, solution.findings["proof"], strict=True):
+        if proof != "proven":
+            yield f"what is proven of the least power{f' of seed {seed}' * several}: {proof}"
 
 
 def _in_samples(which: np.ndarray) -> str:

@@ -8,29 +8,29 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from taichi_bearings.analysis.packing_structure import PackingStructure
-from taichi_bearings.analysis.structure import Structure, structure_of
+from taichi_bearings.analysis.structure import Structure
 from taichi_bearings.errors import InputError
-from taichi_bearings.packing import Packing, PackingSolution
+from taichi_bearings.packing import Packing
 from taichi_bearings.plots.curves import draw_energy, draw_history
 from taichi_bearings.plots.page import PAGE, Page, check_planes
 from taichi_bearings.plots.spins import draw_power, draw_spins
 from taichi_bearings.plots.structure import draw_domains, draw_domains_of_packing, draw_network, draw_network_of_packing
 from taichi_bearings.plots.style import describe, driving, mathematics
-from taichi_bearings.proof.contact_state import ContactState
-from taichi_bearings.runs.solved import Packed
+from taichi_bearings.proof.contact_state import ContactState, by_threshold
+from taichi_bearings.runs.structure_report import structure_of_any
 from taichi_bearings.scene import Scene, Solution
 from taichi_bearings.words import meant
 
 
 def _draw_domains(structure: Structure | PackingStructure, page: Page) -> Figure:
     if isinstance(structure, PackingStructure):
-        return draw_domains_of_packing(structure.result, structure.rigid_domains, page)
+        return draw_domains_of_packing(structure, page)
     return draw_domains(structure.rigid_domains, page)
 
 
 def _draw_network(structure: Structure | PackingStructure, page: Page) -> Figure:
     if isinstance(structure, PackingStructure):
-        return draw_network_of_packing(structure.result, page)
+        return draw_network_of_packing(structure, page)
     return draw_network(structure.network, structure.spin, *structure.scene.imposed, page)
 
 
@@ -38,20 +38,18 @@ FIGURES: dict[str, Callable[[Any, Page], Figure]] = {"domains": _draw_domains, "
 """How each figure of the structure of a sample is drawn."""
 
 
-def _draw_spins(answer: Solution | PackingSolution, sample: int, page: Page) -> Figure:
-    if isinstance(answer, PackingSolution):
-        return draw_spins(answer.packing, answer.spin, answer.state, page)
+def _draw_spins(answer: Solution, sample: int, page: Page) -> Figure:
     one = answer.sample(sample)
-    return draw_spins(one.scene, one.spin[0], one.state[0], page)
+    return draw_spins(one.system, one.spin[0], one.state[0], page)
 
 
 OF_ANSWERS: dict[str, Callable[[Any, int, Page], Figure]] = {
     "spins": _draw_spins,
-    "power": draw_power,
+    "power": lambda answer, sample, page: draw_power(answer.sample(sample), page),
     "history": lambda answer, _, page: draw_history(answer, page),
-    "energy": draw_energy,
+    "energy": lambda answer, sample, page: draw_energy(answer.sample(sample), page),
 }
-"""How each figure of an answer is drawn; answers of packings have one sample each, but for the history."""
+"""How each figure of an answer is drawn."""
 FIGURE_KINDS = (*OF_ANSWERS, *FIGURES)
 STRETCHED_SLIP = 1e-3  # of R times the imposed jump: slower contacts may only stretch their springs
 WITH_PLANES = ("spins", "power", "domains")
@@ -60,7 +58,7 @@ WITH_VIEW = ("spins", "domains", "network")
 
 def draw_figure(
     kind: str,
-    solution: Solution | Packed,
+    solution: Solution,
     sample: int = 0,
     time: float | None = None,
     slip_threshold: float | None = None,
@@ -77,19 +75,15 @@ def draw_figure(
         raise InputError(f"time is {time}, but {kind} does not depend on it; only spins have snapshots")
     if not 0 <= sample < len(solution.state):
         raise InputError(f"replica is {sample}; the run has {len(solution.state)}, counted from 0")
-    answer: Any = solution
-    if isinstance(solution, Packed):
-        if page.planes:
-            raise InputError("plane is given, but a packing has no lattice planes to cut along; --view turns it")
-        answer, sample = solution.results if kind == "history" else solution.results[sample], 0
-    else:
+    if isinstance(solution.scene, Scene):
         _check_page(kind, solution.scene.lattice.shape, page)
+    elif page.planes:
+        raise InputError("plane is given, but a packing has no lattice planes to cut along; --view turns it")
     if time is not None:
-        return draw_snapshot(answer, sample, time, slip_threshold, page)
+        return draw_snapshot(solution, sample, time, slip_threshold, page)
     if kind in FIGURES:
-        is_lattice = isinstance(answer, Solution)
-        return FIGURES[kind](structure_of(answer, sample) if is_lattice else PackingStructure.of(answer), page)
-    return OF_ANSWERS[kind](answer, sample, page)
+        return FIGURES[kind](structure_of_any(solution, sample), page)
+    return OF_ANSWERS[kind](solution, sample, page)
 
 
 def _check_page(kind: str, shape: tuple[int, ...], page: Page) -> None:
@@ -104,7 +98,7 @@ def _check_page(kind: str, shape: tuple[int, ...], page: Page) -> None:
 
 
 def draw_snapshot(
-    answer: Solution | PackingSolution,
+    answer: Solution,
     replica: int,
     time: float,
     slip_threshold: float | None = None,
@@ -112,11 +106,10 @@ def draw_snapshot(
 ) -> Figure:
     """The snapshot nearest to a simulated time, which the title names, and the contacts that slip in it.
 
-    A contact slips as :func:`moment_of` says. replica : of a lattice. InputError if the run has no snapshots or does
-    not reach that time.
+    A contact slips as :func:`moment_of` says. InputError if the run has no snapshots or does not reach that time.
     """
-    at, spin = _nearest(answer, time)
-    one, spin = (answer, spin) if isinstance(answer, PackingSolution) else (answer.sample(replica), spin[replica])
+    one = answer.sample(replica)
+    at, spin = _nearest(one, time)
     moment, note = moment_of(one, spin, slip_threshold), ""
     title = f"{describe(moment.system)}, $t = {mathematics(at)}$"
     if isinstance(scene := moment.system, Scene):
@@ -128,8 +121,9 @@ def draw_snapshot(
     return draw_spins(moment.system, spin, moment.state, page, title, note)
 
 
-def _nearest(answer: Solution | PackingSolution, time: float) -> tuple[float, np.ndarray]:
-    """Time and spins of the snapshot nearest to a time; InputError if there are none or the run does not reach it."""
+def _nearest(answer: Solution, time: float) -> tuple[float, np.ndarray]:
+    """Time and spins of the snapshot of one sample nearest to a time; InputError if there are none or the run does not
+    reach it."""
     if answer.snapshots is None:
         raise InputError("the run holds no snapshots; run a dynamics with --snapshots")
     kept = answer.snapshots.time
@@ -139,7 +133,7 @@ def _nearest(answer: Solution | PackingSolution, time: float) -> tuple[float, np
             f"time is {time:g}; the run goes from 0 to {end:g}, with snapshots from {kept.min():g} to {kept.max():g}"
         )
     nearest = int(np.abs(kept - time).argmin())
-    return float(kept[nearest]), answer.snapshots.spin[nearest]
+    return float(kept[nearest]), answer.snapshots.spin[nearest, 0]
 
 
 @dataclass(frozen=True)
@@ -155,24 +149,19 @@ class Moment:
     threshold: float
 
 
-def moment_of(answer: Solution | PackingSolution, spin: np.ndarray, slip_threshold: float | None = None) -> Moment:
+def moment_of(answer: Solution, spin: np.ndarray, slip_threshold: float | None = None) -> Moment:
     """A sample with the spins of a snapshot: a contact slips that is faster than the threshold of the run.
 
     Springs give way, so with them that is at least a thousandth of R times the jump, of packings of the largest imposed
     R omega, unless the run was asked for `slip_threshold`. spin : laboratory frame, (*N) or (*N, 3), 1/time.
     """
-    if isinstance(answer, PackingSolution):
-        packing = answer.packing
-        system: Scene | Packing = packing
-        slip, idle = packing.slips(spin), answer.state == ContactState.DRIVEN
-        fastest = float(np.linalg.norm(packing.imposed, axis=1).max(initial=0.0))
-        threshold = answer.slip_threshold or STRETCHED_SLIP * fastest
+    system, threshold = answer.system, answer.slip_threshold
+    if isinstance(system, Packing):
+        slip, idle = system.slips(spin), answer.state[0] == ContactState.DRIVEN
+        threshold = threshold or STRETCHED_SLIP * float(np.linalg.norm(system.imposed, axis=1).max(initial=0.0))
     else:
-        system = scene = answer.scene
-        axes = scene.lattice.all_spin_axes
-        slip, idle = scene.slips(scene.staggered_spin(spin[None], axes), axes)[0], scene.idle[0]
-        threshold = answer.slip_threshold
+        axes = system.lattice.all_spin_axes
+        slip, idle = system.slips(system.staggered_spin(spin[None], axes), axes)[0], system.idle[0]
         if answer.method.endswith("cundall-strack") and slip_threshold is None:
-            threshold = max(threshold, STRETCHED_SLIP * scene.lattice.radius * scene.jump)
-    state = np.where(slip > threshold, ContactState.SLIPPING, ContactState.SLIPLESS)
-    return Moment(system, slip, np.where(idle, ContactState.DRIVEN, state).astype(np.uint8), threshold)
+            threshold = max(threshold, STRETCHED_SLIP * system.lattice.radius * system.jump)
+    return Moment(system, slip, by_threshold(slip, np.where(idle, ContactState.DRIVEN, 0), threshold), threshold)

@@ -53,7 +53,7 @@ def movie(
         stored = read_run(run).sample(replica)
     ending = ending or (".gif" if encoder is None else ".mp4")
     path = file_of(run).parent / f"movie{ending}" if out is None else out
-    solution = stored.answer
+    solution = stored.solution
     if solution.snapshots is None:
         raise InputError(f"{run} holds no snapshots to film; run a dynamics with --snapshots, such as 0,0.1,1")
     page = Page(title=title)

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +11,13 @@ from taichi_bearings import runtime
 from taichi_bearings.errors import DeviceError, InputError
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.options import options_of
-from taichi_bearings.packing import Packing, PackingSolution, solve_packing
+from taichi_bearings.packing import Packing, Packings, solve_packing
 from taichi_bearings.packing.system import System
+from taichi_bearings.proof.contact_state import all_proven, by_threshold
 from taichi_bearings.runs.settings import OF_DRIVEN, SIZES, RunSettings, settings_table
-from taichi_bearings.runs.solved import Packed, Run
-from taichi_bearings.runs.torque import refuse_driven, torque_on_packing
-from taichi_bearings.scene import Status
+from taichi_bearings.runs.solved import Run
+from taichi_bearings.runs.torque import refuse_driven, under_torque
+from taichi_bearings.scene import Solution, Status
 from taichi_bearings.scene.array_files import read_arrays, read_coefficients
 from taichi_bearings.scene.driving import Ramp
 from taichi_bearings.scene.initial_spins import STARTS
@@ -29,7 +29,7 @@ from taichi_bearings.words import counted, shown
 AXES_OF_PACKINGS = {"center": 2, "contact": 2, "normal": 2}  # of arrays of one sample; others have one
 
 
-def packings_to_solve(settings: RunSettings) -> tuple[tuple[Packing, ...], np.ndarray | None]:
+def packings_to_solve(settings: RunSettings) -> tuple[Packings, np.ndarray | None]:
     """The packings of all replicas, and the spins that they start from if those lie in a file. Raises InputError or
     FileError."""
     packings, named = packings_of(settings), settings.initial
@@ -43,7 +43,7 @@ def packings_to_solve(settings: RunSettings) -> tuple[tuple[Packing, ...], np.nd
 
 def solve_packings(
     settings: RunSettings,
-    packings: tuple[Packing, ...],
+    packings: Packings,
     start: Any,
     monitors: Sequence[Any] = (),
     checkpoints: Any = None,
@@ -51,7 +51,7 @@ def solve_packings(
 ) -> Run:
     """The replicas one after another, each as alone. Ctrl-C leaves those that were begun; with checkpoints, from which
     the others can go on, it is a KeyboardInterrupt unless all were."""
-    count, found = len(packings), list[PackingSolution]()
+    count, found = len(packings), list[Solution]()
     several, is_interrupted = np.ndim(start) > packings[0].spin.ndim, False
     written = [None] * count if checkpoints is None else checkpoints.of_each(count)
     for number, (packing, own) in enumerate(zip(packings, written, strict=True)):
@@ -63,12 +63,13 @@ def solve_packings(
         except KeyboardInterrupt:
             if not found:
                 raise
-        if is_interrupted := len(found) <= number or found[-1].status == Status.INTERRUPTED.value:
+        if is_interrupted := len(found) <= number or found[-1].status is Status.INTERRUPTED:
             if len(found) < count and checkpoints is not None:
                 raise KeyboardInterrupt
             settings, start = replace(settings, replicas=len(found)), start[: len(found)] if several else start
             break
-    return Run(settings, Packed(tuple(found)), start, interrupted=is_interrupted)
+    solution = Solution.joined(found, Packings(packings[: len(found)]))
+    return Run(settings, solution, start, interrupted=is_interrupted)
 
 
 def minimises(settings: RunSettings) -> bool:
@@ -81,11 +82,6 @@ def method_of_packing(settings: RunSettings) -> type[MethodOptions]:
 
 
 STOPPED_BY = ("iterations", "time_limit", "duration", "record", "snapshots")
-
-
-def packing_of(settings: RunSettings) -> Packing:
-    """That of a single replica."""
-    return packings_of(settings)[0]
 
 
 def refuse_unused(settings: RunSettings) -> None:
@@ -112,13 +108,13 @@ def used(settings: RunSettings) -> RunSettings:
     return replace(settings, **{key: table[key].default for key in unused_of_packing(settings)})
 
 
-def packings_of(settings: RunSettings) -> tuple[Packing, ...]:
+def packings_of(settings: RunSettings) -> Packings:
     """The packings that the settings describe, one a replica: the arrays of the file, and of the settings what that
     lacks, drawn from seeds; or lattices with other driven bodies than planes."""
     refuse_unused(settings)
     given = settings.given
     if settings.packing is None:
-        return tuple(_lattice(replace(settings, seed=seed)) for seed in settings.seeds)
+        return Packings(_lattice(replace(settings, seed=seed)) for seed in settings.seeds)
     found = Packing.read(settings.packing)
     axes = {name: np.ndim(values) - AXES_OF_PACKINGS.get(name, 1) for name, values in found.items()}
     axes["spin"] = np.ndim(found["spin"]) - (1 if np.shape(found["center"])[-1:] == (2,) else 2)
@@ -138,7 +134,7 @@ def packings_of(settings: RunSettings) -> tuple[Packing, ...]:
                 f"{key} is {shown(given[key])}, but {settings.packing} holds {name}; leave one of the two out"
             )
     others = {key: getattr(settings, key) for key in ("law", "distribution", *SIZES)} | _drawn_viscosity(settings)
-    return tuple(
+    return Packings(
         Packing(**{**others, "seed": seed, **{n: v[number] if axes[n] == 1 else v for n, v in found.items()}})
         for number, seed in enumerate(settings.seeds)
     )
@@ -182,19 +178,9 @@ def solved_packing(
     system_of: Callable[[Packing], System] = System.of,
     start: Any = None,
     **others: Any,
-) -> PackingSolution:
+) -> Solution:
     """The answer of the method that the settings name. system_of : see :func:`solve_packing`. start : instead of the
     one that the settings name. others : density, monitors and checkpoints of :func:`follow_packing`."""
-    found = _solved(settings, packing, system_of, start, **others)
-    if settings.torque is not None and found.status != Status.INTERRUPTED.value:
-        again = partial(_solved, settings, system_of=System.of, start=None, **others)
-        found = torque_on_packing(found, Ramp.of(settings.torque).stop, again)
-    return found if settings.slip_threshold is None else found.by_threshold(settings.slip_threshold)
-
-
-def _solved(
-    settings: RunSettings, packing: Packing, system_of: Callable[[Packing], System], start: Any, **others: Any
-) -> PackingSolution:
     row, given = row_of_packing(settings.method), settings.given
     device = {key: given[key] for key in ON_DEVICE if key in given}
     if row is None:
@@ -202,13 +188,22 @@ def _solved(
             raise DeviceError("the least power of a packing is found in the memory of the CPU; use --arch cpu")
         if threads := device.get("threads"):
             runtime.start(threads=threads)
-        return solve_packing(packing, settings.tolerance, system_of, settings.method)
-    from taichi_bearings.solvers.packings import follow_packing  # and with it Taichi's kernels
-    from taichi_bearings.solvers.recording import Recording
-    from taichi_bearings.solvers.stopping import StopRule
+        found = solve_packing(packing, settings.tolerance, system_of, settings.method)
+    else:
+        from taichi_bearings.solvers.packings import follow_packing  # and with it Taichi's kernels
+        from taichi_bearings.solvers.recording import Recording
+        from taichi_bearings.solvers.stopping import StopRule
 
-    method = row(**{key: value for key in options_of(row) if (value := getattr(settings, key)) is not None})
-    if device:
-        runtime.start(**device)
-    first = settings.initial if start is None else start
-    return follow_packing(packing, method, first, StopRule.of(settings), Recording.of(settings), **others)
+        method = row(**{key: value for key in options_of(row) if (value := getattr(settings, key)) is not None})
+        if device:
+            runtime.start(**device)
+        first, stop = settings.initial if start is None else start, StopRule.of(settings)
+        found = follow_packing(packing, method, first, stop, Recording.of(settings), **others)
+    if settings.torque is not None and found.status is not Status.INTERRUPTED:
+        free = replace(settings, torque=None, slip_threshold=None)
+        torque = Ramp.of(settings.torque).stop
+        found = under_torque(found, torque, lambda packings: solved_packing(free, packings[0], **others))
+    if (threshold := settings.slip_threshold) is None:
+        return found
+    state = by_threshold(found.slip, found.state, threshold)
+    return replace(found, state=state, slip_threshold=threshold, states_proven=all_proven(state, found.proven))

@@ -11,14 +11,13 @@ import numpy as np
 from taichi_bearings.analysis.packing_structure import PackingStructure
 from taichi_bearings.analysis.structure import structure_of
 from taichi_bearings.errors import InputError
-from taichi_bearings.packing import PackingSolution
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.quantities import CONTACTS, SPHERES, found_in
 from taichi_bearings.runs.figures import moment_of
 from taichi_bearings.runs.run_file import PACKING_ARRAYS
 from taichi_bearings.runs.solved import Run
 from taichi_bearings.runs.structure_report import ON_CONTACTS, Finding, columns_of_structure, findings_of
-from taichi_bearings.scene import Solution
+from taichi_bearings.scene import Scene, Solution
 from taichi_bearings.stages import stage
 
 SPIN_WORDS = SPHERES["spin"].unit, SPHERES["spin"].text
@@ -75,7 +74,7 @@ class PointsAndLines:
 
 def points_and_lines(run: Run, replica: int = 0) -> PointsAndLines:
     """One sample of a run; InputError if it has no such sample, or is not finite."""
-    answer = run.sample(replica).answer
+    answer = run.sample(replica).solution
     if not all(np.isfinite(values).all() for values in (answer.spin, answer.slip)):
         raise InputError("the spins or slips of the run are not finite; there is nothing to draw")
     time = float(answer.history["time"][-1]) if "time" in answer.history else None
@@ -84,22 +83,22 @@ def points_and_lines(run: Run, replica: int = 0) -> PointsAndLines:
         return (_of_packing if run.is_packing else _of_lattice)(answer, time, moments)
 
 
-def _of_packing(result: PackingSolution, time: float | None, moments: Moments | None) -> PointsAndLines:
-    packing, structure = result.packing, PackingStructure.of(result)
+def _of_packing(solution: Solution, time: float | None, moments: Moments | None) -> PointsAndLines:
+    packing, structure = solution.scene[0], PackingStructure.of(solution)
     spheres, contacts = columns_of_structure(structure)
     spheres |= {
-        "spin": Finding(_in_space(result.spin[None], packing.dimension)[0], *SPIN_WORDS),
+        "spin": Finding(_in_space(solution.spin, packing.dimension)[0], *SPIN_WORDS),
         "radius": Finding(np.asarray(packing.radius), *PACKING_ARRAYS["radius"]),
         "driven": Finding(packing.driven, *PACKING_ARRAYS["driven"]),
     }
     if "sphere_betweenness" in spheres:
         spheres["betweenness"] = spheres.pop("sphere_betweenness")
-    contacts |= _of_contacts(result)
+    contacts |= _of_contacts(solution)
     for name, stored in (("coefficient", "friction"), ("viscosity", "viscosity"), ("normal_force", "normal_force")):
         if (values := getattr(packing, stored)) is not None:
             contacts[name] = Finding(values, *PACKING_ARRAYS[stored])
     return PointsAndLines(
-        result, structure, packing.center, np.asarray(packing.radius), packing.driven, packing.contact,
+        solution, structure, packing.center, np.asarray(packing.radius), packing.driven, packing.contact,
         np.asarray(packing.normal), spheres, contacts, np.zeros(0, dtype=int), time, moments,
     )  # fmt: skip
 
@@ -130,12 +129,11 @@ def _of_lattice(solution: Solution, time: float | None, moments: Moments | None)
     )  # fmt: skip
 
 
-def _of_contacts(answer: Solution | PackingSolution) -> dict[str, Finding]:
+def _of_contacts(answer: Solution) -> dict[str, Finding]:
     """What the table of quantities has of contacts, and of which states are proven."""
-    found = {row.name: Finding(np.atleast_2d(v)[0], row.unit, row.text) for row, v in found_in(answer, CONTACTS)}
+    found = {row.name: Finding(v[0], row.unit, row.text) for row, v in found_in(answer, CONTACTS)}
     state = found["state"].values
-    is_known = np.isin(state, [ContactState.SLIPLESS, ContactState.SLIPPING])
-    proven = is_known & (found["proven"].values == state) if "proven" in found else np.zeros(len(state), dtype=bool)
+    proven = np.isin(state, [ContactState.SLIPLESS, ContactState.SLIPPING]) & (found["proven"].values == state)
     return found | {"proven": Finding(proven, "1", "the state is proven to be that of every minimum")}
 
 
@@ -148,15 +146,13 @@ def _in_space(spin: np.ndarray, dimension: int) -> np.ndarray:
     return rows
 
 
-def _moments(answer: Solution | PackingSolution, end: float | None, slip_threshold: float | None) -> Moments | None:
+def _moments(answer: Solution, end: float | None, slip_threshold: float | None) -> Moments | None:
     """Of the snapshots before the end, whose place the answer of the run takes."""
     kept = answer.snapshots
     if kept is None or end is None or not (early := np.flatnonzero(kept.time < end)).size:
         return None
-    if isinstance(answer, PackingSolution):
-        spins, dimension = kept.spin[early], answer.packing.dimension
-    else:
-        spins, dimension = kept.spin[early, 0], answer.scene.lattice.dimension
+    spins, scene = kept.spin[early, 0], answer.scene
+    dimension = scene.lattice.dimension if isinstance(scene, Scene) else scene[0].dimension
     found = [moment_of(answer, spin, slip_threshold) for spin in spins]
     slip, state = np.stack([one.slip for one in found]), np.stack([one.state for one in found])
     return Moments(kept.time[early], _in_space(spins, dimension), slip, state, found[0].threshold)

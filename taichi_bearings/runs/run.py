@@ -117,7 +117,7 @@ MEMORY_ERROR = 3  # up to which factor the memory of a method is known
 
 @dataclass(frozen=True)
 class Job:
-    """A checked run that is ready to be solved. scene : a Scene, or of each replica a Packing. spin : as of Run."""
+    """A checked run that is ready to be solved. scene : as of a Solution. spin : as of Run."""
 
     settings: RunSettings
     scene: Any
@@ -141,8 +141,9 @@ def prepare(settings: RunSettings, strict: bool = True) -> Job:
     """
     with stage("reading"):
         if settings.is_packing:
-            from taichi_bearings.runs.packing_run import packings_to_solve
+            from taichi_bearings.runs.packing_run import packings_to_solve, used
 
+            settings = settings if strict else used(settings)
             return Job(settings, *packings_to_solve(settings))
         compiler.name()  # refuses one that is unknown or absent
         scene = build_scene(settings)
@@ -212,7 +213,7 @@ def solve_job(job: Job, monitors: Sequence[Any] = (), checkpoints: Any = None) -
     if ramp is None or solution.interrupted or method is not job.method:
         return solution
     again = _solve_again(job, replace(settings, torque=None))
-    return under_torque(solution, by_friction(solution, again), ramp.stop, again)
+    return under_torque(solution, ramp.stop, again)
 
 
 def _solve_again(job: Job, settings: RunSettings) -> Callable[[Scene], Solution]:
@@ -231,7 +232,7 @@ def _rigid_top(job: Job, ramp: Ramp) -> Any:
     again = _solve_again(replace(job, method=method_row(settings, job.scene)().build()), settings)
     solution = uninterrupted(again(job.scene))
     friction = by_friction(solution, again)
-    known = uninterrupted(under_torque(solution, friction, ramp.stop, again))
+    known = uninterrupted(under_torque(solution, ramp.stop, again, friction))
     return kind(job.method.options, ramp.rate(job.settings.duration), ramp, known, friction)
 
 
@@ -271,7 +272,7 @@ def run(
         if settings.checkpoint_every is None:
             found = replace(job.solve(monitors), path=directory.path, command=command())
             return kept(found, partial(publish, directory, found), title)
-        stored = self_contained(settings, job.scene, job.spin, directory.partial)
+        stored = self_contained(job.settings, job.scene, job.spin, directory.partial)
         write_text(directory.partial / "scene.toml", stored.to_toml())
         write_checkpoint(directory.partial, stored.to_toml(), versions(), {})
         directory.publish()
@@ -457,6 +458,5 @@ def _draw(found: Run, title: bool) -> None:
     assert found.path is not None
     page = Page(title=title)
     save(draw_histogram(found.histogram, page), found.path / "power_histogram.png")
-    answer = found.results if found.is_packing else found.solution
-    if courses_of(answer):
-        save(draw_history(answer, page), found.path / "history.png")
+    if courses_of(found.solution):
+        save(draw_history(found.solution, page), found.path / "history.png")

@@ -1,11 +1,12 @@
 """run.h5: everything about a run, readable with plain h5py (the layout is part of the public contract)."""
 
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import h5py
 import numpy as np
@@ -19,14 +20,11 @@ from taichi_bearings.proof.contact_state import ContactState, nothing_proven
 from taichi_bearings.quantities import CHECK_ROWS, CONTACTS, FINDINGS, FRICTION_QUANTITIES, SPHERES, found_in
 from taichi_bearings.runs.run_directory import CHECKPOINT_NAME, claimed
 from taichi_bearings.runs.settings import RunSettings, parse_toml, read_toml
-from taichi_bearings.runs.solved import TOLD_OF_RESULT, Packed, Run, stacked
+from taichi_bearings.runs.solved import Run
 from taichi_bearings.runtime import HOST, Runtime
 from taichi_bearings.scene import Scene, Snapshots, Solution, Status
-from taichi_bearings.scene.solution import is_crossed
+from taichi_bearings.scene.solution import OF_ALL, is_crossed, stacked
 from taichi_bearings.stages import stage
-
-if TYPE_CHECKING:
-    from taichi_bearings.packing import PackingSolution
 
 AXES = "xyz"
 SCAN_NAME = "scan.h5"  # beside the settings and the journal of a scan
@@ -47,8 +45,6 @@ FRICTION_OF_SECOND = {
     3: "friction on the second sphere, laboratory frame",
 }
 """By dimension. It is in balance and within the friction limits, so the lower bound follows from it."""
-READ_NUMBERS = ("power", "lower_bound", "gap", "driven_power", "seconds")
-READ_OF_RESULT = (*TOLD_OF_RESULT, "largest_balance_residual", "time", "slip_threshold", *FINDINGS)
 NOT_IN_ALL = ("slip_bound", "proven")  # data sets of contacts that a run file may lack
 WHOLE_SETS = re.compile("/state$|/proven$|^history/")  # data sets that may hold whole numbers
 OF_VECTORS = 5  # axes of friction on cubic lattices, of which a component is 0: replicas, lattice, components
@@ -57,19 +53,35 @@ Row = tuple[str, np.ndarray, str, str]
 """Name, values with an axis of replicas, unit and text of a data set."""
 
 
-def write_run_file(path: Path, solution: Solution | Packed, attributes: Mapping[str, Any]) -> None:
+def write_run_file(path: Path, solution: Solution, attributes: Mapping[str, Any]) -> None:
     """Write run.h5 in full or not at all. With one replica the replica axis is left out."""
-    one = len(solution.state) == 1
-    rows = _rows_of_packings(solution.results) if isinstance(solution, Packed) else _rows_of_lattice(solution)
+    one = solution.scene.replicas == 1
 
     def fill(file: h5py.File) -> None:
-        for name, values, unit, text in rows:
+        for name, values, unit, text in _rows(solution):
             sparse = values.dtype == np.uint8 or (name.endswith("/friction") and values.ndim == OF_VECTORS)
             packed = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if sparse and values.size else {}
             put(file, name, values[0] if one else values, unit, text, **packed)
 
-    found = {} if isinstance(solution, Packed) else {"findings": list(solution.findings)}
-    write_hdf5(path, fill, {**layout_of("run"), **attributes, **found})
+    write_hdf5(path, fill, {**layout_of("run"), **attributes, "findings": list(solution.findings)})
+
+
+def _rows(solution: Solution) -> Iterator[Row]:
+    scene, replicas = solution.scene, solution.scene.replicas
+    yield from (_rows_of_lattice if isinstance(scene, Scene) else _rows_of_packings)(solution)
+    for row, found in found_in(solution, SPHERES):
+        yield row.name, found, row.unit, row.text
+
+    def of_each(column: np.ndarray, replica_axis: int) -> np.ndarray:
+        """With a leading axis of replicas, like everything else."""
+        return np.moveaxis(column, replica_axis, 0) if column.ndim > 1 else np.tile(column, (replicas, 1))
+
+    for key, column in solution.history.items():
+        yield f"history/{key}", of_each(column, 1), CHECK_ROWS[key].unit, CHECK_ROWS[key].text
+    if (kept := solution.snapshots) is not None:
+        yield "snapshots/time", of_each(kept.time, 1), "time", "simulated time of each snapshot"
+        text = f"{SPHERES['spin'].text} at these times"
+        yield "snapshots/spin", of_each(kept.spin, 1), SPHERES["spin"].unit, text
 
 
 def _rows_of_lattice(solution: Solution) -> Iterator[Row]:
@@ -86,39 +98,15 @@ def _rows_of_lattice(solution: Solution) -> Iterator[Row]:
     for name, parts, unit, text in of_contacts:
         for axis, part in zip(AXES, parts, strict=False):
             yield name.format(axis), part, unit, text.format(axis)
-    for row, found in found_in(solution, SPHERES):
-        yield row.name, found, row.unit, row.text
-    for key, column in solution.history.items():  # a leading axis of replicas, like everything else
-        values = column.T if column.ndim == 2 else np.tile(column, (scene.replicas, 1))
-        yield f"history/{key}", values, CHECK_ROWS[key].unit, CHECK_ROWS[key].text
-    if (kept := solution.snapshots) is not None:
-        yield from _rows_of_snapshots(np.tile(kept.time, (scene.replicas, 1)), np.moveaxis(kept.spin, 1, 0))
 
 
-def _rows_of_packings(results: Sequence["PackingSolution"]) -> Iterator[Row]:
-    each = [list(_rows_of_packing(result)) for result in results]
-    words = {name: (unit, text) for rows in each for name, _, unit, text in rows}
-    for name, values in stacked([{row[0]: row[1] for row in rows} for rows in each]).items():
-        yield name, values, *words[name]
-
-
-def _rows_of_packing(result: "PackingSolution") -> Iterator[Row]:
-    """Those of one replica, without that axis."""
-    for name, values in result.packing.arrays().items():
+def _rows_of_packings(solution: Solution) -> Iterator[Row]:
+    packings = solution.scene
+    for name, values in stacked([packing.arrays() for packing in packings]).items():
         yield f"packing/{name}", values, *PACKING_ARRAYS[name]
-    yield "spin", result.spin, SPHERES["spin"].unit, SPHERES["spin"].text
-    for row, found in found_in(result, CONTACTS):
+    for row, found in found_in(solution, CONTACTS):
         yield f"contact/{row.name}", found, row.unit, row.text
-    yield "contact/friction", result.friction, "force", FRICTION_OF_SECOND[result.packing.dimension]
-    for name, column in result.history.items():
-        yield f"history/{name}", column, CHECK_ROWS[name].unit, CHECK_ROWS[name].text
-    if result.snapshots is not None:
-        yield from _rows_of_snapshots(result.snapshots.time, result.snapshots.spin)
-
-
-def _rows_of_snapshots(time: np.ndarray, spin: np.ndarray) -> Iterator[Row]:
-    yield "snapshots/time", time, "time", "simulated time of each snapshot"
-    yield "snapshots/spin", spin, SPHERES["spin"].unit, f"{SPHERES['spin'].text} at these times"
+    yield "contact/friction", solution.friction, "force", FRICTION_OF_SECOND[packings[0].dimension]
 
 
 def refuse_scan(path: Path) -> None:
@@ -172,8 +160,7 @@ def read_run(run: Path) -> Run:
             settings = RunSettings.from_mapping(parse_toml(str(attributes["scene"])), "its scene")
         except FileError as error:
             raise InputError(str(error)) from None
-        read = _read_packings if "packing" in file else _read_lattice
-        solution = read(path, file, attributes, settings)
+        solution = _read(path, file, attributes, settings)
     place = path.parent if path.name == "run.h5" else path
     return Run(settings, solution, None, place, str(attributes.get("command", "")), attributes=attributes)
 
@@ -218,10 +205,28 @@ class _Sets:
             raise KeyError(f"it lacks {lacking[0]}")
         return tuple(self.get(name, *lattice.contact_shape(axis), *parts) for axis, name in enumerate(names))
 
-    def of_contacts(self, key: str, lattice: Lattice, *parts: int) -> np.ndarray:
+    def of_contacts(self, lattice: Lattice, key: str, *parts: int) -> np.ndarray:
         """Of the contacts, (R, E, *parts)."""
         found = self.by_axis(f"contact/{{}}/{key}", lattice, *parts)
         return np.concatenate([values.reshape(len(values), -1, *parts) for values in found], axis=1)
+
+    def history(self, apart: bool, is_needed: bool) -> dict[str, np.ndarray]:
+        """Columns (checks,) or (checks, R). apart : replicas have rows of their own. FileError for other columns than
+        a solve leaves, or none where some are needed."""
+        columns = {key: self.get(f"history/{key}", None) for key in self.file.get("history", ())}
+        needed = {"iteration", "power", "lower_bound"} | (ENERGIES if "energy_residual" in columns else set())
+        lengths = {values.shape[1] for values in columns.values()}
+        if (is_needed or columns) and (needed - columns.keys() or len(lengths) != 1 or 0 in lengths):
+            words = f"it must hold columns of one length, {', '.join(needed)}"
+            raise FileError(f"history in {self.path} is damaged: {words}")
+        return {key: column[0] if key in OF_ALL and not apart else column.T for key, column in columns.items()}
+
+    def snapshots(self, apart: bool, *spins: int) -> Snapshots:
+        """spins : the shape of those of a sample."""
+        time, ways = self.get("snapshots/time", None), self.get("snapshots/spin", None, *spins)
+        if time.shape[1] != ways.shape[1]:
+            raise FileError(f"snapshots in {self.path} are damaged: times and spins differ in number")
+        return Snapshots(time.T if apart else time[0], np.moveaxis(ways, 0, 1))
 
     def check(self, name: str, values: np.ndarray, is_fine: Callable[[np.ndarray], Any] = np.isfinite) -> None:
         """FileError for numbers that no solve leaves, where what reads them would fail or mislead."""
@@ -236,46 +241,37 @@ class _Sets:
             raise FileError(f"{name} in {self.path} is damaged: it must hold {words}")
 
 
-def _read_lattice(path: Path, file: h5py.File, attributes: Mapping[str, Any], settings: RunSettings) -> Solution:
+def _read(path: Path, file: h5py.File, attributes: Mapping[str, Any], settings: RunSettings) -> Solution:
     """What the run came to, with a replica axis. Its status is that of those replicas that are not certified; columns
-    of the history are (checks,) or (checks, R)."""
-    shape = tuple(int(side) for side in attributes["shape"])
-    lattice, first = Lattice(shape, periodic=axis_numbers(settings.periodic)), file["coefficient/x"]
-    arrays, vector = _Sets(path, file, first.shape[: first.ndim - len(shape)]), () if len(shape) == 2 else (3,)
-    viscosity = arrays.by_axis("viscosity/{}", lattice) if "viscosity" in file else ()
-    seeds = tuple(int(seed) for seed in np.atleast_1d(attributes["seed"]))
-    given = {key: getattr(settings, key) for key in ("law", *Scene.PARAMETERS)}
-    scene = Scene(arrays.by_axis("coefficient/{}", lattice), viscosity=viscosity, seeds=seeds, **given)
-    drawn = {key: getattr(settings, key) for key in scene.DRAWN} if settings.coefficients is None else {}
-    scene = scene.drawn_from(drawn)
+    of the history are (checks,) or (checks, R), of several packings all of them (checks, R)."""
+    is_lattice = "packing" not in file
+    scene, arrays, of_contacts, sites, vector = (_lattice_in if is_lattice else _packings_in)(
+        path, file, attributes, settings
+    )
+    replicas, apart = scene.replicas, not is_lattice and scene.replicas > 1
 
     def number(name: str) -> np.ndarray:
         """An attribute with one value a replica, (R,); not-a-number where it is missing or says nothing, as "" does."""
         value = attributes.get(name, "")
         values = np.atleast_1d(np.nan if isinstance(value, str) and not value else value)
-        if values.dtype.kind not in "biuf" or values.shape not in ((1,), (scene.replicas,)):
-            raise ValueError(f"{name} is {value!r}; it must be a number, for each of its {scene.replicas} samples")
-        return np.broadcast_to(values, scene.replicas).copy()
+        kinds = "UO" if name == "proof" else "biuf"
+        if values.dtype.kind not in kinds or values.shape not in ((1,), (replicas,)):
+            raise ValueError(f"{name} is {value!r}; it must be a number, for each of its {replicas} samples")
+        return np.broadcast_to(values, replicas).copy()
 
     ended = [Status(name) for name in np.atleast_1d(attributes["status"]).tolist()]
     status = next((one for one in ended if one is not Status.CERTIFIED), Status.CERTIFIED)
-    there = [name for name in CONTACTS if name not in NOT_IN_ALL or f"contact/x/{name}" in file]
-    sets = {name: arrays.of_contacts(name, lattice) for name in there}
-    sets |= {"friction": arrays.of_contacts("friction", lattice, *vector), "spin": arrays.get("spin", *shape, *vector)}
+    first = "contact/x" if is_lattice else "contact"
+    there = [name for name in CONTACTS if name not in NOT_IN_ALL or f"{first}/{name}" in file]
+    sets = {name: of_contacts(name) for name in there}
+    sets |= {"friction": of_contacts("friction", *vector), "spin": arrays.get("spin", *sites, *vector)}
     for name, values in sets.items():
-        arrays.check(name, values, np.isfinite if status is not Status.NOT_FINITE else np.isreal)
-    rounding = arrays.get("spin_rounding", *shape, *vector) if "spin_rounding" in file else np.zeros_like(sets["spin"])
-    columns = {key: arrays.get(f"history/{key}", None) for key in file["history"]}
-    needed = {"iteration", "power", "lower_bound"} | (ENERGIES if "energy_residual" in columns else set())
-    lengths = {values.shape[1] for values in columns.values()}
-    if needed - columns.keys() or len(lengths) != 1 or 0 in lengths:
-        raise FileError(f"history in {path} is damaged: it must hold columns of one length, {', '.join(needed)}")
-    kept = None
-    if "snapshots" in file:
-        time, ways = arrays.get("snapshots/time", None)[0], arrays.get("snapshots/spin", None, *shape, *vector)
-        kept = Snapshots(time, np.moveaxis(ways, 0, 1))
-        if len(kept.time) != len(kept.spin):
-            raise FileError(f"snapshots in {path} are damaged: times and spins differ in number")
+        is_fine = _is_number if name == "slip_bound" else np.isfinite
+        arrays.check(name, values, is_fine if status is not Status.NOT_FINITE else np.isreal)
+    rounding = arrays.get("spin_rounding", *sites, *vector) if "spin_rounding" in file else np.zeros_like(sets["spin"])
+    own: dict[str, np.ndarray] = {"status": np.broadcast_to(np.array(ended, dtype=object), replicas)}
+    if apart:
+        own["iterations"] = number("iterations").astype(np.int64)
     numbers: dict[str, Any] = {key: number(key) for key in ("power", "lower_bound", "gap", "largest_balance_residual")}
     numbers |= {key: float(attributes[key]) for key in ("slip_threshold", "seconds", "seconds_compile")}
     more: dict[str, Any] = {"slip_bound": None, "proven": nothing_proven(sets["state"]), **sets}
@@ -283,78 +279,53 @@ def _read_lattice(path: Path, file: h5py.File, attributes: Mapping[str, Any], se
         scene=scene,
         method=str(attributes["method"]),
         status=status,
-        iterations=int(attributes["iterations"]),
+        iterations=int(np.max(attributes["iterations"])),
         spin_rounding=rounding,
         power_per_contact=more.pop("power"),
         states_proven=number("states_proven") == 1,
         objective=number("potential" if scene.law.minimises == "potential" else "power"),
-        history={key: column[0] if key in OF_ALL else column.T for key, column in columns.items()},
-        findings={name: number(name) for name in attributes["findings"] if name in attributes},
+        history=arrays.history(apart, is_needed=is_lattice),
+        findings={name: number(name) for name in attributes.get("findings", FINDINGS) if name in attributes},
+        own=own,
         running=Runtime(**{key: attributes.get(key, value) for key, value in vars(HOST).items()}),
-        snapshots=kept,
+        snapshots=arrays.snapshots(apart, *sites, *vector) if "snapshots" in file else None,
         **numbers,
         **more,
     )
 
 
-OF_ALL = ("iteration", "seconds", "time")  # columns of the history that are the same for all replicas
 ENERGIES = {"time", "kinetic_energy", "spring_energy", "injected_energy", "dissipated_energy"}
+_Found = tuple[Any, _Sets, Callable[..., np.ndarray], tuple[int, ...], tuple[int, ...]]
+"""Scene or packings, data sets, what reads one of the contacts by its name, (R, E, *parts), and the shapes of the
+spheres and of a vector."""
 
 
-def _read_packings(path: Path, file: h5py.File, attributes: Mapping[str, Any], settings: RunSettings) -> Packed:
-    from taichi_bearings.packing import PackingSolution  # and with it much of SciPy
+def _lattice_in(path: Path, file: h5py.File, attributes: Mapping[str, Any], settings: RunSettings) -> _Found:
+    shape = tuple(int(side) for side in attributes["shape"])
+    lattice, first = Lattice(shape, periodic=axis_numbers(settings.periodic)), file["coefficient/x"]
+    arrays = _Sets(path, file, first.shape[: first.ndim - len(shape)])
+    viscosity = arrays.by_axis("viscosity/{}", lattice) if "viscosity" in file else ()
+    seeds = tuple(int(seed) for seed in np.atleast_1d(attributes["seed"]))
+    given = {key: getattr(settings, key) for key in ("law", *Scene.PARAMETERS)}
+    scene = Scene(arrays.by_axis("coefficient/{}", lattice), viscosity=viscosity, seeds=seeds, **given)
+    drawn = {key: getattr(settings, key) for key in scene.DRAWN} if settings.coefficients is None else {}
+    return scene.drawn_from(drawn), arrays, partial(arrays.of_contacts, lattice), shape, () if len(shape) == 2 else (3,)
+
+
+def _packings_in(path: Path, file: h5py.File, attributes: Mapping[str, Any], settings: RunSettings) -> _Found:
+    from taichi_bearings.packing.answer import SAID_OF_PACKINGS  # and with it much of SciPy
     from taichi_bearings.runs.packing_run import packings_of
 
-    packings = packings_of(replace(settings, packing=str(path)))
-    packing, several = packings[0], len(packings) > 1
-    arrays, vector = _Sets(path, file, (len(packings),) * several), () if packing.dimension == 2 else (3,)
-    there = [name for name in CONTACTS if name not in NOT_IN_ALL or f"contact/{name}" in file]
-    sets = {name: arrays.get(f"contact/{name}", packing.contacts) for name in there}
-    sets["friction"] = arrays.get("contact/friction", packing.contacts, *vector)
-    sets["spin"] = arrays.get("spin", packing.spheres, *vector)
-    for name, values in sets.items():
-        arrays.check(name, values, _is_number if name == "slip_bound" else np.isfinite)
-    sets["power_per_contact"] = sets.pop("power")
-    history = {name: arrays.get(f"history/{name}", None) for name in CHECK_ROWS if f"history/{name}" in file}
-    sizes: dict[str, tuple[int, ...]] = {"time": (), "spin": packing.spin.shape} if "snapshots" in file else {}
-    ways = {key: arrays.get(f"snapshots/{key}", None, *size) for key, size in sizes.items()}
-    results = []
-    for replica, packing in enumerate(packings):
-        own = {name: _one(attributes[name], replica) for name in READ_OF_RESULT if name in attributes}
-        number: dict[str, Any] = {key: float(own[key]) for key in READ_NUMBERS}
-        motions, way = own["slipless_motions"], _without_repeats(ways, "time", replica)
-        results.append(PackingSolution(
-            packing=packing,
-            potential=float(own.get("potential", number["power"])),
-            proof=str(own["proof"]),
-            status=Status(own["status"]).value,
-            method=str(own["method"]),
-            slipless_motions=None if motions == "" or motions != motions else int(motions),
-            unbalanced=float(own["largest_balance_residual"]),
-            iterations=int(own["iterations"]),
-            history=_without_repeats(history, "iteration", replica),
-            time=None if "time" not in own else float(own["time"]),
-            snapshots=Snapshots(**way) if way and len(way["time"]) else None,
-            slip_threshold=float(own.get("slip_threshold", 0.0)),
-            torque=settings.torque,  # type: ignore[arg-type]
-            findings={name: np.nan if v == "" else v for name in FINDINGS if (v := own.get(name)) is not None},
-            **{name: values[replica] for name, values in sets.items()},
-            **number,
-        ))  # fmt: skip
-    return Packed(tuple(results))
+    if lacking := [name for name in SAID_OF_PACKINGS if name not in attributes]:
+        raise KeyError(f"it lacks {lacking[0]}")
+    scene = packings_of(replace(settings, packing=str(path)))
+    first, arrays = scene[0], _Sets(path, file, (scene.replicas,) * (scene.replicas > 1))
+
+    def of_contacts(name: str, *parts: int) -> np.ndarray:
+        return arrays.get(f"contact/{name}", first.contacts, *parts)
+
+    return scene, arrays, of_contacts, (first.spheres,), () if first.dimension == 2 else (3,)
 
 
 def _is_number(values: np.ndarray) -> np.ndarray:
     return ~np.isnan(values)
-
-
-def _one(value: Any, replica: int) -> Any:
-    """That of one replica of an attribute."""
-    value = value[replica] if isinstance(value, np.ndarray) else value
-    return value.item() if isinstance(value, np.generic) else value
-
-
-def _without_repeats(columns: Mapping[str, np.ndarray], key: str, replica: int) -> dict[str, np.ndarray]:
-    """Columns (R, rows, ...) of one replica without what makes it as long as the longest."""
-    own = {name: values[replica] for name, values in columns.items()}
-    return {name: values[np.diff(own[key], prepend=-1) > 0] for name, values in own.items()}

@@ -10,65 +10,31 @@ import numpy as np
 
 from taichi_bearings.errors import InputError
 from taichi_bearings.files.whole_file import write_arrays
-from taichi_bearings.proof.contact_state import ContactState
-from taichi_bearings.quantities import Answered, numbers_of, plain
+from taichi_bearings.quantities import Answered, numbers_of
 from taichi_bearings.runs.settings import OF_DRIVEN, SIZES, RunSettings
-from taichi_bearings.scene import Scene, Status
+from taichi_bearings.scene import Scene, Solution, Status
 from taichi_bearings.scene.array_files import short_name
 from taichi_bearings.scene.initial_spins import STARTS, initial_spin
-from taichi_bearings.version import VERSION
+from taichi_bearings.scene.solution import stacked
 
 if TYPE_CHECKING:
     from taichi_bearings.analysis.histogram import PowerHistogram
-    from taichi_bearings.packing import Packing, PackingSolution
 
-TOLD_OF_RESULT = (
-    "power", "potential", "lower_bound", "gap", "proof", "status", "method", "iterations", "seconds", "critical",
-    "driven_power", "slipless_motions",
-)  # fmt: skip
-"""What a summary has of the result of a packing under the same name."""
-ALIKE = ("method", "law", "shape", "spheres", "driven_spheres", "contacts", "seconds_compile", "version")
 LED_TO_ARRAYS = {"distribution", "viscosity", *SIZES, *OF_DRIVEN}  # keys that are not kept; run.h5 has what they led to
-
-
-@dataclass(frozen=True)
-class Packed:
-    """The results of each replica of a packing, with what is asked of a Solution too."""
-
-    results: tuple["PackingSolution", ...]
-
-    @property
-    def packings(self) -> tuple["Packing", ...]:
-        return tuple(result.packing for result in self.results)
-
-    @property
-    def power_per_contact(self) -> np.ndarray:
-        return np.stack([result.power_per_contact for result in self.results])
-
-    @property
-    def state(self) -> np.ndarray:
-        return np.stack([result.state for result in self.results])
-
-    @property
-    def slip_threshold(self) -> float:
-        return self.results[0].slip_threshold
-
-    def sample(self, number: int) -> "Packed":
-        return Packed(self.results[number : number + 1])
 
 
 @dataclass(frozen=True)
 class Run:
     """A solved run.
 
-    solution : of a lattice its Solution. spin : that it started from; None where that lies in its directory, or where a
+    solution : of all its samples. spin : that it started from; None where that lies in its directory, or where a
     packing started from one that has a name. path : of the directory or the file that has the run, if any.
     command : what made it, for the record. interrupted : Ctrl-C or SIGTERM was heard. attributes : of the file that it
     was read from.
     """
 
     settings: RunSettings
-    solution: Any
+    solution: Solution
     spin: np.ndarray | None = None
     path: Path | None = None
     command: str = ""
@@ -77,31 +43,14 @@ class Run:
 
     @property
     def is_packing(self) -> bool:
-        return isinstance(self.solution, Packed)
-
-    @property
-    def results(self) -> tuple["PackingSolution", ...]:
-        """Of a packing, that of each replica."""
-        found: tuple[PackingSolution, ...] = self.solution.results
-        return found
-
-    @property
-    def result(self) -> "PackingSolution":
-        """Of a packing, that of the first replica."""
-        return self.results[0]
-
-    @property
-    def answer(self) -> Any:
-        """What was found, of a packing for the first replica."""
-        return self.result if self.is_packing else self.solution
+        return not isinstance(self.solution.scene, Scene)
 
     def sample(self, replica: int) -> "Run":
         """The run of one replica; InputError if there is none of this number."""
         if not 0 <= replica < len(self.solution.state):
             raise InputError(f"replica is {replica}; the run has {len(self.solution.state)}, counted from 0")
         solution, spin = self.solution.sample(replica), self.spin
-        seed = self.settings.seed + replica if self.is_packing else solution.scene.seeds[0]
-        settings = replace(self.settings, seed=seed, replicas=1)
+        settings = replace(self.settings, seed=solution.scene.seeds[0], replicas=1)
         one = spin if spin is None or self.is_packing else spin[[replica]]
         return replace(self, settings=settings, solution=solution, spin=one)
 
@@ -121,13 +70,11 @@ class Run:
     @property
     def status(self) -> list[Status]:
         """How each replica ended, (R,)."""
-        return [Status(result.status) for result in self.results] if self.is_packing else self.answered.status
+        return self.answered.status
 
     @cached_property
     def numbers(self) -> dict[str, Any]:
         """By name what is known of the answer, and the warnings."""
-        if self.is_packing:
-            return _numbers_of_packings(self.results, self.settings)
         from taichi_bearings.runs.caveats import caveats
 
         return numbers_of(self.answered) | {"warnings": caveats(self.solution, self.settings)}
@@ -151,13 +98,10 @@ class Run:
 
     def self_contained(self, folder: Path, name: str = "run.h5") -> RunSettings:
         """As the function of this name."""
-        scene = self.solution.packings if self.is_packing else self.solution.scene
-        return self_contained(self.settings, scene, self.start, folder, name)
+        return self_contained(self.settings, self.solution.scene, self.start, folder, name)
 
 
-def self_contained(
-    settings: RunSettings, scene: Scene | tuple["Packing", ...], spin: Any, folder: Path, name: str = "run.h5"
-) -> RunSettings:
+def self_contained(settings: RunSettings, scene: Any, spin: Any, folder: Path, name: str = "run.h5") -> RunSettings:
     """Settings whose files lie in the run directory itself, so that it can be moved and run again.
 
     With checkpoints that must be possible while there is no run.h5 yet. name : of what is that otherwise.
@@ -178,7 +122,7 @@ def self_contained(
         name = "packing.npz" if with_file else name
         if with_file:
             found = stacked([packing.arrays() for packing in scene])
-            write_arrays(folder / name, {n: v[0] if len(scene) == 1 else v for n, v in found.items()})
+            write_arrays(folder / name, {n: v[0] if scene.replicas == 1 else v for n, v in found.items()})
         settings = RunSettings(**{**kept, "packing": name})
     if spin is not None:
         write_arrays(folder / "initial_spin.npz", {"spin": spin})
@@ -186,58 +130,6 @@ def self_contained(
     return settings
 
 
-def stacked(each: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    """Arrays of each replica with a leading axis; those that end sooner than the longest stay at their end, and those
-    that one does not have are not-a-number."""
-    found = {}
-    for name in {name: None for one in each for name in one}:
-        longest = max((one[name] for one in each if name in one), key=len)
-        given = [one.get(name, longest[:1] * np.nan) for one in each]
-        found[name] = np.stack([np.append(v, np.repeat(v[-1:], len(longest) - len(v), axis=0), axis=0) for v in given])
-    return found
-
-
 def together(ones: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Numbers by name: those of one sample, of several a list each."""
     return dict(ones[0]) if len(ones) == 1 else {key: [one[key] for one in ones] for key in ones[0]}
-
-
-def _numbers_of_packings(results: Sequence["PackingSolution"], settings: RunSettings) -> dict[str, Any]:
-    ones = [_numbers_of(result, settings, seed) for result, seed in zip(results, settings.seeds, strict=True)]
-    numbers, several = together(ones), len(ones) > 1
-    if several:
-        numbers |= {key: ones[0][key] for key in ALIKE} | {"seconds": sum(numbers["seconds"])}
-    of = [f" of seed {seed}" if several else "" for seed in settings.seeds]
-    said = [f"what is proven of the least power{seed}: {result.proof}"
-            for seed, result in zip(of, results, strict=True) if result.proof != "proven"]  # fmt: skip
-    return numbers | {"warnings": said}
-
-
-def _numbers_of(result: "PackingSolution", settings: RunSettings, seed: int) -> dict[str, Any]:
-    packing, states = result.packing, np.bincount(result.state, minlength=len(ContactState)).tolist()
-    proven = np.full(packing.contacts, ContactState.UNDECIDED) if result.proven is None else result.proven
-    unproven = int(((proven == ContactState.UNDECIDED) & (result.state != ContactState.DRIVEN)).sum())
-    found = {name: getattr(result, name) for name in TOLD_OF_RESULT}
-    if packing.kind.minimises != "potential":
-        del found["potential"]
-    numbers = found | {
-        "law": str(packing.law),
-        "shape": None,
-        "spheres": packing.spheres,
-        "driven_spheres": int((packing.driven >= 0).sum()),
-        "seed": seed,
-        "seconds_compile": 0.0,
-        "contacts": packing.contacts - states[ContactState.DRIVEN],
-        "slipping": states[ContactState.SLIPPING],
-        "slipless": states[ContactState.SLIPLESS],
-        "undecided": states[ContactState.UNDECIDED],
-        "states_proven": unproven == 0 and bool((proven == result.state).all()),
-        "slip_threshold": result.slip_threshold,
-        "unproven": unproven,
-        "largest_balance_residual": result.unbalanced,
-        "version": VERSION,
-        **result.findings,
-        **({} if result.time is None else {"time": result.time}),
-        **({} if settings.duration is None else {"duration": settings.duration}),
-    }
-    return {key: plain(value) for key, value in numbers.items()}

@@ -6,10 +6,11 @@ from typing import Any
 import numpy as np
 
 from taichi_bearings.analysis.packing_structure import PackingStructure
-from taichi_bearings.analysis.structure import Structure
+from taichi_bearings.analysis.structure import Structure, structure_of
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.quantities import ANALYSED, Quantity, plain
 from taichi_bearings.runs.run_file import AXES
+from taichi_bearings.scene import Scene, Solution
 
 
 @dataclass(frozen=True)
@@ -66,9 +67,20 @@ STRUCTURE_COLUMNS = {
 """Of a PackingStructure."""
 
 
-def numbers_of(structure: Structure) -> dict[str, Any]:
+def structure_of_any(
+    solution: Solution, number: int = 0, threshold: float | None = None
+) -> Structure | PackingStructure:
+    """One sample of a solution, a lattice or a packing; threshold as of :func:`structure_of`."""
+    if isinstance(solution.scene, Scene):
+        return structure_of(solution, number, threshold)
+    return PackingStructure.of(solution.sample(number), threshold)
+
+
+def numbers_of(structure: Structure | PackingStructure) -> dict[str, Any]:
     """The structure of one sample as numbers, as in `--json` of `analyse`; without those that are not known, and None
     for those that are not finite."""
+    if isinstance(structure, PackingStructure):
+        return structure.numbers
     found = {row.name: row.of(structure) for row in ANALYSED.values()}
     return {
         "seed": structure.scene.seeds[0],
@@ -84,8 +96,11 @@ def numbers_of(structure: Structure) -> dict[str, Any]:
     }
 
 
-def findings_of(structure: Structure) -> dict[str, Finding]:
+def findings_of(structure: Structure | PackingStructure) -> dict[str, Finding]:
     """The structure of one sample as arrays, by their names in the group /analysis."""
+    if isinstance(structure, PackingStructure):
+        spheres, contacts = columns_of_structure(structure)
+        return spheres | contacts
     domains, found = structure.rigid_domains, {}
     components = ", ".join(AXES[component] for component in domains.spin_axes)
     for row in ARRAYS:

@@ -15,22 +15,22 @@ Phi(a), which is convex: beyond (Phi(h) - Phi(0)) / h it turns, and up to there 
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from taichi_bearings.errors import InputError
-from taichi_bearings.packing import Packing, PackingSolution
+from taichi_bearings.packing import Packing, Packings
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.runs.settings import RunSettings
-from taichi_bearings.scene import Solution, Status
+from taichi_bearings.scene import Scene, Solution, Status
 from taichi_bearings.scene.driving import Ramp
-from taichi_bearings.scene.law import COULOMB, LAWS, Coefficients, Law
+from taichi_bearings.scene.law import COULOMB, LAWS
 from taichi_bearings.solvers.table import MethodOptions
 
-Solve = Callable[[Any], Any]
-"""Of a scene a solution, or of an :class:`Upheld` packing a :class:`Motion`."""
+Solve = Callable[[Any], Solution]
+"""Of a scene, or of a packing."""
 SURELY = 1 + 1e-12  # factor that makes up for the rounding of the power
 ROUNDED_SUM = 1e-13  # relative, of the power of contacts between driven spheres
 HELD_TURN = 1e-4  # of the spin of the bottom, by which a top that counts as held may turn
@@ -56,92 +56,69 @@ def refuse_driven(settings: RunSettings, method: type[MethodOptions]) -> None:
         )
 
 
-@dataclass(frozen=True)
-class Upheld:
-    """A packing with the words that are asked of a scene: its body of the largest number stands for the top.
-
-    top : (N,) True for its spheres. imposed : largest R omega of the top, and of all others, length/time.
-    """
-
-    packing: Packing
-    law: Law
-    contact: Coefficients
-    top: np.ndarray
-    imposed: tuple[float, float]
-    replicas: ClassVar[int] = 1
-
-    @classmethod
-    def of(cls, packing: Packing) -> "Upheld":
-        speed, top = np.linalg.norm(packing.imposed, axis=1), packing.driven == max(packing.driven.max(), 0)
-        contact = tuple(values[None] for values in packing.coefficients)
-        imposed = float(speed[top].max(initial=0.0)), float(speed[~top].max(initial=0.0))
-        return cls(packing, packing.kind, contact, top, imposed)
-
-    def sample(self, number: int) -> "Upheld":
-        return self
-
-    def changed(self, **arrays: Any) -> "Upheld":
-        """With other arrays; those that are None are left out."""
-        given = {"law": self.law, **self.packing.arrays(), **arrays}
-        return Upheld.of(Packing(**{name: values for name, values in given.items() if values is not None}))
+def _imposed(scene: Any) -> tuple[float, float]:
+    """Sizes of what drives the top and the bottom: their spins, or of a packing the largest R omega of its last body
+    and of all others, length/time."""
+    if isinstance(scene, Scene):
+        return scene.imposed
+    speed, top = np.linalg.norm(scene[0].imposed, axis=1), _top(scene[0])
+    return float(speed[top].max(initial=0.0)), float(speed[~top].max(initial=0.0))
 
 
-@dataclass(frozen=True)
-class Motion:
-    """What is asked of a Solution, of an upheld packing."""
-
-    scene: Upheld
-    status: Status
-    slip: np.ndarray
-    power: np.ndarray
-    objective: np.ndarray
-    lower_bound: np.ndarray
-
-    @classmethod
-    def of(cls, found: PackingSolution) -> "Motion":
-        """With what contacts between driven spheres take beside."""
-        packing, among, low = found.packing, found.state == ContactState.DRIVEN, found.lower_bound
-        beside = float(packing.kind.objective(packing.coefficients, found.slip)[among].sum())
-        low = (low + beside) * (1 - ROUNDED_SUM) if beside else low
-        numbers = (np.array([value]) for value in (found.power + found.driven_power, found.potential + beside, low))
-        return cls(Upheld.of(packing), Status(found.status), found.slip[None], *numbers)
+def _top(packing: Packing) -> np.ndarray:
+    """(N,) True for the spheres of the body of the largest number."""
+    return np.asarray(packing.driven == max(packing.driven.max(), 0))
 
 
-def torque_on_packing(found: PackingSolution, torque: float, solve: Callable[[Packing], Any]) -> PackingSolution:
-    """As :func:`under_torque`. solve : other packings."""
-    motion = Motion.of(found)
-    if not motion.scene.imposed[0]:
-        raise InputError(f"torque is {torque:g}, but no body turns, along whose spins it would act")
-    if motion.scene.imposed[1] and not motion.scene.law.holds:
-        raise InputError(f"torque is {torque:g}; with the law viscous all bodies but the last must be at rest")
-    findings = _found(motion, torque, lambda scene: Motion.of(solve(scene.packing)))
-    return replace(found, torque=torque, findings={name: values.item() for name, values in findings.items()})
+def _changed(packings: Packings, **arrays: Any) -> Packings:
+    """A packing with other arrays; those that are None are left out."""
+    given = {"law": packings.law, **packings[0].arrays(), **arrays}
+    return Packings([Packing(**{name: values for name, values in given.items() if values is not None})])
 
 
-def by_friction(solution: Any, solve: Solve) -> Any:
+def _with_driven(found: Solution) -> Solution:
+    """Of a packing with what contacts between driven spheres take beside."""
+    if isinstance(found.scene, Scene):
+        return found
+    scene, among, low = found.scene, found.state == ContactState.DRIVEN, found.lower_bound
+    beside = float(scene.law.objective(scene.contact, found.slip)[among].sum())
+    low = (low + beside) * (1 - ROUNDED_SUM) if beside else low
+    power, objective = found.power + found.findings["driven_power"], found.objective + beside
+    return replace(found, power=power, objective=objective, lower_bound=low)
+
+
+def by_friction(solution: Solution, solve: Solve) -> Solution:
     """The motion of strength 1 with friction alone, or the same where there is no friction or nothing else."""
     scene = solution.scene
     if not (scene.law.holds and scene.law.flows):
         return solution
-    if isinstance(scene, Upheld):
-        return solve(scene.changed(law=COULOMB, viscosity=None))
+    if not isinstance(scene, Scene):
+        return solve(_changed(scene, law=COULOMB, viscosity=None))
     return solve(replace(scene, law=COULOMB, viscosity=()))
 
 
-def under_torque(solution: Solution, friction: Solution, torque: float, solve: Solve) -> Solution:
-    """The motion of strength 1, with what the torque does beside it. friction : the same with friction alone.
-    solve : the same for other scenes.
+def under_torque(solution: Solution, torque: float, solve: Solve, friction: Solution | None = None) -> Solution:
+    """The motion of strength 1, with what the torque does beside it. solve : the same for other scenes or packings.
+    friction : the same with friction alone, if it is known.
 
     yields : the torque is more than friction is proven to hold at most. yield_torque, yield_torque_lower_bound :
     force*length, between which it starts to. amplitude : strength of the motion, 1 for that of the solution; 0 where
     the torque is proven to be held, NaN where nothing limits the motion or it is not known.
     """
-    return replace(solution, findings={**solution.findings, **_found(solution, torque, solve, friction)})
-
-
-def _found(solution: Any, torque: float, solve: Solve, friction: Any = None) -> dict[str, np.ndarray]:
     scene = solution.scene
-    if scene.imposed[1]:
+    if not isinstance(scene, Scene):
+        top, others = _imposed(scene)
+        if not top:
+            raise InputError(f"torque is {torque:g}, but no body turns, along whose spins it would act")
+        if others and not scene.law.holds:
+            raise InputError(f"torque is {torque:g}; with the law viscous all bodies but the last must be at rest")
+    found = _found(_with_driven(solution), torque, lambda other: _with_driven(solve(other)), friction)
+    return replace(solution, findings={**solution.findings, **found})
+
+
+def _found(solution: Solution, torque: float, solve: Solve, friction: Solution | None) -> dict[str, np.ndarray]:
+    scene = solution.scene
+    if _imposed(scene)[1]:
         return _beside_driven(scene, torque, solve)
     friction = by_friction(solution, solve) if friction is None else friction
     low, high = np.zeros(scene.replicas), np.zeros(scene.replicas)
@@ -168,7 +145,8 @@ def _beside_driven(scene: Any, torque: float, solve: Solve) -> dict[str, np.ndar
     """The same findings of a top beside a bottom that turns. yield_torque, in the direction of the torque, of either
     sign: beyond it the top turns; yield_torque_lower_bound : up to it by no more than HELD_TURN of the bottom's spin.
     """
-    step = HELD_TURN * scene.imposed[1] / abs(scene.imposed[0])
+    top, bottom = _imposed(scene)
+    step = HELD_TURN * bottom / abs(top)
     still, moving = (solve(_scaled(scene, strength)) for strength in (0.0, step if torque >= 0 else -step))
     high = (moving.objective * SURELY - still.lower_bound) / step
     low = (moving.lower_bound - still.objective * SURELY) / step
@@ -202,9 +180,9 @@ def _strength(scene: Any, torque: float, least: float, solve: Solve) -> float:
 
 
 def _scaled(scene: Any, strength: float) -> Any:
-    if isinstance(scene, Upheld):
-        top = scene.top.reshape(-1, *(1,) * (scene.packing.spin.ndim - 1))
-        return scene.changed(spin=np.where(top, strength, 1.0) * scene.packing.spin)
+    if not isinstance(scene, Scene):
+        top = _top(scene[0]).reshape(-1, *(1,) * (scene[0].spin.ndim - 1))
+        return _changed(scene, spin=np.where(top, strength, 1.0) * scene[0].spin)
     if scene.top is None:
         return replace(scene, spin_top=strength * scene.spin_top)
     return replace(scene, top=tuple(strength * part for part in scene.top))

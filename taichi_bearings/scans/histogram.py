@@ -107,10 +107,9 @@ def _of_scan(scan: StoredScan) -> Source:
 def _of_run(run: Run) -> Source:
     assert run.path is not None
     settings, path, given = run.settings, file_of(run.path), list[tuple[np.ndarray, ...]]()
-    attributes = run.summary if run.is_packing else run.attributes
-    power, state = run.solution.power_per_contact, run.solution.state
+    attributes, power, state = run.attributes, run.solution.power_per_contact, run.solution.state
     if run.is_packing:
-        given = [(found.packing.contact, *found.packing.coefficients) for found in run.results]
+        given = [(packing.contact, *packing.coefficients) for packing in run.solution.scene]
     elif attributes.get("coefficients"):
         given = [(values,) for values in run.solution.scene.coefficient]
     replicas = len(state)
@@ -133,7 +132,7 @@ def _of_run(run: Run) -> Source:
 
     def disorder() -> list[Any]:
         """By the seed, or by the coefficients where they were given."""
-        table = {"seed": settings.seed + np.arange(replicas), "method": np.full(replicas, run.answer.method)}
+        table = {"seed": settings.seed + np.arange(replicas), "method": np.full(replicas, run.solution.method)}
         if given:
             digests = [hashlib.sha256(b"".join(v.tobytes() for v in values)).hexdigest() for values in given]
             table["seed"] = np.array(digests, dtype=object)

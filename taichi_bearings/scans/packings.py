@@ -2,19 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
-from taichi_bearings.analysis.packing_structure import PackingStructure
 from taichi_bearings.errors import InputError
 from taichi_bearings.packing import Packing
 from taichi_bearings.packing.system import System, acting
-from taichi_bearings.runs.packing_run import packing_of, solved_packing, used
-from taichi_bearings.runs.settings import RunSettings
-from taichi_bearings.runs.solved import Packed, Run
+from taichi_bearings.runs.packing_run import packings_of, used
 from taichi_bearings.scans.plan import Sample
-from taichi_bearings.scene import Status
 
 OF_A_NETWORK = ("center", "contact", "driven", "spin", "radius", "normal")
 
@@ -22,7 +17,7 @@ OF_A_NETWORK = ("center", "contact", "driven", "spin", "radius", "normal")
 def refuse_packing(group: Sequence[Sample]) -> None:
     """InputError for what cannot be solved, or is the same for all of a group of seeds."""
     settings = used(group[0].settings)
-    law = packing_of(settings).kind
+    law = packings_of(settings).law
     if len(group) == 1 or settings.packing is None or settings.initial == "random":
         return
     if set(("friction", "viscosity")[: len(law.quantities)]) <= Packing.read(settings.packing).keys():
@@ -32,17 +27,10 @@ def refuse_packing(group: Sequence[Sample]) -> None:
         )
 
 
-def solve_packing_sample(settings: RunSettings) -> Run:
-    """What `bearings run` makes of a sample, to the bit."""
-    settings = used(settings)
-    result = solved_packing(settings, packing_of(settings), _system_of)
-    return Run(settings, Packed((result,)), interrupted=result.status == Status.INTERRUPTED.value)
-
-
 _last: list[System] = []  # of this worker
 
 
-def _system_of(packing: Packing) -> System:
+def system_of(packing: Packing) -> System:
     """That of the last packing, with the coefficients of this one, if they differ in nothing else."""
     if not _last or not _alike(_last[0].packing, packing):
         _last[:] = [System.of(packing)]
@@ -53,9 +41,3 @@ def _system_of(packing: Packing) -> System:
 def _alike(one: Packing, other: Packing) -> bool:
     same = all(np.array_equal(getattr(one, name), getattr(other, name)) for name in OF_A_NETWORK)
     return same and np.array_equal(acting(one), acting(other))
-
-
-def scalars_of(run: Run, analyse: bool) -> dict[str, Any]:
-    """Numbers and texts of a packing, those of its analysis too."""
-    found = run.summary | (PackingStructure.of(run.result).numbers if analyse else {})
-    return {name: value for name, value in found.items() if name not in ("shape", "coefficients", "run")}

@@ -18,7 +18,7 @@ from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.quantities import plain
 from taichi_bearings.runs.run import Job, prepare, row_of, write_state
 from taichi_bearings.runs.settings import RunSettings
-from taichi_bearings.runs.solved import Packed, Run
+from taichi_bearings.runs.solved import Run
 from taichi_bearings.scans.engine import LocalEngine, failure, run_samples
 from taichi_bearings.scans.plan import Sample, files_of, groups_of, sample_key
 
@@ -74,20 +74,22 @@ def _blocks(samples: Sequence[Sample]) -> Iterator[list[Sample]]:
 
 def _solve_block(block: Sequence[Sample], analyse: bool, states: Path | None) -> list[dict[str, Any]]:
     """Records of a block, whose packings are alone."""
-    first, runs = block[0].settings, list[Any]()
+    first = block[0].settings
     files = [file for _, file in files_of(first)]
     if files and sample_key(first) != block[0].key:
         raise InputError(f"{' or '.join(files)} has changed since the scan began; the same scan again would do it anew")
     settings = replace(first, replicas=len(block), threads=first.threads or 1)
+    more: dict[str, Any] = {}
     if settings.is_packing:
-        from taichi_bearings.scans.packings import solve_packing_sample
+        from taichi_bearings.scans.packings import system_of
 
-        runs = [solve_packing_sample(settings)]
-    else:
-        found = prepare(settings, strict=False).solve()
-        runs = [replace(found.sample(number), settings=sample.settings) for number, sample in enumerate(block)]
-    if any(run.interrupted for run in runs):
+        more = {"system_of": system_of}
+    found = prepare(settings, strict=False).solve(**more)
+    if found.interrupted:
         raise Interrupted
+    runs = [found.sample(number) for number in range(len(block))]
+    if not settings.is_packing:
+        runs = [replace(run, settings=sample.settings) for run, sample in zip(runs, block, strict=True)]
     for sample, run in zip(block, runs, strict=True):
         if states is not None:
             make_folder(states)
@@ -99,22 +101,17 @@ def _solve_block(block: Sequence[Sample], analyse: bool, states: Path | None) ->
 
 def _record(key: str, run: Any, analyse: bool) -> dict[str, Any]:
     """Numbers and texts alone, and the shape as a table holds it; what is not finite is None."""
-    if run.settings.is_packing:
-        from taichi_bearings.scans.packings import scalars_of
+    answer = run.solution
+    scalars = run.numbers | run.settings.driving | {"slip_threshold": answer.slip_threshold}
+    if analyse:
+        from taichi_bearings.runs.structure_report import numbers_of, structure_of_any
 
-        answer, scalars = run.result, scalars_of(run, analyse)
-    else:
-        answer, scalars = run.solution, run.numbers | {"slip_threshold": run.solution.slip_threshold}
-        if analyse:
-            from taichi_bearings.analysis.structure import structure_of
-            from taichi_bearings.runs.structure_report import numbers_of
-
-            scalars |= numbers_of(structure_of(answer))
+        scalars |= numbers_of(structure_of_any(answer))
     power = answer.power_per_contact
     bins, count = np.unique(bin_of(power[(answer.state == ContactState.SLIPPING) & (power > 0)]), return_counts=True)
     found = {str(number): int(many) for number, many in zip(bins, count, strict=True)}
     told = {name: plain(value) for name, value in scalars.items()}
-    told["shape"] = "x".join(map(str, told["shape"])) if "shape" in told else []
+    told["shape"] = "x".join(map(str, told["shape"] or ())) or []  # packings have none
     told["warnings"] = "; ".join(told["warnings"]) or []  # no column where there is nothing to say
     told = {name: value for name, value in told.items() if value is None or isinstance(value, (bool, int, float, str))}
     return {"key": key, "scalars": told, "bins": found}
@@ -165,8 +162,5 @@ def solve_all(tasks: Sequence[JobTask], workers: int) -> Iterator[Run]:
                 if "run" not in record:
                     raise BearingsError(f"scene {task.label} has no answer: {record['scalars']['error']}")
                 run = record["run"]
-                if run.is_packing:
-                    solution: Any = Packed((replace(run.result, packing=task.scene),))
-                else:
-                    solution = replace(run.solution, scene=task.scene)
+                solution = replace(run.solution, scene=task.job.scene)
                 yield replace(run, settings=task.settings, solution=solution)

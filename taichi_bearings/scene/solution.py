@@ -1,6 +1,6 @@
 """What any method returns: where it stands (Progress), how it ended (Status), and the answer (Solution)."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from enum import Enum
 from typing import Any
@@ -144,29 +144,41 @@ def _picked(better: np.ndarray, axis: int, new: Any, old: Any) -> Any:
     return np.where(better.reshape(*(1,) * axis, -1, *(1,) * (new.ndim - axis - 1)), new, old)
 
 
+OF_ALL = ("iteration", "seconds", "time")
+"""Columns of a history that are the same for all replicas that are solved together."""
+
+
 @dataclass(frozen=True)
 class Solution:
     """The answer of a run, one entry a replica where an axis R is named.
 
+    scene : the `Scene`, or the `Packings` of all replicas. Of packings N is the number of spheres, `friction` is that
+        on the second sphere of each contact, and `findings` has what is said of them alone: `proof`, "proven", or of
+        which spins the bound is, where some motions slip by no more than the rounding of the normals, or why there is
+        none; `driven_power`, energy/time, what contacts between driven spheres dissipate; `slipless_motions` of the
+        free spheres that driven ones reach, None if undecided.
     spin, spin_rounding : laboratory frame, (R, *N) in 2D and (R, *N, 3) in 3D, 1/time; the spins are their sums.
     slip, power_per_contact, force, state : (R, E); force is its magnitude.
     friction : on the upper sphere of each contact, laboratory frame, (R, E, 3); in 2D (R, E),
         the component along z x n (lattice.grid.laboratory_forces). The lower bound follows from it: within the friction
         discs, and in balance where such forces prove as much as others (certificate.certifying_forces).
     states_proven : (R,), True where the contact states are proven to be those of every minimum.
-    slip_bound : Coulomb, (R, E): no minimiser slips faster there; proven. Else None.
+    slip_bound : (R, E): no minimiser slips faster there; proven. None for viscous lattices.
     power : (R,). objective : (R,), what the stationary state minimises: the power, or the potential where no multiple
         of it is the power. lower_bound, gap : (R,), of the objective; BearingsError where a bound lies above it.
     proven : (R, E), a contact slips 0 at no minimum, 1 at every one, 4 at some; 2 not proven, 3 driven.
     findings : what else the method has found, by name, (R,) each.
-    own : of `iterations` and `slip_threshold` what they are of each replica alone, (R,), where that can be told.
+    own : of `iterations`, `slip_threshold`, `status` and `seconds` what they are of each replica alone, (R,), where
+        that can be told.
     history : columns of equal length; power and lower_bound are (checks, R).
     snapshots : spins of a dynamics at the times asked for.
+        Of replicas that were solved one after another all columns and times have the axis R, and those that end sooner
+        than the longest stay at their end.
     interrupted : Ctrl-C or SIGTERM was heard, even if too late to change the answer.
     running : device, precision and threads that it was computed with.
     """
 
-    scene: Scene
+    scene: Any
     method: str
     status: Status
     iterations: int
@@ -184,10 +196,10 @@ class Solution:
     objective: np.ndarray
     lower_bound: np.ndarray
     gap: np.ndarray
-    slip_threshold: float
     largest_balance_residual: np.ndarray
-    seconds: float
-    seconds_compile: float
+    slip_threshold: float = 0.0
+    seconds: float = 0.0
+    seconds_compile: float = 0.0
     history: dict[str, np.ndarray] = field(default_factory=dict)
     findings: Mapping[str, np.ndarray] = field(default_factory=dict)
     own: Mapping[str, np.ndarray] = field(default_factory=dict)
@@ -202,6 +214,11 @@ class Solution:
                     f"the lower bound {bound:.17g} lies above the {self.scene.law.minimises} {value:.17g}: one of them "
                     "is wrong, and this is no result; please report it with the command"
                 )
+
+    @property
+    def system(self) -> Any:
+        """The scene, or of packings the first one."""
+        return self.scene if isinstance(self.scene, Scene) else self.scene[0]
 
     @property
     def minimum_is_unique(self) -> list[bool | None]:
@@ -220,29 +237,70 @@ class Solution:
         return np.asarray((self.proven == 2).sum(axis=1))
 
     def sample(self, number: int) -> "Solution":
-        """One replica of it as if it had been solved alone; its seconds are its share."""
+        """One replica of it as if it had been solved alone; its seconds are its share where its own are not known."""
         scene, one = self.scene, slice(number, number + 1)
         if scene.replicas == 1:
             return self
 
         of_replicas = {item.name: getattr(self, item.name) for item in fields(self)}
         changes: dict[str, Any] = {n: v[one] for n, v in of_replicas.items() if isinstance(v, np.ndarray)}
-        history = {name: v[:, one] if v.ndim == 2 else v for name, v in self.history.items()}
-        if "iterations" in self.own and history:
-            lived = history["iteration"] <= self.own["iterations"][number]
-            history = {name: values[lived] for name, values in history.items()}
         changes |= {
             "scene": scene.sample(number),
             "seconds": self.seconds / scene.replicas,
             "seconds_compile": self.seconds_compile / scene.replicas,
-            "history": history,
+            "history": self._history_of(number),
             "findings": {name: values[one] for name, values in self.findings.items()},
             "own": {},
         }
-        changes |= {name: values[number].item() for name, values in self.own.items()}
-        if self.snapshots is not None:
-            changes["snapshots"] = Snapshots(self.snapshots.time, self.snapshots.spin[:, one])
+        changes |= {name: values[one].item() for name, values in self.own.items()}
+        if (kept := self.snapshots) is not None:
+            time = kept.time if kept.time.ndim == 1 else kept.time[:, number]
+            new = np.diff(time, prepend=-1.0) > 0
+            changes["snapshots"] = Snapshots(time[new], kept.spin[new][:, one]) if new.any() else None
         return replace(self, **changes)
+
+    def _history_of(self, number: int) -> dict[str, np.ndarray]:
+        """The rows of the history in which a replica went on."""
+        found = {
+            name: v if v.ndim == 1 else v[:, number] if name in OF_ALL else v[:, number : number + 1]
+            for name, v in self.history.items()
+        }
+        if not found:
+            return {}
+        lived = np.diff(found["iteration"], prepend=-1) > 0
+        if "iterations" in self.own:
+            lived &= found["iteration"] <= self.own["iterations"][number]
+        return {name: values[lived] for name, values in found.items()} if lived.any() else {}
+
+    @classmethod
+    def joined(cls, ones: Sequence["Solution"], scene: Any) -> "Solution":
+        """The answers to each sample of a scene, solved one after another, as one."""
+        if len(ones) == 1:
+            return ones[0]
+        first = ones[0]
+        arrays = [item.name for item in fields(first) if isinstance(getattr(first, item.name), np.ndarray)]
+        changes: dict[str, Any] = {n: np.concatenate([getattr(one, n) for one in ones]) for n in arrays}
+        ended, seconds = [one.status for one in ones], [one.seconds for one in ones]
+        iterations = np.array([one.iterations for one in ones])
+        columns = stacked([{n: v.reshape(len(v)) for n, v in one.history.items()} for one in ones])
+        kept = [one.snapshots for one in ones]
+        ways = stacked([{} if s is None else {"time": s.time, "spin": s.spin[:, 0]} for s in kept])
+        return replace(
+            first,
+            **changes,
+            scene=scene,
+            iterations=int(iterations.max()),
+            status=next((status for status in ended if not status.reached), first.status),
+            seconds=sum(seconds),
+            own={"iterations": iterations, "status": np.array(ended, dtype=object), "seconds": np.array(seconds)},
+            history={name: values.T for name, values in columns.items()},
+            findings={
+                name: np.concatenate([one.findings[name] for one in ones])
+                for name in first.findings
+                if all(name in one.findings for one in ones)
+            },
+            snapshots=Snapshots(ways["time"].T, np.moveaxis(ways["spin"], 0, 1)) if ways else None,
+        )
 
     def with_sample(self, number: int, one: "Solution", last: "Solution") -> "Solution":
         """The same with another answer to one replica. last : how the search for it went on, and ended."""
@@ -262,3 +320,14 @@ class Solution:
         found = {name: placed(values, one.findings.get(name, [0])[0]) for name, values in self.findings.items()}
         method = last.method if one.method == last.method else self.method
         return replace(self, **changes, **ended, findings=found, method=method)
+
+
+def stacked(each: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    """Arrays of each replica with a leading axis; those that end sooner than the longest stay at their end, and those
+    that one does not have are not-a-number."""
+    found = {}
+    for name in {name: None for one in each for name in one}:
+        longest = max((one[name] for one in each if name in one), key=len)
+        given = [one.get(name, longest[:1] * np.nan) for one in each]
+        found[name] = np.stack([np.append(v, np.repeat(v[-1:], len(longest) - len(v), axis=0), axis=0) for v in given])
+    return found

@@ -76,9 +76,6 @@ def answered(
         slip_threshold=of_all,
         own=own,
         largest_balance_residual=residual,
-        seconds=0.0,
-        seconds_compile=0.0,
-        history={},
         findings=final.findings,
     )
     return answer, judgement

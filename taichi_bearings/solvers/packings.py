@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -14,12 +13,12 @@ from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.errors import InputError
 from taichi_bearings.kernels.contact_list import CundallStrackLists, DescentLists
 from taichi_bearings.numerics.blas import one_thread
-from taichi_bearings.packing.answer import SLIPLESS, SLIPPING, UNDECIDED, PackingSolution, judged
+from taichi_bearings.packing.answer import SLIPLESS, SLIPPING, UNDECIDED, judged
 from taichi_bearings.packing.packing import Packing
 from taichi_bearings.packing.path import oblique
 from taichi_bearings.packing.system import Found, System, slips_of
-from taichi_bearings.proof.contact_state import classify
-from taichi_bearings.scene import Progress, Snapshots, Status
+from taichi_bearings.proof.contact_state import all_proven, classify
+from taichi_bearings.scene import Progress, Solution, Status
 from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.solvers.cundall_strack import CundallStrackMethod, largest_step
 from taichi_bearings.solvers.drive import Checkpoints, Course, Monitor, followed
@@ -140,30 +139,29 @@ def follow_packing(
     density: Any = None,
     monitors: Sequence[Monitor] = (),
     checkpoints: Checkpoints | None = None,
-) -> PackingSolution:
+) -> Solution:
     """A dynamics or descent of a packing. start, density : see :class:`Network`. Others : as of drive.solve."""
     row = type(method)
     if density is not None and not row.is_dynamics:
         raise InputError(f"density is given, but {row.name} has no use for it; dynamics have")
-    begun, network, built = perf_counter(), Network(packing, density), method.build_for_packing()
+    network, built = Network(packing, density), method.build_for_packing()
     with (
         one_thread(),
         followed(network, built, network.start(start), stop, monitors, recording, checkpoints) as course,
     ):
-        found = _answer(network, course, row, stop.tolerance, begun)
+        found = _answer(network, course, row, stop.tolerance)
     cut_short = np.isfinite(stop.duration) and course.status in (Status.STEP_LIMIT, Status.TIME_LIMIT)
-    if found.status != Status.CERTIFIED.value or cut_short:
-        found = replace(found, status=course.status.value)
-    columns = {name: v[:, 0] if v.ndim == 2 else v for name, v in course.recorder.history().items()}
-    kept = course.recorder.snapshots()
-    snapshots = None if kept is None else Snapshots(kept.time, kept.spin[:, 0])
-    found = replace(found, history=columns, snapshots=snapshots)
-    return replace(found, time=course.last.time, seconds=course.seconds, iterations=course.last.iteration)
+    return replace(
+        found,
+        status=course.status if found.status is not Status.CERTIFIED or cut_short else found.status,
+        history=course.recorder.history(),
+        snapshots=course.recorder.snapshots(),
+        seconds=course.seconds,
+        iterations=course.last.iteration,
+    )
 
 
-def _answer(
-    network: Network, course: Course, row: type[MethodOptions], tolerance: float, begun: float
-) -> PackingSolution:
+def _answer(network: Network, course: Course, row: type[MethodOptions], tolerance: float) -> Solution:
     """The best state and the best forces; `force`, the states of a dynamics, and those of parts that nothing drives
     are those of now."""
     system, best = network.proof[0], course.best
@@ -173,27 +171,28 @@ def _answer(
     found = Found(
         np.zeros(system.unknowns), proof[:, 0, network.of_system], row.name, everywhere=last.staggered[:, 0].T
     )
-    result = judged(system, found, tolerance, begun)
-    force, state = result.force.copy(), result.state.copy()
-    force[network.acting] = vector_length(last.force)[0]
+    result = judged(system, found, tolerance)
+    force, state, slip = result.force.copy(), result.state.copy(), result.slip[0]
+    force[:, network.acting] = vector_length(last.force)
     loose = np.setdiff1d(network.acting, system.contact)
-    state[loose] = np.where(result.slip[loose] > last.resolution, SLIPPING, SLIPLESS)
+    state[0, loose] = np.where(slip[loose] > last.resolution, SLIPPING, SLIPLESS)
     if network.law.holds and row.is_dynamics:
-        state[network.acting] = _moving(network, result, last)
+        state[:, network.acting] = _moving(network, result, last)
     if not network.law.holds:  # sum eta |slip - that of the minimum|^2 is no more than what is open of the power
-        apart = np.sqrt(max(result.potential - result.lower_bound, 0.0) / network.acting_coefficient[0])
-        state[network.acting[result.slip[network.acting] <= apart]] = UNDECIDED
-    return replace(result, force=force, state=state)
+        left = max(result.objective[0] - result.lower_bound[0], 0.0)
+        apart = np.sqrt(left / network.acting_coefficient[0])
+        state[0, network.acting[slip[network.acting] <= apart]] = UNDECIDED
+    return replace(result, force=force, state=state, states_proven=all_proven(state, result.proven))
 
 
-def _moving(network: Network, result: PackingSolution, last: Progress) -> np.ndarray:
-    """States of the contacts that act in the motion of now, as of lattices: where the force grows with the slip those
-    of the minimum, if proven; undecided where a motion that is proven to have come there does something else still."""
-    slip, resolved = result.slip[None, network.acting], float(np.max(last.resolution))
-    state = classify(network, slip, last.force, resolved)[0]
-    at_minimum = np.full(len(state), UNDECIDED) if result.proven is None else result.proven[network.acting]
+def _moving(network: Network, result: Solution, last: Progress) -> np.ndarray:
+    """States (1, A) of the contacts that act in the motion of now, as of lattices: where the force grows with the slip
+    those of the minimum, if proven; undecided where a motion that is proven to have come there does something else
+    still."""
+    state = classify(network, result.slip[:, network.acting], last.force, float(np.max(last.resolution)))
+    at_minimum = result.proven[:, network.acting]
     known = np.isin(at_minimum, (SLIPLESS, SLIPPING))
     if network.law.flows:
         return np.where(known, at_minimum, state)
-    passing = known & (state != at_minimum) & (result.status == Status.CERTIFIED.value)
+    passing = known & (state != at_minimum) & (result.status is Status.CERTIFIED)
     return np.where(passing, UNDECIDED, state)

@@ -5,12 +5,11 @@ from typing import Any
 import numpy as np
 from matplotlib import colormaps
 
-from taichi_bearings.packing import PackingSolution
 from taichi_bearings.plots.bearing import SPIN_COLOURS
 from taichi_bearings.plots.structure import colour_of_turn
 from taichi_bearings.proof.contact_state import ContactState, critical
 from taichi_bearings.runs.points_and_lines import Moments, PointsAndLines
-from taichi_bearings.scene import Solution
+from taichi_bearings.scene import Scene, Solution
 from taichi_bearings.scene.law import Law
 from taichi_bearings.version import VERSION
 from taichi_bearings.words import undecided_kinds
@@ -31,7 +30,7 @@ def arrays_of(drawn: PointsAndLines) -> dict[str, np.ndarray]:
     """What is drawn, by name: float32 has the six digits that the page shows. What a lattice repeats packs well:
     vectors are written one axis after the other, ends as differences. The distance of two sites of a lattice is 1."""
     center, radius, ends = drawn.center - drawn.center[0], drawn.radius, drawn.ends
-    if isinstance(drawn.answer, Solution):
+    if isinstance(drawn.answer.scene, Scene):
         center, radius = center / (2 * radius[0]), np.full(len(radius), 0.5)
     spheres, contacts = ({k: v.values for k, v in of.items()} for of in (drawn.spheres, drawn.contacts))
     found = {name: contacts[name].astype(kind) for name, kind in KEPT.items() if name in contacts}
@@ -78,7 +77,7 @@ def _shown(moments: Moments) -> np.ndarray:
 
 def facts_of(drawn: PointsAndLines) -> dict[str, Any]:
     """Numbers and words of the page, as JSON has them."""
-    is_lattice, states = isinstance(drawn.answer, Solution), drawn.contacts["state"].values
+    is_lattice, states = isinstance(drawn.answer.scene, Scene), drawn.contacts["state"].values
     law, told, fastest, own = (_of_lattice if is_lattice else _of_packing)(drawn)
     proven = bool(drawn.contacts["proven"].values[states != ContactState.DRIVEN].all())
     decided = "proven" if proven else f"decided by {'slip and friction' if law.holds else 'slip'}, not proven"
@@ -134,23 +133,23 @@ def _of_lattice(drawn: PointsAndLines) -> tuple[Law, str, float, dict[str, Any]]
 
 def _of_packing(drawn: PointsAndLines) -> tuple[Law, str, float, dict[str, Any]]:
     """The same of a packing; for the spin the largest imposed R omega over the median of R."""
-    result: PackingSolution = drawn.answer
-    packing, law, body = result.packing, result.packing.kind, drawn.body
+    solution: Solution = drawn.answer
+    packing, law, body = solution.scene[0], solution.scene.law, drawn.body
     fastest = float(np.linalg.norm(packing.imposed, axis=1).max(initial=0.0))
     bodies = np.unique(body[body >= 0])
     named = [f"driven body {number}" for number in bodies] if len(bodies) == 2 else ["one driven body"] * 2
-    within = f"within {result.gap:.1e}"
-    bound = _minimised(law) + ({"proven": f"proven {within}"}.get(result.proof, f"{within}, {result.proof}"))
-    contacts = int((result.state != ContactState.DRIVEN).sum())
+    within, proof = f"within {solution.gap[0]:.1e}", solution.findings["proof"][0]
+    bound = _minimised(law) + (f"proven {within}" if proof == "proven" else f"{within}, {proof}")
+    contacts = int((solution.state != ContactState.DRIVEN).sum())
     what = "discs" if packing.dimension == 2 else "spheres"
-    told = f"{result.method}: {result.status}; P = {result.power:.6g}, {bound}"
+    told = f"{solution.method}: {solution.status.value}; P = {solution.power[0]:.6g}, {bound}"
     return (
         law,
         told,
         fastest / _median(drawn.radius),
         {
             "title": f"{packing.spheres:,} {what}, {contacts:,} contacts, {law}",
-            "open": _open(drawn, result.critical, 0),
+            "open": _open(drawn, int(critical(solution)[0]), 0),
             "shape": None,
             "origin": packing.center[0].tolist(),  # float32 has the digits of what lies around the first
             "steps": [SLICES] * packing.dimension,

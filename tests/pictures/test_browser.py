@@ -191,8 +191,8 @@ def test_contacts_across_periodic_sides_are_halves_at_both_sides_and_can_be_poin
 
 
 def test_a_packing_is_shown_as_it_is(packed, opened):
-    page, result = opened(packed), read_run(packed).result
-    packing, structure = result.packing, PackingStructure.of(result)
+    page, solution = opened(packed), read_run(packed).solution
+    packing, structure = solution.scene, PackingStructure.of(solution)
     flat, radius, (first, second) = packing.dimension == 2, np.asarray(packing.radius), packing.contact.T
     place, way = (np.array(page.ask(f"Array.from(bearings.sample.{name})")).reshape(-1, 3) for name in ("place", "way"))
     unit, axes = 2 * np.sort(radius)[len(radius) // 2], [0, 2] if flat else [0, 1, 2]
@@ -201,7 +201,7 @@ def test_a_packing_is_shown_as_it_is(packed, opened):
     apart = np.linalg.norm(packing.center[second] - packing.center[first], axis=1)
     over = apart > 1.01 * (radius[first] + radius[second])
     assert page.ask("Array.from(bearings.sample.over)") == over.tolist()
-    for key, count in (("slipless", structure.slipless.sum()), ("slipping", (result.state == 1).sum())):
+    for key, count in (("slipless", structure.slipless.sum()), ("slipping", (structure.state == 1).sum())):
         assert page.ask(f"bearings.sample.counts.{key}") == count
     assert page.ask("bearings.sample.counts.spans") is structure.spans
     reached = structure.network.touched[packing.driven < 0].mean()
@@ -238,7 +238,7 @@ def test_a_packing_is_shown_as_it_is(packed, opened):
             name = f"contact {contact} of spheres {first[contact]} and {second[contact]}"
             page.tab.wait_for_function(f"document.getElementById('numbers').innerText.includes('{name}')")
             shown = re.search(r"force \|f\|\s+(\S+) force", page.tab.locator("#numbers").inner_text())[1]
-            assert float(shown) == pytest.approx(result.force[contact], rel=6e-6)
+            assert float(shown) == pytest.approx(solution.force[0, contact], rel=6e-6)
             asked += 1
     assert asked >= 3
     page.press("Domains")

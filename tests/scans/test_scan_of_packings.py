@@ -61,7 +61,7 @@ def assert_row_is_run(stored, row, found):
             kept = stored.table[name][row]
             assert kept == value or (isinstance(value, float) and math.isnan(value) and math.isnan(kept)), name
     assert stored.table.keys() >= found.summary.keys() - {"run", "coefficients", "shape", "warnings"}
-    power, state = found.result.power_per_contact, found.result.state
+    power, state = found.solution.power_per_contact, found.solution.state
     slipping = power[(state == ContactState.SLIPPING) & (power > 0)]
     edges = stored.histograms.edges
     assert np.array_equal(stored.histograms.count[row], np.histogram(slipping, edges)[0])
@@ -81,12 +81,12 @@ def test_a_packing_over_laws_and_seeds_is_its_runs_to_the_last_bit(plan_of, bcc,
         found = run(settings_of_run(sample), tmp_path / f"run-{row}")
         assert_row_is_run(stored, row, found)
         state = tmp_path / "scan" / "states" / f"{sample.key}.h5"
-        kept = read_run(state).result
+        kept = read_run(state).solution
         for item in fields(kept):
-            one, other = getattr(kept, item.name), getattr(found.result, item.name)
+            one, other = getattr(kept, item.name), getattr(found.solution, item.name)
             if isinstance(one, np.ndarray):
                 assert np.array_equal(one, other), item.name
-        whole = PackingStructure.of(found.result).numbers.items()
+        whole = PackingStructure.of(found.solution).numbers.items()
         numbers = {name: value for name, value in whole if not isinstance(value, (list, dict))}  # as a table has them
         for name, value in numbers.items():
             assert np.array_equal(stored.table[name][row], np.nan if value is None else value, equal_nan=True), name
