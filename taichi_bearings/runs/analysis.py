@@ -9,14 +9,13 @@ from typing import TYPE_CHECKING, Any
 import h5py
 import numpy as np
 
-from taichi_bearings.analysis.packing_structure import PackingStructure
 from taichi_bearings.analysis.structure import structure_of
 from taichi_bearings.errors import InputError
 from taichi_bearings.files.whole_file import put, put_attributes, refuse_standing, replace_group, write_hdf5
 from taichi_bearings.runs.run_directory import writable_folder
 from taichi_bearings.runs.run_file import file_of, read_run
 from taichi_bearings.runs.solved import Run, together
-from taichi_bearings.runs.structure_report import Finding, columns_of_structure, findings_of, numbers_of
+from taichi_bearings.runs.structure_report import Finding, findings_of
 from taichi_bearings.stages import alike, each, stage
 from taichi_bearings.words import html_table, meant
 
@@ -53,23 +52,17 @@ class Analysis:
         if threshold is not None and not 0 < threshold < np.inf:
             raise InputError(f"threshold is {threshold}; it must be a positive, finite slip speed")
         run.sample(sample)
-        if not run.is_packing and not all(np.isfinite(values).all() for values in (solution.spin, solution.slip)):
-            raise InputError("the spins or slips of the run are not finite; there is nothing to analyse")
         self.arrays: list[dict[str, Finding]] = []
         numbers = []
         for number in each(range(len(solution.state)), "analysing" if is_one else "analysing sample", alike):
-            structure: Any
-            if run.is_packing:
-                structure = PackingStructure.of(run.results[number], threshold)
-                of_spheres, of_contacts = columns_of_structure(structure)
-                found, arrays = structure.numbers, of_spheres | of_contacts
-            else:
-                structure = structure_of(solution, number, threshold)
-                found, arrays = numbers_of(structure), findings_of(structure)
+            answer = run.sample(number).answer
+            if not all(np.isfinite(values).all() for values in (answer.spin, answer.slip)):
+                raise InputError("the spins or slips of the run are not finite; there is nothing to analyse")
+            structure = structure_of(answer, threshold=threshold)
             if number == sample:
                 self.structure = structure
-            numbers.append(found)
-            self.arrays.append(arrays)
+            numbers.append(structure.numbers)
+            self.arrays.append(findings_of(structure))
         proven = "proven" if np.all(run.numbers["states_proven"]) else "decided"
         self.report: dict[str, Any] = {
             **together(numbers),

@@ -7,34 +7,20 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from taichi_bearings.analysis.packing_structure import PackingStructure
-from taichi_bearings.analysis.structure import Structure, structure_of
+from taichi_bearings.analysis.structure import structure_of
 from taichi_bearings.errors import InputError
 from taichi_bearings.packing import Packing, PackingSolution
 from taichi_bearings.plots.curves import draw_energy, draw_history
 from taichi_bearings.plots.page import PAGE, Page, check_planes
 from taichi_bearings.plots.spins import draw_power, draw_spins
-from taichi_bearings.plots.structure import draw_domains, draw_domains_of_packing, draw_network, draw_network_of_packing
+from taichi_bearings.plots.structure import draw_domains, draw_network
 from taichi_bearings.plots.style import describe, driving, mathematics
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.runs.solved import Packed
 from taichi_bearings.scene import Scene, Solution
 from taichi_bearings.words import meant
 
-
-def _draw_domains(structure: Structure | PackingStructure, page: Page) -> Figure:
-    if isinstance(structure, PackingStructure):
-        return draw_domains_of_packing(structure.result, structure.rigid_domains, page)
-    return draw_domains(structure.rigid_domains, page)
-
-
-def _draw_network(structure: Structure | PackingStructure, page: Page) -> Figure:
-    if isinstance(structure, PackingStructure):
-        return draw_network_of_packing(structure.result, page)
-    return draw_network(structure.network, structure.spin, *structure.scene.imposed, page)
-
-
-FIGURES: dict[str, Callable[[Any, Page], Figure]] = {"domains": _draw_domains, "network": _draw_network}
+FIGURES: dict[str, Callable[[Any, Page], Figure]] = {"domains": draw_domains, "network": draw_network}
 """How each figure of the structure of a sample is drawn."""
 
 
@@ -87,8 +73,7 @@ def draw_figure(
     if time is not None:
         return draw_snapshot(answer, sample, time, slip_threshold, page)
     if kind in FIGURES:
-        is_lattice = isinstance(answer, Solution)
-        return FIGURES[kind](structure_of(answer, sample) if is_lattice else PackingStructure.of(answer), page)
+        return FIGURES[kind](structure_of(answer, sample), page)
     return OF_ANSWERS[kind](answer, sample, page)
 
 

@@ -2,11 +2,9 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
-from taichi_bearings.analysis.packing_structure import PackingStructure
 from taichi_bearings.errors import InputError
 from taichi_bearings.packing import Packing
 from taichi_bearings.packing.system import System, acting
@@ -53,9 +51,3 @@ def _system_of(packing: Packing) -> System:
 def _alike(one: Packing, other: Packing) -> bool:
     same = all(np.array_equal(getattr(one, name), getattr(other, name)) for name in OF_A_NETWORK)
     return same and np.array_equal(acting(one), acting(other))
-
-
-def scalars_of(run: Run, analyse: bool) -> dict[str, Any]:
-    """Numbers and texts of a packing, those of its analysis too."""
-    found = run.summary | (PackingStructure.of(run.result).numbers if analyse else {})
-    return {name: value for name, value in found.items() if name not in ("shape", "coefficients", "run")}

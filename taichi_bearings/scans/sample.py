@@ -95,22 +95,17 @@ def _solve_block(block: Sequence[Sample], analyse: bool, states: Path | None) ->
 
 def _record(key: str, run: Any, analyse: bool) -> dict[str, Any]:
     """Numbers and texts alone, and the shape as a table holds it; what is not finite is None."""
-    if run.settings.is_packing:
-        from taichi_bearings.scans.packings import scalars_of
+    answer = run.answer
+    scalars = run.numbers | (run.settings.driving if run.is_packing else {"slip_threshold": answer.slip_threshold})
+    if analyse:
+        from taichi_bearings.analysis.structure import structure_of
 
-        answer, scalars = run.result, scalars_of(run, analyse)
-    else:
-        answer, scalars = run.solution, run.numbers | {"slip_threshold": run.solution.slip_threshold}
-        if analyse:
-            from taichi_bearings.analysis.structure import structure_of
-            from taichi_bearings.runs.structure_report import numbers_of
-
-            scalars |= numbers_of(structure_of(answer))
+        scalars |= structure_of(answer).numbers
     power = answer.power_per_contact
     bins, count = np.unique(bin_of(power[(answer.state == ContactState.SLIPPING) & (power > 0)]), return_counts=True)
     found = {str(number): int(many) for number, many in zip(bins, count, strict=True)}
     told = {name: plain(value) for name, value in scalars.items()}
-    told["shape"] = "x".join(map(str, told["shape"])) if "shape" in told else []
+    told["shape"] = "x".join(map(str, told["shape"] or [])) or []
     told["warnings"] = "; ".join(told["warnings"]) or []  # no column where there is nothing to say
     told = {name: value for name, value in told.items() if value is None or isinstance(value, (bool, int, float, str))}
     return {"key": key, "scalars": told, "bins": found}
