@@ -263,7 +263,7 @@ class PackingResult(PackingSolution):
         from taichi_bearings.plots.page import PAGE
         from taichi_bearings.runs.figures import draw_figure
 
-        return draw_figure(kind, Packed((self,)), 0, time, page=page or PAGE)
+        return draw_figure(kind, Packed((self,)), 0, time, self.slip_threshold or None, page or PAGE)
 
 
 OPTIONS = (

@@ -14,7 +14,7 @@ from matplotlib import colormaps
 from matplotlib.figure import Figure
 
 from taichi_bearings.analysis.network import SliplessNetwork
-from taichi_bearings.analysis.structure import Structure
+from taichi_bearings.analysis.structure import LatticeStructure
 from taichi_bearings.plots.bearing import SPIN_COLOURS, Sheet, draw_speed_bar, line_on_site, name_cut, speed_of
 from taichi_bearings.plots.page import BELOW, PAGE, middle_planes
 from taichi_bearings.plots.structure import draw_network
@@ -55,7 +55,7 @@ def planes(folder: Path, effort: Effort) -> Found:
 
 
 @lru_cache(maxsize=1)  # of both figures
-def minima(folder: Path, effort: Effort) -> tuple[Table, Structure]:
+def minima(folder: Path, effort: Effort) -> tuple[Table, LatticeStructure]:
     """Certified samples of the paper's size, and the first one that spans, else the first."""
     seeds = range(effort.seed, effort.seed + min(MOST_SAMPLES, effort.samples))
     chosen = [RunSettings(shape=SHAPE, seed=seed, spin_bottom=SPIN_BOTTOM) for seed in seeds]
@@ -64,7 +64,7 @@ def minima(folder: Path, effort: Effort) -> tuple[Table, Structure]:
 
 
 @in_our_style
-def draw_plane_cuts(shown: Structure) -> Figure:
+def draw_plane_cuts(shown: LatticeStructure) -> Figure:
     """Spheres coloured by |spin|, slipless contacts of the plane in grey, the path in green, on the upright planes that
     together hold most of the path, or the middle ones if there is none. A circle marks where the path leaves the plane:
     with a dot towards the reader, with a cross away.

@@ -191,7 +191,7 @@ class SliplessNetwork:
         return self.on_contacts(np.isin(np.arange(len(low)), steps[first]))
 
     @property
-    def path_planes(self) -> list[int] | None:
+    def path_planes(self) -> Any:
         """Number of lattice planes across each sideways axis that this path visits; None of a packing."""
         if not isinstance(self.lattice, Lattice):
             return None

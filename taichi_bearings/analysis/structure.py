@@ -15,7 +15,7 @@ as long as there are loops of slipless contacts around which torque can circulat
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -37,10 +37,11 @@ from taichi_bearings.scene.initial_spins import cut_unit, cut_weights, minimum_c
 from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.words import html_table
 
-TOLD = ("power", "lower_bound", "slipping", "slipless", "undecided", "critical")
+OF_EVERY_SAMPLE = ("power", "lower_bound", "slipping", "slipless", "undecided", "critical")
 OF_TIES = ("tied_contacts", "minimum_is_unique")
 MAY_BE_ABSENT = ("planes_crossed", "winds_x", "winds_y", "spanning_winds_x", "spanning_winds_y", "mean_saturation")
 """Numbers that are left out where they make no sense."""
+Kind = TypeVar("Kind", bound="Structure")
 
 
 @dataclass(frozen=True)
@@ -63,7 +64,7 @@ class Structure:
 
     answer : that of one sample, R = 1, or of a packing. spin : laboratory frame, of a lattice (*N) or (*N, 3), of a
     packing (N,) or (N, 3), 1/time. slip, found : (E,), found the states of the answer. friction : on the second sphere
-    of each contact, laboratory frame, (E, 3), in 2D (E,). power, lower_bound : energy/time.
+    of each contact, laboratory frame, (E, 3), in 2D (E,). power_per_contact : (E,). power, lower_bound : energy/time.
     threshold : slip speed, length/time, up to which contacts count as slipless, whatever is found; if None the states
     found.
     """
@@ -73,11 +74,12 @@ class Structure:
     slip: np.ndarray
     found: np.ndarray
     friction: np.ndarray
+    power_per_contact: np.ndarray
     power: float
     lower_bound: float
     threshold: float | None = None
 
-    told: ClassVar[tuple[str, ...]] = TOLD
+    told: ClassVar[tuple[str, ...]] = OF_EVERY_SAMPLE
 
     @cached_property
     def state(self) -> np.ndarray:
@@ -87,7 +89,7 @@ class Structure:
         told = np.where(self.slip > self.threshold, ContactState.SLIPPING, ContactState.SLIPLESS)
         return np.where(self.found == ContactState.DRIVEN, self.found, told).astype(np.uint8)
 
-    def by_threshold(self, threshold: float) -> "Structure":
+    def by_threshold(self: Kind, threshold: float) -> Kind:
         """The same sample by a threshold."""
         return replace(self, threshold=threshold)
 
@@ -116,12 +118,31 @@ class Structure:
         found: Packing = self.answer.packing
         return found
 
+    @property
+    def system(self) -> Scene | Packing:
+        """What was solved."""
+        return self.packing
+
+    @property
+    def fastest(self) -> float:
+        """The largest imposed R omega, of a lattice R times the largest jump; length/time."""
+        return float(np.linalg.norm(self.packing.imposed, axis=1).max(initial=0.0))
+
+    @property
+    def snapshots(self) -> np.ndarray:
+        """Spins (S, ...) of a dynamics that kept some."""
+        return np.asarray(self.answer.snapshots.spin)
+
+    def slips_of(self, spin: np.ndarray) -> np.ndarray:
+        """Slip speeds (E,) with other spins."""
+        return self.packing.slips(spin)
+
     @cached_property
     def network(self) -> SliplessNetwork:
         return SliplessNetwork(self.packing, self.slipless)
 
     @cached_property
-    def bottlenecks(self) -> Bottlenecks | None:
+    def bottlenecks(self) -> Any:
         """Between driven bodies; None with fewer than two of them, or more than MOST_BODIES."""
         return Bottlenecks(self.network) if 2 <= len(self.network.held) <= MOST_BODIES else None
 
@@ -270,12 +291,28 @@ class Structure:
 class LatticeStructure(Structure):
     """That of one sample of a lattice; R = 1."""
 
-    told = (*TOLD, *OF_TIES)
+    told = (*OF_EVERY_SAMPLE, *OF_TIES)
 
     @property
     def scene(self) -> Scene:
         found: Scene = self.answer.scene
         return found
+
+    @property
+    def system(self) -> Scene:
+        return self.scene
+
+    @property
+    def fastest(self) -> float:
+        return self.scene.lattice.radius * self.scene.jump
+
+    @property
+    def snapshots(self) -> np.ndarray:
+        return np.asarray(self.answer.snapshots.spin[:, 0])
+
+    def slips_of(self, spin: np.ndarray) -> np.ndarray:
+        axes = self.scene.lattice.all_spin_axes
+        return self.scene.slips(self.scene.staggered_spin(spin[None], axes), axes)[0]
 
     @property
     def movable(self) -> int:
@@ -345,10 +382,12 @@ def structure_of(answer: Solution | PackingSolution, number: int = 0, threshold:
 
     number : of the sample of a lattice. threshold : as of these.
     """
-    one, kind = (answer.sample(number), LatticeStructure) if isinstance(answer, Solution) else (answer, Structure)
-    of = [getattr(one, name) for name in ("spin", "slip", "state", "friction", "power", "lower_bound")]
-    spin, slip, found, friction, power, bound = [values[0] for values in of] if kind is LatticeStructure else of
-    return kind(one, spin, slip, found, friction, float(power), float(bound), threshold)
+    one: Any = answer.sample(number) if isinstance(answer, Solution) else answer
+    names = ("spin", "slip", "state", "friction", "power_per_contact", "power", "lower_bound")
+    of = [getattr(one, name) for name in names]
+    kind: Any = LatticeStructure if isinstance(answer, Solution) else Structure
+    *arrays, power, bound = [values[0] for values in of] if kind is LatticeStructure else of
+    return kind(one, *arrays, float(power), float(bound), threshold)
 
 
 def find_interface(scene: Scene, replica: int = 0) -> Interface:

@@ -1,44 +1,33 @@
 """The figures of one run by their names, whether it lies in a file or not."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from taichi_bearings.analysis.structure import structure_of
+from taichi_bearings.analysis.structure import Structure, structure_of
 from taichi_bearings.errors import InputError
-from taichi_bearings.packing import Packing, PackingSolution
+from taichi_bearings.packing import PackingSolution
 from taichi_bearings.plots.curves import draw_energy, draw_history
 from taichi_bearings.plots.page import PAGE, Page, check_planes
 from taichi_bearings.plots.spins import draw_power, draw_spins
 from taichi_bearings.plots.structure import draw_domains, draw_network
 from taichi_bearings.plots.style import describe, driving, mathematics
-from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.runs.solved import Packed
 from taichi_bearings.scene import Scene, Solution
 from taichi_bearings.words import meant
 
 FIGURES: dict[str, Callable[[Any, Page], Figure]] = {"domains": draw_domains, "network": draw_network}
-"""How each figure of the structure of a sample is drawn."""
-
-
-def _draw_spins(answer: Solution | PackingSolution, sample: int, page: Page) -> Figure:
-    if isinstance(answer, PackingSolution):
-        return draw_spins(answer.packing, answer.spin, answer.state, page)
-    one = answer.sample(sample)
-    return draw_spins(one.scene, one.spin[0], one.state[0], page)
-
-
+"""How each figure of `bearings analyse` is drawn, of the structure of a sample."""
+OF_STRUCTURES = {"spins": draw_spins, "power": draw_power} | FIGURES
 OF_ANSWERS: dict[str, Callable[[Any, int, Page], Figure]] = {
-    "spins": _draw_spins,
-    "power": draw_power,
     "history": lambda answer, _, page: draw_history(answer, page),
     "energy": draw_energy,
 }
 """How each figure of an answer is drawn; answers of packings have one sample each, but for the history."""
-FIGURE_KINDS = (*OF_ANSWERS, *FIGURES)
+FIGURE_KINDS = ("spins", "power", *OF_ANSWERS, *FIGURES)
 STRETCHED_SLIP = 1e-3  # of R times the imposed jump: slower contacts may only stretch their springs
 WITH_PLANES = ("spins", "power", "domains")
 WITH_VIEW = ("spins", "domains", "network")
@@ -72,8 +61,8 @@ def draw_figure(
         _check_page(kind, solution.scene.lattice.shape, page)
     if time is not None:
         return draw_snapshot(answer, sample, time, slip_threshold, page)
-    if kind in FIGURES:
-        return FIGURES[kind](structure_of(answer, sample), page)
+    if kind in OF_STRUCTURES:
+        return OF_STRUCTURES[kind](structure_of(answer, sample), page)
     return OF_ANSWERS[kind](answer, sample, page)
 
 
@@ -100,21 +89,22 @@ def draw_snapshot(
     A contact slips as :func:`moment_of` says. replica : of a lattice. InputError if the run has no snapshots or does
     not reach that time.
     """
-    at, spin = _nearest(answer, time)
-    one, spin = (answer, spin) if isinstance(answer, PackingSolution) else (answer.sample(replica), spin[replica])
-    moment, note = moment_of(one, spin, slip_threshold), ""
-    title = f"{describe(moment.system)}, $t = {mathematics(at)}$"
+    at, nearest = _nearest(answer, time)
+    structure = structure_of(answer, replica)
+    moment = moment_of(structure, structure.snapshots[nearest], slip_threshold)
+    threshold = moment.threshold or 0.0
+    title, note = f"{describe(moment.system)}, $t = {mathematics(at)}$", ""
     if isinstance(scene := moment.system, Scene):
         unit, symbol = driving(scene)
         title += "" if unit == 1 else rf", ${symbol}\,t = {mathematics(unit * at)}$"
-        fastest = scene.lattice.radius * scene.jump
-        share = rf" = {mathematics(moment.threshold / fastest, 1)}\,R\,|\Delta\omega|" if fastest else ""
-        note = f"black: contacts that slip faster than ${mathematics(moment.threshold, 2)}{share}$"
-    return draw_spins(moment.system, spin, moment.state, page, title, note)
+        fastest = moment.fastest
+        share = rf" = {mathematics(threshold / fastest, 1)}\,R\,|\Delta\omega|" if fastest else ""
+        note = f"black: contacts that slip faster than ${mathematics(threshold, 2)}{share}$"
+    return draw_spins(moment, page, title, note)
 
 
-def _nearest(answer: Solution | PackingSolution, time: float) -> tuple[float, np.ndarray]:
-    """Time and spins of the snapshot nearest to a time; InputError if there are none or the run does not reach it."""
+def _nearest(answer: Solution | PackingSolution, time: float) -> tuple[float, int]:
+    """Time and number of the snapshot nearest to a time; InputError if there are none or the run does not reach it."""
     if answer.snapshots is None:
         raise InputError("the run holds no snapshots; run a dynamics with --snapshots")
     kept = answer.snapshots.time
@@ -124,40 +114,17 @@ def _nearest(answer: Solution | PackingSolution, time: float) -> tuple[float, np
             f"time is {time:g}; the run goes from 0 to {end:g}, with snapshots from {kept.min():g} to {kept.max():g}"
         )
     nearest = int(np.abs(kept - time).argmin())
-    return float(kept[nearest]), answer.snapshots.spin[nearest]
+    return float(kept[nearest]), nearest
 
 
-@dataclass(frozen=True)
-class Moment:
-    """What slips with the spins of a snapshot. slip, threshold : length/time. slip, state : (E,).
-
-    state : by slip alone: friction, which would tell more, is not kept with a snapshot.
-    """
-
-    system: Scene | Packing
-    slip: np.ndarray
-    state: np.ndarray
-    threshold: float
-
-
-def moment_of(answer: Solution | PackingSolution, spin: np.ndarray, slip_threshold: float | None = None) -> Moment:
-    """A sample with the spins of a snapshot: a contact slips that is faster than the threshold of the run.
+def moment_of(structure: Structure, spin: np.ndarray, slip_threshold: float | None = None) -> Structure:
+    """A sample with the spins of a snapshot: a contact slips that is faster than the threshold of the run, by slip
+    alone: friction, which would tell more, is not kept with a snapshot.
 
     Springs give way, so with them that is at least a thousandth of R times the jump, of packings of the largest imposed
     R omega, unless the run was asked for `slip_threshold`. spin : laboratory frame, (*N) or (*N, 3), 1/time.
     """
-    if isinstance(answer, PackingSolution):
-        packing = answer.packing
-        system: Scene | Packing = packing
-        slip, idle = packing.slips(spin), answer.state == ContactState.DRIVEN
-        fastest = float(np.linalg.norm(packing.imposed, axis=1).max(initial=0.0))
-        threshold = answer.slip_threshold or STRETCHED_SLIP * fastest
-    else:
-        system = scene = answer.scene
-        axes = scene.lattice.all_spin_axes
-        slip, idle = scene.slips(scene.staggered_spin(spin[None], axes), axes)[0], scene.idle[0]
-        threshold = answer.slip_threshold
-        if answer.method.endswith("cundall-strack") and slip_threshold is None:
-            threshold = max(threshold, STRETCHED_SLIP * scene.lattice.radius * scene.jump)
-    state = np.where(slip > threshold, ContactState.SLIPPING, ContactState.SLIPLESS)
-    return Moment(system, slip, np.where(idle, ContactState.DRIVEN, state).astype(np.uint8), threshold)
+    threshold = float(structure.answer.slip_threshold)
+    if structure.answer.method.endswith("cundall-strack") and slip_threshold is None:
+        threshold = max(threshold, STRETCHED_SLIP * structure.fastest)
+    return replace(structure, spin=spin, slip=structure.slips_of(spin), threshold=threshold)

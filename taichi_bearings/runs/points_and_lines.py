@@ -72,9 +72,9 @@ def points_and_lines(run: Run, replica: int = 0) -> PointsAndLines:
     if not all(np.isfinite(values).all() for values in (answer.spin, answer.slip)):
         raise InputError("the spins or slips of the run are not finite; there is nothing to draw")
     time = float(answer.history["time"][-1]) if "time" in answer.history else None
-    moments = _moments(answer, time, run.settings.slip_threshold)
     with stage("analysing"):
         structure: Structure = structure_of(answer)
+        moments = _moments(structure, time, run.settings.slip_threshold)
         spheres, contacts = columns_of(structure)
     packing, row = structure.packing, SPHERES["spin"]
     spheres["spin"] = Finding(_in_space(structure.spin[None], packing.dimension)[0], row.unit, row.text)
@@ -114,15 +114,13 @@ def _in_space(spin: np.ndarray, dimension: int) -> np.ndarray:
     return rows
 
 
-def _moments(answer: Solution | PackingSolution, end: float | None, slip_threshold: float | None) -> Moments | None:
+def _moments(structure: Structure, end: float | None, slip_threshold: float | None) -> Moments | None:
     """Of the snapshots before the end, whose place the answer of the run takes."""
-    kept = answer.snapshots
+    kept = structure.answer.snapshots
     if kept is None or end is None or not (early := np.flatnonzero(kept.time < end)).size:
         return None
-    if isinstance(answer, PackingSolution):
-        spins, dimension = kept.spin[early], answer.packing.dimension
-    else:
-        spins, dimension = kept.spin[early, 0], answer.scene.lattice.dimension
-    found = [moment_of(answer, spin, slip_threshold) for spin in spins]
+    spins = structure.snapshots[early]
+    found = [moment_of(structure, spin, slip_threshold) for spin in spins]
     slip, state = np.stack([one.slip for one in found]), np.stack([one.state for one in found])
-    return Moments(kept.time[early], _in_space(spins, dimension), slip, state, found[0].threshold)
+    threshold = float(found[0].threshold or 0.0)
+    return Moments(kept.time[early], _in_space(spins, structure.packing.dimension), slip, state, threshold)

@@ -81,7 +81,7 @@ def of_answer(scene, spin, slip, state, friction):
     known = {"slip": slip[None], "state": state[None], "proven": state[None], "force": np.zeros((1, len(slip)))}
     known |= dict.fromkeys(("objective", "power", "lower_bound"), np.ones(1))
     answer = SimpleNamespace(scene=scene, findings={}, minimum_is_unique=[None], **known)
-    return LatticeStructure(answer, spin, slip, state, friction, 2.0, 1.0)
+    return LatticeStructure(answer, spin, slip, state, friction, slip, 2.0, 1.0)
 
 
 def shifted(structure, axis):

@@ -56,7 +56,7 @@ def answer(scene, name, tolerance):
 def drawn(scene, force, state):
     """Structure of a scene with these forces (C, E) and states (E,)."""
     friction = laboratory_forces(force[:, None], scene.lattice, scene.minimum_spin_axes)[0]
-    return LatticeStructure(SimpleNamespace(scene=scene), *np.zeros((2, 1)), state, friction, 0.0, 0.0)
+    return LatticeStructure(SimpleNamespace(scene=scene), *np.zeros((2, 1)), state, friction, state, 0.0, 0.0)
 
 
 def test_a_single_path_carries_all_the_torque_of_every_gap():

@@ -183,7 +183,11 @@ def test_contacts_across_periodic_sides_are_halves_at_both_sides_and_can_be_poin
         const place = picture.marker.position.clone().project(picture.camera);
         const box = picture.canvas.getBoundingClientRect();
         return picture.pick((place.x + 1) / 2 * box.width, (1 - place.y) / 2 * box.height); }""",
-        int(np.flatnonzero(slipless & over & (lattice.axis == 0) & (rows.packing.contact[:, 0] % lattice.shape[-1] > 0))[0]),
+        int(
+            np.flatnonzero(
+                slipless & over & (lattice.axis == 0) & (rows.packing.contact[:, 0] % lattice.shape[-1] > 0)
+            )[0]
+        ),
     )
     assert over[found["contact"]]
     assert page.is_quiet(), (page.complaints, page.requests)

@@ -46,7 +46,9 @@ class Case:
         self.spin = scene.laboratory_spin(self.staggered, axes)[0]
         nothing = np.zeros(len(self.network.slipless))
         state = np.where(free, np.where(slips, ContactState.SLIPPING, ContactState.SLIPLESS), ContactState.DRIVEN)
-        self.structure = LatticeStructure(SimpleNamespace(scene=scene), self.spin, nothing, state, nothing, 0.0, 0.0)
+        self.structure = LatticeStructure(
+            SimpleNamespace(scene=scene), self.spin, nothing, state, nothing, nothing, 0.0, 0.0
+        )
 
     def figures(self):
         found = [draw_domains(self.structure), draw_network(self.structure)]
