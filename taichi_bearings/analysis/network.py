@@ -14,8 +14,7 @@ from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components, dijkstra, maximum_flow
 
 from taichi_bearings.lattice import Lattice
-from taichi_bearings.packing.interface import nodes_of
-from taichi_bearings.proof.contact_state import ContactState
+from taichi_bearings.numerics.minimum_cut import number_bodies
 
 MOST_BODIES = 50  # between which paths are looked for
 
@@ -35,7 +34,7 @@ class SliplessNetwork:
     def body(self) -> np.ndarray:
         """Node (sites,) of each sphere in the graph of bodies: 0 the first driven body, then the free spheres, then the
         other driven bodies, of a lattice the top plane."""
-        return nodes_of(self.lattice.driven.ravel())
+        return number_bodies(self.lattice.driven.ravel())
 
     @cached_property
     def ends(self) -> np.ndarray:
@@ -209,11 +208,6 @@ class SliplessNetwork:
         if not isinstance(self.lattice, Lattice) or axis not in self.lattice.periodic:
             return None
         return bool((self.winding(axis) & (self.spanning if spanning else True)).any())
-
-
-def network_of(lattice: Lattice, state: np.ndarray) -> SliplessNetwork:
-    """The network of the contacts in state SLIPLESS; state : (contacts,)."""
-    return SliplessNetwork(lattice, state == ContactState.SLIPLESS)
 
 
 def winding(nodes: int, ends: np.ndarray, turns: np.ndarray) -> np.ndarray:

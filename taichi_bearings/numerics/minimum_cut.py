@@ -23,7 +23,7 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import breadth_first_order, maximum_flow
 
-from taichi_bearings.lattice import Lattice, incidence
+from taichi_bearings.lattice import Lattice
 from taichi_bearings.numerics.planar import MinimumCuts, minimum_cuts
 
 TIED_WEIGHTS = 1e-12  # relative difference up to which two cuts count as equally light where a flow has found them
@@ -220,12 +220,25 @@ def _network(lattice: Lattice) -> tuple[np.ndarray, np.ndarray]:
 
     returns : node of each sphere, N; both nodes (2, edges) of each contact, in the order of :func:`_edges`.
     """
-    node = incidence.number_bodies(lattice.shape)
+    node = number_bodies(lattice.driven)
     pairs = []
     for axis in range(lattice.dimension):
         inner = node if axis == lattice.height_axis else node[..., 1:-1]
         pairs.append(np.stack([inner[end].ravel() for end in lattice.along(axis)]))
     return node, np.concatenate(pairs, axis=1)
+
+
+def number_bodies(driven: np.ndarray) -> np.ndarray:
+    """Nodes of spheres, a driven body being one: 0 the first, then the free spheres in C order, then the others.
+
+    driven : number of the body that each sphere belongs to, -1 of free ones, of any shape, which the nodes have too.
+    """
+    free = driven < 0
+    rank, number = np.unique(driven[~free], return_inverse=True)
+    node = np.empty(driven.shape, dtype=np.int64)
+    node[free] = (len(rank) > 0) + np.arange(free.sum())
+    node[~free] = np.where(number == 0, 0, free.sum() + number)
+    return node
 
 
 def _edges(values: tuple[np.ndarray, ...]) -> np.ndarray:

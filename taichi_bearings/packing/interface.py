@@ -9,22 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from taichi_bearings.numerics.minimum_cut import graph_cut
+from taichi_bearings.numerics.minimum_cut import graph_cut, number_bodies
 from taichi_bearings.packing.packing import Packing
 from taichi_bearings.packing.system import acting, odd_parts
 
 SAME_STATE = 1e-9  # of the largest R omega, by which spins may miss a bearing state
 ACROSS = 1e-12  # of the jump, what rounding leaves of it across a normal along it
-
-
-def nodes_of(driven: np.ndarray) -> np.ndarray:
-    """(N,) nodes, a driven body being one: 0 the first, then the free spheres, then the others. driven : (N,)."""
-    free = driven < 0
-    rank, number = np.unique(driven[~free], return_inverse=True)
-    node = np.empty(len(driven), dtype=np.int64)
-    node[free] = (len(rank) > 0) + np.arange(free.sum())
-    node[~free] = np.where(number == 0, 0, free.sum() + number)
-    return node
 
 
 def bearing_states(packing: Packing) -> tuple[np.ndarray, np.ndarray] | None:
@@ -94,7 +84,7 @@ class Interface:
         across = np.linalg.norm(np.cross(jump, np.asarray(packing.normal)) if packing.dimension == 3 else jump, axis=1)
         across[across <= ACROSS * np.linalg.norm(jump, axis=1)] = 0.0
         weight = packing.kind.objective(packing.coefficients, across)
-        node, taken = nodes_of(packing.driven), np.zeros(packing.contacts, dtype=bool)
+        node, taken = number_bodies(packing.driven), np.zeros(packing.contacts, dtype=bool)
         ends = node[packing.contact].T
         taken[acting(packing)] = True
         taken &= (ends[0] != ends[1]) & (weight > 0)

@@ -5,7 +5,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from taichi_bearings.analysis.network import network_of
 from taichi_bearings.analysis.structure import LatticeStructure, self_stress, structure_of
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.lattice.grid import laboratory_forces, staggered_forces
@@ -16,6 +15,7 @@ from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import METHODS
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
+from tests.analysis.networks import network_of
 from tests.scenes import make_scene
 
 SLIPLESS, SLIPPING, DRIVEN = ContactState.SLIPLESS, ContactState.SLIPPING, ContactState.DRIVEN
