@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from taichi_bearings.analysis.network import SliplessNetwork
-from taichi_bearings.analysis.structure import Structure
+from taichi_bearings.analysis.structure import LatticeStructure
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.plots.style import BLUE, DOUBLE, GREEN, GREY, ORANGE, in_our_style, new_figure
 from taichi_bearings.proof.contact_state import ContactState
@@ -58,12 +58,12 @@ def names_of(table: Table, views: Views) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def numbers_of(structure: Structure) -> dict[str, Any]:
+def numbers_of(structure: LatticeStructure) -> dict[str, Any]:
     """The numbers of one sample, and what thresholds and then contact states show of it."""
     return {"sample": sample_of(structure), "views": [*views_by_threshold(structure), view_of(structure)]}
 
 
-def view_of(structure: Structure) -> dict[str, Any]:
+def view_of(structure: LatticeStructure) -> dict[str, Any]:
     """Network and domains in a few numbers: slipless contacts, whether their network spans, shares of the free spheres,
     rigid domains, spheres of the largest one that is not locked to one plane."""
     return {
@@ -76,7 +76,7 @@ def view_of(structure: Structure) -> dict[str, Any]:
     }
 
 
-def views_by_threshold(structure: Structure) -> list[dict[str, Any]]:
+def views_by_threshold(structure: LatticeStructure) -> list[dict[str, Any]]:
     """The same for each of THRESHOLDS: what a solver would have seen that cannot tell tiny slips from none.
 
     At the minimum of a large sample the slips span many decades, so a coarse threshold merges slipping contacts into
@@ -97,7 +97,7 @@ def by_threshold(views: Sequence[Sequence[Mapping[str, Any]]]) -> dict[str, np.n
     return {name: np.array([[float(seen[name]) for seen in sample] for sample in views]) for name in views[0][-1]}
 
 
-def sample_of(structure: Structure) -> dict[str, Any]:
+def sample_of(structure: LatticeStructure) -> dict[str, Any]:
     """The numbers of one sample. reached_by_chance : by as many contacts at random places."""
     scene, network = structure.scene, structure.network
     analysed = ("spanning_fraction", "domains", "disjoint_paths", "effective_links", "parting_links")
@@ -120,7 +120,7 @@ def sample_of(structure: Structure) -> dict[str, Any]:
     }
 
 
-def intermediate_share(structure: Structure) -> float:
+def intermediate_share(structure: LatticeStructure) -> float:
     """Share of the free spheres that are not locked to a driven plane in all components."""
     free = ~structure.scene.lattice.is_driven
     locked = structure.rigid_domains.spheres_of_kind(free)

@@ -18,7 +18,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, ScalarFormatter
 
-from taichi_bearings.analysis.structure import Structure
+from taichi_bearings.analysis.structure import LatticeStructure
 from taichi_bearings.numerics.minimum_cut import minimum_cut
 from taichi_bearings.plots.style import BLUE, GREY, ORANGE, in_our_style, new_figure, shades
 
@@ -61,7 +61,7 @@ def cuts(length: int, lowest: float, samples: int, seed: int) -> dict[str, Any]:
     return {"weight": cut.weight.tolist(), "roughness": course.var(axis=(1, 2)).tolist()}
 
 
-def numbers_of(structure: Structure) -> dict[str, Any]:
+def numbers_of(structure: LatticeStructure) -> dict[str, Any]:
     """The minimum of a sample in numbers.
 
     power, cut : least power and that of the minimum cut, over F_n R omega_T. layers : in how many layers the spin
