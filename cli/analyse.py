@@ -10,7 +10,6 @@ from taichi_bearings_cli.report import rows_told, solved
 
 REPORTED = ("power", "slipless", "slipping", "undecided", "critical", "tied_contacts", "minimum_is_unique")
 """What the report begins with, by the names of columns."""
-IDLE = ("status", "method", "law", "shape", "version", "seconds")  # columns that the report of a packing lacks
 
 
 @click.command()
@@ -61,10 +60,7 @@ def describe(report: dict[str, Any], times: str) -> str:
         lines.append(f"not certified, {len(open_ends)} of {len(ended)} ({', '.join(sorted(set(open_ends)))})")
     if len(seeds) > 1:
         lines.append(f"{len(seeds)} samples, seeds {seeds[0]} ... {seeds[-1]}: mean, least, largest; or how many")
-    first = [
-        COLUMNS[name] for name in (REPORTED if report["shape"] else report) if name in COLUMNS and name not in IDLE
-    ]
-    for title, rows in {"contacts": first, **(STRUCTURE if report["shape"] else {})}.items():
+    for title, rows in {"contacts": [COLUMNS[name] for name in REPORTED], **STRUCTURE}.items():
         found = rows_told(rows, report)
         if title == "bottlenecks" and not any(listed(report["spans"])):
             found = ["none: slipless contacts do not join bottom and top"]

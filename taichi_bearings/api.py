@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, overload
 
 import numpy as np
 
-from taichi_bearings.analysis.packing_structure import PackingStructure
+from taichi_bearings.analysis.structure import structure_of
 from taichi_bearings.errors import InputError
 from taichi_bearings.lattice.grid import friction_by_axis
 from taichi_bearings.options import SEED, options_of
@@ -392,7 +392,7 @@ def _result(run: Run) -> Result | PackingResult:
 
 def analyse(result: Result | PackingResult | str | Path, threshold: float | None = None, sample: int = 0) -> Any:
     """An :class:`Analysis` of an answer, or of a run in a file: minimum cut, slipless network, rigid domains,
-    bottlenecks and forces. Of a packing a :class:`PackingStructure`.
+    bottlenecks and forces. Of a packing a :class:`taichi_bearings.analysis.structure.Structure`.
 
     threshold : slip speed, length/time, up to which contacts count as slipless. Default: the contact states of the run.
     sample : the one of several that is shown in figures and as `structure`.
@@ -404,7 +404,7 @@ def analyse(result: Result | PackingResult | str | Path, threshold: float | None
             raise InputError(f"sample is {sample}; the run has {len(found)}, counted from 0")
         found = found[sample]
     if isinstance(found, PackingResult):
-        return PackingStructure.of(found._run.solution, threshold)
+        return structure_of(found._run.solution, threshold=threshold)
     return Analysis(found._run, threshold, sample)
 
 

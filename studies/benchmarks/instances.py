@@ -13,8 +13,9 @@ import time
 from pathlib import Path
 from typing import Any
 
+from taichi_bearings.analysis.structure import lattice_as_packing
 from taichi_bearings.api import solve
-from taichi_bearings.export.problems import lattice_as_packing, write_problem
+from taichi_bearings.export.problems import write_problem
 from taichi_bearings.files.whole_file import make_folder, write_csv
 from taichi_bearings.scene import Scene
 

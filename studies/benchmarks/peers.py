@@ -32,8 +32,8 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
+from taichi_bearings.analysis.structure import lattice_as_packing
 from taichi_bearings.errors import InputError
-from taichi_bearings.export.problems import lattice_as_packing
 from taichi_bearings.lattice.grid import staggered_forces
 from taichi_bearings.packing.answer import forces_of
 from taichi_bearings.packing.system import System

@@ -14,7 +14,7 @@ from matplotlib import colormaps
 from matplotlib.figure import Figure
 
 from taichi_bearings.analysis.network import SliplessNetwork
-from taichi_bearings.analysis.structure import Structure
+from taichi_bearings.analysis.structure import LatticeStructure
 from taichi_bearings.plots.bearing import SPIN_COLOURS, Sheet, draw_speed_bar, line_on_site, name_cut, speed_of
 from taichi_bearings.plots.page import BELOW, PAGE, middle_planes
 from taichi_bearings.plots.structure import draw_network
@@ -41,7 +41,7 @@ def study(folder: Path, effort: Effort) -> Found:
         "table": table, "spanning": table[table.spans], "practically": PRACTICALLY_ALL,
         "free": int((~scene.lattice.is_driven).sum()), "contacts": scene.lattice.contacts,
     }  # fmt: skip
-    return Found({".csv": spheres}, lambda _: draw_network(*_drawn(shown)), named)
+    return Found({".csv": spheres}, lambda _: draw_network(shown), named)
 
 
 def planes(folder: Path, effort: Effort) -> Found:
@@ -51,11 +51,11 @@ def planes(folder: Path, effort: Effort) -> Found:
     chosen = planes_of(path) if len(path) else ()
     held = [(path[:-1, axis] == index) & (path[1:, axis] == index) for axis, index in chosen]
     named = {"spanning": table[table.spans], "planes": chosen, "held": np.any(held, axis=0)}
-    return Found({}, lambda _: draw_plane_cuts(*_drawn(shown)), named)
+    return Found({}, lambda _: draw_plane_cuts(shown), named)
 
 
 @lru_cache(maxsize=1)  # of both figures
-def minima(folder: Path, effort: Effort) -> tuple[Table, Structure]:
+def minima(folder: Path, effort: Effort) -> tuple[Table, LatticeStructure]:
     """Certified samples of the paper's size, and the first one that spans, else the first."""
     seeds = range(effort.seed, effort.seed + min(MOST_SAMPLES, effort.samples))
     chosen = [RunSettings(shape=SHAPE, seed=seed, spin_bottom=SPIN_BOTTOM) for seed in seeds]
@@ -63,17 +63,14 @@ def minima(folder: Path, effort: Effort) -> tuple[Table, Structure]:
     return table, certified(chosen[int(table.spans.argmax())])
 
 
-def _drawn(shown: Structure) -> tuple[SliplessNetwork, np.ndarray, float, float]:
-    return shown.network, shown.spin, shown.scene.spin_top, shown.scene.spin_bottom
-
-
 @in_our_style
-def draw_plane_cuts(network: SliplessNetwork, spin: np.ndarray, spin_top: float, spin_bottom: float) -> Figure:
+def draw_plane_cuts(shown: LatticeStructure) -> Figure:
     """Spheres coloured by |spin|, slipless contacts of the plane in grey, the path in green, on the upright planes that
     together hold most of the path, or the middle ones if there is none. A circle marks where the path leaves the plane:
-    with a dot towards the reader, with a cross away. spin : laboratory frame, (*N, 3), 1/time.
+    with a dot towards the reader, with a cross away.
     """
-    speed, path = speed_of(spin, spin_top, spin_bottom), network.shortest_path
+    network, imposed = shown.network, shown.scene.imposed
+    speed, path = speed_of(shown.spin, *imposed), network.shortest_path
     cuts = planes_of(path) if len(path) else middle_planes(speed.shape)
     tall = float(np.clip(speed.shape[2] / min(speed.shape[:2]), 0.4, 2.0))
     figure, each, width = panels(PAGE, len(cuts), (0.85 * tall, 0.4), 0.25, widest="single")
@@ -85,7 +82,7 @@ def draw_plane_cuts(network: SliplessNetwork, spin: np.ndarray, spin_top: float,
         name_cut(axes, axis, index, after=f": {held if len(path) else 'no path joins bottom and top'}")
     if len(path):
         figure.supxlabel("the path leaves the plane towards the reader (dot) or away (cross)", fontsize=7)
-    draw_speed_bar(figure, figure.axes, spin_top, spin_bottom, **(BELOW if len(cuts) < 2 else {}))
+    draw_speed_bar(figure, figure.axes, *imposed, **(BELOW if len(cuts) < 2 else {}))
     return figure
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from taichi_bearings.analysis.network import SliplessNetwork
-from taichi_bearings.analysis.structure import Structure
+from taichi_bearings.analysis.structure import LatticeStructure
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.plots.style import BLUE, DOUBLE, GREEN, GREY, ORANGE, in_our_style, new_figure
 from taichi_bearings.proof.contact_state import ContactState
@@ -30,7 +30,7 @@ THRESHOLDS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10)
 """Slips over R times the imposed jump, which is the largest slip there can be."""
 THRESHOLD = r"slip threshold, $|v|\,/\,(R\,|\Delta\omega|)$"
 COARSE = ("#f2c14e", "#e07a5f", "#b56576")  # of the first thresholds
-VIEWED: dict[str, Callable[[Structure], Any]] = {
+VIEWED: dict[str, Callable[[LatticeStructure], Any]] = {
     "slipless": lambda structure: structure.contacts_in(ContactState.SLIPLESS),
     **{name: ANALYSED[name].of for name in ("spans", "reached_fraction", "spanning_fraction", "domains")},
     "largest_intermediate": ANALYSED["largest_intermediate_domain"].of,
@@ -59,7 +59,7 @@ def names_of(table: Table) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def numbers_of(structure: Structure) -> dict[str, Any]:
+def numbers_of(structure: LatticeStructure) -> dict[str, Any]:
     """The numbers of one sample, and as NAME_seen, for each of VIEWED, a list: by each of THRESHOLDS what a solver
     would have seen that cannot tell tiny slips from none, then by contact states.
 
@@ -74,7 +74,7 @@ def numbers_of(structure: Structure) -> dict[str, Any]:
     return sample_of(structure) | {f"{name}_seen": [views[size][name] for size in sizes] for name in VIEWED}
 
 
-def sample_of(structure: Structure) -> dict[str, Any]:
+def sample_of(structure: LatticeStructure) -> dict[str, Any]:
     """The numbers of one sample. reached_by_chance : by as many contacts at random places."""
     scene, network = structure.scene, structure.network
     analysed = ("spanning_fraction", "domains", "disjoint_paths", "effective_links", "parting_links")

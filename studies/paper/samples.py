@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from taichi_bearings import runtime
-from taichi_bearings.analysis.structure import Structure, structure_of
+from taichi_bearings.analysis.structure import LatticeStructure, structure_of
 from taichi_bearings.errors import BearingsError
 from taichi_bearings.files.scan_file import FAILED
 from taichi_bearings.files.scan_journal import Journal, read_journal
@@ -186,10 +186,10 @@ def _by_worker(unit: Sequence[Part]) -> list[dict[str, Any]]:
     return records
 
 
-Numbers = Callable[[Structure], dict[str, Any]]
+Numbers = Callable[[LatticeStructure], dict[str, Any]]
 
 
-def certified(settings: RunSettings) -> Structure:
+def certified(settings: RunSettings) -> LatticeStructure:
     """Structure of the sample that the settings name, at its certified minimum."""
     return structure_of(solved(build_scene(settings), InteriorPoint(), StopRule(1e-9)))
 
@@ -235,7 +235,7 @@ def drawn(
     }
 
 
-def told(structure: Structure, *names: str) -> dict[str, Any]:
+def told(structure: LatticeStructure, *names: str) -> dict[str, Any]:
     """Numbers of the minimum that studies share, and rows of `bearings analyse` by their names; fractions are of the
     free spheres. intermediate : share of them that are not locked to a driven plane in all components."""
     cut, free = structure.interface, ~structure.scene.lattice.is_driven

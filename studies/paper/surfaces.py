@@ -17,7 +17,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, ScalarFormatter
 
-from taichi_bearings.analysis.structure import Structure
+from taichi_bearings.analysis.structure import LatticeStructure
 from taichi_bearings.numerics.minimum_cut import minimum_cut
 from taichi_bearings.plots.style import BLUE, GREY, ORANGE, in_our_style, new_figure, shades
 
@@ -59,7 +59,7 @@ def cuts(length: int, lowest: float, samples: int, seed: int) -> dict[str, Any]:
     return {"weight": cut.weight.tolist(), "roughness": course.var(axis=(1, 2)).tolist()}
 
 
-def numbers_of(structure: Structure) -> dict[str, Any]:
+def numbers_of(structure: LatticeStructure) -> dict[str, Any]:
     """The minimum of a sample in numbers; power, cut : least power and that of the minimum cut, over F_n R omega_T.
     layers : in how many layers the spin changes, one over the sum of the squares of the shares that each has in the
     change of the mean staggered spin."""

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from taichi_bearings.analysis.structure import Structure
+from taichi_bearings.analysis.structure import LatticeStructure
 from taichi_bearings.plots.style import BLUE, GREY, in_our_style, new_figure
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.runs.settings import RunSettings
@@ -74,7 +74,7 @@ def drivings(folder: Path, effort: Effort) -> Found:
 
 
 def samples_of(
-    variants: Variants, seed: int, samples: int, numbers: Callable[[Structure], dict[str, Any]], journal: Path
+    variants: Variants, seed: int, samples: int, numbers: Callable[[LatticeStructure], dict[str, Any]], journal: Path
 ) -> dict[str, Table]:
     """Numbers of so many certified cubes of each variant, of the same seeds, by its name."""
     seeds = range(seed, seed + samples)
@@ -83,7 +83,7 @@ def samples_of(
     return {name: found[samples * number : samples * (number + 1)] for number, name in enumerate(variants)}
 
 
-def spread_numbers(structure: Structure) -> dict[str, Any]:
+def spread_numbers(structure: LatticeStructure) -> dict[str, Any]:
     """decades : of power of the contacts that slip, None where that is not proven."""
     scene = structure.scene
     power = scene.law.power(scene.contact, structure.slip[None])[0][structure.state == ContactState.SLIPPING]
@@ -92,7 +92,7 @@ def spread_numbers(structure: Structure) -> dict[str, Any]:
     return told(structure) | {"decades": decades}
 
 
-def driven_numbers(structure: Structure) -> dict[str, Any]:
+def driven_numbers(structure: LatticeStructure) -> dict[str, Any]:
     """slipless : 1 for each such contact. power_over_jump : over F_n R times the jump across the height (times the jump
     itself where it has no such part). angle : of the jump, degrees from x."""
     scene = structure.scene

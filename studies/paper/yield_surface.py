@@ -10,7 +10,7 @@ lies between the proven torques and the proven half-spaces T . (a, c) <= P.
 About x alone no layer y = const is told what to do: together they carry any T_y up to some t, the yield torque about y
 beside a top that turns about x. So the surface has flat parts there, of the width 2 t, and t < P(y) is how much crossed
 driving weakens. Where top and bottom differ in both components in each layer the torque is unique (see
-analysis/torque_flow), so the surface has no flat part there.
+analysis/structure), so the surface has no flat part there.
 """
 
 from pathlib import Path
@@ -20,6 +20,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from taichi_bearings.analysis.structure import structure_of
+from taichi_bearings.lattice.grid import staggered_forces
 from taichi_bearings.plots.style import BLUE, DOUBLE, GREEN, GREY, ORANGE, in_our_style, new_figure, shades
 from taichi_bearings.runs.run import build_scene
 from taichi_bearings.runs.settings import RunSettings
@@ -60,7 +61,8 @@ def held(settings: RunSettings) -> dict[str, Any]:
     """Least power and its bound, energy/time, and the torque (T_x, T_y, T_c) of the forces that prove it."""
     scene = build_scene(settings)
     structure = structure_of(solved(scene, InteriorPoint(settle=False), PROVEN_GAP))
-    upright = scene.lattice.by_axis(scene.lattice.radius * structure.force)[-1].mean(axis=-1)  # (C, nx, ny)
+    force = staggered_forces(structure.answer.friction, scene.lattice, scene.minimum_spin_axes)[:, 0]
+    upright = scene.lattice.by_axis(scene.lattice.radius * force)[-1].mean(axis=-1)  # (C, nx, ny)
     of_layers = np.zeros((2, scene.lattice.shape[0]))  # of the component across them
     for slot, component in enumerate(scene.minimum_spin_axes):
         of_layers[component] = upright[slot].sum(axis=1 - component)

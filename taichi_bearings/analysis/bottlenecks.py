@@ -31,7 +31,7 @@ import rustworkx
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
-from taichi_bearings.analysis.network import ContactNetwork
+from taichi_bearings.analysis.network import SliplessNetwork
 
 LEAST_LOAD = 1e-12  # a load that is less is none
 EXACT_WORK = 200_000_000  # sources times links; beyond it a sample of the sources must do
@@ -58,7 +58,7 @@ class Betweenness:
 class Bottlenecks:
     """Loads and weak places of one sample; links (E,) and spheres (sites,) are those of `network`."""
 
-    network: ContactNetwork
+    network: SliplessNetwork
 
     @cached_property
     def backbone(self) -> np.ndarray:
@@ -94,8 +94,8 @@ class Bottlenecks:
     @property
     def visits(self) -> np.ndarray:
         """Share, shape N, of the connected pairs whose shortest paths visit each sphere."""
-        shape, found = self.network.lattice.shape, self.betweenness
-        return found.sphere.reshape(shape) / max(1, found.pairs)
+        found = self.betweenness
+        return found.sphere.reshape(self.network.shape) / max(1, found.pairs)
 
     @property
     def effective_links(self) -> float:
@@ -126,13 +126,13 @@ def _blocks(low: np.ndarray, high: np.ndarray, bodies: int) -> np.ndarray:
     return label
 
 
-def betweenness(network: ContactNetwork, links: np.ndarray | None = None) -> Betweenness:
+def betweenness(network: SliplessNetwork, links: np.ndarray | None = None) -> Betweenness:
     """The betweenness of one sample.
 
     links : (E,) bool, those that can lie on a shortest path (the backbone), to save work; default all. Where EXACT_WORK
     does not allow to count from all sources, the spheres of the driven plane that has fewer, some are drawn.
     """
-    sites, edges = network.lattice.sites, network.ends.shape[1]
+    sites, edges = len(network.body), network.ends.shape[1]
     neighbours = _neighbours(network, np.arange(edges) if links is None else np.flatnonzero(links))
     found = [_between(neighbours, sites, edges, *ends) for ends in _ends_of_pairs(network)]
     pairs, far = sum(one.pairs for one in found), sum(one.pairs * one.mean_distance for one in found)
@@ -167,10 +167,10 @@ def _between(
     return Betweenness(scale * link, scale * sphere, pairs, mean, is_exact=len(drawn) == len(starts))
 
 
-def _ends_of_pairs(network: ContactNetwork) -> Iterator[tuple[np.ndarray, np.ndarray, int]]:
+def _ends_of_pairs(network: SliplessNetwork) -> Iterator[tuple[np.ndarray, np.ndarray, int]]:
     """Of each driven body and those behind it: spheres that are joined to the other side, as indices, of the side that
     has fewer and of the other; the pairs."""
-    sites = network.lattice.sites
+    sites = len(network.body)
     ones = np.ones(network.ends.shape[1], dtype=np.int8)
     label = connected_components(csr_array((ones, tuple(network.ends)), shape=(sites, sites)), directed=False)[1]
     touched = [network.touched_of(body) for body in network.held]
@@ -190,12 +190,12 @@ class _Neighbours(NamedTuple):
     link: np.ndarray
 
 
-def _neighbours(network: ContactNetwork, links: np.ndarray) -> _Neighbours:
+def _neighbours(network: SliplessNetwork, links: np.ndarray) -> _Neighbours:
     """Over the links of these numbers."""
     low, high = network.ends[:, links]
     here, there = np.concatenate([low, high]), np.concatenate([high, low])
     order = np.argsort(here, kind="stable")
-    degree = np.bincount(here, minlength=network.lattice.sites)
+    degree = np.bincount(here, minlength=len(network.body))
     return _Neighbours(np.cumsum(degree) - degree, degree, there[order], np.tile(links, 2)[order])
 
 

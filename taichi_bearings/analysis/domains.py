@@ -22,7 +22,6 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
 from taichi_bearings.analysis.network import SliplessNetwork
-from taichi_bearings.lattice import Lattice
 
 
 class Lock(IntFlag):
@@ -42,7 +41,7 @@ INTERMEDIATE = LOCKS.index("mixed")  # the first of the kinds that are not locke
 
 @dataclass(frozen=True)
 class RigidDomains:
-    """Domains of one sample of a lattice; C components as named by spin_axes, D rigid domains.
+    """Domains of one sample; C components as named by spin_axes, D rigid domains; N the shape of the spheres.
 
     component_domain : (C, *N) label of the domain of each component.
     domain : N, label of the rigid domain: 0, 1, ... by falling number of spheres.
@@ -52,10 +51,9 @@ class RigidDomains:
     lock : (D, C) values of Lock, a bit for each body. jump : (D, C) staggered spin of the top in the layers of each
     domain, 1/time. bodies : what is driven.
 
-    Of a packing the spins are s R omega, s the signs by which neighbours differ, and `lattice` is None.
+    Of a packing the spins are s R omega, s the signs by which neighbours differ.
     """
 
-    lattice: Lattice | None
     spin_axes: tuple[int, ...]
     component_domain: np.ndarray
     domain: np.ndarray
@@ -65,6 +63,24 @@ class RigidDomains:
     lock: np.ndarray
     jump: np.ndarray
     bodies: tuple[str, ...] = ("bottom", "top")
+
+    @classmethod
+    def of(
+        cls, spin_axes: tuple[int, ...], labels: np.ndarray, tied: np.ndarray, spins: np.ndarray,
+        jump: np.ndarray | None, shape: tuple[int, ...], bodies: tuple[str, ...] = ("bottom", "top"),
+    ) -> "RigidDomains":  # fmt: skip
+        """From what each sphere has of each component: the label of its domain, what that is tied to, its spin above
+        the bottom's, and that of the top, if bodies turn as one; (C, sites)."""
+        domain = refined(labels)
+        spheres, first = np.bincount(domain), np.unique(domain, return_index=True)[1]
+        mean = np.stack([np.bincount(domain, values) / spheres for values in spins])
+        held = mean[:, domain] if jump is None else np.where(tied == Lock.TOP, jump, mean[:, domain])
+        jump = np.zeros_like(spins) if jump is None else jump
+        labels, spread = labels.reshape(-1, *shape), float(np.abs(spins - held).max())
+        return cls(
+            spin_axes, labels, domain.reshape(shape), spheres, mean.T, spread, tied[:, first].T, jump[:, first].T,
+            bodies,
+        )  # fmt: skip
 
     @property
     def locks(self) -> tuple[str, ...]:
@@ -114,23 +130,8 @@ def rigid_domains(network: SliplessNetwork, staggered: np.ndarray, spin_axes: tu
     top = staggered[..., -1].reshape(len(spin_axes), -1)
     uneven = bool((top != top[:, :1]).any())
     labels, tied = np.stack([_of_component(network, component, uneven) for component in spin_axes], axis=1)
-    of_sphere = refined(labels)
-    spheres, flat = np.bincount(of_sphere), staggered.reshape(len(spin_axes), -1)
-    mean = np.stack([np.bincount(of_sphere, weights=values) / spheres for values in flat], axis=1)
-    first = np.unique(of_sphere, return_index=True)[1]
-    lock, top = tied[:, first].T, np.repeat(top, network.lattice.shape[-1], axis=1).T  # above each sphere
-    held = np.where((lock == Lock.TOP)[of_sphere], top, mean[of_sphere])
-    return RigidDomains(
-        lattice=network.lattice,
-        spin_axes=spin_axes,
-        component_domain=labels.reshape(-1, *network.lattice.shape),
-        domain=of_sphere.reshape(network.lattice.shape),
-        spheres=spheres,
-        staggered=mean,
-        spread=float(np.abs(flat.T - held).max()),
-        lock=lock,
-        jump=top[first],
-    )
+    above = np.repeat(top, network.shape[-1], axis=1)  # each sphere
+    return RigidDomains.of(spin_axes, labels, tied, staggered.reshape(len(spin_axes), -1), above, network.shape)
 
 
 def refined(labels: np.ndarray) -> np.ndarray:

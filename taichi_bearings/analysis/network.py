@@ -11,19 +11,20 @@ from typing import Any
 
 import numpy as np
 from scipy.sparse import coo_array, csr_array
-from scipy.sparse.csgraph import breadth_first_order, connected_components, maximum_flow
+from scipy.sparse.csgraph import breadth_first_order, connected_components, dijkstra, maximum_flow
 
 from taichi_bearings.lattice import Lattice
-from taichi_bearings.lattice.incidence import number_bodies
-from taichi_bearings.proof.contact_state import ContactState
+from taichi_bearings.numerics.minimum_cut import number_bodies
+
+MOST_BODIES = 50  # between which paths are looked for
 
 
 @dataclass(frozen=True)
-class ContactNetwork:
-    """Spheres of one sample and the slipless contacts that join them, of a lattice or a packing.
+class SliplessNetwork:
+    """Spheres of one sample and the slipless contacts that join them.
 
-    lattice : has `ends` (2, contacts), `sites`, and `shape` N and `is_driven` (N) of the spheres.
-    slipless : (contacts,) bool, of all contacts, False between two driven spheres.
+    lattice : a Lattice or a Packing. slipless : (contacts,) bool, of all contacts, False between two driven spheres.
+    Spheres have their shape N, of packings (sites,); as indices they are in C order.
     """
 
     lattice: Any
@@ -33,23 +34,48 @@ class ContactNetwork:
     def body(self) -> np.ndarray:
         """Node (sites,) of each sphere in the graph of bodies: 0 the first driven body, then the free spheres, then the
         other driven bodies, of a lattice the top plane."""
-        raise NotImplementedError
+        return number_bodies(self.lattice.driven.ravel())
 
     @cached_property
     def ends(self) -> np.ndarray:
-        """First and second, of a lattice lower and upper, sphere (2, E) of each edge, as indices in C order."""
+        """First and second, of a lattice lower and upper, sphere (2, E) of each edge, as indices."""
         return np.asarray(self.lattice.ends[:, self.slipless])
+
+    @cached_property
+    def axis(self) -> np.ndarray:
+        """Of a lattice: axis (E,) of each edge: all x-contacts first, then y (then z), each in C order."""
+        return np.asarray(self.lattice.axis[self.slipless])
+
+    @cached_property
+    def contact(self) -> np.ndarray:
+        """Of a lattice: position (E, dimension) of each edge's lower sphere, which names the contact along `axis`."""
+        return self.places(self.ends[0])
 
     @property
     def names(self) -> dict[str, np.ndarray]:
         """What tells people which edges these are, (E, ...)."""
-        raise NotImplementedError
+        if isinstance(self.lattice, Lattice):
+            return {"contact": self.contact, "axis": self.axis}
+        return {"contact": np.flatnonzero(self.slipless), "spheres": self.ends.T}
+
+    def places(self, spheres: np.ndarray) -> np.ndarray:
+        """Of a lattice: positions (n, dimension) of spheres (n,)."""
+        return np.stack(np.unravel_index(spheres, self.shape), axis=1)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """N."""
+        return tuple(self.lattice.driven.shape)
+
+    @property
+    def free(self) -> np.ndarray:
+        """True for free spheres, shape N."""
+        return np.asarray(self.lattice.driven < 0)
 
     @cached_property
     def touched(self) -> np.ndarray:
         """True for spheres that touch a slipless contact, shape N."""
-        count = np.bincount(self.ends.ravel(), minlength=self.lattice.sites)
-        return (count > 0).reshape(self.lattice.shape)
+        return (np.bincount(self.ends.ravel(), minlength=len(self.body)) > 0).reshape(self.shape)
 
     @property
     def bodies(self) -> int:
@@ -58,10 +84,10 @@ class ContactNetwork:
     @cached_property
     def held(self) -> np.ndarray:
         """Nodes of the driven bodies."""
-        return np.unique(self.body[self.lattice.is_driven.ravel()])
+        return np.unique(self.body[~self.free.ravel()])
 
     def touched_of(self, body: int) -> np.ndarray:
-        """Spheres of a body that touch a slipless contact, as indices in C order."""
+        """Spheres of a body that touch a slipless contact, as indices."""
         return np.flatnonzero(self.touched.ravel() & (self.body == body))
 
     def graph(self, chosen: np.ndarray | None = None) -> csr_array:
@@ -79,7 +105,7 @@ class ContactNetwork:
     @cached_property
     def component(self) -> np.ndarray:
         """Label, shape N, of the connected piece of each sphere; 0 is the piece of the first driven body."""
-        return self.pieces()[self.body].reshape(self.lattice.shape)
+        return self.pieces()[self.body].reshape(self.shape)
 
     @property
     def components(self) -> int:
@@ -99,8 +125,7 @@ class ContactNetwork:
         return np.asarray(several[self.component])
 
     def _share(self, chosen: np.ndarray) -> Any:
-        free = ~self.lattice.is_driven
-        return float(chosen[free].mean()) if free.any() else None
+        return float(chosen[self.free].mean()) if self.free.any() else None
 
     @property
     def reached_fraction(self) -> Any:
@@ -124,80 +149,65 @@ class ContactNetwork:
         spread[self.slipless] = values
         return spread
 
-
-@dataclass(frozen=True)
-class SliplessNetwork(ContactNetwork):
-    """That of a lattice."""
-
-    lattice: Lattice
-
     @cached_property
-    def axis(self) -> np.ndarray:
-        """Axis (E,) of each edge: all x-contacts first, then y (then z), each in C order."""
-        return self.lattice.axis[self.slipless]
+    def path(self) -> np.ndarray:
+        """Spheres (L,), as indices, along one of the shortest paths between driven bodies, of a lattice from bottom to
+        top; (0,) if there is none, or more than MOST_BODIES bodies. Of equally short ones the first that a
+        breadth-first search finds."""
+        if not self.spans or len(self.held) > MOST_BODIES:
+            return np.empty(0, dtype=int)
+        graph, (start, stop) = self.graph(), self.held[[0, -1]]
+        if len(self.held) > 2:
+            far = dijkstra(graph, unweighted=True, indices=self.held)[:, self.held]
+            np.fill_diagonal(far, np.inf)
+            start, stop = self.held[list(np.unravel_index(far.argmin(), far.shape))]
+        before, nodes = breadth_first_order(graph, start, directed=False)[1], [stop]
+        while nodes[-1] != start:
+            nodes.append(before[nodes[-1]])
+        inner = [int(np.flatnonzero(self.body == node)[0]) for node in nodes[-2:0:-1]]
+        return np.array([self._beside(inner[0], start), *inner, self._beside(inner[-1], stop)])
 
-    @cached_property
-    def contact(self) -> np.ndarray:
-        """Position (E, dimension) of each edge's lower sphere, which names the contact along `axis`."""
-        return np.stack(np.unravel_index(self.ends[0], self.lattice.shape), axis=1)
-
-    @cached_property
-    def body(self) -> np.ndarray:
-        return number_bodies(self.lattice.shape).ravel()
+    def _beside(self, sphere: int, body: int) -> int:
+        """A sphere of a body to which this sphere has a link."""
+        first, second = self.ends
+        others = np.concatenate([second[first == sphere], first[second == sphere]])
+        return int(others[self.body[others] == body][0])
 
     @property
-    def names(self) -> dict[str, np.ndarray]:
-        return {"contact": self.contact, "axis": self.axis}
-
-    def winding(self, axis: int) -> np.ndarray:
-        """True, shape N, for spheres of pieces in which a closed way of slipless contacts goes around this axis. No way
-        leads along a driven plane, which would go around in any case."""
-        over_the_side = (self.axis == axis) & (self.contact[:, axis] == self.lattice.shape[axis] - 1)
-        return winding(self.lattice.sites, self.ends, over_the_side.astype(int)).reshape(self.lattice.shape)
-
-    def winds_around(self, axis: int, spanning: bool = False) -> bool | None:
-        """Whether slipless contacts, or those of the piece that joins the planes, go around this axis; None where it is
-        not periodic."""
-        if axis not in self.lattice.periodic:
-            return None
-        return bool((self.winding(axis) & (self.spanning if spanning else True)).any())
-
-    @cached_property
     def shortest_path(self) -> np.ndarray:
-        """Spheres (L, dimension) along one of the shortest paths from a bottom sphere to a top sphere; (0, dimension)
-        if there is none. Of equally short ones the first that a breadth-first search finds."""
-        if not self.spans:
-            return np.empty((0, self.lattice.dimension), dtype=int)
-        before = breadth_first_order(self.graph(), 0, directed=False)[1]
-        node, nodes = before[-1], []
-        while node != 0:
-            nodes.append(node)
-            node = before[node]
-        free = np.flatnonzero(~self.lattice.is_driven.ravel())  # nodes 1, 2, ... are the free spheres in C order
-        path = np.stack(np.unravel_index(free[np.array(nodes[::-1]) - 1], self.lattice.shape), axis=1)
-        up = np.eye(self.lattice.dimension, dtype=int)[-1]
-        return np.concatenate([path[:1] - up, path, path[-1:] + up])
+        """Of a lattice: positions (L, dimension) of these spheres."""
+        return self.places(self.path)
 
     @cached_property
     def on_path(self) -> np.ndarray:
         """True (contacts,) for those of the shortest path; of two between the same spheres, in a ring of two, the first
         is."""
-        place, path = np.full(self.lattice.sites, -2), self.shortest_path
-        place[np.ravel_multi_index(tuple(path.T), self.lattice.shape)] = np.arange(len(path))
+        place, path = np.full(len(self.body), -2), self.path
+        place[path] = np.arange(len(path))
         low, high = place[self.ends]
         steps = np.flatnonzero(np.abs(low - high) == 1)
         first = np.unique(np.minimum(low, high)[steps], return_index=True)[1]
         return self.on_contacts(np.isin(np.arange(len(low)), steps[first]))
 
     @property
-    def path_planes(self) -> list[int]:
-        """Number of lattice planes across each sideways axis that this path visits."""
+    def path_planes(self) -> Any:
+        """Number of lattice planes across each sideways axis that this path visits; None of a packing."""
+        if not isinstance(self.lattice, Lattice):
+            return None
         return [len(np.unique(places)) for places in self.shortest_path.T[:-1]]
 
+    def winding(self, axis: int) -> np.ndarray:
+        """Of a lattice: True, shape N, for spheres of pieces in which a closed way of slipless contacts goes around
+        this axis. No way leads along a driven plane, which would go around in any case."""
+        over_the_side = (self.axis == axis) & (self.contact[:, axis] == self.shape[axis] - 1)
+        return winding(len(self.body), self.ends, over_the_side.astype(int)).reshape(self.shape)
 
-def network_of(lattice: Lattice, state: np.ndarray) -> SliplessNetwork:
-    """The network of the contacts in state SLIPLESS; state : (contacts,)."""
-    return SliplessNetwork(lattice, state == ContactState.SLIPLESS)
+    def winds_around(self, axis: int, spanning: bool = False) -> bool | None:
+        """Whether slipless contacts, or those of the piece that joins the planes, go around this axis; None where it is
+        not a periodic one of a lattice."""
+        if not isinstance(self.lattice, Lattice) or axis not in self.lattice.periodic:
+            return None
+        return bool((self.winding(axis) & (self.spanning if spanning else True)).any())
 
 
 def winding(nodes: int, ends: np.ndarray, turns: np.ndarray) -> np.ndarray:

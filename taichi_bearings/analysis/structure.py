@@ -1,44 +1,384 @@
-"""The structure of one sample, part by part; a part is computed when it is first asked for."""
+"""The structure of one sample, of a lattice or a packing, part by part; a part is computed when it is first asked for.
 
+A lattice is here a packing whose spins are measured from its bottom, so all is said once of a network of contacts; it
+only knows better what its contacts along axes force to turn alike, and which interface is the lightest.
+
+**Torque.** With signs s by which neighbours differ, s times what a contact pulls with at u = R omega is a current of
+each component, from one of its spheres to the other. No free sphere stores any of it; it enters at the one driven body
+and leaves at the other. Of a lattice the same torque T_k goes through every gap between two layers, so the driven
+planes spend the power sum_k T_k (Omega_top - Omega_bottom)_k. T_k is unique at the minimum if top and bottom differ in
+component k, and so is what the slipless contacts carry of it as a whole. The force of a single slipless contact is not,
+as long as there are loops of slipless contacts around which torque can circulate: states of self-stress, as in frames
+(Pellegrino and Calladine, Int. J. Solids Struct. 22, 1986). Then such forces are one admissible choice: the method's.
+"""
+
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components, laplacian
+from scipy.sparse.linalg import spsolve
 
 from taichi_bearings.analysis.bottlenecks import Bottlenecks
 from taichi_bearings.analysis.domains import RigidDomains, rigid_domains
-from taichi_bearings.analysis.network import SliplessNetwork, network_of
-from taichi_bearings.analysis.torque_flow import TorqueFlow, saturation, self_stress, torque_flow
-from taichi_bearings.lattice.grid import staggered_forces
+from taichi_bearings.analysis.network import MOST_BODIES, SliplessNetwork
 from taichi_bearings.numerics.minimum_cut import minimum_cut
-from taichi_bearings.proof.contact_state import ContactState, by_threshold, critical
+from taichi_bearings.packing import Packing
+from taichi_bearings.packing.interface import SAME_STATE, Interface, bearing_states
+from taichi_bearings.packing.structure import self_stress_of
+from taichi_bearings.packing.system import acting, along_axes, odd_parts
+from taichi_bearings.proof.contact_state import ContactState, critical
+from taichi_bearings.quantities import STRUCTURE, Quantity, plain
 from taichi_bearings.scene import Scene, Solution
 from taichi_bearings.scene.initial_spins import cut_unit, cut_weights, minimum_cut_spin
+from taichi_bearings.scene.scene import vector_length
+from taichi_bearings.words import html_table
+
+OF_EVERY_SAMPLE = ("power", "lower_bound", "slipping", "slipless", "undecided", "critical")
+OF_TIES = ("tied_contacts", "minimum_is_unique")
+MAY_BE_ABSENT = ("planes_crossed", "winds_x", "winds_y", "spanning_winds_x", "spanning_winds_y", "mean_saturation")
+"""Numbers that are left out where they make no sense."""
+Kind = TypeVar("Kind", bound="Structure")
 
 
 @dataclass(frozen=True)
-class Interface:
-    """The cheapest interface of two rigid domains of one sample: a minimum cut.
-
-    If every sphere turned with the bottom or with the top, all slip would be at the interface of the two domains, and
-    the lightest one would dissipate least. In 2D with Coulomb friction that is the minimum itself; in 3D, and for the
-    viscous law, states between the two dissipate less (equations.md, 5).
-
-    above : N, True for the spheres that turn with the top. contacts : (E,) True for those that slip.
-    between : N, True for the spheres that another cut, as light (in 3D: to 1e-12), may put on the other side; if there
-        are none every other interface is proven to dissipate more.
-    power : energy/time, if the two domains are rigid. lower_bound : no two rigid domains dissipate less, or have less
-        of what the stationary state minimises if that is not the power; proven.
-    next_power : the same of the cheapest other interface that leaves either domain in one piece; NaN in 3D, where it is
-        known only if grids are apart (see :func:`taichi_bearings.numerics.minimum_cut.next_cut`).
+class TorqueFlow:
+    """total : (C,) torque that drives the top plane, or the second of two bodies, and holds the other; with fewer or
+    more bodies that of each, (bodies, C); force * length; signs of a sublattice are taken away.
+    power : that each body spends, (bodies,), energy/time; for certifying forces of the Coulomb law a lower bound.
+    slipless_share : of the power from the first of two bodies to the second what slipless contacts carry, None where
+    these are in no bearing states of their own; 0 without power.
     """
 
-    above: np.ndarray
-    between: np.ndarray
-    contacts: np.ndarray
+    total: np.ndarray
+    power: np.ndarray
+    slipless_share: float | None
+
+
+@dataclass(frozen=True)
+class Structure:
+    """A solved sample and what its contacts form.
+
+    answer : that of one sample, R = 1. spin : laboratory frame, of a lattice (*N) or (*N, 3), of a
+    packing (N,) or (N, 3), 1/time. slip, found : (E,), found the states of the answer. friction : on the second sphere
+    of each contact, laboratory frame, (E, 3), in 2D (E,). power_per_contact : (E,). power, lower_bound : energy/time.
+    threshold : slip speed, length/time, up to which contacts count as slipless, whatever is found; if None the states
+    found.
+    """
+
+    answer: Solution
+    spin: np.ndarray
+    slip: np.ndarray
+    found: np.ndarray
+    friction: np.ndarray
+    power_per_contact: np.ndarray
     power: float
     lower_bound: float
-    next_power: float
+    threshold: float | None = None
+
+    told: ClassVar[tuple[str, ...]] = OF_EVERY_SAMPLE
+
+    @cached_property
+    def state(self) -> np.ndarray:
+        """Those between driven spheres stay, whatever the threshold."""
+        if self.threshold is None:
+            return self.found
+        told = np.where(self.slip > self.threshold, ContactState.SLIPPING, ContactState.SLIPLESS)
+        return np.where(self.found == ContactState.DRIVEN, self.found, told).astype(np.uint8)
+
+    def by_threshold(self: Kind, threshold: float) -> Kind:
+        """The same sample by a threshold."""
+        return replace(self, threshold=threshold)
+
+    def contacts_in(self, which: ContactState) -> int:
+        """Number of contacts in a state."""
+        return int((self.state == which).sum())
+
+    @property
+    def movable(self) -> int:
+        """Contacts that can slip."""
+        return len(self.state) - self.contacts_in(ContactState.DRIVEN)
+
+    @property
+    def slipless(self) -> np.ndarray:
+        """(E,) True for slipless contacts."""
+        return self.state == ContactState.SLIPLESS
+
+    @property
+    def critical(self) -> int:
+        """Undecided contacts at their friction limit."""
+        return 0 if self.threshold is not None else int(critical(self.answer)[0])
+
+    @property
+    def packing(self) -> Packing:
+        """The spheres and contacts."""
+        found: Packing = self.answer.scene[0]
+        return found
+
+    @property
+    def system(self) -> Scene | Packing:
+        """What was solved."""
+        return self.packing
+
+    @property
+    def fastest(self) -> float:
+        """The largest imposed R omega, of a lattice R times the largest jump; length/time."""
+        return float(np.linalg.norm(self.packing.imposed, axis=1).max(initial=0.0))
+
+    @property
+    def snapshots(self) -> np.ndarray:
+        """Spins (S, ...) of a dynamics that kept some."""
+        assert self.answer.snapshots is not None
+        return np.asarray(self.answer.snapshots.spin[:, 0])
+
+    def slips_of(self, spin: np.ndarray) -> np.ndarray:
+        """Slip speeds (E,) with other spins."""
+        return self.packing.slips(spin)
+
+    @cached_property
+    def network(self) -> SliplessNetwork:
+        return SliplessNetwork(self.packing, self.slipless)
+
+    @cached_property
+    def bottlenecks(self) -> Any:
+        """Between driven bodies; None with fewer than two of them, or more than MOST_BODIES."""
+        return Bottlenecks(self.network) if 2 <= len(self.network.held) <= MOST_BODIES else None
+
+    @cached_property
+    def interface(self) -> Interface | None:
+        """The lightest interface of two rigid domains; None where there are no two bearing states."""
+        return Interface.of(self.packing)
+
+    @cached_property
+    def signs(self) -> tuple[np.ndarray, np.ndarray]:
+        """(N,) True in parts with odd loops, and the signs by which neighbours differ in others."""
+        return odd_parts(self.packing.spheres, *self.packing.contact.T)
+
+    @cached_property
+    def states(self) -> np.ndarray | None:
+        """s u (2, N, C) of all spheres if they turned with the first or with the second of two driven bodies,
+        length/time; None where these are in no bearing states."""
+        found = bearing_states(self.packing)
+        return None if found is None else found[1]
+
+    @cached_property
+    def turned(self) -> np.ndarray:
+        """s R omega (N, C), length/time, with signs s by which neighbours differ; in parts with odd loops, where each
+        sphere has neighbours of its own sign, that of its first component is taken away."""
+        (odd, sign), packing = self.signs, self.packing
+        u = sign[:, None] * self.spin.reshape(packing.spheres, -1) * np.asarray(packing.radius)[:, None]
+        first = np.argmax(np.abs(u) > SAME_STATE * np.abs(u).max(initial=0.0), axis=1)
+        return np.where(odd[:, None] & (u[np.arange(len(u)), first] < 0)[:, None], -u, u)
+
+    @cached_property
+    def rigid_domains(self) -> RigidDomains:
+        """Spheres of one connected piece of slipless contacts that turn as fast, but for their signs. Components that
+        all have alike are left out; those of one piece with a body that turn as it does are locked to it."""
+        packing, u, piece = self.packing, self.turned, self.network.component
+        largest, states = np.abs(u).max(initial=0.0), self.states
+        near = max(SAME_STATE * largest, 2 * self.slip[self.slipless].max(initial=0.0))
+        low, high = np.zeros((2, *u.shape)) if states is None else states
+        apart = 4 * largest  # with bodies that turn unevenly all is one domain that turns as they do
+        values = np.where(np.abs(u - low) <= near, -apart, np.where(np.abs(u - high) <= near, apart, u))
+        axes = self._slipping_components(near)
+        labels = np.stack([_alike(piece, (u if states is None else values)[:, k], near) for k in axes])
+        held = np.flatnonzero(packing.driven >= 0)
+        bodies, body = np.unique(packing.driven[held], return_inverse=True)
+        tied = np.zeros((len(axes), len(u)), dtype=np.int64)
+        for lock, label in zip(tied, labels, strict=True):
+            np.bitwise_or.at(lock, label[held], 1 << np.minimum(body, MOST_BODIES))
+        tied = np.take_along_axis(tied, labels, axis=1)
+        jump = (high - low)[:, axes].T
+        jump[np.abs(jump) <= SAME_STATE * largest] = 0.0  # rounding of states that agree
+        names = ("bottom", "top") if len(bodies) == 2 else tuple(f"body {number}" for number in bodies[:MOST_BODIES])
+        above = (u - low)[:, axes].T
+        return RigidDomains.of(axes, labels, tied, above, None if states is None else jump, piece.shape, names)
+
+    @property
+    def domain(self) -> np.ndarray:
+        """N, label of the rigid domain of each sphere, the largest first."""
+        return self.rigid_domains.domain
+
+    def _slipping_components(self, near: float) -> tuple[int, ...]:
+        """Components in which some contact slips; all where none does."""
+        packing, acts = self.packing, self.state != ContactState.DRIVEN
+        u = self.spin.reshape(packing.spheres, -1) * np.asarray(packing.radius)[:, None]
+        both, normal = u[packing.contact[acts]].sum(axis=1), np.asarray(packing.normal)[acts]
+        if packing.dimension == 3:
+            both = both - normal * (both * normal).sum(axis=1)[:, None]
+        slips = np.abs(both).max(axis=0, initial=0.0) > near
+        return tuple(np.flatnonzero(slips | ~slips.any()).tolist())
+
+    @cached_property
+    def height(self) -> np.ndarray:
+        """(N,) 0 on the first body, 1 on the last one, and between the mean of that of the neighbours; 0 where these
+        two do not reach."""
+        node = self.network.body
+        ends, size = node[self.packing.contact[acting(self.packing)]].T, int(node.max()) + 1
+        ones = np.ones(ends.shape[1])
+        graph = csr_array((np.tile(ones, 2), np.append(ends, ends[::-1], axis=1)), shape=(size, size))
+        label = connected_components(graph, directed=False)[1]
+        inside = np.flatnonzero(np.isin(label, label[[0, -1]])[1:-1]) + 1
+        matrix, height = (laplacian(graph))[inside], np.zeros(size)
+        height[-1] = 1.0
+        if len(inside):
+            height[inside] = spsolve(matrix[:, inside].tocsc(), -matrix[:, [-1]].toarray()[:, 0])
+        return height[node]
+
+    @cached_property
+    def torque_flow(self) -> TorqueFlow:
+        """What drives the bodies, and how it goes through the network: layers are those of `height`."""
+        packing, (odd, sign), (first, second) = self.packing, self.signs, self.packing.contact.T
+        friction, sign = self.friction, np.where(odd, 1, sign)
+        pull = friction[:, None] if packing.dimension == 2 else np.cross(np.asarray(packing.normal), friction)
+        pull = np.where((self.state != ContactState.DRIVEN)[:, None], pull, 0.0)
+        drive, held = np.zeros(packing.imposed.shape), np.flatnonzero(packing.driven >= 0)
+        for end in (first, second):
+            np.add.at(drive, end, pull)
+        bodies, body = np.unique(packing.driven[held], return_inverse=True)
+        total, spent = np.zeros((len(bodies), pull.shape[1])), (drive * packing.imposed).sum(axis=1)
+        np.add.at(total, body, (sign * packing.radius)[held, None] * drive[held])
+        power, share = np.bincount(body, spent[held], len(bodies)), None
+        if self.states is not None:
+            drop = sign[first] * (self.height[first] - self.height[second])
+            carried = (pull * drop[:, None] * (self.states[1] - self.states[0])[first]).sum(axis=1)
+            share = float(carried[self.slipless].sum() / carried.sum()) if carried.sum() else 0.0
+        return TorqueFlow(total[-1] if len(bodies) == 2 else total, power, share)
+
+    @property
+    def mean_saturation(self) -> float | None:
+        """Mean share of their friction limit that slipless contacts bear: not-a-number where there are none, None
+        without a limit of friction."""
+        if not self.packing.kind.is_rate_independent:
+            return None
+        limit, size = self.packing.coefficients[0], vector_length(np.atleast_2d(self.friction.T))
+        loaded = self.slipless & (limit > 0)
+        return float((size[loaded] / limit[loaded]).mean()) if loaded.any() else np.nan
+
+    @cached_property
+    def self_stress(self) -> int | None:
+        """States of self-stress: how far the forces of slipless contacts are left open; None if rounding hides it."""
+        chosen, every = np.flatnonzero(self.slipless), range(self.packing.imposed.shape[1])
+        axes = self.rigid_domains.spin_axes if along_axes(self.packing, chosen) else every
+        return self_stress_of(self.packing, chosen, axes)
+
+    @cached_property
+    def numbers(self) -> dict[str, Any]:
+        """As `bearings analyse --json` has them, for JSON; each is an attribute too, such as `spans`. Those that are
+        not finite, or of which there are none, are None."""
+        states = {which.name.lower(): self.contacts_in(which) for which in list(ContactState)[:3]}
+        told = {name: states[name] if name in states else getattr(self, name) for name in self.told}
+        found = {row.name: row.of(self) for row in self._rows()}
+        return told | {n: plain(v) for n, v in found.items() if v is not None or n not in MAY_BE_ABSENT}
+
+    def _rows(self) -> Iterator[Quantity]:
+        for section, rows in STRUCTURE.items():
+            if section != "bottlenecks" or self.bottlenecks is not None:
+                yield from rows
+
+    def __getattr__(self, name: str) -> Any:
+        if name in (numbers := {} if name.startswith("_") else self.numbers):
+            return numbers[name]
+        raise AttributeError(f"the structure of a sample has no {name!r}; it has {', '.join(numbers)}")
+
+    def _repr_html_(self) -> str:
+        """For notebooks."""
+        return html_table(f"structure of {self.packing!r}", self.numbers.items())
+
+
+class LatticeStructure(Structure):
+    """That of one sample of a lattice; R = 1."""
+
+    told = (*OF_EVERY_SAMPLE, *OF_TIES)
+
+    @property
+    def scene(self) -> Scene:
+        found: Scene = self.answer.scene
+        return found
+
+    @property
+    def system(self) -> Scene:
+        return self.scene
+
+    @property
+    def fastest(self) -> float:
+        return self.scene.lattice.radius * self.scene.jump
+
+    def slips_of(self, spin: np.ndarray) -> np.ndarray:
+        axes = self.scene.lattice.all_spin_axes
+        return self.scene.slips(self.scene.staggered_spin(spin[None], axes), axes)[0]
+
+    @property
+    def movable(self) -> int:
+        return self.scene.lattice.contacts
+
+    @property
+    def tied_contacts(self) -> int:
+        """How many of the undecided contacts are known to tie."""
+        return 0 if self.threshold is not None else int(self.answer.findings.get("tied_contacts", [0])[0])
+
+    @property
+    def states_proven(self) -> bool:
+        """True if `state` is proven to be that of every minimum."""
+        return self.threshold is None and bool(self.answer.states_proven[0])
+
+    @property
+    def minimum_is_unique(self) -> bool | None:
+        """None if it is not known."""
+        return self.answer.minimum_is_unique[0] if self.threshold is None else None
+
+    @cached_property
+    def packing(self) -> Packing:
+        return lattice_as_packing(self.scene)
+
+    @cached_property
+    def network(self) -> SliplessNetwork:
+        return SliplessNetwork(self.scene.lattice, self.slipless)
+
+    @cached_property
+    def interface(self) -> Interface:
+        return find_interface(self.scene)
+
+    @cached_property
+    def states(self) -> np.ndarray:
+        sign, imposed = self.signs[1], self.packing.imposed
+        top = (sign[:, None] * imposed).reshape(*self.scene.lattice.shape, -1)[..., -1:, :]
+        high = np.broadcast_to(top, (*self.scene.lattice.shape, imposed.shape[1])).reshape(imposed.shape)
+        return np.stack([np.zeros_like(high), high])
+
+    @cached_property
+    def rigid_domains(self) -> RigidDomains:
+        axes = self.scene.minimum_spin_axes
+        return rigid_domains(self.network, self.scene.staggered_spin(self.spin[None], axes)[:, 0], axes)
+
+    @cached_property
+    def height(self) -> np.ndarray:
+        *_, layer = np.indices(self.scene.lattice.shape)
+        return np.asarray(layer.ravel() / layer.max())
+
+    @cached_property
+    def torque_flow(self) -> TorqueFlow:
+        """That of the components that the driving needs."""
+        flow = super().torque_flow
+        return flow if len(flow.total) == 1 else replace(flow, total=flow.total[list(self.scene.minimum_spin_axes)])
+
+    @cached_property
+    def self_stress(self) -> int:
+        return int(self_stress(self.network, self.scene.minimum_spin_axes).sum())
+
+
+def structure_of(answer: Solution, number: int = 0, threshold: float | None = None) -> Any:
+    """One sample of an answer, ready to be looked at: a :class:`LatticeStructure`, of a packing a :class:`Structure`.
+
+    number : of the sample. threshold : as of these.
+    """
+    one = answer.sample(number)
+    kind: type[Structure] = LatticeStructure if isinstance(one.scene, Scene) else Structure
+    arrays = [values[0] for values in (one.spin, one.slip, one.state, one.friction, one.power_per_contact)]
+    return kind(one, *arrays, float(one.power[0]), float(one.lower_bound[0]), threshold)
 
 
 def find_interface(scene: Scene, replica: int = 0) -> Interface:
@@ -51,108 +391,51 @@ def find_interface(scene: Scene, replica: int = 0) -> Interface:
         spin, axes = minimum_cut_spin(scene.sample(replica)), scene.lattice.all_spin_axes
         power = float(scene.sample(replica).power(scene.staggered_spin(spin, axes), axes)[0])
     return Interface(
-        above=cut.above[0],
-        between=cut.between[0],
-        contacts=(low != high) & (weight[0] > 0) & (scene.jump > 0),  # without a jump nothing slips
-        power=power,
-        lower_bound=unit * float(cut.lower_bound[0]),
-        next_power=unit * float(cut.next_weight[0]),
+        power,
+        (low != high) & (weight[0] > 0) & (scene.jump > 0),  # without a jump nothing slips
+        cut.above[0],
+        cut.between[0],
+        unit * float(cut.lower_bound[0]),
+        unit * float(cut.next_weight[0]),
     )
 
 
-@dataclass(frozen=True)
-class Structure:
-    """A solved sample and what its contacts form.
+def lattice_as_packing(scene: Scene) -> Packing:
+    """One sample, measured from its bottom: driven are body 0, the bottom, at rest, and body 1, the top."""
+    lattice, axes = scene.lattice, list(scene.minimum_spin_axes)
+    spin = np.zeros((*lattice.shape, 3))
+    spin[..., -1, axes] = lattice.parity[..., -1, None] * np.moveaxis(scene.top_spin(tuple(axes)), 0, -1)
+    of = [values[0] for values in scene.named_coefficients.values()]
+    return Packing(
+        center=2 * lattice.radius * np.argwhere(np.ones(lattice.shape, dtype=bool)),
+        contact=lattice.ends.T, driven=lattice.driven.ravel(),
+        spin=spin.reshape(-1, 3) if lattice.dimension == 3 else spin[..., 2].ravel(),
+        radius=lattice.radius, normal=np.eye(lattice.dimension)[lattice.axis], friction=of[0],
+        viscosity=of[1] if len(of) > 1 else None, normal_force=scene.normal_force, law=scene.law,
+    )  # fmt: skip
 
-    scene : one sample (R = 1). spin : laboratory frame, (*N) or (*N, 3), 1/time.
-    slip, state : (E,). power, lower_bound : energy/time.
-    friction : laboratory frame, (E, 3), in 2D (E,).
-    critical, tied : how many of the undecided contacts are known to be that.
-    states_proven : True if `state` is proven to be that of every minimum. minimum_is_unique : None if it is not known.
+
+def self_stress(network: SliplessNetwork, spin_axes: tuple[int, ...]) -> np.ndarray:
+    """(C,) states of self-stress of a lattice: independent loops of slipless contacts around which a component can
+    circulate.
+
+    With the forces of slipping contacts and the total torque of each component given, balance is one equation for each
+    body of a connected piece, one of them a consequence of the others, and one unknown for each slipless contact. So
+    the sum is the number of free parameters of the forces while nothing is at its limit of friction.
     """
-
-    scene: Scene
-    spin: np.ndarray
-    slip: np.ndarray
-    state: np.ndarray
-    power: float
-    lower_bound: float
-    friction: np.ndarray
-    critical: int = 0
-    tied: int = 0
-    states_proven: bool = False
-    minimum_is_unique: bool | None = None
-
-    @cached_property
-    def force(self) -> np.ndarray:
-        """Staggered contact forces, (C, E), of the components that the driving needs."""
-        return staggered_forces(self.friction[None], self.scene.lattice, self.scene.minimum_spin_axes)[:, 0]
-
-    def contacts_in(self, which: ContactState) -> int:
-        """Number of contacts in a state."""
-        return int((self.state == which).sum())
-
-    @cached_property
-    def interface(self) -> Interface:
-        """The cheapest interface of two rigid domains."""
-        return find_interface(self.scene)
-
-    @cached_property
-    def network(self) -> SliplessNetwork:
-        return network_of(self.scene.lattice, self.state)
-
-    @cached_property
-    def rigid_domains(self) -> RigidDomains:
-        axes = self.scene.minimum_spin_axes
-        return rigid_domains(self.network, self.scene.staggered_spin(self.spin[None], axes)[:, 0], axes)
-
-    def by_threshold(self, threshold: float) -> "Structure":
-        """The sample with states as :func:`by_threshold` of contact states says."""
-        state = by_threshold(self.slip, self.state, threshold)
-        return replace(self, state=state, critical=0, tied=0, states_proven=False, minimum_is_unique=None)
-
-    @cached_property
-    def bottlenecks(self) -> Bottlenecks:
-        return Bottlenecks(self.network)
-
-    @cached_property
-    def torque_flow(self) -> TorqueFlow:
-        """How the driving torque goes through the sample."""
-        top = self.scene.top_spin(self.scene.minimum_spin_axes)
-        return torque_flow(self.scene.lattice, self.force, self.state, top)
-
-    @property
-    def mean_saturation(self) -> float | None:
-        """Mean share of their friction limit that slipless contacts bear: not-a-number where there are none, None
-        without a limit of friction."""
-        if not self.scene.law.is_rate_independent:
-            return None
-        shares = saturation(self.force, self.scene.strength * self.scene.coefficient[0], self.state)
-        return float(shares.mean()) if len(shares) else np.nan
-
-    @cached_property
-    def self_stress(self) -> int:
-        """States of self-stress: how far the forces of slipless contacts are left open."""
-        return int(self_stress(self.network, self.scene.minimum_spin_axes).sum())
+    states = []
+    for component in spin_axes:
+        carries = network.axis != component
+        joined = np.unique(network.body[network.ends[:, carries]])
+        domains = np.unique(network.pieces(carries)[joined])
+        states.append(int(carries.sum()) - (len(joined) - len(domains)))
+    return np.array(states)
 
 
-def structure_of(solution: Solution, number: int = 0, threshold: float | None = None) -> Structure:
-    """One sample of a solution, ready to be looked at.
-
-    threshold : slip speed up to which contacts count as slipless, whatever the solution says. Default: its own states.
-    """
-    sample = solution.sample(number)
-    found = Structure(
-        scene=sample.scene,
-        spin=sample.spin[0],
-        slip=sample.slip[0],
-        state=sample.state[0],
-        power=float(sample.power[0]),
-        lower_bound=float(sample.lower_bound[0]),
-        friction=sample.friction[0],
-        critical=int(critical(sample)[0]),
-        tied=int(sample.findings.get("tied_contacts", [0])[0]),
-        states_proven=bool(sample.states_proven[0]),
-        minimum_is_unique=sample.minimum_is_unique[0],
-    )
-    return found if threshold is None else found.by_threshold(threshold)
+def _alike(piece: np.ndarray, values: np.ndarray, near: float) -> np.ndarray:
+    """Label (N,) of the spheres of each piece whose values follow each other by no more than `near`."""
+    order = np.lexsort([values, piece])
+    new = (np.diff(piece[order], prepend=-1) != 0) | (np.diff(values[order], prepend=np.inf) > near)
+    label = np.empty(len(piece), dtype=np.int64)
+    label[order] = np.cumsum(new) - 1
+    return label

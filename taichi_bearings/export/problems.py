@@ -18,12 +18,12 @@ import h5py
 import numpy as np
 from scipy import sparse
 
+from taichi_bearings.analysis.structure import lattice_as_packing
 from taichi_bearings.errors import InputError
 from taichi_bearings.files.whole_file import write_hdf5, write_text
 from taichi_bearings.packing import Packing
 from taichi_bearings.packing.system import System
 from taichi_bearings.runs.run_file import opened_to_draw
-from taichi_bearings.scene import Scene
 from taichi_bearings.stages import stage
 from taichi_bearings.version import VERSION
 
@@ -42,22 +42,6 @@ def export_problem(run: Path, form: str, out: Path | None, force: bool = False, 
         if torque is not None:
             raise InputError(f"the run has a torque of {torque} on its top; only imposed spins can be exported")
         return write_problem(lattice_as_packing(found.solution.scene), form, path)
-
-
-def lattice_as_packing(scene: Scene) -> Packing:
-    """One sample, measured from its bottom: driven are body 0, the bottom, at rest, and body 1, the top."""
-    lattice, axes = scene.lattice, list(scene.minimum_spin_axes)
-    body, spin = np.full(lattice.shape, -1), np.zeros((*lattice.shape, 3))
-    body[..., 0], body[..., -1] = 0, 1
-    spin[..., -1, axes] = lattice.parity[..., -1, None] * np.moveaxis(scene.top_spin(tuple(axes)), 0, -1)
-    of = [values[0] for values in scene.named_coefficients.values()]
-    return Packing(
-        center=2 * lattice.radius * np.argwhere(np.ones(lattice.shape, dtype=bool)),
-        contact=lattice.ends.T, driven=body.ravel(),
-        spin=spin.reshape(-1, 3) if lattice.dimension == 3 else spin[..., 2].ravel(),
-        radius=lattice.radius, normal=np.eye(lattice.dimension)[lattice.axis], friction=of[0],
-        viscosity=of[1] if len(of) > 1 else None, normal_force=scene.normal_force, law=scene.law,
-    )  # fmt: skip
 
 
 def write_problem(packing: Packing, form: str, path: Path) -> dict[str, Any]:

@@ -15,7 +15,8 @@ import h5py
 import numpy as np
 
 from taichi_bearings.files.whole_file import put, put_attributes, refuse_ending, write_hdf5
-from taichi_bearings.runs.points_and_lines import Moments, PointsAndLines, points_and_lines
+from taichi_bearings.packing import Packing
+from taichi_bearings.runs.points_and_lines import Moments, points_and_lines
 from taichi_bearings.runs.run_file import opened_to_draw
 from taichi_bearings.runs.structure_report import Finding
 from taichi_bearings.stages import stage
@@ -41,11 +42,11 @@ class Geometry:
     spheres: int
 
     @classmethod
-    def of(cls, drawn: PointsAndLines) -> "Geometry":
+    def of(cls, packing: Packing) -> "Geometry":
         """Lines across periodic sides lead on to images of their second spheres."""
-        place, ends = drawn.center, drawn.ends.copy()
-        reach = drawn.radius[ends].sum(axis=1)
-        step = drawn.normal * reach[:, None]
+        place, ends = packing.center, packing.contact.copy()
+        reach = packing.radius[ends].sum(axis=1)
+        step = np.asarray(packing.normal) * reach[:, None]
         far = np.linalg.norm(place[ends[:, 1]] - place[ends[:, 0]] - step, axis=1)
         over = np.flatnonzero(far > reach / 2)
         sphere, beyond = np.append(np.arange(len(place)), ends[over, 1]), place[ends[over, 0]] + step[over]
@@ -72,7 +73,7 @@ def export(run: Path, out: Path | None = None, force: bool = False, replica: int
     refuse_ending(out, ".vtkhdf")
     with opened_to_draw(run, out, VTK_NAME, force, replica) as (found, path):
         drawn = points_and_lines(found)
-        geometry, moments = Geometry.of(drawn), drawn.moments
+        geometry, moments = Geometry.of(drawn.packing), drawn.moments
         of_file = {key: found.attributes[key] for key in OF_THE_FILE if key in found.attributes}
         known = found.summary | of_file | {"replica": replica}
         told = {key: known[key] for key in TOLD if key in known}

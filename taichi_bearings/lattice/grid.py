@@ -174,11 +174,16 @@ class Lattice:
         return self.parity.ravel()[self.ends[0]]
 
     @cached_property
+    def driven(self) -> np.ndarray:
+        """Number of the driven body of each sphere, shape N: 0 of the bottom, 1 of the top, -1 of free ones."""
+        body = np.full(self.shape, -1)
+        body[..., 0], body[..., -1] = 0, 1
+        return body
+
+    @cached_property
     def is_driven(self) -> np.ndarray:
         """True for the spheres whose spin is imposed, shape N."""
-        driven = np.zeros(self.shape, dtype=bool)
-        driven[..., 0] = driven[..., -1] = True
-        return driven
+        return self.driven >= 0
 
     @cached_property
     def between_driven(self) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 Whole arrays are differenced where they lie: `Lattice.along` says where the two ends of all contacts of an axis are in
 an array over the spheres, and a sum over the contacts of a sphere is written to the same places. Graphs and sparse
-matrices are made from the ends of an array of numbers (`number_free`, `number_bodies`).
+matrices are made from the ends of an array of numbers (`number_free`).
 """
 
 import numpy as np
@@ -66,11 +66,3 @@ def number_free(shape: tuple[int, ...]) -> np.ndarray:
     number = np.full(shape, -1)
     number[..., 1:-1] = np.arange(np.prod(free)).reshape(free)
     return number
-
-
-def number_bodies(shape: tuple[int, ...]) -> np.ndarray:
-    """Node of each sphere, int32 of this shape, in the graph of a lattice whose driven planes are one node each: 0 the
-    bottom plane, then the free spheres in C order, the last one the top plane."""
-    node = 1 + number_free(shape).astype(np.int32)
-    node[..., -1] = node.max() + 1
-    return node

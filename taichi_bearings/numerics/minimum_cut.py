@@ -17,13 +17,13 @@ and Queyranne, Math. Program. Study 13, 1980).
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import breadth_first_order, maximum_flow
 
-from taichi_bearings.lattice import Lattice, incidence
+from taichi_bearings.lattice import Lattice
 from taichi_bearings.numerics.planar import MinimumCuts, minimum_cuts
 
 TIED_WEIGHTS = 1e-12  # relative difference up to which two cuts count as equally light where a flow has found them
@@ -158,8 +158,9 @@ def _cut_planes(sideways: np.ndarray, upward: np.ndarray) -> tuple[np.ndarray, n
 
 
 @dataclass(frozen=True)
-class _Cut:
-    """That of one lattice: sides N, what lies between ties N, and a largest flow (edges,) in units of weight."""
+class GraphCut:
+    """That of one graph, or lattice: sides of its nodes, what lies between ties, and a largest flow (edges,) in units
+    of weight."""
 
     above: np.ndarray
     between: np.ndarray
@@ -173,12 +174,21 @@ class _Cut:
         return self.units * self.unit
 
 
-def _cut_lattice(weight: tuple[np.ndarray, ...]) -> _Cut:
+def _cut_lattice(weight: tuple[np.ndarray, ...]) -> GraphCut:
     """The cut of one lattice; weight : one array of contacts an axis."""
     node, ends = _network(Lattice.of(weight))
-    edges, lightest = _edges(weight), weight[-1].reshape(-1, weight[-1].shape[-1]).sum(axis=0).argmin()
+    lightest = weight[-1].reshape(-1, weight[-1].shape[-1]).sum(axis=0).argmin()
     above = np.zeros(node.max() + 1, dtype=bool)
     above[node[..., lightest + 1 :]] = True
+    cut = graph_cut(ends, _edges(weight), above)
+    return replace(cut, above=cut.above[node], between=cut.between[node])
+
+
+def graph_cut(ends: np.ndarray, edges: np.ndarray, above: np.ndarray) -> GraphCut:
+    """A lightest cut between the first and the last node of an undirected graph.
+
+    ends : (2, edges) nodes. edges : (edges,) weights. above : (nodes,) True on the far side of a cut that is known.
+    """
     cut, light = above[ends[0]] != above[ends[1]], False
     while not light:  # a cut that is much lighter than the one known before is found anew, in a finer unit
         at_most = float(edges[cut].sum())
@@ -193,8 +203,10 @@ def _cut_lattice(weight: tuple[np.ndarray, ...]) -> _Cut:
         light = bool(edges[cut].sum() >= at_most * ROUNDED_WEIGHT)
     units = int(capacity[cut].sum())
     tie = int(TIED_WEIGHTS * units) + int(cut.sum())
-    from_bottom, from_top = within_reach(ends, left_over, 0, tie), within_reach(ends, left_over[::-1], node.max(), tie)
-    return _Cut(above[node], ~(from_bottom | from_top)[node], flow, float(unit), units)
+    from_bottom, from_top = (
+        within_reach(ends, left, start, tie) for left, start in ((left_over, 0), (left_over[::-1], len(above) - 1))
+    )
+    return GraphCut(above, ~(from_bottom | from_top), flow, float(unit), units)
 
 
 def _parted(above: np.ndarray, axis: int, lattice: Lattice) -> np.ndarray:
@@ -208,12 +220,25 @@ def _network(lattice: Lattice) -> tuple[np.ndarray, np.ndarray]:
 
     returns : node of each sphere, N; both nodes (2, edges) of each contact, in the order of :func:`_edges`.
     """
-    node = incidence.number_bodies(lattice.shape)
+    node = number_bodies(lattice.driven)
     pairs = []
     for axis in range(lattice.dimension):
         inner = node if axis == lattice.height_axis else node[..., 1:-1]
         pairs.append(np.stack([inner[end].ravel() for end in lattice.along(axis)]))
     return node, np.concatenate(pairs, axis=1)
+
+
+def number_bodies(driven: np.ndarray) -> np.ndarray:
+    """Nodes of spheres, a driven body being one: 0 the first, then the free spheres in C order, then the others.
+
+    driven : number of the body that each sphere belongs to, -1 of free ones, of any shape, which the nodes have too.
+    """
+    free = driven < 0
+    rank, number = np.unique(driven[~free], return_inverse=True)
+    node = np.empty(driven.shape, dtype=np.int64)
+    node[free] = (len(rank) > 0) + np.arange(free.sum())
+    node[~free] = np.where(number == 0, 0, free.sum() + number)
+    return node
 
 
 def _edges(values: tuple[np.ndarray, ...]) -> np.ndarray:

@@ -1,30 +1,20 @@
-"""The lightest interface of two rigid domains of a packing: a minimum cut, and the spins of its two sides.
+"""The lightest interface of two rigid domains, and how it is found in a packing, with the spins of its two sides.
 
 Where the network has no odd loops and two driven bodies, each in a bearing state s u = A + c x of its own, a contact on
 the interface slips with their jump across its normal.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from taichi_bearings.numerics.minimum_cut import TIED_WEIGHTS, largest_flow, within_reach
+from taichi_bearings.numerics.minimum_cut import graph_cut, number_bodies
 from taichi_bearings.packing.packing import Packing
 from taichi_bearings.packing.system import acting, odd_parts
 
 SAME_STATE = 1e-9  # of the largest R omega, by which spins may miss a bearing state
 ACROSS = 1e-12  # of the jump, what rounding leaves of it across a normal along it
-CUT_BITS = 50  # of the weight of all contacts, in whole units
-
-
-def nodes_of(driven: np.ndarray) -> np.ndarray:
-    """(N,) nodes, a driven body being one: 0 the first, then the free spheres, then the others. driven : (N,)."""
-    free = driven < 0
-    rank, number = np.unique(driven[~free], return_inverse=True)
-    node = np.empty(len(driven), dtype=np.int64)
-    node[free] = (len(rank) > 0) + np.arange(free.sum())
-    node[~free] = np.where(number == 0, 0, free.sum() + number)
-    return node
 
 
 def bearing_states(packing: Packing) -> tuple[np.ndarray, np.ndarray] | None:
@@ -52,16 +42,36 @@ def _state(center: np.ndarray, turned: np.ndarray, own: np.ndarray) -> np.ndarra
 
 @dataclass(frozen=True)
 class Interface:
-    """A minimum cut. power : energy/time. contacts : (E,). above : (N,), True on the side of the second body.
+    """The lightest interface of two rigid domains of one sample: a minimum cut.
 
-    unique : every other one is heavier by more than 1e-12. spins : u (N, C) of the two rigid domains.
+    If every sphere turned with the bottom or with the top, of a packing with the first or with the second body, all
+    slip would be at the interface of the two domains, and the lightest one would dissipate least. In 2D with Coulomb
+    friction that is the minimum itself; in 3D, and for the viscous law, states between the two dissipate less
+    (equations.md, 5).
+
+    power : energy/time, if the two domains are rigid. contacts : (E,) True for those that slip.
+    above : N, True for the spheres that turn with the top or the second body.
+    between : N, True for the spheres that another cut, as light (but in the plane: to 1e-12), may put on the other
+        side; if there are none every other interface is proven to dissipate more.
+    lower_bound : of a lattice: no two rigid domains dissipate less, or have less of what the stationary state minimises
+        if that is not the power; proven.
+    next_power : the same of the cheapest other interface that leaves either domain in one piece; NaN in 3D and of
+        packings, where it is not known (see :func:`taichi_bearings.numerics.minimum_cut.next_cut`).
+    spins : of a packing, u (N, C) of the two rigid domains.
     """
 
     power: float
     contacts: np.ndarray
     above: np.ndarray
-    unique: bool
-    spins: np.ndarray
+    between: np.ndarray
+    lower_bound: float = np.nan
+    next_power: float = np.nan
+    spins: Any = None
+
+    @property
+    def unique(self) -> bool:
+        """Every other one is proven to be heavier."""
+        return self.power > 0 and not self.between.any()
 
     @classmethod
     def of(cls, packing: Packing) -> "Interface | None":
@@ -74,30 +84,20 @@ class Interface:
         across = np.linalg.norm(np.cross(jump, np.asarray(packing.normal)) if packing.dimension == 3 else jump, axis=1)
         across[across <= ACROSS * np.linalg.norm(jump, axis=1)] = 0.0
         weight = packing.kind.objective(packing.coefficients, across)
-        node, taken = nodes_of(packing.driven), np.zeros(packing.contacts, dtype=bool)
+        node, taken = number_bodies(packing.driven), np.zeros(packing.contacts, dtype=bool)
         ends = node[packing.contact].T
         taken[acting(packing)] = True
         taken &= (ends[0] != ends[1]) & (weight > 0)
         ends, weight = ends[:, taken], weight[taken]
-        total = float(weight.sum())
-        if not total > 0:
+        if not weight.sum() > 0:
             return None
-        unit = total * 2.0**-CUT_BITS
-        capacity = np.floor(weight / unit).astype(np.int64)
         size = int(node.max()) + 1
-        edges = np.append(ends, [[0], [size - 1]], axis=1)  # one without capacity, so that both ends are there
-        capacity = np.append(capacity, 0)
-        flow = largest_flow(edges, capacity, int(capacity.sum()) + 1)
-        left = np.stack([capacity - flow, capacity + flow])
-        tie = int(TIED_WEIGHTS * capacity.sum()) + len(weight)  # each weight is rounded by less than a unit
-        above = ~within_reach(edges, left, 0)
-        reached, nearest = within_reach(edges, left, 0, tie), within_reach(edges, left[::-1], size - 1, tie)
-        cut = np.flatnonzero(taken)[above[ends[0]] != above[ends[1]]]
+        edges = np.append(ends, [[0], [size - 1]], axis=1)  # one of no weight, so that both ends are there
+        found = graph_cut(edges, np.append(weight, 0.0), np.arange(size) > 0)
+        above, between = found.above[node], found.between[node] & np.isin(node, ends)
+        cut = np.flatnonzero(taken)[found.above[ends[0]] != found.above[ends[1]]]
         contacts = np.zeros(packing.contacts, dtype=bool)
         contacts[cut] = True
-        loose = np.ones(size, dtype=bool)
-        loose[ends.ravel()] = False
-        unique = bool((reached | nearest | loose).all())
         power = packing.kind.power(tuple(of[cut] for of in packing.coefficients), across[cut])
-        spins = sign[:, None] * np.where(above[node][:, None], high, low)
-        return cls(float(power.sum()), contacts, above[node], unique, spins)
+        spins = sign[:, None] * np.where(above[:, None], high, low)
+        return cls(float(power.sum()), contacts, above, between, spins=spins)

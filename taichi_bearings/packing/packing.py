@@ -109,6 +109,11 @@ class Packing:
         return len(self.contact)
 
     @property
+    def ends(self) -> np.ndarray:
+        """(2, E) first and second sphere of each contact, as of a lattice."""
+        return self.contact.T
+
+    @property
     def dimension(self) -> int:
         return self.center.shape[1]
 

@@ -31,13 +31,15 @@ PALE = np.array([0.93, 0.93, 0.93, 1.0])  # of discs that only carry contacts
 class Sheet:
     """N discs and E contacts as they lie on paper.
 
-    place : (N, 2), radius : (N,), rim : (N,) points, of the discs. depth : (N,), towards the reader.
+    sphere : (N,) their numbers in the bearing. place : (N, 2), radius : (N,), rim : (N,) points, of the discs. depth :
+    (N,), towards the reader.
     ends : (2, E) discs of each contact. way : (2, E, 2), from each of the two to the middle of the contact; over a
     periodic side both lead outwards. wall : (E,), half of a line across. contact : (E,), their numbers in the bearing.
     corners : (2, 2), lowest and highest of what is shown. pitch : between two discs. grid : discs along each axis of a
     plane of a lattice, none elsewhere; rows : of these the driven ones.
     """
 
+    sphere: np.ndarray
     place: np.ndarray
     radius: np.ndarray
     rim: np.ndarray
@@ -63,7 +65,7 @@ class Sheet:
         half = _seen(np.eye(lattice.dimension)[lattice.axis[contact]][:, kept] / 2, view)[0]
         grid = tuple(lattice.shape[axis] for axis in kept)
         return cls(
-            place, np.full(len(place), 0.47), np.zeros(len(place)), depth,
+            np.flatnonzero(inside), place, np.full(len(place), 0.47), np.zeros(len(place)), depth,
             ends=(np.cumsum(inside) - 1)[lattice.ends[:, contact]], way=np.stack([half, -half]),
             wall=np.full(len(contact), 0.5), contact=contact, corners=np.array([[-0.7] * 2, np.array(grid[:2]) - 0.3]),
             grid=grid if len(grid) == 2 else (),
@@ -78,7 +80,7 @@ class Sheet:
         way = radius[ends][..., None] * np.stack([normal, -normal])
         corners = np.stack([(place - radius[:, None]).min(axis=0), (place + radius[:, None]).max(axis=0)])
         return cls(
-            place, radius, np.where(packing.driven >= 0, 0.6, 0.1), depth, ends=ends, way=way,
+            np.arange(len(place)), place, radius, np.where(packing.driven >= 0, 0.6, 0.1), depth, ends=ends, way=way,
             wall=0.7 * radius[ends].min(axis=0), contact=np.arange(packing.contacts), corners=corners,
             pitch=2 * float(np.median(radius)),
         )  # fmt: skip

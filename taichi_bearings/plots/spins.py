@@ -7,6 +7,7 @@ from matplotlib import colormaps
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 
+from taichi_bearings.analysis.structure import Structure
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.packing import Packing
 from taichi_bearings.plots import bearing
@@ -24,7 +25,6 @@ from taichi_bearings.plots.style import (
     put_title,
 )
 from taichi_bearings.proof.contact_state import ContactState
-from taichi_bearings.scene import Scene, Solution
 
 # share of more contacts than a few: lines at nearly all would hide the spins and say nothing
 MOST_SLIPS, FEW_SLIPS = 0.9, 1_000
@@ -33,24 +33,24 @@ FAINT_SHARE = 0.02  # share of the contacts that are below the range of the colo
 
 
 @in_our_style
-def draw_spins(
-    system: Scene | Packing, spin: np.ndarray, state: np.ndarray, page: Page = PAGE, title: str = "", note: str = ""
-) -> Figure:
+def draw_spins(structure: Structure, page: Page = PAGE, title: str = "", note: str = "") -> Figure:
     """|spin| over the larger imposed spin, of a packing R |spin| over the largest such, as colour; slipping contacts in
     black, of cubic lattices in cuts. If many slip, and nearly all, or it is no plane, they are counted alone.
 
-    spin : laboratory frame, (*N) or (*N, 3). state : (E,), of the contacts. note : what black lines mean.
+    note : what black lines mean.
     """
-    slips, movable = state == ContactState.SLIPPING, int((state != ContactState.DRIVEN).sum())
+    slips, movable = structure.state == ContactState.SLIPPING, int((structure.state != ContactState.DRIVEN).sum())
     counted = f"{int(slips.sum()):,} of {movable:,} contacts slip"
     drawn = slips & (slips.sum() <= max(MOST_SLIPS * movable, FEW_SLIPS))
+    system, place, spin = structure.system, structure.network.lattice, structure.spin
     if isinstance(system, Packing):
-        place: Any = system
         surface = spin.reshape(system.spheres, -1) * np.asarray(system.radius)[:, None]
-        fastest = float(np.linalg.norm(system.imposed, axis=1).max(initial=0.0)) or 1.0
-        speed, label = np.linalg.norm(surface, axis=1) / fastest, r"$R\,|\omega|$ over the largest imposed"
+        speed, label = (
+            np.linalg.norm(surface, axis=1) / (structure.fastest or 1.0),
+            r"$R\,|\omega|$ over the largest imposed",
+        )
     else:
-        place, speed = system.lattice, bearing.speed_of(spin, *system.imposed)
+        speed = bearing.speed_of(spin, *system.imposed)
         label = rf"$|\omega|\,/\,{larger_spin(*system.imposed)}$"
     colour = colormaps[SPIN_COLOURS](speed)
     if speed.ndim == 3:
@@ -89,16 +89,15 @@ def _draw_block(lattice: Lattice, colour: np.ndarray, slips: np.ndarray, page: P
 
 
 @in_our_style
-def draw_power(answer: Solution, page: Page = PAGE) -> Figure:
-    """The slipping contacts of one sample by their power; of a cubic lattice those of two cuts, and the power of each
-    layer of the height.
+def draw_power(structure: Structure, page: Page = PAGE) -> Figure:
+    """The slipping contacts by their power; of a cubic lattice those of two cuts, and the power of each layer of the
+    height.
 
     Where more contacts slip than lines can show, each disc has the colour of the power of its contacts, half of each.
     """
-    system, state, power = answer.system, answer.state[0], answer.power_per_contact[0]
-    place = system if isinstance(system, Packing) else system.lattice
+    system, place = structure.system, structure.network.lattice
     unit, symbol = power_unit(system)
-    power = np.where(state == ContactState.SLIPPING, power / unit, 0.0)
+    power = np.where(structure.state == ContactState.SLIPPING, structure.power_per_contact / unit, 0.0)
     if isinstance(place, Lattice) and place.dimension == 3:
         figure = _draw_cuts(place, power, page, symbol)
     else:

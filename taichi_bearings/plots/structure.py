@@ -17,13 +17,13 @@ from matplotlib.lines import Line2D
 
 from taichi_bearings.analysis.domains import LOCKS, RigidDomains
 from taichi_bearings.analysis.network import SliplessNetwork
-from taichi_bearings.analysis.packing_structure import PackingStructure
+from taichi_bearings.analysis.structure import LatticeStructure, Structure
 from taichi_bearings.lattice import Lattice
+from taichi_bearings.packing import Packing
 from taichi_bearings.plots import bearing
 from taichi_bearings.plots.bearing import SPIN_COLOURS, Sheet
 from taichi_bearings.plots.page import AXES, BELOW, PAGE, VIEW, Page, View, columns_on, middle_planes
 from taichi_bearings.plots.style import GREEN, GREY, describe, in_our_style, label_in_plain_text, panels, put_title
-from taichi_bearings.proof.contact_state import ContactState
 
 FIRST_AHEAD, SECOND_AHEAD = to_rgb("#e8b400"), to_rgb("#0d8a6f")  # one component has followed the top, the other not
 LOCK_COLOURS = {"bottom": colormaps[SPIN_COLOURS](0.0), "top": colormaps[SPIN_COLOURS](1.0)}
@@ -36,47 +36,42 @@ REACHED_COLOURS = {"bottom": colormaps[SPIN_COLOURS](0.05), "top": colormaps[SPI
 
 
 @in_our_style
-def draw_domains(domains: RigidDomains, page: Page = PAGE) -> Figure:
+def draw_domains(structure: Structure, page: Page = PAGE) -> Figure:
     """2D: discs by domain. 3D: the block from outside and cuts. Below: how they turn.
 
     Black lines are boundaries of rigid domains. Black dots mark spheres that are locked in some components only.
     """
-    assert domains.lattice is not None
-    lattice, shape = domains.lattice, domains.domain.shape
-    colour = colour_of_turn(domains.turn)[domains.domain]
+    of, domains = structure.network.lattice, structure.rigid_domains
+    if isinstance(of, Packing):
+        return _draw_domains_of_packing(of, domains, page)
+    shape, colour = of.shape, colour_of_turn(domains.turn)[domains.domain]
     planes = () if len(shape) == 2 else page.planes or middle_planes(shape)
     tall = float(np.clip(shape[-1] / max(shape[:-1]), 0.8, 1.5))
     figure, (block, *cuts, values), width = panels(page, 2 + len(planes), (0.85 * tall, 0.6), least=OF_A_KEY)
     if planes:
         bearing.paint_block(block, colour, page.view or VIEW)
     else:
-        _paint(block, Sheet.of_lattice(lattice), colour, domains.domain, domains, 0.85 * width)
+        _paint(block, of, Sheet.of_lattice(of), colour, domains, 0.85 * width)
     block.set_title("(a) rigid domains" + ("" if planes else ", their boundaries in black"))
-    for letter, axes, (axis, index) in zip(DOMAIN_LETTERS, cuts, planes, strict=False):
-        plane, labels = (np.take(every, index, axis) for every in (colour, domains.domain))
-        _paint(axes, Sheet.of_lattice(lattice, (axis, index)), plane, labels, domains, 0.85 * width)
-        bearing.name_cut(axes, axis, index, f"({letter}) ")
+    for letter, axes, plane in zip(DOMAIN_LETTERS, cuts, planes, strict=False):
+        _paint(axes, of, Sheet.of_lattice(of, plane), colour, domains, 0.85 * width)
+        bearing.name_cut(axes, *plane, f"({letter}) ")
     _draw_values(values, domains)
     values.set_title(f"({DOMAIN_LETTERS[len(planes)]}) turn: the key to the colours")
     return figure
 
 
-@in_our_style
-def draw_domains_of_packing(structure: PackingStructure, page: Page = PAGE) -> Figure:
-    """Rigid domains: with two bodies in bearing states as they turn between them, blue as the first and red as the
-    second, else each of the largest in a colour of its own; of discs walls between domains in black."""
-    packing, domains = structure.packing, structure.rigid_domains
-    figure, axes, sheet, site, look = bearing.one_panel(packing, page)
+def _draw_domains_of_packing(packing: Packing, domains: RigidDomains, page: Page) -> Figure:
+    """With two bodies in bearing states as they turn between them, blue as the first and red as the second, else each
+    of the largest in a colour of its own."""
+    figure, axes, sheet, _, look = bearing.one_panel(packing, page)
     moving = np.flatnonzero(domains.jump.any(axis=0))
     if len(moving):
         colour = colour_of_turn(domains.turn[:, moving])
     else:
         own = colormaps["tab20"](np.minimum(np.arange(domains.number), 19))
         colour = np.where((domains.spheres > 1)[:, None], own, bearing.PALE)
-    sheet.paint(axes, colour[domains.domain])
-    first, second = domains.domain[sheet.ends]
-    if sheet.is_flat:
-        sheet.draw(axes, first != second, across=True, colors="black", lw=bearing.line_on_site(site, 0.1, 0.25, 1.0))
+    _paint(axes, packing, sheet, colour[domains.domain], domains, page.inches("single"))
     if len(moving):
         label = "turn, from the first body to the second"
         label += "\nyellow, green: one component is ahead" if len(moving) > 1 else ""
@@ -99,15 +94,17 @@ def colour_of_turn(turn: np.ndarray) -> np.ndarray:
 
 
 def _paint(
-    axes: Any, sheet: Sheet, colour: np.ndarray, domain: np.ndarray, domains: RigidDomains, width: float
+    axes: Any, of: Lattice | Packing, sheet: Sheet, colour: np.ndarray, domains: RigidDomains, width: float
 ) -> None:
-    """The discs of a plane by domain, on so many inches. colour : (*plane, 4). domain : label, (*plane)."""
-    site, (first, second) = sheet.site(width), domains.domain.ravel()[domains.lattice.ends]  # type: ignore[union-attr]
-    sheet.paint(axes, colour.reshape(-1, 4))
+    """The spheres of a sheet by domain, on so many inches; of discs walls between domains. colour : (N, 4)."""
+    site, (first, second) = sheet.site(width), domains.domain.ravel()[of.ends]
+    sheet.paint(axes, colour.reshape(-1, 4)[sheet.sphere])
     sheet.box_driven(axes)
+    if not sheet.is_flat:
+        return
     sheet.draw(axes, first != second, across=True, colors="black", lw=bearing.line_on_site(site, 0.1, 0.25, 1.0))
-    partly = np.argwhere(domains.kind[domain] == LOCKS.index("partly"))
-    axes.plot(*partly.T, ".", color="black", ms=max(0.35 * site, 0.8), mew=0)
+    partly = domains.kind[domains.domain.ravel()[sheet.sphere]] == domains.locks.index("partly")
+    axes.plot(*sheet.place[partly].T, ".", color="black", ms=max(0.35 * site, 0.8), mew=0)
 
 
 def _draw_values(axes: Any, domains: RigidDomains) -> None:
@@ -148,17 +145,19 @@ def _draw_values(axes: Any, domains: RigidDomains) -> None:
 
 
 @in_our_style
-def draw_network(
-    network: SliplessNetwork, spin: np.ndarray, spin_top: float, spin_bottom: float, page: Page = PAGE
-) -> Figure:
+def draw_network(structure: Structure, page: Page = PAGE) -> Figure:
     """3D: the spheres from outside; slipless contacts in grey and one shortest path in green; the spheres of the path
-    with their spins. 2D: the last two.
+    with their spins. 2D: the last two. Packings: their slipless contacts.
 
     Of more contacts than can be told apart those on the sides behind the path are drawn: nothing hides it then.
-    spin : laboratory frame, N or (*N, 3), 1/time. Where no path joins bottom and top the figure says so, and contacts
-    joined to the bottom are blue, those joined to the top red.
+    Where no path joins bottom and top the figure says so, and contacts joined to the bottom are blue, those joined to
+    the top red.
     """
-    path, speed = network.shortest_path, bearing.speed_of(spin, spin_top, spin_bottom)
+    network, spin = structure.network, structure.spin
+    if not isinstance(structure, LatticeStructure):
+        return _draw_network_of_packing(network, structure.movable, page)
+    (spin_top, spin_bottom), path = structure.scene.imposed, network.shortest_path
+    speed = bearing.speed_of(spin, spin_top, spin_bottom)
     flat, some = spin.ndim == 2, len(network.ends.T) > 0
     drawn = ["spheres"] * (not flat) + ["contacts"] * (flat or some) + ["path"] * (len(path) > 0)
     view = page.view or VIEW
@@ -184,15 +183,13 @@ def draw_network(
     return figure
 
 
-@in_our_style
-def draw_network_of_packing(structure: PackingStructure, page: Page = PAGE) -> Figure:
-    """The slipless contacts of a packing, over its spheres."""
-    figure, axes, sheet, site, _ = bearing.one_panel(structure.packing, page)
-    slipless, acts = structure.slipless, int((structure.state != ContactState.DRIVEN).sum())
+def _draw_network_of_packing(network: SliplessNetwork, movable: int, page: Page) -> Figure:
+    """The slipless contacts of a packing, of so many that can slip, over its spheres."""
+    figure, axes, sheet, site, _ = bearing.one_panel(network.lattice, page)
     sheet.paint(axes, bearing.PALE if sheet.is_flat else bearing.PALE * [1, 1, 1, 0.25])
-    sheet.draw(axes, slipless, colors=GREY, lw=bearing.line_on_site(site, 0.12, 0.3))
-    words = f"{int(slipless.sum()):,} of {acts:,} contacts do not slip"
-    put_title(figure, f"{describe(structure.packing)}\n{words}", page)
+    sheet.draw(axes, network.slipless, colors=GREY, lw=bearing.line_on_site(site, 0.12, 0.3))
+    words = f"{network.ends.shape[1]:,} of {movable:,} contacts do not slip"
+    put_title(figure, f"{describe(network.lattice)}\n{words}", page)
     return figure
 
 

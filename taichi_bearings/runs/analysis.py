@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Any
 import h5py
 import numpy as np
 
+from taichi_bearings.analysis.structure import structure_of
 from taichi_bearings.errors import InputError
 from taichi_bearings.files.whole_file import put, put_attributes, refuse_standing, replace_group, write_hdf5
 from taichi_bearings.runs.run_directory import writable_folder
 from taichi_bearings.runs.run_file import file_of, read_run
 from taichi_bearings.runs.solved import Run, together
-from taichi_bearings.runs.structure_report import Finding, findings_of, numbers_of, structure_of_any
+from taichi_bearings.runs.structure_report import Finding, findings_of
 from taichi_bearings.stages import alike, each, stage
 from taichi_bearings.words import html_table, meant
 
@@ -56,10 +57,10 @@ class Analysis:
         self.arrays: list[dict[str, Finding]] = []
         numbers = []
         for number in each(range(len(solution.state)), "analysing" if is_one else "analysing sample", alike):
-            structure = structure_of_any(solution, number, threshold)
+            structure = structure_of(solution, number, threshold)
             if number == sample:
                 self.structure = structure
-            numbers.append(numbers_of(structure))
+            numbers.append(structure.numbers)
             self.arrays.append(findings_of(structure))
         proven = "proven" if np.all(run.numbers["states_proven"]) else "decided"
         self.report: dict[str, Any] = {

@@ -1,56 +1,31 @@
 """The figures of one run by their names, whether it lies in a file or not."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from taichi_bearings.analysis.packing_structure import PackingStructure
-from taichi_bearings.analysis.structure import Structure
+from taichi_bearings.analysis.structure import Structure, structure_of
 from taichi_bearings.errors import InputError
-from taichi_bearings.packing import Packing
 from taichi_bearings.plots.curves import draw_energy, draw_history
 from taichi_bearings.plots.page import PAGE, Page, check_planes
 from taichi_bearings.plots.spins import draw_power, draw_spins
-from taichi_bearings.plots.structure import draw_domains, draw_domains_of_packing, draw_network, draw_network_of_packing
+from taichi_bearings.plots.structure import draw_domains, draw_network
 from taichi_bearings.plots.style import describe, driving, mathematics
-from taichi_bearings.proof.contact_state import ContactState, by_threshold
-from taichi_bearings.runs.structure_report import structure_of_any
 from taichi_bearings.scene import Scene, Solution
 from taichi_bearings.words import meant
 
-
-def _draw_domains(structure: Structure | PackingStructure, page: Page) -> Figure:
-    if isinstance(structure, PackingStructure):
-        return draw_domains_of_packing(structure, page)
-    return draw_domains(structure.rigid_domains, page)
-
-
-def _draw_network(structure: Structure | PackingStructure, page: Page) -> Figure:
-    if isinstance(structure, PackingStructure):
-        return draw_network_of_packing(structure, page)
-    return draw_network(structure.network, structure.spin, *structure.scene.imposed, page)
-
-
-FIGURES: dict[str, Callable[[Any, Page], Figure]] = {"domains": _draw_domains, "network": _draw_network}
-"""How each figure of the structure of a sample is drawn."""
-
-
-def _draw_spins(answer: Solution, sample: int, page: Page) -> Figure:
-    one = answer.sample(sample)
-    return draw_spins(one.system, one.spin[0], one.state[0], page)
-
-
+FIGURES: dict[str, Callable[[Any, Page], Figure]] = {"domains": draw_domains, "network": draw_network}
+"""How each figure of `bearings analyse` is drawn, of the structure of a sample."""
+OF_STRUCTURES = {"spins": draw_spins, "power": draw_power} | FIGURES
 OF_ANSWERS: dict[str, Callable[[Any, int, Page], Figure]] = {
-    "spins": _draw_spins,
-    "power": lambda answer, sample, page: draw_power(answer.sample(sample), page),
     "history": lambda answer, _, page: draw_history(answer, page),
     "energy": lambda answer, sample, page: draw_energy(answer.sample(sample), page),
 }
 """How each figure of an answer is drawn."""
-FIGURE_KINDS = (*OF_ANSWERS, *FIGURES)
+FIGURE_KINDS = ("spins", "power", *OF_ANSWERS, *FIGURES)
 STRETCHED_SLIP = 1e-3  # of R times the imposed jump: slower contacts may only stretch their springs
 WITH_PLANES = ("spins", "power", "domains")
 WITH_VIEW = ("spins", "domains", "network")
@@ -81,8 +56,8 @@ def draw_figure(
         raise InputError("plane is given, but a packing has no lattice planes to cut along; --view turns it")
     if time is not None:
         return draw_snapshot(solution, sample, time, slip_threshold, page)
-    if kind in FIGURES:
-        return FIGURES[kind](structure_of_any(solution, sample), page)
+    if kind in OF_STRUCTURES:
+        return OF_STRUCTURES[kind](structure_of(solution, sample), page)
     return OF_ANSWERS[kind](solution, sample, page)
 
 
@@ -106,24 +81,25 @@ def draw_snapshot(
 ) -> Figure:
     """The snapshot nearest to a simulated time, which the title names, and the contacts that slip in it.
 
-    A contact slips as :func:`moment_of` says. InputError if the run has no snapshots or does not reach that time.
+    A contact slips as :func:`moment_of` says. InputError if the run has no snapshots or does
+    not reach that time.
     """
-    one = answer.sample(replica)
-    at, spin = _nearest(one, time)
-    moment, note = moment_of(one, spin, slip_threshold), ""
-    title = f"{describe(moment.system)}, $t = {mathematics(at)}$"
+    structure = structure_of(answer, replica)
+    at, nearest = _nearest(structure.answer, time)
+    moment = moment_of(structure, structure.snapshots[nearest], slip_threshold)
+    threshold = moment.threshold or 0.0
+    title, note = f"{describe(moment.system)}, $t = {mathematics(at)}$", ""
     if isinstance(scene := moment.system, Scene):
         unit, symbol = driving(scene)
         title += "" if unit == 1 else rf", ${symbol}\,t = {mathematics(unit * at)}$"
-        fastest = scene.lattice.radius * scene.jump
-        share = rf" = {mathematics(moment.threshold / fastest, 1)}\,R\,|\Delta\omega|" if fastest else ""
-        note = f"black: contacts that slip faster than ${mathematics(moment.threshold, 2)}{share}$"
-    return draw_spins(moment.system, spin, moment.state, page, title, note)
+        fastest = moment.fastest
+        share = rf" = {mathematics(threshold / fastest, 1)}\,R\,|\Delta\omega|" if fastest else ""
+        note = f"black: contacts that slip faster than ${mathematics(threshold, 2)}{share}$"
+    return draw_spins(moment, page, title, note)
 
 
-def _nearest(answer: Solution, time: float) -> tuple[float, np.ndarray]:
-    """Time and spins of the snapshot of one sample nearest to a time; InputError if there are none or the run does not
-    reach it."""
+def _nearest(answer: Solution, time: float) -> tuple[float, int]:
+    """Time and number of the snapshot nearest to a time; InputError if there are none or the run does not reach it."""
     if answer.snapshots is None:
         raise InputError("the run holds no snapshots; run a dynamics with --snapshots")
     kept = answer.snapshots.time
@@ -133,35 +109,17 @@ def _nearest(answer: Solution, time: float) -> tuple[float, np.ndarray]:
             f"time is {time:g}; the run goes from 0 to {end:g}, with snapshots from {kept.min():g} to {kept.max():g}"
         )
     nearest = int(np.abs(kept - time).argmin())
-    return float(kept[nearest]), answer.snapshots.spin[nearest, 0]
+    return float(kept[nearest]), nearest
 
 
-@dataclass(frozen=True)
-class Moment:
-    """What slips with the spins of a snapshot. slip, threshold : length/time. slip, state : (E,).
-
-    state : by slip alone: friction, which would tell more, is not kept with a snapshot.
-    """
-
-    system: Scene | Packing
-    slip: np.ndarray
-    state: np.ndarray
-    threshold: float
-
-
-def moment_of(answer: Solution, spin: np.ndarray, slip_threshold: float | None = None) -> Moment:
-    """A sample with the spins of a snapshot: a contact slips that is faster than the threshold of the run.
+def moment_of(structure: Structure, spin: np.ndarray, slip_threshold: float | None = None) -> Structure:
+    """A sample with the spins of a snapshot: a contact slips that is faster than the threshold of the run, by slip
+    alone: friction, which would tell more, is not kept with a snapshot.
 
     Springs give way, so with them that is at least a thousandth of R times the jump, of packings of the largest imposed
     R omega, unless the run was asked for `slip_threshold`. spin : laboratory frame, (*N) or (*N, 3), 1/time.
     """
-    system, threshold = answer.system, answer.slip_threshold
-    if isinstance(system, Packing):
-        slip, idle = system.slips(spin), answer.state[0] == ContactState.DRIVEN
-        threshold = threshold or STRETCHED_SLIP * float(np.linalg.norm(system.imposed, axis=1).max(initial=0.0))
-    else:
-        axes = system.lattice.all_spin_axes
-        slip, idle = system.slips(system.staggered_spin(spin[None], axes), axes)[0], system.idle[0]
-        if answer.method.endswith("cundall-strack") and slip_threshold is None:
-            threshold = max(threshold, STRETCHED_SLIP * system.lattice.radius * system.jump)
-    return Moment(system, slip, by_threshold(slip, np.where(idle, ContactState.DRIVEN, 0), threshold), threshold)
+    threshold = float(structure.answer.slip_threshold)
+    if structure.answer.method.endswith("cundall-strack") and slip_threshold is None:
+        threshold = max(threshold, STRETCHED_SLIP * structure.fastest)
+    return replace(structure, spin=spin, slip=structure.slips_of(spin), threshold=threshold)

@@ -1,16 +1,13 @@
-"""The structure of one sample as a report: numbers for people and programs, arrays for /analysis and other programs."""
+"""The structure of one sample as arrays, for /analysis and other programs."""
 
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from taichi_bearings.analysis.packing_structure import PackingStructure
-from taichi_bearings.analysis.structure import Structure, structure_of
-from taichi_bearings.proof.contact_state import ContactState
-from taichi_bearings.quantities import ANALYSED, Quantity, plain
+from taichi_bearings.analysis.structure import LatticeStructure, Structure
+from taichi_bearings.quantities import Quantity, found_in
 from taichi_bearings.runs.run_file import AXES
-from taichi_bearings.scene import Scene, Solution
 
 
 @dataclass(frozen=True)
@@ -23,30 +20,31 @@ class Finding:
 
 
 # fmt: off
-BOTTLENECK_ROWS = (
-    Quantity("betweenness", "1", "share of the shortest slipless paths, of all pairs of a bottom and a top sphere",
-             lambda s: s.network.on_contacts(s.bottlenecks.share)),
-    Quantity("backbone", "1", "on some path from bottom to top",
-             lambda s: s.network.on_contacts(s.bottlenecks.backbone)),
+ON_SPHERES = (
+    Quantity("domain", "1", "rigid domain: spheres that slipless contacts make turn as one; the largest is 0",
+             lambda s: s.rigid_domains.domain.astype(np.int32)),
+    Quantity("component", "1", "connected piece of the slipless network; 0 holds the bottom plane or the first body",
+             lambda s: s.network.component.astype(np.int32)),
+    Quantity("betweenness", "1", "share of the shortest paths that visit the sphere",
+             lambda s: s.bottlenecks and s.bottlenecks.visits),
+    Quantity("above_cut", "1", "on the side of the minimum cut that turns with the top or the second body",
+             lambda s: s.interface and s.interface.above),
 )
 ON_CONTACTS = (
-    Quantity("minimum_cut", "1", "contacts of the lightest interface of two rigid domains",
-             lambda s: s.interface.contacts),
-    *BOTTLENECK_ROWS,
+    Quantity("on_cut", "1", "contacts of the lightest interface of two rigid domains",
+             lambda s: s.interface and s.interface.contacts),
+    Quantity("betweenness", "1", "share of the shortest slipless paths, of all pairs of a bottom and a top sphere",
+             lambda s: s.bottlenecks and s.network.on_contacts(s.bottlenecks.share)),
+    Quantity("backbone", "1", "on some path from bottom to top",
+             lambda s: s.bottlenecks and s.network.on_contacts(s.bottlenecks.backbone)),
+    Quantity("on_path", "1", "on one shortest slipless path from bottom to top", lambda s: s.network.on_path),
 )
-"""Of a Structure, (E,): in files one array an axis."""
-
-SPHERE_BETWEENNESS = Quantity(
-    "betweenness/sphere", "1", "share of the shortest paths that visit the sphere", lambda s: s.bottlenecks.visits
-)
-ARRAYS = (
-    Quantity("minimum_cut/above", "1", "spheres on the top side of the minimum cut", lambda s: s.interface.above),
-    Quantity("component", "1", "piece of the slipless network of each sphere; 0 holds the bottom plane",
-             lambda s: s.network.component.astype(np.int32)),
+"""Columns of a Structure, shape N and (E,); None where it has none."""
+IN_FILES = {"above_cut": "minimum_cut/above", "on_cut": "minimum_cut"}
+"""Names that some have in the file of a lattice."""
+DOMAINS = (
     Quantity("path", "1", "spheres along one shortest slipless path from bottom to top",
              lambda s: s.network.shortest_path),
-    Quantity("domain", "1", "rigid domain of each sphere, the largest is 0",
-             lambda s: s.rigid_domains.domain.astype(np.int32)),
     Quantity("domains/spheres", "1", "spheres of each rigid domain, driven ones included",
              lambda s: s.rigid_domains.spheres),
     Quantity("domains/staggered_spin", "1/time", "spin of each rigid domain, components {components}",
@@ -54,73 +52,39 @@ ARRAYS = (
     Quantity("domains/lock", "1",
              "what ties each component: 0 neither plane, 1 the bottom, 2 the top, 3 both; components {components}",
              lambda s: s.rigid_domains.lock.astype(np.int8)),
-    SPHERE_BETWEENNESS,
 )
-"""Of a Structure."""
+"""Of a LatticeStructure."""
 # fmt: on
-STRUCTURE_COLUMNS = {
-    "domain": "rigid domain: spheres that slipless contacts make turn as one",
-    "component": "connected piece of the slipless network; a driven body joins its spheres",
-    "above_cut": "on the second body's side of the minimum cut",
-    "on_cut": "on the minimum cut",
-}
-"""Of a PackingStructure."""
 
 
-def structure_of_any(
-    solution: Solution, number: int = 0, threshold: float | None = None
-) -> Structure | PackingStructure:
-    """One sample of a solution, a lattice or a packing; threshold as of :func:`structure_of`."""
-    if isinstance(solution.scene, Scene):
-        return structure_of(solution, number, threshold)
-    return PackingStructure.of(solution.sample(number), threshold)
+def columns_of(structure: Structure) -> tuple[dict[str, Finding], dict[str, Finding]]:
+    """What is known of each sphere (N,), in C order, and of each contact (E,), by name."""
+
+    def found(rows: Iterable[Quantity]) -> dict[str, Finding]:
+        known = found_in(structure, {row.name: row for row in rows})
+        return {row.name: Finding(values.ravel(), row.unit, row.text) for row, values in known}
+
+    return found(ON_SPHERES), found(ON_CONTACTS)
 
 
-def numbers_of(structure: Structure | PackingStructure) -> dict[str, Any]:
-    """The structure of one sample as numbers, as in `--json` of `analyse`; without those that are not known, and None
-    for those that are not finite."""
-    if isinstance(structure, PackingStructure):
-        return structure.numbers
-    found = {row.name: row.of(structure) for row in ANALYSED.values()}
-    return {
-        "seed": structure.scene.seeds[0],
-        "power": structure.power,
-        "lower_bound": structure.lower_bound,
-        "slipping": structure.contacts_in(ContactState.SLIPPING),
-        "slipless": structure.contacts_in(ContactState.SLIPLESS),
-        "undecided": structure.contacts_in(ContactState.UNDECIDED),
-        "critical": structure.critical,
-        "tied_contacts": structure.tied,
-        "minimum_is_unique": structure.minimum_is_unique,
-        **{name: plain(value) for name, value in found.items() if value is not None},
-    }
-
-
-def findings_of(structure: Structure | PackingStructure) -> dict[str, Finding]:
+def findings_of(structure: Structure) -> dict[str, Finding]:
     """The structure of one sample as arrays, by their names in the group /analysis."""
-    if isinstance(structure, PackingStructure):
-        spheres, contacts = columns_of_structure(structure)
-        return spheres | contacts
-    domains, found = structure.rigid_domains, {}
+    spheres, contacts = columns_of(structure)
+    if not isinstance(structure, LatticeStructure):
+        return {f"sphere_{n}" if n in contacts else n: column for n, column in spheres.items()} | contacts
+    domains, lattice = structure.rigid_domains, structure.scene.lattice
     components = ", ".join(AXES[component] for component in domains.spin_axes)
-    for row in ARRAYS:
+    spheres["betweenness/sphere"] = spheres.pop("betweenness")
+    found = {
+        IN_FILES.get(name, name): replace(column, values=column.values.reshape(lattice.shape))
+        for name, column in spheres.items()
+    }
+    for row in DOMAINS:
         found[row.name] = Finding(row.of(structure), row.unit, row.text.format(components=components))
     for k, label in zip(domains.spin_axes, domains.component_domain, strict=True):
         text = f"domain of spin component {AXES[k]}"
         found[f"component_domain/{AXES[k]}"] = Finding(label.astype(np.int32), "1", text)
-    for row in ON_CONTACTS:
-        for axis, part in enumerate(structure.scene.lattice.by_axis(row.of(structure))):
-            found[f"{row.name}/{AXES[axis]}"] = Finding(part, row.unit, row.text)
+    for name, column in contacts.items():
+        for axis, part in zip(AXES, lattice.by_axis(column.values), strict=False):
+            found[f"{IN_FILES.get(name, name)}/{axis}"] = replace(column, values=part)
     return found
-
-
-def columns_of_structure(structure: PackingStructure) -> tuple[dict[str, Finding], dict[str, Finding]]:
-    """The structure of a packing as arrays by name: of spheres (N,) and of contacts (E,)."""
-    spheres, contacts = (
-        {name: Finding(values, "1", STRUCTURE_COLUMNS[name]) for name, values in columns.items()}
-        for columns in structure.columns
-    )
-    if structure.has_pairs:
-        contacts |= {row.name: Finding(row.of(structure), row.unit, row.text) for row in BOTTLENECK_ROWS}
-        spheres["sphere_betweenness"] = Finding(structure.bottlenecks.visits, "1", SPHERE_BETWEENNESS.text)
-    return spheres, contacts

@@ -104,9 +104,9 @@ def _record(key: str, run: Any, analyse: bool) -> dict[str, Any]:
     answer = run.solution
     scalars = run.numbers | run.settings.driving | {"slip_threshold": answer.slip_threshold}
     if analyse:
-        from taichi_bearings.runs.structure_report import numbers_of, structure_of_any
+        from taichi_bearings.analysis.structure import structure_of
 
-        scalars |= numbers_of(structure_of_any(answer))
+        scalars |= structure_of(answer).numbers
     power = answer.power_per_contact
     bins, count = np.unique(bin_of(power[(answer.state == ContactState.SLIPPING) & (power > 0)]), return_counts=True)
     found = {str(number): int(many) for number, many in zip(bins, count, strict=True)}

@@ -7,9 +7,8 @@ from matplotlib import colormaps
 
 from taichi_bearings.plots.bearing import SPIN_COLOURS
 from taichi_bearings.plots.structure import colour_of_turn
-from taichi_bearings.proof.contact_state import ContactState, critical
+from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.runs.points_and_lines import Moments, PointsAndLines
-from taichi_bearings.scene import Scene, Solution
 from taichi_bearings.scene.law import Law
 from taichi_bearings.version import VERSION
 from taichi_bearings.words import undecided_kinds
@@ -29,18 +28,19 @@ KEPT |= {"betweenness": "f4", "state": "u1"}
 def arrays_of(drawn: PointsAndLines) -> dict[str, np.ndarray]:
     """What is drawn, by name: float32 has the six digits that the page shows. What a lattice repeats packs well:
     vectors are written one axis after the other, ends as differences. The distance of two sites of a lattice is 1."""
-    center, radius, ends = drawn.center - drawn.center[0], drawn.radius, drawn.ends
-    if isinstance(drawn.answer.scene, Scene):
+    packing, ends = drawn.packing, drawn.packing.contact
+    center, radius = packing.center - packing.center[0], packing.radius
+    if drawn.is_lattice:
         center, radius = center / (2 * radius[0]), np.full(len(radius), 0.5)
     spheres, contacts = ({k: v.values for k, v in of.items()} for of in (drawn.spheres, drawn.contacts))
     found = {name: contacts[name].astype(kind) for name, kind in KEPT.items() if name in contacts}
     found |= {
         "center": center.T.astype(np.float32),
         "radius": radius.astype(np.float32),
-        "body": drawn.body.astype(np.int32),
+        "body": packing.driven.astype(np.int32),
         "first": np.diff(ends[:, 0], prepend=0).astype(np.int32),
         "second": (ends[:, 1] - ends[:, 0]).astype(np.int32),
-        "normal": drawn.normal.T.astype(np.float32),
+        "normal": np.asarray(packing.normal).T.astype(np.float32),
         "spin": spheres["spin"].astype(np.float32),
         "domain": spheres["domain"].astype(np.int32),
         "domain_size": np.bincount(spheres["domain"]).astype(np.int32),
@@ -48,15 +48,15 @@ def arrays_of(drawn: PointsAndLines) -> dict[str, np.ndarray]:
         "map_power": _colours("plasma_r", *COLOUR_RANGE),
         "map_share": _colours("viridis_r", *COLOUR_RANGE),
     }
+    found["flags"] = (CUT * contacts.get("on_cut", 0) + PATH * contacts["on_path"]).astype(np.uint8)
+    found["path"] = drawn.structure.network.path.astype(np.int32)
     if "above_cut" in spheres:
         found["above"] = spheres["above_cut"].astype(np.uint8)
-        found["flags"] = (CUT * contacts["on_cut"] + PATH * contacts.get("on_path", 0)).astype(np.uint8)
     if "betweenness" in spheres:
         found["sphere_betweenness"] = spheres["betweenness"].astype(np.float32)
     if "domain_kind" in spheres:
         turn = colour_of_turn(drawn.structure.rigid_domains.turn)[spheres["domain"], :3]
-        found |= {"kind": spheres["domain_kind"], "path": drawn.path.astype(np.int32)}
-        found["turn"] = np.round(255 * turn).astype(np.uint8)
+        found |= {"kind": spheres["domain_kind"], "turn": np.round(255 * turn).astype(np.uint8)}
     if (moments := drawn.moments) is not None:
         chosen = _shown(moments)
         ways = {"snapshot_spin": moments.spin, "snapshot_slip": moments.slip}
@@ -77,10 +77,12 @@ def _shown(moments: Moments) -> np.ndarray:
 
 def facts_of(drawn: PointsAndLines) -> dict[str, Any]:
     """Numbers and words of the page, as JSON has them."""
-    is_lattice, states = isinstance(drawn.answer.scene, Scene), drawn.contacts["state"].values
-    law, told, fastest, own = (_of_lattice if is_lattice else _of_packing)(drawn)
+    structure, states, law = drawn.structure, drawn.contacts["state"].values, drawn.packing.kind
+    own, fastest, natural, bound = (_of_lattice if drawn.is_lattice else _of_packing)(drawn)
     proven = bool(drawn.contacts["proven"].values[states != ContactState.DRIVEN].all())
     decided = "proven" if proven else f"decided by {'slip and friction' if law.holds else 'slip'}, not proven"
+    told = f"{drawn.answer.method}: {drawn.answer.status.value}; P = {structure.power:.6g}{natural}, {bound}"
+    undecided, tied = structure.contacts_in(ContactState.UNDECIDED), getattr(structure, "tied_contacts", 0)
     keys = ("coefficient", "viscosity")[: len(law.quantities)]
     return {
         **own,
@@ -88,6 +90,7 @@ def facts_of(drawn: PointsAndLines) -> dict[str, Any]:
         **_snapshots(drawn.moments),
         "version": VERSION,
         "subtitle": f"{told}; contact states {decided}",
+        "open": ", ".join(undecided_kinds(undecided, structure.critical, tied)),
         "proven": proven,
         "decided": decided,
         "friction_limit": law.is_rate_independent and law.quantities[0].is_friction,
@@ -99,76 +102,53 @@ def facts_of(drawn: PointsAndLines) -> dict[str, Any]:
     }
 
 
-def _of_lattice(drawn: PointsAndLines) -> tuple[Law, str, float, dict[str, Any]]:
-    """The law, what was found in words, the largest imposed spin, and what the page says of lattices alone."""
-    solution: Solution = drawn.answer
-    scene, lattice, gap = solution.scene, solution.scene.lattice, float(solution.gap[0])
-    unit = scene.strength * lattice.radius * abs(scene.imposed[0])
-    natural = f" = {solution.power[0] / unit:.6g} Fₙ R ω_T" if scene.law.is_rate_independent and unit > 0 else ""
+def _of_lattice(drawn: PointsAndLines) -> tuple[dict[str, Any], float, str, str]:
+    """What the page says of lattices alone, the largest imposed spin, the power in its natural unit, and its bound."""
+    scene, gap = drawn.answer.scene, float(drawn.answer.gap[0])
+    lattice, unit = scene.lattice, scene.strength * scene.lattice.radius * abs(scene.imposed[0])
+    natural = f" = {drawn.structure.power / unit:.6g} Fₙ R ω_T" if scene.law.is_rate_independent and unit > 0 else ""
     bound = f"{_minimised(scene.law)}proven within {gap:.1e}" if np.isfinite(gap) else "without a proven bound"
-    tied = int(solution.findings.get("tied_contacts", [0])[0])
     source = f"seed {scene.seeds[0]}" if scene.drawn else "coefficients given"
-    told = f"{solution.method}: {solution.status.value}; P = {solution.power[0]:.6g}{natural}, {bound}"
-    return (
-        scene.law,
-        told,
-        scene.fastest,
-        {
-            "title": f"{'×'.join(map(str, lattice.shape))} {scene.law}{scene.closed}, {source}",
-            "open": _open(drawn, int(critical(solution)[0]), tied),
-            "shape": list(lattice.shape),
-            "origin": [0] * lattice.dimension,
-            "steps": [side - 1 for side in lattice.shape],
-            "enclosing": AROUND if lattice.dimension == 3 else 0,
-            "joined": "bottom and top",
-            "pieces": ["joined to bottom and top", "joined to the bottom", "joined to the top", *ALONE],
-            "sides": ["below the cut", "above the cut"],
-            "spin_name": "|ω| / ω max",
-            "jump_name": "R Δω",
-            "jump_speed": lattice.radius * scene.jump,
-            "normal_force": scene.normal_force,
-        },
-    )
+    own = {
+        "title": f"{'×'.join(map(str, lattice.shape))} {scene.law}{scene.closed}, {source}",
+        "shape": list(lattice.shape),
+        "origin": [0] * lattice.dimension,
+        "steps": [side - 1 for side in lattice.shape],
+        "enclosing": AROUND if lattice.dimension == 3 else 0,
+        "joined": "bottom and top",
+        "pieces": ["joined to bottom and top", "joined to the bottom", "joined to the top", *ALONE],
+        "sides": ["below the cut", "above the cut"],
+        "spin_name": "|ω| / ω max",
+        "jump_name": "R Δω",
+        "jump_speed": lattice.radius * scene.jump,
+        "normal_force": scene.normal_force,
+    }
+    return own, scene.fastest, natural, bound
 
 
-def _of_packing(drawn: PointsAndLines) -> tuple[Law, str, float, dict[str, Any]]:
+def _of_packing(drawn: PointsAndLines) -> tuple[dict[str, Any], float, str, str]:
     """The same of a packing; for the spin the largest imposed R omega over the median of R."""
-    solution: Solution = drawn.answer
-    packing, law, body = solution.scene[0], solution.scene.law, drawn.body
+    packing, within, proof = drawn.packing, f"within {drawn.answer.gap[0]:.1e}", drawn.answer.findings["proof"][0]
     fastest = float(np.linalg.norm(packing.imposed, axis=1).max(initial=0.0))
-    bodies = np.unique(body[body >= 0])
+    bodies = np.unique(packing.driven[packing.driven >= 0])
     named = [f"driven body {number}" for number in bodies] if len(bodies) == 2 else ["one driven body"] * 2
-    within, proof = f"within {solution.gap[0]:.1e}", solution.findings["proof"][0]
-    bound = _minimised(law) + (f"proven {within}" if proof == "proven" else f"{within}, {proof}")
-    contacts = int((solution.state != ContactState.DRIVEN).sum())
+    bound = _minimised(packing.kind) + (f"proven {within}" if proof == "proven" else f"{within}, {proof}")
     what = "discs" if packing.dimension == 2 else "spheres"
-    told = f"{solution.method}: {solution.status.value}; P = {solution.power[0]:.6g}, {bound}"
-    return (
-        law,
-        told,
-        fastest / _median(drawn.radius),
-        {
-            "title": f"{packing.spheres:,} {what}, {contacts:,} contacts, {law}",
-            "open": _open(drawn, int(critical(solution)[0]), 0),
-            "shape": None,
-            "origin": packing.center[0].tolist(),  # float32 has the digits of what lies around the first
-            "steps": [SLICES] * packing.dimension,
-            "enclosing": 0,
-            "joined": "driven bodies",
-            "pieces": ["joined to several driven bodies", *(f"joined to {name}" for name in named), *ALONE],
-            "sides": [f"on the side of {name}" for name in named],
-            "spin_name": "R |ω| / R ω max",
-            "jump_name": "R ω max",
-            "jump_speed": fastest,
-            "normal_force": None,
-        },
-    )
-
-
-def _open(drawn: PointsAndLines, critical: int, tied: int) -> str:
-    """Kinds of undecided contacts."""
-    undecided = int((drawn.contacts["state"].values == ContactState.UNDECIDED).sum())
-    return ", ".join(undecided_kinds(undecided, critical, tied))
+    own = {
+        "title": f"{packing.spheres:,} {what}, {drawn.structure.movable:,} contacts, {packing.kind}",
+        "shape": None,
+        "origin": packing.center[0].tolist(),  # float32 has the digits of what lies around the first
+        "steps": [SLICES] * packing.dimension,
+        "enclosing": 0,
+        "joined": "driven bodies",
+        "pieces": ["joined to several driven bodies", *(f"joined to {name}" for name in named), *ALONE],
+        "sides": [f"on the side of {name}" for name in named],
+        "spin_name": "R |ω| / R ω max",
+        "jump_name": "R ω max",
+        "jump_speed": fastest,
+        "normal_force": None,
+    }
+    return own, fastest / _median(packing.radius), "", bound
 
 
 def _minimised(law: Law) -> str:
@@ -182,7 +162,7 @@ def _median(radius: np.ndarray) -> float:
 def _ends_of_scales(drawn: PointsAndLines, fastest: float) -> dict[str, Any]:
     """fastest : the largest imposed spin, of a sphere of median size."""
     spins = drawn.spheres["spin"].values if drawn.moments is None else drawn.moments.spin[_shown(drawn.moments)]
-    speed = np.linalg.norm(spins, axis=-1) * (drawn.radius / _median(drawn.radius))
+    speed = np.linalg.norm(spins, axis=-1) * (drawn.packing.radius / _median(drawn.packing.radius))
     shares = drawn.contacts["betweenness"].values if "betweenness" in drawn.contacts else np.zeros(1)
     return {
         "spin_max": fastest or 1.0,

@@ -7,6 +7,7 @@ import numpy as np
 
 from taichi_bearings.analysis.network import SliplessNetwork
 from taichi_bearings.lattice import Lattice
+from taichi_bearings.proof.contact_state import ContactState
 
 
 def drawn(shape, *paths, periodic=()):
@@ -29,6 +30,11 @@ def random_network(shape, share, seed, periodic=()):
     """Every contact that can slip is a link with probability `share`."""
     lattice, random = Lattice(shape, periodic=periodic), np.random.default_rng(seed)
     return SliplessNetwork(lattice, (random.random(lattice.all_contacts) < share) & ~lattice.between_driven)
+
+
+def network_of(lattice, state):
+    """The network of the contacts in state SLIPLESS."""
+    return SliplessNetwork(lattice, state == ContactState.SLIPLESS)
 
 
 def numbered(network, values):

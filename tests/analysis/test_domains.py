@@ -5,12 +5,11 @@ import numpy as np
 import pytest
 
 from taichi_bearings.analysis.domains import Lock, rigid_domains
-from taichi_bearings.analysis.network import network_of
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import InteriorPoint
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
-from tests.analysis.networks import APART, RANDOM, TWO_CHAINS, drawn
+from tests.analysis.networks import APART, RANDOM, TWO_CHAINS, drawn, network_of
 from tests.scenes import make_scene
 
 CORNER = drawn(  # the sphere (0, 0, 2) hangs on the bottom by an x-contact and on the top by a y-contact

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from taichi_bearings_studies.paper.network import spans_within_planes
 
-from taichi_bearings.analysis.network import network_of
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene.initial_spins import initial_spin
@@ -24,6 +23,7 @@ from tests.analysis.networks import (
     TWO_CHAINS,
     drawn,
     graph_of_bodies,
+    network_of,
     random_network,
 )
 from tests.scenes import make_scene

@@ -1,12 +1,13 @@
 """Torque flow, saturation and self-stress: graphs known by hand, laws that hold on any, and what is unique."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from taichi_bearings.analysis.network import network_of
-from taichi_bearings.analysis.torque_flow import saturation, self_stress, torque_flow
+from taichi_bearings.analysis.structure import LatticeStructure, self_stress, structure_of
 from taichi_bearings.lattice import Lattice
-from taichi_bearings.lattice.grid import staggered_forces
+from taichi_bearings.lattice.grid import laboratory_forces, staggered_forces
 from taichi_bearings.lattice.incidence import torques
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene import Scene
@@ -14,6 +15,7 @@ from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import METHODS
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
+from tests.analysis.networks import network_of
 from tests.scenes import make_scene
 
 SLIPLESS, SLIPPING, DRIVEN = ContactState.SLIPLESS, ContactState.SLIPPING, ContactState.DRIVEN
@@ -33,41 +35,42 @@ def forces(lattice, axes=(2,)):
 
 def analysed(scene, solution):
     """Forces, states and flow of the first sample."""
-    axes = scene.minimum_spin_axes
-    force, state = staggered_forces(solution.friction, scene.lattice, axes)[:, 0], solution.state[0]
-    return force, state, torque_flow(scene.lattice, force, state, scene.top_spin(axes))
+    structure = structure_of(solution)
+    return staggered_forces(solution.friction, scene.lattice, scene.minimum_spin_axes)[:, 0], structure.state, structure
 
 
-def deviation(flow):
-    """Largest difference of the torque of a gap from the mean, relative to the largest of these."""
-    return np.abs(flow.through_gap - flow.total[:, None]).max() / np.abs(flow.total).max()
+def through_gaps(lattice, force):
+    """Torque (C, gaps) through the contacts between two layers."""
+    return lattice.radius * lattice.by_axis(force)[-1].reshape(len(force), -1, lattice.shape[-1] - 1).sum(axis=1)
+
+
+def deviation(lattice, force, flow):
+    """Largest difference of the torque of a gap from that on the top, relative to the largest of these."""
+    return np.abs(through_gaps(lattice, force) - flow.total[:, None]).max() / np.abs(flow.total).max()
 
 
 def answer(scene, name, tolerance):
     return solve(scene, METHODS[name]().build(), initial_spin(scene, "linear"), StopRule(tolerance))
 
 
+def drawn(scene, force, state):
+    """Structure of a scene with these forces (C, E) and states (E,)."""
+    friction = laboratory_forces(force[:, None], scene.lattice, scene.minimum_spin_axes)[0]
+    return LatticeStructure(SimpleNamespace(scene=scene), *np.zeros((2, 1)), state, friction, state, 0.0, 0.0)
+
+
 def test_a_single_path_carries_all_the_torque_of_every_gap():
-    lattice = Lattice((2, 3))
+    scene = make_scene((2, 3), spin_top=3.0)
+    lattice = scene.lattice
     force, (x, y) = forces(lattice)
     y[0, 0, 1], x[0, 0, 1], y[0, 1, 0] = 5.0, -5.0, 5.0  # down the left column, to the right, down the right column
     state, of_axis = states(lattice)
     of_axis[1][0, 1] = SLIPLESS
     x[0, 0, 0] = 9.0  # between driven discs
-    flow = torque_flow(lattice, force, state, np.full((1, 2), 3.0))
+    flow = drawn(scene, force, state).torque_flow
     assert flow.total == pytest.approx([2.5])
-    assert deviation(flow) == 0.0
-    assert flow.power == pytest.approx(7.5)
-    assert flow.slipless.tolist() == [[0.0, 2.5]]
+    assert flow.power == pytest.approx([0.0, 7.5])
     assert flow.slipless_share == pytest.approx(0.5)
-
-
-def test_gaps_that_do_not_pass_the_same_torque_are_seen():
-    lattice = Lattice((2, 3))
-    force, (_, y) = forces(lattice)
-    y[0, 0], y[0, 1] = [3.0, 3.0], [-1.0, -2.0]
-    flow = torque_flow(lattice, force, states(lattice)[0], np.ones((1, lattice.sites // lattice.shape[-1])))
-    assert flow.through_gap.tolist() == [[1.0, 0.5]]
 
 
 @pytest.mark.parametrize("name", ["planar-cut", "interior-point"])
@@ -75,28 +78,28 @@ def test_equal_columns_slip_in_their_weak_gap_and_carry_its_friction_everywhere(
     x, y = np.full((1, 3, 6), 0.5), np.full((1, 4, 5), 0.8)
     y[..., 2] = 0.3
     scene = Scene((x, y), spin_top=2.0, spin_bottom=-1.0, normal_force=10.0)
-    force, state, flow = analysed(scene, answer(scene, name, 1e-12))
+    force, state, structure = analysed(scene, answer(scene, name, 1e-12))
+    flow = structure.torque_flow
     assert flow.total == pytest.approx([0.5 * 4 * 0.3 * 10.0], rel=1e-12)
-    assert deviation(flow) < 1e-13
-    assert flow.power == pytest.approx(18.0, rel=1e-12)
-    assert flow.slipless[0] == pytest.approx([6.0, 6.0, 0.0, 6.0, 6.0], rel=1e-12)
+    assert deviation(scene.lattice, force, flow) < 1e-13
+    assert flow.power.sum() == pytest.approx(18.0, rel=1e-12)
+    assert flow.slipless_share == pytest.approx(4 / 5, rel=1e-12)
     assert (state == SLIPPING).sum() == 4
-    load = saturation(force, 10.0 * scene.coefficient[0], state)
-    assert len(load) == 4 * 3 + 4 * 4
-    assert load.max() <= 1
+    assert 0 < structure.mean_saturation <= 1
 
 
 def test_one_component_of_a_cubic_lattice_does_not_flow_along_its_own_axis(needs_f64):
     scene = make_scene((3, 4, 5), direction=(0.0, 1.0, 0.0))
-    force, _, flow = analysed(scene, answer(scene, "planar-cut", 1e-12))
+    force, _, structure = analysed(scene, answer(scene, "planar-cut", 1e-12))
     assert [part.any() for part in scene.lattice.by_axis(force)] == [True, False, True]
-    assert deviation(flow) < 1e-14
-    assert flow.total[0] > 0
+    assert deviation(scene.lattice, force, structure.torque_flow) < 1e-14
+    assert structure.torque_flow.total[0] > 0
 
 
 def test_the_current_of_a_component_stays_in_planes_normal_to_it(needs_f64):
     scene = make_scene((4, 3, 5), spin_bottom=0.2)
-    force, _, flow = analysed(scene, answer(scene, "interior-point", 1e-10))
+    force, _, structure = analysed(scene, answer(scene, "interior-point", 1e-10))
+    flow = structure.torque_flow
     for slot, component in enumerate((0, 1)):
         torque, through = scene.lattice.by_axis(scene.lattice.radius * force[slot]), 0.0
         for index in range(scene.lattice.shape[component]):
@@ -120,27 +123,30 @@ def test_the_current_of_a_component_stays_in_planes_normal_to_it(needs_f64):
 def test_torque_is_conserved_and_drives_with_the_power(name, law, shape, tolerance, needs_f64):
     scene = make_scene(shape, law, spin_top=1.7, spin_bottom=0.4)
     solution = answer(scene, name, tolerance)
-    force, state, flow = analysed(scene, solution)
-    assert deviation(flow) < 1e-12
+    force, state, structure = analysed(scene, solution)
+    flow = structure.torque_flow
+    assert deviation(scene.lattice, force, flow) < 1e-12
     left_over = scene.lattice.radius * torques(force[:, None], scene.lattice, scene.minimum_spin_axes)[..., 1:-1]
     assert np.abs(left_over).max() < 1e-12 * flow.total.min()
-    assert flow.power == pytest.approx(solution.power[0], rel=tolerance)
+    assert flow.power.sum() == pytest.approx(solution.power[0], rel=tolerance)
     assert not (state == ContactState.UNDECIDED).any()
 
 
 def test_what_is_unique_does_not_depend_on_the_method(needs_f64):
     scene = make_scene((4, 3, 5), seeds=(77,), spin_bottom=0.1)
     exact = answer(scene, "interior-point", 1e-12)
-    force, state, flow = analysed(scene, exact)
+    force, state, structure = analysed(scene, exact)
+    flow = structure.torque_flow
     assert self_stress(network_of(scene.lattice, state), scene.minimum_spin_axes).sum() > 0
     for name, tolerance in (("gradient-descent", 1e-5), ("operator-splitting", 1e-7), ("rigid-limit", 1e-9)):
         other = answer(scene, name, tolerance)
-        others, _, other_flow = analysed(scene, other)
-        as_exact = torque_flow(scene.lattice, others, state, scene.top_spin(scene.minimum_spin_axes))
-        missing = abs(1 - other_flow.power / exact.power[0])
+        others, _, its = analysed(scene, other)
+        other_flow = its.torque_flow
+        as_exact = drawn(scene, others, state).torque_flow
+        missing = abs(1 - other_flow.power.sum() / exact.power[0])
         uncertain = 3 * np.sqrt(missing + 1e-12)  # friction discs are round: forces may turn like the root of the gap
         assert other_flow.total == pytest.approx(flow.total, rel=uncertain)
-        assert as_exact.slipless == pytest.approx(flow.slipless, abs=uncertain * flow.total.max())
+        assert as_exact.slipless_share == pytest.approx(flow.slipless_share, abs=uncertain)
         apart = np.abs(force - others)
         assert apart[:, state == SLIPLESS].max() > 10 * apart[:, state == SLIPPING].max()
 
@@ -150,7 +156,7 @@ def test_total_torque_is_the_derivative_of_the_least_power(needs_f64):
         scene = make_scene((4, 3, 5), direction=(x, y, 0.0), spin_top=float(np.hypot(x, y)))
         return scene, answer(scene, "interior-point", 1e-12)
 
-    _, _, flow = analysed(*least_power(1.0, 0.7))
+    flow = analysed(*least_power(1.0, 0.7))[2].torque_flow
     step = 1e-4
     for slot, (x, y) in enumerate([(step, 0.0), (0.0, step)]):
         ahead, behind = least_power(1.0 + x, 0.7 + y)[1], least_power(1.0 - x, 0.7 - y)[1]
@@ -159,19 +165,19 @@ def test_total_torque_is_the_derivative_of_the_least_power(needs_f64):
 
 
 def test_saturations_are_those_of_slipless_contacts():
-    lattice = Lattice((2, 3))
+    x, y = np.ones((1, 1, 3)), np.array([[[1.0, 2.0], [1.0, 1.0]]])
+    scene = Scene((x, y), normal_force=1.0)
+    lattice = scene.lattice
     force, (x, y) = forces(lattice)
     x[0, 0, 1], y[0] = 0.2, [[-1.0, 1.995], [0.5, 0.0]]
     state, of_axis = states(lattice, SLIPLESS)
     of_axis[1][0, 0] = SLIPPING
-    limit = lattice.flat([np.ones((1, 3)), np.array([[1.0, 2.0], [1.0, 1.0]])])
-    assert np.sort(saturation(force, limit, state)) == pytest.approx([0.0, 0.2, 0.5, 0.9975])
+    assert drawn(scene, force, state).mean_saturation == pytest.approx(np.mean([0.0, 0.2, 0.5, 0.9975]))
 
 
 def test_nothing_slipless_has_no_load_and_no_self_stress():
     lattice = Lattice((2, 3, 3))
-    (state, _), force = states(lattice), np.ones((1, lattice.all_contacts))
-    assert len(saturation(force, force[0], state)) == 0
+    state, _ = states(lattice)
     assert self_stress(network_of(lattice, state), (0, 1)).tolist() == [0, 0]
 
 

@@ -11,7 +11,7 @@ import pytest
 import taichi_bearings as tb
 from taichi_bearings import runtime
 from taichi_bearings.analysis.bottlenecks import Bottlenecks
-from taichi_bearings.analysis.packing_structure import PackingNetwork
+from taichi_bearings.analysis.network import SliplessNetwork
 from taichi_bearings.errors import DeviceError, InputError
 from taichi_bearings.packing import Packings
 from taichi_bearings.quantities import STRUCTURE
@@ -98,7 +98,7 @@ def test_bottlenecks_between_three_bodies_are_those_of_networkx(seed):
     packing = in_three_bodies(tb.Packing.lattice("bcc", (2, 2, 3), seed=1))
     free = (packing.driven[packing.contact] < 0).any(axis=1)
     slipless = free & (np.random.default_rng(seed).random(packing.contacts) < 0.45)
-    network = PackingNetwork.of(packing, slipless)
+    network = SliplessNetwork(packing, slipless)
     found, graph = Bottlenecks(network), networkx.Graph(list(network.ends.T))
     expected, pairs = dict.fromkeys(map(frozenset, graph.edges), 0.0), 0
     for sides in combinations([set(np.flatnonzero(packing.driven == body)) & set(graph) for body in range(3)], 2):

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import taichi_bearings as tb
-from taichi_bearings.analysis.packing_structure import PackingNetwork
+from taichi_bearings.analysis.network import SliplessNetwork
 from taichi_bearings.packing import structure_of
 from taichi_bearings.packing.structure import DENSE_UNKNOWNS, slipless_number
 
@@ -80,13 +80,13 @@ def test_paths_of_a_packing_that_share_no_contact_are_the_largest_flow():
     """Several contacts of a free sphere with one body are several ways; all against networkx."""
     place = [[0, 0], [-0.6, -0.8], [0.6, -0.8], [-0.6, 0.8], [0.6, 0.8]]
     cross = tb.Packing(place, [[0, 1], [0, 2], [0, 3], [0, 4]], [-1, 0, 0, 1, 1], np.zeros(5))
-    assert PackingNetwork.of(cross, np.array([True] * 4)).disjoint_paths == 2
-    assert PackingNetwork.of(cross, np.array([True, True, True, False])).disjoint_paths == 1
+    assert SliplessNetwork(cross, np.array([True] * 4)).disjoint_paths == 2
+    assert SliplessNetwork(cross, np.array([True, True, True, False])).disjoint_paths == 1
     packing = tb.Packing.lattice("bcc", (3, 3, 3), seed=1)
     free = (packing.driven[packing.contact] < 0).any(axis=1)
     for seed in range(4):
         slipless = free & (np.random.default_rng(seed).random(packing.contacts) < 0.6)
-        network, graph = PackingNetwork.of(packing, slipless), networkx.DiGraph()
+        network, graph = SliplessNetwork(packing, slipless), networkx.DiGraph()
         for one, other in network.body[network.ends].T:
             for ends in ((one, other), (other, one)):
                 graph.add_edge(*ends, capacity=graph.get_edge_data(*ends, {"capacity": 0})["capacity"] + 1)

@@ -12,7 +12,6 @@ import time
 import numpy as np
 import pytest
 
-from taichi_bearings.analysis.packing_structure import PackingStructure
 from taichi_bearings.analysis.structure import structure_of
 from taichi_bearings.runs.points_and_lines import points_and_lines
 from taichi_bearings.runs.run_file import read_run
@@ -160,12 +159,12 @@ def test_contacts_across_periodic_sides_are_halves_at_both_sides_and_can_be_poin
     page, rows = opened(periodic), points_and_lines(read_run(periodic))
     lattice = rows.answer.scene.lattice
     low, high = (page.ask(f"Array.from(bearings.sample.{end})") for end in ("first", "second"))
-    assert np.array_equal(np.column_stack([low, high]), rows.ends)
+    assert np.array_equal(np.column_stack([low, high]), rows.packing.contact)
     network = structure_of(read_run(periodic).solution).network
     assert page.ask("bearings.sample.counts.spans") == network.spans
     assert page.ask("bearings.sample.counts.reached") == pytest.approx(network.reached_fraction)
     page.press("Network")
-    over = rows.ends[:, 1] < rows.ends[:, 0]
+    over = rows.packing.contact[:, 1] < rows.packing.contact[:, 0]
     layer = "bearings.picture.layers.network"
     count = page.ask(f"{layer}.count")
     slipless = rows.contacts["state"].values == 0
@@ -184,7 +183,11 @@ def test_contacts_across_periodic_sides_are_halves_at_both_sides_and_can_be_poin
         const place = picture.marker.position.clone().project(picture.camera);
         const box = picture.canvas.getBoundingClientRect();
         return picture.pick((place.x + 1) / 2 * box.width, (1 - place.y) / 2 * box.height); }""",
-        int(np.flatnonzero(slipless & over & (lattice.axis == 0) & (rows.ends[:, 0] % lattice.shape[-1] > 0))[0]),
+        int(
+            np.flatnonzero(
+                slipless & over & (lattice.axis == 0) & (rows.packing.contact[:, 0] % lattice.shape[-1] > 0)
+            )[0]
+        ),
     )
     assert over[found["contact"]]
     assert page.is_quiet(), (page.complaints, page.requests)
@@ -192,7 +195,7 @@ def test_contacts_across_periodic_sides_are_halves_at_both_sides_and_can_be_poin
 
 def test_a_packing_is_shown_as_it_is(packed, opened):
     page, solution = opened(packed), read_run(packed).solution
-    packing, structure = solution.scene, PackingStructure.of(solution)
+    packing, structure = solution.scene[0], structure_of(solution)
     flat, radius, (first, second) = packing.dimension == 2, np.asarray(packing.radius), packing.contact.T
     place, way = (np.array(page.ask(f"Array.from(bearings.sample.{name})")).reshape(-1, 3) for name in ("place", "way"))
     unit, axes = 2 * np.sort(radius)[len(radius) // 2], [0, 2] if flat else [0, 1, 2]
@@ -208,7 +211,7 @@ def test_a_packing_is_shown_as_it_is(packed, opened):
     assert page.ask("bearings.sample.counts.reached") == pytest.approx(reached)
     joined = np.array(page.ask("Array.from(bearings.sample.piece)"))
     assert ((joined == 0) == structure.network.spanning).all()
-    has_bottlenecks = structure.has_pairs and structure.bottlenecks.share.any()
+    has_bottlenecks = structure.bottlenecks and structure.bottlenecks.share.any()
     for preset, has in (("Bottlenecks", has_bottlenecks), ("Minimum cut", structure.interface is not None)):
         assert page.tab.get_by_role("button", name=preset, exact=True).is_enabled() == has
     assert page.tab.locator("#colour option[value=kind]").is_disabled()

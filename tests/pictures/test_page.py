@@ -38,7 +38,7 @@ def test_a_page_holds_the_rows_to_the_digits_that_it_shows(name, request, tmp_pa
         assert arrays[key] == pytest.approx(rows.contacts[key].values, rel=1e-7, abs=1e-37)
     assert arrays["spin"].reshape(-1, 3) == pytest.approx(rows.spheres["spin"].values, rel=1e-7, abs=1e-37)
     assert arrays["state"].tolist() == rows.contacts["state"].values.tolist()
-    assert arrays["path"].tolist() == rows.path.tolist()
+    assert arrays["path"].tolist() == rows.structure.network.path.tolist()
     assert facts["shape"] == list(rows.answer.scene.lattice.shape)
     assert facts["proven"] == (name != "dynamics")
     assert facts["subtitle"].endswith("contact states proven") == (name != "dynamics")

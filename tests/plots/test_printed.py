@@ -15,7 +15,6 @@ from taichi_bearings.analysis.histogram import power_histogram
 from taichi_bearings.errors import InputError
 from taichi_bearings.plots.curves import Curve, Look, draw_overlay, draw_scan
 from taichi_bearings.plots.page import Page, View, read_plane, read_view, read_width
-from taichi_bearings.plots.spins import draw_power
 from taichi_bearings.plots.style import column_label, mathematics, save
 from taichi_bearings.runs.figures import FIGURE_KINDS, draw_figure
 from taichi_bearings.scene import Solution
@@ -117,7 +116,7 @@ def test_what_cannot_be_printed_is_refused_in_a_sentence(read, text):
 
 
 def test_power_is_in_units_on_its_axis(solved):
-    figure = draw_power(solved)
+    figure = draw_figure("power", solved)
     labels = [a.get_ylabel() for a in figure.axes]
     assert r"$P_{ij}\,/\,(F_n R\,\omega_T)$" in labels
     lines = [c.get_array() for a in figure.axes[:2] for c in drawn(a) if c.get_array() is not None]

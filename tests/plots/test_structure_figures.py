@@ -2,6 +2,7 @@
 
 import io
 import itertools
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,14 +11,15 @@ from matplotlib.collections import EllipseCollection, LineCollection
 from matplotlib.colors import to_rgba
 from taichi_bearings_studies.paper.figure_3 import draw_plane_cuts
 
-from taichi_bearings.analysis.domains import rigid_domains
 from taichi_bearings.analysis.network import SliplessNetwork
+from taichi_bearings.analysis.structure import LatticeStructure
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.packing import Packing
 from taichi_bearings.plots.bearing import SPIN_COLOURS, Sheet
 from taichi_bearings.plots.page import VIEW
 from taichi_bearings.plots.structure import REACHED_COLOURS, contact_colours, draw_domains, draw_network
 from taichi_bearings.plots.style import GREY
+from taichi_bearings.proof.contact_state import ContactState
 from tests.scenes import make_scene
 
 BOTTOM, TOP = colormaps[SPIN_COLOURS](0.0), colormaps[SPIN_COLOURS](1.0)
@@ -42,12 +44,15 @@ class Case:
         self.slips = scene.lattice.by_axis(slips & free)
         self.network = SliplessNetwork(scene.lattice, ~slips & free)
         self.spin = scene.laboratory_spin(self.staggered, axes)[0]
-        self.domains = rigid_domains(self.network, self.staggered[:, 0], axes)
-        self.driving = (scene.spin_top, scene.spin_bottom)
+        nothing = np.zeros(len(self.network.slipless))
+        state = np.where(free, np.where(slips, ContactState.SLIPPING, ContactState.SLIPLESS), ContactState.DRIVEN)
+        self.structure = LatticeStructure(
+            SimpleNamespace(scene=scene), self.spin, nothing, state, nothing, nothing, 0.0, 0.0
+        )
 
     def figures(self):
-        found = [draw_domains(self.domains), draw_network(self.network, self.spin, *self.driving)]
-        cuts = [draw_plane_cuts(self.network, self.spin, *self.driving)] if self.spin.ndim > 2 else []
+        found = [draw_domains(self.structure), draw_network(self.structure)]
+        cuts = [draw_plane_cuts(self.structure)] if self.spin.ndim > 2 else []
         return [*found, *cuts]
 
 
@@ -94,7 +99,7 @@ def test_every_figure_draws_any_lattice(shape, setting):
 
 def test_the_plane_of_the_domain_figure_is_coloured_and_parted_by_domain():
     case = Case((7, 4), parted=True)
-    plane = draw_domains(case.domains).axes[0]
+    plane = draw_domains(case.structure).axes[0]
     (discs,) = collections(plane, EllipseCollection)
     expected = np.where(np.arange(4)[None, :, None] < 2, BOTTOM, TOP) * np.ones((7, 1, 1))
     assert np.allclose(discs.get_facecolors().reshape(7, 4, 4), expected)
@@ -112,7 +117,7 @@ def test_the_network_figure_has_a_segment_for_each_slipless_contact_and_the_path
         case = Case(shape, spin_bottom=1.0)
         network = case.network
     assert network.spans
-    left, right = draw_network(network, case.spin, *case.driving).axes[0 if flat else 1 :][:2]
+    left, right = draw_network(case.structure).axes[0 if flat else 1 :][:2]
     (grey,) = [c for c in left.collections if c.get_label() == "slipless contacts"]
     ends = np.stack(np.unravel_index(network.ends, shape), axis=-1).swapaxes(0, 1)
     expected = ends if flat else VIEW.seen(ends)[..., :2]
@@ -131,20 +136,20 @@ def test_the_network_figure_has_a_segment_for_each_slipless_contact_and_the_path
         (arrows,) = [c for c in right.collections if hasattr(c, "XY")]
         order = np.argsort(VIEW.seen(path)[:, 2])
         assert np.allclose(arrows.XY, VIEW.seen(path)[order, :2])
-        spins = case.spin[tuple(path[order].T)] / case.driving[0]
+        spins = case.spin[tuple(path[order].T)] / case.scene.spin_top
         assert np.allclose(np.column_stack([arrows.U, arrows.V]), 1.6 * VIEW.seen(spins)[:, :2])
 
 
 def test_without_a_path_the_figures_say_so_and_the_pieces_have_colours():
     case = Case((3, 4, 6), parted=True)
-    figure = draw_network(case.network, case.spin, *case.driving)
+    figure = draw_network(case.structure)
     assert "no path from bottom to top" in figure.get_suptitle()
     (legend,) = figure.legends
     named = dict(zip(("bottom", "top", "neither"), legend.get_lines(), strict=True))
     assert [text.get_text() for text in legend.get_texts()] == list(named)
     assert all(np.allclose(named[end].get_color(), colour) for end, colour in REACHED_COLOURS.items())
     assert len(figure.axes) == 3  # the spheres, the contacts, a colour bar
-    assert "no path" in titles(draw_plane_cuts(case.network, case.spin, *case.driving))
+    assert "no path" in titles(draw_plane_cuts(case.structure))
     height = case.network.contact[:, 2]
     colour = contact_colours(case.network)
     assert np.allclose(colour[height < 3], REACHED_COLOURS["bottom"])

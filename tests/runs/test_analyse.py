@@ -14,7 +14,6 @@ from taichi_bearings.runs.figures import FIGURES
 from taichi_bearings.runs.run import run
 from taichi_bearings.runs.run_file import read_run
 from taichi_bearings.runs.settings import RunSettings
-from taichi_bearings.runs.structure_report import numbers_of
 from taichi_bearings.scans.stored_scans import OF_A_SPANNING_NETWORK
 
 
@@ -105,7 +104,7 @@ def test_a_viscous_state_has_no_network(solved):
 def test_contacts_that_are_not_decided_join_nothing(solved):
     solution = read_run(solved(shape=(4, 5, 7), seed=0)).solution
     solution.state[solution.state == 0] = 2
-    found = numbers_of(structure_of(solution))
+    found = structure_of(solution).numbers
     assert found["undecided"] > 0
     assert found["slipless"] == found["components"] == 0
 

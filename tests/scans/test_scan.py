@@ -99,7 +99,6 @@ def test_seeds_solved_together_are_the_same_to_the_last_bit(shape):
 
 def test_structure_and_states_are_kept_on_demand(plan_of, tmp_path, caplog):
     from taichi_bearings.analysis.structure import structure_of
-    from taichi_bearings.runs.structure_report import numbers_of
 
     plan = plan_of("shape = [4, 4, 4]\n[scan]\nseed = [1, 2, 3]\n")
     scan(plan, tmp_path / "scan", engine=Here())
@@ -110,7 +109,7 @@ def test_structure_and_states_are_kept_on_demand(plan_of, tmp_path, caplog):
     stored = read_scan(tmp_path / "scan")
     for row, sample in enumerate(plan.samples):
         state = read_run(tmp_path / "scan" / "states" / f"{sample.key}.h5")
-        numbers = numbers_of(structure_of(state.solution))
+        numbers = structure_of(state.solution).numbers
         for name in (
             "power_minimum_cut",
             "spans",

@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from taichi_bearings.analysis.packing_structure import PackingStructure
+from taichi_bearings.analysis.structure import structure_of
 from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.files.scan_file import read_scan
 from taichi_bearings.packing import Packing
@@ -86,7 +86,7 @@ def test_a_packing_over_laws_and_seeds_is_its_runs_to_the_last_bit(plan_of, bcc,
             one, other = getattr(kept, item.name), getattr(found.solution, item.name)
             if isinstance(one, np.ndarray):
                 assert np.array_equal(one, other), item.name
-        whole = PackingStructure.of(found.solution).numbers.items()
+        whole = structure_of(found.solution).numbers.items()
         numbers = {name: value for name, value in whole if not isinstance(value, (list, dict))}  # as a table has them
         for name, value in numbers.items():
             assert np.array_equal(stored.table[name][row], np.nan if value is None else value, equal_nan=True), name
