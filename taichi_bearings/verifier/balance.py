@@ -25,10 +25,7 @@ def bearable(motion: Motion, contacts: Slipping, turn: np.ndarray, unsure: dict[
             for end in network.contact[:, contacts.own[some]]:
                 residual += np.bincount(end, off[slot, some], len(residual))
         residual[~network.free] = 0.0
-        domain = motion.domain(k)
-        if network.samples is not None:  # those of the planes have the same numbers in all samples
-            domain = np.where(domain > 1, domain + 2 * network.count, domain * network.count
-                              + np.arange(len(domain)) // (len(domain) // network.count))  # fmt: skip
+        domain = motion.domain[k]
         left[k] = np.bincount(domain, residual)[domain] * UP
     still = np.flatnonzero(motion.rests & network.counts)
     feels = {k: network.feels[k][still] for k in network.needed}

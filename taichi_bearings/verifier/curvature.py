@@ -59,7 +59,7 @@ class Slipping:
         some = np.flatnonzero(network.counts & ~motion.rests)
         ends, felt = network.contact[:, some], slots(network, some)
         for k in network.needed:
-            own = motion.domain(k) if domain is None else domain[k]
+            own = motion.domain[k] if domain is None else domain[k]
             joins = own[ends[:, network.feels[k][some]]]
             free = np.zeros(int(own.max()) + 1, dtype=bool)
             free[joins[:, joins[0] != joins[1]]] = True

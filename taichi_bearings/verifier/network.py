@@ -373,38 +373,24 @@ class Motion:
     rests: np.ndarray
 
     @cached_property
-    def _found(self) -> dict[int, np.ndarray]:
-        return {}
+    def domain(self) -> list[np.ndarray]:
+        """By component, (n,), number of the domain of each sphere."""
+        network, found = self.network, []
+        held = np.flatnonzero(~network.free)
+        for k in network.components:
+            first, second = network.contact[:, self.rests & network.slips_with[k]]
+            if network.samples is not None:
+                leader = network.samples.anchor(network.samples.components[k])[held]
+                first, second = np.append(first, held), np.append(second, leader)
+            found.append(connected(first, second, len(network.free)))
+        return found
 
-    def domain(self, k: int) -> np.ndarray:
-        """(n,), number of the domain of each sphere in component k; of lattices 0 for all that turns with the bottom, 1
-        with the top."""
-        if k not in self._found:
-            self._found[k] = self._domain(k)
-        return self._found[k]
-
-    def _domain(self, k: int) -> np.ndarray:
-        network, samples = self.network, self.network.samples
-        first, second = network.contact[:, self.rests & network.slips_with[k]]
-        if samples is None:
-            return connected(first, second, len(network.free))
-        held, turns_as = np.flatnonzero(~network.free), samples.anchor(samples.components[k])
-        label = connected(np.append(first, held), np.append(second, turns_as[held]), len(network.free))
-        low, high = samples.leader(samples.components[k])
-        return np.where(label == label[low], 0, np.where(label == label[high], 1, label + 2))
-
-    def _models(self, k: int, domain: np.ndarray) -> np.ndarray:
+    def _models(self, k: int) -> np.ndarray:
         """(n,), the sphere as which each turns: of those of its domain a driven one if there is any, else the first."""
-        network, samples = self.network, self.network.samples
-        _, first, number = np.unique(domain, return_index=True, return_inverse=True)
-        model = first[number]
-        if samples is None:
-            held = np.flatnonzero(~network.free)
-            driven = np.full(int(domain.max(initial=0)) + 1, -1)
-            driven[domain[held]] = held
-            return np.where(driven[domain] >= 0, driven[domain], model)
-        low, high = samples.leader(samples.components[k])
-        return np.where(domain == 0, low, np.where(domain == 1, high, model))
+        held, domain = np.flatnonzero(~self.network.free), self.domain[k]
+        model = np.unique(domain, return_index=True)[1]
+        model[domain[held]] = held
+        return model[domain]
 
     @cached_property
     def torn(self) -> np.ndarray:
@@ -412,29 +398,21 @@ class Motion:
         network, found = self.network, np.zeros(self.network.count, dtype=bool)
         held = np.flatnonzero(~network.free)
         for k in (k for k in network.components if network.imposed[k].high.any()):
-            own, domain = network.imposed[k].signed(network.sign[k]).at(held), self.domain(k)[held]
-            model = np.zeros(int(domain.max(initial=0)) + 1, dtype=np.int64)
-            model[domain] = np.arange(len(held))
-            if network.samples is not None:  # domains of all samples have the numbers 0 and 1
-                differs = (domain == 0) & (own.high != 0)
-            else:
-                differs = np.any([part != part[model[domain]] for part in own.parts[:2]], axis=0)
+            own, model = network.imposed[k].signed(network.sign[k]), self._models(k)[held]
+            differs = np.any([part[held] != part[model] for part in own.parts[:2]], axis=0)
             found[held[differs] // (len(network.free) // network.count)] = True
         return found
 
     def difference(self, k: int, some: np.ndarray) -> Enclosure:
         """Of signed spins, of some contacts that feel component k."""
-        network, samples, (first, second) = self.network, self.network.samples, self.network.contact[:, some]
-        own, found = network.spin[k].signed(network.sign[k]), Enclosure.exact(np.zeros(len(some)))
-        domain = self.domain(k)
-        ends = domain[network.contact[:, some]]
-        if samples is None or (self.rests & ~network.still).any():
-            own = own.at(self._models(k, domain))
-        differ = np.flatnonzero(ends[0] != ends[1])
+        network, (first, second) = self.network, self.network.contact[:, some]
+        own, model, domain = network.spin[k].signed(network.sign[k]), self._models(k), self.domain[k]
+        if (self.rests & ~network.still).any():
+            own = own.at(model)
+        differ, found = np.flatnonzero(domain[first] != domain[second]), Enclosure.exact(np.zeros(len(some)))
         found.put(differ, own.at(second[differ]) - own.at(first[differ]))
-        if samples is not None:  # the top turns as it should
-            sign = (ends[1] == 1) * 1.0 - (ends[0] == 1)
-            at_top = np.flatnonzero(sign)
-            shift = samples.shift[samples.components[k]].at(first[at_top])
-            found.put(at_top, found.at(at_top) + shift.signed(sign[at_top]))
+        if network.samples is not None:  # the top turns as it should
+            shift = network.samples.shift[network.samples.components[k]].at(model)
+            at_top = np.flatnonzero(shift.high[first] != shift.high[second])
+            found.put(at_top, found.at(at_top) + (shift.at(second[at_top]) - shift.at(first[at_top])))
         return found

@@ -247,9 +247,9 @@ class Samples(OfLaw):
 
     @cached_property
     def shift(self) -> dict[int, Enclosure]:
-        """(R * N,) by component, what the signed spin of the top in the layer of each sphere, as stored, lacks of the
-        imposed one, measured from the bottom."""
-        found = {}
+        """(R * N,) by component, what the signed spin of spheres of the top, as stored, lacks of the imposed one,
+        measured from the bottom; 0 of all others."""
+        found, is_top = {}, np.arange(self.count * self.sublattice.size) % self.shape[-1] == self.shape[-1] - 1
         with localcontext() as context:
             context.prec = DIGITS
             for k, stored in self.signed_spin.items():
@@ -262,7 +262,7 @@ class Samples(OfLaw):
                         zip(*(np.transpose(pair).tolist() for pair in pairs), strict=True)
                     )
                 ]
-                found[k] = Enclosure.of_decimals(missing).at(place)
+                found[k] = Enclosure.of_decimals(missing).at(place).where(is_top)
         return found
 
     def flat(self, of_axes: Iterable[np.ndarray]) -> np.ndarray:

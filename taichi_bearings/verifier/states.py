@@ -286,7 +286,7 @@ def _by_domains(network: Network, rests: np.ndarray, bound: np.ndarray) -> np.nd
         return "loops are odd"
     motion = Motion(network, rests)
     first, second = network.contact
-    within = [(motion.domain(k)[first] == motion.domain(k)[second]) | ~network.feels[k] for k in network.needed]
+    within = [(motion.domain[k][first] == motion.domain[k][second]) | ~network.feels[k] for k in network.needed]
     motion = Motion(network, network.counts & np.all(within, axis=0))
     if motion.torn[0]:
         return "contacts without slip join driven spheres that turn otherwise"

@@ -307,7 +307,7 @@ def _pulls(motion: Motion, contacts: Slipping, limit: Limit) -> Pulls:
     assert network.samples is not None
     coefficient = network.samples.flat(network.samples.coefficient)[0]
     domain, part, body = (
-        np.array([joined_by(slot).domain(k) for slot, k in enumerate(network.needed)])
+        np.array([_numbered(joined_by(slot), k) for slot, k in enumerate(network.needed)])
         for joined_by in (lambda _: motion, lambda _: limit.others(motion, None), lambda s: limit.others(motion, s))
     )
     return Pulls(
@@ -315,6 +315,14 @@ def _pulls(motion: Motion, contacts: Slipping, limit: Limit) -> Pulls:
         np.concatenate([turns, pull], axis=1), coefficient[own], np.arange(len(own)) < len(contacts.own),
         domain, part, body,
     )  # fmt: skip
+
+
+def _numbered(motion: Motion, k: int) -> np.ndarray:
+    """(spheres,), numbers of domains: 0 and 1 for what turns with the bottom and the top, and larger ones."""
+    samples, label = motion.network.samples, motion.domain[k]
+    assert samples is not None
+    low, high = samples.leader(samples.components[k])
+    return np.where(label == label[low], 0, np.where(label == label[high], 1, label + 2))
 
 
 def _held(pulls: Pulls, label: np.ndarray, between: Between) -> np.ndarray | None:
