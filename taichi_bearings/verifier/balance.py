@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from taichi_bearings.verifier.curvature import Slipping, slots
+from taichi_bearings.verifier.curvature import Slipping
 from taichi_bearings.verifier.enclosure import UP, Enclosure, length
 from taichi_bearings.verifier.network import Motion
 
@@ -17,11 +17,11 @@ def bearable(motion: Motion, contacts: Slipping, turn: np.ndarray, unsure: dict[
     """
     network, left = motion.network, {}
     moment, torques = network.own_moment, network.own_torques
-    off, felt = _unsure(motion, contacts, turn), slots(network, contacts.own)
+    off = _unsure(motion, contacts, turn)
     for k in network.needed:
         residual = np.where(network.free, torques[k].most if unsure is None else torques[k].most + unsure[k], 0.0)
         for slot in range(2):
-            some = felt[slot] == k
+            some = contacts.felt[slot] == k
             for end in network.contact[:, contacts.own[some]]:
                 residual += np.bincount(end, off[slot, some], len(residual))
         residual[~network.free] = 0.0
@@ -40,12 +40,11 @@ def bearable(motion: Motion, contacts: Slipping, turn: np.ndarray, unsure: dict[
 def _unsure(motion: Motion, contacts: Slipping, turn: np.ndarray) -> np.ndarray:
     """(2, n): how far the friction of slipping contacts in their components, as the file says, may be from that at the
     minimum."""
-    network, felt = motion.network, slots(motion.network, contacts.own)
-    found = np.zeros(felt.shape)
+    network, found = motion.network, np.zeros(contacts.felt.shape)
     for slot in range(2):
         said = Enclosure.exact(np.zeros(len(contacts.own)))
         for k in network.needed:
-            some = np.flatnonzero((felt[slot] == k) & network.feels[k][contacts.own])
+            some = np.flatnonzero(contacts.felt[slot] == k)
             own = contacts.own[some]
             said.put(some, network.moment[k].at(own).signed(network.sign[k][network.contact[1, own]]))
         found[slot] = (contacts.pulls[slot] - said).most

@@ -35,13 +35,14 @@ TINY = np.finfo(np.float64).tiny
 class Slipping:
     """The n contacts of a network that slip. A driven domain, and a component that is not felt, have the unknown -1.
 
-    lower, upper : (2, n), unknown of the domain at either end, component by component. curved : (m,), numbers of those
+    felt : (2, n), the components of each, -1 for none. lower, upper : (2, n), unknown of the domain at either end, component by component. curved : (m,), numbers of those
     that feel both of them; the difference of the others is exactly 0 in one.
     difference : of signed spins, two enclosures (n,). strength : friction that a contact bears. damping : None
     without. own : (n,), their numbers among all contacts. place : (d, n), where a contact is in its sample.
     """
 
     unknowns: int
+    felt: np.ndarray
     lower: np.ndarray
     upper: np.ndarray
     curved: np.ndarray
@@ -57,7 +58,7 @@ class Slipping:
         of contacts that rest if not given."""
         network, unknowns, number = motion.network, 0, {}
         some = np.flatnonzero(network.counts & ~motion.rests)
-        ends, felt = network.contact[:, some], slots(network, some)
+        ends, felt = network.contact[:, some], _slots(network, some)
         for k in network.needed:
             own = motion.domain[k] if domain is None else domain[k]
             joins = own[ends[:, network.feels[k][some]]]
@@ -68,18 +69,16 @@ class Slipping:
             unknowns += int(free.sum())
         lower, upper = np.full((2, len(some)), -1), np.full((2, len(some)), -1)
         difference = [Enclosure.exact(np.zeros(len(some))) for _ in range(2)]
-        both = np.ones(len(some), dtype=bool)
         for slot in range(2):
             for k in network.needed:
-                mine = np.flatnonzero((felt[slot] == k) & network.feels[k][some])
+                mine = np.flatnonzero(felt[slot] == k)
                 lower[slot, mine], upper[slot, mine] = number[k][ends[:, mine]]
                 difference[slot].put(mine, motion.difference(k, some[mine]))
-            both &= np.any([(felt[slot] == k) & network.feels[k][some] for k in network.needed], axis=0)
         strength, damping = network.holding.at(some), network.slope.at(some) if network.flows else None
         begin, end = network.place[ends]
         place = (begin + (network.normal[some] if network.samples is not None else end - begin) / 2).T
-        curved, pair = np.flatnonzero(both), (difference[0], difference[1])
-        return cls(unknowns, lower, upper, curved, pair, strength, damping, some, place)
+        curved, pair = np.flatnonzero((felt >= 0).all(axis=0)), (difference[0], difference[1])
+        return cls(unknowns, felt, lower, upper, curved, pair, strength, damping, some, place)
 
     @cached_property
     def size(self) -> Enclosure:
@@ -152,13 +151,14 @@ class Slipping:
         return connected(first, second, self.unknowns)
 
 
-def slots(network: Network, some: np.ndarray) -> np.ndarray:
+def _slots(network: Network, some: np.ndarray) -> np.ndarray:
     """(2, k), the two components of some contacts that take the places of the first and the second: those that are
-    needed, -1 for none, or, of three, those across each contact."""
-    if len(network.needed) < 3:
-        return np.repeat(np.array([*network.needed, -1, -1])[:2, None], len(some), axis=1)
-    axis = np.argmax(np.abs(network.normal[some]), axis=1)
-    return np.stack([(axis + 1) % 3, (axis + 2) % 3])
+    needed, or, of three, those across each contact; -1 where it feels none."""
+    if len(network.needed) == 3:
+        axis = np.argmax(np.abs(network.normal[some]), axis=1)
+        return np.stack([(axis + 1) % 3, (axis + 2) % 3])
+    felt = [np.where(network.feels[k][some], k, -1) for k in network.needed]
+    return np.stack([*felt, np.full(len(some), -1)][:2])
 
 
 @np.errstate(all="ignore")  # what is not finite proves nothing

@@ -268,13 +268,10 @@ class Network(OfLaw):
 
     @property
     def own_friction(self) -> list[Enclosure]:
-        """The same by components of F; of lattices in space by the two across each contact."""
-        if self.samples is None:
-            return [Enclosure.exact(np.where(self.counts, part, 0.0)) for part in self.friction.T]
-        if len(self.moment) == 1:
-            return self.moment
-        axis, parts = np.argmax(self.normal, axis=1), [part.high for part in self.moment]
-        return [Enclosure.exact(np.choose((axis + turn) % 3, parts)) for turn in (1, 2)]
+        """Of the same contacts F by component; of lattices its moments, which are as long."""
+        if self.samples is not None:
+            return self.own_moment
+        return [Enclosure.exact(np.where(self.counts, part, 0.0)) for part in self.friction.T]
 
     @property
     def joins(self) -> np.ndarray:

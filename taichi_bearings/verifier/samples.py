@@ -188,8 +188,6 @@ class Samples(OfLaw):
     @cached_property
     def jump_size(self) -> float:
         """|difference of the imposed spins|, rounded, the largest on the top; 1/time."""
-        if self.top is None:
-            return abs(self.spin_top - self.spin_bottom)
         return (
             math.sqrt(sum(max(float(v) * float(v) for v in jump) for jump in self.exact_jump.values())) * self.spin_unit
         )
@@ -197,8 +195,6 @@ class Samples(OfLaw):
     @cached_property
     def spin_unit(self) -> float:
         """A power of two near the jump; 1 without one."""
-        if self.top is None:
-            return power_of_two(self.spin_top - self.spin_bottom)
         jumps = (high - low for k in self.components for low, high in zip(*self.imposed_in_layers(k), strict=True))
         return power_of_two(max(abs(float(jump)) for jump in jumps))
 

@@ -238,7 +238,7 @@ def tied_states(motion: Motion, contacts: Slipping) -> tuple[np.ndarray, bool | 
     """Of one sample of a lattice with two components: states (E,) of its contacts, and whether there is only one
     minimum. None if nothing is proven. contacts : those that slip."""
     limit = Limit.of(motion)
-    if limit is None or not (contacts.size.least > 0).all():
+    if limit is None or motion.torn.any() or not (contacts.size.least > 0).all():
         return None
     pulls = _pulls(motion, contacts, limit)
     between = Between.of(pulls, contacts)
