@@ -35,8 +35,9 @@ TINY = np.finfo(np.float64).tiny
 class Slipping:
     """The n contacts of a network that slip. A driven domain, and a component that is not felt, have the unknown -1.
 
-    felt : (2, n), the components of each, -1 for none. lower, upper : (2, n), unknown of the domain at either end, component by component. curved : (m,), numbers of those
-    that feel both of them; the difference of the others is exactly 0 in one.
+    felt : (2, n), the components of each, -1 for none. lower, upper : (2, n), unknown of the domain at either end,
+    component by component. curved : (m,), numbers of those that feel both of them; the difference of the others is
+    exactly 0 in one.
     difference : of signed spins, two enclosures (n,). strength : friction that a contact bears. damping : None
     without. own : (n,), their numbers among all contacts. place : (d, n), where a contact is in its sample.
     """
