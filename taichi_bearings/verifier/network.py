@@ -51,7 +51,7 @@ class Network(OfLaw):
     free : (n,). speed_unit, force_unit : a power of two, but for the radius in the speeds of lattices.
     spin : u by component, C enclosures (n,). moment : n x F by component, C enclosures (m,), 0 where nothing acts.
     holding : mu F_n; slope : eta, (m,) enclosures, 0 where there is none. imposed : u of driven spheres by component,
-    0 for free ones, and on lattices measured from the bottom. friction : F on the second sphere, (m, C), of packings.
+    0 for free ones, and on lattices measured from the bottom. friction : F on the second sphere, (m, C).
     samples : of a lattice. rolling : (n,) mask of free spheres whose contacts can all roll, whatever the others do.
     """
 
@@ -99,7 +99,8 @@ class Network(OfLaw):
         unit, speed = power_of_two(strength), samples.radius * (samples.spin_unit / force)
         holding = Enclosure.exact(coefficient / (force / unit)).times(np.array([strength / unit]))
         viscosity = samples.flat(samples.viscosity).ravel() if samples.viscosity else coefficient
-        normal, friction = np.eye(dimension, dtype=np.int8)[axis], samples.flat_friction.reshape(len(acts), -1) / force
+        friction = samples.flat_friction.reshape(len(acts), -1) / force
+        normal, friction[coefficient == 0] = np.eye(dimension, dtype=np.int8)[axis], 0.0
         turned = friction if dimension == 2 else np.cross(normal, friction)
         sign = np.tile(samples.sublattice.ravel(), count)
         return cls(
@@ -110,7 +111,7 @@ class Network(OfLaw):
             holding if samples.holds else zero,
             Enclosure.exact(viscosity).times(np.array([speed])) if samples.flows else zero,
             [samples.jump_at(k).signed(sign * (at == shape[-1] - 1)) for k in samples.components],
-            np.zeros((0, 0)), samples,
+            friction, samples,
         )  # fmt: skip
 
     @classmethod
@@ -133,12 +134,12 @@ class Network(OfLaw):
         speed, force = power_of_two(fastest), power_of_two(largest)
         acts = ((first > 0) | (slope > 0)) & free[packing["contact"]].any(axis=1)
         with np.errstate(over="ignore"):
-            spin, friction = spin / speed, np.where(acts[:, None], friction / force, 0.0)
+            spin, friction = spin / speed, friction / force
         if not all((np.abs(values) < MOST_SCALE).all() for values in (spin, spin * radius[:, None], friction)):
             return None
         zero = Enclosure.exact(np.zeros(contacts))
         moving = [Enclosure.exact(part).times(radius) for part in spin.T]
-        moment = moments([Enclosure.exact(part) for part in friction.T], packing["normal"])
+        moment = moments([Enclosure.exact(np.where(acts, part, 0.0)) for part in friction.T], packing["normal"])
         return cls(
             law, 1, packing["center"], packing["contact"].T, packing["normal"], free, speed, force, moving, moment,
             Enclosure.exact(packing["friction"] / force).times(packing["normal_force"]) if holds else zero,
@@ -292,8 +293,6 @@ class Network(OfLaw):
     @cached_property
     def needed(self) -> list[int]:
         """Components that some minimum needs: along the others nothing slips at any minimum."""
-        if self.samples is not None:
-            return [self.samples.components.index(k) for k in self.samples.needed]
         return [k for k in self.components if self._is_needed(k)]
 
     def signs(self, k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -313,10 +312,11 @@ class Network(OfLaw):
     def _is_needed(self, k: int) -> bool:
         """False if component k can be such that nothing slips along it: then that is so at every minimum."""
         label, odd, sign = self.signs(k)
-        own, held = self.imposed[k].signed(sign), ~self.free
-        values = np.stack([label, own.high, own.low])[:, held]
-        several = len(np.unique(values, axis=1).T) > len(np.unique(label[held]))
-        return bool(several or (odd[held] & (own.high[held] != 0)).any())
+        held = np.flatnonzero(~self.free)
+        own = self.imposed[k].signed(sign).at(held)
+        first, part = np.unique(label[held], return_index=True, return_inverse=True)[1:]
+        several = any((values != values[first][part]).any() for values in own.parts[:2])
+        return bool(several or (odd[held] & (own.high != 0)).any())
 
     def dissipated(self, of_slope: float, some: np.ndarray | None = None) -> Enclosure:
         """(R,), friction times slip plus `of_slope`, a power of two, times damping times its square, of what acts."""

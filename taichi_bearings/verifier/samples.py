@@ -132,13 +132,6 @@ class Samples(OfLaw):
         """Of the spins: about z in 2D, and about x, y and z in 3D."""
         return (2,) if self.dimension == 2 else (0, 1, 2)
 
-    @property
-    def needed(self) -> tuple[int, ...]:
-        """Components that some minimum needs: others are the same everywhere, or, about the height, in each layer, at
-        every minimum, but for motions that no contact feels."""
-        height = self.dimension - 1
-        return tuple(k for k in self.components if k != height and self.jump[k].most.any())
-
     @cached_property
     def states(self) -> tuple[list[Decimal], list[Decimal]]:
         """States (A_x, A_y, A_z, C) of bottom and top, to DIGITS digits."""
