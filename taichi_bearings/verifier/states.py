@@ -35,9 +35,8 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import breadth_first_order, connected_components
 
-from taichi_bearings.verifier.balance import bearable
 from taichi_bearings.verifier.bounds import PROVEN, Bounds
-from taichi_bearings.verifier.curvature import Slipping, nearest_minimum
+from taichi_bearings.verifier.curvature import Slipping, bearable, nearest_minimum
 from taichi_bearings.verifier.elimination import EPS
 from taichi_bearings.verifier.enclosure import UP, Enclosure, joined
 from taichi_bearings.verifier.network import Motion, Network, connected, moments

@@ -13,7 +13,7 @@ alone, and a *body* what T joins and those of C that bear nothing along the comp
 2. With these domains held there is one minimum nearby (curvature.py), u*. It is a minimum as long as T and C hold.
 3. Friction that agrees with u* can be put in balance: on C exactly at its limit, if the pulls on each part, added
    exactly, cancel, but for one part at most of a free domain, on which others act (its balance is that of the domain);
-   on T inside all discs (balance.py). So u* is a minimum of the whole power, and T rests at every minimum.
+   on T inside all discs (curvature.py). So u* is a minimum of the whole power, and T rests at every minimum.
 4. All minima share that friction. So they differ from u* by motions of bodies that keep T at rest, turn no slip of S
    and let C slip along its friction alone. Clusters of bodies that move as a whole do so, and what lies between two
    sets, along the line, which leaves these slips open. By the curvature with one body of each held (rises) there are no
@@ -33,8 +33,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components, dijkstra
 
-from taichi_bearings.verifier.balance import bearable
-from taichi_bearings.verifier.curvature import Slipping, nearest_minimum, rises
+from taichi_bearings.verifier.curvature import Slipping, bearable, nearest_minimum, rises
 from taichi_bearings.verifier.enclosure import UP, Enclosure
 from taichi_bearings.verifier.network import Motion, Network
 from taichi_bearings.verifier.samples import CRITICAL, SLIPLESS, SLIPPING, TIED, UNPROVEN
