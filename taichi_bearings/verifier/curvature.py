@@ -129,12 +129,6 @@ class Slipping:
         )
         return replace(self, difference=(difference[0], difference[1]))
 
-    def improved(self) -> Slipping:
-        """After a step of Newton's method, if there is one."""
-        curvature = Curvature.of(self) if self.unknowns else None
-        step = None if curvature is None else curvature.newton_step(self.slope().value)
-        return self if step is None else self.moved(step)
-
     def slope(self) -> Enclosure:
         """(unknowns,), g: what the slipping contacts leave over on each domain."""
         owner, pulls = [], []

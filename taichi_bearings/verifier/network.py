@@ -269,9 +269,9 @@ class Network(OfLaw):
 
     @property
     def own_friction(self) -> list[Enclosure]:
-        """Of the same contacts F by component; of lattices its moments, which are as long."""
+        """Of the contacts that count F by component; of lattices its moments, which are as long."""
         if self.samples is not None:
-            return self.own_moment
+            return self.moment
         return [Enclosure.exact(np.where(self.counts, part, 0.0)) for part in self.friction.T]
 
     @property

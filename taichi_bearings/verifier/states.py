@@ -298,10 +298,8 @@ def _near(motion: Motion, contacts: Slipping) -> tuple[Slipping, np.ndarray] | s
     if not (contacts.size.least > 0).all():
         return "slips are lost in the rounding of the spins"
     near = nearest_minimum(contacts)
-    if near is not None and not bearable(motion, *near):  # perhaps the directions of slip are not known closely enough
-        near = nearest_minimum(near[0].improved())
-        if near is not None and not bearable(motion, *near):
-            return "slipless contacts are not known to bear what the others leave to them"
+    if near is not None and not bearable(motion, *near):
+        return "slipless contacts are not known to bear what the others leave to them"
     return "the power is not known to rise in all directions" if near is None else near
 
 

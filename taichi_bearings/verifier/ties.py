@@ -356,19 +356,14 @@ def _balanced(
     differs there at most; None if it is not known to be one."""
     rests, unsure = limit.others(motion, None), limit.unsure()
     near = nearest_minimum(Slipping.of(motion, _still_labels(motion, pulls.domain, held)))
-    for _ in range(2):
-        if near is None:
-            return None
-        found, turn = near
-        known = pulls.felt & ~pulls.turns & pulls.slips
-        signs = np.array([np.sign(part.high) for part in found.difference])
-        same = (signs == pulls.sign[:, : len(turn)]) | ~known[:, : len(turn)]
-        if not (same.all() and _cancel(pulls) and between.lie_between(found, turn)):
-            return None
-        if bearable(rests, found, turn, unsure):
-            return near
-        near = nearest_minimum(found.improved())
-    return None
+    if near is None:
+        return None
+    found, turn = near
+    known = pulls.felt & ~pulls.turns & pulls.slips
+    signs = np.array([np.sign(part.high) for part in found.difference])
+    same = (signs == pulls.sign[:, : len(turn)]) | ~known[:, : len(turn)]
+    known_well = same.all() and _cancel(pulls) and between.lie_between(found, turn)
+    return near if known_well and bearable(rests, found, turn, unsure) else None
 
 
 def _cancel(pulls: Pulls) -> bool:
