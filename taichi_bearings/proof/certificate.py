@@ -281,19 +281,3 @@ def inverse(values: np.ndarray) -> np.ndarray:
 
 def _without_driven_contacts(scene: Scene, force: Forces) -> Forces:
     return np.where(scene.acting_coefficient == 0, 0.0, force)
-
-
-__all__ = [
-    "balance",
-    "capped",
-    "certifying_forces",
-    "dual_value",
-    "inverse",
-    "largest_unbalanced_torque",
-    "lower_bound",
-    "precise_torques",
-    "relative_gap",
-    "saturation",
-    "scaled",
-    "work_and_bound",
-]

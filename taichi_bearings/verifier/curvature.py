@@ -7,6 +7,8 @@ part of w across it. So where sum h v^2 = rho^2, with rho > |g| / (0.72 tau) in 
 outwards if no slip changes by more than a quarter on the way there: all minima are inside. There directions of slip
 differ by little. Two minima would differ by slips along these directions alone, which the curvature excludes: there is
 just one. Damping eta adds eta w . w to what resists, whatever the slip.
+
+It is a minimum of the whole power if the friction of the contacts that rest can be put in balance there.
 """
 
 from __future__ import annotations
@@ -35,13 +37,15 @@ TINY = np.finfo(np.float64).tiny
 class Slipping:
     """The n contacts of a network that slip. A driven domain, and a component that is not felt, have the unknown -1.
 
-    lower, upper : (2, n), unknown of the domain at either end, component by component. curved : (m,), numbers of those
-    that feel both of them; the difference of the others is exactly 0 in one.
+    felt : (2, n), the components of each, -1 for none. lower, upper : (2, n), unknown of the domain at either end,
+    component by component. curved : (m,), numbers of those that feel both of them; the difference of the others is
+    exactly 0 in one.
     difference : of signed spins, two enclosures (n,). strength : friction that a contact bears. damping : None
     without. own : (n,), their numbers among all contacts. place : (d, n), where a contact is in its sample.
     """
 
     unknowns: int
+    felt: np.ndarray
     lower: np.ndarray
     upper: np.ndarray
     curved: np.ndarray
@@ -57,9 +61,9 @@ class Slipping:
         of contacts that rest if not given."""
         network, unknowns, number = motion.network, 0, {}
         some = np.flatnonzero(network.counts & ~motion.rests)
-        ends, felt = network.contact[:, some], slots(network, some)
+        ends, felt = network.contact[:, some], _slots(network, some)
         for k in network.needed:
-            own = motion.domain(k) if domain is None else domain[k]
+            own = motion.domain[k] if domain is None else domain[k]
             joins = own[ends[:, network.feels[k][some]]]
             free = np.zeros(int(own.max()) + 1, dtype=bool)
             free[joins[:, joins[0] != joins[1]]] = True
@@ -68,18 +72,16 @@ class Slipping:
             unknowns += int(free.sum())
         lower, upper = np.full((2, len(some)), -1), np.full((2, len(some)), -1)
         difference = [Enclosure.exact(np.zeros(len(some))) for _ in range(2)]
-        both = np.ones(len(some), dtype=bool)
         for slot in range(2):
             for k in network.needed:
-                mine = np.flatnonzero((felt[slot] == k) & network.feels[k][some])
+                mine = np.flatnonzero(felt[slot] == k)
                 lower[slot, mine], upper[slot, mine] = number[k][ends[:, mine]]
                 difference[slot].put(mine, motion.difference(k, some[mine]))
-            both &= np.any([(felt[slot] == k) & network.feels[k][some] for k in network.needed], axis=0)
         strength, damping = network.holding.at(some), network.slope.at(some) if network.flows else None
         begin, end = network.place[ends]
         place = (begin + (network.normal[some] if network.samples is not None else end - begin) / 2).T
-        curved, pair = np.flatnonzero(both), (difference[0], difference[1])
-        return cls(unknowns, lower, upper, curved, pair, strength, damping, some, place)
+        curved, pair = np.flatnonzero((felt >= 0).all(axis=0)), (difference[0], difference[1])
+        return cls(unknowns, felt, lower, upper, curved, pair, strength, damping, some, place)
 
     @cached_property
     def size(self) -> Enclosure:
@@ -127,12 +129,6 @@ class Slipping:
         )
         return replace(self, difference=(difference[0], difference[1]))
 
-    def improved(self) -> Slipping:
-        """After a step of Newton's method, if there is one."""
-        curvature = Curvature.of(self) if self.unknowns else None
-        step = None if curvature is None else curvature.newton_step(self.slope().value)
-        return self if step is None else self.moved(step)
-
     def slope(self) -> Enclosure:
         """(unknowns,), g: what the slipping contacts leave over on each domain."""
         owner, pulls = [], []
@@ -152,13 +148,14 @@ class Slipping:
         return connected(first, second, self.unknowns)
 
 
-def slots(network: Network, some: np.ndarray) -> np.ndarray:
+def _slots(network: Network, some: np.ndarray) -> np.ndarray:
     """(2, k), the two components of some contacts that take the places of the first and the second: those that are
-    needed, -1 for none, or, of three, those across each contact."""
-    if len(network.needed) < 3:
-        return np.repeat(np.array([*network.needed, -1, -1])[:2, None], len(some), axis=1)
-    axis = np.argmax(np.abs(network.normal[some]), axis=1)
-    return np.stack([(axis + 1) % 3, (axis + 2) % 3])
+    needed, or, of three, those across each contact; -1 where it feels none."""
+    if len(network.needed) == 3:
+        axis = np.argmax(np.abs(network.normal[some]), axis=1)
+        return np.stack([(axis + 1) % 3, (axis + 2) % 3])
+    felt = [np.where(network.feels[k][some], k, -1) for k in network.needed]
+    return np.stack([*felt, np.full(len(some), -1)][:2])
 
 
 @np.errstate(all="ignore")  # what is not finite proves nothing
@@ -204,6 +201,51 @@ def rises(contacts: Slipping, turn: np.ndarray) -> bool:
     """True if the power has curvature in all directions where each slip differs by a share of up to `turn` (n,)."""
     curvature = Curvature.of(contacts) if contacts.unknowns else None
     return contacts.unknowns == 0 or (curvature is not None and curvature.remains(contacts, turn))
+
+
+def bearable(motion: Motion, contacts: Slipping, turn: np.ndarray, unsure: dict[int, np.ndarray] | None = None) -> bool:
+    """True if the friction of the contacts that rest in a motion can be put in balance inside all discs.
+
+    contacts, turn : those that slip near a minimum, and the share by which each slip differs there. unsure : by
+    component, (n,), how far the friction of others at each sphere may be from what it has to be.
+    """
+    network, left = motion.network, {}
+    moment, torques = network.own_moment, network.own_torques
+    off = _unsure(motion, contacts, turn)
+    for k in network.needed:
+        residual = np.where(network.free, torques[k].most if unsure is None else torques[k].most + unsure[k], 0.0)
+        for slot in range(2):
+            some = contacts.felt[slot] == k
+            for end in network.contact[:, contacts.own[some]]:
+                residual += np.bincount(end, off[slot, some], len(residual))
+        residual[~network.free] = 0.0
+        domain = motion.domain[k]
+        left[k] = np.bincount(domain, residual)[domain] * UP
+    still = np.flatnonzero(motion.rests & network.counts)
+    feels = {k: network.feels[k][still] for k in network.needed}
+    borne = length([moment[k].at(still).where(feels[k]) for k in network.needed])
+    room = network.holding.at(still) - borne
+    first = network.contact[0, still]
+    more = np.sqrt(sum(np.where(feels[k], left[k][first], 0.0) ** 2 for k in network.needed))
+    bears = np.any(list(feels.values()), axis=0)
+    return bool((~bears | ((room.high > 0) & (room.least > more * UP))).all())
+
+
+def _unsure(motion: Motion, contacts: Slipping, turn: np.ndarray) -> np.ndarray:
+    """(2, n): how far the friction of slipping contacts in their components, as the file says, may be from that at the
+    minimum."""
+    network, found = motion.network, np.zeros(contacts.felt.shape)
+    for slot in range(2):
+        said = Enclosure.exact(np.zeros(len(contacts.own)))
+        for k in network.needed:
+            some = np.flatnonzero(contacts.felt[slot] == k)
+            own = contacts.own[some]
+            said.put(some, network.moment[k].at(own).signed(network.sign[k][network.contact[1, own]]))
+        found[slot] = (contacts.pulls[slot] - said).most
+        found[slot, contacts.curved] += 2 * turn[contacts.curved] * contacts.strength.at(contacts.curved).most
+        if contacts.damping is not None:
+            found[slot] += turn * (contacts.damping * contacts.size).most
+    return found
 
 
 @dataclass(frozen=True)

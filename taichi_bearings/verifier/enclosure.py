@@ -83,15 +83,6 @@ class Enclosure:
         error = self.error * (np.abs(other) * SLIGHTLY_UP)
         return _rounded(product, rest, error, lambda: (self.most > 0) & (other != 0))
 
-    def squared(self) -> Enclosure:
-        product, (head, tail), most = self.high * self.high, _halves(self.high), self.most
-        rest = head * head
-        rest -= product
-        rest += 2 * (head * tail)
-        rest += tail * tail
-        rest += 2 * (self.high * self.low)
-        return _rounded(product, rest, 2 * (self.error * most), lambda: most > 0)
-
     def __truediv__(self, other: Enclosure) -> Enclosure:
         """Quotient; the divisor must not enclose 0."""
         first = self.high / other.high
@@ -106,11 +97,12 @@ class Enclosure:
         """Square root of numbers that are not negative, as all that a value of 0 encloses are taken to be."""
         zero = self.high == 0
         root = np.sqrt(np.where(zero, 1.0, self.high))
-        left = self - Enclosure.exact(root).squared()
+        about = Enclosure.exact(root)
+        left = self - about * about
         high, low = _fast_two_sum(root, left.high / (2 * root))
         made = Enclosure(high, low, np.zeros_like(high))
         # |sqrt(a) - b| <= |a - b^2| / b for positive b
-        missed = (self - made.squared()).most / made.least * UP
+        missed = (self - made * made).most / made.least * UP
         return Enclosure(
             np.where(zero, 0.0, high), np.where(zero, 0.0, low), np.where(zero, np.sqrt(self.error) * UP, missed)
         )
@@ -219,7 +211,7 @@ def length(parts: list[Enclosure]) -> Enclosure:
     # the squares of faint ones would be lost
     sizes = np.max([part.most for part in parts], axis=0)
     scale = np.ldexp(1.0, -np.where(sizes < LEAST_LENGTH, np.maximum(np.frexp(sizes)[1], -1000), 0))
-    squares = [part.signed(scale).squared() for part in parts]
+    squares = [scaled * scaled for scaled in (part.signed(scale) for part in parts)]
     found = sum(squares[1:], squares[0]).sqrt().signed(1 / scale)
     found.error[scale > 1] += LEAST_ROUNDING
     root.put(several, found)

@@ -73,31 +73,20 @@ class Judgement(OfLaw):
     def force_unit(self) -> float:
         return self.network.force_unit
 
-    @cached_property
-    def _friction(self) -> np.ndarray:
-        """(R, E, C), as stored but of absent contacts of lattices, in units of force."""
-        samples = self.samples
-        if not isinstance(samples, Samples):
-            return samples.friction.reshape(1, len(self.network.acts), -1) / self.force_unit
-        there = samples.flat(samples.coefficient) != 0
-        return np.where(there[..., None], samples.flat_friction / self.force_unit, 0.0)
-
     @property
     def friction_along(self) -> np.ndarray:
         """(R, E) mask of the contacts along which friction acts, on packings by more than rounding."""
-        if self._friction.shape[-1] == 1:
+        friction, normal = self.network.friction, self.network.normal
+        if friction.shape != normal.shape:
             return np.zeros(self.acts.shape, dtype=bool)
-        along = np.abs((self._friction * self.network.normal.reshape(self._friction.shape)).sum(axis=-1))
         rounding = 0.0 if self.samples.is_lattice else NORMAL_ROUNDING
-        return np.asarray(along > rounding * np.linalg.norm(self._friction, axis=-1))
+        along = np.abs((friction * normal).sum(axis=1)) > rounding * np.linalg.norm(friction, axis=1)
+        return self._by_sample(along)
 
     @property
     def friction_size(self) -> np.ndarray:
-        """(R, E), of the same friction; on lattices of what acts across the contact."""
-        across = self._friction
-        if self.samples.is_lattice and across.shape[-1] == 3:
-            across = np.where(self.network.normal.reshape(across.shape) != 0, 0.0, across)
-        return np.linalg.norm(across, axis=-1) * self.force_unit
+        """(R, E), of the same friction."""
+        return self._by_sample(np.linalg.norm(self.network.friction, axis=1)) * self.force_unit
 
     @cached_property
     def slip(self) -> np.ndarray:

@@ -51,7 +51,7 @@ class Network(OfLaw):
     free : (n,). speed_unit, force_unit : a power of two, but for the radius in the speeds of lattices.
     spin : u by component, C enclosures (n,). moment : n x F by component, C enclosures (m,), 0 where nothing acts.
     holding : mu F_n; slope : eta, (m,) enclosures, 0 where there is none. imposed : u of driven spheres by component,
-    0 for free ones, and on lattices measured from the bottom. friction : F on the second sphere, (m, C), of packings.
+    0 for free ones, and on lattices measured from the bottom. friction : F on the second sphere, (m, C).
     samples : of a lattice. rolling : (n,) mask of free spheres whose contacts can all roll, whatever the others do.
     """
 
@@ -99,7 +99,8 @@ class Network(OfLaw):
         unit, speed = power_of_two(strength), samples.radius * (samples.spin_unit / force)
         holding = Enclosure.exact(coefficient / (force / unit)).times(np.array([strength / unit]))
         viscosity = samples.flat(samples.viscosity).ravel() if samples.viscosity else coefficient
-        normal, friction = np.eye(dimension, dtype=np.int8)[axis], samples.flat_friction.reshape(len(acts), -1) / force
+        friction = samples.flat_friction.reshape(len(acts), -1) / force
+        normal, friction[coefficient == 0] = np.eye(dimension, dtype=np.int8)[axis], 0.0
         turned = friction if dimension == 2 else np.cross(normal, friction)
         sign = np.tile(samples.sublattice.ravel(), count)
         return cls(
@@ -110,7 +111,7 @@ class Network(OfLaw):
             holding if samples.holds else zero,
             Enclosure.exact(viscosity).times(np.array([speed])) if samples.flows else zero,
             [samples.jump_at(k).signed(sign * (at == shape[-1] - 1)) for k in samples.components],
-            np.zeros((0, 0)), samples,
+            friction, samples,
         )  # fmt: skip
 
     @classmethod
@@ -133,12 +134,12 @@ class Network(OfLaw):
         speed, force = power_of_two(fastest), power_of_two(largest)
         acts = ((first > 0) | (slope > 0)) & free[packing["contact"]].any(axis=1)
         with np.errstate(over="ignore"):
-            spin, friction = spin / speed, np.where(acts[:, None], friction / force, 0.0)
+            spin, friction = spin / speed, friction / force
         if not all((np.abs(values) < MOST_SCALE).all() for values in (spin, spin * radius[:, None], friction)):
             return None
         zero = Enclosure.exact(np.zeros(contacts))
         moving = [Enclosure.exact(part).times(radius) for part in spin.T]
-        moment = moments([Enclosure.exact(part) for part in friction.T], packing["normal"])
+        moment = moments([Enclosure.exact(np.where(acts, part, 0.0)) for part in friction.T], packing["normal"])
         return cls(
             law, 1, packing["center"], packing["contact"].T, packing["normal"], free, speed, force, moving, moment,
             Enclosure.exact(packing["friction"] / force).times(packing["normal_force"]) if holds else zero,
@@ -268,13 +269,10 @@ class Network(OfLaw):
 
     @property
     def own_friction(self) -> list[Enclosure]:
-        """The same by components of F; of lattices in space by the two across each contact."""
-        if self.samples is None:
-            return [Enclosure.exact(np.where(self.counts, part, 0.0)) for part in self.friction.T]
-        if len(self.moment) == 1:
+        """Of the contacts that count F by component; of lattices its moments, which are as long."""
+        if self.samples is not None:
             return self.moment
-        axis, parts = np.argmax(self.normal, axis=1), [part.high for part in self.moment]
-        return [Enclosure.exact(np.choose((axis + turn) % 3, parts)) for turn in (1, 2)]
+        return [Enclosure.exact(np.where(self.counts, part, 0.0)) for part in self.friction.T]
 
     @property
     def joins(self) -> np.ndarray:
@@ -295,8 +293,6 @@ class Network(OfLaw):
     @cached_property
     def needed(self) -> list[int]:
         """Components that some minimum needs: along the others nothing slips at any minimum."""
-        if self.samples is not None:
-            return [self.samples.components.index(k) for k in self.samples.needed]
         return [k for k in self.components if self._is_needed(k)]
 
     def signs(self, k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -316,10 +312,11 @@ class Network(OfLaw):
     def _is_needed(self, k: int) -> bool:
         """False if component k can be such that nothing slips along it: then that is so at every minimum."""
         label, odd, sign = self.signs(k)
-        own, held = self.imposed[k].signed(sign), ~self.free
-        values = np.stack([label, own.high, own.low])[:, held]
-        several = len(np.unique(values, axis=1).T) > len(np.unique(label[held]))
-        return bool(several or (odd[held] & (own.high[held] != 0)).any())
+        held = np.flatnonzero(~self.free)
+        own = self.imposed[k].signed(sign).at(held)
+        first, part = np.unique(label[held], return_index=True, return_inverse=True)[1:]
+        several = any((values != values[first][part]).any() for values in own.parts[:2])
+        return bool(several or (odd[held] & (own.high != 0)).any())
 
     def dissipated(self, of_slope: float, some: np.ndarray | None = None) -> Enclosure:
         """(R,), friction times slip plus `of_slope`, a power of two, times damping times its square, of what acts."""
@@ -373,38 +370,24 @@ class Motion:
     rests: np.ndarray
 
     @cached_property
-    def _found(self) -> dict[int, np.ndarray]:
-        return {}
+    def domain(self) -> list[np.ndarray]:
+        """By component, (n,), number of the domain of each sphere."""
+        network, found = self.network, []
+        held = np.flatnonzero(~network.free)
+        for k in network.components:
+            first, second = network.contact[:, self.rests & network.slips_with[k]]
+            if network.samples is not None:
+                leader = network.samples.anchor(network.samples.components[k])[held]
+                first, second = np.append(first, held), np.append(second, leader)
+            found.append(connected(first, second, len(network.free)))
+        return found
 
-    def domain(self, k: int) -> np.ndarray:
-        """(n,), number of the domain of each sphere in component k; of lattices 0 for all that turns with the bottom, 1
-        with the top."""
-        if k not in self._found:
-            self._found[k] = self._domain(k)
-        return self._found[k]
-
-    def _domain(self, k: int) -> np.ndarray:
-        network, samples = self.network, self.network.samples
-        first, second = network.contact[:, self.rests & network.slips_with[k]]
-        if samples is None:
-            return connected(first, second, len(network.free))
-        held, turns_as = np.flatnonzero(~network.free), samples.anchor(samples.components[k])
-        label = connected(np.append(first, held), np.append(second, turns_as[held]), len(network.free))
-        low, high = samples.leader(samples.components[k])
-        return np.where(label == label[low], 0, np.where(label == label[high], 1, label + 2))
-
-    def _models(self, k: int, domain: np.ndarray) -> np.ndarray:
+    def _models(self, k: int) -> np.ndarray:
         """(n,), the sphere as which each turns: of those of its domain a driven one if there is any, else the first."""
-        network, samples = self.network, self.network.samples
-        _, first, number = np.unique(domain, return_index=True, return_inverse=True)
-        model = first[number]
-        if samples is None:
-            held = np.flatnonzero(~network.free)
-            driven = np.full(int(domain.max(initial=0)) + 1, -1)
-            driven[domain[held]] = held
-            return np.where(driven[domain] >= 0, driven[domain], model)
-        low, high = samples.leader(samples.components[k])
-        return np.where(domain == 0, low, np.where(domain == 1, high, model))
+        held, domain = np.flatnonzero(~self.network.free), self.domain[k]
+        model = np.unique(domain, return_index=True)[1]
+        model[domain[held]] = held
+        return model[domain]
 
     @cached_property
     def torn(self) -> np.ndarray:
@@ -412,29 +395,21 @@ class Motion:
         network, found = self.network, np.zeros(self.network.count, dtype=bool)
         held = np.flatnonzero(~network.free)
         for k in (k for k in network.components if network.imposed[k].high.any()):
-            own, domain = network.imposed[k].signed(network.sign[k]).at(held), self.domain(k)[held]
-            model = np.zeros(int(domain.max(initial=0)) + 1, dtype=np.int64)
-            model[domain] = np.arange(len(held))
-            if network.samples is not None:  # domains of all samples have the numbers 0 and 1
-                differs = (domain == 0) & (own.high != 0)
-            else:
-                differs = np.any([part != part[model[domain]] for part in own.parts[:2]], axis=0)
+            own, model = network.imposed[k].signed(network.sign[k]), self._models(k)[held]
+            differs = np.any([part[held] != part[model] for part in own.parts[:2]], axis=0)
             found[held[differs] // (len(network.free) // network.count)] = True
         return found
 
     def difference(self, k: int, some: np.ndarray) -> Enclosure:
         """Of signed spins, of some contacts that feel component k."""
-        network, samples, (first, second) = self.network, self.network.samples, self.network.contact[:, some]
-        own, found = network.spin[k].signed(network.sign[k]), Enclosure.exact(np.zeros(len(some)))
-        domain = self.domain(k)
-        ends = domain[network.contact[:, some]]
-        if samples is None or (self.rests & ~network.still).any():
-            own = own.at(self._models(k, domain))
-        differ = np.flatnonzero(ends[0] != ends[1])
+        network, (first, second) = self.network, self.network.contact[:, some]
+        own, model, domain = network.spin[k].signed(network.sign[k]), self._models(k), self.domain[k]
+        if (self.rests & ~network.still).any():
+            own = own.at(model)
+        differ, found = np.flatnonzero(domain[first] != domain[second]), Enclosure.exact(np.zeros(len(some)))
         found.put(differ, own.at(second[differ]) - own.at(first[differ]))
-        if samples is not None:  # the top turns as it should
-            sign = (ends[1] == 1) * 1.0 - (ends[0] == 1)
-            at_top = np.flatnonzero(sign)
-            shift = samples.shift[samples.components[k]].at(first[at_top])
-            found.put(at_top, found.at(at_top) + shift.signed(sign[at_top]))
+        if network.samples is not None:  # the top turns as it should
+            shift = network.samples.shift[network.samples.components[k]].at(model)
+            at_top = np.flatnonzero(shift.high[first] != shift.high[second])
+            found.put(at_top, found.at(at_top) + (shift.at(second[at_top]) - shift.at(first[at_top])))
         return found

@@ -5,7 +5,7 @@ Let S be the contacts that slip in the given spins, T the others, and V all spin
 1. Where contacts of T put more conditions on spheres than these have freedom for, they must roll exactly: the spheres
    turn as one of their exact motions does, which also have a floor of the other singular values (exact_motions.py).
    Contacts of T that are left have independent rows in the spins that are left, by a floor of K K^T. So V is not
-   empty, and some of its spins are near the given ones, or those that Newton's method has improved (newton.py).
+   empty, and some of its spins are near the given ones, or those that Newton's method has improved.
 2. Within V the power has one minimum near these: along motions x that T allows its curvature is |B x|^2, the sum of
    mu F_n / |y| (K x across y)^2 over S, and elimination proves a floor tau of it with springs at T. Its slope there is
    r . x for torques r that are left over, and b . B x for what friction is off across slips. The power rises where
@@ -14,24 +14,35 @@ Let S be the contacts that slip in the given spins, T the others, and V all spin
    size of which the floors of step 1 bound: the power has no slope in V, so T can bear it. If all of that is inside the
    discs it is one of the whole power; as T bears less than its friction, it rests at every minimum, so all lie in V,
    and there is only one.
+
+Newton's method moves the spins as T allows, until S leaves nothing over that T cannot bear, and lets T bear the rest,
+in sums of two doubles, of which each step finds more digits. Nothing of that is proven, and nothing has to be: the
+proof starts from what comes out, whatever it is.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy import sparse
 
 from taichi_bearings.verifier.bounds import Bounds
+from taichi_bearings.verifier.curvature import Form
+from taichi_bearings.verifier.elimination import EPS, Elimination
 from taichi_bearings.verifier.enclosure import UP, Enclosure, length
 from taichi_bearings.verifier.exact_motions import ExactMotions, numbered
-from taichi_bearings.verifier.newton import Near
-from taichi_bearings.verifier.springs import floor_of_slips
+from taichi_bearings.verifier.network import Network, moments
+from taichi_bearings.verifier.springs import floor_of_slips, slip_rows
 
 MOVING = 1e-10  # of the fastest imposed component, above which a contact is taken to slip
 MOST_TURN = 0.25  # of a slip, over its size
 TINY = 1e-290
+FIRM = 1e4  # how much more firmly T is held in guesses of conjugate gradients than S is at the median of its slips
+SOFT = -1e-9  # squared slips over spins, above what rounding makes of none, and below those that T forbids
+MOST_GRADIENTS, CLOSE = 40, 1e-6  # steps, and the share of the torques at which they end
 
 
 @np.errstate(all="ignore")  # what is not finite proves nothing
@@ -48,11 +59,10 @@ def enclosed_minimum(bounds: Bounds) -> tuple[np.ndarray, np.ndarray] | None:
     loose = floor_of_slips(network, numbered(~exact.spheres[:, None] & (number >= 0)), others, sharp=True)
     if loose is None:
         return None
-    near = Near(network, exact, number, own, still, network.spin, bounds.friction)
-    reach = _reach(near, np.sqrt(loose) / UP)
-    if reach is None:
+    near = Near(network, exact, np.sqrt(loose) / UP, number, own, still, network.spin, bounds.friction)
+    if (reach := near.proven_reach()) is None:
         near = near.improved()
-        reach = _reach(near, np.sqrt(loose) / UP)
+        reach = near.proven_reach()
     if reach is None:
         return None
     # slips of the improved spins are not quite the given ones
@@ -61,79 +71,199 @@ def enclosed_minimum(bounds: Bounds) -> tuple[np.ndarray, np.ndarray] | None:
     return slides, found
 
 
-def _reach(near: Near, loose: float) -> np.ndarray | None:
-    """(S,), how far slips of the only minimum are from these at most; None if that is not known."""
-    place = _Place(near, loose)
-    reach = place.reach() if (near.size.least > 0).all() else None
-    return reach if reach is not None and place.holds(reach) else None
-
-
 @dataclass(frozen=True)
-class _Place:
-    """near : spins, some of V close to them. loose : least singular value of K^T, of the contacts of T that exact
-    motions leave out by the spheres that they leave out; rounded down, infinite of no contacts."""
+class Near:
+    """Spins of some motion of V, or close to one. own, still : contacts of S and of T. number : (N, 3) of the n
+    unknowns, -1 for none. exact : motions of T. loose : least singular value of K^T, of the contacts of T that exact
+    motions leave out by the spheres that they leave out; rounded down, infinite of no contacts.
 
-    near: Near
+    spin : (N,) by component, exact sums of two doubles. pull : (E,) by component, what T bears, the same; not of S.
+    """
+
+    network: Network
+    exact: ExactMotions
     loose: float
+    number: np.ndarray
+    own: np.ndarray
+    still: np.ndarray
+    spin: list[Enclosure]
+    pull: list[Enclosure]
+
+    @cached_property
+    def slips(self) -> list[Enclosure]:
+        """(E,) by component; contacts of T that can roll exactly do so."""
+        return self.network.slips(self.exact.rolling(self.spin))
+
+    @cached_property
+    def size(self) -> Enclosure:
+        """(S,), of the slips of S."""
+        return length([part.at(self.own) for part in self.slips])
+
+    @cached_property
+    def strength(self) -> Enclosure:
+        """(S,), friction that they bear."""
+        return self.network.holding.at(self.own)
+
+    @cached_property
+    def friction(self) -> list[Enclosure]:
+        """(E,) by component, exact sums of two doubles, of S nearly along its slips."""
+        found = []
+        for part, slip in zip(self.pull, self.slips, strict=True):
+            found.append(_doubles(part))
+            found[-1].put(self.own, _doubles(self.strength * (slip.at(self.own) / self.size)))
+        return found
+
+    @cached_property
+    def torques(self) -> list[Enclosure]:
+        """(N,) by component."""
+        return self.network.torques(moments(self.friction, self.network.normal))
+
+    @cached_property
+    def rows(self) -> sparse.csr_array:
+        """K, (3 E, n)."""
+        return slip_rows(self.network, self.number)
+
+    def rows_of(self, contacts: np.ndarray) -> np.ndarray:
+        """Their numbers, component by component."""
+        return np.concatenate([k * len(self.network.normal) + contacts for k in range(3)])
+
+    @property
+    def place(self) -> np.ndarray:
+        """(3, n)."""
+        return np.asarray(self.network.place[np.nonzero(self.number >= 0)[0]].T)
+
+    def form(self, firmness: float = 1.0) -> Form | None:
+        """Of S what slips change across them, times the root of friction over slip, and of T all slips, times that of
+        friction over the median slip and the firmness."""
+        own, still, strength = self.own, self.still, self.network.holding.value
+        across = np.cross(self.network.normal[own], np.stack([part.value[own] for part in self.slips], axis=1))
+        across /= np.linalg.norm(across, axis=1)[:, None]
+        root = np.sqrt(strength[own] / self.size.value)
+        firm = firmness * np.sqrt(strength[still] / (np.median(self.size.value) if len(own) else 1.0))
+        at = np.append(self.rows_of(own), self.rows_of(still))
+        row = np.append(np.tile(np.arange(len(own)), 3), len(own) + np.arange(3 * len(still)))
+        shape = (len(own) + 3 * len(still), self.rows.shape[0])
+        size_of = np.append(np.tile(root, 3), np.tile(firm, 3))
+        value = size_of * np.append(across.T.ravel(), np.ones(3 * len(still)))
+        rows = sparse.csr_array(sparse.csr_array((value, (row, at)), shape=shape) @ self.rows)
+        doubt = sparse.csr_array((32 * EPS * size_of, (row, at)), shape=shape) @ abs(self.rows)
+        return Form.of(rows, sparse.csr_array(doubt), self.place)
+
+    def improved(self) -> Near:
+        """After as many steps as leave less than half of the torques each."""
+        form, there = self.form(FIRM), self.number >= 0
+        fixed = sparse.csr_array(self.rows[self.rows_of(self.still)])
+        factor = Elimination.of((fixed.T @ fixed).tocsc(), self.place).factorised(SOFT)
+        soft = None if form is None else form.elimination.factorised()
+        if form is None or factor is None or soft is None:
+            return self
+
+        def borne(torque: np.ndarray) -> np.ndarray:
+            """By which spins slips of T are that bear it, as far as T can."""
+            found = factor.solve(torque)
+            return found + factor.solve(torque - fixed.T @ (fixed @ found))
+
+        def allowed(spins: np.ndarray) -> np.ndarray:
+            return spins - borne(fixed.T @ (fixed @ spins))
+
+        def bends(spins: np.ndarray) -> np.ndarray:
+            """Torques of S, as its slips turn."""
+            return (form.rows[: len(self.own)].T @ (form.rows[: len(self.own)] @ (spins / form.scale))) / form.scale
+
+        best, least, found = self, np.inf, self
+        while True:
+            torque = np.stack([part.value for part in found.torques], axis=1)[there]
+            if not (left := float(np.linalg.norm(form.scale * torque))) < least / 2:
+                return best
+            best, least = found, left
+            slip = np.stack([part.value[self.still] for part in best.slips]).ravel()
+            step = -borne(fixed.T @ slip)
+            step -= _within(lambda x: allowed(bends(x)), allowed(torque + bends(step)),
+                            lambda x: allowed(form.scale * soft.solve(form.scale * x)))  # fmt: skip
+            found = best.moved(step, (fixed @ borne(torque + bends(step))).reshape(3, -1))
+
+    def moved(self, step: np.ndarray, pull: np.ndarray) -> Near:
+        """step : (n,), of the unknowns. pull : (3, T), what T bears less."""
+        moved, less = np.zeros(self.number.shape), np.zeros((3, len(self.network.normal)))
+        moved[self.number >= 0], less[:, self.still] = step, -pull
+        spin, pull_ = (
+            [_doubles(part + Enclosure.exact(by)) for part, by in zip(parts, change, strict=True)]
+            for parts, change in ((self.spin, moved.T), (self.pull, less))
+        )
+        return replace(self, spin=spin, pull=pull_)
+
+    def proven_reach(self) -> np.ndarray | None:
+        """(S,), how far slips of the only minimum are from these at most; None if that is not known."""
+        reach = self._reach() if (self.size.least > 0).all() else None
+        return reach if reach is not None and self._holds(reach) else None
 
     @property
     def _left(self) -> np.ndarray:
-        """(N,) mask of these spheres."""
-        return np.asarray(self.near.network.free & ~self.near.exact.spheres)
-
-    @property
-    def _ends(self) -> np.ndarray:
-        """(2, S)."""
-        return np.asarray(self.near.network.contact[:, self.near.own])
-
-    @cached_property
-    def _strength(self) -> Enclosure:
-        """(S,)."""
-        return self.near.network.holding.at(self.near.own)
+        """(N,) mask of the spheres that exact motions leave out."""
+        return np.asarray(self.network.free & ~self.exact.spheres)
 
     @cached_property
     def _wrong(self) -> np.ndarray:
         """(S,), how far friction is from that along slips."""
-        pairs = zip(self.near.friction, self.near.slips, strict=True)
-        own, size = self.near.own, self.near.size
-        return length([f.at(own) - self._strength * (s.at(own) / size) for f, s in pairs]).most
+        pairs = zip(self.friction, self.slips, strict=True)
+        return length([f.at(self.own) - self.strength * (s.at(self.own) / self.size) for f, s in pairs]).most
 
     def _torques(self, unsure: np.ndarray) -> np.ndarray:
         """(N, 3), sizes at the unknowns, where friction of S is not sure by as much (S,)."""
-        found = np.stack([part.most for part in self.near.torques], axis=1)
-        for end in self._ends:
+        found = np.stack([part.most for part in self.torques], axis=1)
+        for end in self.network.contact[:, self.own]:
             np.add.at(found, end, unsure[:, None] * UP)
-        return np.where(self.near.number >= 0, found * UP, 0.0)
+        return np.where(self.number >= 0, found * UP, 0.0)
 
-    def reach(self) -> np.ndarray | None:
+    def _reach(self) -> np.ndarray | None:
         """Step 2: (S,), how far slips are from these at the minimum in V, at most; or None."""
-        near, size, form = self.near, self.near.size, self.near.form()
+        size, strength, form = self.size, self.strength, self.form()
         if form is None or (tau := form.floor(sharp=True)) is None:
             return None
-        others = np.setdiff1d(near.still, np.flatnonzero(near.exact.contacts))
-        missed = float(np.sqrt(sum((part.most[others] ** 2).sum() for part in near.slips)))
+        others, ends = np.setdiff1d(self.still, np.flatnonzero(self.exact.contacts)), self.network.contact[:, self.own]
+        missed = float(np.sqrt(sum((part.most[others] ** 2).sum() for part in self.slips)))
         off = missed / self.loose * UP if missed else 0.0  # of spins in V from these
-        far = np.where(self._left[self._ends].any(axis=0), 2 * off * UP, 0.0)  # of their slips
-        bends = (self._wrong / self._strength.least + 2 * far / size.least) * UP  # of friction across slips, over it
-        longer = (length([part.at(near.own) for part in near.friction]) - self._strength).most
-        scale = np.zeros(near.number.shape)
-        scale[near.number >= 0] = form.scale
-        slope = np.linalg.norm(scale * self._torques(longer + self._strength.most * bends**2 * UP)) / tau
-        slope += np.sqrt((self._strength.most * size.most * bends**2).sum() / tau)
+        far = np.where(self._left[ends].any(axis=0), 2 * off * UP, 0.0)  # of their slips
+        bends = (self._wrong / strength.least + 2 * far / size.least) * UP  # of friction across slips, over it
+        longer = (length([part.at(self.own) for part in self.friction]) - strength).most
+        scale = np.zeros(self.number.shape)
+        scale[self.number >= 0] = form.scale
+        slope = np.linalg.norm(scale * self._torques(longer + strength.most * bends**2 * UP)) / tau
+        slope += np.sqrt((strength.most * size.most * bends**2).sum() / tau)
         largest = scale.max(axis=1)
-        found = (far + 12 * largest[self._ends].max(axis=0) * slope * UP**2 + TINY) * UP
+        found = (far + 12 * largest[ends].max(axis=0) * slope * UP**2 + TINY) * UP
         turn, loss = found / size.least * UP, np.zeros(len(scale))
-        for end in self._ends:
-            np.add.at(loss, end, 8 * turn**2 * (self._strength.most / size.least))
+        for end in ends:
+            np.add.at(loss, end, 8 * turn**2 * (strength.most / size.least))
         known = (turn <= MOST_TURN).all() and (largest**2 * loss * UP < tau / 8).all()
         return found if known else None
 
-    def holds(self, reach: np.ndarray) -> bool:
+    def _holds(self, reach: np.ndarray) -> bool:
         """Step 3, where slips (S,) are as far from these."""
-        near, network = self.near, self.near.network
-        torque = self._torques(self._wrong + 2 * reach / near.size.least * UP * self._strength.most)
+        network, exact = self.network, self.exact
+        torque = self._torques(self._wrong + 2 * reach / self.size.least * UP * self.strength.most)
         by_left = float(np.linalg.norm(torque[self._left])) / self.loose * UP
         most = np.sqrt(2 * np.bincount(network.contact[:, network.counts].ravel()).max())
-        by_exact = (float(np.linalg.norm(torque[near.exact.spheres])) + most * by_left) / near.exact.floor * UP**2
-        room = (network.holding - length(near.friction)).lower()[near.still]
-        return bool((room > np.where(near.exact.contacts[near.still], by_exact, by_left) * UP).all())
+        by_exact = (float(np.linalg.norm(torque[exact.spheres])) + most * by_left) / exact.floor * UP**2
+        room = (network.holding - length(self.friction)).lower()[self.still]
+        return bool((room > np.where(exact.contacts[self.still], by_exact, by_left) * UP).all())
+
+
+def _doubles(values: Enclosure) -> Enclosure:
+    return Enclosure.exact(values.high, values.low)
+
+
+def _within(
+    operator: Callable[[np.ndarray], np.ndarray], right: np.ndarray, guess: Callable[[np.ndarray], np.ndarray]
+) -> np.ndarray:
+    """x with operator(x) = right, by conjugate gradients. guess : of x, from the right-hand side."""
+    x, left, last, along = np.zeros_like(right), right, np.inf, np.zeros_like(right)
+    for _ in range(MOST_GRADIENTS):
+        if not np.linalg.norm(left) > CLOSE * np.linalg.norm(right):
+            break
+        guessed = guess(left)
+        along, last = guessed + (left @ guessed) / last * along, left @ guessed
+        changed = operator(along)
+        share = last / (along @ changed)
+        x, left = x + share * along, left - share * changed
+    return x

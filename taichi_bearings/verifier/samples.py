@@ -132,13 +132,6 @@ class Samples(OfLaw):
         """Of the spins: about z in 2D, and about x, y and z in 3D."""
         return (2,) if self.dimension == 2 else (0, 1, 2)
 
-    @property
-    def needed(self) -> tuple[int, ...]:
-        """Components that some minimum needs: others are the same everywhere, or, about the height, in each layer, at
-        every minimum, but for motions that no contact feels."""
-        height = self.dimension - 1
-        return tuple(k for k in self.components if k != height and self.jump[k].most.any())
-
     @cached_property
     def states(self) -> tuple[list[Decimal], list[Decimal]]:
         """States (A_x, A_y, A_z, C) of bottom and top, to DIGITS digits."""
@@ -188,8 +181,6 @@ class Samples(OfLaw):
     @cached_property
     def jump_size(self) -> float:
         """|difference of the imposed spins|, rounded, the largest on the top; 1/time."""
-        if self.top is None:
-            return abs(self.spin_top - self.spin_bottom)
         return (
             math.sqrt(sum(max(float(v) * float(v) for v in jump) for jump in self.exact_jump.values())) * self.spin_unit
         )
@@ -197,8 +188,6 @@ class Samples(OfLaw):
     @cached_property
     def spin_unit(self) -> float:
         """A power of two near the jump; 1 without one."""
-        if self.top is None:
-            return power_of_two(self.spin_top - self.spin_bottom)
         jumps = (high - low for k in self.components for low, high in zip(*self.imposed_in_layers(k), strict=True))
         return power_of_two(max(abs(float(jump)) for jump in jumps))
 
@@ -247,9 +236,9 @@ class Samples(OfLaw):
 
     @cached_property
     def shift(self) -> dict[int, Enclosure]:
-        """(R * N,) by component, what the signed spin of the top in the layer of each sphere, as stored, lacks of the
-        imposed one, measured from the bottom."""
-        found = {}
+        """(R * N,) by component, what the signed spin of spheres of the top, as stored, lacks of the imposed one,
+        measured from the bottom; 0 of all others."""
+        found, is_top = {}, np.arange(self.count * self.sublattice.size) % self.shape[-1] == self.shape[-1] - 1
         with localcontext() as context:
             context.prec = DIGITS
             for k, stored in self.signed_spin.items():
@@ -262,7 +251,7 @@ class Samples(OfLaw):
                         zip(*(np.transpose(pair).tolist() for pair in pairs), strict=True)
                     )
                 ]
-                found[k] = Enclosure.of_decimals(missing).at(place)
+                found[k] = Enclosure.of_decimals(missing).at(place).where(is_top)
         return found
 
     def flat(self, of_axes: Iterable[np.ndarray]) -> np.ndarray:

@@ -35,9 +35,8 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import breadth_first_order, connected_components
 
-from taichi_bearings.verifier.balance import bearable
 from taichi_bearings.verifier.bounds import PROVEN, Bounds
-from taichi_bearings.verifier.curvature import Slipping, nearest_minimum
+from taichi_bearings.verifier.curvature import Slipping, bearable, nearest_minimum
 from taichi_bearings.verifier.elimination import EPS
 from taichi_bearings.verifier.enclosure import UP, Enclosure, joined
 from taichi_bearings.verifier.network import Motion, Network, connected, moments
@@ -102,7 +101,6 @@ def proven_states(bounds: Bounds, slip_bound: np.ndarray) -> list[States]:
             if len(network.needed) == 1
             else _by_curvature(network, slip_bound)
         )
-        found = _unless_torn(network, found) if lattice else found
     told = []
     for states, rest, acts, bound in zip(
         found, *(v.reshape(network.count, -1) for v in (rests, network.acts, slip_bound)), strict=True
@@ -126,26 +124,6 @@ def _samples(network: Network, states: np.ndarray, reason: str, unique: bool | N
 
 def _nothing(network: Network, reason: str) -> list[States]:
     return _samples(network, np.full(len(network.acts), UNPROVEN), reason, None)
-
-
-def _unless_torn(network: Network, found: list[States]) -> list[States]:
-    """But nothing is proven of a lattice on which something moves as it does at no minimum."""
-    assert network.samples is not None
-    varies: dict[str, np.ndarray] = {}
-    for k in set(network.components) - set(network.needed):
-        first, second = network.contact[:, network.feels[k]]
-        even = np.ones(len(network.acts), dtype=bool)
-        even[network.feels[k]] = np.all([p[first] == -p[second] for p in network.spin[k].parts[:2]], axis=0)
-        varies["xyz"[network.samples.components[k]]] = np.asarray(~even.reshape(network.count, -1).all(axis=1))
-    checked = []
-    for number, states in enumerate(found):
-        reasons = [
-            f"the spin component about {k} varies, which it does at no minimum" for k, v in varies.items() if v[number]
-        ]
-        if network.motion.torn[number]:
-            reasons = ["contacts without slip join the two driven planes"]
-        checked.append(States(np.full_like(states.proven, UNPROVEN), None, reasons[0]) if reasons else states)
-    return checked
 
 
 def _apart(network: Network, bound: np.ndarray, far: np.ndarray) -> np.ndarray:
@@ -286,10 +264,8 @@ def _by_domains(network: Network, rests: np.ndarray, bound: np.ndarray) -> np.nd
         return "loops are odd"
     motion = Motion(network, rests)
     first, second = network.contact
-    within = [(motion.domain(k)[first] == motion.domain(k)[second]) | ~network.feels[k] for k in network.needed]
+    within = [(motion.domain[k][first] == motion.domain[k][second]) | ~network.feels[k] for k in network.needed]
     motion = Motion(network, network.counts & np.all(within, axis=0))
-    if motion.torn[0]:
-        return "contacts without slip join driven spheres that turn otherwise"
     near = _near(motion, Slipping.of(motion))
     if isinstance(near, str):
         return near
@@ -315,15 +291,15 @@ def _repeats(network: Network) -> bool:
 def _near(motion: Motion, contacts: Slipping) -> tuple[Slipping, np.ndarray] | str:
     """Contacts near the minimum, and the share (n,) by which each slip differs there at most; or what is missing in the
     proof. Samples are like parts of one that no contact joins."""
+    if motion.torn.any():
+        return "contacts without slip join driven spheres that turn otherwise"
     if not _saturated(motion.network, contacts):
         return "contacts slip whose friction is not at its limit"
     if not (contacts.size.least > 0).all():
         return "slips are lost in the rounding of the spins"
     near = nearest_minimum(contacts)
-    if near is not None and not bearable(motion, *near):  # perhaps the directions of slip are not known closely enough
-        near = nearest_minimum(near[0].improved())
-        if near is not None and not bearable(motion, *near):
-            return "slipless contacts are not known to bear what the others leave to them"
+    if near is not None and not bearable(motion, *near):
+        return "slipless contacts are not known to bear what the others leave to them"
     return "the power is not known to rise in all directions" if near is None else near
 
 

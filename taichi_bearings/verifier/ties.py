@@ -13,7 +13,7 @@ alone, and a *body* what T joins and those of C that bear nothing along the comp
 2. With these domains held there is one minimum nearby (curvature.py), u*. It is a minimum as long as T and C hold.
 3. Friction that agrees with u* can be put in balance: on C exactly at its limit, if the pulls on each part, added
    exactly, cancel, but for one part at most of a free domain, on which others act (its balance is that of the domain);
-   on T inside all discs (balance.py). So u* is a minimum of the whole power, and T rests at every minimum.
+   on T inside all discs (curvature.py). So u* is a minimum of the whole power, and T rests at every minimum.
 4. All minima share that friction. So they differ from u* by motions of bodies that keep T at rest, turn no slip of S
    and let C slip along its friction alone. Clusters of bodies that move as a whole do so, and what lies between two
    sets, along the line, which leaves these slips open. By the curvature with one body of each held (rises) there are no
@@ -33,8 +33,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components, dijkstra
 
-from taichi_bearings.verifier.balance import bearable
-from taichi_bearings.verifier.curvature import Slipping, nearest_minimum, rises
+from taichi_bearings.verifier.curvature import Slipping, bearable, nearest_minimum, rises
 from taichi_bearings.verifier.enclosure import UP, Enclosure
 from taichi_bearings.verifier.network import Motion, Network
 from taichi_bearings.verifier.samples import CRITICAL, SLIPLESS, SLIPPING, TIED, UNPROVEN
@@ -238,7 +237,7 @@ def tied_states(motion: Motion, contacts: Slipping) -> tuple[np.ndarray, bool | 
     """Of one sample of a lattice with two components: states (E,) of its contacts, and whether there is only one
     minimum. None if nothing is proven. contacts : those that slip."""
     limit = Limit.of(motion)
-    if limit is None or not (contacts.size.least > 0).all():
+    if limit is None or motion.torn.any() or not (contacts.size.least > 0).all():
         return None
     pulls = _pulls(motion, contacts, limit)
     between = Between.of(pulls, contacts)
@@ -307,7 +306,7 @@ def _pulls(motion: Motion, contacts: Slipping, limit: Limit) -> Pulls:
     assert network.samples is not None
     coefficient = network.samples.flat(network.samples.coefficient)[0]
     domain, part, body = (
-        np.array([joined_by(slot).domain(k) for slot, k in enumerate(network.needed)])
+        np.array([_numbered(joined_by(slot), k) for slot, k in enumerate(network.needed)])
         for joined_by in (lambda _: motion, lambda _: limit.others(motion, None), lambda s: limit.others(motion, s))
     )
     return Pulls(
@@ -315,6 +314,14 @@ def _pulls(motion: Motion, contacts: Slipping, limit: Limit) -> Pulls:
         np.concatenate([turns, pull], axis=1), coefficient[own], np.arange(len(own)) < len(contacts.own),
         domain, part, body,
     )  # fmt: skip
+
+
+def _numbered(motion: Motion, k: int) -> np.ndarray:
+    """(spheres,), numbers of domains: 0 and 1 for what turns with the bottom and the top, and larger ones."""
+    samples, label = motion.network.samples, motion.domain[k]
+    assert samples is not None
+    low, high = samples.leader(samples.components[k])
+    return np.where(label == label[low], 0, np.where(label == label[high], 1, label + 2))
 
 
 def _held(pulls: Pulls, label: np.ndarray, between: Between) -> np.ndarray | None:
@@ -349,19 +356,14 @@ def _balanced(
     differs there at most; None if it is not known to be one."""
     rests, unsure = limit.others(motion, None), limit.unsure()
     near = nearest_minimum(Slipping.of(motion, _still_labels(motion, pulls.domain, held)))
-    for _ in range(2):
-        if near is None:
-            return None
-        found, turn = near
-        known = pulls.felt & ~pulls.turns & pulls.slips
-        signs = np.array([np.sign(part.high) for part in found.difference])
-        same = (signs == pulls.sign[:, : len(turn)]) | ~known[:, : len(turn)]
-        if not (same.all() and _cancel(pulls) and between.lie_between(found, turn)):
-            return None
-        if bearable(rests, found, turn, unsure):
-            return near
-        near = nearest_minimum(found.improved())
-    return None
+    if near is None:
+        return None
+    found, turn = near
+    known = pulls.felt & ~pulls.turns & pulls.slips
+    signs = np.array([np.sign(part.high) for part in found.difference])
+    same = (signs == pulls.sign[:, : len(turn)]) | ~known[:, : len(turn)]
+    known_well = same.all() and _cancel(pulls) and between.lie_between(found, turn)
+    return near if known_well and bearable(rests, found, turn, unsure) else None
 
 
 def _cancel(pulls: Pulls) -> bool:

@@ -11,7 +11,6 @@ from taichi_bearings.verifier.claims import Claim, agree, ended, not_checked, of
 from taichi_bearings.verifier.judgement import EPS, Judgement
 from taichi_bearings.verifier.network import StoredPacking
 from taichi_bearings.verifier.samples import CRITICAL, DRIVEN_STATE, SLIPLESS, SLIPPING, TIED, UNPROVEN, Samples
-from taichi_bearings.verifier.states import States
 from taichi_bearings.verifier.stored_run import StoredRun
 from taichi_bearings.verifier.ties import MISSED_LIMIT
 
@@ -67,7 +66,7 @@ def report_of(run: StoredRun) -> dict[str, Any]:
         claims = [list(_claims(run, judgement, number)) for number in range(count)]
         found = [*agree(run), *ended(run, judgement.gap)]
         found += _packing(run.samples) if isinstance(run.samples, StoredPacking) else _driving(run.samples)
-        found += [*_arrays(run, judgement), *_threshold(run), *_states(run, states), *summed_up(run, claims)]
+        found += [*_arrays(run, judgement), *_threshold(run), *_states(run, judgement), *summed_up(run, claims)]
         found += _history(run, judgement)
         unseen = not_checked(run, {claim.name for claim in claims[0] if claim.is_sure})
     report = told if count > 1 else {name: values[0] for name, values in told.items()}
@@ -195,9 +194,9 @@ def _threshold(run: StoredRun) -> Iterator[str]:
         yield f"contacts that are said to slip are slower ({least!r}) than the threshold {threshold!r}"
 
 
-def _states(run: StoredRun, states: list[States]) -> Iterator[str]:
+def _states(run: StoredRun, judgement: Judgement) -> Iterator[str]:
     """The states that the file gives are not refuted, and what it says to be proven is."""
-    for number, found in enumerate(states):
+    for number, found in enumerate(judgement.states):
         which, given = of_sample(run, number), run.reported["state"][number]
         proven, tied, unique, cut, unproven = (
             run.claimed(name)[number]
@@ -214,7 +213,7 @@ def _states(run: StoredRun, states: list[States]) -> Iterator[str]:
             yield f"{tied} contacts{which} are said to differ between minima, and there is only one minimum"
         if unique and not found.unique:
             yield f"the minimum{which} is said to be unique, and that is not proven"
-        exact = isinstance(run.samples, Samples) and len(run.samples.needed) == 1  # then the method knows ties exactly
+        exact = run.samples.is_lattice and len(judgement.network.needed) == 1  # then the method knows ties exactly
         if run.samples.is_lattice and ((proven and not unique) or (exact and unique is None and tied)):
             yield f"it is said whether the minimum{which} is unique, and other words say something else"
         if cut not in (None, not tied):

@@ -198,8 +198,9 @@ def contacts_of_one_component(samples):
     node = {
         site: {0: "bottom", samples.shape[-1] - 1: "top"}.get(site[-1], site) for site in np.ndindex(*samples.shape)
     }
+    about = next(k for k in samples.components if k != samples.dimension - 1 and samples.jump[k].most.any())
     for axis, coefficient in enumerate(samples.coefficient):
-        for lower in np.ndindex(*coefficient.shape[1:]) if samples.needed[0] != axis else ():
+        for lower in np.ndindex(*coefficient.shape[1:]) if about != axis else ():
             upper = tuple((x + (k == axis)) % n for k, (x, n) in enumerate(zip(lower, samples.shape, strict=True)))
             yield axis, lower, node[lower], node[upper], int(coefficient[(0, *lower)])
 
