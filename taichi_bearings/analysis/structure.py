@@ -377,8 +377,9 @@ def structure_of(answer: Solution, number: int = 0, threshold: float | None = No
     """
     one = answer.sample(number)
     kind: type[Structure] = LatticeStructure if isinstance(one.scene, Scene) else Structure
-    arrays = [values[0] for values in (one.spin, one.slip, one.state, one.friction, one.power_per_contact)]
-    return kind(one, *arrays, float(one.power[0]), float(one.lower_bound[0]), threshold)
+    power, lower_bound = float(one.power[0]), float(one.lower_bound[0])
+    of_contacts = (one.slip[0], one.state[0], one.friction[0], one.power_per_contact[0])
+    return kind(one, one.spin[0], *of_contacts, power, lower_bound, threshold)
 
 
 def find_interface(scene: Scene, replica: int = 0) -> Interface:
