@@ -3,17 +3,11 @@
 import pytest
 
 from taichi_bearings.scene import Status
-from taichi_bearings.scene.initial_spins import STARTS, initial_spin
+from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import GradientDescent, OperatorSplitting
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
 from tests.scenes import minima, name_of, scene_of
-
-ENTRIES = minima((10, 10))[2:] + minima((3, 3, 3)) + minima((10, 10, 10))[2:]
-
-
-def of_pair(part):
-    return part if isinstance(part, str) else name_of(part)
 
 
 def check(entry, solution, accuracy):
@@ -23,15 +17,6 @@ def check(entry, solution, accuracy):
     assert solution.power[0] <= exact * (1 + accuracy)
     assert solution.lower_bound[0] <= exact
     assert solution.lower_bound[0] >= solution.power[0] * (1 - solution.gap[0]) * (1 - 1e-12)
-
-
-@pytest.mark.usefixtures("needs_f64")
-@pytest.mark.parametrize(("entry", "start"), list(zip(ENTRIES, STARTS, strict=True)), ids=of_pair)
-def test_gradient_descent_with_momentum(entry, start):
-    scene = scene_of(entry)
-    solution = solve(scene, GradientDescent().build(), initial_spin(scene, start), StopRule(2e-5, 400_000))
-    assert solution.status is Status.CERTIFIED
-    check(entry, solution, 2e-5)
 
 
 @pytest.mark.slow

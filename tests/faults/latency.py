@@ -4,7 +4,10 @@ Seconds of a quiet machine: of the clock or of the processor, whichever are fewe
 Run as ``python -m tests.faults.latency`` for the table of docs/files.md: the longest of some moments in each stage.
 """
 
+import gc
+import importlib
 import os
+import pkgutil
 import signal
 import struct
 import sys
@@ -16,7 +19,6 @@ from pathlib import Path
 from taichi_bearings_cli import main as command_line
 
 from taichi_bearings import stages
-from tests.cli.commands import import_everything
 
 HANGS = 60.0  # seconds
 MOMENTS = (0.0, 0.1, 0.4, 1.0, 3.0, 8.0)  # seconds after a stage has begun
@@ -103,6 +105,14 @@ def measure(folder, name):
             assert took[1] in (0, 130), (stage, after, took)
             print(f"{name:28} {stage:26} {after:4.1f} s after its start: {took[0]:5.2f} s, exit {took[1]}", flush=True)
     return found
+
+
+def import_everything():
+    for package in ("taichi_bearings", "taichi_bearings_studies", "taichi_bearings_cli"):
+        for module in pkgutil.walk_packages(importlib.import_module(package).__path__, f"{package}."):
+            if not module.name.endswith("__main__"):
+                importlib.import_module(module.name)
+    gc.freeze()  # what is shared stays shared
 
 
 def main(folder, names):

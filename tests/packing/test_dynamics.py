@@ -11,7 +11,6 @@ from taichi_bearings.packing.system import odd_parts
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import drive
 from taichi_bearings.solvers.network import Network
-from taichi_bearings.solvers.recording import Recording
 from taichi_bearings.solvers.stopping import StopRule
 from tests.packing.twins import pair, random_packing
 from tests.scenes import some_of
@@ -229,18 +228,6 @@ def test_neighbours_stand_near_each_other_whatever_the_order_was():
 def test_what_cannot_be_is_refused_in_one_sentence(arguments, sentence):
     with pytest.raises(InputError, match=sentence):
         tb.solve(tb.Packing.lattice("cubic", (3, 3, 3)), **arguments)
-
-
-def test_snapshots_of_a_lattice_given_as_packing_are_those_of_its_scene(needs_f64):
-    options, times = tb.CundallStrack(time_step=2e-5), np.array([0.0, 4e-4, 1e-3])
-    scene, packing = pair((4, 3, 5), 3, spin_bottom=-1.0)
-    stop, recording = StopRule(iterations=60, tolerance=1e-12), Recording(snapshots=times)
-    twin = drive.solve(scene, options.build(), initial_spin(scene, "random"), stop, recording=recording).snapshots
-    asked = {"start": "random", "iterations": 60, "tolerance": 1e-12, "snapshots": times}
-    found = tb.solve(packing, options, **asked).snapshots
-    assert found.time == pytest.approx(times)
-    assert (found.time == twin.time).all()
-    assert found.spin == pytest.approx(twin.spin.reshape(found.spin.shape), abs=60 * 1e-13)
 
 
 def test_times_asked_for_are_rows_of_the_history():

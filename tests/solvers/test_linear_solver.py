@@ -11,7 +11,6 @@ from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import LinearSolver
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
-from tests.agreement.test_independent_solvers import viscous_minimum
 from tests.kernels.twins import is_driven, neighbours
 from tests.scenes import make_scene
 
@@ -30,18 +29,6 @@ def imbalance(solution):
     """Largest leftover torque over the typical torque of a contact."""
     force = solution.force[solution.force > 0].mean()
     return solution.largest_balance_residual.max() / (solution.scene.lattice.radius * force)
-
-
-@pytest.mark.parametrize("shape", SHAPES, ids=str)
-@pytest.mark.parametrize("bottom", [0.0, -0.7])
-@pytest.mark.parametrize("direction", [(1, 1, 0), (1, -2, 0)])
-def test_power_equals_a_sparse_solve(shape, bottom, direction):
-    """The sparse solver imposes a bottom at rest, so a turning bottom is compared with the same jump from rest."""
-    solution = solved(make_scene(shape, "viscous", spin_bottom=bottom, direction=direction))
-    at_rest = make_scene(shape, "viscous", spin_top=1 - bottom, direction=direction)
-    assert solution.power[0] == pytest.approx(viscous_minimum(at_rest), rel=1e-12)
-    assert solution.gap[0] < 1e-13
-    assert imbalance(solution) < 1e-14
 
 
 def test_a_component_about_the_height_adds_nothing():

@@ -4,8 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.optimize import linprog
-from scipy.sparse import coo_array, hstack, identity, vstack
 
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.runs.settings import RunSettings
@@ -15,8 +13,7 @@ from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import PlanarCut
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
-from tests.kernels.twins import is_driven, neighbours
-from tests.scenes import axis_of, make_scene, minima, name_of, scene_of
+from tests.scenes import make_scene, minima, name_of, scene_of
 
 SIX_DECADES = ["lognormal:1,2.3", "bimodal:1e-3,1e3,0.5", "power-law:1e-3,1e3,-1"]
 
@@ -32,49 +29,6 @@ def solved(scene, start="random", tolerance=1e-12):
 @pytest.mark.parametrize("entry", minima((10, 10), (32, 32)), ids=name_of)
 def test_reference_minima(entry):
     assert solved(scene_of(entry)).power[0] == pytest.approx(entry["power_minimum"], rel=1e-12)
-
-
-def linear_programme(scene, component):
-    """Least power of the spins about `component` alone, as a linear programme over spins and slips."""
-    shape = scene.lattice.shape
-    contacts = [
-        (low, high, scene.coefficients[axis][0][low])
-        for low, high, axis in neighbours(shape)
-        if axis != component and not (is_driven(low, shape) and is_driven(high, shape))
-    ]
-    rows, spheres = np.arange(len(contacts)), np.prod(shape)
-    ends = [np.ravel_multi_index(list(zip(*(c[end] for c in contacts), strict=True)), shape) for end in (0, 1)]
-    sign = np.repeat([-1.0, 1.0], len(rows))
-    difference = coo_array((sign, (np.tile(rows, 2), np.concatenate(ends))), shape=(len(rows), spheres))
-    above = vstack([hstack([s * difference, -identity(len(rows))]) for s in (1, -1)])
-    unit = axis_of(scene)[component]
-    limits = []
-    for site in np.ndindex(*shape):
-        value = {0: scene.spin_bottom * unit, shape[-1] - 1: scene.spin_top * unit}.get(site[-1])
-        limits.append((value, value))
-    cost = np.concatenate([np.zeros(spheres), [c[2] for c in contacts]])
-    found = linprog(cost, A_ub=above.tocsr(), b_ub=np.zeros(above.shape[0]), bounds=limits + [(0, None)] * len(rows))
-    assert found.success
-    return scene.normal_force * scene.lattice.radius * found.fun
-
-
-@pytest.mark.parametrize("direction", [(1, 0, 0), (0, -2, 0), (1, 0, 1)], ids=str)
-@pytest.mark.parametrize("driving", [(1.0, 0.0), (-0.3, 0.8)])
-def test_layers_of_a_cubic_lattice_equal_a_linear_programme(direction, driving):
-    top, bottom = driving
-    scene = make_scene((4, 5, 6), direction=direction, spin_top=top, spin_bottom=bottom)
-    (component,) = scene.minimum_spin_axes
-    assert solved(scene).power[0] == pytest.approx(linear_programme(scene, component), rel=1e-9)
-
-
-@pytest.mark.parametrize("shape", [(2, 3), (2, 9), (9, 3), (6, 5)], ids=str)
-@pytest.mark.parametrize("driving", [(1.0, 0.0), (0.4, 1.3), (-1.0, -3.0)])
-def test_discs_equal_a_linear_programme_for_any_driving(shape, driving):
-    top, bottom = driving
-    scene = make_scene(shape, distribution="lognormal:1,1", spin_top=top, spin_bottom=bottom, normal_force=7.0)
-    solution = solved(scene)
-    assert solution.power[0] == pytest.approx(linear_programme(scene, 2), rel=1e-9)
-    assert set(np.unique(solution.spin[0] * scene.lattice.parity)) == {top, bottom}
 
 
 @pytest.mark.parametrize("distribution", SIX_DECADES)

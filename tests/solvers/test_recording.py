@@ -122,29 +122,6 @@ def test_viscous_dissipation_is_the_integral_of_the_power():
     assert solution.history["dissipated_energy"][-1] == pytest.approx(integral, rel=1e-7)
 
 
-@pytest.mark.parametrize(
-    ("shape", "law", "order"), [((3, 4), "coulomb", 5), ((3, 2, 4), "coulomb", 2), ((3, 4), "viscous", 4)]
-)
-def test_any_checkpoint_leads_to_the_same_bits(shape, law, order):
-    scene = make_scene(shape, law)
-    options = CundallStrack(gear_order=order, energy=True)
-    recording = Recording(snapshots=parse_times("log:1e-3,1,10"))
-    stop = StopRule(1e-5, 60_000)
-    written = []
-    whole = run(scene, options, stop=stop, recording=recording, checkpoints=Checkpoints(0.0, written.append))
-    assert len(written) > 5
-    rng = np.random.default_rng(5)
-    for number in (0, *rng.integers(1, len(written), 3), len(written) - 1):
-        ignored = Checkpoints(np.inf, lambda arrays: None, written[number])
-        again = run(scene, options, stop=stop, recording=recording, checkpoints=ignored)
-        assert (again.status, again.iterations) == (whole.status, whole.iterations)
-        np.testing.assert_array_equal(again.spin, whole.spin)
-        np.testing.assert_array_equal(again.force, whole.force)
-        np.testing.assert_array_equal(again.snapshots.spin, whole.snapshots.spin)
-        for name in set(whole.history) - set(UNRECORDED):
-            np.testing.assert_array_equal(again.history[name], whole.history[name])
-
-
 def test_a_checkpoint_of_another_time_step_is_refused():
     scene = make_scene((3, 4))
     written = []

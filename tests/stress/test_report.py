@@ -2,14 +2,12 @@
 
 import json
 from dataclasses import replace
-from fractions import Fraction
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 from taichi_bearings_cli.main import bearings
-from taichi_bearings_studies.stress import cells
-from taichi_bearings_studies.stress.axes import AXES, Cell, Row
+from taichi_bearings_studies.stress.axes import Cell, Row
 from taichi_bearings_studies.stress.cells import CRASH, NOT_REACHED, REFUSED, RIGHT, WRONG, Answer, Judge, solve_cells
 from taichi_bearings_studies.stress.truth import least
 
@@ -96,27 +94,6 @@ def test_what_must_be_refused_is_wrong_if_it_is_not(answer):
     assert judged(answer, cell)["outcome"] == WRONG
     assert JUDGE.row(cell, solve_cells([cell])[0])["outcome"] == REFUSED
     assert JUDGE.row(cell, {"crash": "the worker was ended by SIGSEGV"})["outcome"] == CRASH
-
-
-def test_a_cell_beyond_the_memory_is_refused(monkeypatch):
-    monkeypatch.setattr(cells, "MEMORY_SHARE", 1e-9)
-    row = JUDGE.row(CELL, solve_cells([CELL])[0])
-    assert row["outcome"] == REFUSED
-    assert "it needs about 0.2 GB, more than 0.0 GB" in row["reason"]
-
-
-@pytest.mark.parametrize("name", [name for name in AXES if name.endswith("-scale")])
-def test_scaled_samples_are_the_same_in_other_units(name):
-    """Planar cuts and factorisations scale bit for bit, and so does the truth without its knowing."""
-    for method, law in (("planar-cut", "coulomb"), ("linear-solver", "viscous")):
-        if not AXES[name].rows(Row(method, law, 2)):
-            continue
-        plain, scaled = (Cell(name, value, Row(method, law, 2), 0, True, 60.0) for value in (1.0, 1e-12))
-        found = [solve_cells([cell])[0]["answer"] for cell in (plain, scaled)]
-        values = [one["objective"] for one in found]
-        assert values[1] == values[0] * scaled.case.unit
-        truths = [Fraction(least(cell.case.scene).upper) for cell in (plain, scaled)]
-        assert abs(truths[1] / truths[0] / Fraction(scaled.case.unit) - 1) < 1e-40
 
 
 def sweep(folder, *options):
