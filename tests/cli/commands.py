@@ -35,6 +35,11 @@ class Answer:
     grown: int = 0
 
     @property
+    def sentences(self) -> list[str]:
+        """Lines of the errors but those that say how to call it."""
+        return [line for line in self.stderr.splitlines() if not line.startswith(("Usage: ", "Try ")) and line]
+
+    @property
     def fault(self) -> str:
         """What is wrong with it; empty if it is a result or one clear sentence."""
         if "Traceback (most recent call last)" in self.stderr or "not enough memory" in self.stderr:
@@ -45,13 +50,9 @@ class Answer:
             return f"{self.grown:,} bytes of memory"
         if self.returncode == 2 and self.stderr.startswith("Usage: ") and "\nError: " in self.stderr:  # user's words
             return ""
-        lines = [line for line in self.stderr.splitlines() if not line.startswith(("Usage: ", "Try ")) and line]
-        said = [line for line in lines if line.startswith(("bearings: ", "Error: "))]
-        if self.returncode == 2 and (
-            not said
-            or len(said) != len(lines)
-            or any(line.startswith("bearings") and len(line) > 2000 for line in said)
-        ):
+        clear = [line.startswith("Error: ") or (line.startswith("bearings: ") and len(line) <= 2000)
+                 for line in self.sentences]  # fmt: skip
+        if self.returncode == 2 and not (clear and all(clear)):
             return f"no clear sentence: {self.stderr!r}"
         return "control characters" if re.search(r"[\x00-\x09\x0b-\x1f\x7f]", self.stderr) else ""
 
@@ -67,10 +68,10 @@ def bearings(*words, cwd=None, **settings):
 
 
 def refused(*words, cwd=None, **settings):
-    """The one sentence with which `bearings` refuses the words, and nothing else is said."""
+    """The one clear sentence with which `bearings` refuses the words; how to call it may stand before."""
     done = bearings(*words, cwd=cwd, **settings)
-    assert (done.returncode, done.stdout) == (2, ""), done
-    (sentence,) = done.stderr.strip().splitlines()
+    assert (done.returncode, done.stdout, done.fault) == (2, "", ""), done
+    (sentence,) = done.sentences
     return sentence
 
 
@@ -84,7 +85,7 @@ def _answer(call, words, cwd):
     """Of a call that takes its words from `sys.argv` and may end the process."""
     numbers = (*interrupts.SIGNALS, *([signal.SIGALRM] if hasattr(signal, "SIGALRM") else []))
     handlers, place = {number: signal.getsignal(number) for number in numbers}, os.getcwd()
-    alone = mock.patch.object(runtime, "available_threads", lambda: 1)
+    alone = mock.patch.object(runtime, "available_threads", return_value=1)
     with _caught(1) as out, _caught(2) as err, alone, mock.patch.object(sys, "argv", list(words)):
         start, code = _start_of_memory(), 0
         try:

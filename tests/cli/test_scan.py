@@ -15,7 +15,7 @@ import pytest
 from taichi_bearings.files.scan_journal import read_journal
 from taichi_bearings.scans.plan import read_plan
 from taichi_bearings.scans.scan import scan
-from tests.cli.commands import bearings
+from tests.cli.commands import bearings, refused
 from tests.scans.scan_faults import Here, asking
 from tests.scans.test_scan import assert_same_but_for_the_clock
 
@@ -104,12 +104,8 @@ def test_failed_samples_are_named_and_exit_code_1(scan_file, tmp_path):
 
 def test_bad_input_is_one_sentence_and_exit_code_2(scan_file, tmp_path):
     for text, expected in (("[scan]\nsed = [1]\n", "did you mean"), ("[scan]\nshape = [[5, 5, 2]]\n", "3 or more")):
-        done = bearings("scan", scan_file(text), "--out", tmp_path / "s")
-        assert done.returncode == 2
-        assert done.stdout == ""
-        assert expected in done.stderr
-        assert len(done.stderr.strip().splitlines()) == 1
-    assert bearings("scan", tmp_path / "none.toml").returncode == 2
+        assert expected in refused("scan", scan_file(text), "--out", tmp_path / "s")
+    refused("scan", tmp_path / "none.toml")
     assert not (tmp_path / "s").exists()
 
 

@@ -10,7 +10,7 @@ import h5py
 import numpy as np
 import pytest
 
-from tests.cli.commands import bearings
+from tests.cli.commands import bearings, refused
 from tests.fuzz.damage import claiming, line_of
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="fuzzed on POSIX")
@@ -18,13 +18,6 @@ RUN, SCAN, CHECKPOINT = "flat/run.h5", "scan/scan.h5", "resumable/checkpoint.h5"
 ANALYSE, VERIFY = ("analyse", "{}", "--no-figures"), ("verify", "{}")
 RESUME = ("run", "--resume", "{}", "--time-limit", "1")
 HISTOGRAM, FIGURE = ("histogram", "{}", "--out", "{}/out"), ("plot", "scan", "{}", "--y", "gap", "--x", "L")
-
-
-def refused(*words):
-    answer = bearings(*words)
-    assert not answer.fault, answer.fault
-    assert answer.returncode == 2, answer
-    return answer.stderr
 
 
 @pytest.fixture

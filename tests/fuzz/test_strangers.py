@@ -24,7 +24,7 @@ from taichi_bearings.files.whole_file import write_csv
 from taichi_bearings.plain_files import read_lines
 from taichi_bearings.runs.verify import verify
 from taichi_bearings.scans.listing import entries
-from tests.cli.commands import bearings
+from tests.cli.commands import bearings, refused
 from tests.fuzz.damage import claiming, line_of
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="links and limits of POSIX")
@@ -44,13 +44,6 @@ def stranger(solved, tmp_path):
     folder.mkdir()
     (folder / "run.h5").write_bytes((solved / "run.h5").read_bytes())
     return folder
-
-
-def refused(*words):
-    answer = bearings(*words)
-    assert not answer.fault, answer
-    assert answer.returncode == 2
-    return answer.stderr
 
 
 def test_a_scene_file_replaces_nothing_by_itself(solved, tmp_path):
