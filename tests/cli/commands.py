@@ -61,9 +61,7 @@ def bearings(*words, cwd=None, **settings):
     """What `bearings` makes of the words."""
     words = tuple(map(str, words))
     if settings:
-        command = [sys.executable, "-m", "taichi_bearings_cli", *words]
-        done = subprocess.run(command, capture_output=True, text=True, cwd=cwd, timeout=LONGEST, **settings)
-        return Answer(words, done.returncode, done.stdout, done.stderr)
+        return _anew(("-m", "taichi_bearings_cli", *words), cwd, **settings)
     return _answer(main, ("bearings", *words), cwd)
 
 
@@ -75,10 +73,18 @@ def refused(*words, cwd=None, **settings):
     return sentence
 
 
-def script(path, *words, cwd=None):
-    """What a script of a user makes of the words."""
+def script(path, *words, cwd=None, alone=False):
+    """What a script of a user makes of the words. alone : in a process of its own, as one that starts Taichi itself."""
+    if alone:
+        return _anew((str(path), *words), cwd)
     with mock.patch.object(sys, "path", [str(Path(path).parent), *sys.path]):
         return _answer(lambda: runpy.run_path(str(path), run_name="__main__"), (str(path), *words), cwd)
+
+
+def _anew(words, cwd, **settings):
+    command = [sys.executable, *words]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=cwd, timeout=LONGEST, **settings)
+    return Answer(words, done.returncode, done.stdout, done.stderr)
 
 
 def _answer(call, words, cwd):

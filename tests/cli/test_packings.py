@@ -57,16 +57,7 @@ def test_a_run_says_what_is_promised_and_holds_the_arrays(folder):
 def test_coefficients_are_drawn_as_promised(folder):
     found = tb.load(folder / "bare").packing
     assert np.array_equal(found.friction, np.random.default_rng(5).uniform(0.1, 1.0, found.contacts))
-    words = [
-        "--law",
-        "coulomb-viscous",
-        "--viscosity",
-        "uniform:2,3",
-        "--radius",
-        "0.5",
-        "--distribution",
-        "constant:1",
-    ]
+    words = ("--law", "coulomb-viscous", "--viscosity", "uniform:2,3", "--radius", 0.5, "--distribution", "constant:1")
     done = bearings("run", "--packing", "bare.npz", *words, "--seed", "7", "--out", "viscous", cwd=folder)
     assert done.returncode == 0, done.stderr
     found = tb.load(folder / "viscous").packing

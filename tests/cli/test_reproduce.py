@@ -66,17 +66,6 @@ def test_the_curves_are_in_the_csv(reproduced):
         assert float(curve[-1]["power_over_minimum"]) == pytest.approx(1, abs=2e-8)
 
 
-def test_a_refuted_claim_is_exit_code_1(tmp_path, monkeypatch):
-    claims = [Claim("Water runs uphill.", "It runs downhill.", False), Claim("It is wet.", "So it is.", True)]
-    monkeypatch.setattr(reproduce.PaperFigure, "reproduce", lambda *_: claims)
-    done = CliRunner().invoke(command, ["fig2", "--out", str(tmp_path / "a")])
-    assert done.exit_code == 1
-    assert "refuted    Water runs uphill.\n           It runs downhill." in done.stdout
-    assert "fig2: 1 refuted, 1 confirmed" in done.stderr
-    report = json.loads((tmp_path / "a" / "report.json").read_text(encoding="utf-8"))
-    assert (report["confirmed"], report["refuted"]) == (1, 1)
-
-
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
@@ -94,18 +83,17 @@ class Figures:
     """Stands in for the figures: notes what is computed, writes the files, is interrupted where that is asked for."""
 
     def __init__(self, monkeypatch):
-        self.computed, self.interrupted_at, self.efforts, self.titled = [], None, set(), None
+        self.computed, self.interrupted_at, self.efforts, self.refuted = [], None, set(), []
         monkeypatch.setattr(reproduce.PaperFigure, "reproduce", lambda figure, *words: self.compute(figure, *words))
 
     def compute(self, figure, folder, effort, title):
         self.efforts.add(effort)
-        self.titled = title
         for file in figure.files:
             (folder / file).write_text(f"{effort.seed}")
         if figure.files[0] == f"{self.interrupted_at}.png":
             raise KeyboardInterrupt
         self.computed.append(figure.files[0].removesuffix(".png"))
-        return [Claim(f"{self.computed[-1]} is right.", "It is.", True)]
+        return [Claim(f"{self.computed[-1]} is right.", "It is.", True), *self.refuted]
 
 
 @pytest.fixture
@@ -116,6 +104,16 @@ def figures(monkeypatch):
 def ask(folder, *words):
     done = CliRunner().invoke(command, [*words, "--out", str(folder), "--json"])
     return done.exit_code, json.loads(done.stdout) if done.stdout else done.exception
+
+
+def test_a_refuted_claim_is_exit_code_1(figures, tmp_path):
+    figures.refuted = [Claim("Water runs uphill.", "It runs downhill.", False)]
+    done = CliRunner().invoke(command, ["fig2", "--out", str(tmp_path / "a")])
+    assert done.exit_code == 1
+    assert "refuted    Water runs uphill.\n           It runs downhill." in done.stdout
+    assert "fig2: 1 refuted, 1 confirmed" in done.stderr
+    report = json.loads((tmp_path / "a" / "report.json").read_text(encoding="utf-8"))
+    assert (report["confirmed"], report["refuted"]) == (1, 1)
 
 
 def test_what_is_done_before_ctrl_c_is_kept_and_the_same_command_goes_on(figures, tmp_path):
