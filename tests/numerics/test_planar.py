@@ -44,18 +44,6 @@ def all_interfaces(sideways, upward):
     return sorted(found, key=lambda entry: entry[0])
 
 
-@pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize(("columns", "rows"), [(3, 4), (2, 6), (8, 3), (3, 5)])
-def test_least_and_next_weight_are_those_of_all_interfaces(columns, rows, seed):
-    sideways, upward = random_weights(columns, rows, seed, decades=2.0)
-    (least, above), (second, _), *_ = all_interfaces(sideways, upward)
-    cuts = cuts_of(sideways, upward)
-    assert cuts.weight[0] == pytest.approx(least, rel=1e-14)
-    assert cuts.next_weight[0] == pytest.approx(second, rel=1e-14)
-    assert cuts.unique[0]
-    assert (cuts.above[0] == above).all()
-
-
 @cache
 def interfaces(columns, rows):
     """Sides (K, w, h) of all interfaces that leave either side in one piece, and the contacts (K, n) of each."""
@@ -167,16 +155,6 @@ def test_a_tie_in_one_place_leaves_the_rest_of_the_cut_in_no_doubt():
     cuts = level_cuts(heavy, level, sideways=0.25)  # down, across and up again weigh as much as straight on
     assert cuts.upward_tied[0].nonzero()[0].tolist() == [4_000, 4_000]
     assert cuts.tied[0] == 4
-
-
-@pytest.mark.parametrize("weight", [0.3, 1.0])
-def test_without_disorder_every_level_cut_ties(weight):
-    cuts = cuts_of(weight * np.ones((1, 60, 80)), weight * np.ones((1, 61, 79)))
-    assert cuts.weight[0] == pytest.approx(61 * weight, rel=1e-13)
-    assert not cuts.unique[0]
-    assert cuts.upward_tied.all()
-    assert not cuts.sideways_tied.any()
-    assert cuts.next_weight[0] == cuts.weight[0]
 
 
 @pytest.mark.parametrize("decades", [1.0, 6.0, 15.0, 30.0])

@@ -5,12 +5,10 @@ import pytest
 
 import taichi_bearings as tb
 from taichi_bearings.errors import InputError
-from taichi_bearings.fields.lists import Lists
 from taichi_bearings.packing.structure import structure_of
 from taichi_bearings.packing.system import odd_parts
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import drive
-from taichi_bearings.solvers.network import Network
 from taichi_bearings.solvers.stopping import StopRule
 from tests.packing.twins import pair, random_packing
 from tests.scenes import some_of
@@ -176,20 +174,6 @@ def test_what_floats_keeps_its_momentum_and_what_touches_nothing_its_spin(needs_
     assert found.slip.max() < 1e-9
 
 
-def test_the_bound_on_the_stiffest_mode_is_one(needs_f64):
-    for seed in range(8):
-        packing = random_packing(np.random.default_rng([7, seed]), 2 + seed % 2)
-        network, rng = Network(packing), np.random.default_rng(seed)
-        weight, inertia = rng.uniform(0.1, 2, len(network.acting)), 10 ** rng.uniform(-2, 1, packing.spheres)
-        free = np.repeat(~network.lattice.is_driven, network.components)
-        slips = network.matrix.toarray()[:, free] / np.sqrt(np.repeat(inertia, network.components)[free])
-        rows = np.tile(weight, len(network.across))[:, None]
-        largest = np.linalg.eigvalsh(slips.T @ (rows * slips)).max(initial=0.0)
-        circles = np.abs(slips.T @ (rows * slips)).sum(axis=1).max(initial=0.0)
-        bound = network.largest_eigenvalue(weight, inertia)
-        assert largest * (1 - 1e-12) <= bound <= circles * (1 + 1e-8)
-
-
 def test_a_step_beyond_the_bound_is_refused_and_one_just_within_is_stable():
     packing = tb.Packing.lattice("fcc", (2, 2, 3), seed=2, normal_force=1e9)
     with pytest.raises(InputError, match="stable only up to") as refused:
@@ -197,18 +181,6 @@ def test_a_step_beyond_the_bound_is_refused_and_one_just_within_is_stable():
     step = 0.999 * float(str(refused.value).rpartition(" ")[2])
     found = tb.solve(packing, tb.CundallStrack(time_step=step), start="random", iterations=3000, tolerance=1e-15)
     assert found.history["power"][-1] < found.history["power"][0]
-
-
-def test_neighbours_stand_near_each_other_whatever_the_order_was():
-    packing = tb.Packing.lattice("cubic", (8, 8, 8))
-    mixed = np.random.default_rng(1).permutation(packing.spheres)[packing.contact]
-    lists = Lists.of(packing.spheres, mixed)
-    first, second = lists.ends.reshape(2, -1)[:, : packing.contacts]
-    assert np.abs(second - first).max() <= 2 * 8 * 8
-    assert (np.diff(first) >= 0).all()
-    assert sorted(lists.sphere) == list(range(packing.spheres))
-    of_sphere = lists.incident[lists.start[5] : lists.start[6]]
-    assert set(of_sphere) == {e for e in range(packing.contacts) if 5 in (first[e], second[e])}
 
 
 @pytest.mark.parametrize(

@@ -5,11 +5,7 @@ import pytest
 
 import taichi_bearings as tb
 from taichi_bearings.conic import descent
-from taichi_bearings.conic.contraction import order_by_place
-from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.packing import path
-from taichi_bearings.packing.path import oblique
-from taichi_bearings.packing.system import System
 from tests.packing.twins import clarabel_least, random_packing
 from tests.scenes import some_of
 
@@ -206,13 +202,6 @@ def test_nothing_to_solve():
     assert (found.power, found.status, len(found.state)) == (0, "certified", 0)
 
 
-def test_solve_refuses_what_a_packing_does_not_take():
-    packing = tb.Packing.lattice("square", (2, 3))
-    for options in ({"method": "operator-splitting"}, {"start": "random"}, {"tolerance": 0}, {"duration": 3}):
-        with pytest.raises(tb.InputError):
-            tb.solve(packing, **options)
-
-
 @pytest.mark.parametrize("angle", [1e-3, 1e-5, 1e-7, 1e-9, 1e-12, 1e-15])
 def test_normals_that_nearly_agree_prove_nothing_false(angle):
     """A sphere between two driven ones rolls on both, with a spin of one over the angle of their normals: P = 0."""
@@ -251,18 +240,3 @@ def test_oblique_contacts_are_settled(packing):
     along = -limit[:, None] * slip / np.maximum(found.slip, 1e-300)[:, None]
     error = np.linalg.norm(found.friction - along, axis=1)
     assert (error < 1e-14 * unit * limit / np.maximum(found.slip, 1e-300) + 1e-11 * limit.max())[slips].all()
-
-
-@pytest.mark.parametrize("kind", ["bcc", "fcc"])
-def test_the_matrix_of_oblique_contacts_is_that_of_their_slips(kind):
-    system = System.of(tb.Packing.lattice(kind, (2, 2, 3), seed=3))
-    draw = np.random.default_rng(5)
-    root = draw.normal(size=(2, 2, len(system.contact)))
-    stiffness = np.einsum("ike,jke->ije", root, root)
-    contacts = oblique(system)
-    matrix = NewtonMatrix(contacts, order_by_place(contacts, system.place))
-    matrix.factorise(stiffness)
-    spins = draw.normal(size=system.unknowns)
-    slips = (system.matrix @ spins).reshape(2, -1)
-    torques = system.matrix.T @ np.einsum("ije,je->ie", stiffness, slips).ravel()
-    assert np.abs(matrix.solve(torques) - spins).max() < 1e-9

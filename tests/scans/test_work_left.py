@@ -4,13 +4,12 @@ A recording has of each unit its first sample in the plan, how many, when it beg
 solves.
 """
 
-import math
 from pathlib import Path
 
 import pytest
 
 from taichi_bearings.runs.settings import read_toml
-from taichi_bearings.scans.estimate import WorkLeft, seconds_in_all, seconds_of
+from taichi_bearings.scans.estimate import WorkLeft
 from taichi_bearings.scans.plan import read_plan
 
 RECORDINGS = sorted((Path(__file__).parent / "recorded").glob("*.toml"))
@@ -51,30 +50,3 @@ def test_the_time_left_is_within_a_factor_of_two_from_a_quarter_on(path, tmp_pat
             assert left is not None
             assert (end - now) / 2 < left < 2 * (end - now), f"{left:.0f} s left at {now:.0f} of {end:.0f} s"
     assert all(left is None or left < 2 * end for _, _, left in shown)
-
-
-def finish(work, samples, seconds):
-    for sample in samples:
-        work.finish(sample, {"scalars": {"seconds": seconds}})
-
-
-def test_nothing_is_known_before_something_is_measured(plan_of):
-    samples = plan_of("shape = [8, 8, 8]\n[scan]\nseed = { start = 0, stop = 96 }\n").samples
-    work = WorkLeft(samples)
-    assert seconds_in_all(samples, 1) == pytest.approx(96 * seconds_of(samples[0].settings))
-    assert work.seconds_left([], 1, 0.0) is None
-    finish(work, samples[:24], 0.25)
-    assert work.seconds_left([], 1, 6.0) == pytest.approx(72 * 0.25, rel=0.01)
-    assert work.seconds_left([], 2, 3.0) == pytest.approx(36 * 0.25, rel=0.01)
-
-
-def test_samples_without_an_estimate_are_learnt_kind_by_kind(plan_of):
-    samples = plan_of(
-        'shape = [4, 4]\nmethod = "cundall-strack"\n[scan]\nduration = [1.0, 10.0]\nseed = { start = 0, stop = 10 }\n'
-    ).samples
-    work = WorkLeft(samples)
-    assert seconds_in_all(samples, 1) == math.inf
-    finish(work, samples[:1], 1.0)
-    assert work.seconds_left([], 1, 1.0) is None  # most of the work is of a kind that is not measured
-    finish(work, samples[10:11], 30.0)
-    assert work.seconds_left([], 1, 31.0) == pytest.approx(9 * 1 + 9 * 30, rel=0.01)

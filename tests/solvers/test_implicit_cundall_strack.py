@@ -3,10 +3,7 @@
 import numpy as np
 import pytest
 from scipy.linalg import expm
-from scipy.optimize import minimize
 
-from taichi_bearings.conic.contact_system import free_spins
-from taichi_bearings.conic.friction_stage import Friction
 from taichi_bearings.scene import Status
 from taichi_bearings.scene.initial_spins import initial_spin, random_spin
 from taichi_bearings.solvers import CundallStrack, ImplicitCundallStrack
@@ -14,7 +11,7 @@ from taichi_bearings.solvers.cundall_strack import stability_bound
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
 from tests.kernels.twins import incidence
-from tests.scenes import make_scene, minima, name_of, scene_of
+from tests.scenes import make_scene
 
 pytestmark = pytest.mark.usefixtures("needs_f64")
 
@@ -37,27 +34,6 @@ def random_start(scene, seed=3):
 
 def slope(steps, errors):
     return -np.polyfit(np.log(steps), np.log(errors), 1)[0]
-
-
-@pytest.mark.parametrize("shape", [(3, 5), (2, 3, 4)])
-def test_viscous_decay_converges_with_order_two(shape):
-    scene, inertia, duration = make_scene(shape, "viscous"), 0.05, 0.1
-    spin = random_start(scene)
-    component = scene.minimum_spin_axes[0]
-    matrix, where = incidence(shape)
-    weight = np.array([scene.coefficients[a][0][s] * (a != component) for a, s in where])
-    rate = -(scene.lattice.radius**2) / inertia * (matrix.T.multiply(weight) @ matrix).toarray()
-    free = ~scene.lattice.is_driven.ravel()
-    omega = scene.staggered_spin(spin, (component,))[0, 0].ravel()
-    rest = np.linalg.solve(rate[free][:, free], -rate[free][:, ~free] @ omega[~free])
-    exact = rest + expm(duration * rate[free][:, free]) @ (omega[free] - rest)
-    steps, errors = 2 ** np.arange(3, 7), []
-    for number in steps:
-        method = advanced(scene, spin, int(number), inertia=inertia, time_step=duration / number)
-        slot = method.spin_axes.index(component)
-        errors.append(np.abs(method.progress().staggered[slot, 0].ravel()[free] - exact).max())
-        assert method.stage.factorisations == 1  # the matrix of a linear law depends on the step alone
-    assert slope(steps, errors) == pytest.approx(2, abs=0.1), errors
 
 
 @pytest.mark.parametrize("damping", [0.0, 100.0])
@@ -155,32 +131,11 @@ def test_no_step_is_too_long(shape, damping, factors):
         assert total[-1] < 0.6 * total[0]
 
 
-@pytest.mark.parametrize("entry", minima((3, 3, 3), (5, 5, 5))[::2], ids=name_of)
-def test_dynamics_ends_at_the_stored_minimum(entry):
-    scene = scene_of(entry)
-    solution = solve(scene, ImplicitCundallStrack().build(), random_spin(scene), StopRule(1e-10, 400))
-    assert solution.status is Status.CERTIFIED
-    assert solution.power[0] == pytest.approx(entry["power_minimum"], rel=1e-9)
-
-
 def test_a_run_comes_to_rest_on_its_own():
     scene = make_scene((4, 3, 5), seeds=(8,))
     solution = solve(scene, ImplicitCundallStrack().build(), random_spin(scene), StopRule(1e-17, 400))
     assert solution.status is Status.STATIONARY
     assert solution.gap[0] < 1e-9
-
-
-@pytest.mark.parametrize("law", ["coulomb", "viscous"])
-@pytest.mark.parametrize("shape", [(5, 6), (3, 4, 5)])
-def test_energy_balances_close(shape, law):
-    scene = make_scene(shape, law, spin_top=1.3, spin_bottom=-0.4)
-    method = begun(scene, random_spin(scene))
-    for _ in range(60):
-        method.advance(1)
-        energy = method.progress().energy
-        assert np.abs(energy.residual).max() < 1e-12
-    assert (energy.injected > 0).all()
-    assert (energy.dissipated > 0).all()
 
 
 @pytest.mark.parametrize("law", ["coulomb", "viscous"])
@@ -210,46 +165,3 @@ def test_a_time_that_is_aimed_at_is_met_exactly():
     method.aim_at(np.inf)
     method.advance(1)
     assert method.time > target
-
-
-def test_a_stage_ends_at_the_minimum_of_its_function():
-    """Compared with a general minimiser of inertia |x - base|^2 / 2 + sum of huber(trial force) / resistance."""
-    scene = make_scene((2, 2, 4), seeds=(9,))
-    method = begun(scene, random_start(scene))
-    rng = np.random.default_rng(1)
-    base = free_spins(method.staggered)[0]
-    start = rng.uniform(-20, 20, method.system.offset.shape)
-    limit = method.strength[0]
-    friction = Friction(limit, np.full_like(limit, 80.0), 7.0)
-    end = method.stage.solve(friction, base, start, base)
-
-    def function(x):
-        size = np.linalg.norm(start + 80.0 * scene.lattice.radius * method.system.differences(x), axis=0)
-        huber = np.where(size > limit, limit * size - limit**2 / 2, size**2 / 2)
-        return 3.5 * float((x - base) @ (x - base)) + float(huber.sum()) / 80.0
-
-    general = minimize(function, base, method="BFGS", options={"gtol": 1e-5})
-    assert function(end.spins) <= general.fun + 1e-9
-    assert end.spins == pytest.approx(general.x, abs=1e-4)
-    assert 0 < int(end.slips.sum()) < scene.lattice.contacts
-
-
-def test_a_factorisation_serves_where_few_contacts_have_changed():
-    """Stages that pull a little harder each time: fewer factorisations, and the same spins."""
-
-    def ends(anew):
-        scene = make_scene((5, 5, 6), seeds=(9,))
-        method = begun(scene, random_start(scene))
-        rng, base, found = np.random.default_rng(1), free_spins(method.staggered)[0], []
-        start = rng.uniform(-20, 20, method.system.offset.shape)
-        friction = Friction(method.strength[0], np.full_like(method.strength[0], 4000.0), 7.0)
-        for harder in (1.0, 1.002, 1.004, 1.006):
-            if anew:
-                method.stage.begin_step()
-            guess = base if not found else found[-1]
-            found.append(method.stage.solve(friction, base, harder * start, guess).spins)
-        return np.array(found), method.stage.factorisations
-
-    (few, factorised), (many, factorised_anew) = ends(anew=False), ends(anew=True)
-    assert factorised < factorised_anew
-    assert few == pytest.approx(many, abs=1e-11)

@@ -6,15 +6,13 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from taichi_bearings.lattice.grid import tangential
 from taichi_bearings.lattice.incidence import contact_differences, torques
 from taichi_bearings.scene import Scene, Status
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.scene.scene import vector_length
-from taichi_bearings.solvers import InteriorPoint, LinearSolver, PlanarCut, RigidLimit
+from taichi_bearings.solvers import RigidLimit
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
-from tests.clarabel_twin import least
 from tests.kernels.twins import incidence
 from tests.scenes import make_scene
 
@@ -74,43 +72,6 @@ def test_rest_is_reached_in_finite_time_where_the_power_is_piecewise_linear():
     assert solution.status is Status.CERTIFIED
     exact = 0.7 / 0.4 * INERTIA / (RADIUS * NORMAL_FORCE)
     assert solution.findings["rest_time"][0] == pytest.approx(exact, rel=0.02)
-
-
-def conic_step(scene, axes, before, weight):
-    """argmin sum mu |D| + weight / 2 |spins - before|^2 of the free spins (C, *N) by Clarabel."""
-    shape = scene.lattice.shape
-    matrix, where = incidence(shape)
-    free = ~scene.lattice.is_driven.ravel()
-    sites, contacts = int(free.sum()), len(where)
-    flat = before.reshape(len(axes), -1)
-    slips, fixed = np.zeros((contacts, len(axes), len(axes) * sites)), np.zeros((contacts, len(axes)))
-    for number, (axis, _) in enumerate(where):
-        for slot in tangential(axis, axes):
-            slips[number, slot, slot * sites : (slot + 1) * sites] = matrix[number][:, free].toarray()
-            fixed[number, slot] = (matrix[number][:, ~free] @ flat[slot, ~free])[0]
-    friction = np.array([scene.coefficients[axis][0][site] for axis, site in where])
-    own = flat[:, free].ravel()
-    found = least(slips.reshape(-1, len(own)), fixed, friction, np.zeros(contacts), 1e-12, weight, own)
-    after = flat.copy()
-    after[:, free] = found.spins.reshape(len(axes), -1)
-    return after.reshape(before.shape)
-
-
-@pytest.mark.parametrize("relative_step", [0.01, 1.0, 100.0])
-@pytest.mark.parametrize(
-    ("shape", "driving"), [((4, 5), {}), ((3, 2, 4), {}), ((2, 3, 4), {"direction": (1, -2, 3), "spin_bottom": -0.4})]
-)
-def test_a_step_is_the_minimum_that_clarabel_finds(shape, driving, relative_step):
-    scene = make_scene(shape, **driving)
-    spin = initial_spin(scene, "random")
-    method = begun(scene, spin, time_step=1.0)
-    duration = relative_step * method.relaxation_time
-    method = begun(scene, spin, time_step=duration)
-    before = method.staggered[:, 0].copy()
-    method.advance(1)
-    weight = method.inertia / (duration * RADIUS * NORMAL_FORCE)
-    expected = conic_step(scene, method.spin_axes, before, weight)
-    assert method.staggered[:, 0] == pytest.approx(expected, abs=2e-5 * np.abs(expected - before).max() + 1e-7)
 
 
 @pytest.mark.parametrize("law", ["coulomb", "coulomb-viscous"])
@@ -201,24 +162,6 @@ def test_a_smaller_tolerance_makes_a_smaller_error():
     coarse, fine = (np.sqrt(np.mean((state - states[-1]) ** 2)) for state in states[:2])
     assert fine < coarse / 2
     assert fine < 0.02
-
-
-@pytest.mark.parametrize(
-    ("shape", "law", "tolerance", "other"),
-    [
-        ((3, 3, 3), "coulomb", 1e-2, InteriorPoint), ((10, 10, 10), "coulomb", 1.0, InteriorPoint),
-        ((8, 9), "coulomb", 1e-1, PlanarCut), ((4, 5, 6), "viscous", 1e-1, LinearSolver),
-        ((4, 3, 5), "coulomb-viscous", 1e-1, InteriorPoint),
-    ],
-)  # fmt: skip
-def test_the_stationary_power_is_the_certified_minimum(shape, law, tolerance, other):
-    scene = make_scene(shape, law, seeds=(3,), viscosity="uniform:5,60")
-    method = RigidLimit(error_tolerance=tolerance).build()
-    solution = solve(scene, method, initial_spin(scene, "random"), StopRule(1e-13))
-    assert solution.status in (Status.STATIONARY, Status.CERTIFIED)
-    assert solution.gap[0] < 1e-10
-    minimum = solve(scene, other().build(), initial_spin(scene, "linear"), StopRule(1e-11))
-    assert solution.objective == pytest.approx(minimum.objective, rel=1e-10)
 
 
 def test_a_state_that_is_wanted_at_a_time_is_met_exactly_and_the_steps_go_on_as_before():

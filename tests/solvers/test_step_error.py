@@ -7,10 +7,9 @@ import pytest
 
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import CundallStrack
-from taichi_bearings.solvers.cundall_strack import sticking_modes
-from taichi_bearings.solvers.gear import ACCURATE_ERROR, SAMPLE_MODES, Modes, laplacian_spectrum
+from taichi_bearings.solvers.gear import ACCURATE_ERROR, Modes
 from tests.scenes import make_scene
-from tests.solvers.test_gear import laplacian, without_vertical
+from tests.solvers.test_gear import without_vertical
 
 COURSE = np.unique(np.round(np.geomspace(1, 2000, 40)).astype(int))  # steps after which spins are compared
 
@@ -94,24 +93,3 @@ def test_without_damping_the_error_grows_with_the_time():
     advised = modes.accurate_step(5, 0.02, 10**5)
     assert advised < 0.02
     assert modes.error(5, advised, round(10**5 * 0.02 / advised)) <= ACCURATE_ERROR
-
-
-@pytest.mark.parametrize("shape", [(8, 7), (3, 4, 5), (40, 9)], ids=str)
-def test_the_spectrum_is_that_of_the_lattice(shape):
-    scene = make_scene(shape)
-    axes, exact = scene.minimum_spin_axes, []
-    for component in axes:
-        matrix, free = laplacian(scene, component, weighted=False)
-        exact.append(np.linalg.eigvalsh(matrix[free][:, free]))
-    shares = (np.arange(SAMPLE_MODES) + 0.5) / SAMPLE_MODES
-    found = laplacian_spectrum(scene.lattice, axes)
-    assert found == pytest.approx(
-        np.quantile(np.concatenate(exact), shares), abs=1e-9 if max(shape) <= SAMPLE_MODES else 0.1
-    )
-
-
-@pytest.mark.parametrize("axes", [(0, 1, 2), (2,)])
-def test_layers_that_turn_about_the_height_make_no_error(axes):
-    options = CundallStrack()
-    modes = sticking_modes(make_scene((3, 4, 5)), axes, options, 1.0, 3e-5)
-    assert np.isfinite(modes.errors(2, 2e-5)).all()

@@ -76,12 +76,6 @@ def test_on_periodic_sides_it_is_that_of_the_shortest_ring_and_of_clarabel(seed)
         assert float(least(scene).upper) == pytest.approx(laboratory_minimum(scene).objective, rel=1e-8)
 
 
-def test_nothing_is_lost_where_top_and_bottom_turn_alike():
-    scene = tb.Scene(draw((3, 4), 1), spin_bottom=1.0)
-    assert (least(scene).lower, least(scene).upper) == (0, 0)
-    assert least(scene).unit > 0
-
-
 EXACTLY = 1e-50  # relative, of what has no other error than that of 140 digits
 
 
@@ -181,11 +175,3 @@ def test_stored_minima_of_another_solver_are_met(entry):
 @pytest.mark.parametrize("driving", [{"direction": (0, 0, 1)}, {"spin_bottom": 1.0}], ids=str)
 def test_nothing_slips_if_nothing_is_imposed(driving):
     assert solve(draw((2, 3, 4), 3), **driving).upper == 0
-
-
-def test_viscous_contacts_of_a_column_are_in_series():
-    damping = np.array([0.3, 0.7, 0.2, 0.9])
-    columns = (np.ones((1, 2, 5)), np.ones((2, 1, 5)), np.broadcast_to(damping, (2, 2, 4)).copy())
-    truth = least(tb.Scene(columns, "viscous", radius=0.3, spin_top=2.0, spin_bottom=0.5))
-    series = sum(1 / Fraction(eta) for eta in damping)
-    assert encloses(truth, 4 * (Fraction(0.3) * Fraction(3, 2)) ** 2 / series, EXACTLY)

@@ -90,19 +90,6 @@ def test_of_any_spins_and_friction(shape, options, method):
     assert not judgement.price[0] < 1e-6
 
 
-def test_samples_in_one_judgement_are_judged_as_alone():
-    from taichi_bearings.scene.initial_spins import initial_spin
-
-    scene = make_scene((3, 3, 4), seeds=(3, 4, 5))
-    solution = solve(scene, METHODS["interior-point"]().build(), initial_spin(scene, "linear"), StopRule(1e-10))
-    together = Judgement(samples_of(solution))
-    for r in range(3):
-        alone = together.one(r)
-        assert alone.power[0] == together.power[r]
-        assert alone.lower_bound[0] == together.lower_bound[r]
-        np.testing.assert_array_equal(alone.states[0].proven, together.states[r].proven)
-
-
 def test_spins_without_the_jump_prove_no_upper_bound(sample_at_rest):
     judgement = Judgement(sample_at_rest)
     assert judgement.power[0] == np.inf
