@@ -5,8 +5,6 @@ import itertools
 import json
 
 import pytest
-from click.testing import CliRunner
-from taichi_bearings_cli.reproduce import command
 from taichi_bearings_studies.paper import reproduce
 from taichi_bearings_studies.paper.claims import Claim, Effort
 
@@ -102,14 +100,14 @@ def figures(monkeypatch):
 
 
 def ask(folder, *words):
-    done = CliRunner().invoke(command, [*words, "--out", str(folder), "--json"])
-    return done.exit_code, json.loads(done.stdout) if done.stdout else done.exception
+    done = bearings("reproduce", *words, "--out", folder, "--json")
+    return done.returncode, json.loads(done.stdout) if done.stdout else done.stderr
 
 
 def test_a_refuted_claim_is_exit_code_1(figures, tmp_path):
     figures.refuted = [Claim("Water runs uphill.", "It runs downhill.", False)]
-    done = CliRunner().invoke(command, ["fig2", "--out", str(tmp_path / "a")])
-    assert done.exit_code == 1
+    done = bearings("reproduce", "fig2", "--out", tmp_path / "a")
+    assert done.returncode == 1
     assert "refuted    Water runs uphill.\n           It runs downhill." in done.stdout
     assert "fig2: 1 refuted, 1 confirmed" in done.stderr
     report = json.loads((tmp_path / "a" / "report.json").read_text(encoding="utf-8"))
@@ -152,7 +150,7 @@ def test_the_short_form_is_one_of_its_own(figures, tmp_path):
     code, report = ask(tmp_path / "a", "--quick", "--seed", "3")
     assert (code, report["quick"], report["samples"], figures.efforts) == (0, True, 20, {Effort(3, 20, True)})
     assert report["command"] == "bearings reproduce --quick --seed 3 --samples 20"
-    other = str(ask(tmp_path / "a", "--seed", "3")[1])
+    other = ask(tmp_path / "a", "--seed", "3")[1]
     assert "already exists and has samples 20 instead of 200, quick True instead of False" in other
     assert ask(tmp_path / "b", "fig1", "--quick", "--samples", "7")[1]["samples"] == 7
     assert Effort(0, 7, True) in figures.efforts
@@ -169,12 +167,12 @@ def test_what_a_report_does_not_know_is_not_replaced(figures, tmp_path):
     folder = tmp_path / "a"
     folder.mkdir()
     (folder / "fig2.csv").write_text("mine")
-    assert "fig2.csv already exists" in str(ask(folder, "fig2")[1])
+    assert "fig2.csv already exists" in ask(folder, "fig2")[1]
     assert (ask(folder, "fig1")[0], figures.computed) == (0, ["fig1"])
-    assert "fig2.csv already exists" in str(ask(folder, "fig2")[1])
+    assert "fig2.csv already exists" in ask(folder, "fig2")[1]
     strange = json.loads((folder / "report.json").read_text(encoding="utf-8"))
     strange["figures"]["fig1"]["claims"][0]["kind"] = "x"
     for forged in ({}, [], strange, strange | {"figures": {"fig1": 3}}, strange | {"figures": {"fig9": {}}}):
         (folder / "report.json").write_text(json.dumps(forged))
-        assert "is no report" in str(ask(folder, "fig1")[1])
+        assert "is no report" in ask(folder, "fig1")[1]
     assert (folder / "fig2.csv").read_text() == "mine"

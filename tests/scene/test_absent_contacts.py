@@ -5,8 +5,6 @@ from itertools import product
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
-from taichi_bearings_cli.main import bearings
 from taichi_bearings_studies.stress.truth import least
 
 import taichi_bearings as tb
@@ -14,6 +12,7 @@ from taichi_bearings.errors import InputError
 from taichi_bearings.proof.certificate import lower_bound, work_and_bound
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.solvers import METHODS
+from tests.cli.commands import bearings
 
 
 def draw(shape, law, absent, seed=3):
@@ -88,20 +87,10 @@ def test_friction_without_viscosity_is_refused():
 def test_a_run_with_absent_contacts_is_verified_and_analysed(tmp_path, needs_f64):
     scene = draw((4, 5), "coulomb", 0.1)
     np.savez(tmp_path / "mine.npz", x=scene.coefficients[0], y=scene.coefficients[1])
-    arguments = [
-        "run",
-        "--shape",
-        "4,5",
-        "--coefficients",
-        str(tmp_path / "mine.npz"),
-        "--out",
-        str(tmp_path / "run"),
-        "--threads",
-        "1",
-    ]
-    assert CliRunner().invoke(bearings, arguments).exit_code == 0
-    found = CliRunner().invoke(bearings, ["verify", str(tmp_path / "run"), "--json"])
-    assert found.exit_code == 0, found.output
-    assert json.loads(found.output)["power"] == pytest.approx(float(least(scene).upper), rel=1e-12)
+    words = ("--shape", "4,5", "--coefficients", tmp_path / "mine.npz", "--threads", "1")
+    assert bearings("run", *words, "--out", tmp_path / "run").returncode == 0
+    found = bearings("verify", tmp_path / "run", "--json")
+    assert found.returncode == 0, found.stderr
+    assert json.loads(found.stdout)["power"] == pytest.approx(float(least(scene).upper), rel=1e-12)
     network = tb.analyse(tmp_path / "run")
     assert network.power_minimum_cut == pytest.approx(float(least(scene).upper), rel=1e-12)

@@ -5,13 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
-from taichi_bearings_cli.main import bearings
 from taichi_bearings_studies.stress.axes import Cell, Row
 from taichi_bearings_studies.stress.cells import CRASH, NOT_REACHED, REFUSED, RIGHT, WRONG, Answer, Judge, solve_cells
 from taichi_bearings_studies.stress.truth import least
 
 from taichi_bearings.files.scan_journal import Journal, read_journal
+from tests.cli.commands import bearings
 
 LAWS = ("coulomb", "viscous", "coulomb-viscous")
 CELL = Cell("friction-scale", 1.0, Row("planar-cut", "coulomb", 2), 0, True, 1.0)
@@ -98,12 +97,12 @@ def test_what_must_be_refused_is_wrong_if_it_is_not(answer):
 
 def sweep(folder, *options):
     arguments = ["stress", "--quick", "--only", "start,ties", "--method", "linear-solver,planar-cut", "--workers", "1"]
-    return CliRunner().invoke(bearings, [*arguments, "--out", str(folder), *options])
+    return bearings(*arguments, "--out", folder, *options)
 
 
 def test_a_sweep_goes_on_from_its_journal_and_a_wrong_cell_fails_it(tmp_path):
     first = sweep(tmp_path, "--json")
-    assert first.exit_code == 0, first.output
+    assert first.returncode == 0, first.stderr
     summary = json.loads(first.stdout)
     assert summary["done"] == summary["cells"] > 0
     assert summary["outcomes"]["wrong"] == summary["outcomes"]["crash"] == 0
@@ -115,12 +114,12 @@ def test_a_sweep_goes_on_from_its_journal_and_a_wrong_cell_fails_it(tmp_path):
     with Journal(tmp_path / "cells.jsonl") as journal:
         journal.append([too_low])
     again = sweep(tmp_path)
-    assert again.exit_code == 1  # it is judged anew, whatever the journal says
+    assert again.returncode == 1  # it is judged anew, whatever the journal says
     assert f"RED {key}: the value -1.0 is below the least one" in again.stdout
     assert len(read_journal(tmp_path / "cells.jsonl")) == len(kept)
     strange = [record | of | {"key": one} for one, of in zip(kept, ({"version": "0.1"}, {"answer": 3}), strict=False)]
     with Journal(tmp_path / "cells.jsonl") as journal:
         journal.append(strange)
     again = sweep(tmp_path)
-    assert again.exit_code == 0, again.output  # solved anew
+    assert again.returncode == 0, again.stderr  # solved anew
     assert len((tmp_path / "cells.jsonl").read_bytes().splitlines()) == len(kept) + 1 + 2 * len(strange)

@@ -2,6 +2,7 @@
 
 from decimal import Decimal, localcontext
 from fractions import Fraction
+from itertools import product
 
 import numpy as np
 import pytest
@@ -9,8 +10,7 @@ from taichi_bearings_studies.stress.truth import DIGITS, SLIPLESS, SLIPPING, lay
 
 import taichi_bearings as tb
 from tests.agreement.laboratory import laboratory_minimum
-from tests.agreement.winding import shortest_ring
-from tests.cuts import all_cuts
+from tests.agreement.test_periodic_sides import shortest_ring
 from tests.scenes import minima, name_of, scene_of
 from tests.stress.minima import DRIVEN, EITHER, least_of_all
 
@@ -23,6 +23,23 @@ def draw(shape, seed, decades=0.0, absent=0.0, values=None):
         drawn = drawn if values is None else rng.choice(values, sides)
         arrays.append(np.where(rng.uniform(size=sides) < absent, 0.0, drawn))
     return tuple(arrays)
+
+
+def all_cuts(coefficient):
+    """Of a small square lattice, by trying all cuts in fractions: the least weight, and whether each contact is in
+    some and in all of the lightest cuts."""
+    sideways, upward = coefficient
+    columns, rows = upward.shape[0], upward.shape[1] + 1
+    cuts = []
+    for labels in product((False, True), repeat=columns * (rows - 2)):
+        above = np.zeros((columns, rows), bool)
+        above[:, -1], above[:, 1:-1] = True, np.reshape(labels, (columns, rows - 2))
+        crossed = [above[1:] != above[:-1], above[:, 1:] != above[:, :-1]]
+        weights = np.concatenate([sideways[crossed[0]], upward[crossed[1]]])
+        cuts.append((sum(map(Fraction, weights.tolist())), crossed))
+    least = min(weight for weight, _ in cuts)
+    lightest = [crossed for weight, crossed in cuts if weight == least]
+    return least, [(np.any(c, axis=0), np.all(c, axis=0)) for c in zip(*lightest, strict=True)]
 
 
 def encloses(truth, value, width=1e-20):
