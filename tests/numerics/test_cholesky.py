@@ -9,7 +9,6 @@ from taichi_bearings.conic.contact_system import lattice_system
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.interrupts import GivenUp, while_wanted
 from taichi_bearings.numerics.cholesky import Engine, NotPositiveDefinite, dissect, factor, tuning
-from taichi_bearings.numerics.cholesky.fronts import analyse
 from taichi_bearings.runtime import Runtime
 from tests.scenes import make_scene
 
@@ -117,24 +116,6 @@ def test_a_second_factorisation_leaves_nothing_of_the_first(engine):
     used.factorise(second)
     fresh.factorise(second)
     assert (used.solve(right) == fresh.solve(right)).all()
-
-
-@pytest.mark.parametrize("price", [tuning.LAUNCH_PRICE, tuning.CALLS_PRICE])
-def test_every_unknown_is_eliminated_once_and_separators_separate(price):
-    scene = make_scene((7, 6, 8))
-    system = system_of(scene)
-    pattern = analyse(dissect(scene.lattice, scene.minimum_spin_axes, 20), *system.terms()[:2], price)
-    assert sorted(pattern.order) == list(range(system.unknowns))
-    owner = np.repeat(np.arange(len(pattern.own)), pattern.own)
-    ancestors = {}
-    for number in range(len(pattern.own)):
-        chain, at = {number}, number
-        while pattern.parent[at] >= 0:
-            at = pattern.parent[at]
-            chain.add(at)
-        ancestors[number] = chain
-    for a, b in zip(*(owner[pattern.place[ends]] for ends in system.terms()[:2]), strict=True):
-        assert a in ancestors[b] or b in ancestors[a]
 
 
 @pytest.mark.parametrize("engine", Engine)

@@ -9,28 +9,6 @@ from tests.packing.twins import clarabel_least
 TOP, BOTTOM = (1.0, 0.4, -0.3, 0.2), (0.1, 0.0, 0.3, -0.1)
 
 
-@pytest.mark.parametrize("shape", [(5, 4), (4, 3, 5)])
-def test_walls_are_planes_of_the_lattice_laid_down(shape):
-    """The axes are named anew, the last one first; spins, too."""
-    dimension = len(shape)
-    turn = (dimension - 1, *range(dimension - 1))  # axis of the standing lattice that each axis of the lying one is
-    lying = tb.Packing.lattice(
-        "square" if dimension == 2 else "cubic", shape, seed=7, driven="walls", spin_bottom=-0.3, direction=(0, 1, 2)
-    )
-    standing_shape = tuple(np.array(shape)[list(np.argsort(turn))])
-    number = np.arange(np.prod(shape)).reshape(shape).transpose(np.argsort(turn))  # lying sphere at a standing place
-    standing = tb.Packing.lattice(
-        "square" if dimension == 2 else "cubic", standing_shape, spin_bottom=-0.3, direction=(1, 2, 0)
-    )
-    place = np.argsort(number.ravel())  # standing sphere of each lying one
-    pairs = {tuple(sorted(place[list(pair)])): mu for pair, mu in zip(lying.contact, lying.friction, strict=True)}
-    friction = [pairs[tuple(sorted(pair))] for pair in standing.contact.tolist()]
-    standing = tb.Packing(
-        standing.center, standing.contact, standing.driven, standing.spin, standing.radius, friction=friction
-    )
-    assert tb.solve(lying).power == pytest.approx(tb.solve(standing).power, rel=1e-11)
-
-
 @pytest.mark.parametrize(
     ("kind", "cells", "driven"),
     [

@@ -75,14 +75,6 @@ def test_odd_scenes_are_certified(odd):
     assert (solution.lower_bound <= solution.power * (1 + 1e-12)).all()
 
 
-@pytest.mark.parametrize("start", ["random", "zero"])
-def test_every_start_leads_to_the_same_minimum(start):
-    scene = make_scene((5, 6, 7))
-    one, other = minimum_of(scene), minimum_of(scene, start=start)
-    assert other.power == pytest.approx(one.power, rel=1e-12)
-    assert (one.state == other.state).all()
-
-
 def test_reported_forces_hold_the_spheres_and_prove_the_bound():
     scene = make_scene((6, 6, 6))
     method = InteriorPoint().build()

@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 
 from taichi_bearings.proof.contact_state import ContactState
-from taichi_bearings.runs.settings import RunSettings
-from taichi_bearings.runs.solved import Run
 from taichi_bearings.scene import Scene, Status
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import PlanarCut
@@ -104,21 +102,3 @@ def test_ties_of_one_plane_leave_the_states_of_the_others_proven():
     assert solution.findings["tied_contacts"].tolist() == [0, 4 * 4]
     undecided = np.argwhere(scene.lattice.by_axis(solution.state)[2] == ContactState.UNDECIDED)
     assert (undecided[:, :2] == (1, 1)).all()
-
-
-def test_a_cubic_lattice_is_as_unique_as_its_least_unique_plane():
-    scene = make_scene((3, 6, 7), direction=(1, 0, 0))
-    planes = [solved(_plane(scene, x)).findings["next_cut_over_minimum"][0] for x in range(3)]
-    assert solved(scene).findings["next_cut_over_minimum"][0] == min(planes)
-
-
-def _plane(scene, x):
-    """The layer x = const of a cubic lattice as a square one."""
-    return type(scene)((scene.coefficients[1][:, x], scene.coefficients[2][:, x]))
-
-
-def test_findings_are_in_the_summary():
-    summary = Run(RunSettings(tolerance=1e-9), solved(make_scene((5, 6), seeds=(1, 2)))).numbers
-    assert summary["cut_is_unique"] == [True, True]
-    assert summary["tied_contacts"] == [0, 0]
-    assert min(summary["next_cut_over_minimum"]) > 1
