@@ -6,7 +6,6 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from taichi_bearings.conic.contraction import Contraction
 from taichi_bearings.numerics.double_double import add, divide, exactly, multiply, scaled, square, square_root, subtract
 from tests.verifier.laboratory import Laboratory, dot
 from tests.verifier.test_bounds import samples_of, solved
@@ -82,14 +81,3 @@ def test_slipping_contacts_leave_no_torque_on_any_domain(seed):
         driven = {root(site) for site in laboratory.spin if laboratory.is_driven(site)}
         free = [abs(value) for domain, value in total.items() if domain not in driven]
         assert all(value < Decimal("1e-26") for value in free)
-
-
-def test_contacts_that_join_both_planes_cannot_all_be_tied():
-    from tests.conic.test_slipless_forces import BOTTOM, TOP, chain
-
-    system, order = chain((BOTTOM, 0, 0.0), (0, TOP, 1.0))
-    one, both = np.array([True, False]), np.array([True, True])
-    tied = Contraction(system.copies(3), order, np.concatenate([one, both, one]), samples=3)
-    assert tied.contradicts.tolist() == [False, True, False]
-    assert tied.number.tolist() == [-1, -1, -1]
-    assert (tied.imposed[[0, 2]] == 0).all()
