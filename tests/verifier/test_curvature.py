@@ -1,4 +1,4 @@
-"""States proven with elimination in several parts and in one, in less memory than the method has taken."""
+"""States are proven in less memory than the method has taken."""
 
 import tracemalloc
 
