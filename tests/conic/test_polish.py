@@ -1,50 +1,11 @@
-"""Pairs of doubles, and minima whose torques balance to thirty digits."""
+"""Minima whose torques balance to thirty digits."""
 
 from decimal import Decimal
-from fractions import Fraction
 
-import numpy as np
 import pytest
 
-from taichi_bearings.numerics.double_double import add, divide, exactly, multiply, scaled, square, square_root, subtract
 from tests.verifier.laboratory import Laboratory, dot
 from tests.verifier.test_bounds import samples_of, solved
-
-
-def exact(pair, i):
-    return Fraction(pair[0][i].item()) + Fraction(pair[1][i].item())
-
-
-@pytest.mark.parametrize("name", ["add", "subtract", "multiply", "divide"])
-def test_arithmetic_of_pairs_is_good_to_a_hundred_bits(name):
-    rng = np.random.default_rng(2)
-    high = rng.standard_normal((2, 300)) * 10.0 ** rng.integers(-20, 20, (2, 300))
-    first, second = ((h, h * 2.0**-54 * rng.uniform(-1, 1, 300)) for h in high)
-    pairs = {"add": add, "subtract": subtract, "multiply": multiply, "divide": divide}
-    numbers = {
-        "add": lambda a, b: a + b, "subtract": lambda a, b: a - b, "multiply": lambda a, b: a * b,
-        "divide": lambda a, b: a / b,
-    }  # fmt: skip
-    result = pairs[name](first, second)
-    for i in range(300):
-        true = numbers[name](exact(first, i), exact(second, i))
-        assert abs(exact(result, i) - true) <= abs(true) * Fraction(1, 2**100)
-
-
-def test_roots_of_pairs_are_good_to_a_hundred_bits():
-    values = exactly(np.random.default_rng(3).uniform(1e-9, 1e9, 200))
-    root = square_root(values)
-    for i in range(200):
-        assert abs(exact(root, i) ** 2 - exact(values, i)) <= exact(values, i) * Fraction(1, 2**99)
-
-
-def test_squares_and_multiples_are_products():
-    rng = np.random.default_rng(5)
-    high, factor = rng.standard_normal((2, 300))
-    pair = high, high * 2.0**-54 * rng.uniform(-1, 1, 300)
-    for one, other in ((square(pair), multiply(pair, pair)), (scaled(factor, pair), multiply(exactly(factor), pair))):
-        assert (one[0] == other[0]).all()
-        assert (one[1] == other[1]).all()
 
 
 @pytest.mark.usefixtures("needs_f64", "taichi_runtime")

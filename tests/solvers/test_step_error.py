@@ -7,7 +7,7 @@ import pytest
 
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import CundallStrack
-from taichi_bearings.solvers.gear import ACCURATE_ERROR, Modes
+from taichi_bearings.solvers.gear import ACCURATE_ERROR
 from tests.scenes import make_scene
 from tests.solvers.test_gear import without_vertical
 
@@ -82,14 +82,3 @@ def test_the_step_that_is_advised_is_accurate():
     mean, _, method = measured(scene, replace(options, time_step=advised))
     assert mean < ACCURATE_ERROR
     assert said_of(method)[1] == advised
-
-
-def test_without_damping_the_error_grows_with_the_time():
-    modes = Modes(np.zeros(1), np.full(1, 100.0), 0.0, 50.0, np.inf)
-    few, many, all_of_it = (modes.error(5, 0.02, steps) for steps in (100, 1000, 10**9))
-    assert many == pytest.approx(10 * few, rel=0.3)
-    assert all_of_it == pytest.approx(1, rel=0.01)
-    assert modes.error(5, 0.02, 0) == 0
-    advised = modes.accurate_step(5, 0.02, 10**5)
-    assert advised < 0.02
-    assert modes.error(5, advised, round(10**5 * 0.02 / advised)) <= ACCURATE_ERROR

@@ -33,20 +33,13 @@ class Minima(Truth):
     freedom: int = 0
 
 
-def least_of_all(scene: Scene, perturbed: tuple[int, Decimal] | None = None) -> Minima:
-    """The truth of a small sample with friction alone, and what every minimum has in common.
-
-    perturbed : seed and size; friction is multiplied by 1 + size * u, |u| < 1.
-    """
+def least_of_all(scene: Scene) -> Minima:
+    """The truth of a small sample with friction alone, and what every minimum has in common."""
     with localcontext() as context:
         context.prec = truths.DIGITS
         if not truths.jump_of(scene):
             return Minima(**vars(truths.least(scene)))
         sample = Sample(scene)
-        if perturbed:
-            rng = np.random.default_rng(perturbed[0])
-            factors = [1 + perturbed[1] * Decimal(rng.uniform(-1, 1)) for _ in sample.a]
-            sample.a = sample.a * np.array(factors, dtype=object)[:, None]
         truth, barrier = truths.followed(scene, sample)
         if not truth.lower:
             return Minima(**vars(truth))
