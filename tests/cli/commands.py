@@ -4,6 +4,7 @@ They compute on one thread. With keywords of `subprocess.run` (an environment, l
 """
 
 import contextlib
+import logging
 import os
 import re
 import runpy
@@ -93,7 +94,9 @@ def _answer(call, words, cwd):
     handlers, place = {number: signal.getsignal(number) for number in numbers}, os.getcwd()
     alone = mock.patch.object(runtime, "available_threads", return_value=1)
     with _caught(1) as out, _caught(2) as err, alone, mock.patch.object(sys, "argv", list(words)):
-        start, code = _start_of_memory(), 0
+        start, code, log = _start_of_memory(), 0, logging.StreamHandler(err)
+        log.setLevel(logging.WARNING)  # as Python tells warnings where nobody keeps a log
+        logging.getLogger().addHandler(log)
         try:
             os.chdir(cwd or place)
             call()
@@ -103,6 +106,7 @@ def _answer(call, words, cwd):
             traceback.print_exc()
             code = 1
         finally:
+            logging.getLogger().removeHandler(log)
             os.chdir(place)
             for number, handler in handlers.items():
                 signal.signal(number, handler)

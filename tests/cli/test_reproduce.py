@@ -109,7 +109,7 @@ def test_a_refuted_claim_is_exit_code_1(figures, tmp_path):
     done = bearings("reproduce", "fig2", "--out", tmp_path / "a")
     assert done.returncode == 1
     assert "refuted    Water runs uphill.\n           It runs downhill." in done.stdout
-    assert "fig2: 1 refuted, 1 confirmed" in done.stderr
+    assert "fig2: 1 confirmed, 1 refuted" in done.stderr
     report = json.loads((tmp_path / "a" / "report.json").read_text(encoding="utf-8"))
     assert (report["confirmed"], report["refuted"]) == (1, 1)
 
