@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from taichi_bearings.errors import InputError
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import CundallStrack
 from taichi_bearings.solvers.cundall_strack import stability_bound
@@ -134,3 +135,11 @@ def test_the_stability_bound_is_the_largest_stable_step(shape, order, stiffness,
         shape, CundallStrack(gear_order=order, stiffness=stiffness, damping=damping)
     )
     assert found == pytest.approx(bound, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"stiffness": 0}, {"damping": -1}, {"mass": float("nan")}, {"static_ratio": 0.5}, {"gear_order": 7}]
+)
+def test_unphysical_options_are_refused(wrong):
+    with pytest.raises(InputError, match=next(iter(wrong))):
+        CundallStrack(**wrong)

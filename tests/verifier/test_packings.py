@@ -324,6 +324,20 @@ def test_hostile_files_are_refused_in_one_sentence(name, honest, tmp_path):
     assert "\n" not in str(refusal.value)
 
 
+def test_a_file_without_an_array_or_of_another_shape_is_refused(tmp_path):
+    path = write_run(tmp_path, tb.solve(tb.Packing.lattice("square", (3, 3), seed=3)))
+    with h5py.File(path, "a") as file:
+        values = file["spin"][:-1]
+        del file["spin"]
+        file["spin"] = values
+    with pytest.raises(FileError, match=r"spin of shape \(8,\)"):
+        verify(path)
+    with h5py.File(path, "a") as file:
+        del file["packing/contact"]
+    with pytest.raises(FileError):
+        verify(path)
+
+
 def test_a_number_that_is_none_proves_nothing(tmp_path):
     path = write_run(tmp_path, tb.solve(tb.Packing.lattice("square", (3, 3), seed=3)))
     with h5py.File(path, "a") as file:
