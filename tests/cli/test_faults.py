@@ -50,16 +50,20 @@ def test_of_two_runs_into_one_directory_the_second_is_refused_and_a_kill_leaves_
 
 def test_a_directory_with_checkpoints_is_one_run_s(tmp_path):
     words = (*LONG, "--checkpoint-every", "0.01", "--out", tmp_path / "a")
-    first = start(*words, until=tmp_path / "a" / ".in-use")
+    first = start(*words, until=tmp_path / "a" / "checkpoint.h5")
     for force in ((), ("--force",)):
         assert "in use" in refused("run", *words, *force)
     assert "in use" in refused("run", "--resume", tmp_path / "a")
     first.kill()
     first.communicate()
+    checkpoint = tmp_path / "a" / "checkpoint.h5"
+    before = checkpoint.stat().st_mtime_ns
     resumed = subprocess.Popen(
         [sys.executable, "-m", "taichi_bearings_cli", "run", "--resume", str(tmp_path / "a")], stderr=subprocess.DEVNULL
     )
-    time.sleep(2)
+    while checkpoint.stat().st_mtime_ns == before:  # it has not come so far
+        assert resumed.poll() is None
+        time.sleep(0.01)
     assert "in use" in refused("run", *SHORT, "--out", tmp_path / "a", "--force")
     resumed.kill()
     resumed.communicate()
