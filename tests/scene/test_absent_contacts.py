@@ -37,7 +37,12 @@ def can_be_tried(method, law, shape):
 
 
 SHAPES, LAWS = ((4, 5), (3, 2, 4)), ("coulomb", "viscous", "coulomb-viscous")
-CASES = [case for case in product(METHODS, LAWS, SHAPES) if can_be_tried(*case)]
+CASES = [  # each method and law in two dimensions or in three; in both with --thorough
+    pytest.param(*pair, shape, marks=() if at == number % 2 or pair[0] == "planar-cut" else pytest.mark.thorough)
+    for number, pair in enumerate(product(METHODS, LAWS))
+    for at, shape in enumerate(SHAPES)
+    if can_be_tried(*pair, shape)
+]
 
 
 @pytest.mark.parametrize(("method", "law", "shape"), CASES, ids=str)
