@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.linalg import spsolve
 
 from taichi_bearings.scene import Status
@@ -10,22 +9,8 @@ from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import CundallStrack, GradientDescent
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
-from tests.kernels.twins import is_driven, neighbours
+from tests.kernels.twins import incidence
 from tests.scenes import make_scene
-
-
-def incidence(shape):
-    """(contacts x sites) matrix of the staggered differences, with axis and lower site of each row."""
-    rows, columns, values, where = [], [], [], []
-    for lower, upper, axis in neighbours(shape):
-        if is_driven(lower, shape) and is_driven(upper, shape):
-            continue
-        for site, sign in ((upper, 1.0), (lower, -1.0)):
-            rows.append(len(where))
-            columns.append(np.ravel_multi_index(site, shape))
-            values.append(sign)
-        where.append((axis, lower))
-    return csr_matrix(coo_matrix((values, (rows, columns)), (len(where), int(np.prod(shape))))), where
 
 
 def viscous_minimum(scene):

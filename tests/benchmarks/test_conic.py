@@ -1,8 +1,9 @@
-"""The conic programme says the same as the scene, and its multipliers are the contact forces."""
+"""The conic programme says the same as the scene, and its multipliers are the contact forces; files of instances."""
 
 import numpy as np
 import pytest
 from scipy.optimize import linprog
+from taichi_bearings_studies.benchmarks.instances import SIDES, instances, made
 from taichi_bearings_studies.benchmarks.peers import Peer, conic_programme
 
 from taichi_bearings.proof.certificate import lower_bound
@@ -48,10 +49,17 @@ def test_spins_and_forces_of_a_peer_are_certified(name, law, shape, driving):
     assert 0 <= answer.power - answer.lower_bound <= 1e-7 * answer.power
 
 
-@pytest.mark.parametrize("name", ["clarabel", "scs"])
-@pytest.mark.parametrize("entry", minima((3, 3, 3), (5, 5, 5)), ids=name_of)
-def test_a_peer_finds_the_exact_minimum(name, entry):
-    pytest.importorskip(name)
-    answer = Peer(name, "qdldl").solve(conic_programme(scene_of(entry)), 1e-9, 20.0, threads=1)
-    assert answer.lower_bound <= entry["power_minimum"] * (1 + 1e-12)
-    assert entry["power_minimum"] * (1 - 1e-12) <= answer.power <= entry["power_minimum"] * (1 + 1e-7)
+def test_there_are_thirty_different_ones():
+    found = instances()
+    assert len(found) == 30
+    assert len({scene.coefficient.tobytes() for scene in found.values()}) == 30
+    assert (min(SIDES), max(SIDES)) == (6, 64)
+
+
+def test_a_row_has_the_proven_optimum(needs_f64, tmp_path):
+    pytest.importorskip("clarabel")
+    row = made("small", make_scene((3, 4, 5)), tmp_path, peers=3)
+    assert {path.name for path in tmp_path.iterdir()} == {"small.cbf", "small.hdf5"}
+    assert row["lower_bound"] <= row["power"] <= row["lower_bound"] * (1 + 1e-14)
+    assert row["clarabel qdldl"] == pytest.approx(row["power"], rel=1e-6)
+    assert (row["unknowns"], row["contacts"]) == (2 * 3 * 4 * 3, 133 - 2 * 17)  # without those between driven spheres

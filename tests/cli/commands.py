@@ -1,122 +1,151 @@
-"""`bearings` in a process that has imported everything and stays: imports cost nothing, no kernel is compiled twice.
+"""`bearings` and scripts of users within this process: imports cost nothing, and no kernel is compiled twice.
 
-It computes on one thread. With keywords of `subprocess.run` (an environment, limits) `bearings` is started anew.
+They compute on one thread. With keywords of `subprocess.run` (an environment, limits) `bearings` is started anew.
 """
 
-import atexit
 import contextlib
-import gc
-import importlib
-import json
+import logging
 import os
-import pkgutil
+import re
 import runpy
+import signal
 import subprocess
 import sys
 import tempfile
 import traceback
-from functools import cache
+from dataclasses import dataclass
 from pathlib import Path
+from unittest import mock
 
-from taichi_bearings import runtime
+from taichi_bearings_cli.main import main
+
+from taichi_bearings import interrupts, runtime
 
 LONGEST = 300  # seconds
-ANOTHER_RUNTIME = {"--arch", "--precision"}  # a process has one
+MEMORY = 300_000_000  # bytes beyond what a process has before a small file, as docs/files.md promises
+
+
+@dataclass(frozen=True)
+class Answer:
+    """grown : bytes of memory that this process took meanwhile at its height."""
+
+    words: tuple[str, ...]
+    returncode: int
+    stdout: str
+    stderr: str
+    grown: int = 0
+
+    @property
+    def sentences(self) -> list[str]:
+        """Lines of the errors but those that say how to call it."""
+        return [line for line in self.stderr.splitlines() if not line.startswith(("Usage: ", "Try ")) and line]
+
+    @property
+    def fault(self) -> str:
+        """What is wrong with it; empty if it is a result or one clear sentence."""
+        if "Traceback (most recent call last)" in self.stderr or "not enough memory" in self.stderr:
+            return self.stderr
+        if self.returncode not in (0, 1, 2):
+            return f"exit code {self.returncode}"
+        if self.grown > MEMORY:
+            return f"{self.grown:,} bytes of memory"
+        if self.returncode == 2 and self.stderr.startswith("Usage: ") and "\nError: " in self.stderr:  # user's words
+            return ""
+        clear = [line.startswith("Error: ") or (line.startswith("bearings: ") and len(line) <= 2000)
+                 for line in self.sentences]  # fmt: skip
+        if self.returncode == 2 and not (clear and all(clear)):
+            return f"no clear sentence: {self.stderr!r}"
+        return "control characters" if re.search(r"[\x00-\x09\x0b-\x1f\x7f]", self.stderr) else ""
 
 
 def bearings(*words, cwd=None, **settings):
-    """What `bearings` makes of the words: a CompletedProcess with its texts."""
-    words = list(map(str, words))
-    stays = not ANOTHER_RUNTIME.intersection(words)
-    return _call(["-m", "taichi_bearings_cli", *words], cwd, stays, **settings)
+    """What `bearings` makes of the words."""
+    words = tuple(map(str, words))
+    if settings:
+        return _anew(("-m", "taichi_bearings_cli", *words), cwd, **settings)
+    return _answer(main, ("bearings", *words), cwd)
 
 
-def script(path, *words, cwd=None):
-    """What a script of a user makes of the words, in the same way."""
-    return _call([str(path), *map(str, words)], cwd, stays=True)
+def refused(*words, cwd=None, **settings):
+    """The one clear sentence with which `bearings` refuses the words; how to call it may stand before."""
+    done = bearings(*words, cwd=cwd, **settings)
+    assert (done.returncode, done.stdout, done.fault) == (2, "", ""), done
+    (sentence,) = done.sentences
+    return sentence
 
 
-def _call(words, cwd, stays, **settings):
-    if settings or not hasattr(os, "fork"):
-        command = [sys.executable, *words]
-        return subprocess.run(command, capture_output=True, text=True, cwd=cwd, timeout=LONGEST, **settings)
-    with tempfile.TemporaryDirectory() as folder:
-        out, err = Path(folder, "out"), Path(folder, "err")
-        request = {"words": words, "cwd": str(cwd or os.getcwd()), "out": str(out), "err": str(err)}
-        server = _server(stays)
-        server.stdin.write(json.dumps(request) + "\n")
-        server.stdin.flush()
-        code = server.stdout.readline()
-        if not code:  # it has ended
-            _server.cache_clear()
-            code = server.wait()
-        return subprocess.CompletedProcess(words, int(code), out.read_text(), err.read_text())
+def script(path, *words, cwd=None, alone=False):
+    """What a script of a user makes of the words. alone : in a process of its own, as one that starts Taichi itself."""
+    if alone:
+        return _anew((str(path), *words), cwd)
+    with mock.patch.object(sys, "path", [str(Path(path).parent), *sys.path]):
+        return _answer(lambda: runpy.run_path(str(path), run_name="__main__"), (str(path), *words), cwd)
 
 
-@cache
-def _server(stays):
-    command = [sys.executable, "-m", __name__, *(["stays"] if stays else [])]
-    process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-    atexit.register(process.communicate)  # its input ends, and so does it
-    return process
+def _anew(words, cwd, **settings):
+    command = [sys.executable, *words]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=cwd, timeout=LONGEST, **settings)
+    return Answer(words, done.returncode, done.stdout, done.stderr)
 
 
-def _serve(stays):
-    """Do what each line of the input asks for, here or in a fork of it; the exit code is a line of the output."""
-    import_everything()
-    requests, answers = os.fdopen(os.dup(0)), os.fdopen(os.dup(1), "w")
-    if stays:
-        runtime.available_threads = lambda: 1
-    for line in requests:
-        if stays:
-            code = _done_here(json.loads(line))
-        elif child := os.fork():
-            code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
-        else:
-            _become(json.loads(line))
-            return
-        print(code, file=answers, flush=True)
+def _answer(call, words, cwd):
+    """Of a call that takes its words from `sys.argv` and may end the process."""
+    numbers = (*interrupts.SIGNALS, *([signal.SIGALRM] if hasattr(signal, "SIGALRM") else []))
+    handlers, place = {number: signal.getsignal(number) for number in numbers}, os.getcwd()
+    alone = mock.patch.object(runtime, "available_threads", return_value=1)
+    with _caught(1) as out, _caught(2) as err, alone, mock.patch.object(sys, "argv", list(words)):
+        start, code, log = _start_of_memory(), 0, logging.StreamHandler(err)
+        log.setLevel(logging.WARNING)  # as Python tells warnings where nobody keeps a log
+        logging.getLogger().addHandler(log)
+        try:
+            os.chdir(cwd or place)
+            call()
+        except SystemExit as end:
+            code = end.code or 0
+        except Exception:
+            traceback.print_exc()
+            code = 1
+        finally:
+            logging.getLogger().removeHandler(log)
+            os.chdir(place)
+            for number, handler in handlers.items():
+                signal.signal(number, handler)
+        grown = _memory("VmHWM") - start
+        texts = [_text_of(stream) for stream in (out, err)]
+    return Answer(words[1:], code, *texts, grown)
 
 
-def import_everything():
-    for package in ("taichi_bearings", "taichi_bearings_studies", "taichi_bearings_cli"):
-        for module in pkgutil.walk_packages(importlib.import_module(package).__path__, f"{package}."):
-            if not module.name.endswith("__main__"):
-                importlib.import_module(module.name)
-    gc.freeze()  # what is shared stays shared
+@contextlib.contextmanager
+def _caught(number):
+    """A file that takes what is written to the stream of that number, by processes that are started meanwhile, too."""
+    name = {1: "stdout", 2: "stderr"}[number]
+    kept = os.dup(number)
+    with tempfile.TemporaryFile("w+", encoding="utf-8", newline="") as file:
+        os.dup2(file.fileno(), number)
+        try:
+            with mock.patch.object(sys, name, file):
+                yield file
+        finally:
+            os.dup2(kept, number)
+            os.close(kept)
 
 
-def _done_here(request):
-    place = sys.path[0]
-    try:
-        _become(request)
-        code = 0
-    except SystemExit as end:
-        code = end.code or 0
-    except BaseException:
-        traceback.print_exc()
-        code = 1
-    sys.path[0] = place
-    for stream in (sys.stdout, sys.stderr):
-        with contextlib.suppress(OSError):
-            stream.flush()
-    return code
+def _text_of(file):
+    file.flush()
+    file.seek(0)
+    return file.read()
 
 
-def _become(request):
-    os.chdir(request["cwd"])
-    for path, number in ((os.devnull, 0), (request["out"], 1), (request["err"], 2)):
-        opened = os.open(path, os.O_RDWR | os.O_CREAT)
-        os.dup2(opened, number)
-        os.close(opened)
-    first, *rest = request["words"]
-    if first == "-m":
-        sys.argv[1:] = rest[1:]
-        runpy.run_module(rest[0], run_name="__main__", alter_sys=True)
-    else:
-        sys.argv, sys.path[0] = [first, *rest], str(Path(first).parent)
-        runpy.run_path(first, run_name="__main__")
+def _start_of_memory() -> int:
+    """Bytes in use now, the mark of the height set back to them."""
+    if not Path("/proc/self/clear_refs").exists():
+        return 0
+    with contextlib.suppress(OSError), open("/proc/self/clear_refs", "w") as marks:
+        marks.write("5")
+    return _memory("VmRSS")
 
 
-if __name__ == "__main__":
-    _serve(sys.argv[1:] == ["stays"])
+def _memory(name: str) -> int:
+    if not os.path.exists("/proc/self/status"):
+        return 0
+    return 1024 * int(re.search(rf"{name}:\s+(\d+)", Path("/proc/self/status").read_text())[1])

@@ -8,7 +8,7 @@ import h5py
 import numpy as np
 import pytest
 
-from tests.cli.commands import bearings
+from tests.cli.commands import bearings, refused
 
 SMALL = ("--shape", "3,4,5", "--tolerance", "1e-3", "--figures", "none")
 
@@ -145,9 +145,7 @@ def test_the_histogram_counts_every_slipping_contact_once(finished_run, tmp_path
     assert (rows[1:, 0] == rows[:-1, 1]).all()
     with h5py.File(tmp_path / "power_histogram.h5") as file:
         assert file["count"][()].sum() == report["slipping"]
-    again = bearings("histogram", folder, "--out", tmp_path)
-    assert again.returncode == 2
-    assert "already exists" in again.stderr
+    assert "already exists" in refused("histogram", folder, "--out", tmp_path)
 
 
 def test_a_block_of_seeds_is_summarised_for_people(tmp_path):
@@ -206,7 +204,6 @@ BAD = {
     "null direction": (("--direction", "0,0,0"), "not all zero"),
     "unknown distribution": (("--distribution", "cauchy:1"), "allowed are"),
     "missing coefficients": (("--coefficients", "nowhere.npz"), "does not exist"),
-    "absent device": (("--arch", "cuda"), "no CUDA device"),
     "too large a step": (("--method", "cundall-strack", "--time-step", "1"), "stable only up to"),
     "huge seed": (("--seed", "99999999999999999999999"), "below 2^62"),
     "too many replicas": (("--replicas", "100000000"), "can be indexed"),
@@ -218,33 +215,25 @@ BAD = {
 def test_bad_input_is_one_sentence_and_exit_code_2(name, tmp_path):
     words, expected = BAD[name]
     shape = () if "--shape" in words else ("--shape", "3,3,4")
-    done = bearings("run", *shape, *words, "--out", tmp_path / "r", cwd=tmp_path)
-    if name == "absent device" and done.returncode == 0:
-        pytest.skip("there is a CUDA device here")
-    assert done.returncode == 2, done.stderr
-    assert done.stdout == ""
-    assert expected in done.stderr
-    assert len(done.stderr.strip().splitlines()) == 1
+    assert expected in refused("run", *shape, *words, "--out", tmp_path / "r", cwd=tmp_path)
     assert list(tmp_path.iterdir()) == []
 
 
 def test_bad_files_are_named(tmp_path):
-    def refused(text, *words, expected):
+    def said_of(text):
         (tmp_path / "scene.toml").write_text(text)
-        done = bearings("run", tmp_path / "scene.toml", *words, cwd=tmp_path)
-        assert done.returncode == 2
-        assert expected in done.stderr
-        assert len(done.stderr.strip().splitlines()) == 1
+        return refused("run", tmp_path / "scene.toml", cwd=tmp_path)
 
-    refused("shpe = [3, 3, 3]\n", expected="did you mean 'shape'")
-    refused("shape = [3, 3, 3\n", expected="not valid TOML")
-    refused('shape = "three"\n', expected="shape is 'three'")
-    refused("seed = true\n", expected="seed is 'True'")
+    assert "did you mean 'shape'" in said_of("shpe = [3, 3, 3]\n")
+    assert "not valid TOML" in said_of("shape = [3, 3, 3\n")
+    assert "shape is 'three'" in said_of('shape = "three"\n')
+    assert "seed is 'True'" in said_of("seed = true\n")
     np.savez(tmp_path / "mu.npz", x=np.ones((2, 3, 3)), y=np.ones((3, 2, 3)), z=-np.ones((3, 3, 2)))
-    refused("shape = [3, 3, 3]\ncoefficients = 'mu.npz'\n", expected="coefficient -1.0 at [0, 0, 0] along z")
-    refused("shape = [3, 4, 3]\ncoefficients = 'mu.npz'\n", expected="shape is 3x4x3, but the coefficients")
+    cube = "shape = [3, 3, 3]\ncoefficients = 'mu.npz'\n"
+    assert "coefficient -1.0 at [0, 0, 0] along z" in said_of(cube)
+    assert "shape is 3x4x3, but the coefficients" in said_of(cube.replace("3, 3, 3", "3, 4, 3"))
     (tmp_path / "mu.npz").write_bytes((tmp_path / "mu.npz").read_bytes()[:300])
-    refused("shape = [3, 3, 3]\ncoefficients = 'mu.npz'\n", expected="truncated")
+    assert "truncated" in said_of(cube)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["mu.npz", "scene.toml"]
 
 
@@ -271,18 +260,12 @@ def test_equal_coefficients_are_resolved(tmp_path):
 def test_nothing_is_overwritten_unless_asked(finished_run, tmp_path):
     folder, _ = finished_run
     before = (folder / "run.h5").read_bytes()
-    done = bearings("run", *SMALL, "--out", folder)
-    assert done.returncode == 2
-    assert "already exists" in done.stderr
+    assert "already exists" in refused("run", *SMALL, "--out", folder)
     assert (folder / "run.h5").read_bytes() == before
     (tmp_path / "precious.txt").write_text("mine")
-    done = bearings("run", *SMALL, "--out", tmp_path, "--force")
-    assert done.returncode == 2
-    assert "not a run directory" in done.stderr
+    assert "not a run directory" in refused("run", *SMALL, "--out", tmp_path, "--force")
     assert (tmp_path / "precious.txt").read_text() == "mine"
-    done = bearings("run", *SMALL, "--out", "/dev/null/run")
-    assert done.returncode == 2
-    assert "cannot be written" in done.stderr
+    assert "cannot be written" in refused("run", *SMALL, "--out", "/dev/null/run")
     first = bearings("run", *SMALL, "--out", tmp_path / "r", "--json")
     second = bearings("run", *SMALL, "--seed", 8, "--out", tmp_path / "r", "--force", "--json")
     assert second.returncode == 0, second.stderr
@@ -299,9 +282,7 @@ def test_damaged_runs_are_refused(finished_run, tmp_path):
         ("plot", "spins", tmp_path / "none"),
         ("run", damaged),
     ):
-        done = bearings(*words, cwd=tmp_path)
-        assert done.returncode == 2, words
-        assert len(done.stderr.strip().splitlines()) == 1
+        refused(*words, cwd=tmp_path)
 
 
 def test_a_time_step_too_long_for_the_course_is_said_with_a_number(tmp_path):

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from taichi_bearings.runs.run_file import read_run
-from tests.cli.commands import bearings
+from tests.cli.commands import bearings, refused
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals, mounts and names of POSIX")
 
@@ -37,18 +37,10 @@ def hidden(folder):
     return sorted(file.name for file in folder.iterdir() if file.name.startswith("."))
 
 
-def refused(*words, **kwargs):
-    done = bearings("run", *words, **kwargs)
-    assert done.returncode == 2, done.stderr
-    assert done.stdout == ""
-    assert len(done.stderr.splitlines()) == 1, done.stderr
-    return done.stderr
-
-
 def test_of_two_runs_into_one_directory_the_second_is_refused_and_a_kill_leaves_nothing(tmp_path):
     first = start(*LONG, "--out", tmp_path / "a", until=tmp_path / ".a.partial-*")
     for force in ((), ("--force",)):
-        assert "a is in use by another process" in refused(*SHORT, "--out", tmp_path / "a", *force)
+        assert "a is in use by another process" in refused("run", *SHORT, "--out", tmp_path / "a", *force)
     first.kill()
     first.communicate()
     assert len(hidden(tmp_path)) == 2
@@ -58,17 +50,21 @@ def test_of_two_runs_into_one_directory_the_second_is_refused_and_a_kill_leaves_
 
 def test_a_directory_with_checkpoints_is_one_run_s(tmp_path):
     words = (*LONG, "--checkpoint-every", "0.01", "--out", tmp_path / "a")
-    first = start(*words, until=tmp_path / "a" / ".in-use")
+    first = start(*words, until=tmp_path / "a" / "checkpoint.h5")
     for force in ((), ("--force",)):
-        assert "in use" in refused(*words, *force)
-    assert "in use" in refused("--resume", tmp_path / "a")
+        assert "in use" in refused("run", *words, *force)
+    assert "in use" in refused("run", "--resume", tmp_path / "a")
     first.kill()
     first.communicate()
+    checkpoint = tmp_path / "a" / "checkpoint.h5"
+    before = checkpoint.stat().st_mtime_ns
     resumed = subprocess.Popen(
         [sys.executable, "-m", "taichi_bearings_cli", "run", "--resume", str(tmp_path / "a")], stderr=subprocess.DEVNULL
     )
-    time.sleep(2)
-    assert "in use" in refused(*SHORT, "--out", tmp_path / "a", "--force")
+    while checkpoint.stat().st_mtime_ns == before:  # it has not come so far
+        assert resumed.poll() is None
+        time.sleep(0.01)
+    assert "in use" in refused("run", *SHORT, "--out", tmp_path / "a", "--force")
     resumed.kill()
     resumed.communicate()
     assert bearings("run", *SHORT, "--out", tmp_path / "a", "--force").returncode == 0
@@ -124,13 +120,13 @@ def test_a_result_that_no_disk_takes_is_one_sentence(tmp_path):
     def small_files():
         resource.setrlimit(resource.RLIMIT_FSIZE, (4000, 4000))
 
-    assert "the result is lost" in refused(*SHORT, "--out", tmp_path / "a", preexec_fn=small_files)
+    assert "the result is lost" in refused("run", *SHORT, "--out", tmp_path / "a", preexec_fn=small_files)
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("option", ["--out", "--coefficients", "--initial", "--distribution"])
 def test_a_name_that_is_not_utf_8_is_refused_before_anything_is_computed(tmp_path, option):
-    assert "UTF-8" in refused(*SHORT, option, os.fsdecode(b"caf\xe9"), cwd=tmp_path)
+    assert "UTF-8" in refused("run", *SHORT, option, os.fsdecode(b"caf\xe9"), cwd=tmp_path)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -141,7 +137,7 @@ NO_UTF_8 = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
 def test_locales_lose_nothing(tmp_path, locale):
     environment = os.environ | locale
     if locale is NO_UTF_8:
-        assert "UTF-8" in refused(*SHORT, "--out", "café", cwd=tmp_path, env=environment)
+        assert "UTF-8" in refused("run", *SHORT, "--out", "café", cwd=tmp_path, env=environment)
     name = "plain" if locale is NO_UTF_8 else "café €"
     done = bearings("run", *SHORT, "--figures", "none", "--out", name, cwd=tmp_path, env=environment)
     assert done.returncode == 0, done.stderr

@@ -8,7 +8,7 @@ from pathlib import Path
 from unittest import mock
 
 from taichi_bearings.runs.settings import settings_table
-from tests.fuzz.answers import Answer, answer_to
+from tests.cli.commands import Answer, bearings
 from tests.fuzz.corpus import SCAN, SCENE, Corpus
 from tests.fuzz.damage import bytes_changed, hdf5_changed, journal_changed, npy_made, npz_made, toml_changed
 
@@ -46,7 +46,7 @@ def options(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
         words = ["scan", str(scan), "--dry-run", "--set", setting]
         words += [draw.choice(["--part", "--sample-timeout", "--workers", "--out"]), draw.choice(WORDS)]
     with unsolved():
-        return answer_to(*words)
+        return bearings(*words)
 
 
 def other_options(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
@@ -69,7 +69,7 @@ def other_options(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
             draw.choice([*WORDS, "unit", "mean", "seed=1", "power=nan", "1,2", "xy"]),
         ]
     where = {"verify": [], "plot": ["--out", folder / "out.png"]}.get(words[0], ["--out", folder / "out"])
-    return answer_to(*words, *where)
+    return bearings(*words, *where)
 
 
 def tiny_runs(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
@@ -79,7 +79,7 @@ def tiny_runs(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
     for key in draw.sample(KEYS[1:-7], 2):
         if key not in ("replicas", "threads", "time_limit", "arch", "precision", "iterations", "figures", "duration"):
             words += [f"--{key.replace('_', '-')}", draw.choice(WORDS)]
-    return answer_to(*words, "--out", folder / "out")
+    return bearings(*words, "--out", folder / "out")
 
 
 def scene_toml(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
@@ -95,7 +95,7 @@ def _of_text(folder: Path, text: str, draw: random.Random, command: str, *words:
     file = folder / "in.toml"
     file.write_bytes(bytes_changed(content, draw) if draw.random() < 0.2 else content)
     with unsolved():
-        return answer_to(command, file, *words)
+        return bearings(command, file, *words)
 
 
 def arrays(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
@@ -112,7 +112,7 @@ def _as_arrays(file: Path, folder: Path, draw: random.Random) -> Answer:
     law = draw.choice([[], ["--law", "coulomb-viscous"]])
     with unsolved():
         words = ["run", "--shape", draw.choice(["4,5", "3,3,4"]), draw.choice(["--coefficients", "--initial"]), file]
-        return answer_to(*words, *law, "--out", folder / "out")
+        return bearings(*words, *law, "--out", folder / "out")
 
 
 def stored_runs(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
@@ -132,18 +132,18 @@ def _changed(good: Path, corpus: Corpus, folder: Path, draw: random.Random) -> P
 
 def _as_run(file: Path, folder: Path, draw: random.Random) -> Answer:
     if draw.random() < 0.05:
-        return answer_to("plot", draw.choice(FIGURES), file, "--out", folder / "out.png")
+        return bearings("plot", draw.choice(FIGURES), file, "--out", folder / "out.png")
     match draw.randrange(6):
         case 0:
-            return answer_to("verify", file)
+            return bearings("verify", file)
         case 1:
-            return answer_to("analyse", file, "--no-figures", *draw.choice([["--out", folder / "out"], []]))
+            return bearings("analyse", file, "--no-figures", *draw.choice([["--out", folder / "out"], []]))
         case 2:
             with mock.patch("taichi_bearings.plots.style.save"):
-                return answer_to("histogram", file, "--out", folder / "out")
+                return bearings("histogram", file, "--out", folder / "out")
         case 3:
             with unsolved():
-                return answer_to("run", file, "--out", folder / "out")
+                return bearings("run", file, "--out", folder / "out")
         case 4:
             return _as_arrays(file, folder, draw)
         case _:
@@ -151,12 +151,12 @@ def _as_run(file: Path, folder: Path, draw: random.Random) -> Answer:
                 mock.patch("taichi_bearings.runs.figures.draw_figure"),
                 mock.patch("taichi_bearings.plots.style.save"),
             ):
-                return answer_to("plot", draw.choice(FIGURES), file, "--out", folder / "out.png")
+                return bearings("plot", draw.choice(FIGURES), file, "--out", folder / "out.png")
 
 
 def checkpoints(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
     _changed(corpus.resumable / "checkpoint.h5", corpus, folder, draw)
-    return answer_to("run", "--resume", folder, "--time-limit", "1")
+    return bearings("run", "--resume", folder, "--time-limit", "1")
 
 
 def stored_scans(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
@@ -171,16 +171,16 @@ def _as_scan(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
     with mock.patch("taichi_bearings.scans.figure.save"), mock.patch("taichi_bearings.plots.style.save"):
         if draw.random() < 0.5:
             how = draw.choice([[], ["--by", "seed"], ["--normalise", "mean"]])
-            return answer_to("histogram", folder, "--out", folder / "out", *how)
+            return bearings("histogram", folder, "--out", folder / "out", *how)
         y, x = draw.choice(["power", "gap", "power/slipping"]), draw.choice(["seed", "spin_bottom", "L"])
-        return answer_to("plot", "scan", folder, "--y", y, "--x", x, *draw.choice([[], ["--by", "spin_bottom"]]))
+        return bearings("plot", "scan", folder, "--y", y, "--x", x, *draw.choice([[], ["--by", "spin_bottom"]]))
 
 
 def kept_states(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
     shutil.copytree(corpus.scan, folder / "scan")
     states = folder / "scan" / "states"
     _changed(draw.choice(sorted((corpus.scan / "states").iterdir())), corpus, states, draw)
-    return answer_to("scan", folder / "scan", "--dry-run")
+    return bearings("scan", folder / "scan", "--dry-run")
 
 
 def journals(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
@@ -189,9 +189,9 @@ def journals(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
     (folder / name).write_bytes(journal_changed((corpus.scan / "samples.jsonl").read_bytes(), draw))
     match draw.randrange(4):
         case 0:
-            return answer_to("scan", folder, "--dry-run")
+            return bearings("scan", folder, "--dry-run")
         case 1:
-            return answer_to("scan", folder, "--merge")
+            return bearings("scan", folder, "--merge")
         case _:
             return _as_scan(corpus, folder, draw)
 
@@ -212,7 +212,7 @@ def packings(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
     if draw.random() < 0.3:
         file.write_bytes(bytes_changed(file.read_bytes(), draw))
     words = ["info", file] if draw.random() < 0.3 else ["run", "--packing", file, "--out", folder / "out"]
-    return answer_to(*words, *(["--figures", "none"] if words[0] == "run" else []))
+    return bearings(*words, *(["--figures", "none"] if words[0] == "run" else []))
 
 
 def packing_runs(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
@@ -222,8 +222,8 @@ def packing_runs(corpus: Corpus, folder: Path, draw: random.Random) -> Answer:
         ("run", file, "--out", folder / "out", "--figures", "none"),
     ]  # fmt: skip
     if draw.random() < 0.05:
-        return answer_to("plot", draw.choice(["spins", "power", "network"]), file, "--out", folder / "out.png")
-    return answer_to(*draw.choice(words))
+        return bearings("plot", draw.choice(["spins", "power", "network"]), file, "--out", folder / "out.png")
+    return bearings(*draw.choice(words))
 
 
 KINDS: dict[str, tuple[Callable[[Corpus, Path, random.Random], Answer], int]] = {  # name -> (function, share of 1000)

@@ -10,7 +10,7 @@ import h5py
 import numpy as np
 import pytest
 
-from tests.fuzz.answers import answer_to
+from tests.cli.commands import bearings, refused
 from tests.fuzz.damage import claiming, line_of
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="fuzzed on POSIX")
@@ -18,13 +18,6 @@ RUN, SCAN, CHECKPOINT = "flat/run.h5", "scan/scan.h5", "resumable/checkpoint.h5"
 ANALYSE, VERIFY = ("analyse", "{}", "--no-figures"), ("verify", "{}")
 RESUME = ("run", "--resume", "{}", "--time-limit", "1")
 HISTOGRAM, FIGURE = ("histogram", "{}", "--out", "{}/out"), ("plot", "scan", "{}", "--y", "gap", "--x", "L")
-
-
-def refused(*words):
-    answer = answer_to(*words)
-    assert not answer.fault, answer.fault
-    assert answer.code == 2, answer
-    return answer.errors
 
 
 @pytest.fixture
@@ -140,14 +133,14 @@ def test_things_of_a_run_that_are_something_else(changed, name, change):
 
     folder = changed(RUN, replace)
     for words in (VERIFY, ANALYSE, ("plot", "history", "{}", "--out", "{}/a.png")):
-        answer = answer_to(*(word.format(folder) for word in words))
+        answer = bearings(*(word.format(folder) for word in words))
         assert not answer.fault, answer.fault
-        assert answer.code == 2 or words[0] == "verify"
+        assert answer.returncode == 2 or words[0] == "verify"
 
 
 @pytest.mark.parametrize("scanned", [["."], ["seed", "nowhere"]])
 def test_a_scan_without_its_columns(changed, scanned):
-    answer = answer_to(*(word.format(changed(SCAN, mark("scanned", scanned))) for word in FIGURE))
+    answer = bearings(*(word.format(changed(SCAN, mark("scanned", scanned))) for word in FIGURE))
     assert not answer.fault, answer.fault
 
 
@@ -155,7 +148,7 @@ def test_a_scan_whose_table_is_damaged_is_read_from_the_journal_beside_it(change
     changed(SCAN, mark("asked", "a"))
     for copied in ("samples.jsonl", "scan.toml"):
         shutil.copyfile(corpus.scan / copied, tmp_path / copied)
-    assert answer_to("histogram", tmp_path, "--out", tmp_path / "out").code == 0
+    assert bearings("histogram", tmp_path, "--out", tmp_path / "out").returncode == 0
 
 
 SCENES = [
@@ -215,9 +208,9 @@ NO_SAMPLES = [
 @pytest.mark.parametrize(("part", "name", "value"), NO_SAMPLES)
 def test_lines_of_a_journal_that_are_no_samples_count_as_missing(corpus, tmp_path, part, name, value, caplog):
     journal_with(corpus, tmp_path, lambda record: (record[part] if part else record).update({name: value}))
-    answer = answer_to("scan", tmp_path, "--merge")
+    answer = bearings("scan", tmp_path, "--merge")
     assert not answer.fault, answer.fault
-    assert answer.code == 1
+    assert answer.returncode == 1
     assert "is damaged; its sample counts as missing" in caplog.text
 
 

@@ -24,7 +24,7 @@ from taichi_bearings.files.whole_file import write_csv
 from taichi_bearings.plain_files import read_lines
 from taichi_bearings.runs.verify import verify
 from taichi_bearings.scans.listing import entries
-from tests.fuzz.answers import answer_to
+from tests.cli.commands import bearings, refused
 from tests.fuzz.damage import claiming, line_of
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="links and limits of POSIX")
@@ -44,13 +44,6 @@ def stranger(solved, tmp_path):
     folder.mkdir()
     (folder / "run.h5").write_bytes((solved / "run.h5").read_bytes())
     return folder
-
-
-def refused(*words):
-    answer = answer_to(*words)
-    assert not answer.fault, answer
-    assert answer.code == 2
-    return answer.errors
 
 
 def test_a_scene_file_replaces_nothing_by_itself(solved, tmp_path):
@@ -125,7 +118,7 @@ def test_what_a_folder_holds_removes_nothing_outside_of_it(stranger, tmp_path):
     (tmp_path / "elsewhere").mkdir()
     (tmp_path / "elsewhere" / "file").touch()
     (stranger / ".complete").symlink_to(tmp_path / "elsewhere")
-    assert answer_to("analyse", stranger, "--no-figures").code == 0
+    assert bearings("analyse", stranger, "--no-figures").returncode == 0
     assert (tmp_path / "elsewhere" / "file").exists()
 
 
@@ -136,8 +129,8 @@ def test_nothing_is_written_through_a_link_out_of_a_run(stranger, tmp_path, name
     (stranger / name).unlink(missing_ok=True)
     (stranger / name).symlink_to(mine)
     before = mine.read_bytes()
-    answer = answer_to(*(["plot", "spins"] if name == "spins.pdf" else ["analyse"]), stranger)
-    assert "link out of its folder" in answer.errors or name == "domains.png"  # a figure that is drawn anew goes first
+    answer = bearings(*(["plot", "spins"] if name == "spins.pdf" else ["analyse"]), stranger)
+    assert "link out of its folder" in answer.stderr or name == "domains.png"  # a figure that is drawn anew goes first
     assert mine.read_bytes() == before
 
 
@@ -145,7 +138,7 @@ def test_nothing_is_written_through_a_link_out_of_a_run(stranger, tmp_path, name
 def scanned(tmp_path_factory):
     folder = tmp_path_factory.mktemp("strange-scans")
     (folder / "scan.toml").write_text("shape = [4, 5]\n[scan]\nseed = { start = 0, stop = 2 }\n")
-    assert answer_to("scan", folder / "scan.toml", "--workers", "1", "--out", folder / "scan").code == 0
+    assert bearings("scan", folder / "scan.toml", "--workers", "1", "--out", folder / "scan").returncode == 0
     return folder / "scan"
 
 
@@ -234,8 +227,8 @@ def test_what_waits_under_a_temporary_name_is_neither_followed_nor_waited_for(st
     planted = [f"{name}.partial" for name in written] + [f".{name}.partial-7-00ff00" for name in (*written, "a")]
     for name in [*planted, ".partial", ".complete", ".b.in-use"]:
         os.symlink(tmp_path / "mine", stranger / name) if kind == "link" else os.mkfifo(stranger / name)
-    answer = answer_to(*(word.format(stranger) for word in WRITERS[command]))
-    assert (answer.code, answer.fault) == (0, ""), answer
+    answer = bearings(*(word.format(stranger) for word in WRITERS[command]))
+    assert (answer.returncode, answer.fault) == (0, ""), answer
     assert (tmp_path / "mine").read_text() == "mine"
     assert not any((stranger / name).exists() for name in planted if name.startswith(".a."))
 
@@ -289,7 +282,7 @@ def test_what_a_scan_holds_is_neither_waited_for_nor_endless(scanned, tmp_path, 
         ["scan", tmp_path / "scan", "--merge"],
         ["plot", "scan", tmp_path / "scan", "--y", "power", "--x", "seed", "--out", tmp_path / "a.png", "--force"],
     ):
-        answer = answer_to(*words)
+        answer = bearings(*words)
         assert not answer.fault, answer
 
 
@@ -308,9 +301,9 @@ def test_no_sample_has_a_bound_above_its_power(scanned, tmp_path, changes):
     record = json.loads(journal.read_bytes().splitlines()[0])["sample"]
     record["scalars"] |= changes
     journal.write_bytes(line_of(json.dumps(record).encode()))
-    answer = answer_to("scan", tmp_path / "scan", "--merge")
-    assert answer.code == 2
-    assert "holds no samples" in answer.errors
+    answer = bearings("scan", tmp_path / "scan", "--merge")
+    assert answer.returncode == 2
+    assert "holds no samples" in answer.stderr
 
 
 def test_texts_in_tables_are_no_formulas(tmp_path):
@@ -329,7 +322,7 @@ def test_texts_of_a_run_do_nothing_to_its_page(stranger):
         del file.attrs["sha256"]
         file.attrs["method"] = SCRIPT
         file.attrs["version"] = SCRIPT
-    assert answer_to("view", stranger).code == 0
+    assert bearings("view", stranger).returncode == 0
     assert "alert(1)</script>" not in (stranger / "view.html").read_text()
 
 
@@ -471,8 +464,8 @@ def test_texts_of_a_scan_are_lines_and_no_mathematics(scanned, tmp_path):
         [*figure, "--x", "method"],
         ["scan", tmp_path / "scan", "--merge"],
     ):
-        answer = answer_to(*words)
-        assert (answer.code, answer.fault) == (0, ""), answer
+        answer = bearings(*words)
+        assert (answer.returncode, answer.fault) == (0, ""), answer
     for table in (tmp_path / "counts" / "power_histogram.csv", tmp_path / "a.csv", tmp_path / "scan" / "scan.csv"):
         assert not any(line.startswith("=") for line in table.read_text().split("\n")), table
 

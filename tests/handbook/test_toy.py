@@ -15,7 +15,7 @@ TOY = ROOT / "examples/bearings_in_100_lines.py"
 @pytest.mark.parametrize(("shape", "words"), [((4, 5, 6), ("4", "5", "6", "2")), ((8, 7), ("8", "1", "7", "3"))])
 def test_it_agrees_with_the_package(shape, words, tmp_path, needs_f64):
     least = tb.solve(tb.Scene.random(shape, seed=int(words[-1])), tolerance=1e-10, threads=1)
-    done = script(TOY, *words, cwd=tmp_path)
+    done = script(TOY, *words, cwd=tmp_path, alone=True)
     assert done.returncode == 0, done.stderr
     power, bound = map(float, re.search(r"power (\S+), and no less than (\S+) is", done.stdout).groups())
     digits = 1e-8 * least.power  # that are not printed

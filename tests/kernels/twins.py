@@ -4,6 +4,7 @@ They share nothing with the kernels: no staggered spins, no dropped components, 
 """
 
 import numpy as np
+from scipy.sparse import coo_matrix, csr_matrix
 
 R = 0.5
 
@@ -100,3 +101,17 @@ def cundall_strack_step(gear, elongation, last_error, coefficient, law, constant
         gear[n][...] = taylor[n] + corrector[n] * error
     last_error[...] = error
     return forces
+
+
+def incidence(shape):
+    """(contacts x sites) matrix of the staggered differences, with axis and lower site of each row."""
+    rows, columns, values, where = [], [], [], []
+    for lower, upper, axis in neighbours(shape):
+        if is_driven(lower, shape) and is_driven(upper, shape):
+            continue
+        for site, sign in ((upper, 1.0), (lower, -1.0)):
+            rows.append(len(where))
+            columns.append(np.ravel_multi_index(site, shape))
+            values.append(sign)
+        where.append((axis, lower))
+    return csr_matrix(coo_matrix((values, (rows, columns)), (len(where), int(np.prod(shape))))), where

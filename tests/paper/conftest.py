@@ -1,8 +1,8 @@
-"""Studies compute in the runtime that the tests have."""
+"""Studies compute in the runtime that the tests have, on one thread."""
 
 import pytest
 
 
 @pytest.fixture(autouse=True)
 def _runtime_of_the_tests(taichi_runtime, monkeypatch):
-    monkeypatch.setattr("taichi_bearings.runtime.start", lambda *_: None)
+    monkeypatch.setattr("taichi_bearings.runtime.available_threads", lambda: 1)

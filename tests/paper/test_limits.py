@@ -85,8 +85,7 @@ SHARES = (
 
 @pytest.fixture
 def small(taichi_runtime, monkeypatch):
-    """The smallest samples of each scan, and the tests' own runtime."""
-    monkeypatch.setattr(reproduce.runtime, "start", lambda *_: None)
+    """The smallest samples of each scan."""
     monkeypatch.setattr(limits, "QUICK", {"limits": 8, "limits-variants": 4, "limits-rate": 4})
     monkeypatch.setattr(samples, "LEAST_SEEDS", 3)
     return Effort(seed=2, samples=1, quick=True)

@@ -12,7 +12,6 @@ from taichi_bearings_studies.paper.claims import Effort
 from taichi_bearings_studies.paper.fits import collapse, exponent, skewness
 
 import taichi_bearings as tb
-from taichi_bearings import runtime
 from taichi_bearings.numerics.planar import minimum_cuts
 from taichi_bearings.runs.run import build_scene
 from taichi_bearings.runs.settings import RunSettings
@@ -140,9 +139,7 @@ def test_studies_in_a_small_form(tmp_path, monkeypatch):
     monkeypatch.setattr(samples, "SCANS", tmp_path)
     for name, few in (("RESAMPLES", 20), ("TRIALS", 16), ("COLLAPSES", 3)):
         monkeypatch.setattr(fits, name, few)
-    monkeypatch.setattr(runtime, "available_threads", lambda: 1)
     effort = Effort(samples=2, quick=True)
-    monkeypatch.setattr(runtime, "start", lambda *_: None)  # the tests' own is running
     asked = ("exponents", "surfaces", "odd-loops")
     (out := tmp_path / "out").mkdir()
     claims = [c for name in asked for c in reproduce.FIGURES[name].reproduce(out, effort)]

@@ -10,7 +10,6 @@ from taichi_bearings_studies.paper.claims import Effort, judge
 from taichi_bearings_studies.paper.samples import solved
 from taichi_bearings_studies.paper.supplement import Ending
 
-from taichi_bearings.files.scan_journal import read_journal
 from taichi_bearings.scene import Scene
 from taichi_bearings.solvers import InteriorPoint
 from taichi_bearings.solvers.stopping import StopRule
@@ -77,21 +76,10 @@ def test_slips_are_known_as_closely_as_is_said(taichi_runtime, needs_f64):
     assert supplement.largest_slip_error(replace(found[0], states_proven=np.array([False]))) is None
 
 
-def test_a_small_study_and_what_it_keeps(tmp_path, monkeypatch, taichi_runtime, needs_f64):
+def test_a_small_study(tmp_path, monkeypatch, taichi_runtime, needs_f64):
     monkeypatch.setattr(supplement, "SHAPE", (4, 3, 5))
     monkeypatch.setattr(supplement, "ITERATIONS", (200, 2000))
-    study, interrupted = reproduce.FIGURES["supplement"], supplement.minimum
-
-    def stop(*_):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(supplement, "minimum", stop)
-    with pytest.raises(KeyboardInterrupt):
-        study.reproduce(tmp_path, Effort(2, 3))
-    assert list(read_journal(tmp_path / "supplement.jsonl")) == ["descent-200", "descent-2000"]
-    monkeypatch.setattr(supplement, "minimum", interrupted)
-    monkeypatch.setattr(supplement, "descended", stop)  # both are kept
-    claims = study.reproduce(tmp_path, Effort(2, 3))
+    claims = reproduce.FIGURES["supplement"].reproduce(tmp_path, Effort(2, 3))
     assert {path.name for path in tmp_path.iterdir()} == {"supplement.png", "supplement.pdf", "supplement.csv"}
     assert all(claim.paper and claim.ours and claim.uncertainty for claim in claims)
     assert {claim.verdict for claim in claims} == {"too few samples"}

@@ -8,7 +8,6 @@ from taichi_bearings_studies.paper import reproduce, yield_surface
 from taichi_bearings_studies.paper.claims import Effort
 from taichi_bearings_studies.paper.yield_surface import BESIDE, held, offsets, settings_of
 
-from taichi_bearings import runtime
 from tests.cli.commands import bearings
 from tests.handbook.pages import ROOT
 
@@ -96,8 +95,6 @@ def test_the_study_in_a_small_form(tmp_path, monkeypatch):
     monkeypatch.setattr(yield_surface, "SHARES", dict.fromkeys((3, 4, 6), 1.0))
     monkeypatch.setattr(yield_surface, "QUICK_SIDES", (3, 4, 6))
     monkeypatch.setattr(yield_surface, "FEWEST", 3)
-    monkeypatch.setattr(runtime, "available_threads", lambda: 1)
-    monkeypatch.setattr(runtime, "start", lambda *_: None)  # the tests' own is running
     claims = reproduce.FIGURES["yield"].reproduce(tmp_path, Effort(samples=2, quick=True))
     few = "too few samples"
     assert [claim.verdict for claim in claims] == ["confirmed", few, few, "confirmed", few]

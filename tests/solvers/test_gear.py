@@ -13,7 +13,7 @@ from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import CundallStrack
 from taichi_bearings.solvers.cundall_strack import stability_bound
 from taichi_bearings.solvers.gear import GEAR_COEFFICIENTS, largest_laplacian_eigenvalue, largest_weighted_eigenvalue
-from tests.agreement.test_independent_solvers import incidence
+from tests.kernels.twins import incidence
 from tests.scenes import make_scene
 
 

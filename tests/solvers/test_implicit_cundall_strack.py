@@ -13,7 +13,7 @@ from taichi_bearings.solvers import CundallStrack, ImplicitCundallStrack
 from taichi_bearings.solvers.cundall_strack import stability_bound
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
-from tests.agreement.test_independent_solvers import incidence
+from tests.kernels.twins import incidence
 from tests.scenes import make_scene, minima, name_of, scene_of
 
 pytestmark = pytest.mark.usefixtures("needs_f64")

@@ -14,8 +14,8 @@ from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.solvers import InteriorPoint, LinearSolver, PlanarCut, RigidLimit
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
-from tests.agreement.test_independent_solvers import incidence
 from tests.clarabel_twin import least
+from tests.kernels.twins import incidence
 from tests.scenes import make_scene
 
 pytestmark = pytest.mark.usefixtures("needs_f64")

@@ -9,7 +9,7 @@ from taichi_bearings_studies.stress.truth import DIGITS, SLIPLESS, SLIPPING, lay
 
 import taichi_bearings as tb
 from tests.agreement.laboratory import laboratory_minimum
-from tests.agreement.winding import shortest_ring
+from tests.agreement.test_periodic_sides import shortest_ring
 from tests.cuts import all_cuts
 from tests.scenes import minima, name_of, scene_of
 from tests.stress.minima import DRIVEN, EITHER, least_of_all

@@ -1,7 +1,6 @@
 """Elimination along a nested dissection: the order, the factor, and what of a matrix rounding can hide."""
 
 from fractions import Fraction
-from itertools import combinations
 
 import numpy as np
 import pytest
@@ -51,25 +50,6 @@ def test_what_is_dissected_is_joined_only_through_the_parts_above(seed):
         above[number] |= above[parent[number]] if number in parent else set()
     for a, b in zip(*matrix.nonzero(), strict=True):
         assert owner[a] in above[owner[b]] or owner[b] in above[owner[a]]
-
-
-def test_fewest_nodes_meet_all_edges_between_two_sides():
-    rng = np.random.default_rng(0)
-    for _ in range(50):
-        low, high = rng.integers(0, 5, 8), rng.integers(5, 10, 8)
-        cover = dissection._least_cover(low, high, 10)
-        assert (cover[low] | cover[high]).all()
-        fewer = combinations(range(10), int(cover.sum()) - 1)
-        assert not any((np.isin(low, nodes) | np.isin(high, nodes)).all() for nodes in fewer)
-
-
-def test_planes_separate_a_cube_and_little_fills_in():
-    """The separators are planes; with 3D dissection the factor has at most some 8 n^(4/3) entries."""
-    matrix, place = neighbours((12, 12, 12))
-    parts = dissected(matrix, place, 4)
-    assert max(len(part.nodes) for part in parts) == 144
-    fronts = Elimination.of(matrix, place).fronts
-    assert sum(f.own * (f.own + len(f.border)) for f in fronts) < 8 * 1728 ** (4 / 3)
 
 
 @pytest.mark.parametrize("seed", range(5))

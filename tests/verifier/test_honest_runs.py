@@ -17,12 +17,12 @@ from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.runs.verify import verify
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import METHODS, PlanarCut
-from taichi_bearings.solvers.answer import _judged, with_forces_of
+from taichi_bearings.solvers.answer import judged, with_forces_of
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.verifier.samples import UNPROVEN
 from tests.properties.scenes import cases
 from tests.scenes import make_scene
-from tests.verifier.forgeries import RUNS, forged, honest_file, outcome
+from tests.verifier.forgeries import RUNS, fields_of, forged, honest_file, outcome
 from tests.verifier.honest import contradictions, drawn
 
 pytestmark = pytest.mark.usefixtures("taichi_runtime")
@@ -134,7 +134,7 @@ def test_states_that_are_proven_are_those_that_are_said(needs_f64):
     for seed in range(6):
         scene = make_scene((4, 5), seeds=(seed,), distribution="power-law:1e-15,1e15,-1")
         answer = solve(scene, METHODS["interior-point"]().build(), initial_spin(scene, "linear"))
-        states = _judged(scene, answer.spin, answer.spin_rounding, answer.friction).states[0]
+        states = judged(scene, answer.spin, answer.spin_rounding, answer.friction).states[0]
         said, proven = answer.state[0], states.proven
         known = (proven != UNPROVEN) & (said != ContactState.DRIVEN)
         assert (said[known] == proven[known]).all()
@@ -142,16 +142,21 @@ def test_states_that_are_proven_are_those_that_are_said(needs_f64):
     assert corrected > 50
 
 
-TRIED = {"spheres"}  # in all its numbers by test_verdict
+PROVES = {"spin", "spin_rounding", "coefficient", "contact", "power", "lower_bound", "gap",
+          "slipping", "slipless", "states_proven", "minimum_is_unique", "status"}  # fmt: skip
 
 
-@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.thorough if n in TRIED else ()) for n in RUNS])
+@pytest.mark.parametrize("name", RUNS)
 def test_what_is_forged_is_found_or_said_not_to_be_checked(name, tmp_path, needs_f64, thorough):
-    path, rng, tried = honest_file(name, tmp_path / "run"), np.random.default_rng(5), 0
-    while tried < (200 if thorough else 4):
-        if (forgery := forged(path, rng)) is not None:
-            tried += 1
-            assert outcome(path, forgery, tmp_path / "forged.h5") != "missed", forgery[:2]
+    """A few of each run, and of one all fields: what makes a proof is never among those that are not checked."""
+    path, rng = honest_file(name, tmp_path / "run"), np.random.default_rng(5)
+    attributes, sets = fields_of(path)
+    fields = ["scene", *attributes, *2 * sets] if name == "spheres" else []
+    for field in [*fields, *[""] * (200 if thorough else 4)]:  # "" for any
+        forgery = next(filter(None, (forged(path, rng, field) for _ in range(100))))
+        found = outcome(path, forgery, tmp_path / "forged.h5")
+        proves = forgery[1] in PROVES or forgery[1].split("/")[0] in PROVES
+        assert found in (("found", "refused") if proves else ("found", "refused", "not checked")), forgery[:2]
 
 
 def test_what_cannot_be_judged_is_not_said_to_be_proven(tmp_path, needs_f64):

@@ -3,7 +3,7 @@
 from ast import literal_eval
 from dataclasses import replace
 from decimal import Decimal
-from functools import cache, partial
+from functools import cache
 
 import h5py
 import networkx
@@ -43,6 +43,18 @@ SCENES = [
     ((4, 4, 4), "xy", BEARING | DAMPED),
     ((2, 4, 4), "xy", BEARING),
 ]
+FREE = [
+    ((4, 5), {}),
+    ((4, 5), {"law": "viscous", "spin_bottom": -0.3}),
+    ((3, 2, 4), {}),
+    ((3, 2, 4), {"direction": (1, -2, 3), "spin_bottom": 0.25, "radius": 0.7, "normal_force": 3.0}),
+    ((3, 2, 4), {"law": "viscous", "direction": (1, 1, 1)}),
+    ((4, 5), {"law": "coulomb-viscous", "spin_bottom": -0.3, "viscosity": "uniform:5,60"}),
+    ((3, 2, 4), {"law": "coulomb-viscous", "radius": 0.7, "normal_force": 3.0, "viscosity": "lognormal:3,2"}),
+    ((2, 3, 4), {"law": "coulomb-viscous", "direction": (1, -2, 3), "spin_bottom": 0.999999}),
+    ((2, 3, 4), {"spin_bottom": 0.999999999}),
+    ((2, 3, 4), {"spin_top": 1e-9, "spin_bottom": -1e9, "direction": (1, 1e-7, 0)}),
+]
 ALIKE = [((2, 4, 4), "x", 11, [37, 11, 0, 4, 0]), ((2, 4, 4), "xy", 18, [42, 8, 0, 6, 0]),
          ((4, 3, 4), "x", 4, [46, 24, 6, 0, 0]), ((4, 4, 4), "xy", 23, [74, 32, 0, 6, 0])]  # fmt: skip
 """Friction of two values: seed, and the slipless, slipping, critical, tied and unproven contacts, in 140 digits."""
@@ -69,30 +81,6 @@ def sample(shape, sides, options, seed=5):
     return _sample(repr((shape, sides, options, seed)))
 
 
-def changed(samples, of_contacts, of_spheres):
-    """Functions of an array an axis, and of an array of the spheres, of one sample."""
-    contacts = ("coefficient", "viscosity", "friction")
-    parts = {name: tuple(of_contacts(*pair) for pair in enumerate(getattr(samples, name))) for name in contacts}
-    return replace(samples, **parts, spin=of_spheres(samples.spin), spin_rounding=of_spheres(samples.spin_rounding))
-
-
-def assert_alike(one, other, moved=lambda axis, values: values):
-    """Two samples are judged alike, contact by contact; `moved` leads from a contact of one to that of the other."""
-    of_one, of_other = partial(by_axis, one), partial(by_axis, other)
-    one, other = Judgement(one), Judgement(other)
-    for name in ("power", "objective", "lower_bound", "upper_bound"):
-        np.testing.assert_allclose(getattr(one, name), getattr(other, name), rtol=1e-15, err_msg=name)
-    np.testing.assert_allclose(one.largest_torque, other.largest_torque, rtol=1e-12)  # of what rounding leaves
-    assert one.states[0].unique == other.states[0].unique
-    assert one.states[0].reason == other.states[0].reason
-    for axis, (a, b) in enumerate(zip(of_one(one.states[0].proven), of_other(other.states[0].proven), strict=True)):
-        np.testing.assert_array_equal(moved(axis, a[None])[0], b)
-    if one.slip_bound is None:
-        return
-    for axis, (a, b) in enumerate(zip(of_one(one.slip_bound), of_other(other.slip_bound), strict=True)):
-        np.testing.assert_allclose(moved(axis, a), b, rtol=1e-14)
-
-
 def kinds(samples):
     """Numbers of slipless, slipping, critical, tied and unproven contacts."""
     judgement = Judgement(samples)
@@ -101,11 +89,13 @@ def kinds(samples):
 
 
 @pytest.mark.parametrize("size", [0.0, 0.1])
-@pytest.mark.parametrize(("shape", "sides", "options"), SCENES, ids=str)
+@pytest.mark.parametrize(
+    ("shape", "sides", "options"), [*SCENES, *((shape, "", options) for shape, options in FREE)], ids=str
+)
 def test_bounds_are_those_of_the_laboratory(shape, sides, options, size):
     """In 80 digits, contact by contact: at a minimum, and of spins and friction far from one."""
     samples, rng = sample(shape, sides, options), np.random.default_rng(3)
-    spin = samples.spin + size * rng.standard_normal(samples.spin.shape)
+    spin = samples.spin + size * (samples.spin_top - samples.spin_bottom) * rng.standard_normal(samples.spin.shape)
     ends = (slice(None),) * samples.dimension + ([0, -1],)
     spin[ends] = samples.spin[ends]
     friction = tuple(f * rng.uniform(1 - size, 1 + size, f.shape) for f in samples.friction)
@@ -114,7 +104,8 @@ def test_bounds_are_those_of_the_laboratory(shape, sides, options, size):
     objective, bound = truth.objective(), truth.lower_bound()
     assert Decimal(judgement.lower_bound[0]) <= max(bound, Decimal(0)) <= objective <= Decimal(judgement.upper_bound[0])
     assert float(Decimal(judgement.upper_bound[0]) / objective - 1) < 2e-15
-    assert judgement.lower_bound[0] == pytest.approx(max(float(bound), 0.0), rel=1e-13)
+    assert judgement.lower_bound[0] == pytest.approx(max(float(bound), 0.0), rel=1e-13 if size else 4e-15)
+    assert judgement.objective[0] == pytest.approx(float(objective), rel=1e-13 if size else 3e-16)
     assert (judgement.gap[0] < 1e-13) == (size == 0)
 
 
@@ -150,20 +141,6 @@ def test_contacts_that_tie_are_proven_as_on_free_lattices(shape, sides, seed, ex
     assert Judgement(samples).states[0].unique == (expected[3] == 0)
 
 
-@pytest.mark.parametrize(("shape", "sides", "options"), SCENES, ids=str)
-def test_sides_joined_by_absent_contacts_are_free(shape, sides, options):
-    free = sample(shape, "", options)
-
-    def with_seam(axis, values):
-        return np.pad(values, [(0, int(at == 1 + axis and "xyz"[axis] in sides)) for at in range(values.ndim)])
-
-    def without(axis, values):
-        return values[(slice(None), *map(slice, free.coefficient[axis].shape[1:]))]
-
-    closed = replace(changed(free, with_seam, np.copy), periodic=tuple(map("xyz".index, sides)))
-    assert_alike(closed, free, without)
-
-
 @pytest.mark.parametrize(("shape", "sides", "share"), [
     ((3, 3, 4), "", 0.1), ((4, 3, 4), "x", 0.1), ((2, 4, 4), "xy", 0.2), ((4, 4, 4), "xy", 0.3),
 ], ids=str)  # fmt: skip
@@ -176,21 +153,6 @@ def test_where_contacts_are_missing_the_others_are_judged_as_ever(shape, sides, 
         assert_states_of_cone_programme(scene, samples)
         proven.append(kinds(samples)[-1] == 0)
     assert sum(proven) >= 3
-
-
-@pytest.mark.parametrize(("shape", "sides", "options", "seed"), [
-    ((6, 5), "x", {}, 5), ((6, 4), "x", {"distribution": "bimodal:1,2,0.5"}, 5), ((2, 4, 4), "xy", {}, 5),
-    ((4, 3, 4), "x", DAMPED, 5), ((4, 3, 4), "x", ABOUT_X, 5), ((4, 4, 4), "xy", BIMODAL, 23),
-], ids=str)  # fmt: skip
-def test_where_the_seam_lies_changes_nothing(shape, sides, options, seed):
-    """Turned by an even number of spheres around a closed side."""
-    samples = sample(shape, sides, options, seed)
-    for around in samples.periodic:
-
-        def moved(_, values, around=around):
-            return np.roll(values, 2, axis=1 + around)
-
-        assert_alike(samples, changed(samples, moved, lambda values: moved(None, values)), moved)
 
 
 def contacts_of_one_component(samples):

@@ -46,75 +46,6 @@ def test_a_run_proves_what_it_claims(folder, name):
         assert report["minimum_is_unique"] is True
 
 
-def places(values, rng, count, where=None):
-    """Some positions in an array, of those that `where` allows."""
-    allowed = np.argwhere(np.ones(values.shape, dtype=bool) if where is None else where)
-    return [tuple(allowed[i]) for i in rng.integers(0, len(allowed), count)]
-
-
-def changes(path):
-    """(name, function of an open file) of one number changed each."""
-    rng = np.random.default_rng(1)
-    with h5py.File(path, "r") as file:
-        axes = [axis for axis in "xyz" if axis in file["coefficient"]]
-        state = {axis: file[f"contact/{axis}/state"][()] for axis in axes}
-        spin = file["spin"][()]
-        limit = {axis: file[f"coefficient/{axis}"][()] * file.attrs["normal_force"] for axis in axes}
-        has_rounding = "spin_rounding" in file
-        parts = spin.ndim - len(axes)
-
-    def put(name, where, value):
-        def change(file):
-            file[name][where] = value(file[name][where])
-
-        return f"{name}{list(map(int, where))}", change
-
-    free = np.zeros(spin.shape, dtype=bool)
-    free[(slice(None),) * (len(axes) - 1) + (slice(1, -1),)] = True
-    if parts:
-        free[..., 2] = False
-    for where in places(spin, rng, 8, free):
-        yield put("spin", where, lambda v: v + 1e-9)
-    for where in places(spin, rng, 2, ~free & ((np.arange(3) < 2) if parts else True)):
-        yield put("spin", where, lambda v: v + 1e-6)
-    if has_rounding:
-        for where in places(spin, rng, 4, free):
-            yield put("spin_rounding", where, lambda v: v + 1e-13)
-    for axis in axes:
-        acts = state[axis] != 3
-        for where in places(state[axis], rng, 2):
-            yield put(f"coefficient/{axis}", where, lambda v: v * (1 + 1e-6))
-        for where in places(state[axis], rng, 3, acts):
-            size = 1e-4 * limit[axis][where]
-            tangent = 0 if axis == "z" else 2  # along z it turns spheres about components that the driving needs
-            yield put(f"contact/{axis}/friction", (*where, tangent) if parts else where, lambda v, s=size: v + s)
-        for where in places(state[axis], rng, 2, acts):
-            yield put(f"contact/{axis}/slip", where, lambda v: v + 1e-8)
-        for where in places(state[axis], rng, 2, acts):
-            yield put(f"contact/{axis}/power", where, lambda v: v * (1 + 1e-6) + 1e-9)
-        for where in places(state[axis], rng, 2, acts):
-            yield put(f"contact/{axis}/force", where, lambda v, s=limit[axis][where]: v - 1e-4 * s)
-        for where in places(state[axis], rng, 3, acts):
-            yield put(f"contact/{axis}/state", where, lambda v: 1 - v)
-    for name, value in (
-        ("power", lambda v: v * (1 + 1e-9)), ("power", lambda v: v * (1 - 1e-9)),
-        ("lower_bound", lambda v: v * (1 + 1e-9)), ("gap", lambda v: v / 100), ("gap", lambda v: -1e-3),
-        ("slipping", lambda v: v + 1), ("slipless", lambda v: v - 1),
-        ("normal_force", lambda v: v * (1 + 1e-9)), ("radius", lambda v: v * (1 - 1e-9)), ("seed", lambda v: v + 1),
-        ("spin_top", lambda v: v * (1 + 1e-9)), ("spin_bottom", lambda v: v + 1e-9),
-    ):  # fmt: skip
-
-        def change(file, name=name, value=value):
-            file.attrs[name] = value(file.attrs[name])
-
-        yield f"attribute {name}", change
-
-    def history(file):
-        file["history/lower_bound"][-1] = 1.01 * file.attrs["power"]
-
-    yield "history/lower_bound", history
-
-
 @pytest.fixture
 def changed(folder, tmp_path):
     """A function that gives a copy of one of the files, changed by a function of it."""
@@ -125,13 +56,6 @@ def changed(folder, tmp_path):
         return tmp_path / "run.h5"
 
     return change_one
-
-
-@pytest.mark.parametrize("name", ["spheres", pytest.param("discs", marks=pytest.mark.thorough)])
-def test_one_number_changed_where_it_matters_is_found(folder, changed, name):
-    of_one = list(changes(folder / name / "run.h5"))
-    assert len(of_one) >= 50
-    assert [what for what, change in of_one if verify(changed(name, change))["verified"]] == []
 
 
 def says(name, value):
@@ -152,6 +76,7 @@ def turn_one_driven_sphere(file):
 
 FORGED = [
     ("spheres", turn_one_driven_sphere),
+    ("spheres", lambda file: file["history/lower_bound"].__setitem__(-1, 1.01 * file.attrs["power"])),
     *(("descent", says(name, value)) for name, value in (  # more than a descent knows
         ("states_proven", True), ("minimum_is_unique", True), ("gap", 1e-12), ("lower_bound", 1e9),
     )),
