@@ -9,8 +9,7 @@ margins of 1e-9 can, and double precision ends before. Here
 2. with all slipless contacts tied the power is a smooth function, and Newton's method finds its minimum, in the end in
    twice the precision (polish.py);
 3. the tied contacts have to bear what the slipping ones leave to them (slipless_forces.py). If they can, the contact
-   states are those of a minimum; whether that is proven is for the verifier to say;
-4. if they cannot, the path goes on once more with nothing tied.
+   states are those of a minimum; whether that is proven is for the verifier to say.
 """
 
 from collections.abc import Sequence
@@ -35,11 +34,9 @@ from taichi_bearings.numerics.double_double import Pair, exactly
 POWER_BELOW, POWER_ABOVE = 1e-12, 1e-6  # how far the power may be above and below that of the path, relative
 DECIDED_RATIO = 1e2  # ratio of slip and margin, either way, beyond which a contact is decided without a proof
 STICKING_TREND = 0.6  # a contact sticks if its slip fell by more than this factor in a step, and its margin by less
-DOUBTFUL_SHARE = 1e-2  # share of the contacts that may be in doubt when those are tied that surely stick
-LEAST_DOUBTFUL, MOST_DOUBTFUL = 30, 300  # and their number, at least and at most
+MOST_DOUBTFUL = 30  # contacts that may be in doubt when those are tied that surely stick
 # torques, of the mean friction, that end Newton's method; and that will do if double precision ends before
 NEWTON_TORQUE, ROUNDED_TORQUE = 1e-12, 1e-4
-MOST_TIED_TRIALS = 3  # of the last decades, with those tied that surely stuck at the end of the one before
 NEWTON_TRIALS = 2  # of Newton's method, with contacts tied that come to rest
 # of a slip, by which a step may change it; if the whole step would turn it round
 TURNED_SLIP_STEP, SLIP_STEP = 0.5, 0.95
@@ -145,52 +142,45 @@ def _sticking(iterate: Iterate, before: Iterate) -> np.ndarray:
 
 
 def _followed(iterate: Iterate, before: Iterate | None, lattice: Surroundings) -> Resolved | None:
-    """The same by the last decades of the path, with contacts tied that surely stick as soon as few others are in
-    doubt. Where the states are not those of a minimum, up to twice more from there, with those tied, too, that surely
-    stick at the end: their stiffness blurs the forces of the others. At last nothing is tied."""
-    path, settled = LastDecades.after(iterate, before, lattice.matrix), None
-    if path.decide(int(min(max(DOUBTFUL_SHARE * iterate.in_cones, LEAST_DOUBTFUL), MOST_DOUBTFUL))) is None:
+    """The same by the last decades of the path. Where minima may tie, contacts that surely stick are tied as soon as
+    few others are in doubt, as their stiffness blurs the forces of the others; and where the states are not those of a
+    minimum, once more, to the end, with those tied, too, that surely stick then."""
+    path, ties = LastDecades.after(iterate, before, lattice.matrix), may_tie(iterate.friction)
+    slipping = path.decide(MOST_DOUBTFUL if ties else 0)
+    if slipping is None:
         return None
-    none, sticking = np.zeros_like(path.sticking), path.sticking
-    ties = may_tie(iterate.friction, none)
-    for trial in range(MOST_TIED_TRIALS + 1):
-        is_last = trial == MOST_TIED_TRIALS
-        if trial > 0 and settled is None and not (ties or is_last):
-            continue
-        settled, more = None, none
+    if not ties:
+        return _decided(iterate, path.spins, slipping, path.critical, path.point.dual, lattice)
+    settled, sticking = None, path.sticking
+    for to_the_end in (False, True):
+        tied = Contraction(lattice.system, lattice.order, sticking)
+        if tied.contradicts.any():
+            break
+        rest, left = path.over(tied), None
         with suppress(NotPositiveDefinite):
-            tied = none if is_last else sticking
-            settled, more = _over_tied(iterate, path, tied, lattice, to_the_end=trial > 0 and not is_last)
+            left = rest.decide(to_the_end=to_the_end)
+        if left is None:
+            continue
+        slipping, critical, more = np.zeros((3, len(sticking)), dtype=bool)
+        slipping[tied.kept], critical[tied.kept], more[tied.kept] = left, rest.critical, rest.sticking
+        dual = path.point.dual.copy()  # slipless contacts begin with their forces in the end
+        dual[:, tied.kept] = rest.point.dual
+        settled = _decided(iterate, tied.expanded(rest.spins), slipping, critical, dual, lattice) or settled
         if settled is not None and settled.sure:
             break
         sticking = sticking | more
     return settled
 
 
-def _over_tied(
-    iterate: Iterate, path: LastDecades, sticking: np.ndarray, lattice: Surroundings, to_the_end: bool
-) -> tuple[Resolved | None, np.ndarray]:
-    """The minimum, with balanced forces, where the path goes on with these contacts, (n,) mask, tied; None where it is
-    none; and the contacts that surely stick in the end, too.
-
-    Slipless contacts begin with their forces in the end. Where minima may tie, a path with others tied can change these
-    a lot, so those of before are tried too."""
-    none, tied = np.zeros_like(sticking), Contraction(lattice.system, lattice.order, sticking)
-    rest = path.over(tied)
-    left = None if tied.contradicts.any() else rest.decide(to_the_end=to_the_end)
-    if left is None:
-        return None, none
-    slipping, critical, sticking, later = none.copy(), none.copy(), none.copy(), path.point.dual.copy()
-    slipping[tied.kept], critical[tied.kept], sticking[tied.kept] = left, rest.critical, rest.sticking
-    later[:, tied.kept] = rest.point.dual
-    (found,) = _minima([iterate], [tied.expanded(rest.spins)], [slipping], lattice)
+def _decided(
+    iterate: Iterate, spins: Pair, slipping: np.ndarray, critical: np.ndarray, dual: np.ndarray, lattice: Surroundings
+) -> Resolved | None:
+    """The minimum, with balanced forces, near these spins and this dual if these contacts slip or are critical, (n,)
+    masks; None where it is none."""
+    (found,) = _minima([iterate], [spins], [slipping], lattice)
     if found is not None and critical.any():  # as are those that Newton's method has brought to rest
         found = replace(found, critical=(critical | slipping) & ~found.slipping)
-    earlier = np.where(critical | (path.point.slip_over_margin > 1), later, path.point.dual)
-    (settled,) = _borne([iterate], [found], [later], lattice)
-    if settled is None and may_tie(iterate.friction, critical):
-        (settled,) = _borne([iterate], [found], [earlier], lattice)
-    return settled, sticking
+    return _borne([iterate], [found], [dual], lattice)[0]
 
 
 def _borne(
