@@ -48,22 +48,22 @@ TINY = np.finfo(np.float64).tiny
 
 @dataclass(frozen=True)
 class Resolved:
-    """spins (unknowns,), difference and dual (d, n), minus the forces; masks (n,): slipping, critical, contacts that
-    bear all their friction and yet do not slip, and tied, those that slip at some minima and rest at others.
-
+    """spins, rest (unknowns,): their sums are the spins, to the digits of the smallest slips where they are `precise`.
     heads : (unknowns,) mask of a spin each of all that turns as one and is tied to no driven plane.
 
-    The differences are more precise than those of the spins, whose rounding can be a part of the smallest slips, unless
-    `rest` (unknowns,), what is to be added to the spins, makes up for it. borne : slipless contacts bear their load.
+    difference and dual (d, n), minus the forces; masks (n,): slipping, critical, contacts that bear all their friction
+    and yet do not slip, and tied, those that slip at some minima and rest at others. borne : slipless contacts bear
+    their load.
     """
 
     spins: np.ndarray
+    rest: np.ndarray
+    heads: np.ndarray
+    precise: bool
     difference: np.ndarray
     dual: np.ndarray
     slipping: np.ndarray
     critical: np.ndarray
-    heads: np.ndarray
-    rest: np.ndarray | None = None
     borne: bool = False
     tied: np.ndarray | None = None
 
@@ -75,7 +75,7 @@ class Resolved:
     @property
     def sure(self) -> bool:
         """Can the states be proven? Slips at the level of rounding may be none, which is told from closer by."""
-        faintest = LEAST_SLIP_IN_DOUBLES if self.rest is None else LEAST_SLIP_IN_PAIRS
+        faintest = LEAST_SLIP_IN_PAIRS if self.precise else LEAST_SLIP_IN_DOUBLES
         return self.borne and length(self.difference)[self.slipping].min(initial=np.inf) > faintest
 
     @property
@@ -288,23 +288,15 @@ class _Slipping:
         """The minima of samples that are balanced, in twice the precision where that can be had."""
         if not self.balanced.any():
             return [None] * self.samples
-        (spins, rest), difference, dual, fine = polished(
+        (spins, rest), *vectors, precise = polished(
             self.tied, self.matrix, self.friction, self.spins, top, self.balanced
         )
-        rests = np.split(rest, self.samples)
-        precise, rough = self._each(spins, rests, difference, dual), []
-        if not fine[self.balanced].all():
-            high, low = self.tied.expanded(self.spins)
-            rough = self._each(high + low, [None] * self.samples, self.difference, self.dual)
-        pairs = zip(self.balanced, fine, strict=True)
-        return [(precise if known else rough)[n] if balanced else None for n, (balanced, known) in enumerate(pairs)]
-
-    def _each(
-        self, spins: np.ndarray, rests: Sequence[np.ndarray | None], difference: np.ndarray, dual: np.ndarray
-    ) -> list[Resolved]:
-        of_samples = np.split(spins, self.samples), self.everywhere(difference), self.everywhere(dual)
-        critical = [np.zeros_like(mask) for mask in self.slipping]
-        return list(map(Resolved, *of_samples, self.slipping, critical, np.split(self.tied.heads, self.samples), rests))
+        of_spins = (np.split(values, self.samples) for values in (spins, rest, self.tied.heads))
+        of_contacts = (self.everywhere(values) for values in vectors)
+        each = map(
+            Resolved, *of_spins, precise.tolist(), *of_contacts, self.slipping, map(np.zeros_like, self.slipping)
+        )
+        return [found if balanced else None for found, balanced in zip(each, self.balanced, strict=True)]
 
     def everywhere(self, values: np.ndarray) -> list[np.ndarray]:
         """Values of slipping contacts with zeros for the others, sample by sample."""
