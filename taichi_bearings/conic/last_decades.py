@@ -27,8 +27,6 @@ SLIPPING_RATIO = 1e4  # ratio of slip and margin from which a contact surely sli
 # and below which one surely sticks, if it falls with the product; and its least margin
 STICKING_RATIO, STICKING_MARGIN = 1e-5, 1e-5
 LEAST_PRODUCT = 1e-25  # product at which double precision ends
-# share of the product that a step leaves if rounding stops it, and such steps in a row
-STALLED_SHARE, MOST_STALLED_STEPS = 0.6, 10
 JUDGED_TORQUE = 1e-6  # torques, of the mean friction, up to which a point can be judged
 EPS = np.finfo(np.float64).eps
 
@@ -77,21 +75,18 @@ class LastDecades:
         slip and margin both vanish, like the root of the product, are the `critical` ones, and do not slip. The next
         time it goes on from there by at least one step.
         """
-        before, last, stalled, fell = self._ratios, self._product, 0, np.ones(len(self.point.friction), dtype=bool)
+        before, last, fell = self._ratios, self._product, np.ones(len(self.point.friction), dtype=bool)
         late: tuple[np.ndarray, float] | None = None  # ratios and product where contacts at their limit begin to tell
         for _ in range(MOST_NEWTON_STEPS):
             ratios, product = self.point.slip_over_margin, self.point.complementarity
             if not product > 0:  # it underflows where coefficients differ by thirty decades
                 return None
-            stalled = stalled + 1 if product > STALLED_SHARE * last else 0
             power = np.log(ratios / before) / abs(np.log(product / last))
             decided = (np.abs(power) > DECIDED_EXPONENT) | (ratios > SLIPPING_RATIO)
             enough = product < LEAST_PRODUCT or (not to_the_end and (~decided).sum() <= doubtful)
-            ended = enough and self.point.unbalanced < JUDGED_TORQUE
-            if ended or stalled == MOST_STALLED_STEPS:
+            if enough and self.point.unbalanced < JUDGED_TORQUE:
                 falls = fell & (power < -DECIDED_EXPONENT) if product > VANISHING_PRODUCT else True
                 self.sticking = falls & (ratios < STICKING_RATIO) & (self.point.margin > STICKING_MARGIN)
-                self._ratios, self._product = np.zeros_like(before), np.inf
                 if product >= LEAST_PRODUCT or late is None:
                     return (ratios > 1) | (ratios > before)
                 fall = abs(np.log(product / late[1]))  # of the product, with which steady ratios have not changed

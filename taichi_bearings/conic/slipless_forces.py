@@ -20,7 +20,6 @@ MARGIN_PER_TORQUE = 10.0
 # share of its friction by which a contact at its limit counts as having room where forces are balanced, and by which it
 # can be below the limit and is still held there
 ROOM_AT_LIMIT, HELD_AT_LIMIT = 1e-5, 1e-9
-NOISE_ACROSS = 5e-5  # part of a force at its limit, of the other one, that can be noise: the root of HELD_AT_LIMIT
 # balances of forces; how far towards the first limit all but the last go; share of the way that is too short to go on
 MOST_BALANCES, SHARE_OF_WAY, LEAST_REACH = 20, 0.9, 1e-2
 MOST_CUTS = 60  # at the limits, after the last one
@@ -50,7 +49,6 @@ def nearly_borne(
     """
     samples, side = len(heads), _side_by_side(dual, len(heads))
     limit = _side_by_side(np.where(critical, friction, np.inf), samples)
-    side = _without_noise(side, limit)
     still = np.stack(heads, axis=1).astype(float)  # a spring for each domain, that nothing stretches
     found, going = np.zeros(samples, dtype=bool), np.ones(samples, dtype=bool)
     held = critical.reshape(samples, -1).any(axis=1)
@@ -87,13 +85,6 @@ def may_tie(friction: np.ndarray) -> bool:
 def _towards(here: np.ndarray, there: np.ndarray, share: np.ndarray) -> np.ndarray:
     """A share (samples,) of the way, to the last bit where that is 1."""
     return np.where(share == 1, there, here + share * (there - here))
-
-
-def _without_noise(dual: np.ndarray, limit: np.ndarray) -> np.ndarray:
-    """The dual (d, n, samples) of contacts at their limit along one component alone where that is nearly so: what is
-    left across it falls like a root of what is left of the margin."""
-    along = np.abs(dual) > NOISE_ACROSS * np.abs(dual).max(axis=0)
-    return np.where(along | ~_at_limit(dual, limit), dual, 0.0)
 
 
 def _at_limit(dual: np.ndarray, limit: np.ndarray) -> np.ndarray:
