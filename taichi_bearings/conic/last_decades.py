@@ -5,7 +5,7 @@ On the central path slip times friction margin is the same for all contacts. The
 their cones and obey the law of friction exactly, and spins are sums of two doubles. Slips then are known to all their
 digits, and add up to nothing round every loop of contacts: where they do not, contacts at rest seem to slip by what is
 missing. So the product can be brought down by another ten decades, until of every contact either slip or margin falls
-with it. Long before, few contacts are in doubt; with those tied that surely stick a step takes a third of the time.
+with it.
 """
 
 from dataclasses import replace
@@ -72,8 +72,7 @@ class LastDecades:
         that fails.
 
         Contacts that surely stick then are the `sticking` ones, (n,) mask; where the path ends, contacts whose
-        slip and margin both vanish, like the root of the product, are the `critical` ones, and do not slip. The next
-        time it goes on from there by at least one step.
+        slip and margin both vanish, like the root of the product, are the `critical` ones, and do not slip.
         """
         before, last, fell = self._ratios, self._product, np.ones(len(self.point.friction), dtype=bool)
         late: tuple[np.ndarray, float] | None = None  # ratios and product where contacts at their limit begin to tell
