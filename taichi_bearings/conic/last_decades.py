@@ -84,14 +84,13 @@ class LastDecades:
             decided = (np.abs(power) > DECIDED_EXPONENT) | (ratios > SLIPPING_RATIO)
             enough = product < LEAST_PRODUCT or (not to_the_end and (~decided).sum() <= doubtful)
             if enough and self.point.unbalanced < JUDGED_TORQUE:
-                falls = fell & (power < -DECIDED_EXPONENT) if product > VANISHING_PRODUCT else True
-                self.sticking = falls & (ratios < STICKING_RATIO) & (self.point.margin > STICKING_MARGIN)
+                margin, falls = self.point.margin, fell & (power < -DECIDED_EXPONENT)
+                self.sticking = falls & (ratios < STICKING_RATIO) & (margin > STICKING_MARGIN)
                 if product >= LEAST_PRODUCT or late is None:
                     return (ratios > 1) | (ratios > before)
                 fall = abs(np.log(product / late[1]))  # of the product, with which steady ratios have not changed
                 steady = np.abs(np.log(ratios / late[0])) < DECIDED_EXPONENT * fall
-                margin, rests = self.point.margin, ratios < 1
-                at_limit = (steady & (margin < LEAST_MARGIN_AT_LIMIT)) | (rests & (margin < LOST_MARGIN))
+                at_limit = (steady & (margin < LEAST_MARGIN_AT_LIMIT)) | ((ratios < 1) & (margin < LOST_MARGIN))
                 self.critical = ~self._smooth & at_limit
                 return (ratios > 1) & ~self.critical
             if late is None and product < VANISHING_PRODUCT:

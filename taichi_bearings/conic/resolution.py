@@ -142,34 +142,26 @@ def _sticking(iterate: Iterate, before: Iterate) -> np.ndarray:
 
 
 def _followed(iterate: Iterate, before: Iterate | None, lattice: Surroundings) -> Resolved | None:
-    """The same by the last decades of the path. Where minima may tie, contacts that surely stick are tied as soon as
-    few others are in doubt, as their stiffness blurs the forces of the others; and where the states are not those of a
-    minimum, once more, to the end, with those tied, too, that surely stick then."""
+    """The same by the last decades of the path. Where minima may tie, it goes on to its end with those contacts tied
+    that surely stick as soon as few others are in doubt: their stiffness blurs the forces of the others."""
     path, ties = LastDecades.after(iterate, before, lattice.matrix), may_tie(iterate.friction)
     slipping = path.decide(MOST_DOUBTFUL if ties else 0)
     if slipping is None:
         return None
     if not ties:
         return _decided(iterate, path.spins, slipping, path.critical, path.point.dual, lattice)
-    settled, sticking = None, path.sticking
-    for to_the_end in (False, True):
-        tied = Contraction(lattice.system, lattice.order, sticking)
-        if tied.contradicts.any():
-            break
-        rest, left = path.over(tied), None
-        with suppress(NotPositiveDefinite):
-            left = rest.decide(to_the_end=to_the_end)
-        if left is None:
-            continue
-        slipping, critical, more = np.zeros((3, len(sticking)), dtype=bool)
-        slipping[tied.kept], critical[tied.kept], more[tied.kept] = left, rest.critical, rest.sticking
-        dual = path.point.dual.copy()  # slipless contacts begin with their forces in the end
-        dual[:, tied.kept] = rest.point.dual
-        settled = _decided(iterate, tied.expanded(rest.spins), slipping, critical, dual, lattice) or settled
-        if settled is not None and settled.sure:
-            break
-        sticking = sticking | more
-    return settled
+    tied = Contraction(lattice.system, lattice.order, path.sticking)
+    if tied.contradicts.any():
+        return None
+    rest = path.over(tied)
+    left = rest.decide(to_the_end=True)
+    if left is None:
+        return None
+    slipping, critical = np.zeros((2, len(path.sticking)), dtype=bool)
+    slipping[tied.kept], critical[tied.kept] = left, rest.critical
+    dual = path.point.dual.copy()  # slipless contacts begin with their forces in the end
+    dual[:, tied.kept] = rest.point.dual
+    return _decided(iterate, tied.expanded(rest.spins), slipping, critical, dual, lattice)
 
 
 def _decided(
