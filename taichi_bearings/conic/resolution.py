@@ -23,7 +23,7 @@ from taichi_bearings.conic.cones import inner, length
 from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.conic.contraction import Contraction
 from taichi_bearings.conic.iterate import Iterate
-from taichi_bearings.conic.last_decades import LastDecades
+from taichi_bearings.conic.last_decades import end_of_path
 from taichi_bearings.conic.newton_matrix import MOST_NEWTON_STEPS, NewtonMatrix
 from taichi_bearings.conic.polish import polished
 from taichi_bearings.conic.slipless_forces import may_tie, nearly_borne
@@ -34,7 +34,6 @@ from taichi_bearings.numerics.double_double import Pair, exactly
 POWER_BELOW, POWER_ABOVE = 1e-12, 1e-6  # how far the power may be above and below that of the path, relative
 DECIDED_RATIO = 1e2  # ratio of slip and margin, either way, beyond which a contact is decided without a proof
 STICKING_TREND = 0.6  # a contact sticks if its slip fell by more than this factor in a step, and its margin by less
-MOST_DOUBTFUL = 30  # contacts that may be in doubt when those are tied that surely stick
 # torques, of the mean friction, that end Newton's method; and that will do if double precision ends before
 NEWTON_TORQUE, ROUNDED_TORQUE = 1e-12, 1e-4
 NEWTON_TRIALS = 2  # of Newton's method, with contacts tied that come to rest
@@ -142,37 +141,14 @@ def _sticking(iterate: Iterate, before: Iterate) -> np.ndarray:
 
 
 def _followed(iterate: Iterate, before: Iterate | None, lattice: Surroundings) -> Resolved | None:
-    """The same by the last decades of the path. Where minima may tie, it goes on to its end with those contacts tied
-    that surely stick as soon as few others are in doubt: their stiffness blurs the forces of the others."""
-    path, ties = LastDecades.after(iterate, before, lattice.matrix), may_tie(iterate.friction)
-    slipping = path.decide(MOST_DOUBTFUL if ties else 0)
-    if slipping is None:
+    """The same by the last decades of the path."""
+    end = end_of_path(iterate, before, lattice.matrix, ties=may_tie(iterate.friction))
+    if end is None:
         return None
-    if not ties:
-        return _decided(iterate, path.spins, slipping, path.critical, path.point.dual, lattice)
-    tied = Contraction(lattice.system, lattice.order, path.sticking)
-    if tied.contradicts.any():
-        return None
-    rest = path.over(tied)
-    left = rest.decide(to_the_end=True)
-    if left is None:
-        return None
-    slipping, critical = np.zeros((2, len(path.sticking)), dtype=bool)
-    slipping[tied.kept], critical[tied.kept] = left, rest.critical
-    dual = path.point.dual.copy()  # slipless contacts begin with their forces in the end
-    dual[:, tied.kept] = rest.point.dual
-    return _decided(iterate, tied.expanded(rest.spins), slipping, critical, dual, lattice)
-
-
-def _decided(
-    iterate: Iterate, spins: Pair, slipping: np.ndarray, critical: np.ndarray, dual: np.ndarray, lattice: Surroundings
-) -> Resolved | None:
-    """The minimum, with balanced forces, near these spins and this dual if these contacts slip or are critical, (n,)
-    masks; None where it is none."""
-    (found,) = _minima([iterate], [spins], [slipping], lattice)
-    if found is not None and critical.any():  # as are those that Newton's method has brought to rest
-        found = replace(found, critical=(critical | slipping) & ~found.slipping)
-    return _borne([iterate], [found], [dual], lattice)[0]
+    (found,) = _minima([iterate], [end.spins], [end.slipping], lattice)
+    if found is not None and end.critical.any():  # as are those that Newton's method has brought to rest
+        found = replace(found, critical=(end.critical | end.slipping) & ~found.slipping)
+    return _borne([iterate], [found], [end.dual], lattice)[0]
 
 
 def _borne(
