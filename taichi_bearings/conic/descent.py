@@ -13,7 +13,9 @@ from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.stages import stage
 
-SETTLING_GAP = 1e-9  # relative gap from which settling is tried, and still is where the path ends (32^3 seed 2)
+# relative gap from which settling is tried, and from which it still is where the path ends (32^3 seed 2); factor to the
+# next trial
+SETTLING_GAP, RETRY_FACTOR = 1e-9, 100
 # in small samples the gap is SETTLING_GAP_FACTOR / spheres^2, at most FIRST_SETTLING_GAP: their slips are larger
 FIRST_SETTLING_GAP, SETTLING_GAP_FACTOR = 1e-8, 1e-4
 DISTANT_GAP = 1e-4  # relative gap that is far from any tolerance of this method
@@ -30,7 +32,7 @@ class Sample:
     done: bool = False
     at_end: bool = False  # its states are to be settled before it goes on
     before: Iterate | None = None  # where it then was a step before, if that is known
-    tried: bool = False  # to settle its states
+    tried: float = np.inf  # relative gap at the last trial to settle the states
     resolved: Resolved | None = None
 
 
@@ -99,9 +101,10 @@ class Descent:
             sample.before = path.before(place) if accepted else None
 
     def _near(self, sample: Sample) -> float:
-        """Relative gap from which the states of a sample are to be settled; 0 if never. That is tried once, and where
-        the path ends: the last decades are followed each time, and tell no more from closer by."""
-        return 0.0 if sample.tried or not self.settles else self.settles_at
+        """Relative gap from which the states of a sample are to be settled; 0 if never. In small samples that is tried
+        once, and where the path ends: the last decades are followed each time, and tell no more from closer by."""
+        again = 0.0 if self.small and np.isfinite(sample.tried) else sample.tried / RETRY_FACTOR
+        return min(self.settles_at, again) if self.settles else 0.0
 
     @np.errstate(all="ignore")  # at the end numbers that are not finite turn up
     def _gap(self, sample: Sample, path: Path, place: int) -> float:
@@ -127,7 +130,7 @@ class Descent:
         with stage("settling contact states"):
             resolved = resolve([s.iterate for s in samples], [s.before for s in samples], self.shared, self.small)
         for sample, found in zip(samples, resolved, strict=True):
-            sample.tried, sample.at_end, sample.before = True, False, None
+            sample.tried, sample.at_end, sample.before = sample.gap, False, None
             if found is None:
                 continue
             if sample.resolved is None or self._misses(sample, found) <= self._misses(sample, sample.resolved):

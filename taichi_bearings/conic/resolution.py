@@ -9,7 +9,8 @@ margins of 1e-9 can, and double precision ends before. Here
 2. with all slipless contacts tied the power is a smooth function, and Newton's method finds its minimum, in the end in
    twice the precision (polish.py);
 3. the tied contacts have to bear what the slipping ones leave to them (slipless_forces.py). If they can, the contact
-   states are those of a minimum; whether that is proven is for the verifier to say.
+   states are those of a minimum; whether that is proven is for the verifier to say;
+4. if they cannot, the path is followed once more with other contacts tied.
 """
 
 from collections.abc import Sequence
@@ -23,7 +24,7 @@ from taichi_bearings.conic.cones import inner, length
 from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.conic.contraction import Contraction
 from taichi_bearings.conic.iterate import Iterate
-from taichi_bearings.conic.last_decades import end_of_path
+from taichi_bearings.conic.last_decades import LastDecades
 from taichi_bearings.conic.newton_matrix import MOST_NEWTON_STEPS, NewtonMatrix
 from taichi_bearings.conic.polish import polished
 from taichi_bearings.conic.slipless_forces import may_tie, nearly_borne
@@ -34,6 +35,8 @@ from taichi_bearings.numerics.double_double import Pair, exactly
 POWER_BELOW, POWER_ABOVE = 1e-12, 1e-6  # how far the power may be above and below that of the path, relative
 DECIDED_RATIO = 1e2  # ratio of slip and margin, either way, beyond which a contact is decided without a proof
 STICKING_TREND = 0.6  # a contact sticks if its slip fell by more than this factor in a step, and its margin by less
+DOUBTFUL_SHARE = 1e-2  # share of the contacts that may be in doubt when those are tied that surely stick
+LEAST_DOUBTFUL, MOST_DOUBTFUL = 30, 300  # and their number, at least and at most
 # torques, of the mean friction, that end Newton's method; and that will do if double precision ends before
 NEWTON_TORQUE, ROUNDED_TORQUE = 1e-12, 1e-4
 NEWTON_TRIALS = 2  # of Newton's method, with contacts tied that come to rest
@@ -47,22 +50,22 @@ TINY = np.finfo(np.float64).tiny
 
 @dataclass(frozen=True)
 class Resolved:
-    """spins, rest (unknowns,): their sums are the spins, to the digits of the smallest slips where they are `precise`.
+    """spins (unknowns,), difference and dual (d, n), minus the forces; masks (n,): slipping, critical, contacts that
+    bear all their friction and yet do not slip, and tied, those that slip at some minima and rest at others.
+
     heads : (unknowns,) mask of a spin each of all that turns as one and is tied to no driven plane.
 
-    difference and dual (d, n), minus the forces; masks (n,): slipping, critical, contacts that bear all their friction
-    and yet do not slip, and tied, those that slip at some minima and rest at others. borne : slipless contacts bear
-    their load.
+    The differences are more precise than those of the spins, whose rounding can be a part of the smallest slips, unless
+    `rest` (unknowns,), what is to be added to the spins, makes up for it. borne : slipless contacts bear their load.
     """
 
     spins: np.ndarray
-    rest: np.ndarray
-    heads: np.ndarray
-    precise: bool
     difference: np.ndarray
     dual: np.ndarray
     slipping: np.ndarray
     critical: np.ndarray
+    heads: np.ndarray
+    rest: np.ndarray | None = None
     borne: bool = False
     tied: np.ndarray | None = None
 
@@ -74,7 +77,7 @@ class Resolved:
     @property
     def sure(self) -> bool:
         """Can the states be proven? Slips at the level of rounding may be none, which is told from closer by."""
-        faintest = LEAST_SLIP_IN_PAIRS if self.precise else LEAST_SLIP_IN_DOUBLES
+        faintest = LEAST_SLIP_IN_DOUBLES if self.rest is None else LEAST_SLIP_IN_PAIRS
         return self.borne and length(self.difference)[self.slipping].min(initial=np.inf) > faintest
 
     @property
@@ -141,14 +144,48 @@ def _sticking(iterate: Iterate, before: Iterate) -> np.ndarray:
 
 
 def _followed(iterate: Iterate, before: Iterate | None, lattice: Surroundings) -> Resolved | None:
-    """The same by the last decades of the path."""
-    end = end_of_path(iterate, before, lattice.matrix, ties=may_tie(iterate.friction))
-    if end is None:
+    """The same by the last decades of the path, from where few contacts are in doubt: with nothing tied, and where that
+    settles nothing with those tied that surely stick. Where minima may tie, with these tied first, then to the end with
+    those, too, that surely stick at the end of the first, whose stiffness blurs the forces of the others; at last with
+    nothing tied."""
+    path, settled = LastDecades.after(iterate, before, lattice.matrix), None
+    if path.decide(int(min(max(DOUBTFUL_SHARE * iterate.in_cones, LEAST_DOUBTFUL), MOST_DOUBTFUL))) is None:
         return None
-    (found,) = _minima([iterate], [end.spins], [end.slipping], lattice)
-    if found is not None and end.critical.any():  # as are those that Newton's method has brought to rest
-        found = replace(found, critical=(end.critical | end.slipping) & ~found.slipping)
-    return _borne([iterate], [found], [end.dual], lattice)[0]
+    none, sticking = np.zeros_like(path.sticking), path.sticking
+    first, second, free = (True, False), (True, True), (False, False)  # are some tied, and does it go to the end
+    for ties, to_the_end in (first, second, free) if may_tie(iterate.friction, none) else (free, first):
+        with suppress(NotPositiveDefinite):
+            found, more = _over_tied(iterate, path, sticking if ties else none, lattice, to_the_end)
+            settled, sticking = found or settled, sticking | more if ties else sticking
+        if settled is not None and settled.sure:
+            break
+    return settled
+
+
+def _over_tied(
+    iterate: Iterate, path: LastDecades, sticking: np.ndarray, lattice: Surroundings, to_the_end: bool
+) -> tuple[Resolved | None, np.ndarray]:
+    """The minimum, with balanced forces, where the path goes on with these contacts, (n,) mask, tied; None where it is
+    none; and the contacts that surely stick in the end, too.
+
+    Slipless contacts begin with their forces in the end. Where minima may tie, a path with others tied can change these
+    a lot, so those of before are tried too."""
+    none, tied = np.zeros_like(sticking), Contraction(lattice.system, lattice.order, sticking)
+    rest = path.over(tied)
+    left = None if tied.contradicts.any() else rest.decide(to_the_end=to_the_end)
+    if left is None:
+        return None, none
+    slipping, critical, sticking, later = none.copy(), none.copy(), none.copy(), path.point.dual.copy()
+    slipping[tied.kept], critical[tied.kept], sticking[tied.kept] = left, rest.critical, rest.sticking
+    later[:, tied.kept] = rest.point.dual
+    (found,) = _minima([iterate], [tied.expanded(rest.spins)], [slipping], lattice)
+    if found is not None and critical.any():  # as are those that Newton's method has brought to rest
+        found = replace(found, critical=(critical | slipping) & ~found.slipping)
+    earlier = np.where(critical | (path.point.slip_over_margin > 1), later, path.point.dual)
+    (settled,) = _borne([iterate], [found], [later], lattice)
+    if settled is None and may_tie(iterate.friction, critical):
+        (settled,) = _borne([iterate], [found], [earlier], lattice)
+    return settled, sticking
 
 
 def _borne(
@@ -256,15 +293,23 @@ class _Slipping:
         """The minima of samples that are balanced, in twice the precision where that can be had."""
         if not self.balanced.any():
             return [None] * self.samples
-        (spins, rest), *vectors, precise = polished(
+        (spins, rest), difference, dual, fine = polished(
             self.tied, self.matrix, self.friction, self.spins, top, self.balanced
         )
-        of_spins = (np.split(values, self.samples) for values in (spins, rest, self.tied.heads))
-        of_contacts = (self.everywhere(values) for values in vectors)
-        each = map(
-            Resolved, *of_spins, precise.tolist(), *of_contacts, self.slipping, map(np.zeros_like, self.slipping)
-        )
-        return [found if balanced else None for found, balanced in zip(each, self.balanced, strict=True)]
+        rests = np.split(rest, self.samples)
+        precise, rough = self._each(spins, rests, difference, dual), []
+        if not fine[self.balanced].all():
+            high, low = self.tied.expanded(self.spins)
+            rough = self._each(high + low, [None] * self.samples, self.difference, self.dual)
+        pairs = zip(self.balanced, fine, strict=True)
+        return [(precise if known else rough)[n] if balanced else None for n, (balanced, known) in enumerate(pairs)]
+
+    def _each(
+        self, spins: np.ndarray, rests: Sequence[np.ndarray | None], difference: np.ndarray, dual: np.ndarray
+    ) -> list[Resolved]:
+        of_samples = np.split(spins, self.samples), self.everywhere(difference), self.everywhere(dual)
+        critical = [np.zeros_like(mask) for mask in self.slipping]
+        return list(map(Resolved, *of_samples, self.slipping, critical, np.split(self.tied.heads, self.samples), rests))
 
     def everywhere(self, values: np.ndarray) -> list[np.ndarray]:
         """Values of slipping contacts with zeros for the others, sample by sample."""

@@ -20,8 +20,11 @@ MARGIN_PER_TORQUE = 10.0
 # share of its friction by which a contact at its limit counts as having room where forces are balanced, and by which it
 # can be below the limit and is still held there
 ROOM_AT_LIMIT, HELD_AT_LIMIT = 1e-5, 1e-9
+NOISE_ACROSS = 5e-5  # part of a force at its limit, of the other one, that can be noise: the root of HELD_AT_LIMIT
 # balances of forces; how far towards the first limit all but the last go; share of the way that is too short to go on
 MOST_BALANCES, SHARE_OF_WAY, LEAST_REACH = 20, 0.9, 1e-2
+MOST_CUTS = 60  # at the limits, after the last one
+BALANCED_TORQUE = 1e-14  # torque, of the mean friction, that needs no further cut
 TINY = np.finfo(np.float64).tiny
 
 
@@ -47,6 +50,7 @@ def nearly_borne(
     """
     samples, side = len(heads), _side_by_side(dual, len(heads))
     limit = _side_by_side(np.where(critical, friction, np.inf), samples)
+    side = _without_noise(side, limit)
     still = np.stack(heads, axis=1).astype(float)  # a spring for each domain, that nothing stretches
     found, going = np.zeros(samples, dtype=bool), np.ones(samples, dtype=bool)
     held = critical.reshape(samples, -1).any(axis=1)
@@ -58,35 +62,79 @@ def nearly_borne(
         going = going & matrix.factorise_each(isotropic(side, springs), inertia=still)
         balanced = side
         for _ in range(REFINEMENTS):  # as in NewtonMatrix.balanced
-            cut = _cut(balanced, limit)
-            balanced = np.where(going, cut - springs * system.change(matrix.solve(system.torques(cut))), cut)
+            balanced = _balanced(system, matrix, _cut(balanced, limit), springs, going)[0]
         reach = _reach(friction, here, _one_by_one(balanced), slipping | critical, samples)
         ended = going & (reach > 1)
         going = going & (reach > LEAST_REACH)
         if (going & ~ended).any():
-            going = going & (ended | held | [may_tie(own) for own in np.split(friction, samples)])
-        balanced = _cut(balanced, limit)
+            of_each = zip(np.split(friction, samples), np.split(critical, samples), strict=True)
+            going = going & (ended | [may_tie(*of) for of in of_each])
+        if (cut := ended & held).any():
+            balanced = _cut_and_balanced(system, matrix, balanced, springs, limit, cut)
         found |= ended
         share = np.where(going & (reach <= 1), SHARE_OF_WAY * reach, 1.0)
-        nearer = np.where(
-            share == 1, balanced, side + share * (balanced - side)
-        )  # to the last bit at the end of the way
-        side, going = np.where(going, nearer, side), going & ~found
+        side, going = np.where(going, _towards(side, balanced, share), side), going & ~found
         if not going.any():
             break
     whole = _one_by_one(side)
     return whole, found & _inside(friction, whole, slipping | critical, system.torques(side))
 
 
-def may_tie(friction: np.ndarray) -> bool:
-    """True where most contacts have the friction of others: sums of these can be equal by chance."""
-    return len(np.unique(friction)) < len(friction) / 2
+def may_tie(friction: np.ndarray, critical: np.ndarray) -> bool:
+    """True where contacts are critical, or most have the friction of others: sums of these can be equal by chance."""
+    return bool(critical.any()) or len(np.unique(friction)) < len(friction) / 2
+
+
+def _towards(here: np.ndarray, there: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """A share (samples,) of the way, to the last bit where that is 1."""
+    return np.where(share == 1, there, here + share * (there - here))
+
+
+def _without_noise(dual: np.ndarray, limit: np.ndarray) -> np.ndarray:
+    """The dual (d, n, samples) of contacts at their limit along one component alone where that is nearly so: what is
+    left across it falls like a root of what is left of the margin."""
+    along = np.abs(dual) > NOISE_ACROSS * np.abs(dual).max(axis=0)
+    return np.where(along | ~_at_limit(dual, limit), dual, 0.0)
+
+
+def _at_limit(dual: np.ndarray, limit: np.ndarray) -> np.ndarray:
+    return np.sqrt((dual**2).sum(axis=0)) > (1 - HELD_AT_LIMIT) * limit
+
+
+def _balanced(
+    system: ContactSystem, matrix: NewtonMatrix, side: np.ndarray, springs: np.ndarray, going: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The dual (d, n, samples) with its torques taken away by the springs in samples that are `going`; and the
+    largest torque before, (samples,)."""
+    torques = system.torques(side)
+    nearer = side - springs * system.change(matrix.solve(torques))
+    return np.where(going, nearer, side), np.abs(torques).max(axis=0, initial=0.0)
+
+
+def _cut_and_balanced(
+    system: ContactSystem,
+    matrix: NewtonMatrix,
+    side: np.ndarray,
+    springs: np.ndarray,
+    limit: np.ndarray,
+    going: np.ndarray,
+) -> np.ndarray:
+    """The same with no force beyond its limit, (n, samples), as long as cuts and balances in turn help."""
+    last = np.full(len(going), np.inf)
+    for _ in range(MOST_CUTS):
+        cut = _cut(side, limit)
+        nearer, left = _balanced(system, matrix, cut, springs, going)
+        going = going & (left < last) & (left > BALANCED_TORQUE)
+        if not going.any():
+            break
+        side, last = np.where(going, nearer, side), left
+    return _cut(side, limit)
 
 
 def _cut(dual: np.ndarray, limit: np.ndarray) -> np.ndarray:
     """The dual (d, n, samples), with forces beyond the limit (n, samples), or next to it, just as large."""
     size = np.maximum(np.sqrt((dual**2).sum(axis=0)), TINY)
-    return np.where(size > (1 - HELD_AT_LIMIT) * limit, dual * (limit / size), dual)
+    return np.where(_at_limit(dual, limit), dual * (limit / size), dual)
 
 
 def _reach(friction: np.ndarray, here: np.ndarray, there: np.ndarray, free: np.ndarray, samples: int) -> np.ndarray:

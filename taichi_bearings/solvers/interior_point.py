@@ -174,7 +174,7 @@ class InteriorPointMethod(Descent):
         high, low = np.zeros((2, len(self.samples), self.system.unknowns))
         for number, sample in enumerate(self.samples):
             high[number] = (sample.resolved or sample.iterate).spins
-            if sample.resolved is not None:
+            if sample.resolved is not None and sample.resolved.rest is not None:
                 low[number] = sample.resolved.rest
         found = np.zeros((2, len(self.spin_axes), len(high), *self.scene.lattice.shape))
         for whole, free in zip(found, multiply(self.scene.driving.unit, (high, low)), strict=True):
