@@ -58,7 +58,7 @@ def pairs(values: Any, spheres: int) -> np.ndarray:
         raise InputError(f"contact has shape {contact.shape}; it must be (E, 2) with E up to {MOST_CONTACTS:,}")
     outside = ((contact < 0) | (contact >= spheres)).any(axis=1)
     _refuse(outside, lambda e: f"contact {e} is between {contact[e].tolist()}; spheres are numbered 0 to {spheres - 1}")
-    _refuse(contact[:, 0] == contact[:, 1], lambda e: f"contact {e} is of sphere {contact[e, 0]} with itself")
+    _refuse(np.equal(*contact.T), lambda e: f"contact {e} is of sphere {contact[e, 0]} with itself")
     return contact
 
 
