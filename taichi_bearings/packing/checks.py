@@ -19,8 +19,8 @@ SAME_NORMAL = 1e-6  # distance of normals of contacts of the same two spheres, f
 LEAST_SIZE, MOST_SIZE = 1e-15, 1e15  # of coefficients, forces and radii; and most of spins
 
 
-def _refuse(bad: np.ndarray, sentence: Callable[[int], str]) -> None:
-    """InputError with what the sentence says of the first that is bad, if one is."""
+def _refuse(bad: Any, sentence: Callable[[int], str]) -> None:
+    """InputError with what the sentence says of the first that is bad, a mask, if one is."""
     if bad.any():
         raise InputError(sentence(int(np.argmax(bad))))
 
@@ -58,7 +58,7 @@ def pairs(values: Any, spheres: int) -> np.ndarray:
         raise InputError(f"contact has shape {contact.shape}; it must be (E, 2) with E up to {MOST_CONTACTS:,}")
     outside = ((contact < 0) | (contact >= spheres)).any(axis=1)
     _refuse(outside, lambda e: f"contact {e} is between {contact[e].tolist()}; spheres are numbered 0 to {spheres - 1}")
-    _refuse(np.equal(*contact.T), lambda e: f"contact {e} is of sphere {contact[e, 0]} with itself")
+    _refuse(contact[:, 0] == contact[:, 1], lambda e: f"contact {e} is of sphere {contact[e, 0]} with itself")
     return contact
 
 
