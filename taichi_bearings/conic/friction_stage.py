@@ -11,7 +11,6 @@ that slips only across its force, resistance * limit / |F*|. A line search on th
 Contacts change between the two branches finitely often, and then convergence is quadratic.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,8 +25,6 @@ STAGE_TORQUE, CORRECTED_TORQUE = 1e-10, 1e-15
 LARGEST_EIGENVALUE = 8  # a Laplacian of lattice contacts is at most so large: twice the four contacts of a component
 GRADIENT_RATIO = 200.0  # ratio of contact stiffness and inertia up to which conjugate gradients solve
 GRADIENT_RESIDUAL = 1e-5  # residual to which they do, relative
-# contacts that may have changed by so much of their stiffness where an old factorisation serves
-MOST_CHANGED, CHANGED_SHARE = 5, 0.5
 SEARCH_SLOPE = 0.1  # share of its slope at which a line search ends
 LEAST_FORCE = 1e-280  # far below any force, and no limit over it overflows
 EPS = np.finfo(np.float64).eps
@@ -98,13 +95,8 @@ class FrictionStage:
     ) -> None:
         self.system, self.matrix, self.radius, self.conserved = system, matrix, radius, conserved
         self.spin_scale, self.force_scale = spin_scale, force_scale
-        self.factorisations, self.reuses = 0, True  # old factorisations, where few contacts have changed
+        self.factorisations = 0
         self._factorised: tuple[float, np.ndarray] | None = None  # inertia and stiffness
-        self._of_this_step = False
-
-    def begin_step(self) -> None:
-        """What is factorised serves no other matrix any more: a step does not depend on those before."""
-        self._of_this_step = False
 
     def solve(self, friction: Friction, base: np.ndarray, start: np.ndarray, guess: np.ndarray) -> StageEnd | None:
         """Spins and forces at the end of the stage; None if Newton's method gets nowhere.
@@ -149,47 +141,40 @@ class FrictionStage:
         """Make ready to solve with the derivative of the torques; False if rounding does not let it be factorised.
 
         Short stages are ruled by inertia, and a few conjugate gradients do. A factorisation is kept as long as nothing
-        changes, and in a step it also serves to solve where few contacts have changed between sticking and slipping.
+        changes.
         """
         self._inertia, self._stiffness = friction.inertia, np.zeros(0)  # gives the memory of the last one back
         self._stiffness = friction.stiffness(trial)
         self._stiffness *= self.radius**2 * self.system.felt
         coupling = LARGEST_EIGENVALUE * self.radius**2 * friction.stiffest
-        self._precondition: Callable[[np.ndarray], np.ndarray] | None = None
-        if coupling <= GRADIENT_RATIO * friction.inertia and friction.slips(trial).any():
-            self._precondition = np.copy
+        self._by_gradients = bool(coupling <= GRADIENT_RATIO * friction.inertia and friction.slips(trial).any())
+        if self._by_gradients:
             return True
-        if self._factorised is not None and self._factorised[0] == friction.inertia:
-            changed = _changed(self._stiffness, self._factorised[1])
-            if (changed == 0).all():
-                return True
-            if self.reuses and self._of_this_step and (~(changed <= CHANGED_SHARE)).sum() <= MOST_CHANGED:
-                self._precondition = self.matrix.solve
-                return True
-        self._factorised = None
+        kept, self._factorised = self._factorised, None
+        if kept is not None and kept[0] == friction.inertia and (kept[1] == self._stiffness).all():
+            self._factorised = kept
+            return True
         try:
             self.matrix.factorise(self._stiffness, friction.inertia)
         except NotPositiveDefinite:
             return False
         self.factorisations += 1
-        self._factorised, self._of_this_step = (friction.inertia, self._stiffness), True
+        self._factorised = friction.inertia, self._stiffness
         return True
 
     def _solved(self, right: np.ndarray) -> np.ndarray:
         """Solution with what was prepared last; by conjugate gradients to GRADIENT_RESIDUAL, relative."""
-        if self._precondition is None:
+        if not self._by_gradients:
             return self.matrix.solve(right)
         solution, left, enough = np.zeros_like(right), right, GRADIENT_RESIDUAL**2 * float(right @ right)
-        direction = near = self._precondition(left)
-        size = float(left @ near)
-        while float(left @ left) > enough:
+        direction, size = left, float(left @ left)
+        while size > enough:
             image = resisted(self._stiffness, self.system.change(direction))
             image = self._inertia * direction + self.system.torques(image)
             length = size / float(direction @ image)
             solution, left = solution + length * direction, left - length * image
-            near = self._precondition(left)
-            size, before = float(left @ near), size
-            direction = near + size / before * direction
+            size, before = float(left @ left), size
+            direction = left + size / before * direction
         return solution
 
     def _step_length(
@@ -252,11 +237,3 @@ class FrictionStage:
         if self.conserved.size:
             step[self.conserved] += (wanted - step)[self.conserved].mean(axis=1, keepdims=True)
         return step
-
-
-@np.errstate(divide="ignore")  # one component alone resists nothing along its slip
-def _changed(stiffness: np.ndarray, before: np.ndarray) -> np.ndarray:
-    """Change of stiffnesses (d, d, n), relative to what they were, (n,)."""
-    change = stiffness - before
-    change, size = (np.einsum("ijn,ijn->n", k, k) for k in (change, before))
-    return np.sqrt(np.divide(change, size, out=change, where=change != 0))

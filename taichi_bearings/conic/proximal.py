@@ -49,18 +49,6 @@ class Step:
     solved: bool
 
 
-@dataclass
-class _Answer:
-    """A step of one sample in its own units: spins (unknowns,), dual (d, n), slip and what slips (n,)."""
-
-    spins: np.ndarray
-    dual: np.ndarray
-    slip: np.ndarray
-    slips: np.ndarray
-    newton_steps: int = 0
-    solved: bool = True
-
-
 class ProximalSteps:
     """Steps of the samples of a scene in the spin components `spin_axes`; all others are at rest.
 
@@ -93,18 +81,17 @@ class ProximalSteps:
         for replica, before in enumerate(free_spins(staggered / self.unit)):
             coefficient, inertia = self._coefficient[replica], Inertia(self._slowness[replica] / duration, before)
             if scene.law.holds:
-                answer = self._rubbed(coefficient, self._viscosity[replica], inertia)
+                point, steps, ended = self._rubbed(coefficient, self._viscosity[replica], inertia)
             else:  # damping alone
                 spins = flowing(self._system, coefficient, self._matrix, before, inertia)
-                difference = self._system.differences(spins)
-                slip = length(difference)
-                answer = _Answer(spins, -coefficient * difference, slip, slip > 0, 1)
-            self._put_spins(after, replica, answer.spins)
-            self._system.scatter_vectors(-answer.dual * self._force_unit[replica], force, replica)
-            slipping[replica] = int(answer.slips.sum())
-            creep = max(creep, self.unit * answer.slip[~answer.slips].max(initial=0.0))
-            newton_steps += answer.newton_steps
-            solved &= answer.solved
+                point, steps, ended = Iterate.start(self._system, spins, coefficient, 0.0, coefficient), 1, True
+            slip = length(point.difference)
+            slips = slip > (point.margin if scene.law.holds else 0.0)
+            self._put_spins(after, replica, point.spins)
+            self._system.scatter_vectors(-point.whole_dual * self._force_unit[replica], force, replica)
+            slipping[replica] = int(slips.sum())
+            creep = max(creep, self.unit * slip[~slips].max(initial=0.0))
+            newton_steps, solved = newton_steps + steps, solved and ended
         return Step(after, force, slipping, creep, newton_steps, solved)
 
     def _put_spins(self, staggered: np.ndarray, replica: int, spins: np.ndarray) -> None:
@@ -117,13 +104,16 @@ class ProximalSteps:
             new = staggered[slot, replica, ..., 1:-1]
             new -= (new - before[slot]).mean(axis=(0, 1))
 
-    def _rubbed(self, friction: np.ndarray, viscosity: np.ndarray | None, inertia: Inertia) -> _Answer:
-        """A step with friction: Newton steps from bounds well above the slips and no forces of friction."""
-        spins, difference = inertia.origin, self._system.differences(inertia.origin)
-        slip = length(difference)
-        if not slip.any():
-            return _Answer(spins, difference, slip, slip > 0)
+    def _rubbed(
+        self, friction: np.ndarray, viscosity: np.ndarray | None, inertia: Inertia
+    ) -> tuple[Iterate, int, bool]:
+        """A step with friction: where Newton steps lead from bounds well above the slips and no forces of friction, how
+        many they are, and whether that solves it."""
+        spins = inertia.origin
+        slip = length(self._system.differences(spins))
         slack = float(np.sqrt(np.mean(slip**2)))
+        if not slack:
+            return Iterate.start(self._system, spins, friction, slack), 0, True
         if viscosity is not None:
             spins = flowing(self._system, viscosity, self._matrix, spins, inertia)
         iterate = replace(Iterate.start(self._system, spins, friction, slack, viscosity), inertia=inertia)
@@ -142,9 +132,7 @@ class ProximalSteps:
                     best = balanced if balanced.unbalanced < best.unbalanced else best
             except NotPositiveDefinite:
                 pass
-        solved = _excess(best, ACCEPTED_EXCESS, ACCEPTED_GAP) <= 1.0
-        slip = length(best.difference)
-        return _Answer(best.spins, best.whole_dual, slip, slip > best.margin, steps, solved)
+        return best, steps, _excess(best, ACCEPTED_EXCESS, ACCEPTED_GAP) <= 1.0
 
 
 def _excess(iterate: Iterate, sharp: float = SOLVED_EXCESS, closest: float = LEAST_GAP) -> float:

@@ -10,7 +10,7 @@ margins of 1e-9 can, and double precision ends before. Here
    twice the precision (polish.py);
 3. the tied contacts have to bear what the slipping ones leave to them (slipless_forces.py). If they can, the contact
    states are those of a minimum; whether that is proven is for the verifier to say;
-4. if they cannot, the path goes on once more with nothing tied.
+4. if they cannot, the path is followed once more with other contacts tied.
 """
 
 from collections.abc import Sequence
@@ -39,7 +39,6 @@ DOUBTFUL_SHARE = 1e-2  # share of the contacts that may be in doubt when those a
 LEAST_DOUBTFUL, MOST_DOUBTFUL = 30, 300  # and their number, at least and at most
 # torques, of the mean friction, that end Newton's method; and that will do if double precision ends before
 NEWTON_TORQUE, ROUNDED_TORQUE = 1e-12, 1e-4
-MOST_TIED_TRIALS = 3  # of the last decades, with those tied that surely stuck at the end of the one before
 NEWTON_TRIALS = 2  # of Newton's method, with contacts tied that come to rest
 # of a slip, by which a step may change it; if the whole step would turn it round
 TURNED_SLIP_STEP, SLIP_STEP = 0.5, 0.95
@@ -145,25 +144,21 @@ def _sticking(iterate: Iterate, before: Iterate) -> np.ndarray:
 
 
 def _followed(iterate: Iterate, before: Iterate | None, lattice: Surroundings) -> Resolved | None:
-    """The same by the last decades of the path, with contacts tied that surely stick as soon as few others are in
-    doubt. Where the states are not those of a minimum, up to twice more from there, with those tied, too, that surely
-    stick at the end: their stiffness blurs the forces of the others. At last nothing is tied."""
+    """The same by the last decades of the path, from where few contacts are in doubt: with nothing tied, and where that
+    settles nothing with those tied that surely stick. Where minima may tie, with these tied first, then to the end with
+    those, too, that surely stick at the end of the first, whose stiffness blurs the forces of the others; at last with
+    nothing tied."""
     path, settled = LastDecades.after(iterate, before, lattice.matrix), None
     if path.decide(int(min(max(DOUBTFUL_SHARE * iterate.in_cones, LEAST_DOUBTFUL), MOST_DOUBTFUL))) is None:
         return None
     none, sticking = np.zeros_like(path.sticking), path.sticking
-    ties = may_tie(iterate.friction, none)
-    for trial in range(MOST_TIED_TRIALS + 1):
-        is_last = trial == MOST_TIED_TRIALS
-        if trial > 0 and settled is None and not (ties or is_last):
-            continue
-        settled, more = None, none
+    first, second, free = (True, False), (True, True), (False, False)  # are some tied, and does it go to the end
+    for ties, to_the_end in (first, second, free) if may_tie(iterate.friction, none) else (free, first):
         with suppress(NotPositiveDefinite):
-            tied = none if is_last else sticking
-            settled, more = _over_tied(iterate, path, tied, lattice, to_the_end=trial > 0 and not is_last)
+            found, more = _over_tied(iterate, path, sticking if ties else none, lattice, to_the_end)
+            settled, sticking = found or settled, sticking | more if ties else sticking
         if settled is not None and settled.sure:
             break
-        sticking = sticking | more
     return settled
 
 

@@ -54,7 +54,6 @@ def nearly_borne(
     still = np.stack(heads, axis=1).astype(float)  # a spring for each domain, that nothing stretches
     found, going = np.zeros(samples, dtype=bool), np.ones(samples, dtype=bool)
     held = critical.reshape(samples, -1).any(axis=1)
-    ties = np.array([may_tie(*of) for of in zip(np.split(friction, samples), np.split(critical, samples), strict=True)])
     for _ in range(MOST_BALANCES):
         here = _one_by_one(side)
         least = np.where(critical, ROOM_AT_LIMIT * friction, 0.0)
@@ -66,7 +65,10 @@ def nearly_borne(
             balanced = _balanced(system, matrix, _cut(balanced, limit), springs, going)[0]
         reach = _reach(friction, here, _one_by_one(balanced), slipping | critical, samples)
         ended = going & (reach > 1)
-        going = ended | (going & ties & (reach > LEAST_REACH))
+        going = going & (reach > LEAST_REACH)
+        if (going & ~ended).any():
+            of_each = zip(np.split(friction, samples), np.split(critical, samples), strict=True)
+            going = going & (ended | [may_tie(*of) for of in of_each])
         if (cut := ended & held).any():
             balanced = _cut_and_balanced(system, matrix, balanced, springs, limit, cut)
         found |= ended

@@ -1,5 +1,6 @@
 """What users bring as a packing, checked: each failure is one sentence that names the value."""
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,6 +17,12 @@ GAP, OVERLAP = 0.01, 0.2  # of the sum of the radii, that may part the surfaces 
 UNIT_ERROR = 1e-6  # of the length of a normal that is given
 SAME_NORMAL = 1e-6  # distance of normals of contacts of the same two spheres, from which on they are two contacts
 LEAST_SIZE, MOST_SIZE = 1e-15, 1e15  # of coefficients, forces and radii; and most of spins
+
+
+def _refuse(bad: Any, sentence: Callable[[int], str]) -> None:
+    """InputError with what the sentence says of the first that is bad, a mask, if one is."""
+    if bad.any():
+        raise InputError(sentence(int(np.argmax(bad))))
 
 
 def places(values: Any) -> np.ndarray:
@@ -50,13 +57,8 @@ def pairs(values: Any, spheres: int) -> np.ndarray:
     if contact.ndim != 2 or contact.shape[1] != 2 or len(contact) > MOST_CONTACTS:
         raise InputError(f"contact has shape {contact.shape}; it must be (E, 2) with E up to {MOST_CONTACTS:,}")
     outside = ((contact < 0) | (contact >= spheres)).any(axis=1)
-    if outside.any():
-        e = int(np.argmax(outside))
-        raise InputError(f"contact {e} is between {contact[e].tolist()}; spheres are numbered 0 to {spheres - 1}")
-    own = contact[:, 0] == contact[:, 1]
-    if own.any():
-        e = int(np.argmax(own))
-        raise InputError(f"contact {e} is of sphere {contact[e, 0]} with itself")
+    _refuse(outside, lambda e: f"contact {e} is between {contact[e].tolist()}; spheres are numbered 0 to {spheres - 1}")
+    _refuse(contact[:, 0] == contact[:, 1], lambda e: f"contact {e} is of sphere {contact[e, 0]} with itself")
     return contact
 
 
@@ -64,10 +66,8 @@ def bodies(values: Any, spheres: int) -> np.ndarray:
     driven = _integers("driven", values)
     if driven.shape != (spheres,):
         raise InputError(f"driven has shape {driven.shape}; it must be ({spheres},), one number a sphere")
-    strange = (driven < -1) | (driven >= spheres)
-    if strange.any():
-        i = int(np.argmax(strange))
-        raise InputError(f"driven of sphere {i} is {driven[i]}; it must be -1, or a body from 0 to {spheres - 1}")
+    strange, allowed = (driven < -1) | (driven >= spheres), f"-1, or a body from 0 to {spheres - 1}"
+    _refuse(strange, lambda i: f"driven of sphere {i} is {driven[i]}; it must be {allowed}")
     return driven
 
 
@@ -77,10 +77,7 @@ def spins(values: Any, spheres: int, dimension: int, held: np.ndarray) -> np.nda
     if spin.shape != shape:
         raise InputError(f"spin has shape {spin.shape}; it must be {shape}")
     spin = np.where(held.reshape(held.shape + (1,) * (spin.ndim - 1)), spin, 0.0)
-    bad = ~(np.abs(spin) <= MOST_SIZE)
-    if bad.any():
-        i = int(np.argwhere(bad)[0, 0])
-        raise InputError(f"spin of sphere {i} is {shown(spin[i])}; it must be finite and at most {MOST_SIZE:g}")
+    _refuse_not_finite("spin", spin, "sphere")
     spin.setflags(write=False)
     return spin
 
@@ -93,19 +90,15 @@ def sizes(name: str, values: Any, count: int, what: str, may_vanish: bool = Fals
     if array.shape != (count,):
         raise InputError(f"{name} has shape {array.shape}; it must be ({count},), one number a {what}")
     fine = (array >= LEAST_SIZE) & (array <= MOST_SIZE) | (may_vanish & (array == 0))
-    if not fine.all():
-        i = int(np.argmin(fine))
-        zero = "0, or " if may_vanish else ""
-        raise InputError(f"{name} of {what} {i} is {array[i]}; it must be {zero}from {LEAST_SIZE:g} to {MOST_SIZE:g}")
+    allowed = f"{'0, or ' if may_vanish else ''}from {LEAST_SIZE:g} to {MOST_SIZE:g}"
+    _refuse(~fine, lambda i: f"{name} of {what} {i} is {array[i]}; it must be {allowed}")
     array.setflags(write=False)
     return array
 
 
 def _refuse_not_finite(name: str, values: np.ndarray, what: str) -> None:
-    bad = ~(np.abs(values) <= MOST_SIZE).all(axis=1)
-    if bad.any():
-        i = int(np.argmax(bad))
-        raise InputError(f"{name} of {what} {i} is {shown(values[i])}; it must be finite and at most {MOST_SIZE:g}")
+    bad = ~(np.abs(values) <= MOST_SIZE).all(axis=tuple(range(1, values.ndim)))
+    _refuse(bad, lambda i: f"{name} of {what} {i} is {shown(values[i])}; it must be finite and at most {MOST_SIZE:g}")
 
 
 def touching(packing: "Packing") -> np.ndarray:
@@ -119,13 +112,13 @@ def directions(contact: np.ndarray, vector: np.ndarray, radius: Any, hint: str =
     """Unit vectors along `vector` (E, D), between the centres of contacts; InputError for spheres that do not touch."""
     first, second = contact.T
     size, reach = np.linalg.norm(vector, axis=1), radius[first] + radius[second]
-    apart = ~((size <= (1 + GAP) * reach) & (size >= (1 - OVERLAP) * reach))
-    if apart.any():
-        e = int(np.argmax(apart))
-        raise InputError(
-            f"contact {e} does not touch: spheres {first[e]} and {second[e]} are {size[e]:.6g} apart and their radii "
-            f"add up to {reach[e]:.6g}{hint}"
-        )
+    _refuse(
+        ~((size <= (1 + GAP) * reach) & (size >= (1 - OVERLAP) * reach)),
+        lambda e: (
+            f"contact {e} does not touch: spheres {first[e]} and {second[e]} are {size[e]:.6g} apart and their "
+            f"radii add up to {reach[e]:.6g}{hint}"
+        ),
+    )
     normal = vector / size[:, None]
     normal.setflags(write=False)
     return normal
@@ -139,9 +132,7 @@ def normals(values: Any, packing: "Packing") -> np.ndarray:
     _refuse_not_finite("normal", normal, "contact")
     size = np.linalg.norm(normal, axis=1)
     bad = ~(np.abs(size - 1) <= UNIT_ERROR)
-    if bad.any():
-        e = int(np.argmax(bad))
-        raise InputError(f"normal of contact {e} has length {size[e]:.9g}; it must be a unit vector")
+    _refuse(bad, lambda e: f"normal of contact {e} has length {size[e]:.9g}; it must be a unit vector")
     off = np.abs(size - 1) > 4 * np.finfo(np.float64).eps  # others stay as they are, bit by bit
     normal = np.where(off[:, None], normal / np.where(off, size, 1.0)[:, None], normal)
     normal.setflags(write=False)

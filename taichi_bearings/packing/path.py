@@ -127,7 +127,6 @@ def _settled(
     for hold in HOLDS:
         here = replace(contacts, offset=_slips(system, contacts, spins))
         stage = FrictionStage(here, matrix, 1.0, np.zeros((0, 0), dtype=np.int64), SMALL_SPINS, 1.0)
-        stage.reuses = False  # as stiffnesses of many decades would keep gradients from an end
         with one_thread():
             end = stage.solve(Friction(point.friction, hold * firm, 0.0, point.viscosity), rest, held, rest)
         if end is None:

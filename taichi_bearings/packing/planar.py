@@ -21,22 +21,18 @@ UNIT_BITS = 59  # of the sum of all frictions
 
 @dataclass(frozen=True)
 class _Cover:
-    """Nodes, and edges (low, high) between them; edges of a node with a driven value of a level. weight : whole units.
+    """Edges (low, high) between nodes: the first `free` ones are to be found, each other one has one of the driven
+    `values`. weight : (edges,), whole units.
 
     contact, sign : of each edge; the force of the contact is the sum of sign * flow, from low to high.
     """
 
-    nodes: int
+    free: int
     low: np.ndarray
     high: np.ndarray
-    inner_weight: np.ndarray
-    inner_contact: np.ndarray
-    inner_sign: np.ndarray
-    end: np.ndarray
-    level: np.ndarray
-    outer_weight: np.ndarray
-    outer_contact: np.ndarray
-    outer_sign: np.ndarray
+    weight: np.ndarray
+    contact: np.ndarray
+    sign: np.ndarray
     values: np.ndarray
     unit: float
 
@@ -45,19 +41,18 @@ def least_power(system: System) -> tuple[np.ndarray, np.ndarray]:
     """Spins (unknowns,), and forces (d, A), balanced but for one rounding, of friction alone where no contact feels two
     components."""
     component = system.felt.argmax(axis=1)  # (A,); any of contacts that feel none
-    cover, node, mirrored, sign = _covered(system, component)
+    cover, mirrored, sign = _covered(system, component)
     place = _nested(cover)
-    inner, outer = _filling(cover, place)
     force = np.zeros(len(system.contact), dtype=np.int64)
-    np.add.at(force, cover.inner_contact, cover.inner_sign * inner)
-    np.add.at(force, cover.outer_contact, cover.outer_sign * outer)
-    turned = cover.values[place] if len(cover.values) else np.zeros(cover.nodes)
-    spins = np.where(mirrored >= 0, (turned[node] - turned[mirrored]) / 2, sign * turned[node])
+    np.add.at(force, cover.contact, cover.sign * _filling(cover, place))
+    turned = cover.values[place] if len(cover.values) else np.zeros(cover.free)
+    own = turned[: system.unknowns]
+    spins = np.where(mirrored >= 0, (own - turned[mirrored]) / 2, sign * own)
     return spins, system.across[:, np.arange(len(component)), component] * force * cover.unit
 
 
-def _covered(system: System, component: np.ndarray) -> tuple[_Cover, np.ndarray, np.ndarray, np.ndarray]:
-    """The network of differences; its node and mirrored node, -1 if none, and sign of each unknown (unknowns,)."""
+def _covered(system: System, component: np.ndarray) -> tuple[_Cover, np.ndarray, np.ndarray]:
+    """The network of differences; the mirrored node, -1 if none, and the sign of each unknown (unknowns,)."""
     weight, count = system.coefficients[0], system.unknowns
     spheres = system.packing.contact[system.contact]
     feels = np.any(system.felt, axis=1)
@@ -65,55 +60,42 @@ def _covered(system: System, component: np.ndarray) -> tuple[_Cover, np.ndarray,
     within, some = np.all(ends >= 0, axis=1), np.any(ends >= 0, axis=1)
     odd, sign = odd_parts(count, *ends[within].T)
     mirrored = np.where(odd, count + np.cumsum(odd) - 1, -1)
-    rim = np.flatnonzero(some & ~within)
+    inner, rim = np.flatnonzero(within), np.flatnonzero(some & ~within)
     total = float(weight[rim].sum()) or 1.0
     clipped = np.minimum(weight, total)  # no minimum cut holds more
     unit = float(np.ldexp(1.0, int(np.frexp(clipped.sum())[1]) - UNIT_BITS))
     units = np.floor(clipped / unit / 2).astype(np.int64)  # of each of two copies
-    first, second = ends[within].T
-    at, both = np.flatnonzero(within), odd[first]
-    plain, twice = at[~both], at[both]
-    low = np.concatenate([first[~both], first[both], second[both]])
-    high = np.concatenate([second[~both], mirrored[second[both]], mirrored[first[both]]])
-    inner = np.concatenate([plain, twice, twice])
-    one = np.ones(len(twice), dtype=np.int64)
-    inner_sign = np.concatenate([sign[first[~both]], one, one])
-    factor = np.concatenate([np.full(len(plain), 2), one, one])
+    first, second = ends[inner].T
     own, held = ends[rim].max(axis=1), np.where(ends[rim, 0] < 0, spheres[rim, 0], spheres[rim, 1])
-    u, pair = system.known[held, component[rim]], odd[own]
-    end = np.concatenate([own[~pair], own[pair], mirrored[own[pair]]])
-    value = np.concatenate([-sign[own[~pair]] * u[~pair], -u[pair], u[pair]])
-    outer = np.concatenate([rim[~pair], rim[pair], rim[pair]])
-    ones = np.ones(int(pair.sum()), dtype=np.int64)
-    outer_sign = np.concatenate([sign[own[~pair]], ones, -ones])
-    half = np.concatenate([np.full(int((~pair).sum()), 2), ones, ones])
-    values, level = np.unique(value + 0.0, return_inverse=True)
-    cover = _Cover(
-        count + int(odd.sum()), low, high, units[inner] * factor, inner, inner_sign,
-        end, level.ravel(), units[outer] * half, outer, outer_sign, values, unit,
-    )  # fmt: skip
-    return cover, np.arange(count), mirrored, sign
+    u, twice, pair = system.known[held, component[rim]], odd[first], odd[own]
+    values, level = np.unique(np.concatenate([np.where(pair, -u, -sign[own] * u), u[pair]]) + 0.0, return_inverse=True)
+    driven = count + int(odd.sum()) + level.ravel()
+    of_rim, of_pair = np.split(driven, [len(rim)])
+    low = [first, second[twice], own, mirrored[own[pair]]]
+    high = [np.where(twice, mirrored[second], second), mirrored[first[twice]], of_rim, of_pair]
+    contact = np.concatenate([inner, inner[twice], rim, rim[pair]])
+    copies = np.concatenate([2 - twice, np.ones(twice.sum(), int), 2 - pair, np.ones(pair.sum(), int)])
+    signs = [np.where(twice, 1, sign[first]), np.ones(twice.sum(), int)]
+    signs += [np.where(pair, 1, sign[own]), -np.ones(pair.sum(), int)]
+    edges = np.concatenate(low), np.concatenate(high), units[contact] * copies, contact, np.concatenate(signs)
+    return _Cover(count + int(odd.sum()), *edges, values, unit), mirrored, sign
 
 
 def _nested(cover: _Cover) -> np.ndarray:
     """Level (nodes,) of each node at a minimum: all ranges of levels are halved at once, by one flow."""
-    least, most = np.zeros(cover.nodes, dtype=np.int64), np.full(cover.nodes, max(0, len(cover.values) - 1))
-    while (least < most).any():
+    levels, (low, high) = np.arange(len(cover.values)), (cover.low, cover.high)
+    least = np.concatenate([np.zeros(cover.free, dtype=np.int64), levels])
+    most = np.concatenate([np.full(cover.free, max(0, len(levels) - 1)), levels])
+    while (open_ := least < most).any():
         middle = (least + most + 1) // 2
-        low, high = cover.low, cover.high
-        together = (least[low] == least[high]) & (most[low] == most[high]) & (least[low] < most[low])
-        from_source, to_sink = (np.zeros(cover.nodes, dtype=np.int64) for _ in range(2))
-        for own, other in ((low[~together], high[~together]), (high[~together], low[~together])):
-            above = least[other] > most[own]
-            np.add.at(from_source, own[above], cover.inner_weight[~together][above])
-            np.add.at(to_sink, own[~above], cover.inner_weight[~together][~above])
-        above = cover.level >= middle[cover.end]
-        np.add.at(from_source, cover.end[above], cover.outer_weight[above])
-        np.add.at(to_sink, cover.end[~above], cover.outer_weight[~above])
-        open_ = least < most
-        from_source, to_sink = from_source * open_, to_sink * open_
-        ends, weight = (low[together], high[together]), cover.inner_weight[together]
-        upper = _source_side(cover.nodes, ends, weight, from_source, to_sink) & open_
+        together = (least[low] == least[high]) & (most[low] == most[high]) & open_[low]
+        from_source, to_sink = np.zeros((2, len(least)), dtype=np.int64)
+        for own, other in ((low, high), (high, low)):
+            above = least[other] >= middle[own]  # ranges are the same or share no level; driven nodes have one
+            np.add.at(from_source, own, cover.weight * (above & ~together & open_[own]))
+            np.add.at(to_sink, own, cover.weight * (~above & ~together & open_[own]))
+        inner = low[together], high[together]
+        upper = _source_side(len(least), inner, cover.weight[together], from_source, to_sink) & open_
         least = np.where(upper, middle, least)
         most = np.where(open_ & ~upper, middle - 1, most)
     return least
@@ -148,21 +130,16 @@ def _source_side(
     return led_to(nodes, row[left > 0], column[left > 0], start)
 
 
-def _filling(cover: _Cover, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Flows from low to high, and from ends to driven values, (edges,) each: full across the nested cuts, balanced."""
+def _filling(cover: _Cover, place: np.ndarray) -> np.ndarray:
+    """Flow (edges,) from low to high: full across the nested cuts, balanced at all nodes that are not driven."""
     fall = np.sign(place[cover.low] - place[cover.high])
-    inner, outer = fall * cover.inner_weight, np.sign(place[cover.end] - cover.level) * cover.outer_weight
-    need = np.zeros(cover.nodes + 1, dtype=np.int64)  # what flows in; the last node is all that is driven
-    np.add.at(need, cover.low, -inner)
-    np.add.at(need, cover.high, inner)
-    np.add.at(need, cover.end, -outer)
-    need[-1] = -need[:-1].sum()
-    flat, rim = fall == 0, place[cover.end] == cover.level
-    low = np.concatenate([cover.low[flat], cover.end[rim]])
-    high = np.concatenate([cover.high[flat], np.full(int(rim.sum()), cover.nodes)])
-    weight = np.concatenate([cover.inner_weight[flat], cover.outer_weight[rim]])
-    flow, into, _ = _flow(cover.nodes + 1, (low, high), weight, np.maximum(need, 0), np.maximum(-need, 0))
-    if (into != np.maximum(need, 0)).any():
+    flow, flat = fall * cover.weight, fall == 0
+    low, high = np.minimum([cover.low, cover.high], cover.free)  # all that is driven is one node, the last
+    need = np.zeros(cover.free + 1, dtype=np.int64)  # what flows in
+    np.add.at(need, low, -flow)
+    np.add.at(need, high, flow)
+    source, sink = np.maximum(need, 0), np.maximum(-need, 0)
+    flow[flat], into, _ = _flow(len(need), (low[flat], high[flat]), cover.weight[flat], source, sink)
+    if (into != source).any():
         raise RuntimeError("a largest flow does not fill the nested cuts")
-    inner[flat], outer[rim] = flow[: int(flat.sum())], flow[int(flat.sum()) :]
-    return inner, outer
+    return flow

@@ -187,7 +187,6 @@ class ImplicitCundallStrackMethod(SpringDynamics):
 
     def _tried(self, replica: int, spins: np.ndarray, span: float) -> _Tried | None:
         """A step from these spins; None if a stage cannot be solved."""
-        self.stage.begin_step()
         before = self.system.gather_vectors(self.elongation, replica)
         stage, share = GAMMA * span, (1 - GAMMA) / GAMMA
         friction = self._friction(replica, stage)

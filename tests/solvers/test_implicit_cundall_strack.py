@@ -232,24 +232,3 @@ def test_a_stage_ends_at_the_minimum_of_its_function():
     assert function(end.spins) <= general.fun + 1e-9
     assert end.spins == pytest.approx(general.x, abs=1e-4)
     assert 0 < int(end.slips.sum()) < scene.lattice.contacts
-
-
-def test_a_factorisation_serves_where_few_contacts_have_changed():
-    """Stages that pull a little harder each time: fewer factorisations, and the same spins."""
-
-    def ends(anew):
-        scene = make_scene((5, 5, 6), seeds=(9,))
-        method = begun(scene, random_start(scene))
-        rng, base, found = np.random.default_rng(1), free_spins(method.staggered)[0], []
-        start = rng.uniform(-20, 20, method.system.offset.shape)
-        friction = Friction(method.strength[0], np.full_like(method.strength[0], 4000.0), 7.0)
-        for harder in (1.0, 1.002, 1.004, 1.006):
-            if anew:
-                method.stage.begin_step()
-            guess = base if not found else found[-1]
-            found.append(method.stage.solve(friction, base, harder * start, guess).spins)
-        return np.array(found), method.stage.factorisations
-
-    (few, factorised), (many, factorised_anew) = ends(anew=False), ends(anew=True)
-    assert factorised < factorised_anew
-    assert few == pytest.approx(many, abs=1e-11)

@@ -52,6 +52,10 @@ class Task:
     work: Callable[[], bool]
 
 
+Call = tuple[int | None, Callable, tuple]
+"""The panel of the front that has to be done before, None where nothing is waited for; a routine; its arguments."""
+
+
 class DenseFront:
     """Elimination of a front: of its own columns, and of the update of its border.
 
@@ -64,21 +68,20 @@ class DenseFront:
         of their diagonals. Only lower triangles count."""
         self.cost = own**3 / 3 + own**2 * border + own * border**2
         self._fault, self._stopped = ctypes.c_int(0), False
-        self._shared = self.cost > tuning.SHARED_FRONT_OPERATIONS
         firsts = range(0, own, tuning.PANEL_COLUMNS)
-        self._own = [_of_own(first, own, own + border - first, height, columns, self._fault) for first in firsts]
-        self._below = []
+        self._panels = [_of_own(first, own, own + border - first, height, columns, self._fault) for first in firsts]
+        self._sheets = []
         for first in range(0, border, tuning.SHEET_COLUMNS):
             left, place = columns + DOUBLE_BYTES * (own + first), update + DOUBLE_BYTES * update_size(first, pitch)
-            self._below.append(_of_update(own, border - first, height, left, pitch - first, place))
-        self._done = [Event() for _ in self._own] if self._shared else []
+            self._sheets.append(_of_update(own, border - first, height, left, pitch - first, place))
+        self._done = [Event() for _ in self._panels] if self.cost > tuning.SHARED_FRONT_OPERATIONS else []
 
     def tasks(self) -> list[Task]:
         """What eliminates the front. Any threads may share the tasks of fronts that are ready, if begun in order."""
-        if not self._shared:
-            return [Task(2, -self.cost, self._eliminate_alone)]
-        tasks = [Task(0, n, partial(self._eliminate, n)) for n in range(len(self._own))]
-        return tasks + [Task(1, -self.cost, partial(self._subtract, n)) for n in range(len(self._below))]
+        if not self._done:
+            return [Task(2, -self.cost, lambda: all(map(self._work, self._panels + self._sheets)))]
+        tasks = [Task(0, n, partial(self._work, calls, n)) for n, calls in enumerate(self._panels)]
+        return tasks + [Task(1, -self.cost, partial(self._work, calls)) for calls in self._sheets]
 
     def get_ready(self) -> None:
         """Before the tasks are begun."""
@@ -92,68 +95,44 @@ class DenseFront:
         for done in self._done:
             done.set()
 
-    def _eliminate_alone(self) -> bool:
-        return all(map(self._eliminate, range(len(self._own)))) and all(map(self._subtract, range(len(self._below))))
-
-    def _is_there(self, panel: int) -> bool:
-        if self._shared:
-            self._done[panel].wait()
-            look_up()
-        return not self._stopped
-
-    def _eliminate(self, number: int) -> bool:
-        panel = self._own[number]
-        for before, product in enumerate(panel.products):
-            if not self._is_there(before):
+    def _work(self, calls: list[Call], panel: int | None = None) -> bool:
+        """Make these calls, which end a panel if one is given; False if a pivot is not positive."""
+        for before, routine, arguments in calls:
+            if self._done and before is not None:
+                self._done[before].wait()
+                look_up()
+            if self._stopped:
                 return False
-            _dgemm(*product)
-        _dpotrf(*panel.factor)
-        if self._fault.value:
-            self.stop()
-            return False
-        if panel.divide is not None:
-            _dtrsm(*panel.divide)
-        if self._shared:
-            self._done[number].set()
-        return True
-
-    def _subtract(self, number: int) -> bool:
-        if not self._is_there(-1):
-            return False
-        for routine, arguments in self._below[number]:
             routine(*arguments)
+            if self._fault.value:
+                self.stop()
+                return False
+        if panel is not None:
+            self._done[panel].set()
         return True
 
 
-@dataclass(frozen=True)
-class _OwnPanel:
-    """Arguments: products with the panels before it, factorisation of its diagonal, division of what is below that."""
-
-    products: list[tuple]
-    factor: tuple
-    divide: tuple | None
-
-
-def _of_own(first: int, own: int, rows: int, height: int, columns: int, fault: ctypes.c_int) -> _OwnPanel:
-    """Calls for the panel of own columns from `first` on, `rows` rows from its diagonal down.
+def _of_own(first: int, own: int, rows: int, height: int, columns: int, fault: ctypes.c_int) -> list[Call]:
+    """Calls for the panel of own columns from `first` on, `rows` rows from its diagonal down: products with the panels
+    before it, factorisation of its diagonal, division of what is below that.
 
     height : numbers from one column to the next. fault : what becomes of a pivot that is not positive."""
     width = min(tuning.PANEL_COLUMNS, own - first)
     corner = columns + DOUBLE_BYTES * first * (height + 1)
     ld, at = _count(height), _address(corner)
-    products = []
-    for before in range(0, first, tuning.PANEL_COLUMNS):
+    calls: list[Call] = []
+    for number, before in enumerate(range(0, first, tuning.PANEL_COLUMNS)):
         left = _address(columns + DOUBLE_BYTES * (before * height + first))
-        products.append(_product(rows, width, tuning.PANEL_COLUMNS, left, left, ld, at, ld))
+        calls.append((number, _dgemm, _product(rows, width, tuning.PANEL_COLUMNS, left, left, ld, at, ld)))
+    calls.append((None, _dpotrf, (_LOWER, _count(width), at, ld, ctypes.byref(fault))))
     divide = (
         _RIGHT, _LOWER, _TRANSPOSED, _LEFT_OUT, _count(rows - width), _count(width), _ONE,
         at, ld, _address(corner + DOUBLE_BYTES * width), ld,
     )  # fmt: skip
-    factor = (_LOWER, _count(width), at, ld, ctypes.byref(fault))
-    return _OwnPanel(products, factor, divide if rows > width else None)
+    return [*calls, (None, _dtrsm, divide)] if rows > width else calls
 
 
-def _of_update(own: int, rows: int, height: int, left: int, pitch: int, target: int) -> list[tuple[Callable, tuple]]:
+def _of_update(own: int, rows: int, height: int, left: int, pitch: int, target: int) -> list[Call]:
     """Calls that take from a panel of the update what the own columns hold in its rows, from the address `left` on.
 
     height, pitch : numbers from one own column and one of the panel to the next."""
@@ -162,12 +141,12 @@ def _of_update(own: int, rows: int, height: int, left: int, pitch: int, target: 
         _LOWER, _LEFT_OUT, _count(width), _count(own), _MINUS_ONE, _address(left), ld, _ONE, to, _count(pitch)
     )  # fmt: skip
     if rows == width:
-        return [(_dsyrk, square)]
+        return [(-1, _dsyrk, square)]
     below = _product(
         rows - width, width, own, _address(left + DOUBLE_BYTES * width), _address(left), ld,
         _address(target + DOUBLE_BYTES * width), _count(pitch),
     )  # fmt: skip
-    return [(_dsyrk, square), (_dgemm, below)]
+    return [(-1, _dsyrk, square), (None, _dgemm, below)]
 
 
 def _product(rows: int, width: int, depth: int, left: Any, right: Any, ld: Any, target: Any, ld_target: Any) -> tuple:
