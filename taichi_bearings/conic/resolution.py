@@ -145,15 +145,15 @@ def _sticking(iterate: Iterate, before: Iterate) -> np.ndarray:
 
 def _followed(iterate: Iterate, before: Iterate | None, lattice: Surroundings) -> Resolved | None:
     """The same by the last decades of the path, from where few contacts are in doubt: with nothing tied, and where that
-    settles nothing with those tied that surely stick. Where minima may tie, with these tied first, then to the end with
-    those, too, that surely stick at the end of the first, whose stiffness blurs the forces of the others; at last with
-    nothing tied."""
+    settles nothing with those tied that surely stick. Where minima may tie, with these tied first, then up to twice to
+    the end with those, too, that surely stick at the end of the one before, whose stiffness blurs the forces of the
+    others; at last with nothing tied."""
     path, settled = LastDecades.after(iterate, before, lattice.matrix), None
     if path.decide(int(min(max(DOUBTFUL_SHARE * iterate.in_cones, LEAST_DOUBTFUL), MOST_DOUBTFUL))) is None:
         return None
     none, sticking = np.zeros_like(path.sticking), path.sticking
     first, second, free = (True, False), (True, True), (False, False)  # are some tied, and does it go to the end
-    for ties, to_the_end in (first, second, free) if may_tie(iterate.friction, none) else (free, first):
+    for ties, to_the_end in (first, second, second, free) if may_tie(iterate.friction, none) else (free, first):
         with suppress(NotPositiveDefinite):
             found, more = _over_tied(iterate, path, sticking if ties else none, lattice, to_the_end)
             settled, sticking = found or settled, sticking | more if ties else sticking
