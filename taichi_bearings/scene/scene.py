@@ -452,7 +452,8 @@ def bearing_state(name: str, given: Any, dimension: int) -> tuple[float, ...]:
 
 def periodic_axes(given: Any, allowed: tuple[str, ...] = AXIS_NAMES[:2]) -> tuple[str, ...]:
     """Names of axes in their order, of several in a list or in one text, x,y."""
-    parts = tuple(given.split(",") if given else ()) if isinstance(given, str) else tuple(given)
+    parts = (given.split(",") if given else ()) if isinstance(given, str) else given
+    parts = tuple(parts) if isinstance(parts, Iterable) else (parts,)
     if any(part not in allowed for part in parts) or len(set(parts)) < len(parts):
         names = f"names of axes that close on themselves, among {', '.join(allowed)}, each once"
         raise InputError(f"periodic is {shown(given)}; it must be {names}")

@@ -93,8 +93,9 @@ def test_it_does_not_matter_where_the_ring_begins(shape, periodic):
     [
         ((5, 6), "x", "has 5 spheres; the number must be even"),
         ((4, 6), "y", "can only be x"),
-        ((4, 4, 4), "z", "it must be x, y or x,y"),
-        ((4, 4, 4), "x,x", "it must be x, y or x,y"),
+        ((4, 4, 4), "z", "among x, y, each once"),
+        ((4, 4, 4), "x,x", "among x, y, each once"),
+        ((4, 4, 4), 5, "periodic is 5; it must be names of axes"),
     ],
 )
 def test_sides_that_cannot_close_are_refused(shape, periodic, sentence):
