@@ -224,6 +224,7 @@ SAMPLES = _named(
 )
 """Of an Answered: numbers and words of summaries, of the attributes of run files, and of scans."""
 
+SAID_OF_PACKINGS = ("proof", "driven_power", "slipless_motions")  # findings of every packing
 FINDINGS = _named(
     [
         Quantity("proof", "1", "what is proven of the least power of a packing, in words"),

@@ -27,7 +27,6 @@ MOST_TIES = 200  # whose motions are found; more of them leave every slipping co
 MOVED = 1e-7  # of a slip that a motion makes
 
 SLIPLESS, SLIPPING, UNDECIDED, DRIVEN = range(4)
-SAID_OF_PACKINGS = ("proof", "driven_power", "slipless_motions")  # findings of every packing
 
 
 def solve_packing(

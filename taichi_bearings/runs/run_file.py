@@ -17,7 +17,15 @@ from taichi_bearings.files.whole_file import attributes_of, layout_of, put, read
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.lattice.grid import axis_numbers, friction_by_axis
 from taichi_bearings.proof.contact_state import ContactState, nothing_proven
-from taichi_bearings.quantities import CHECK_ROWS, CONTACTS, FINDINGS, FRICTION_QUANTITIES, SPHERES, found_in
+from taichi_bearings.quantities import (
+    CHECK_ROWS,
+    CONTACTS,
+    FINDINGS,
+    FRICTION_QUANTITIES,
+    SAID_OF_PACKINGS,
+    SPHERES,
+    found_in,
+)
 from taichi_bearings.runs.run_directory import CHECKPOINT_NAME, claimed
 from taichi_bearings.runs.settings import RunSettings, parse_toml, read_toml
 from taichi_bearings.runs.solved import Run
@@ -275,6 +283,7 @@ def _read(path: Path, file: h5py.File, attributes: Mapping[str, Any], settings: 
     numbers: dict[str, Any] = {key: number(key) for key in ("power", "lower_bound", "gap", "largest_balance_residual")}
     numbers |= {key: float(attributes[key]) for key in ("slip_threshold", "seconds", "seconds_compile")}
     more: dict[str, Any] = {"slip_bound": None, "proven": nothing_proven(sets["state"]), **sets}
+    told = dict.fromkeys([*attributes.get("findings", FINDINGS), *(() if is_lattice else SAID_OF_PACKINGS)])
     return Solution(
         scene=scene,
         method=str(attributes["method"]),
@@ -285,7 +294,7 @@ def _read(path: Path, file: h5py.File, attributes: Mapping[str, Any], settings: 
         states_proven=number("states_proven") == 1,
         objective=number("potential" if scene.law.minimises == "potential" else "power"),
         history=arrays.history(apart, is_needed=is_lattice),
-        findings={name: number(name) for name in attributes.get("findings", FINDINGS) if name in attributes},
+        findings={name: number(name) for name in told if name in attributes},
         own=own,
         running=Runtime(**{key: attributes.get(key, value) for key, value in vars(HOST).items()}),
         snapshots=arrays.snapshots(apart, *sites, *vector) if "snapshots" in file else None,
@@ -313,8 +322,7 @@ def _lattice_in(path: Path, file: h5py.File, attributes: Mapping[str, Any], sett
 
 
 def _packings_in(path: Path, file: h5py.File, attributes: Mapping[str, Any], settings: RunSettings) -> _Found:
-    from taichi_bearings.packing.answer import SAID_OF_PACKINGS  # and with it much of SciPy
-    from taichi_bearings.runs.packing_run import packings_of
+    from taichi_bearings.runs.packing_run import packings_of  # and with it much of SciPy
 
     if lacking := [name for name in SAID_OF_PACKINGS if name not in attributes]:
         raise KeyError(f"it lacks {lacking[0]}")
