@@ -30,7 +30,7 @@ from taichi_bearings.packing import Packing
 from taichi_bearings.packing.interface import SAME_STATE, Interface, bearing_states
 from taichi_bearings.packing.structure import self_stress_of
 from taichi_bearings.packing.system import acting, along_axes, odd_parts
-from taichi_bearings.proof.contact_state import ContactState, critical
+from taichi_bearings.proof.contact_state import ContactState, by_threshold, critical
 from taichi_bearings.quantities import STRUCTURE, Quantity, plain
 from taichi_bearings.scene import Scene, Solution
 from taichi_bearings.scene.initial_spins import cut_unit, cut_weights, minimum_cut_spin
@@ -86,8 +86,7 @@ class Structure:
         """Those between driven spheres stay, whatever the threshold."""
         if self.threshold is None:
             return self.found
-        told = np.where(self.slip > self.threshold, ContactState.SLIPPING, ContactState.SLIPLESS)
-        return np.where(self.found == ContactState.DRIVEN, self.found, told).astype(np.uint8)
+        return by_threshold(self.slip, self.found, self.threshold)
 
     def by_threshold(self: Kind, threshold: float) -> Kind:
         """The same sample by a threshold."""
