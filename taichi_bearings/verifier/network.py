@@ -311,8 +311,6 @@ class Network(OfLaw):
 
     def _is_needed(self, k: int) -> bool:
         """False if component k can be such that nothing slips along it: then that is so at every minimum."""
-        if not any(part.any() for part in self.imposed[k].parts[:2]):
-            return False
         label, odd, sign = self.signs(k)
         held = np.flatnonzero(~self.free)
         own = self.imposed[k].signed(sign).at(held)
@@ -384,17 +382,12 @@ class Motion:
             found.append(connected(first, second, len(network.free)))
         return found
 
-    @cached_property
-    def model(self) -> list[np.ndarray]:
-        """By component, (n,), the sphere as which each turns: of those of its domain a driven one if there is any, else
-        the first."""
-        held, found = np.flatnonzero(~self.network.free), []
-        for domain in self.domain:
-            model = np.empty(domain.max(initial=-1) + 1, dtype=np.int64)
-            for some in (np.arange(len(domain))[::-1], held):  # the last one written stays
-                model[domain[some]] = some
-            found.append(model[domain])
-        return found
+    def _models(self, k: int) -> np.ndarray:
+        """(n,), the sphere as which each turns: of those of its domain a driven one if there is any, else the first."""
+        held, domain = np.flatnonzero(~self.network.free), self.domain[k]
+        model = np.unique(domain, return_index=True)[1]
+        model[domain[held]] = held
+        return model[domain]
 
     @cached_property
     def torn(self) -> np.ndarray:
@@ -402,7 +395,7 @@ class Motion:
         network, found = self.network, np.zeros(self.network.count, dtype=bool)
         held = np.flatnonzero(~network.free)
         for k in (k for k in network.components if network.imposed[k].high.any()):
-            own, model = network.imposed[k].signed(network.sign[k]), self.model[k][held]
+            own, model = network.imposed[k].signed(network.sign[k]), self._models(k)[held]
             differs = np.any([part[held] != part[model] for part in own.parts[:2]], axis=0)
             found[held[differs] // (len(network.free) // network.count)] = True
         return found
@@ -410,7 +403,7 @@ class Motion:
     def difference(self, k: int, some: np.ndarray) -> Enclosure:
         """Of signed spins, of some contacts that feel component k."""
         network, (first, second) = self.network, self.network.contact[:, some]
-        own, model, domain = network.spin[k].signed(network.sign[k]), self.model[k], self.domain[k]
+        own, model, domain = network.spin[k].signed(network.sign[k]), self._models(k), self.domain[k]
         if (self.rests & ~network.still).any():
             own = own.at(model)
         differ, found = np.flatnonzero(domain[first] != domain[second]), Enclosure.exact(np.zeros(len(some)))
