@@ -292,7 +292,10 @@ class Network(OfLaw):
 
     @cached_property
     def needed(self) -> list[int]:
-        """Components that some minimum needs: along the others nothing slips at any minimum."""
+        """Components that some minimum needs: along the others nothing slips at any minimum. On a lattice layers turn
+        about the height as they like."""
+        if (samples := self.samples) is not None:
+            return [k for k in self.components if self.box[k] > 0 and samples.components[k] != samples.dimension - 1]
         return [k for k in self.components if self._is_needed(k)]
 
     def signs(self, k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -384,9 +387,10 @@ class Motion:
 
     def _models(self, k: int) -> np.ndarray:
         """(n,), the sphere as which each turns: of those of its domain a driven one if there is any, else the first."""
-        held, domain = np.flatnonzero(~self.network.free), self.domain[k]
-        model = np.unique(domain, return_index=True)[1]
-        model[domain[held]] = held
+        domain = self.domain[k]
+        model = np.empty(domain.max(initial=-1) + 1, dtype=np.intp)
+        for spheres in (np.arange(len(domain))[::-1], np.flatnonzero(~self.network.free)):
+            model[domain[spheres]] = spheres  # the last that is written stays
         return model[domain]
 
     @cached_property
