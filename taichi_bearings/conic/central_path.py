@@ -33,9 +33,11 @@ PRODUCT_SPREAD = 10.0  # correctors bring products into [target / PRODUCT_SPREAD
 Viscous = np.ndarray | None
 
 
-def friction_stiffness(friction: np.ndarray, difference: np.ndarray, share: float = np.inf) -> np.ndarray:
-    """Second derivative (d, d, n) of friction * |difference|, plus the weak LEAST_WORK / slip^2 along the slip,
-    which is at most `share` of that across it."""
+def friction_stiffness(
+    friction: np.ndarray, viscosity: np.ndarray | None, difference: np.ndarray, share: float = np.inf
+) -> np.ndarray:
+    """Second derivative (d, d, n) of friction * |difference| and, if there is a viscosity, viscosity * |difference|^2 /
+    2, plus the weak LEAST_WORK / slip^2 along the slip, which is at most `share` of that of friction across it."""
     size = length(difference)
     along = difference / size
     weak = np.minimum(LEAST_WORK / size**2, share * friction / size) if share < np.inf else LEAST_WORK / size**2
@@ -43,7 +45,7 @@ def friction_stiffness(friction: np.ndarray, difference: np.ndarray, share: floa
     if len(along) == 2:
         across = np.stack([-along[1], along[0]])
         stiffness = stiffness + (friction / size) * across[:, None] * across[None, :]
-    return stiffness
+    return stiffness if viscosity is None else stiffness + isotropic(difference, viscosity)
 
 
 def newton_step(iterate: Iterate, matrix: NewtonMatrix) -> Iterate:

@@ -96,7 +96,7 @@ class Iterate:
     @property
     def whole_dual(self) -> np.ndarray:
         """Minus the force of every contact, (d, n), with its viscous part."""
-        return self.dual if self.viscosity is None else self.dual - self.viscosity * self.difference
+        return whole_dual(self.dual, self.viscosity, self.difference)
 
     def to_balance(self, spins: np.ndarray) -> np.ndarray | float:
         """Torques (unknowns,) of the inertia."""
@@ -138,3 +138,8 @@ class Iterate:
     def gap(self) -> float:
         """(cost - lower bound) / cost for balanced forces."""
         return self.excess / max(self.cost, TINY)
+
+
+def whole_dual(dual: np.ndarray, viscosity: np.ndarray | None, difference: np.ndarray) -> np.ndarray:
+    """Minus the forces (d, n) of friction and, if there is any, viscosity."""
+    return dual if viscosity is None else dual - viscosity * difference

@@ -59,8 +59,8 @@ class LastDecades:
         friction, bound, difference, dual = (
             values[..., tied.kept] for values in (point.friction, point.bound, point.difference, point.dual)
         )
-        smooth = None if point.smooth is None else point.smooth[tied.kept]
-        left = Iterate(tied.system, spins[1], friction, bound, difference, dual, smooth)
+        smooth, viscosity = (None if v is None else v[tied.kept] for v in (point.smooth, point.viscosity))
+        left = Iterate(tied.system, spins[1], friction, bound, difference, dual, smooth, viscosity)
         matrix = NewtonMatrix(tied.system, tied.order, self._matrix.memory)
         return LastDecades(left, spins, tied.differences(spins), matrix)
 

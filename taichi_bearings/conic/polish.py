@@ -12,19 +12,30 @@ from taichi_bearings.conic.central_path import friction_stiffness
 from taichi_bearings.conic.cones import length
 from taichi_bearings.conic.contraction import Contraction
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
-from taichi_bearings.numerics.double_double import Pair, add, divide, exactly, multiply, square, square_root, subtract
+from taichi_bearings.numerics.double_double import (
+    Pair,
+    add,
+    divide,
+    exactly,
+    multiply,
+    scaled,
+    square,
+    square_root,
+    subtract,
+)
 
 MOST_POLISHING_STEPS, POLISHED_TORQUE = 20, 1e-31  # of Newton's method; torque, of the largest friction, that ends it
 MATRIX_CHANGE = 1e-2  # change of a slip by a step, of itself, from which on the matrix is made anew
 FREE_STIFFNESS = 1e-20  # stiffness along a slip, of that across it: for motions that nothing else resists
 MOST_SLIP_CHANGE = 0.5  # largest such change that is allowed
 SUM_BITS = 20  # bits that 2^20 numbers of one size may need in a sum without rounding
+Law = tuple[np.ndarray, np.ndarray | None]  # friction and viscosity, (n,) each
 
 
 def polished(
     tied: Contraction,
     matrix: NewtonMatrix,
-    friction: np.ndarray,
+    law: Law,
     spins: Pair,
     top: Pair | None,
     chosen: np.ndarray,
@@ -32,28 +43,28 @@ def polished(
     """Spins of the whole system, slips and duals (d, n) near the given ones, all torques in balance; and the
     samples (samples,), of those chosen, in which no slip is lost.
 
-    matrix, friction (n,), spins : of the contracted system. top : imposed on the top above each unknown of a sample;
+    matrix, law, spins : of the contracted system. top : imposed on the top above each unknown of a sample;
     None where imposed spins are doubles.
     """
     system = _PreciseSystem(tied, top)
-    balanced, fine = _balanced(system, matrix, friction, spins, chosen)
+    balanced, fine = _balanced(system, matrix, law, spins, chosen)
     slips = system.differences(balanced)
-    return system.expanded(balanced), slips[0], -_along(friction, slips)[0], fine
+    return system.expanded(balanced), slips[0], -_along(law[0], slips)[0], fine
 
 
 def _balanced(
-    system: "_PreciseSystem", matrix: NewtonMatrix, friction: np.ndarray, unknown: Pair, going: np.ndarray
+    system: "_PreciseSystem", matrix: NewtonMatrix, law: Law, unknown: Pair, going: np.ndarray
 ) -> tuple[Pair, np.ndarray]:
     """Newton's method until the torques do not fall any more, and where that leads anywhere; (samples,).
 
     going : samples that it is for.
     """
-    owners, strongest = system.owners, system.owners.largest(friction)
+    owners, strongest = system.owners, system.owners.largest(law[0])
     best, fine, least, factorised = unknown, np.zeros_like(going), np.full(len(going), np.inf), np.zeros_like(going)
     for _ in range(MOST_POLISHING_STEPS):
         precise = system.differences(unknown)
         slip = length(precise[0])
-        torques = system.torques(_along(friction, precise))
+        torques = system.torques(_forces(law, precise))
         size = owners.largest_of_spins(np.abs(torques))
         going = going & (size < least) & ~owners.any(slip == 0)
         best, fine = _chosen(going[owners.spins], unknown, best), fine | going
@@ -62,7 +73,7 @@ def _balanced(
             break
         least, anew, before = np.where(going, size, least), going & ~factorised, going
         if anew.any():
-            stiffness = friction_stiffness(friction, precise[0], FREE_STIFFNESS)
+            stiffness = friction_stiffness(*law, precise[0], FREE_STIFFNESS)
             going = going & (matrix.factorise_each(stiffness, anew) | ~anew)
         step = matrix.solve(-torques, going)
         change = owners.largest(length(system.contracted.change(step)) / slip)
@@ -129,6 +140,12 @@ class _PreciseSystem:
 
 def _multiples(values: np.ndarray, jump: np.ndarray) -> np.ndarray:
     return np.rint(np.divide(values, jump, out=np.zeros_like(values), where=jump != 0))
+
+
+def _forces(law: Law, difference: Pair) -> Pair:
+    friction, viscosity = law
+    held = _along(friction, difference)
+    return held if viscosity is None else add(held, scaled(viscosity, difference))
 
 
 def _along(friction: np.ndarray, difference: Pair) -> Pair:

@@ -23,7 +23,7 @@ from taichi_bearings.conic.central_path import LEAST_WORK, friction_stiffness
 from taichi_bearings.conic.cones import inner, length
 from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.conic.contraction import Contraction
-from taichi_bearings.conic.iterate import Iterate
+from taichi_bearings.conic.iterate import Iterate, whole_dual
 from taichi_bearings.conic.last_decades import LastDecades
 from taichi_bearings.conic.newton_matrix import MOST_NEWTON_STEPS, NewtonMatrix
 from taichi_bearings.conic.polish import polished
@@ -50,8 +50,9 @@ TINY = np.finfo(np.float64).tiny
 
 @dataclass(frozen=True)
 class Resolved:
-    """spins (unknowns,), difference and dual (d, n), minus the forces; masks (n,): slipping, critical, contacts that
-    bear all their friction and yet do not slip, and tied, those that slip at some minima and rest at others.
+    """spins (unknowns,), difference and dual (d, n), minus the forces of friction; masks (n,): slipping, critical,
+    contacts that bear all their friction and yet do not slip, and tied, those that slip at some minima and rest at
+    others. viscosity : as of iterates.
 
     heads : (unknowns,) mask of a spin each of all that turns as one and is tied to no driven plane.
 
@@ -68,6 +69,7 @@ class Resolved:
     rest: np.ndarray | None = None
     borne: bool = False
     tied: np.ndarray | None = None
+    viscosity: np.ndarray | None = None
 
     @property
     def ties(self) -> np.ndarray:
@@ -82,8 +84,8 @@ class Resolved:
 
     @property
     def whole_dual(self) -> np.ndarray:
-        """Minus the force of every contact: that of friction alone, for nothing else is resolved."""
-        return self.dual
+        """Minus the force of every contact, (d, n), with its viscous part."""
+        return whole_dual(self.dual, self.viscosity, self.difference)
 
 
 @dataclass(frozen=True)
@@ -127,10 +129,10 @@ def resolve(
 
 def _least(iterate: Iterate, settled: Resolved, lattice: Surroundings) -> Resolved | None:
     """The same, with what is known of other minima; None if the power is not that of the path."""
-    power = float(iterate.friction @ length(settled.difference))
-    if not -POWER_ABOVE < power / iterate.power - 1 < POWER_BELOW:
+    cost = replace(iterate, difference=settled.difference).cost
+    if not -POWER_ABOVE < cost / iterate.cost - 1 < POWER_BELOW:
         return None
-    if not settled.sure:
+    if not settled.sure or iterate.viscosity is not None:  # with viscosity all minima have the same slips
         return settled
     of_minimum = settled.difference, settled.dual, settled.slipping, settled.critical
     return replace(settled, tied=tied_contacts(lattice.system, lattice.order, iterate.friction, *of_minimum))
@@ -198,12 +200,13 @@ def _borne(
         slipping, critical = (
             np.concatenate([getattr(found, of) for _, found in some]) for of in ("slipping", "critical")
         )
-        dual = np.concatenate([np.where(found.slipping, found.dual, near[n]) for n, found in some], axis=1)
+        dual = np.concatenate([np.where(found.slipping, found.whole_dual, near[n]) for n, found in some], axis=1)
         friction = np.concatenate([iterates[number].friction for number, _ in some])
         heads = [found.heads for _, found in some]
         duals, fine = nearly_borne(lattice.system, lattice.matrix, friction, dual, slipping, critical, heads)
         for (number, found), whole, inside in zip(some, np.split(duals, len(some), axis=1), fine, strict=True):
-            settled[number] = replace(found, dual=whole, borne=True) if inside else None
+            dual = np.where(found.slipping, found.dual, whole)
+            settled[number] = replace(found, dual=dual, borne=True) if inside else None
     return settled
 
 
@@ -242,12 +245,14 @@ class _Slipping:
     """
 
     def __init__(self, iterates: Sequence[Iterate], slipping: Sequence[np.ndarray], lattice: Surroundings) -> None:
-        self.samples, whole = len(iterates), lattice.system.copies(len(iterates))
+        self.iterates, self.samples, whole = iterates, len(iterates), lattice.system.copies(len(iterates))
         self.tied = Contraction(whole, lattice.order, ~np.concatenate(slipping), self.samples)
         self.slipping = self.everywhere(np.ones(len(self.tied.kept), dtype=bool))
         parts = [self.tied.span(sample) for sample in range(self.samples)]
         self.matrix = NewtonMatrix(self.tied.system, self.tied.order, lattice.matrix.memory, parts=parts)
         self.friction = np.concatenate([iterate.friction for iterate in iterates])[self.tied.kept]
+        viscosity = [iterate.viscosity for iterate in iterates if iterate.viscosity is not None]
+        self.viscosity = np.concatenate(viscosity)[self.tied.kept] if viscosity else None
         self.balanced = np.zeros(self.samples, dtype=bool)
         self.spins: Pair
         self.difference: np.ndarray
@@ -266,13 +271,14 @@ class _Slipping:
         at_rest = (first == 0) & ~self.tied.contradicts[of_contacts]
         going = ~self.tied.contradicts & ~owners.any(at_rest)
         for count in range(MOST_NEWTON_STEPS):
-            torques = system.torques(self.dual)
+            torques = system.torques(whole_dual(self.dual, self.viscosity, self.difference))
             left = owners.largest_of_spins(np.abs(torques))
             self.balanced |= going & (left < (NEWTON_TORQUE if count < MOST_NEWTON_STEPS - 1 else ROUNDED_TORQUE))
             going = going & ~self.balanced
             if not going.any():
                 return at_rest
-            going = self.matrix.factorise_each(friction_stiffness(self.friction, self.difference, LEAST_WORK), going)
+            stiffness = friction_stiffness(self.friction, self.viscosity, self.difference, LEAST_WORK)
+            going = self.matrix.factorise_each(stiffness, going)
             step = self.matrix.solve(torques, going)
             change, slip = system.change(step), length(self.difference)
             turned = inner(self.difference + change, self.difference) <= 0
@@ -294,7 +300,7 @@ class _Slipping:
         if not self.balanced.any():
             return [None] * self.samples
         (spins, rest), difference, dual, fine = polished(
-            self.tied, self.matrix, self.friction, self.spins, top, self.balanced
+            self.tied, self.matrix, (self.friction, self.viscosity), self.spins, top, self.balanced
         )
         rests = np.split(rest, self.samples)
         precise, rough = self._each(spins, rests, difference, dual), []
@@ -309,7 +315,9 @@ class _Slipping:
     ) -> list[Resolved]:
         of_samples = np.split(spins, self.samples), self.everywhere(difference), self.everywhere(dual)
         critical = [np.zeros_like(mask) for mask in self.slipping]
-        return list(map(Resolved, *of_samples, self.slipping, critical, np.split(self.tied.heads, self.samples), rests))
+        heads = np.split(self.tied.heads, self.samples)
+        found = map(Resolved, *of_samples, self.slipping, critical, heads, rests)
+        return [replace(of, viscosity=iterate.viscosity) for of, iterate in zip(found, self.iterates, strict=True)]
 
     def everywhere(self, values: np.ndarray) -> list[np.ndarray]:
         """Values of slipping contacts with zeros for the others, sample by sample."""

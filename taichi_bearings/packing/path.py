@@ -92,7 +92,7 @@ def followed(system: System, friction: np.ndarray, viscosity: np.ndarray) -> Fou
     slack = SLACK * float(length(contacts.differences(spins)).mean())
     start = Iterate.start(contacts, spins, strength, slack, viscous if flows else None)
     start = start if (friction > 0).all() else replace(start, smooth=strength == 0)
-    settles, spheres = along is not None and not flows, len(np.unique(system.sphere))
+    settles, spheres = along is not None, len(np.unique(system.sphere))
     small = settles and spheres < SMALL_SPHERES
     descent = Descent(Surroundings(contacts, order, matrix, None), spheres, small, settles)
     sample = Sample(start, unit)
@@ -104,7 +104,7 @@ def followed(system: System, friction: np.ndarray, viscosity: np.ndarray) -> Fou
     if settled is None:
         spins, dual, slipping, open_ = _settled(system, sample.iterate, matrix)
     else:
-        spins, dual, slipping = settled.spins, settled.dual, settled.slipping
+        spins, dual, slipping = settled.spins, settled.whole_dual, settled.slipping
         ties = settled.ties | settled.critical
     force = _across(system, contacts, sign, -unit * dual)
     spins = spins if sign is None else sign[system.moved >= 0] * spins

@@ -7,8 +7,8 @@ on there are an upper and a lower bound. Eliminating the bounds from the Newton 
 the free spins, which is factorised once a step (taichi_bearings.numerics.cholesky).
 
 Viscosity adds half its power to what is least, and its stiffness to that Laplacian. Near the end the contact states are
-settled: exactly, with a proof, where resolution.py can and friction acts alone; else by the ratio of slip and friction
-margin, which the central path drives apart.
+settled: exactly, with a proof, where resolution.py can; else by the ratio of slip and friction margin, which the
+central path drives apart.
 """
 
 import threading
@@ -86,8 +86,8 @@ class InteriorPointMethod(Descent):
         sphere = (len(self.spin_axes), 1, *scene.lattice.shape)
         high, low = (free_spins(np.broadcast_to(part[:, None, ..., None], sphere))[0] for part in top)  # above each
         shared = Surroundings(self.system, order, matrix, (high, low))
-        small, settles = scene.lattice.sites < BATCHED_SITES, scene.law.is_rate_independent
-        super().__init__(shared, scene.lattice.sites, small, settles, self.options.settle)
+        small = scene.lattice.sites < BATCHED_SITES
+        super().__init__(shared, scene.lattice.sites, small, True, self.options.settle)
         if self.frustrated:
             compile_passes()  # all before the clock starts
             matrix.compile()  # the last sample may be alone

@@ -102,7 +102,7 @@ def test_stiffness_is_that_of_the_scaling_or_of_the_law(contacts):
     entries = aligned_zeros(3 * COUNT * samples, 8).reshape(-1, samples)
     contacts.rows.add_stiffnesses(entries)
     expected, slip, smooth = contacts.scaling.newton_blocks()[2], contacts.slip, contacts.smooth
-    along, law = slip / length(slip), friction_stiffness(contacts.friction, slip)
+    along, law = slip / length(slip), friction_stiffness(contacts.friction, None, slip)
     law = law + (1e-3 - 1e-14) / length(slip) ** 2 * along[:, None] * along[None]  # as asked for
     scale = np.where(smooth, np.abs(law), np.abs(expected)).max(axis=(0, 1))
     for found, (i, j) in zip(entries[:, contacts.sample].reshape(3, -1), ((0, 0), (0, 1), (1, 1)), strict=True):

@@ -181,7 +181,7 @@ def test_a_threshold_of_the_user_only_turns_slipping_contacts_into_slipless_ones
 
 
 def test_auto_keeps_a_stalled_answer_that_no_other_method_goes_on_from():
-    settings = RunSettings(shape=(3, 3, 4), law="coulomb-viscous", tolerance=1e-15, threads=1)
+    settings = RunSettings(shape=(3, 3, 4), law="coulomb-viscous", tolerance=1e-18, threads=1)
     solution = solve_job(prepare(settings))
     assert solution.status is Status.STALLED
     assert solution.gap[0] < 1e-8
@@ -192,6 +192,24 @@ def test_a_sample_with_slips_of_all_sizes_is_settled():
     solution = minimum_of(make_scene((16, 16, 16), seeds=(31,)))
     assert solution.states_proven[0]
     assert (solution.state == ContactState.SLIPPING).sum() == 3641
+
+
+def test_friction_with_viscosity_is_settled_to_slips_of_all_sizes():
+    """Of 16^3 seed 1 a step before the last 4136 contacts seem to slip; 4113 do, one by 7e-15 of the fastest."""
+    solution = minimum_of(make_scene((16, 16, 16), law="coulomb-viscous", seeds=(1,)))
+    assert solution.states_proven[0] and solution.gap[0] < 3e-15
+    slips = solution.slip[solution.state == ContactState.SLIPPING]
+    assert (len(slips), slips.min() < 1e-14) == (4113, True)
+
+
+@pytest.mark.parametrize("viscosity", ["constant:1e-12", "power-law:1e-8,1e2,-1", "uniform:1e5,1e6"])
+def test_weak_and_strong_viscosity_beside_friction_are_settled(viscosity):
+    """The weakest leaves the states of friction alone."""
+    scene = make_scene((5, 6, 5), law="coulomb-viscous", viscosity=viscosity, seeds=(2, 3))
+    solution = minimum_of(scene)
+    assert solution.states_proven.all() and solution.gap.max() < 5e-15
+    if viscosity == "constant:1e-12":
+        assert (solution.state == minimum_of(make_scene((5, 6, 5), seeds=(2, 3))).state).all()
 
 
 def test_contacts_that_only_rounding_lets_slip_are_looked_at_again():
