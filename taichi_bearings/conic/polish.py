@@ -22,6 +22,7 @@ from taichi_bearings.numerics.double_double import (
     square,
     square_root,
     subtract,
+    two_sum,
 )
 
 MOST_POLISHING_STEPS, POLISHED_TORQUE = 20, 1e-31  # of Newton's method; torque, of the largest friction, that ends it
@@ -47,7 +48,7 @@ def polished(
     None where imposed spins are doubles.
     """
     system = _PreciseSystem(tied, top)
-    balanced, fine = _balanced(system, matrix, law, spins, chosen)
+    balanced, fine = _balanced(system, matrix, law, two_sum(*spins), chosen)  # small parts may be no mere rounding
     slips = system.differences(balanced)
     return system.expanded(balanced), slips[0], -_along(law[0], slips)[0], fine
 

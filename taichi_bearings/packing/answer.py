@@ -10,6 +10,7 @@ from scipy import sparse
 from taichi_bearings import runtime
 from taichi_bearings.errors import InputError
 from taichi_bearings.numerics.blas import one_thread
+from taichi_bearings.numerics.double_double import Pair, divide, exactly
 from taichi_bearings.packing import planar
 from taichi_bearings.packing.motions import order_of, slipless_motions
 from taichi_bearings.packing.packing import Packing, Packings
@@ -79,24 +80,26 @@ def _found(system: System, method: str) -> Found:
     fastest, largest = units.tolist()
     scaled = replace(system, offset=system.offset / fastest, known=system.known / fastest)
     end = followed(scaled, held / largest, viscosity * fastest / largest)
-    return replace(end, spins=end.spins * fastest, force=end.force * largest)
+    rest = None if end.rest is None else end.rest * fastest
+    return replace(end, spins=end.spins * fastest, rest=rest, force=end.force * largest)
 
 
-def spins_of(packing: Packing, u: np.ndarray) -> np.ndarray:
+def spins_of(packing: Packing, u: Pair) -> Pair:
     """Spins (N, 3), of discs (N,), of u = R omega (N, C); those of driven spheres bit by bit as they are imposed."""
-    spin = u / np.asarray(packing.radius)[:, None]
-    spin = spin[:, 0] if packing.dimension == 2 else spin
-    spin[packing.driven >= 0] = packing.spin[packing.driven >= 0]
-    return spin
+    held, shape = packing.driven >= 0, packing.spin.shape
+    spin, rest = (part.reshape(shape) for part in divide(u, exactly(np.asarray(packing.radius)[:, None])))
+    spin[held], rest[held] = packing.spin[held], 0.0
+    return spin, rest
 
 
 def judged(system: System, found: Found, tolerance: float) -> Solution:
     """What was found, with all that is proven of it."""
     packing, law = system.packing, system.packing.kind
     u = system.all_spins(found.spins) if found.everywhere is None else found.everywhere
-    spin = spins_of(packing, np.nan_to_num(u, posinf=0.0, neginf=0.0))
+    rest = np.append(np.zeros(system.unknowns) if found.rest is None else found.rest, 0.0)[system.moved]
+    spin, rounding = spins_of(packing, (np.nan_to_num(u, posinf=0.0, neginf=0.0), rest))
     force, friction = forces_of(system, np.nan_to_num(found.force, posinf=0.0, neginf=0.0))
-    judgement = Judgement(StoredPacking(law.name, packing.arrays(), spin, friction))
+    judgement = Judgement(StoredPacking(law.name, packing.arrays(), spin, rounding, friction))
     if not judgement.can_be_judged:
         raise InputError(
             "the spins imposed are too small or too large to be judged; the largest must be above 1e-100 length/time"
@@ -110,7 +113,7 @@ def judged(system: System, found: Found, tolerance: float) -> Solution:
         status=Status.CERTIFIED if judgement.gap[0] <= tolerance else Status.STALLED,
         iterations=found.steps,
         spin=spin[None],
-        spin_rounding=np.zeros((1, *spin.shape)),
+        spin_rounding=rounding[None],
         slip=slip,
         power_per_contact=law.power(packing.coefficients, slip),
         force=force[None],

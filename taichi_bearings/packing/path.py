@@ -107,11 +107,14 @@ def followed(system: System, friction: np.ndarray, viscosity: np.ndarray) -> Fou
         spins, dual, slipping = settled.spins, settled.whole_dual, settled.slipping
         ties = settled.ties | settled.critical
     force = _across(system, contacts, sign, -unit * dual)
-    spins = spins if sign is None else sign[system.moved >= 0] * spins
+    rest = None if settled is None else settled.rest
+    if sign is not None:
+        own = sign[system.moved >= 0]
+        spins, rest = own * spins, None if rest is None else own * rest
     slips, opens, tie = (
         None if of is None else _everywhere(contacts, of, len(friction)) for of in (slipping, open_, ties)
     )
-    return Found(spins, force, "interior-point", slips, tie, sample.steps, open=opens)
+    return Found(spins, force, "interior-point", slips, tie, sample.steps, open=opens, rest=rest)
 
 
 @np.errstate(all="ignore")

@@ -118,7 +118,8 @@ class System:
 
 @dataclass(frozen=True)
 class Found:
-    """What a method has found. spins (unknowns,), force (d, A) in units of force. steps : factorisations.
+    """What a method has found. spins (unknowns,), force (d, A) in units of force. steps : factorisations. rest :
+    (unknowns,), what rounding leaves out of the spins.
 
     slips : (A,), of contacts that are settled, but for some that are `open`, (A,), and slip by more than rounding,
     though less than friction allows; and there ties : (A,) those that are not the same at all minima, or bear all their
@@ -133,6 +134,7 @@ class Found:
     steps: int = 0
     everywhere: np.ndarray | None = None
     open: np.ndarray | None = None
+    rest: np.ndarray | None = None
 
 
 def along_axes(packing: Packing, contact: np.ndarray) -> bool:

@@ -22,6 +22,7 @@ from taichi_bearings.fields.lists import Lists, ListSpec
 from taichi_bearings.kernels.team import Team, made_once
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
+from taichi_bearings.numerics.double_double import exactly
 from taichi_bearings.packing.answer import forces_of, spins_of
 from taichi_bearings.packing.checks import sizes
 from taichi_bearings.packing.interface import Interface
@@ -232,8 +233,8 @@ class Network:
     def _proven_by(self, force: np.ndarray, spins: np.ndarray) -> float:
         """What these forces (d, A) prove, beside spins (C, 1, N); energy/time."""
         packing, friction = self.packing, forces_of(self.proof[0], force)[1]
-        spin = spins_of(packing, spins[:, 0].T)
-        judgement = Judgement(StoredPacking(self.law.name, packing.arrays(), spin, friction))
+        spin = spins_of(packing, exactly(spins[:, 0].T))
+        judgement = Judgement(StoredPacking(self.law.name, packing.arrays(), *spin, friction))
         return float(judgement.lower_bound[0]) if judgement.can_be_judged else 0.0
 
     def _balanced(self, force: np.ndarray) -> np.ndarray:

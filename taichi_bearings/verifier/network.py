@@ -29,18 +29,19 @@ LEAST_SPEED = 1e-100  # of the fastest surface that is imposed
 @dataclass(frozen=True)
 class StoredPacking(OfLaw):
     """arrays by name: center (N, D), contact (E, 2), driven (N,), spin (N, 3) or (N,), radius (N,), normal (E, D),
-    friction, normal_force (E,) and, with the law coulomb-viscous, viscosity (E,). spin : of all spheres.
-    friction : (E, 3) or (E,)."""
+    friction, normal_force (E,) and, with the law coulomb-viscous, viscosity (E,). spin, spin_rounding : of all spheres;
+    the spin is the sum of the two. friction : (E, 3) or (E,)."""
 
     law: str
     arrays: dict[str, np.ndarray]
     spin: np.ndarray
+    spin_rounding: np.ndarray
     friction: np.ndarray
     count = 1
 
     @property
     def is_finite(self) -> bool:
-        return bool(np.isfinite(self.spin).all() and np.isfinite(self.friction).all())
+        return all(np.isfinite(values).all() for values in (self.spin, self.spin_rounding, self.friction))
 
 
 @dataclass(frozen=True)
@@ -123,27 +124,37 @@ class Network(OfLaw):
         spin, imposed = spin.reshape(count, parts), packing["spin"].reshape(count, parts)
         friction = friction.reshape(contacts, parts)
         spin = np.where(free[:, None], spin, imposed)
+        rounding = np.where(free[:, None], stored.spin_rounding.reshape(count, parts), 0.0)
+        # where all radii are the same, speeds are measured in it, and none is rounded
+        unit, radius = (float(radius[0]), np.ones(count)) if (radius == radius[0]).all() else (1.0, radius)
         fastest = float(np.abs(spin * radius[:, None])[~free].max(initial=0.0)) or 1.0
         holds, flows = LAWS[law]
         first = packing["friction"] * (packing["normal_force"] if holds else 1.0)
         damping = packing.get("viscosity") if holds else packing["friction"]
         slope = damping if flows and damping is not None else np.zeros(contacts)
-        largest = max(float((first if holds else 0 * first).max(initial=0.0)), float(slope.max(initial=0.0)) * fastest)
-        if not (LEAST_SPEED < fastest < MOST_SCALE and (LEAST_SCALE < largest < MOST_SCALE or not largest)):
+        largest = max(
+            float((first if holds else 0 * first).max(initial=0.0)), float(slope.max(initial=0.0)) * unit * fastest
+        )
+        if not all(LEAST_SPEED < fast < MOST_SCALE for fast in (fastest, fastest * unit)):
+            return None
+        if largest and not LEAST_SCALE < largest < MOST_SCALE:
             return None
         speed, force = power_of_two(fastest), power_of_two(largest)
         acts = ((first > 0) | (slope > 0)) & free[packing["contact"]].any(axis=1)
         with np.errstate(over="ignore"):
-            spin, friction = spin / speed, friction / force
-        if not all((np.abs(values) < MOST_SCALE).all() for values in (spin, spin * radius[:, None], friction)):
+            spin, rounding, friction = spin / speed, rounding / speed, friction / force
+        sizes = (spin, rounding, spin * radius[:, None], rounding * radius[:, None], friction)
+        if not all((np.abs(values) < MOST_SCALE).all() for values in sizes):
             return None
         zero = Enclosure.exact(np.zeros(contacts))
-        moving = [Enclosure.exact(part).times(radius) for part in spin.T]
+        moving = [Enclosure.exact(*part) for part in zip(spin.T, rounding.T, strict=True)]
+        moving = moving if (radius == 1).all() else [part.times(radius) for part in moving]
         moment = moments([Enclosure.exact(np.where(acts, part, 0.0)) for part in friction.T], packing["normal"])
         return cls(
-            law, 1, packing["center"], packing["contact"].T, packing["normal"], free, speed, force, moving, moment,
+            law, 1, packing["center"], packing["contact"].T, packing["normal"], free, speed * unit, force, moving,
+            moment,
             Enclosure.exact(packing["friction"] / force).times(packing["normal_force"]) if holds else zero,
-            Enclosure.exact(slope * (speed / force)) if flows else zero,
+            Enclosure.exact(slope * (speed / force)).times(np.array([unit])) if flows else zero,
             [part.where(~free) for part in moving], friction,
         )  # fmt: skip
 

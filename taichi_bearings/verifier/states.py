@@ -47,7 +47,7 @@ from taichi_bearings.verifier.ties import MISSED_LIMIT, tied_states
 
 PROVEN_AT_ONCE = 200_000  # spheres of the samples that are proven at once, at most
 MOST_LEVELS = 100  # steps of imposed values of a part that are looked at, the largest
-STILL = 1e-12  # of the fastest imposed component, below which slips of packings may be none
+STILL, STILL_IN_PAIRS = 1e-12, 1e-28  # of the fastest imposed component, below which slips of packings may be none
 CLEAR_RATIO = 10  # of slips over the jump to rooms over the friction, from which damping leaves the state clear
 AT_REST = 1e-9  # of the fastest imposed component, up to which a slip may well be none
 CLEAR_ROOM = 1e-3  # of its friction, from which a contact may well rest
@@ -209,8 +209,12 @@ def _by_curvature(network: Network, bound: np.ndarray) -> list[States]:
     each half of them; of each alone where friction is repeated, so that there may be ties."""
     samples, count = network.samples, network.count
     if samples is None:
-        known = _by_domains(network, network.counts & (network.slip.value <= STILL * network.box.max()), bound)
-        return _nothing(network, known) if isinstance(known, str) else _samples(network, known, "", None)
+        known: np.ndarray | str = ""
+        for still in (STILL_IN_PAIRS, STILL):  # spins can be known in twice the precision
+            known = _by_domains(network, network.counts & (network.slip.value <= still * network.box.max()), bound)
+            if not isinstance(known, str):
+                return _samples(network, known, "", None)
+        return _nothing(network, known)
     if count == 1:
         return [_of_lattice(network)]
     if _repeats(network):

@@ -237,8 +237,9 @@ def _packing(
     for name in ("contact", "driven"):
         arrays[name] = arrays[name].astype(np.int64)
     spin, friction = get("spin", (count, *parts))[0], get("contact/friction", (contacts, *parts))[0]
+    rounding = get("spin_rounding", (count, *parts))[0] if "spin_rounding" in file else np.zeros_like(spin)
     return (
-        StoredPacking(law, arrays, spin, friction),
+        StoredPacking(law, arrays, spin, rounding, friction),
         {"contact": (contacts,)},
         {"spin", *(f"packing/{n}" for n in arrays)},
     )

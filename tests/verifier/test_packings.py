@@ -181,7 +181,11 @@ def test_rest_is_not_proven_where_a_normal_is_off_by_its_last_digit(kind):
         normal = found.packing.normal.copy()
         normal[contact] = np.nextafter(normal[contact], [1, -1, 1])
         packing = tb.Packing(**found.packing.arrays() | {"normal": normal})
-        proven = Judgement(StoredPacking("coulomb", packing.arrays(), found.spin, found.friction)).states[0].proven
+        proven = (
+            Judgement(StoredPacking("coulomb", packing.arrays(), found.spin, found.spin_rounding, found.friction))
+            .states[0]
+            .proven
+        )
         if not (proven[found.state != 3] == 2).any():  # this one closes no loop, or is in one that stands still
             assert surplus_and_rest(packing, proven == 0)[1]
             proofs += 1
@@ -202,7 +206,9 @@ def test_all_states_of_oblique_contacts_are_proven_and_no_false_ones(kind):
     for size in sizes:
         spin = found.spin + size * free[:, None] * rng.standard_normal(found.spin.shape)
         friction = found.friction * (1 + size * rng.standard_normal(len(found.slip)))[:, None]
-        proven = Judgement(StoredPacking("coulomb", packing.arrays(), spin, friction)).states[0].proven
+        proven = (
+            Judgement(StoredPacking("coulomb", packing.arrays(), spin, np.zeros_like(spin), friction)).states[0].proven
+        )
         acts = found.state != 3
         assert ((proven == found.proven) | (proven == 2))[acts].all()
         proofs += not (proven[acts] == 2).any()
@@ -211,7 +217,9 @@ def test_all_states_of_oblique_contacts_are_proven_and_no_false_ones(kind):
     weak = packing.friction.copy()
     weak[rests[0]] = 0.99 * found.force[rests[0]] / np.broadcast_to(packing.normal_force, weak.shape)[rests[0]]
     arrays = packing.arrays() | {"friction": weak}
-    proven = Judgement(StoredPacking("coulomb", arrays, found.spin, found.friction)).states[0].proven
+    proven = (
+        Judgement(StoredPacking("coulomb", arrays, found.spin, found.spin_rounding, found.friction)).states[0].proven
+    )
     assert proven[rests[0]] == 2
 
 
@@ -351,7 +359,7 @@ def test_friction_out_of_balance_is_paid_for():
     packing = tb.Packing.lattice("fcc", KINDS["fcc"], seed=2)
     found = tb.solve(packing)
     wrong = found.friction * np.random.default_rng(0).uniform(0.9, 1.1, (packing.contacts, 1))
-    bounds = Judgement(StoredPacking("coulomb", packing.arrays(), found.spin, wrong))
+    bounds = Judgement(StoredPacking("coulomb", packing.arrays(), found.spin, found.spin_rounding, wrong))
     assert 0 <= bounds.lower_bound <= found.power
     assert bounds.gap > 1e-3
 
@@ -365,7 +373,7 @@ def poorer(found, rng):
     if packing.dimension == 3:
         noise -= packing.normal * (noise * packing.normal).sum(axis=1, keepdims=True)
     friction = (scale * (1 - size * rng.integers(0, 2)) + noise).reshape(found.friction.shape)
-    return Judgement(StoredPacking(packing.law.name, packing.arrays(), spin, friction))
+    return Judgement(StoredPacking(packing.law.name, packing.arrays(), spin, np.zeros_like(spin), friction))
 
 
 @pytest.mark.parametrize("seed", some_of(36, 5))
