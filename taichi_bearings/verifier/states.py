@@ -209,12 +209,13 @@ def _by_curvature(network: Network, bound: np.ndarray) -> list[States]:
     each half of them; of each alone where friction is repeated, so that there may be ties."""
     samples, count = network.samples, network.count
     if samples is None:
-        known: np.ndarray | str = ""
+        reason = ""
         for still in (STILL_IN_PAIRS, STILL):  # spins can be known in twice the precision
             known = _by_domains(network, network.counts & (network.slip.value <= still * network.box.max()), bound)
             if not isinstance(known, str):
                 return _samples(network, known, "", None)
-        return _nothing(network, known)
+            reason = known
+        return _nothing(network, reason)
     if count == 1:
         return [_of_lattice(network)]
     if _repeats(network):
