@@ -15,6 +15,7 @@ margins of 1e-9 can, and double precision ends before. Here
 
 from collections.abc import Sequence
 from contextlib import suppress
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -172,15 +173,16 @@ def _over_tied(
 
     Slipless contacts begin with their forces in the end. Where minima may tie, a path with others tied can change these
     a lot, so those of before are tried too."""
-    none, tied = np.zeros_like(sticking), Contraction(lattice.system, lattice.order, sticking)
-    rest = path.over(tied)
-    left = None if tied.contradicts.any() else rest.decide(to_the_end=to_the_end)
+    none, later = np.zeros_like(sticking), path.point.dual.copy()
+    tied = Contraction(lattice.system, lattice.order, sticking) if sticking.any() else None
+    rest = path.over(tied) if tied else copy(path)
+    left = None if tied and tied.contradicts.any() else rest.decide(to_the_end=to_the_end)
     if left is None:
         return None, none
-    slipping, critical, sticking, later = none.copy(), none.copy(), none.copy(), path.point.dual.copy()
-    slipping[tied.kept], critical[tied.kept], sticking[tied.kept] = left, rest.critical, rest.sticking
-    later[:, tied.kept] = rest.point.dual
-    (found,) = _minima([iterate], [tied.expanded(rest.spins)], [slipping], lattice)
+    slipping, critical, sticking, kept = none.copy(), none.copy(), none.copy(), tied.kept if tied else slice(None)
+    slipping[kept], critical[kept], sticking[kept] = left, rest.critical, rest.sticking
+    later[:, kept] = rest.point.dual
+    (found,) = _minima([iterate], [tied.expanded(rest.spins) if tied else rest.spins], [slipping], lattice)
     if found is not None and critical.any():  # as are those that Newton's method has brought to rest
         found = replace(found, critical=(critical | slipping) & ~found.slipping)
     earlier = np.where(critical | (path.point.slip_over_margin > 1), later, path.point.dual)
