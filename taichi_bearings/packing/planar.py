@@ -104,23 +104,23 @@ def _nested(cover: _Cover) -> np.ndarray:
     """
     twin, rounds = cover.mirror >= 0, list[_Round]()
     lowest = _levels(cover, np.zeros_like(twin), rounds)
-    if not twin.any():
+    if not twin.any() or not len(cover.values):
         return lowest
-    image = _levels(cover, twin, rounds)[cover.mirror[twin]]
-    opposite = np.searchsorted(cover.values, -cover.values[image])
-    own = lowest[: cover.free][twin]
+    highest = _levels(cover, twin, rounds)
+    own, image = lowest[: cover.free][twin], highest[cover.mirror[twin]]
+    opposite = np.minimum(np.searchsorted(cover.values, -cover.values), len(cover.values) - 1)[image]
     lowest[: cover.free][twin] = np.where((own > cover.rest) | (image <= cover.rest), own, opposite)
     return lowest
 
 
-_Round = tuple[np.ndarray, np.ndarray, np.ndarray, tuple[np.ndarray, ...]]  # ranges, middle, and what a flow leaves
+_Round = tuple[np.ndarray, np.ndarray, np.ndarray, tuple[np.ndarray, ...]]  # what _halved gives
 
 
 def _levels(cover: _Cover, largest: np.ndarray, rounds: list[_Round]) -> np.ndarray:
-    """Level (nodes,) of each node, from `rest` on of those with a copy, by the smallest sides of all cuts, or the
-    largest ones where `largest` (free,) says so: all ranges of levels are halved at once, by one flow.
+    """Level (nodes,) of each node, of those with a copy from `rest` on: all ranges of levels are halved at once, by one
+    flow. Where cuts tie, by the smallest source sides, or the largest ones of the nodes that are `largest` (free,).
 
-    rounds : of before, whose flows serve again as long as ranges are the same.
+    rounds : of a search before; as long as ranges are the same its flows serve again. Gets those of this one.
     """
     levels, count = np.arange(len(cover.values)), 0
     least = np.concatenate([np.where(cover.mirror >= 0, cover.rest, 0), levels])
@@ -129,10 +129,10 @@ def _levels(cover: _Cover, largest: np.ndarray, rounds: list[_Round]) -> np.ndar
     while (open_ := least < most).any():
         if count == len(rounds) or not np.array_equal(rounds[count][:2], (least, most)):
             rounds[count:] = [_halved(cover, least, most)]
-        middle, (row, column, start, end) = rounds[count][2:]
-        upper = led_to(len(least), row, column, start)
+        middle, (row, column, fed, drained) = rounds[count][2:]
+        upper = led_to(len(least), row, column, fed)
         if largest.any():
-            upper = np.where(largest, ~led_to(len(least), column, row, end), upper)
+            upper = np.where(largest, ~led_to(len(least), column, row, drained), upper)
         least = np.where(open_ & upper, middle, least)
         most = np.where(open_ & ~upper, middle - 1, most)
         count += 1
@@ -140,8 +140,8 @@ def _levels(cover: _Cover, largest: np.ndarray, rounds: list[_Round]) -> np.ndar
 
 
 def _halved(cover: _Cover, least: np.ndarray, most: np.ndarray) -> _Round:
-    """One cut of all ranges that are open: arcs that a largest flow leaves, from whose starts the smallest source sides
-    are reached, and from their ends backwards the smallest sink sides."""
+    """A cut of all ranges that are open: least and greatest level of each node, the middle from which on its upper part
+    begins, and what a largest flow leaves: arcs, from row to column, the nodes that still could be fed, and drained."""
     middle, (low, high), open_ = (least + most + 1) // 2, (cover.low, cover.high), least < most
     together = (least[low] == least[high]) & (most[low] == most[high]) & open_[low]
     source, sink = np.zeros((2, len(least)), dtype=np.int64)
