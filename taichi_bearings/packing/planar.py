@@ -113,7 +113,8 @@ def _nested(cover: _Cover) -> np.ndarray:
     return lowest
 
 
-_Round = tuple[np.ndarray, np.ndarray, np.ndarray, tuple[np.ndarray, ...]]  # what _halved gives
+_Arcs = tuple[np.ndarray, np.ndarray, np.ndarray]  # from, to, and the nodes to start at
+_Round = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, _Arcs]  # what _halved gives
 
 
 def _levels(cover: _Cover, largest: np.ndarray, rounds: list[_Round]) -> np.ndarray:
@@ -129,10 +130,9 @@ def _levels(cover: _Cover, largest: np.ndarray, rounds: list[_Round]) -> np.ndar
     while (open_ := least < most).any():
         if count == len(rounds) or not np.array_equal(rounds[count][:2], (least, most)):
             rounds[count:] = [_halved(cover, least, most)]
-        middle, (row, column, fed, drained) = rounds[count][2:]
-        upper = led_to(len(least), row, column, fed)
+        middle, upper, backwards = rounds[count][2:]
         if largest.any():
-            upper = np.where(largest, ~led_to(len(least), column, row, drained), upper)
+            upper = np.where(largest, ~led_to(len(least), *backwards), upper)
         least = np.where(open_ & upper, middle, least)
         most = np.where(open_ & ~upper, middle - 1, most)
         count += 1
@@ -140,8 +140,9 @@ def _levels(cover: _Cover, largest: np.ndarray, rounds: list[_Round]) -> np.ndar
 
 
 def _halved(cover: _Cover, least: np.ndarray, most: np.ndarray) -> _Round:
-    """A cut of all ranges that are open: least and greatest level of each node, the middle from which on its upper part
-    begins, and what a largest flow leaves: arcs, from row to column, the nodes that still could be fed, and drained."""
+    """A cut of all ranges that are open. Of each node: least and greatest level, the middle from which on the upper
+    half begins, and True on the smallest source side. Then what a largest flow leaves, backwards from the nodes that
+    could still be drained: they reach the smallest sink side."""
     middle, (low, high), open_ = (least + most + 1) // 2, (cover.low, cover.high), least < most
     together = (least[low] == least[high]) & (most[low] == most[high]) & open_[low]
     source, sink = np.zeros((2, len(least)), dtype=np.int64)
@@ -153,7 +154,8 @@ def _halved(cover: _Cover, least: np.ndarray, most: np.ndarray) -> _Round:
     inner, into, out = _flow(len(least), (ends[0], ends[1]), weight, source, sink)
     left = np.concatenate([weight - inner, weight + inner]) > 0
     row, column = np.concatenate([ends, ends[::-1]], axis=1)[:, left]
-    return least, most, middle, (row, column, np.flatnonzero(source > into), np.flatnonzero(sink > out))
+    upper = led_to(len(least), row, column, np.flatnonzero(source > into))
+    return least, most, middle, upper, (column, row, np.flatnonzero(sink > out))
 
 
 def _flow(
