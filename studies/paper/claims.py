@@ -119,6 +119,10 @@ class Effort:
     samples: int = SAMPLES
     quick: bool = False
 
+    def seeds(self, number: int) -> range:
+        """So many, from the first on."""
+        return range(self.seed, self.seed + number)
+
 
 @dataclass(frozen=True)
 class Share:
