@@ -19,6 +19,7 @@ from scipy.special import betaincinv
 
 from taichi_bearings.analysis.statistics import CONFIDENCE as MEAN_CONFIDENCE
 from taichi_bearings.analysis.statistics import FEW_SAMPLES, LEAST_SAMPLES, MANY_SAMPLES, mean_interval
+from taichi_bearings.runs.settings import read_toml
 from taichi_bearings.words import counted
 
 VERDICTS = {
@@ -117,6 +118,10 @@ class Effort:
     seed: int = 0
     samples: int = SAMPLES
     quick: bool = False
+
+    def seeds(self, number: int) -> range:
+        """So many, from the first on."""
+        return range(self.seed, self.seed + number)
 
 
 @dataclass(frozen=True)
@@ -247,12 +252,7 @@ class _Sentences(string.Formatter):
 @lru_cache
 def sentences(figure: str) -> dict[str, dict[str, Any]]:
     """The claims of a figure by name, as its file has them."""
-    try:
-        import tomllib
-    except ModuleNotFoundError:  # Python 3.10
-        import tomli as tomllib
-    path = Path(__file__).parent / "claims" / f"{figure}.toml"
-    return dict(tomllib.loads(path.read_text(encoding="utf-8")))
+    return read_toml(Path(__file__).parent / "claims" / f"{figure}.toml")
 
 
 def claims_of(figure: str, named: Mapping[str, Any]) -> list[Claim]:

@@ -6,15 +6,15 @@ from typing import Any
 import numpy as np
 
 
-def spread_and_error(samples: Iterable[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Standard deviations and their errors."""
-    pairs = [(of.std(), of.std() / (2 * len(of)) ** 0.5) for of in samples]
-    return np.array([spread for spread, _ in pairs]), np.array([error for _, error in pairs])
+def draw_deviations(axes: Any, found: Mapping[int, np.ndarray], **look: Any) -> None:
+    """Standard deviations of samples with their errors against the size. look : as of errorbar."""
+    pairs = [(of.std(), of.std() / (2 * len(of)) ** 0.5) for of in found.values()]
+    axes.errorbar(list(found), *zip(*pairs, strict=True), **{"fmt": "o", "ms": 3, "lw": 0.8, **look})
 
 
-def draw_growth(axes: Any, sizes: np.ndarray, fit: Any, color: str, text: str) -> None:
-    """The fitted growth of a standard deviation; fit : Exponent."""
-    sizes = sizes[sizes >= fit.smallest]
+def draw_growth(axes: Any, found: Mapping[int, np.ndarray], fit: Any, color: str, text: str) -> None:
+    """The fitted growth of the deviations of samples, by size; fit : Exponent."""
+    sizes = np.array([L for L in found if fit.smallest <= L])
     law = np.sqrt(np.maximum(fit.amplitude * sizes ** (2 * fit.value) + fit.offset, 0.0))
     axes.plot(sizes, law, color=color, lw=1, label=text)
 

@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from taichi_bearings.plots.style import BLUE, GREY, ORANGE, in_our_style, new_figure
 
 from .claims import Effort
-from .drawing import draw_growth, name_sizes, spread_and_error
+from .drawing import draw_deviations, draw_growth, name_sizes
 from .fits import exponent, skewness
 from .samples import Found, Table, drawn
 from .sweeps import crossings
@@ -84,11 +84,10 @@ def draw_exponents(of: Any) -> Figure:
         (of.weight, of.theta, BLUE, r"weight, $\theta$"),
         (of.middle, of.zeta, ORANGE, r"middle, $\zeta$"),
     ):
-        sizes = np.array(sorted(found))
-        left.errorbar(sizes, *spread_and_error([found[L] for L in sizes]), fmt="o", ms=3, color=color, lw=0.8)
-        draw_growth(left, sizes, fit, color, f"{text} = {fit.value:.3f} ± {fit.total:.3f}")
+        draw_deviations(left, found, color=color)
+        draw_growth(left, found, fit, color, f"{text} = {fit.value:.3f} ± {fit.total:.3f}")
     left.set(yscale="log", ylabel="standard deviation")
-    name_sizes(left, sizes[:: max(1, len(sizes) // 5)], "length of the cut, discs")
+    name_sizes(left, list(of.weight)[:: max(1, len(of.weight) // 5)], "length of the cut, discs")
     left.set_title("(a) held ends")
     left.legend(loc="upper left")
     for table, x, color, text in (

@@ -57,7 +57,7 @@ def planes(folder: Path, effort: Effort) -> Found:
 @lru_cache(maxsize=1)  # of both figures
 def minima(folder: Path, effort: Effort) -> tuple[Table, LatticeStructure]:
     """Certified samples of the paper's size, and the first one that spans, else the first."""
-    seeds = range(effort.seed, effort.seed + min(MOST_SAMPLES, effort.samples))
+    seeds = effort.seeds(min(MOST_SAMPLES, effort.samples))
     chosen = [RunSettings(shape=SHAPE, seed=seed, spin_bottom=SPIN_BOTTOM) for seed in seeds]
     table = measured(chosen, sample_of, folder / "fig3.jsonl")
     return table, certified(chosen[int(table.spans.argmax())])

@@ -28,6 +28,7 @@ PAPER, PERIODIC = "as in the paper", "periodic sides"
 WEAK, BROAD = ("uniform:0.5,1", "uniform:0.9,1"), ("lognormal:0.4,1", "power-law:0.001,1,-1", "bimodal:0.1,1,0.5")
 OF_ALL = ("power_over_cut", "slipless_fraction", "intermediate", "domains_a_sphere", "largest_share")
 OF_SPANNING = ("path_over_height", "busiest_link_share")
+COLUMNS = ("value", "error", "systematic", "smallest", "sizes", "goodness", "amplitude", "follows")  # of a Limit
 
 
 def study(folder: Path, effort: Effort) -> Found:
@@ -37,7 +38,12 @@ def study(folder: Path, effort: Effort) -> Found:
     table = with_ratios(Table({"system": [system_of(of) for of in settings], **found.columns}))
     of_systems = {name: table[table.system == name] for name in dict.fromkeys(table.system.tolist())}
     limits = {name: limits_of(of) for name, of in of_systems.items()}
-    return Found({".csv": table, "-limits.csv": table_of(limits)}, draw_limits, names_of(of_systems, limits))
+    rows = [
+        {"system": system, "quantity": quantity} | {name: getattr(of, name) for name in COLUMNS}
+        for system, of_system in limits.items()
+        for quantity, of in of_system.items()
+    ]
+    return Found({".csv": table, "-limits.csv": Table.of(rows)}, draw_limits, names_of(of_systems, limits))
 
 
 def with_ratios(table: Table) -> Table:
@@ -56,18 +62,6 @@ def limits_of(table: Table) -> dict[str, Limit]:
     spanning = table[table.spans]
     found = {name: limit(table.by(name)) for name in OF_ALL} | {name: limit(spanning.by(name)) for name in OF_SPANNING}
     return {name: of for name, of in found.items() if of is not None}
-
-
-def table_of(limits: Mapping[str, Mapping[str, Limit]]) -> Table:
-    """A row a limit; `follows` is False where the value is none."""
-    names = ("value", "error", "systematic", "smallest", "sizes", "goodness", "amplitude", "follows")
-    return Table.of(
-        [
-            {"system": system, "quantity": quantity} | {name: getattr(of, name) for name in names}
-            for system, found in limits.items()
-            for quantity, of in found.items()
-        ]
-    )
 
 
 def names_of(of_systems: Mapping[str, Table], limits: Mapping[str, Mapping[str, Limit]]) -> dict[str, Any]:

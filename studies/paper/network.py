@@ -41,9 +41,9 @@ VIEWED: dict[str, Callable[[LatticeStructure], Any]] = {
 def study(folder: Path, effort: Effort) -> Found:
     """Certified samples of all sizes."""
     chosen = [
-        RunSettings(shape=(side, side, side), seed=effort.seed + number)
+        RunSettings(shape=(side, side, side), seed=seed)
         for side, share in SHARE_OF_SAMPLES.items()
-        for number in range(int(share * effort.samples))
+        for seed in effort.seeds(int(share * effort.samples))
     ]
     table = measured(chosen, numbers_of, folder / "network.jsonl")
     return Found({".csv": table}, draw_sizes, names_of(table))

@@ -18,9 +18,10 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.spatial import cKDTree
 
-from taichi_bearings.numerics.minimum_cut import largest_flow, within_reach
 from taichi_bearings.packing import Packing
-from taichi_bearings.packing.answer import solve_packing
+from taichi_bearings.packing.answer import solve_packing, spins_of
+from taichi_bearings.packing.planar import least_spins
+from taichi_bearings.packing.system import System
 from taichi_bearings.plots.style import BLUE, GREY, in_our_style, new_figure, shades
 
 from .claims import Effort
@@ -29,7 +30,6 @@ from .fits import collapse
 from .samples import Found, Table, drawn
 
 FRICTION = (0.1, 1.0)  # uniform, the paper's
-UNIT_BITS = 40  # of the friction, rounded to whole units for flows
 BLOCK = 5  # samples that are drawn together
 OF_DISCS = {16: 50.0, 32: 50.0, 64: 10.0, 128: 2.0, 256: 0.5, 512: 0.025, 1000: 0.025}
 SIZES = {  # L -> of the samples; those that get less than a block are left out
@@ -86,29 +86,12 @@ def _without_odd_loops(lattice: str, size: int, bottom: float) -> tuple[Packing,
     return bare, hole[whole.all(axis=1)], cKDTree(bare.center), reach
 
 
-def least_spins(packing: Packing) -> np.ndarray:
-    """Spins (N,) of equal discs at the exact minimum, by cuts of the double cover.
-
-    A disc i is two nodes, u_i and -u_i, and a contact (i, j) joins u_i with -u_j and u_j with -u_i. Cuts between
-    neighbouring driven values nest, and turning all signs maps that of (a, b) to that of (-b, -a), so those that end at
-    a positive value are enough: where u_i and -u_i lie both below the least of them, the disc rests.
-    """
-    count, (first, second) = packing.spheres, packing.contact.T
-    low, high = np.concatenate([first, first + count]), np.concatenate([second + count, second])
-    held = np.where(packing.driven < 0, np.nan, packing.spin)
-    value = np.concatenate([held, -held])
-    units = np.tile(np.round(np.ldexp(np.asarray(packing.friction), UNIT_BITS)).astype(np.int64), 2)
-    positive = np.unique(np.abs(held[packing.driven >= 0]))
-    below = np.append(-positive[0], positive[:-1])
-    level = np.zeros(2 * count)
-    for upper, lower in zip(positive[positive > 0], below[positive > 0], strict=True):
-        node = np.where(value >= upper, 0, np.where(value <= lower, 2 * count + 1, np.arange(1, 2 * count + 1)))
-        ends = np.stack([node[low], node[high]])
-        apart = ends[0] != ends[1]
-        ends, capacity = ends[:, apart], units[apart]
-        flow = largest_flow(ends, capacity, int(capacity[(ends == 0).any(axis=0)].sum()))
-        level[within_reach(ends, np.stack([capacity - flow, capacity + flow]), 0)[node]] = upper
-    return level[:count] - level[count:]
+def spins_at_minimum(lattice: str, packing: Packing) -> np.ndarray:
+    """Spins (N,) of discs, exactly, or (N, 3) of spheres."""
+    if lattice == "cubic":
+        return np.asarray(solve_packing(packing, SURE).spin[0])
+    system = System.of(packing)
+    return spins_of(packing, system.all_spins(least_spins(system)))
 
 
 def draw(lattice: str, size: int, odd: int, bottom: float, samples: int, seed: int) -> dict[str, Any]:
@@ -117,7 +100,7 @@ def draw(lattice: str, size: int, odd: int, bottom: float, samples: int, seed: i
     found: dict[str, list[float]] = {"rolling": [], "resting": [], "power_over_rest": []}
     for number in range(seed, seed + samples):
         packing = network(lattice, size, odd, bottom, number)
-        spin = solve_packing(packing, SURE).spin[0] if lattice == "cubic" else least_spins(packing)
+        spin = spins_at_minimum(lattice, packing)
         at_rest = spin * (packing.driven >= 0).reshape(-1, *[1] * (spin.ndim - 1))
         speed = np.linalg.norm(spin.reshape(len(spin), -1), axis=1)[packing.driven < 0]
         found["rolling"].append(float((speed > 0.5).mean()))

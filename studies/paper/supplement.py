@@ -69,7 +69,7 @@ def study(folder: Path, effort: Effort) -> Found:
     """Descents of the first sample, and the minima of some."""
     lengths, budget = (QUICK_ITERATIONS, QUICK_BUDGET) if effort.quick else (ITERATIONS, BUDGET)
     parts = [Part(f"descent-{length}", descended, (effort.seed, length, budget)) for length in lengths]
-    seeds = range(effort.seed, effort.seed + max(1, int(SHARE_OF_SAMPLES * effort.samples)))
+    seeds = effort.seeds(max(1, int(SHARE_OF_SAMPLES * effort.samples)))
     parts += [Part(f"minimum-{seed}", minimum, (seed,)) for seed in seeds]
     found = computed(parts, folder / "supplement.jsonl", "descent or minimum", workers=1)
     kinds = {"power": float, "slips": bool}

@@ -22,7 +22,7 @@ from taichi_bearings.numerics.minimum_cut import minimum_cut
 from taichi_bearings.plots.style import BLUE, GREY, ORANGE, in_our_style, new_figure, shades
 
 from .claims import Effort
-from .drawing import draw_growth, draw_means, mean_and_error, name_sizes, spread_and_error
+from .drawing import draw_deviations, draw_growth, draw_means, mean_and_error, name_sizes
 from .fits import exponent
 from .samples import Found, Table, drawn, measured, planned, told
 
@@ -114,26 +114,26 @@ def draw_surfaces(of: Any) -> Figure:
     weight, theta, zeta, flat, cubes, towers = of.weight, of.theta, of.zeta, of.flat, of.cubes, of.towers
     figure = new_figure(7.1, 5.0)
     (a, b), (c, d) = figure.subplots(2, 2)
-    sizes = np.array(sorted(weight))
-    a.errorbar(sizes, *spread_and_error([weight[L] for L in sizes]), fmt="o", ms=3, color=BLUE, lw=0.8)
-    draw_growth(a, sizes, theta, BLUE, rf"$\theta$ = {theta.value:.2f} ± {theta.total:.2f}")
+    draw_deviations(a, weight, color=BLUE)
+    draw_growth(a, weight, theta, BLUE, rf"$\theta$ = {theta.value:.2f} ± {theta.total:.2f}")
     a.set(ylabel="sd of the weight of cuts", title="(a) friction in [0, 1]")
     for (lowest, squares), color in zip(flat.items(), shades(len(flat)), strict=True):
         mean, error = mean_and_error(squares.values())
         width = np.sqrt(mean)
         above = np.sqrt(mean + error) - width
         b.errorbar(list(squares), width, above, fmt="o-", ms=3, lw=0.8, color=color, label=f"[{lowest:g}, 1]")
-    draw_growth(b, np.array(sorted(flat[0.0])), zeta, GREY, rf"$\zeta$ = {zeta.value:.2f} ± {zeta.total:.2f}")
+    draw_growth(b, flat[0.0], zeta, GREY, rf"$\zeta$ = {zeta.value:.2f} ± {zeta.total:.2f}")
     b.set(ylabel="width of cuts, spheres", title="(b) by the friction")
-    sides = np.array(sorted(cubes))
     for name, color, text in (("cut", ORANGE, "minimum cut"), ("power", BLUE, "minimum")):
-        spread = spread_and_error([getattr(cubes[L], name) for L in sides])
-        c.errorbar(sides, *spread, fmt="o-", ms=3, lw=0.8, color=color, label=text)
+        powers = {side: getattr(of_side, name) for side, of_side in cubes.items()}
+        draw_deviations(c, powers, fmt="o-", color=color, label=text)
     c.set(ylabel="sd of the power", title="(c) friction in [0.1, 1], cubes")
-    draw_means(d, {L: cubes[L].layers for L in sides.tolist()}, color=BLUE, label="cubes, against the side")
+    draw_means(
+        d, {side: of_side.layers for side, of_side in cubes.items()}, color=BLUE, label="cubes, against the side"
+    )
     draw_means(d, towers, color=ORANGE, label="towers, against the height")
     d.set(ylabel="layers in which the spin changes", title="(d) minima")
-    for axes, ticks in ((a, sizes), (b, sizes), (c, sides), (d, sorted({*cubes, *towers}))):
+    for axes, ticks in ((a, list(weight)), (b, list(weight)), (c, list(cubes)), (d, sorted({*cubes, *towers}))):
         axes.set_yscale("linear" if axes is b else "log")
         name_sizes(axes, ticks, "spheres")
         if axes is not b:

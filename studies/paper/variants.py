@@ -60,27 +60,26 @@ DRIVINGS: Variants = {REFERENCE: {}, **SAME, **OTHER, HEIGHT: {"direction": (0.0
 def distributions(folder: Path, effort: Effort) -> Found:
     """Certified samples of each distribution."""
     variants = {name: {"distribution": name} for name in (*SPREAD, *TIED, EQUAL)}
-    samples = max(1, int(SHARE_OF_SAMPLES * effort.samples))
-    found = samples_of(variants, effort.seed, samples, spread_numbers, folder / "distributions.jsonl")
+    seeds = effort.seeds(max(1, int(SHARE_OF_SAMPLES * effort.samples)))
+    found = samples_of(variants, seeds, spread_numbers, folder / "distributions.jsonl")
     return Found({".csv": joined(found, "distribution")}, draw_distributions, names_of_distributions(found))
 
 
 def drivings(folder: Path, effort: Effort) -> Found:
     """Certified samples under each driving."""
-    samples = max(1, min(MOST_SAMPLES, effort.samples // 4))
-    tables = samples_of(DRIVINGS, effort.seed, samples, driven_numbers, folder / "drivings.jsonl")
+    seeds = effort.seeds(max(1, min(MOST_SAMPLES, effort.samples // 4)))
+    tables = samples_of(DRIVINGS, seeds, driven_numbers, folder / "drivings.jsonl")
     found = beside_reference(tables)
     return Found({".csv": joined(found, "driving")}, draw_drivings, names_of_drivings(found))
 
 
 def samples_of(
-    variants: Variants, seed: int, samples: int, numbers: Callable[[LatticeStructure], dict[str, Any]], journal: Path
+    variants: Variants, seeds: range, numbers: Callable[[LatticeStructure], dict[str, Any]], journal: Path
 ) -> dict[str, Table]:
-    """Numbers of so many certified cubes of each variant, of the same seeds, by its name."""
-    seeds = range(seed, seed + samples)
-    chosen = [RunSettings(shape=(BULK,) * 3, seed=of, **variant) for variant in variants.values() for of in seeds]
-    found = measured(chosen, numbers, journal)
-    return {name: found[samples * number : samples * (number + 1)] for number, name in enumerate(variants)}
+    """Numbers of the certified cubes of each variant, of the same seeds, by its name."""
+    chosen = [RunSettings(shape=(BULK,) * 3, seed=seed, **variant) for variant in variants.values() for seed in seeds]
+    found, each = measured(chosen, numbers, journal), len(seeds)
+    return {name: found[each * number : each * (number + 1)] for number, name in enumerate(variants)}
 
 
 def spread_numbers(structure: LatticeStructure) -> dict[str, Any]:

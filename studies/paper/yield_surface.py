@@ -74,9 +74,9 @@ def study(folder: Path, effort: Effort) -> Found:
     """Samples of all sizes under all directions."""
     shares = {side: share for side, share in SHARES.items() if not effort.quick or side in QUICK_SIDES}
     points = [
-        (side, effort.seed + number)
+        (side, seed)
         for side, share in shares.items()
-        for number in range(max(FEWEST, round(share * effort.samples)))
+        for seed in effort.seeds(max(FEWEST, round(share * effort.samples)))
     ]
     chosen = [settings_of(*point, direction) for point in points for direction in DIRECTIONS]
     parts = [Part(sample_key(settings), held, (settings,), settings) for settings in chosen]

@@ -116,10 +116,6 @@ def _log_uniform(rng: np.random.Generator, shape: Sequence[int], value: float) -
     return 10.0 ** (value * (rng.uniform(0, 1, shape) - 0.5))
 
 
-def _two_strengths(rng: np.random.Generator, shape: Sequence[int], value: float) -> np.ndarray:
-    return 10.0 ** (value * (rng.integers(0, 2, shape) - 0.5))
-
-
 def _tied(rng: np.random.Generator, shape: Sequence[int], value: str) -> np.ndarray:
     values = {"all equal": [1.0], "1 or 2": [1.0, 2.0], "1, 2 or 3": [1.0, 2.0, 3.0], "nearly": [1.0, 1 + 2**-50]}
     return rng.choice(values[value], shape)
@@ -176,28 +172,24 @@ def _in_units(force: int = 0, length: int = 0, time: int = 0) -> Callable[..., C
     return change
 
 
-def _scene(changes: Callable[[Any], dict[str, Any]]) -> Change:
-    """Other parameters of the scene, found from the value."""
-    return lambda case, value, row: replace(case, scene=replace(case.scene, **changes(value)))
+def _scene(changes: Callable[[Scene, Any], dict[str, Any]]) -> Change:
+    """Other parameters of the scene, found from it and the value."""
+    return lambda case, value, row: replace(case, scene=replace(case.scene, **changes(case.scene, value)))
 
 
-def _viscosity(case: Case, value: float, row: Row) -> Case:
-    return replace(case, scene=replace(case.scene, viscosity=tuple(value * v for v in case.scene.viscosity)))
-
-
-def _nearly_equal(value: str) -> dict[str, Any]:
+def _nearly_equal(_: Scene, value: str) -> dict[str, Any]:
     bottom = {"equal": 1.0, "an ulp": np.nextafter(1.0, 0.0)}.get(value) or 1.0 - float(value)
     return {"spin_bottom": float(bottom)}
 
 
-def _common_state(value: float) -> dict[str, Any]:
+def _common_state(_: Scene, value: float) -> dict[str, Any]:
     """A bearing state added to both planes, and so to all spins: as from an origin far away along x, and at the second
     sphere along y, where A cancels C y."""
     top, bottom = (1.0, 0.5, 0.0, 0.5), (value, -value, value, value)
     return {"top": tuple(one + other for one, other in zip(top, bottom, strict=True)), "bottom": bottom}
 
 
-def _pivot(value: float) -> dict[str, Any]:
+def _pivot(_: Scene, value: float) -> dict[str, Any]:
     """The top turns about its second sphere along x, but for so small a part of what A cancels there."""
     return {"top": (value - 1.0, 1.0, 0.0, 1.0), "bottom": (0.0,) * 4}
 
@@ -254,14 +246,6 @@ def _stable_step(case: Case) -> float:
     return stability_bound(case.scene, case.scene.minimum_spin_axes, CundallStrack())
 
 
-def _time_step(case: Case, value: float, row: Row) -> Case:
-    return replace(case, options={"time_step": value * _stable_step(case)})
-
-
-def _drift(case: Case, value: float, row: Row) -> Case:
-    return replace(case, settings={"duration": 0.8 * value * _stable_step(case), "iterations": 2**40})
-
-
 def _start(case: Case, value: str, row: Row) -> Case:
     """Spins to start from, in the laboratory frame."""
     scene = case.scene
@@ -282,21 +266,23 @@ AXES = {
     axis.name: axis
     for axis in (
         Axis("contrast", "decades of the coefficients", DECADES, _redrawn(_log_uniform)),
-        Axis("two-strengths", "decades between two strengths", DECADES, _redrawn(_two_strengths)),
+        Axis("two-strengths", "decades between two strengths", DECADES,
+             _redrawn(lambda rng, shape, value: 10.0 ** (value * (rng.integers(0, 2, shape) - 0.5)))),
         Axis("ties", "coefficients", ("all equal", "1 or 2", "1, 2 or 3", "nearly"), _redrawn(_tied)),
         Axis("zeros", "contacts absent", ("a tenth", "a third", "a sphere", "a layer", "all"), _absent),
         Axis("friction-scale", "scale of the coefficients", SCALES, partial(_FORCE, name="coefficients")),
         Axis("force-scale", "scale of F_n", SCALES, partial(_FORCE, name="normal_force"), _holds),
         Axis("radius-scale", "scale of R", SCALES, partial(_LENGTH, name="radius")),
         Axis("spin-scale", "scale of omega_T", SCALES, partial(_RATE, name="spin_top")),
-        Axis("viscosity", "scale of the viscosity", (1e-12, 1e-6, 1e-3, 1.0, 1e3, 1e6, 1e12), _viscosity,
+        Axis("viscosity", "scale of the viscosity", (1e-12, 1e-6, 1e-3, 1.0, 1e3, 1e6, 1e12),
+             _scene(lambda scene, value: {"viscosity": tuple(value * of_axis for of_axis in scene.viscosity)}),
              lambda row: row.law == "coulomb-viscous"),
         Axis("driving", "1 - omega_B / omega_T", ("2", "1e-1", "1e-4", "1e-8", "1e-12", "1e-15", "an ulp", "equal"),
              _scene(_nearly_equal)),
         Axis("direction", "y over x of the direction", (1.0, 1e-3, 1e-6, 1e-9, 1e-12, 1e-15, 0.0),
-             _scene(lambda value: {"direction": (1.0, value, 0.0)}), _has_spheres),
+             _scene(lambda _, value: {"direction": (1.0, value, 0.0)}), _has_spheres),
         Axis("rate", "C of the top", (1e-12, 1e-6, 1e-3, 1.0, 1e3, 1e6, 1e12),
-             _scene(lambda value: {"top": (1.0, 1.0, 0.0, value), "bottom": (0.0,) * 4}), _has_spheres),
+             _scene(lambda _, value: {"top": (1.0, 1.0, 0.0, value), "bottom": (0.0,) * 4}), _has_spheres),
         Axis("common-state", "state added to both planes", (0.0, 1.0, 1e3, 1e6, 1e9, 1e12), _scene(_common_state),
              _has_spheres),
         Axis("pivot", "part of A that cancels nothing", (0.1, 1e-4, 1e-8, 1e-12, 2.0**-52, 0.0), _scene(_pivot),
@@ -308,12 +294,16 @@ AXES = {
         Axis("damping", "A_t", (0.0, *(10.0**k for k in range(-1, 8))), _option("damping"),
              lambda row: _holds(row) and _owns("damping")(row)),
         Axis("time-step", "time step over the stability bound", (1e-2, 0.5, 0.9, 0.99, 1.0, 1.01, 1.1, 2.0, 10.0, 1e3),
-             _time_step, _owns("time_step")),
+             lambda case, value, row: replace(case, options={"time_step": value * _stable_step(case)}),
+             _owns("time_step")),
         Axis("start", "spins to start from", ("random", "zero", "minimum-cut", "tiny", "huge", "opposite",
              "not staggered", "NaN", "infinite"), _start),
         Axis("threads", "threads", (1, 2), lambda case, value, row: replace(case, settings={"threads": value}),
              lambda row: ROWS[row.method].needs_taichi),
-        Axis("drift", "steps of 0.8 of the stability bound", (1e4, 1e6, 1e7), _drift, _owns("time_step"), 20.0),
+        Axis("drift", "steps of 0.8 of the stability bound", (1e4, 1e6, 1e7),
+             lambda case, value, row: replace(
+                 case, settings={"duration": 0.8 * value * _stable_step(case), "iterations": 2**40}),
+             _owns("time_step"), 20.0),
     )
 }  # fmt: skip
 """All axes of stress by name, in the order of the report."""

@@ -1,6 +1,5 @@
 """The harness of the benchmarks: what it times, keeps and reports. No time decides about anything here."""
 
-import csv
 import time
 
 import pytest
@@ -10,6 +9,7 @@ from taichi_bearings_studies.benchmarks.table import BENCHMARKS, QUICK, planned
 
 from taichi_bearings.errors import BearingsError, InputError
 from tests.scenes import make_scene
+from tests.tables import rows_of
 
 
 def test_things_are_timed_in_turns_after_a_warm_up():
@@ -97,8 +97,7 @@ def test_the_report_says_the_same_in_every_form(tmp_path):
     written = write(tmp_path, chosen, report, here)
     assert [path.name for path in written] == ["report.md", "kernels.csv", "kernels.png"]
     assert written[2].stat().st_size > 20_000
-    lines = [line for line in written[1].read_text(encoding="utf-8").splitlines() if not line.startswith("#")]
-    stored = list(csv.DictReader(lines))
+    stored = rows_of(written[1])
     assert [float(row["seconds"]) for row in stored] == [row["seconds"] for row in report.rows["kernels"]]
     assert (stored[0]["shape"], stored[1]["seconds_compile"]) == ("8x8x8", "")
     said = text(chosen, report, here)

@@ -1,7 +1,5 @@
 """Run time against error: what it claims is true of the exact minima, and it says so in every form."""
 
-import csv
-
 import numpy as np
 import pytest
 from taichi_bearings_studies.benchmarks.harness import Report, text, write
@@ -10,6 +8,7 @@ from taichi_bearings_studies.benchmarks.table import BENCHMARKS
 
 from taichi_bearings.runs.settings import RunSettings
 from tests.scenes import minima
+from tests.tables import rows_of
 
 FIRST_TWO = ("gradient-descent", "cundall-strack")
 
@@ -65,8 +64,7 @@ def test_files_hold_every_checkpoint(rows, tmp_path):
     chosen, report = {"methods": BENCHMARKS["methods"]}, Report({"methods": rows})
     here = {"processor": "some", "threads": "1", "load": None}
     stored, figure = write(tmp_path, chosen, report, here)[1:]
-    lines = [line for line in stored.read_text(encoding="utf-8").splitlines() if not line.startswith("#")]
-    found = list(csv.DictReader(lines))
+    found = rows_of(stored)
     assert len(found) == sum(len(row["seconds"]) for row in rows)
     assert [float(line["error"]) for line in found] == [value for row in rows for value in row["error"]]
     assert {line["shape"] for line in found} == {"3x3x3", "5x4"}

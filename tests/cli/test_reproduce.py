@@ -1,6 +1,5 @@
 """`bearings reproduce` as scripts use it."""
 
-import csv
 import itertools
 import json
 
@@ -9,6 +8,7 @@ from taichi_bearings_studies.paper import reproduce
 from taichi_bearings_studies.paper.claims import Claim, Effort
 
 from tests.cli.commands import bearings, refused
+from tests.tables import rows_of
 
 ALL = ["fig1", "fig2", "fig3", "fig4", "supplement", "network", "distributions", "drivings", "parameters"]
 
@@ -52,8 +52,7 @@ def test_nothing_of_other_options_is_overwritten(reproduced):
 
 def test_the_curves_are_in_the_csv(reproduced):
     folder, _ = reproduced
-    with (folder / "fig2.csv").open(encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
+    rows = rows_of(folder / "fig2.csv")
     for dynamics, start in itertools.product(("cundall-strack", "rigid-limit"), ("random", "minimum-cut")):
         curve = [row for row in rows if (row["dynamics"], row["start"]) == (dynamics, start)]
         assert {row["seed"] for row in curve} == {"0"}

@@ -1,5 +1,6 @@
 """Least dissipation of packings against solvers that share nothing with the package's, and against lattices."""
 
+import networkx as nx
 import numpy as np
 import pytest
 
@@ -7,7 +8,8 @@ import taichi_bearings as tb
 from taichi_bearings.conic import descent
 from taichi_bearings.conic.contraction import order_by_place
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
-from taichi_bearings.packing import path
+from taichi_bearings.packing import path, planar
+from taichi_bearings.packing.answer import spins_of
 from taichi_bearings.packing.path import oblique
 from taichi_bearings.packing.system import System
 from tests.packing.twins import clarabel_least, random_packing
@@ -266,3 +268,36 @@ def test_the_matrix_of_oblique_contacts_is_that_of_their_slips(kind):
     slips = (system.matrix @ spins).reshape(2, -1)
     torques = system.matrix.T @ np.einsum("ije,je->ie", stiffness, slips).ravel()
     assert np.abs(matrix.solve(torques) - spins).max() < 1e-9
+
+
+@pytest.mark.parametrize("seed", some_of(20, 3))
+@pytest.mark.parametrize("levels", [1, 2, 1000])
+def test_levels_of_mirror_images_are_those_of_all_cuts(seed, levels):
+    """Odd loops, discs driven by spins of many values, frictions that tie: spins are the middle of the lowest and the
+    highest ones, found by one cut of the double cover at each value, mirror images or not."""
+    rng = np.random.default_rng([35, seed])
+    packing = tb.Packing.lattice("triangular", (6, 5), seed=seed)
+    driven, spin = packing.driven.copy(), packing.spin.copy()
+    shafts = rng.choice(np.flatnonzero(driven < 0), 4, replace=False)
+    driven[shafts], spin[shafts] = np.arange(2, 6), rng.integers(-4, 5, 4) / 4
+    friction = rng.integers(1, levels + 1, packing.contacts).astype(float)
+    packing = tb.Packing(center=packing.center, contact=packing.contact, driven=driven, spin=spin, friction=friction)
+    system = System.of(packing)
+    cover = nx.DiGraph()
+    for (i, j), capacity in zip(packing.contact.tolist(), friction, strict=True):
+        for low, high in (((i, 1), (j, -1)), ((j, 1), (i, -1))):
+            cover.add_edge(low, high, capacity=capacity)
+            cover.add_edge(high, low, capacity=capacity)
+    held = {(i, sign): sign * spin[i] for i in np.flatnonzero(driven >= 0).tolist() for sign in (1, -1)}
+    values = sorted(set(held.values()))
+    own = dict.fromkeys(cover, values[0])
+    for value in values[1:]:
+        for node, there in held.items():
+            cover.add_edge(*(("source", node) if there >= value else (node, "sink")))
+        smallest = nx.minimum_cut(cover, "source", "sink")[1][0] - {"source"}
+        own |= dict.fromkeys(smallest, value)
+        cover.remove_nodes_from(["source", "sink"])
+    middle = [(own[i, 1] - own[i, -1]) / 2 for i in range(packing.spheres)]
+    found = planar.least_power(system)[0]
+    assert spins_of(packing, system.all_spins(found)).tolist() == pytest.approx(middle, abs=1e-15)
+    assert (planar.least_spins(system) == found).all()

@@ -1,6 +1,5 @@
 """Figure 1: what each verdict is made of, and that it can be refuted."""
 
-import csv
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +13,7 @@ from taichi_bearings.scene import Scene
 from taichi_bearings.scene.initial_spins import cut_of, cut_weights, initial_spin
 from taichi_bearings.solvers import GradientDescent, LinearSolver, PlanarCut
 from taichi_bearings.solvers.stopping import StopRule
+from tests.tables import rows_of
 
 SHAPE = (5, 6)
 
@@ -141,12 +141,10 @@ def test_files_and_claims_of_a_small_effort(tmp_path, monkeypatch, needs_f64):
     assert all((claim.verdict == "confirmed") == (claim.kind == "theorem") for claim in claims)
     assert verdicts["Viscous"] == "too few samples"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["fig1-samples.csv", "fig1.csv", "fig1.pdf", "fig1.png"]
-    with (tmp_path / "fig1.csv").open(encoding="utf-8") as file:
-        discs = list(csv.DictReader(file))
+    discs = rows_of(tmp_path / "fig1.csv")
     assert {abs(float(row["spin_over_top"])) for row in discs if row["law"] == "coulomb"} == {0, 1}
     assert len(discs) == 200
-    with (tmp_path / "fig1-samples.csv").open(encoding="utf-8") as file:
-        samples = list(csv.DictReader(file))
+    samples = rows_of(tmp_path / "fig1-samples.csv")
     assert [row["seed"] for row in samples] == [str(seed) for seed in range(10)]
     for row in samples:
         assert float(row["lower_bound"]) <= float(row["power"])

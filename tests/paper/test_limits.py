@@ -1,13 +1,13 @@
 """Limits of large samples: the law against limits that are known, the scans that anybody can start, the study."""
 
-import csv
-
 import numpy as np
 import pytest
 from taichi_bearings_studies.paper import limits, reproduce, samples
 from taichi_bearings_studies.paper.claims import Effort, judged
 from taichi_bearings_studies.paper.fits import limit
 from taichi_bearings_studies.paper.samples import Table, planned
+
+from tests.tables import rows_of
 
 pytestmark = pytest.mark.usefixtures("needs_f64")
 
@@ -96,8 +96,7 @@ def test_the_study_in_a_small_form(small, tmp_path):
     assert {path.name for path in tmp_path.iterdir()} == {
         f"limits{end}" for end in (".csv", "-limits.csv", ".png", ".pdf")
     }
-    with (tmp_path / "limits.csv").open(encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
+    rows = rows_of(tmp_path / "limits.csv")
     assert {row["system"] for row in rows} == set(SYSTEMS)
     assert len(rows) == 3 * (3 + 8)
     for row in rows:
@@ -105,10 +104,9 @@ def test_the_study_in_a_small_form(small, tmp_path):
         assert 0 < float(row["power_over_cut"]) <= 1 + 1e-9
         assert all(0 <= float(row[name]) <= 1 for name in SHARES)
         assert float(row["path_over_height"]) >= 1 if row["spans"] == "True" else float(row["shortest_path"]) == 0
-    with (tmp_path / "limits-limits.csv").open(encoding="utf-8") as file:
-        assert {(row["system"], row["quantity"]) for row in csv.DictReader(file)} >= {
-            ("as in the paper", name) for name in ("power_over_cut", "slipless_fraction")
-        }
+    assert {(row["system"], row["quantity"]) for row in rows_of(tmp_path / "limits-limits.csv")} >= {
+        ("as in the paper", name) for name in ("power_over_cut", "slipless_fraction")
+    }
     assert "too few samples" in {claim.verdict for claim in claims}
     assert all(claim.finding and claim.ours and claim.uncertainty for claim in claims)
 

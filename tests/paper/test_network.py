@@ -1,7 +1,5 @@
 """The claims about the spanning network: what each verdict is made of, that it can be refuted, and the files."""
 
-import csv
-
 import numpy as np
 import pytest
 from taichi_bearings_studies.paper import figure_3, network, reproduce, samples
@@ -9,6 +7,7 @@ from taichi_bearings_studies.paper.claims import Effort, judged
 from taichi_bearings_studies.paper.samples import Table
 
 from taichi_bearings.lattice import Lattice
+from tests.tables import rows_of
 
 GOOD = {
     "side": 24, "seed": 0, "power": 1.0, "gap": 1e-12, "power_over_cut": 0.97, "below_cut": True,
@@ -100,8 +99,7 @@ def test_thresholds_matter_where_they_change_what_is_seen():
 def test_the_study_writes_its_table_and_figure(small, tmp_path):
     claims = reproduce.FIGURES["network"].reproduce(tmp_path, Effort(seed=3, samples=2))
     assert sorted(path.name for path in tmp_path.iterdir()) == ["network.csv", "network.pdf", "network.png"]
-    with (tmp_path / "network.csv").open(encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
+    rows = rows_of(tmp_path / "network.csv")
     assert set(rows[0]) == set(GOOD)
     assert [(row["side"], row["seed"]) for row in rows] == [("3", "3"), ("3", "4"), ("5", "3"), ("5", "4")]
     assert all(float(row["gap"]) < 1e-9 and float(row["power_over_cut"]) <= 1 + 1e-9 for row in rows)
@@ -141,8 +139,7 @@ def test_figures_3_and_4_show_a_sample_that_spans(small, tmp_path):
     assert all(claim.finding and claim.numbers for claim in claims)
     shown = figure_3.minima(tmp_path, effort)[1]
     assert shown.scene.seeds == (1,)  # seed 0 does not span
-    with (tmp_path / "fig3.csv").open(encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
+    rows = rows_of(tmp_path / "fig3.csv")
     assert len(rows) == len(shown.network.shortest_path)
     first, last = rows[0], rows[-1]
     assert (first["z"], last["z"]) == ("0", "4")

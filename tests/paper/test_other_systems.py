@@ -1,7 +1,5 @@
 """Other distributions, drivings and parameters: what each verdict is made of, and small studies."""
 
-import csv
-
 import numpy as np
 import pytest
 from taichi_bearings_studies.paper import parameters, reproduce, variants
@@ -11,6 +9,7 @@ from taichi_bearings_studies.paper.samples import Run, Table
 from taichi_bearings_studies.paper.variants import EQUAL, REFERENCE, SPREAD, TIED, beside_reference
 
 from taichi_bearings.scene import Scene
+from tests.tables import rows_of
 
 LOW = {
     "power_over_cut": 0.9, "below_cut": True, "gap": 1e-12, "states_proven": True, "spans": True,
@@ -87,8 +86,7 @@ def test_small_cubes_under_all_drivings(tmp_path, monkeypatch, taichi_runtime, n
     assert {path.name for path in tmp_path.iterdir()} == {"drivings.png", "drivings.pdf", "drivings.csv"}
     assert [claim.verdict for claim in claims] == ["confirmed", "refuted", "refuted", "confirmed", "confirmed"]
     assert all(claim.paper and claim.ours and claim.uncertainty for claim in claims)
-    with (tmp_path / "drivings.csv").open(encoding="utf-8") as file:
-        rows = {row["driving"]: row for row in csv.DictReader(file)}
+    rows = {row["driving"]: row for row in rows_of(tmp_path / "drivings.csv")}
     scene = Scene.random((4, 4, 4), 0, direction=(1, 0, 0))
     columns = np.array([np.min(scene.coefficients[2], axis=-1)])  # about x all contacts but those along x feel it
     assert float(rows["axis (1, 0, 0)"]["power_over_jump"]) >= columns.sum() - 1e-12

@@ -1,6 +1,5 @@
 """Which decades of power are real: counting, verdicts, and a small study from beginning to end."""
 
-import csv
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +12,7 @@ from taichi_bearings_studies.paper.supplement import Ending
 from taichi_bearings.scene import Scene
 from taichi_bearings.solvers import InteriorPoint
 from taichi_bearings.solvers.stopping import StopRule
+from tests.tables import rows_of
 
 
 def ending(*power):
@@ -84,8 +84,7 @@ def test_a_small_study(tmp_path, monkeypatch, taichi_runtime, needs_f64):
     assert all(claim.paper and claim.ours and claim.uncertainty for claim in claims)
     assert {claim.verdict for claim in claims} == {"too few samples"}
     state = solved(supplement.scene_of(2), InteriorPoint(), StopRule(1e-9)).state
-    with (tmp_path / "supplement.csv").open(encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
+    rows = rows_of(tmp_path / "supplement.csv")
     for iterations in ("200", "2000"):
         own = [row for row in rows if row["iterations"] == iterations]
         assert sum(int(row["contacts"]) for row in own) == 45 + 40 + 48 - 2 * (9 + 8)

@@ -1,7 +1,5 @@
 """The yield surface: torques of proven forces are subgradients of the proven least power, and scans find the same."""
 
-import csv
-
 import numpy as np
 import pytest
 from taichi_bearings_studies.paper import reproduce, yield_surface
@@ -10,6 +8,7 @@ from taichi_bearings_studies.paper.yield_surface import BESIDE, held, offsets, s
 
 from tests.cli.commands import bearings
 from tests.handbook.pages import ROOT
+from tests.tables import rows_of
 
 pytestmark = pytest.mark.usefixtures("needs_f64")
 SIDE, SEED = 4, 3
@@ -70,8 +69,7 @@ def scanned(folder, name, *settings):
         "scan", str(ROOT / f"examples/studies/{name}.toml"), *words, "--workers", "1", "--out", "out", cwd=folder
     )
     assert done.returncode == 0, done.stderr
-    with open(folder / "out/scan.csv", newline="") as file:
-        return list(csv.DictReader(file))
+    return rows_of(folder / "out/scan.csv")
 
 
 def test_example_scans_find_the_same(tmp_path):
