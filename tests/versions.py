@@ -1,7 +1,7 @@
 """Every Python and every package promised, tried: `make versions`, or `python -m tests.versions [3.10 ...]`.
 
 Each interpreter that pyproject.toml promises and this machine has gets a new environment with the newest packages, and
-the oldest one also an environment with each package exactly at its floor. Both come from pyproject.toml, with the
+the oldest promised also an environment with each package exactly at its floor. Both come from pyproject.toml, with the
 compiler of each Python: there is no other list. Every environment does the main work in small: all modules, runs, a
 resume, a scan, a packing, proofs and a figure; the floors run the quick tests of the physics, too.
 """
@@ -177,7 +177,11 @@ def main(wanted: list[str]) -> None:
     here = [version for version, place in found.items() if place]
     if not here:
         sys.exit("no Python that is promised is here")
-    trials = [Trial(here[0], "floors"), *(Trial(version, "newest") for version in here)]  # the longest first
+    oldest = promised()[0]  # what comes later needs later packages
+    floors = [Trial(oldest, "floors")] if oldest in here else []
+    if not floors:
+        print(f"each package at its floor is tried under Python {oldest} alone, so not here", flush=True)
+    trials = [*floors, *(Trial(version, "newest") for version in here)]  # the longest first
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(2) as pool:
         wheel = build_wheel(Path(folder))
         list(pool.map(lambda trial: attempt(trial, found[trial.python], wheel), trials))
