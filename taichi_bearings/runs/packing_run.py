@@ -14,7 +14,7 @@ from taichi_bearings.options import options_of
 from taichi_bearings.packing import Packing, Packings, solve_packing
 from taichi_bearings.packing.system import System
 from taichi_bearings.proof.contact_state import all_proven, by_threshold
-from taichi_bearings.runs.settings import OF_DRIVEN, SIZES, RunSettings, settings_table
+from taichi_bearings.runs.settings import SIZES, RunSettings
 from taichi_bearings.runs.solved import Run
 from taichi_bearings.runs.torque import refuse_driven, under_torque
 from taichi_bearings.scene import Solution, Status
@@ -81,37 +81,15 @@ def method_of_packing(settings: RunSettings) -> type[MethodOptions]:
     return row_of_packing(settings.method) or METHODS.get(settings.method, InteriorPoint)
 
 
-STOPPED_BY = ("iterations", "time_limit", "duration", "record", "snapshots")
-
-
-def refuse_unused(settings: RunSettings) -> None:
-    """InputError for what a packing, its method or its law does not use."""
-    given = settings.given
-    used = [key for key in options_of(RunSettings) if settings.packing is None or key not in OF_DRIVEN]
-    if strange := [key for key in given if key not in (*used, *options_of(method_of_packing(settings)))]:
-        raise InputError(
-            f"{strange[0]} is {shown(given[strange[0]])}, but a packing does not use it; it uses {', '.join(used)}"
-        )
-    if unused := unused_of_packing(settings):
-        raise InputError(next(iter(unused.values())))
-    if settings.torque is None:
-        return
-    if method_of_packing(settings).is_dynamics or Ramp.of(settings.torque).rises:
-        raise InputError(f"torque is {settings.torque}; of packings minima alone tell what a constant one does")
-    if settings.packing is None:
-        refuse_driven(settings, InteriorPoint)
-
-
-def used(settings: RunSettings) -> RunSettings:
-    """The settings without what their method or law does not use, as in a scan that compares methods."""
-    table = settings_table()
-    return replace(settings, **{key: table[key].default for key in unused_of_packing(settings)})
+def fitting(settings: RunSettings, strict: bool = True) -> RunSettings:
+    """As the method of this name of settings, and InputError for a torque that a packing cannot have."""
+    refuse_driven(settings, method_of_packing(settings))
+    return settings.fitting(method_of_packing(settings), strict)
 
 
 def packings_of(settings: RunSettings) -> Packings:
     """The packings that the settings describe, one a replica: the arrays of the file, and of the settings what that
     lacks, drawn from seeds; or lattices with other driven bodies than planes."""
-    refuse_unused(settings)
     given = settings.given
     if settings.packing is None:
         return Packings(_lattice(replace(settings, seed=seed)) for seed in settings.seeds)
@@ -138,14 +116,6 @@ def packings_of(settings: RunSettings) -> Packings:
         Packing(**{**others, "seed": seed, **{n: v[number] if axes[n] == 1 else v for n, v in found.items()}})
         for number, seed in enumerate(settings.seeds)
     )
-
-
-def unused_of_packing(settings: RunSettings) -> dict[str, str]:
-    """The given keys that the method or the law does not use, each with a sentence that says so."""
-    found = settings.unused(method_of_packing(settings))
-    strange = {"initial", *STOPPED_BY} & settings.given.keys() - found.keys() if minimises(settings) else ()
-    name = settings.method
-    return found | {key: f"{key} is given, but method {name} of a packing does not use it" for key in sorted(strange)}
 
 
 def _drawn_viscosity(settings: RunSettings) -> dict[str, str]:

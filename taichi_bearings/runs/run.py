@@ -34,7 +34,7 @@ from taichi_bearings.runs.run_directory import (
     write_checkpoint,
 )
 from taichi_bearings.runs.run_file import refuse_scan, write_run_file
-from taichi_bearings.runs.settings import DRIVING_KEYS, RunSettings, parse_toml, settings_table
+from taichi_bearings.runs.settings import DRIVING_KEYS, RunSettings, parse_toml
 from taichi_bearings.runs.solved import Run, self_contained
 from taichi_bearings.runs.torque import by_friction, refuse_driven, under_torque
 from taichi_bearings.scene import Scene, Solution, Status
@@ -141,9 +141,9 @@ def prepare(settings: RunSettings, strict: bool = True) -> Job:
     """
     with stage("reading"):
         if settings.is_packing:
-            from taichi_bearings.runs.packing_run import packings_to_solve, used
+            from taichi_bearings.runs.packing_run import fitting, packings_to_solve
 
-            settings = settings if strict else used(settings)
+            settings = fitting(settings, strict)
             return Job(settings, *packings_to_solve(settings))
         compiler.name()  # refuses one that is unknown or absent
         scene = build_scene(settings)
@@ -154,12 +154,8 @@ def job_of(settings: RunSettings, scene: Scene, spin: np.ndarray, strict: bool =
     """The solve of a scene from these spins that the settings describe; InputError if they do not fit each other."""
     runtime.refuse_absent(settings.arch, settings.precision)
     row = method_row(settings, scene)
-    if settings.torque is not None and row.takes_torque:
-        refuse_driven(settings, row)
-    if unused := settings.unused(row):
-        if strict:
-            raise InputError(next(iter(unused.values())))
-        settings = replace(settings, **{key: settings_table()[key].default for key in unused})
+    refuse_driven(settings, row)
+    settings = settings.fitting(row, strict)
     if reason := row.refusal(scene):
         raise InputError(reason)
     least = row.bytes(scene.lattice.sites) / MEMORY_ERROR

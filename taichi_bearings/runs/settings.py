@@ -41,8 +41,8 @@ from taichi_bearings.scene.array_files import read_coefficients
 from taichi_bearings.scene.driving import TORQUE
 from taichi_bearings.scene.law import LAWS
 from taichi_bearings.scene.scene import periodic_axes
-from taichi_bearings.solvers.table import METHODS, MethodOptions
-from taichi_bearings.words import meant
+from taichi_bearings.solvers.table import METHODS, MethodOptions, row_of_packing
+from taichi_bearings.words import meant, shown
 
 
 def _times(value: Any) -> str:
@@ -74,6 +74,8 @@ BETWEEN_PLANES = "planes"
 SIZES = ("radius", "normal_force")
 OF_DRIVEN = ("shape", "periodic", "spin_top", "spin_bottom", "direction", "top", "bottom", "driven", "coefficients")
 """Keys of a lattice, with planes or other driven bodies: a packing out of a file uses all but these."""
+OF_COURSES = ("initial", "iterations", "time_limit")
+"""Keys that say nothing of a packing whose minimum is found at once."""
 DRIVING_KEYS = ("periodic", "top", "bottom", "driven")  # keys that summaries name where they are not the defaults
 
 motion = partial(option, methods=attrgetter("is_dynamics"))
@@ -283,15 +285,20 @@ class RunSettings:
         return {key: list(v) if isinstance(v := given[key], tuple) else v for key in DRIVING_KEYS if key in given}
 
     def unused(self, method: type[MethodOptions]) -> dict[str, str]:
-        """The given keys that this method, the law or the lattice does not use, each with a sentence that says so."""
+        """The given keys that this method, the law or the bearing does not use, each with a sentence that says so."""
         table, law, unused = settings_table(), LAWS[self.law], {}
         has_states = self.top is not None or self.bottom is not None
+        minimises = self.is_packing and row_of_packing(self.method) is None
         for key, value in self.given.items():
             methods, laws = users_of(table[key])
             needs = [] if method.name in methods else [f"--method {' or '.join(methods)}"]
             needs += [] if law.name in laws else [f"--law {' or '.join(laws)}"]
-            if needs:
+            if self.packing is not None and key in OF_DRIVEN:
+                why = "a packing does not use it"
+            elif needs:
                 why = f"{method.name} with the law {law.name} does not use it; it needs {' and '.join(needs)}"
+            elif minimises and key in OF_COURSES:
+                why = f"method {self.method} of a packing does not use it"
             elif len(self.shape) not in table[key].dimensions:
                 why = "spins of discs point along z; it needs three sides"
             elif key in Scene.BY_SPINS and has_states:
@@ -300,8 +307,17 @@ class RunSettings:
                 why = f"the coefficients are those of {self.coefficients}; leave one of the two out"
             else:
                 continue
-            unused[key] = f"{key} is {value}, but {why}"
+            unused[key] = f"{key} is {shown(value)}, but {why}"
         return unused
+
+    def fitting(self, method: type[MethodOptions], strict: bool = True) -> "RunSettings":
+        """The settings without what is unused; if `strict` InputError for the first of that instead."""
+        unused = self.unused(method)
+        if not unused:
+            return self
+        if strict:
+            raise InputError(next(iter(unused.values())))
+        return replace(self, **{key: settings_table()[key].default for key in unused})
 
 
 def users_of(item: Option) -> tuple[tuple[str, ...], tuple[str, ...]]:

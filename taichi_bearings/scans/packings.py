@@ -8,7 +8,7 @@ import numpy as np
 from taichi_bearings.errors import InputError
 from taichi_bearings.packing import Packing
 from taichi_bearings.packing.system import System, acting
-from taichi_bearings.runs.packing_run import packings_of, used
+from taichi_bearings.runs.packing_run import fitting, packings_of
 from taichi_bearings.scans.plan import Sample
 
 OF_A_NETWORK = ("center", "contact", "driven", "spin", "radius", "normal")
@@ -16,7 +16,7 @@ OF_A_NETWORK = ("center", "contact", "driven", "spin", "radius", "normal")
 
 def refuse_packing(group: Sequence[Sample]) -> None:
     """InputError for what cannot be solved, or is the same for all of a group of seeds."""
-    settings = used(group[0].settings)
+    settings = fitting(group[0].settings, strict=False)
     law = packings_of(settings).law
     if len(group) == 1 or settings.packing is None or settings.initial == "random":
         return
