@@ -17,7 +17,7 @@ import numpy as np
 
 from taichi_bearings.errors import InputError
 from taichi_bearings.lattice.grid import friction_by_axis
-from taichi_bearings.options import SEED, options_of
+from taichi_bearings.options import SEED, finite_number, options_of
 from taichi_bearings.packing import Packing, Packings
 from taichi_bearings.progress import displayed
 from taichi_bearings.quantities import CONTACTS, FINDINGS, SAMPLES, SPHERES, Quantity
@@ -31,7 +31,6 @@ from taichi_bearings.runs.solved import Run
 from taichi_bearings.runtime import available_threads
 from taichi_bearings.scans.sample import JobTask, solve_all
 from taichi_bearings.scene import Scene, Snapshots
-from taichi_bearings.scene.given import finite_number
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import MethodOptions
 from taichi_bearings.solvers.drive import Report
@@ -325,10 +324,7 @@ def solve_many(
 
     Raises InputError before anything is computed, and BearingsError for the first scene that has no answer.
     """
-    try:
-        workers = SEED.read(workers)
-    except (TypeError, ValueError, OverflowError):
-        raise InputError(f"workers is {shown(workers)}; it must be 1 or more, or 0 for one a processor") from None
+    workers = SEED.named("workers", workers)
     if not isinstance(scenes, Iterable):
         raise InputError(f"scenes is a {type(scenes).__name__}; it must be scenes, as in solve_many([scene])")
     asked = {"tolerance": tolerance, **options}
@@ -365,9 +361,10 @@ def _job(
     that are an array lie beside the settings."""
     if isinstance(scene, Packing):
         settings = RunSettings(packing="run.h5", law=str(scene.law), seed=scene.seed, **_asked(method, options, start))
-        if "initial" in settings.given and minimises(settings):
+        strict = isinstance(method, str)  # else all options of the method are given
+        if strict and "initial" in settings.given and minimises(settings):
             raise InputError(f"start is given, but method {settings.method} of a packing does not use it")
-        settings = fitting(settings, strict=isinstance(method, str))  # else all its options are given
+        settings = fitting(settings, strict)
         return runs.Job(settings, Packings((scene,)), None if isinstance(start, str) else start)
     if not isinstance(scene, Scene):
         raise InputError(f"the scene is a {type(scene).__name__}; it must be a taichi_bearings.Scene or a Packing")

@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, fields
 from functools import partial
+from numbers import Real
 from types import MappingProxyType
 from typing import Any
 
@@ -101,6 +102,17 @@ def _text(value: Any) -> str:
         raise ValueError
     value.encode()  # UnicodeEncodeError, a ValueError, for what is not UTF-8 and so cannot be written down
     return value
+
+
+def finite_number(name: str, value: Any) -> float:
+    """A real number of Python or NumPy as a float; InputError for texts, truth values and what no float holds."""
+    try:
+        number = plain(value)
+        if isinstance(number, Real) and not isinstance(number, bool) and math.isfinite(float(number)):
+            return float(number)
+    except (ValueError, OverflowError):
+        pass
+    raise InputError(f"{name} is {shown(value)}; it must be a finite number")
 
 
 class OneOf(Kind):

@@ -70,7 +70,7 @@ def stored_scan(
             for name, values in contacts.items()
         },
     }
-    columns = [column(name, values, "1", name) for name, values in table.items()]
+    columns = {name: column(values, "1", name) for name, values in table.items()}
     attributes = {"scan": "", "scanned": ["shape", "spin_top", "spin_bottom", "seed"]}
-    write_scan(folder / "scan.h5", columns, dense_histograms(bins, contacts), attributes)
+    write_scan(folder, columns, dense_histograms(bins, contacts), attributes)
     return KnownScan(folder / "scan.h5", powers, states, table)

@@ -11,13 +11,14 @@ import numpy as np
 
 from taichi_bearings.analysis.structure import structure_of
 from taichi_bearings.errors import InputError
-from taichi_bearings.files.whole_file import put, put_attributes, refuse_standing, replace_group, write_hdf5
+from taichi_bearings.files.whole_file import Finding, put, put_attributes, refuse_standing, replace_group, write_hdf5
+from taichi_bearings.options import OneOf
 from taichi_bearings.runs.run_directory import writable_folder
 from taichi_bearings.runs.run_file import file_of, read_run
 from taichi_bearings.runs.solved import Run, together
-from taichi_bearings.runs.structure_report import Finding, findings_of
+from taichi_bearings.runs.structure_report import findings_of
 from taichi_bearings.stages import alike, each, stage
-from taichi_bearings.words import counted, html_table, meant
+from taichi_bearings.words import html_table, meant, sized
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -87,8 +88,7 @@ class Analysis:
     def __repr__(self) -> str:
         names = ("power_over_cut", "slipless_fraction", "spans", "domains") if len(self.arrays) == 1 else ()
         words = ", ".join(f"{name} = {self.report[name]}" for name in names) or f"{len(self.arrays)} samples"
-        shape = "x".join(map(str, self.report["shape"] or ())) or counted(self.report["spheres"], "sphere")
-        return f"<Analysis of {shape} {self.report['law']}: {words}>"
+        return f"<Analysis of {sized(self.report)} {self.report['law']}: {words}>"
 
     def _repr_html_(self) -> str:
         """For notebooks: the numbers of a sample, or some of each of several."""
@@ -109,11 +109,7 @@ class Analysis:
         from taichi_bearings.plots.page import PAGE
         from taichi_bearings.runs.figures import FIGURES
 
-        if kind not in self.figures:
-            raise InputError(
-                f"the figure is {kind!r}; allowed are {', '.join(self.figures)}{meant(kind, self.figures)}"
-            )
-        return FIGURES[kind](self.structure, page or PAGE)
+        return FIGURES[OneOf(table=FIGURES).named("the figure", kind)](self.structure, page or PAGE)
 
 
 def analyse(

@@ -14,6 +14,7 @@ from pathlib import Path
 from sys import float_info
 from typing import Any
 
+from taichi_bearings.checksums import open_checked
 from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.options import (
@@ -36,6 +37,7 @@ from taichi_bearings.options import (
     real,
 )
 from taichi_bearings.plain_files import read_whole
+from taichi_bearings.runtime import ARCHITECTURES, PRECISIONS
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.array_files import read_coefficients
 from taichi_bearings.scene.driving import TORQUE
@@ -76,6 +78,7 @@ OF_DRIVEN = ("shape", "periodic", "spin_top", "spin_bottom", "direction", "top",
 """Keys of a lattice, with planes or other driven bodies: a packing out of a file uses all but these."""
 OF_COURSES = ("initial", "iterations", "time_limit")
 """Keys that say nothing of a packing whose minimum is found at once."""
+NAMED_FILES = ("coefficients", "packing", "initial")  # keys that name files
 DRIVING_KEYS = ("periodic", "top", "bottom", "driven")  # keys that summaries name where they are not the defaults
 
 motion = partial(option, methods=attrgetter("is_dynamics"))
@@ -204,8 +207,8 @@ class RunSettings:
         "Slip speed up to which a contact counts as slipless. Default: what the method can resolve.",
         unit="length/time",
     )
-    arch: str = how("cpu", OneOf("cpu", "cuda", "vulkan", "metal", "auto"), "Device.")
-    precision: str = how("f64", OneOf("f64", "f32"), "Precision of the fields; bounds are always f64.")
+    arch: str = how("cpu", OneOf(*ARCHITECTURES), "Device.")
+    precision: str = how("f64", OneOf(*PRECISIONS), "Precision of the fields; bounds are always f64.")
     threads: int = how(
         0, SEED, "CPU threads; 0 for all.", not_scanned="it changes no result, so set it for all samples"
     )
@@ -254,8 +257,7 @@ class RunSettings:
 
     def to_toml(self) -> str:
         """The same settings as TOML, every key with its resolved value; keys without a value are left out."""
-        lines = [f"{key} = {toml_value(value)}" for key, value in self.described.items() if value is not None]
-        return "\n".join(lines) + "\n"
+        return toml_text({key: value for key, value in self.described.items() if value is not None})
 
     @property
     def seeds(self) -> range:
@@ -266,6 +268,11 @@ class RunSettings:
     def is_packing(self) -> bool:
         """True for a packing out of a file, and for a lattice with other driven bodies than planes."""
         return self.packing is not None or self.driven != BETWEEN_PLANES
+
+    @property
+    def drawn(self) -> dict[str, str]:
+        """What the coefficients of the law are drawn from, by key, unless they are given."""
+        return {key: getattr(self, key) for key in ("distribution", "viscosity")[: len(LAWS[self.law].quantities)]}
 
     @property
     def described(self) -> dict[str, Any]:
@@ -361,6 +368,11 @@ def _table(rows: tuple[type[MethodOptions], ...]) -> dict[str, Option]:
     return found
 
 
+def toml_text(values: Mapping[str, Any]) -> str:
+    """Keys with their values as TOML, a line each."""
+    return "".join(f"{key} = {toml_value(value)}\n" for key, value in values.items())
+
+
 def toml_value(value: Any) -> str:
     """A text, number, truth value, list or (inline) table as it is written in TOML."""
     if isinstance(value, (list, tuple)):
@@ -383,16 +395,12 @@ def read_toml(path: Path) -> dict[str, Any]:
 
     path : a TOML file, a run directory (its scene.toml), or a run.h5 (its attribute `scene`).
     """
-    from taichi_bearings.checksums import check
-    from taichi_bearings.hdf5 import open_hdf5
-
     if path.is_dir():
         path = path / "scene.toml"
     if not path.is_file():
         raise FileError(f"scene file {path} does not exist")
     if path.suffix in (".h5", ".hdf5"):
-        with open_hdf5(path, "a run") as file:
-            check(path, file)
+        with open_checked(path, "a run") as file:
             if "scene" not in file.attrs:
                 raise FileError(f"{path} holds no scene; it was not written by `bearings run`")
             return parse_toml(str(file.attrs["scene"]), path)
@@ -442,11 +450,14 @@ def parse_toml(text: str, path: Path | None = None) -> dict[str, Any]:
     if path is None:
         return values
     folder = path if path.is_dir() else path.parent
-    for key in ("coefficients", "packing", "initial"):
-        value = values.get(key)
-        if isinstance(value, str) and (folder / value).is_file():
-            values[key] = str(folder / value)
-    return values
+    return values | {key: placed(values[key], folder) for key in NAMED_FILES if key in values}
+
+
+def placed(value: Any, folder: Path) -> Any:
+    """The name of a file, or a list of them, as it is called from here: one in this folder if it is there."""
+    if isinstance(value, list):
+        return [placed(part, folder) for part in value]
+    return str(folder / value) if isinstance(value, str) and (folder / value).is_file() else value
 
 
 def _refuse_unwritable(value: Any, depth: int = 0) -> None:

@@ -79,12 +79,7 @@ def _solve_block(block: Sequence[Sample], analyse: bool, states: Path | None) ->
     if files and sample_key(first) != block[0].key:
         raise InputError(f"{' or '.join(files)} has changed since the scan began; the same scan again would do it anew")
     settings = replace(first, replicas=len(block), threads=first.threads or 1)
-    more: dict[str, Any] = {}
-    if settings.is_packing:
-        from taichi_bearings.scans.packings import system_of
-
-        more = {"system_of": system_of}
-    found = prepare(settings, strict=False).solve(**more)
+    found = prepare(settings, strict=False).solve()
     if found.interrupted:
         raise Interrupted
     runs = [found.sample(number) for number in range(len(block))]

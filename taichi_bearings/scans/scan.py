@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from taichi_bearings.errors import FileError, InputError
-from taichi_bearings.files.scan_file import write_scan, write_scan_csv
+from taichi_bearings.files.scan_file import write_scan
 from taichi_bearings.files.scan_journal import JOURNAL_NAME as JOURNAL
 from taichi_bearings.files.scan_journal import Journal
 from taichi_bearings.files.whole_file import replace_file
@@ -105,9 +105,9 @@ def refuse_unused(plan: ScanPlan, folder: Path, is_here: bool = False) -> None:
     for group in groups_of(plan.samples):  # all but their seeds alike
         settings = group[0].settings
         if settings.is_packing:
-            from taichi_bearings.scans.packings import refuse_packing
+            from taichi_bearings.runs.packing_run import refuse_packing
 
-            refuse_packing(group)
+            refuse_packing(settings, has_seeds=len(group) > 1)
         unused = settings.unused(row_of(settings))
         if is_here:
             refuse_absent(settings.arch, settings.precision)
@@ -283,10 +283,8 @@ class _Course:
         self.removed = outdated_figures(self.folder, journals) if removes else []
         for figure in self.removed:
             figure.unlink(missing_ok=True)
-        columns = columns_of(self.plan, self.records)
-        histograms = histograms_of(self.plan, self.records)
-        write_scan(self.folder / "scan.h5", columns, histograms, attributes_of(self.plan, journals))
-        write_scan_csv(self.folder / "scan.csv", columns)
+        columns, histograms = columns_of(self.plan, self.records), histograms_of(self.plan, self.records)
+        write_scan(self.folder, columns, histograms, attributes_of(self.plan, journals))
 
     def write_files(self) -> None:
         """Once all is done; figures of the scan as it was before go."""
