@@ -247,15 +247,15 @@ def _of_contacts(row: Quantity) -> property:
     return property(found, doc=f"{_described(row)[:-1]}; of lattices an array an axis.")
 
 
-def _if_known(row: Quantity) -> property:
+def _of_findings(row: Quantity) -> property:
     """A number or word of each sample; None where there is none."""
-    return property(lambda result: result._run.numbers.get(row.name), doc=_described(row))
+    return property(lambda result: result.findings.get(row.name), doc=_described(row))
 
 
 for _name in Result.__annotations__.keys() & SAMPLES.keys():
     setattr(Result, _name, _of_samples(SAMPLES[_name]))
-for _name in ("proof", "driven_power", "slipless_motions", "time"):
-    setattr(Result, _name, _if_known((SAMPLES | FINDINGS)[_name]))
+for _name in Result.__annotations__.keys() & FINDINGS.keys():
+    setattr(Result, _name, _of_findings(FINDINGS[_name]))
 for _name, _row in SPHERES.items():  # of each sphere: N, or (*N, 3); zeros, too, of which files have none
     _found = partial(lambda name, result: result._of_samples(getattr(result._run.solution, name)), _name)
     setattr(Result, _name, property(_found, doc=_described(_row)))

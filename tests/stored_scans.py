@@ -5,10 +5,15 @@ from pathlib import Path
 
 import numpy as np
 
-from taichi_bearings.files.scan_file import FAILED, bin_of, column, dense_histograms, write_scan
+from taichi_bearings.files.scan_file import FAILED, column, dense_histograms, write_scan
 from taichi_bearings.proof.contact_state import ContactState
 
 SLIPLESS_SHARE, UNDECIDED_SHARE = 0.4, 0.05
+
+
+def bin_of(power):
+    """Whole number i of the bin [10^(i/20), 10^((i + 1)/20)) of each positive power."""
+    return np.floor(20 * np.log10(power)).astype(np.int64)
 
 
 @dataclass(frozen=True)

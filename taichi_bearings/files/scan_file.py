@@ -39,15 +39,10 @@ CONTACT_SETS = {  # name -> description, as ContactState numbers them
 }
 
 
-def bin_of(power: np.ndarray) -> np.ndarray:
-    """Whole number i of the bin [10^(i/20), 10^((i + 1)/20)) of each positive power."""
-    return np.floor(BINS_PER_DECADE * np.log10(power)).astype(np.int64)
-
-
 def dense_histograms(bins: Sequence[Mapping[int, int]], contacts: Mapping[str, Sequence[int]]) -> SampleCounts:
     """Bins over the range that the samples meet.
 
-    bins : of each sample, the number of the bin (:func:`bin_of`) -> slipping contacts.
+    bins : of each sample, the number i of the bin [10^(i/20), 10^((i + 1)/20)) -> slipping contacts.
     contacts : by the names of CONTACT_SETS, one number a sample.
     """
     met = [number for sample in bins for number in sample]
@@ -177,7 +172,7 @@ def read_scan(scan: Path) -> StoredScan:
         table = {name: (s.asstr() if h5py.check_string_dtype(s.dtype) else s)[()] for name, s in sets.items()}
         edges, count, *of_states = (file[f"histogram/{name}"][()] for name in ("edges", "count", *CONTACT_SETS))
         is_real = edges.dtype.kind == "f" and edges.ndim == 1 and ((edges > 0) & (edges < np.inf)).all()
-        place = BINS_PER_DECADE * np.log10(edges) if is_real else np.full(1, np.nan)  # whole numbers, as bin_of counts
+        place = BINS_PER_DECADE * np.log10(edges) if is_real else np.full(1, np.nan)  # whole numbers
         first = round(float(place[0])) if is_real and len(edges) else 0
         if len(place) and not np.allclose(place, first + np.arange(len(place)), rtol=0, atol=1e-6):
             raise InputError("the edges of its histograms are no powers of its bins")

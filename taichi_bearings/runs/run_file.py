@@ -269,7 +269,7 @@ def _read(path: Path, file: h5py.File, attributes: Mapping[str, Any], settings: 
     sets = {name: of_contacts(name) for name in there}
     sets |= {"friction": of_contacts("friction", *vector), "spin": arrays.get("spin", *sites, *vector)}
     for name, values in sets.items():
-        is_fine = _is_number if name == "slip_bound" else np.isfinite
+        is_fine = (lambda of: ~np.isnan(of)) if name == "slip_bound" else np.isfinite
         arrays.check(name, values, is_fine if status is not Status.NOT_FINITE else np.isreal)
     rounding = arrays.get("spin_rounding", *sites, *vector) if "spin_rounding" in file else np.zeros_like(sets["spin"])
     own: dict[str, np.ndarray] = {"status": np.broadcast_to(np.array(ended, dtype=object), replicas)}
@@ -328,7 +328,3 @@ def _packings_in(path: Path, file: h5py.File, attributes: Mapping[str, Any], set
         return arrays.get(f"contact/{name}", first.contacts, *parts)
 
     return scene, arrays, of_contacts, (first.spheres,), () if first.dimension == 2 else (3,)
-
-
-def _is_number(values: np.ndarray) -> np.ndarray:
-    return ~np.isnan(values)

@@ -234,7 +234,10 @@ class RunSettings:
 
     @classmethod
     def from_mapping(cls, values: Mapping[str, Any], source: str = "the settings") -> "RunSettings":
-        """Settings from key-value pairs; an unknown key is refused, with the nearest known one."""
+        """Settings from key-value pairs; an unknown key is refused, with the nearest known one.
+
+        Coefficients from a file bring their shape, and their periodic sides unless some are given.
+        """
         for key in values:
             if key not in cls.keys():
                 hint = meant(key, cls.keys()) or f"; known keys are {', '.join(cls.keys())}"
@@ -245,15 +248,10 @@ class RunSettings:
 
             viscous = "law" not in values and "viscosity" in Packing.read(settings.packing)
             return replace(settings, law="coulomb-viscous") if viscous else settings
-        return settings if "shape" in values else settings.in_shape_of_coefficients()
-
-    def in_shape_of_coefficients(self) -> "RunSettings":
-        """The settings with the shape of the coefficients file, and its periodic sides unless some are given; FileError
-        if that cannot be read."""
-        if self.coefficients is None:
-            return self
-        lattice = Lattice.of(read_coefficients(Path(self.coefficients)))
-        return replace(self, shape=lattice.shape, periodic=self.periodic or lattice.periodic_names)
+        if "shape" in values or settings.coefficients is None:
+            return settings
+        lattice = Lattice.of(read_coefficients(Path(settings.coefficients)))
+        return replace(settings, shape=lattice.shape, periodic=settings.periodic or lattice.periodic_names)
 
     def to_toml(self) -> str:
         """The same settings as TOML, every key with its resolved value; keys without a value are left out."""

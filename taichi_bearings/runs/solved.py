@@ -92,9 +92,10 @@ class Run:
     @property
     def histogram(self) -> "PowerHistogram":
         """Of the power over its slipping contacts, of all replicas."""
-        from taichi_bearings.analysis.histogram import power_histogram
+        from taichi_bearings.analysis.histogram import count_powers, pool
 
-        return power_histogram(self.solution.power_per_contact, self.solution.state, self.solution.slip_threshold)
+        found = self.solution
+        return pool(count_powers(found.power_per_contact, found.state), found.slip_threshold)
 
     def self_contained(self, folder: Path, name: str = "run.h5") -> RunSettings:
         """As the function of this name."""

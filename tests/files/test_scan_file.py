@@ -7,9 +7,11 @@ import h5py
 import numpy as np
 import pytest
 
+from taichi_bearings.analysis.histogram import count_powers
 from taichi_bearings.errors import FileError
-from taichi_bearings.files.scan_file import bin_of, column, dense_histograms, read_scan, write_scan
+from taichi_bearings.files.scan_file import column, dense_histograms, read_scan, write_scan
 from taichi_bearings.files.whole_file import write_csv, write_text
+from tests.stored_scans import bin_of
 
 COLUMNS = {
     "seed": column([1, 2, 3], "1", "seed of the disorder"),
@@ -67,6 +69,9 @@ def test_every_power_lies_in_its_bin():
     assert (10 ** (number / 20) <= power * (1 + 1e-12)).all()
     assert (power <= 10 ** ((number + 1) / 20) * (1 + 1e-12)).all()
     low, high = int(number.min()), int(number.max())
+    counts = count_powers(power[None], np.ones((1, len(power)), dtype=np.uint8), 20)
+    assert counts.first == low
+    assert np.array_equal(counts.count[0], np.bincount(number - low))
     whole = dense_histograms([{int(n): 1 for n in number}], {name: [0] for name in CONTACTS})
     assert len(whole.edges) == high - low + 2
     assert math.isclose(whole.edges[0], 10 ** (low / 20))

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from taichi_bearings.errors import BearingsError, FileError, InputError
-from taichi_bearings.files.scan_file import bin_of, read_scan
+from taichi_bearings.files.scan_file import read_scan
 from taichi_bearings.runs.run import prepare, solve_job
 from taichi_bearings.runs.run_file import read_run
 from taichi_bearings.runs.settings import RunSettings
@@ -24,6 +24,7 @@ from taichi_bearings.scans.plan import read_plan
 from taichi_bearings.scans.scan import estimate, refuse_unused, scan
 from tests.scans import scan_faults
 from tests.scans.scan_faults import Here, asking
+from tests.stored_scans import bin_of
 
 CLOCKS = {"seconds", "seconds_compile"}
 
