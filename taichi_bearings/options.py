@@ -177,11 +177,6 @@ class Option:
         """The value as it is kept; InputError names it and what is allowed."""
         return None if value is None and self.default is None else self.kind.named(name, value)
 
-    def is_used_by(self, method: Any, law: Any) -> bool:
-        """method : None for one that is not known, which uses what all use."""
-        by_method = self.methods is None or (method is not None and self.methods(method))
-        return by_method and (self.laws is None or self.laws(law))
-
 
 def option(default: Any, kind: Kind, help: str, **facts: Any) -> Any:
     """A field of a dataclass that is an :class:`Option`, whose other facts can be given by name."""

@@ -63,7 +63,7 @@ class Run:
         beside = named if named in STARTS or path is None else str((path if path.is_dir() else path.parent) / named)
         return initial_spin(self.solution.scene, beside)
 
-    @property
+    @cached_property
     def answered(self) -> Answered:
         return Answered(self.solution, self.settings.tolerance, self.settings.duration)
 

@@ -24,12 +24,11 @@ from taichi_bearings.plain_files import read_lines, read_whole
 from taichi_bearings.quantities import COLUMNS
 from taichi_bearings.runs.run import versions
 from taichi_bearings.runs.run_file import refuse_run
-from taichi_bearings.runs.settings import MOST_SETTINGS_TEXT, RunSettings, settings_table
+from taichi_bearings.runs.settings import MOST_SETTINGS_TEXT, RunSettings, settings_table, users_of
 from taichi_bearings.scans.parts import journal_bytes, read_journals
 from taichi_bearings.scans.plan import Sample, ScanPlan, read_plan, written
 from taichi_bearings.scene import Scene
-from taichi_bearings.scene.law import COULOMB, LAWS
-from taichi_bearings.solvers import METHODS
+from taichi_bearings.scene.law import COULOMB
 from taichi_bearings.version import VERSION
 
 DRAWN = ("seed", "coefficients")  # what a disorder comes from
@@ -163,9 +162,8 @@ def disorder_of(columns: Mapping[str, np.ndarray], settings: RunSettings | None 
     solved = list(zip(methods, laws, strict=True))
     for key in of_system:
         if key in columns:
-            used = {
-                one: one[0] is None or table[key].is_used_by(METHODS.get(one[0]), LAWS[one[1]]) for one in set(solved)
-            }
+            by_all, (users, suited) = table[key].methods is None, users_of(table[key])
+            used = {one: one[0] is None or ((by_all or one[0] in users) and one[1] in suited) for one in set(solved)}
             values_of_key = columns[key].tolist()
             names.append([value if used[one] else None for value, one in zip(values_of_key, solved, strict=True)])
     return list(zip(*names, strict=True))
