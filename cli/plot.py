@@ -96,12 +96,10 @@ def _plot_run(kind: str, run: Path, replica: int, time: float | None, out: Path 
     from taichi_bearings.files.whole_file import refuse_ending
     from taichi_bearings.plots.style import ENDINGS, save, save_small
     from taichi_bearings.runs.figures import draw_figure
-    from taichi_bearings.runs.run_directory import claimed
-    from taichi_bearings.runs.run_file import read_run
+    from taichi_bearings.runs.run_file import opened_to_draw
 
     refuse_ending(out, *ENDINGS)
-    stored, path = read_run(run), (run if run.is_dir() else run.parent) / kind
-    with claimed(out or path, force or out is None):
+    with opened_to_draw(run, out, kind, force) as (stored, path):
         figure = draw_figure(kind, stored.solution, replica, time, stored.settings.slip_threshold, page)
         if out:
             save(figure, out)

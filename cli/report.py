@@ -4,13 +4,12 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from taichi_bearings.quantities import Quantity
-from taichi_bearings.words import counted, driving_words, listed
+from taichi_bearings.words import driving_words, listed, sized
 
 
 def solved(report: Mapping[str, Any]) -> str:
     """What was solved by which method: ``10x10 coulomb, planar-cut``."""
-    shape = "x".join(map(str, report["shape"])) if report["shape"] else f"{counted(report['spheres'], 'sphere')},"
-    return f"{shape} {report['law']}, {report['method']}{driving_words(report)}"
+    return f"{sized(report)} {report['law']}, {report['method']}{driving_words(report)}"
 
 
 def ends(report: Mapping[str, Any]) -> str:

@@ -17,7 +17,7 @@ from taichi_bearings.errors import BearingsError, DeviceError, FileError, InputE
 from taichi_bearings.version import VERSION
 
 if TYPE_CHECKING:
-    from taichi_bearings.api import Packing, PackingResult, Result, Scene, analyse, load, solve, solve_many
+    from taichi_bearings.api import Packing, Result, Scene, analyse, load, solve, solve_many
     from taichi_bearings.solvers import (
         CundallStrack,
         GradientDescent,
@@ -32,10 +32,10 @@ if TYPE_CHECKING:
 __version__ = VERSION
 __all__ = [
     "BearingsError", "CundallStrack", "DeviceError", "FileError", "GradientDescent", "ImplicitCundallStrack",
-    "InputError", "InteriorPoint", "LinearSolver", "OperatorSplitting", "Packing", "PackingResult", "PlanarCut",
+    "InputError", "InteriorPoint", "LinearSolver", "OperatorSplitting", "Packing", "PlanarCut",
     "Result", "RigidLimit", "Scene", "__version__", "analyse", "load", "solve", "solve_many",
 ]  # fmt: skip
-OF_API = ("Packing", "PackingResult", "Result", "Scene", "analyse", "load", "solve", "solve_many")
+OF_API = ("Packing", "Result", "Scene", "analyse", "load", "solve", "solve_many")
 
 
 def __getattr__(name: str) -> Any:

@@ -11,20 +11,19 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, overload
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from taichi_bearings.analysis.structure import structure_of
 from taichi_bearings.errors import InputError
 from taichi_bearings.lattice.grid import friction_by_axis
-from taichi_bearings.options import SEED, options_of
+from taichi_bearings.options import SEED, finite_number, options_of
 from taichi_bearings.packing import Packing, Packings
 from taichi_bearings.progress import displayed
 from taichi_bearings.quantities import CONTACTS, FINDINGS, SAMPLES, SPHERES, Quantity
 from taichi_bearings.runs import run as runs
 from taichi_bearings.runs.analysis import Analysis
-from taichi_bearings.runs.packing_run import minimises, refuse_unused, used
+from taichi_bearings.runs.packing_run import fitting, minimises
 from taichi_bearings.runs.run_directory import run_directory
 from taichi_bearings.runs.run_file import read_run
 from taichi_bearings.runs.settings import RunSettings
@@ -32,11 +31,10 @@ from taichi_bearings.runs.solved import Run
 from taichi_bearings.runtime import available_threads
 from taichi_bearings.scans.sample import JobTask, solve_all
 from taichi_bearings.scene import Scene, Snapshots
-from taichi_bearings.scene.given import finite_number
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import MethodOptions
 from taichi_bearings.solvers.drive import Report
-from taichi_bearings.words import html_table, meant, shown
+from taichi_bearings.words import html_table, listed, meant, shown
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -63,8 +61,12 @@ class Check:
 
 OfSamples = Any
 """A number or word, or with several samples an array or list with one each, (R,)."""
-ByAxis = tuple[np.ndarray, ...]
-"""An array an axis, x, y(, z), of the shapes of `Scene.coefficients`; with several samples with a leading axis R."""
+OfContacts = Any
+"""Of a lattice an array an axis, x, y(, z), of the shapes of `Scene.coefficients`, of a packing one of its E contacts;
+with several samples with a leading axis R."""
+
+
+TABLED = ("seed", "status", "proof", "power", "lower_bound", "gap", "slipping", "slipless", "undecided", "driven_power")
 
 
 class Result:
@@ -72,16 +74,22 @@ class Result:
 
     It is the same whether it was solved just now or read from a file. A single sample has numbers and arrays without an
     axis of replicas. Of several samples, (R,) are arrays with one number each, and every array has a leading axis R;
-    `result[0]` is one of them alone, and `for one in result` goes through all. N is the lattice, such as (nx, ny, nz).
-    What lies on contacts is a tuple with an array an axis, x, y(, z), of the shapes of `scene.coefficients`.
+    `result[0]` is one of them alone, and `for one in result` goes through all. N is the lattice, such as (nx, ny, nz),
+    or the number of spheres of a packing. What lies on contacts is a tuple with an array an axis, x, y(, z), of the
+    shapes of `scene.coefficients`, and of packings one array (E,); of these, contacts between driven spheres, or
+    without coefficient, are left out of `power`.
     """
-
-    _tabled: ClassVar = ("seed", "status", "power", "lower_bound", "gap", "slipping", "slipless", "undecided")
 
     def __init__(self, run: Run) -> None:
         self._run = run
 
-    scene = property(lambda self: self._run.solution.scene, doc="The :class:`Scene` that was solved.")
+    scene = property(
+        lambda self: self._run.solution.scene, doc="The :class:`Scene` that was solved, or the packings of all samples."
+    )
+    packing = property(
+        lambda self: self._run.solution.scene[0] if self._run.is_packing else None,
+        doc="The :class:`Packing` that was solved, of several samples the first; None of lattices.",
+    )
     settings = property(
         lambda self: self._run.settings.given,
         doc="Options that differ from their defaults, by name as in `bearings run`: how to solve the scene again.",
@@ -104,11 +112,15 @@ class Result:
     seconds_compile: float
     spin: np.ndarray
     spin_rounding: np.ndarray
-    slip: ByAxis
-    power_per_contact: ByAxis
-    force: ByAxis
-    state: ByAxis
-    slip_bound: ByAxis
+    slip: OfContacts
+    power_per_contact: OfContacts
+    force: OfContacts
+    state: OfContacts
+    slip_bound: OfContacts
+    proof: OfSamples
+    driven_power: OfSamples
+    slipless_motions: OfSamples
+    time: OfSamples
     reached = property(
         lambda self: all(status.reached for status in self._run.status), doc="True if what was asked for was reached."
     )
@@ -129,10 +141,12 @@ class Result:
     summary = property(lambda self: self._run.summary, doc="All numbers by name, as `bearings run --json` prints them.")
 
     @property
-    def friction(self) -> tuple[np.ndarray, ...]:
+    def friction(self) -> OfContacts:
         """Force on the upper sphere of each contact, laboratory frame, force; an array (*contacts, 3) an axis, in 2D
-        (*contacts), its component along z x n. The lower bound follows from it."""
-        return friction_by_axis(self._of_samples(self._run.solution.friction), self.scene.lattice)
+        (*contacts), its component along z x n. Of packings that on the second sphere, (E, 3), of discs (E,). The lower
+        bound follows from it."""
+        found = self._of_samples(self._run.solution.friction)
+        return found if self._run.is_packing else friction_by_axis(found, self.scene.lattice)
 
     @property
     def history(self) -> dict[str, np.ndarray]:
@@ -150,11 +164,7 @@ class Result:
         """Spins of a dynamics at the times asked for, if any: `time` (S,) and `spin` (S, *N), in 3D (S, *N, 3),
         1/time; of several samples (R, S, ...)."""
         kept = self._run.solution.snapshots
-        return None if kept is None else Snapshots(kept.time, self._of_samples(np.moveaxis(kept.spin, 1, 0)))
-
-    def _by_axis(self, values: np.ndarray) -> ByAxis:
-        """Values (..., E) of contacts as users meet them."""
-        return self.scene.lattice.by_axis(values)
+        return None if kept is None else Snapshots(kept.time.T, self._of_samples(np.moveaxis(kept.spin, 1, 0)))
 
     def _of_samples(self, values: Any) -> Any:
         """The values of all samples, (R, ...), as users meet them; what is one for all stays."""
@@ -175,13 +185,9 @@ class Result:
     def __iter__(self) -> Iterator["Result"]:
         return (self[number] for number in range(len(self)))
 
-    @property
-    def _what(self) -> str:
-        """What was solved, in a few words."""
-        return f"{'x'.join(map(str, self.scene.lattice.shape))} {self.scene.law}"
-
     def __repr__(self) -> str:
-        words = f"<{type(self).__name__} {self._what}, {self.method}"
+        what = self.packing or f"{'x'.join(map(str, self.scene.lattice.shape))} {self.scene.law}"
+        words = f"<Result {what}, {self.method}"
         if len(self) > 1:
             done = sum(status.reached for status in self._run.status)
             return f"{words}: {len(self)} samples, {done} reached, gap at most {self.gap.max():.1e}>"
@@ -189,8 +195,8 @@ class Result:
 
     def _repr_html_(self) -> str:
         """A table for notebooks, a row a sample."""
-        columns = [np.atleast_1d(self.summary[name]).tolist() for name in self._tabled]
-        return html_table(repr(self), zip(*columns, strict=True), self._tabled)
+        columns = {name: listed(found) for name in TABLED if (found := self.summary.get(name)) is not None}
+        return html_table(repr(self), zip(*columns.values(), strict=True), list(columns))
 
     def plot(
         self, kind: str = "spins", sample: int = 0, time: float | None = None, page: "Page | None" = None
@@ -229,94 +235,38 @@ def _of_samples(row: Quantity) -> property:
 
 
 def _of_contacts(row: Quantity) -> property:
-    """An array an axis; none where nothing is known."""
+    """An array an axis, or one of a packing; none where nothing is known."""
 
-    def found(result: Result) -> ByAxis:
+    def found(result: Result) -> OfContacts:
         values = row.of(result._run.solution)
-        return () if values is None else result._by_axis(result._of_samples(values))
+        if values is None:
+            return ()
+        values = result._of_samples(values)
+        return values if result._run.is_packing else result.scene.lattice.by_axis(values)
 
-    return property(found, doc=f"{_described(row)[:-1]}; an array an axis.")
+    return property(found, doc=f"{_described(row)[:-1]}; of lattices an array an axis.")
 
 
-def _of_packing(row: Quantity) -> property:
-    """A number or word of a packing, None where it is not known."""
-    return property(lambda result: result._run.numbers.get(row.name), doc=_described(row))
+def _of_findings(row: Quantity) -> property:
+    """A number or word of each sample; None where there is none."""
+    return property(lambda result: result.findings.get(row.name), doc=_described(row))
 
 
 for _name in Result.__annotations__.keys() & SAMPLES.keys():
     setattr(Result, _name, _of_samples(SAMPLES[_name]))
+for _name in Result.__annotations__.keys() & FINDINGS.keys():
+    setattr(Result, _name, _of_findings(FINDINGS[_name]))
 for _name, _row in SPHERES.items():  # of each sphere: N, or (*N, 3); zeros, too, of which files have none
     _found = partial(lambda name, result: result._of_samples(getattr(result._run.solution, name)), _name)
     setattr(Result, _name, property(_found, doc=_described(_row)))
 for _name, _row in CONTACTS.items():
     setattr(Result, "power_per_contact" if _name == "power" else _name, _of_contacts(_row))
 
-
-class PackingResult(Result):
-    """The answer to a packing, a :class:`Result` of one sample whose arrays are flat, of N spheres and E contacts.
-
-    spin : (N, 3), of discs (N,). slip, force, power_per_contact, state, proven, slip_bound : (E,). Contacts between
-    driven spheres, or without coefficient, are left out of `power`.
-    """
-
-    _tabled = ("status", "proof", "power", "lower_bound", "gap", "driven_power", "critical", "slipless_motions")
-    packing = property(lambda self: self._run.solution.scene[0], doc="The :class:`Packing` that was solved.")
-    torque = property(lambda self: self._run.settings.torque, doc="On the last body, if a run was asked for one.")
-    proof: str
-    driven_power: float
-    slipless_motions: int | None
-    time: float | None
-    unbalanced = property(
-        lambda self: self.largest_balance_residual, doc="Largest torque left on a free sphere, over its radius; force."
-    )
-    friction = property(
-        lambda self: self._of_samples(self._run.solution.friction),
-        doc="Force on the second sphere of each contact, laboratory frame, force; (E, 3), of discs (E,), its component "
-        "along z x n. The lower bound follows from it.",
-    )
-
-    def _by_axis(self, values: np.ndarray) -> Any:
-        return values
-
-    @property
-    def _what(self) -> str:
-        return repr(self.packing)
-
-
-for _name in PackingResult.__annotations__:
-    setattr(PackingResult, _name, _of_packing((SAMPLES | FINDINGS)[_name]))
-
 OPTIONS = (
     "torque", "iterations", "time_limit", "duration", "record", "snapshots", "slip_threshold", "arch", "precision",
     "threads",
 )  # fmt: skip
 """What :func:`solve` takes beside its own arguments: settings of a run that belong to no method and no scene."""
-
-
-@overload
-def solve(
-    scene: Scene,
-    method: str | MethodOptions = "auto",
-    tolerance: float = 1e-8,
-    start: str | np.ndarray = "linear",
-    callback: Callable[[Check], bool | None] | None = None,
-    *,
-    progress: bool = True,
-    **options: Any,
-) -> Result: ...
-
-
-@overload
-def solve(
-    scene: Packing,
-    method: str | MethodOptions = "auto",
-    tolerance: float = 1e-8,
-    start: str | np.ndarray = "linear",
-    callback: Callable[[Check], bool | None] | None = None,
-    *,
-    progress: bool = True,
-    **options: Any,
-) -> PackingResult: ...
 
 
 def solve(
@@ -328,7 +278,7 @@ def solve(
     *,
     progress: bool = True,
     **options: Any,
-) -> Result | PackingResult:
+) -> Result:
     """Solve a scene or a packing; no file is read or written.
 
     method : "auto", the fastest one that certifies the scene, or another name, or a method with its options, such as
@@ -355,7 +305,7 @@ def solve(
         job = _job(scene, method, {"tolerance": tolerance, **options}, start)
         if isinstance(scene, Packing) and monitors and minimises(job.settings):
             raise InputError(f"callback is given, but method {job.settings.method} of a packing does not use it")
-        return _result(replace(job.solve(monitors, **density), command="taichi_bearings.solve"))
+        return Result(replace(job.solve(monitors, **density), command="taichi_bearings.solve"))
 
 
 def solve_many(
@@ -365,7 +315,7 @@ def solve_many(
     start: str | np.ndarray = "linear",
     workers: int = 0,
     **options: Any,
-) -> Iterator[Result | PackingResult]:
+) -> Iterator[Result]:
     """Solve scenes or packings in processes of their own; gives the answers as they come, in whatever order.
 
     `answer.scene`, or `answer.packing`, is the very one that was given, which tells them apart. The other arguments are
@@ -374,53 +324,34 @@ def solve_many(
 
     Raises InputError before anything is computed, and BearingsError for the first scene that has no answer.
     """
-    try:
-        workers = SEED.read(workers)
-    except (TypeError, ValueError, OverflowError):
-        raise InputError(f"workers is {shown(workers)}; it must be 1 or more, or 0 for one a processor") from None
+    workers = SEED.named("workers", workers)
     if not isinstance(scenes, Iterable):
         raise InputError(f"scenes is a {type(scenes).__name__}; it must be scenes, as in solve_many([scene])")
     asked = {"tolerance": tolerance, **options}
     tasks = [JobTask(str(number), scene, _job(scene, method, asked, start)) for number, scene in enumerate(scenes)]
     found = solve_all(tasks, min(workers or available_threads(), max(1, len(tasks))))
-    return (_result(replace(run, command="taichi_bearings.solve_many")) for run in found)
+    return (Result(replace(run, command="taichi_bearings.solve_many")) for run in found)
 
 
-def _result(run: Run) -> Result | PackingResult:
-    return PackingResult(run) if run.is_packing else Result(run)
-
-
-def analyse(result: Result | PackingResult | str | Path, threshold: float | None = None, sample: int = 0) -> Any:
+def analyse(result: Result | str | Path, threshold: float | None = None, sample: int = 0) -> Analysis:
     """An :class:`Analysis` of an answer, or of a run in a file: minimum cut, slipless network, rigid domains,
-    bottlenecks and forces. Of a packing a :class:`taichi_bearings.analysis.structure.Structure`.
+    bottlenecks and forces.
 
     threshold : slip speed, length/time, up to which contacts count as slipless. Default: the contact states of the run.
     sample : the one of several that is shown in figures and as `structure`.
     """
     found = load(result) if isinstance(result, (str, os.PathLike)) else result
-    threshold = None if threshold is None else finite_number("threshold", threshold)
-    if isinstance(found, list):  # replicas of a packing
-        if sample not in range(len(found)):
-            raise InputError(f"sample is {sample}; the run has {len(found)}, counted from 0")
-        found = found[sample]
-    if isinstance(found, PackingResult):
-        return structure_of(found._run.solution, threshold=threshold)
-    return Analysis(found._run, threshold, sample)
+    return Analysis(found._run, None if threshold is None else finite_number("threshold", threshold), sample)
 
 
-def load(path: str | Path) -> Any:
-    """A :class:`Result`, or of a packing a :class:`PackingResult` (of several replicas a list of them), of a run
-    directory or its run.h5, whatever wrote it.
+def load(path: str | Path) -> Result:
+    """The :class:`Result` of a run directory or its run.h5, whatever wrote it.
 
     FileError if it is missing, damaged or was changed.
     """
     if not isinstance(path, (str, os.PathLike)):
         raise InputError(f"{shown(path)} is not a path; it must name a run directory or its run.h5")
-    stored = read_run(Path(path))
-    replicas = stored.solution.scene.replicas
-    if stored.is_packing and replicas > 1:
-        return [PackingResult(stored.sample(number)) for number in range(replicas)]
-    return _result(stored)
+    return Result(read_run(Path(path)))
 
 
 def _job(
@@ -430,10 +361,10 @@ def _job(
     that are an array lie beside the settings."""
     if isinstance(scene, Packing):
         settings = RunSettings(packing="run.h5", law=str(scene.law), seed=scene.seed, **_asked(method, options, start))
-        settings = settings if isinstance(method, str) else used(settings)  # of its options all are given
-        if "initial" in settings.given and minimises(settings):
+        strict = isinstance(method, str)  # else all options of the method are given
+        if strict and "initial" in settings.given and minimises(settings):
             raise InputError(f"start is given, but method {settings.method} of a packing does not use it")
-        refuse_unused(settings)
+        settings = fitting(settings, strict)
         return runs.Job(settings, Packings((scene,)), None if isinstance(start, str) else start)
     if not isinstance(scene, Scene):
         raise InputError(f"the scene is a {type(scene).__name__}; it must be a taichi_bearings.Scene or a Packing")

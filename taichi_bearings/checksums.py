@@ -7,6 +7,7 @@ Files from before have none and are read unchecked. Who changes a file on purpos
 anew with :func:`seal`; what others add is not looked at.
 """
 
+import contextlib
 import hashlib
 import json
 from collections.abc import Iterator
@@ -17,6 +18,7 @@ import h5py
 import numpy as np
 
 from taichi_bearings.errors import FileError
+from taichi_bearings.hdf5 import LAYOUT, open_hdf5
 from taichi_bearings.plain_files import parse_json
 
 ATTRIBUTE = "sha256"
@@ -69,8 +71,15 @@ def changed(path: Path, group: h5py.Group) -> Iterator[str]:
             yield f"{group.name.strip('/')}/{name}".strip("/")
 
 
-def check(path: Path, file: h5py.File) -> None:
-    """FileError if something in the open file `path` is not what it was when it was written."""
-    for group in [file, *(item for item in file.values() if isinstance(item, h5py.Group))]:
-        for name in changed(path, group):
-            raise FileError(f"{path} is damaged or was changed: the checksum of {name} does not match")
+@contextlib.contextmanager
+def open_checked(path: Path, kind: str = "an HDF5 file") -> Iterator[h5py.File]:
+    """As open_hdf5; FileError, too, for a layout of another version, and if something is not what it was when it was
+    written."""
+    with open_hdf5(path, kind) as file:
+        found = file.attrs.get("schema_version", LAYOUT)
+        if found != LAYOUT:
+            raise FileError(f"{path} has layout version {found}; this program reads version {LAYOUT}")
+        for group in [file, *(item for item in file.values() if isinstance(item, h5py.Group))]:
+            for name in changed(path, group):
+                raise FileError(f"{path} is damaged or was changed: the checksum of {name} does not match")
+        yield file

@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, fields
 from functools import partial
+from numbers import Real
 from types import MappingProxyType
 from typing import Any
 
@@ -103,6 +104,17 @@ def _text(value: Any) -> str:
     return value
 
 
+def finite_number(name: str, value: Any) -> float:
+    """A real number of Python or NumPy as a float; InputError for texts, truth values and what no float holds."""
+    try:
+        number = plain(value)
+        if isinstance(number, Real) and not isinstance(number, bool) and math.isfinite(float(number)):
+            return float(number)
+    except (ValueError, OverflowError):
+        pass
+    raise InputError(f"{name} is {shown(value)}; it must be a finite number")
+
+
 class OneOf(Kind):
     """One of some names. table : of more of them, which can grow."""
 
@@ -164,11 +176,6 @@ class Option:
     def read(self, name: str, value: Any) -> Any:
         """The value as it is kept; InputError names it and what is allowed."""
         return None if value is None and self.default is None else self.kind.named(name, value)
-
-    def is_used_by(self, method: Any, law: Any) -> bool:
-        """method : None for one that is not known, which uses what all use."""
-        by_method = self.methods is None or (method is not None and self.methods(method))
-        return by_method and (self.laws is None or self.laws(law))
 
 
 def option(default: Any, kind: Kind, help: str, **facts: Any) -> Any:

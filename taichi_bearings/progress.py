@@ -12,9 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from taichi_bearings.stages import Stage, Watch, is_watched, watched
+from taichi_bearings.stages import Stage, listener
 from taichi_bearings.words import counted
 
+BETWEEN = "loading"  # what the time outside all stages is called
 QUIET_SECONDS = 0.4  # seconds until the line appears: what takes no longer needs none
 REFRESH, REFRESH_NOTEBOOK = 8, 3  # times a second that the line is written anew
 WINDOW = 3.0  # the pace is that since this part of the time
@@ -86,21 +87,41 @@ def _live(line: Callable[[], str]) -> Any:
     return Live(console=Console(stderr=True), get_renderable=whole, refresh_per_second=REFRESH, transient=True)
 
 
-class Display(Watch):
-    """Listens to the stages of some work: a line says what is under way; `times` says where the time went."""
+class Display:
+    """Listens to the stages of some work: a line says what is under way; `times` says where the time went.
+
+    stages : those under way, outermost first. seconds : wall time by name, without that of stages inside, in the order
+    in which they first began.
+    """
 
     def __init__(self, since: float | None = None) -> None:
         """since : when the time begins, by time.perf_counter()."""
-        super().__init__(since=since)
+        self.stages, self.seconds = list[Stage](), {BETWEEN: 0.0}
+        self._since = time.perf_counter() if since is None else since
         self._context = ExitStack()
 
     def __enter__(self) -> "Display":
         self._context.enter_context(TerminalLine(self.line))
-        self._context.enter_context(watched(self))
+        self._context.callback(listener.reset, listener.set(self))
         return self
 
     def __exit__(self, *_: object) -> None:
         self._context.close()
+
+    def begin(self, new: Stage) -> None:
+        self.book()
+        self.stages.append(new)
+        self.seconds.setdefault(new.name, 0.0)
+
+    def end(self, old: Stage) -> None:
+        self.book()
+        del self.stages[self.stages.index(old) :]
+
+    def book(self) -> None:
+        """Count the time until now."""
+        now = time.perf_counter()
+        self.seconds[self.stages[-1].name if self.stages else BETWEEN] += now - self._since
+        self._since = now
 
     def hear(self, stage: Stage) -> None:
         if stage.report is not None:
@@ -123,7 +144,7 @@ class Display(Watch):
                     words.append(f"{duration(now - stage.began)} so far")
                 words += [] if stage.report is None else [standing(stage.report)]
             told.append(", ".join(words))
-        return " · ".join(told) or self.between
+        return " · ".join(told) or BETWEEN
 
     def times(self) -> str:
         """All the time since it began, and its parts."""
@@ -134,7 +155,7 @@ class Display(Watch):
 
 def displayed(wanted: bool = True) -> AbstractContextManager[Any]:
     """Shows how far the work inside is, if that is wanted and seen, and nobody does so already."""
-    return Display() if wanted and is_seen() and not is_watched() else nullcontext()
+    return Display() if wanted and is_seen() and listener.get() is None else nullcontext()
 
 
 def standing(report: Any) -> str:

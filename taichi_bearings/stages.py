@@ -1,8 +1,8 @@
 """What is being done right now: stages within stages, each named where its work begins.
 
 `with stage("drawing")` stands around work that takes long, `for seed in each(seeds, "sample")` where there is much of a
-kind. Who wants to know - a terminal, a summary whose times add up - listens: `with watched(Watch())`. Where nobody
-listens, in another thread or process too, a stage is nothing.
+kind. Who wants to know, as a terminal does, is the `listener`. Where nobody listens, in another thread or process too,
+a stage is nothing.
 """
 
 import time
@@ -34,71 +34,25 @@ class Stage:
     def tell(self, report: Any) -> None:
         """Let whoever listens know where this stage stands."""
         self.report = report
-        if watch := _watch.get():
-            watch.hear(self)
+        if who := listener.get():
+            who.hear(self)
 
 
-class Watch:
-    """Listens to stages.
-
-    stages : those under way, outermost first. seconds : wall time by name, without that of stages inside, in the order
-    in which they first began.
-    """
-
-    def __init__(self, between: str = "loading", since: float | None = None) -> None:
-        """between : what the time outside all stages is called. since : when it began, by time.perf_counter()."""
-        self.between, self.stages = between, list[Stage]()
-        self.seconds = {between: 0.0}
-        self._since = time.perf_counter() if since is None else since
-
-    def begin(self, new: Stage) -> None:
-        self.book()
-        self.stages.append(new)
-        self.seconds.setdefault(new.name, 0.0)
-
-    def end(self, old: Stage) -> None:
-        self.book()
-        del self.stages[self.stages.index(old) :]
-
-    def hear(self, stage: Stage) -> None:
-        """Called whenever a stage tells where it stands."""
-
-    def book(self) -> None:
-        """Count the time until now."""
-        now = time.perf_counter()
-        self.seconds[self.stages[-1].name if self.stages else self.between] += now - self._since
-        self._since = now
-
-
-_watch: ContextVar[Watch | None] = ContextVar("watch", default=None)
-
-
-def is_watched() -> bool:
-    """Whether somebody listens."""
-    return _watch.get() is not None
-
-
-@contextmanager
-def watched(watch: Watch) -> Iterator[Watch]:
-    """Let `watch` hear of all stages inside."""
-    before = _watch.set(watch)
-    try:
-        yield watch
-    finally:
-        _watch.reset(before)
+listener: ContextVar[Any] = ContextVar("listener", default=None)
+"""What hears of all stages, or None: `begin` and `end` of each, and `hear` whenever one tells where it stands."""
 
 
 @contextmanager
 def stage(name: str) -> Iterator[Stage]:
     """The work inside is called `name`."""
-    new, watch = Stage(name), _watch.get()
-    if watch:
-        watch.begin(new)
+    new, who = Stage(name), listener.get()
+    if who:
+        who.begin(new)
     try:
         yield new
     finally:
-        if watch:
-            watch.end(new)
+        if who:
+            who.end(new)
 
 
 def each(items: Sequence[Item], name: str, work: Callable[[Item], float] | None = None) -> Iterator[Item]:

@@ -95,6 +95,17 @@ def driving_words(values: Mapping[str, Any]) -> str:
     return "".join(told)
 
 
+def sized(values: Mapping[str, Any]) -> str:
+    """How large what was solved is.
+
+    >>> sized({"shape": [10, 10]}), sized({"shape": None, "spheres": 256})
+    ('10x10', '256 spheres,')
+    """
+    if values.get("spheres"):
+        return f"{counted(values['spheres'], 'sphere')},"
+    return "x".join(map(str, values["shape"])) if isinstance(values["shape"], list) else str(values["shape"] or "")
+
+
 def listed(value: Any) -> list[Any]:
     """One value or several."""
     return list(value) if isinstance(value, (list, tuple)) else [value]

@@ -5,10 +5,15 @@ from pathlib import Path
 
 import numpy as np
 
-from taichi_bearings.files.scan_file import FAILED, bin_of, column, dense_histograms, write_scan
+from taichi_bearings.files.scan_file import FAILED, column, dense_histograms, write_scan
 from taichi_bearings.proof.contact_state import ContactState
 
 SLIPLESS_SHARE, UNDECIDED_SHARE = 0.4, 0.05
+
+
+def bin_of(power):
+    """Whole number i of the bin [10^(i/20), 10^((i + 1)/20)) of each positive power."""
+    return np.floor(20 * np.log10(power)).astype(np.int64)
 
 
 @dataclass(frozen=True)
@@ -70,7 +75,7 @@ def stored_scan(
             for name, values in contacts.items()
         },
     }
-    columns = [column(name, values, "1", name) for name, values in table.items()]
+    columns = {name: column(values, "1", name) for name, values in table.items()}
     attributes = {"scan": "", "scanned": ["shape", "spin_top", "spin_bottom", "seed"]}
-    write_scan(folder / "scan.h5", columns, dense_histograms(bins, contacts), attributes)
+    write_scan(folder, columns, dense_histograms(bins, contacts), attributes)
     return KnownScan(folder / "scan.h5", powers, states, table)

@@ -71,13 +71,6 @@ class PowerHistogram:
         return int(self.count.sum())
 
 
-def power_histogram(
-    power: np.ndarray, state: np.ndarray, slip_threshold: float, bins_per_decade: int = 5
-) -> PowerHistogram:
-    """Histogram of the power of slipping contacts. power, state : (R, E)."""
-    return pool(count_powers(power, state, bins_per_decade), slip_threshold)
-
-
 def count_powers(
     power: np.ndarray,
     state: np.ndarray,

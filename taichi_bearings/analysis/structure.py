@@ -35,7 +35,6 @@ from taichi_bearings.quantities import STRUCTURE, Quantity, plain
 from taichi_bearings.scene import Scene, Solution
 from taichi_bearings.scene.initial_spins import cut_unit, cut_weights, minimum_cut_spin
 from taichi_bearings.scene.scene import vector_length
-from taichi_bearings.words import html_table
 
 OF_EVERY_SAMPLE = ("power", "lower_bound", "slipping", "slipless", "undecided", "critical")
 OF_TIES = ("tied_contacts", "minimum_is_unique")
@@ -266,8 +265,8 @@ class Structure:
 
     @cached_property
     def numbers(self) -> dict[str, Any]:
-        """As `bearings analyse --json` has them, for JSON; each is an attribute too, such as `spans`. Those that are
-        not finite, or of which there are none, are None."""
+        """As `bearings analyse --json` has them, for JSON. Those that are not finite, or of which there are none,
+        are None."""
         states = {which.name.lower(): self.contacts_in(which) for which in list(ContactState)[:3]}
         told = {name: states[name] if name in states else getattr(self, name) for name in self.told}
         found = {row.name: row.of(self) for row in self._rows()}
@@ -277,15 +276,6 @@ class Structure:
         for section, rows in STRUCTURE.items():
             if section != "bottlenecks" or self.bottlenecks is not None:
                 yield from rows
-
-    def __getattr__(self, name: str) -> Any:
-        if name in (numbers := {} if name.startswith("_") else self.numbers):
-            return numbers[name]
-        raise AttributeError(f"the structure of a sample has no {name!r}; it has {', '.join(numbers)}")
-
-    def _repr_html_(self) -> str:
-        """For notebooks."""
-        return html_table(f"structure of {self.packing!r}", self.numbers.items())
 
 
 class LatticeStructure(Structure):

@@ -35,7 +35,8 @@ def export_problem(run: Path, form: str, out: Path | None, force: bool = False, 
 
     form : "cbf" or "fclib". Raises InputError for a problem that the format cannot say.
     """
-    with opened_to_draw(run, out, PROBLEM_NAMES[form], force, replica) as (found, path):
+    with opened_to_draw(run, out, PROBLEM_NAMES[form], force) as (stored, path):
+        found = stored.sample(replica)
         if found.is_packing:
             return write_problem(found.solution.scene[0], form, path)
         torque = found.settings.torque

@@ -14,11 +14,10 @@ from typing import Any
 import h5py
 import numpy as np
 
-from taichi_bearings.files.whole_file import put, put_attributes, refuse_ending, write_hdf5
+from taichi_bearings.files.whole_file import Finding, put, put_attributes, refuse_ending, write_hdf5
 from taichi_bearings.packing import Packing
 from taichi_bearings.runs.points_and_lines import Moments, points_and_lines
 from taichi_bearings.runs.run_file import opened_to_draw
-from taichi_bearings.runs.structure_report import Finding
 from taichi_bearings.stages import stage
 
 VTK_NAME = "run.vtkhdf"
@@ -71,7 +70,8 @@ def export(run: Path, out: Path | None = None, force: bool = False, replica: int
     Raises InputError or FileError before anything is computed.
     """
     refuse_ending(out, ".vtkhdf")
-    with opened_to_draw(run, out, VTK_NAME, force, replica) as (found, path):
+    with opened_to_draw(run, out, VTK_NAME, force) as (stored, path):
+        found = stored.sample(replica)
         drawn = points_and_lines(found)
         geometry, moments = Geometry.of(drawn.packing), drawn.moments
         of_file = {key: found.attributes[key] for key in OF_THE_FILE if key in found.attributes}

@@ -13,6 +13,14 @@ from taichi_bearings.files.whole_file import put, write_csv, write_hdf5
 Histograms = Mapping[Any, PowerHistogram]  # by the value of the parameter that parts them; {None: ...} if none does
 
 
+OF_BINS = {
+    "count": "slipping contacts in each bin",
+    "standard_error": "of the count: over the samples, or Poisson with one sample",
+    "density": "share of the slipping contacts per decade of power",
+    "density_error": "standard error of the density",
+}
+
+
 def write_table(path: Path, histograms: Histograms, by: str | None = None) -> None:
     """CSV with the columns power_low, power_high, count; contacts that are in no bin are counted in the header.
 
@@ -29,15 +37,12 @@ def write_table(path: Path, histograms: Histograms, by: str | None = None) -> No
     units = next(iter(histograms.values())).units
     if units != ENERGY_PER_TIME:
         notes.append(f"power in units of {units}")
-    errors = any(found.samples > 1 for found in histograms.values())
-    names = ["power_low", "power_high", "count"]
-    names += ["standard_error", "density", "density_error"] if errors else []
+    names = [*OF_BINS] if any(found.samples > 1 for found in histograms.values()) else ["count"]
     rows = []
     for value, found in histograms.items():
-        columns = [found.edges[:-1], found.edges[1:], found.count]
-        columns += [found.standard_error, found.density, found.density_error] if errors else []
+        columns = [found.edges[:-1], found.edges[1:], *(getattr(found, name) for name in names)]
         rows += [[*row, *([] if by is None else [value])] for row in zip(*(c.tolist() for c in columns), strict=True)]
-    write_csv(path, names if by is None else [*names, by], rows, notes)
+    write_csv(path, ["power_low", "power_high", *names, *([] if by is None else [by])], rows, notes)
 
 
 def write_arrays(path: Path, histograms: Histograms, by: str | None = None) -> None:
@@ -52,13 +57,8 @@ def write_arrays(path: Path, histograms: Histograms, by: str | None = None) -> N
         return values[0] if by is None else np.array(values)
 
     def fill(file: h5py.File) -> None:
-        for name, unit, text in (
-            ("count", "1", "slipping contacts in each bin"),
-            ("standard_error", "1", "of the count: over the samples, or Poisson with one sample"),
-            ("density", "1", "share of the slipping contacts per decade of power"),
-            ("density_error", "1", "standard error of the density"),
-        ):
-            put(file, name, stacked(name), unit, text)
+        for name, text in OF_BINS.items():
+            put(file, name, stacked(name), "1", text)
         put(file, "edges", parts[0].edges, parts[0].units, "edges of the power bins")
         for name in ("slipping", "slipless", "undecided", "slip_threshold", "samples"):
             file.attrs[name] = stacked(name)

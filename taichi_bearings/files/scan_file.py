@@ -25,7 +25,7 @@ import numpy as np
 
 from taichi_bearings.analysis.histogram import SampleCounts
 from taichi_bearings.errors import FileError, InputError, printable
-from taichi_bearings.files.whole_file import attributes_of, layout_of, put, read_hdf5, write_csv, write_hdf5
+from taichi_bearings.files.whole_file import Finding, attributes_of, layout_of, put, read_hdf5, write_csv, write_hdf5
 from taichi_bearings.scene.law import LAWS
 from taichi_bearings.scene.solution import is_crossed
 
@@ -39,25 +39,10 @@ CONTACT_SETS = {  # name -> description, as ContactState numbers them
 }
 
 
-@dataclass(frozen=True)
-class Column:
-    """values : (samples,) numbers or texts."""
-
-    name: str
-    values: np.ndarray
-    units: str
-    description: str
-
-
-def bin_of(power: np.ndarray) -> np.ndarray:
-    """Whole number i of the bin [10^(i/20), 10^((i + 1)/20)) of each positive power."""
-    return np.floor(BINS_PER_DECADE * np.log10(power)).astype(np.int64)
-
-
 def dense_histograms(bins: Sequence[Mapping[int, int]], contacts: Mapping[str, Sequence[int]]) -> SampleCounts:
     """Bins over the range that the samples meet.
 
-    bins : of each sample, the number of the bin (:func:`bin_of`) -> slipping contacts.
+    bins : of each sample, the number i of the bin [10^(i/20), 10^((i + 1)/20)) -> slipping contacts.
     contacts : by the names of CONTACT_SETS, one number a sample.
     """
     met = [number for sample in bins for number in sample]
@@ -70,7 +55,7 @@ def dense_histograms(bins: Sequence[Mapping[int, int]], contacts: Mapping[str, S
     return SampleCounts(low, BINS_PER_DECADE, count, of_states)
 
 
-def column(name: str, values: Sequence[Any], units: str, description: str) -> Column:
+def column(values: Sequence[Any], units: str, description: str) -> Finding:
     """A column from Python values: texts, truth values, whole numbers or numbers; None where a sample has none."""
     present = [value for value in values if value is not None]
     if any(isinstance(value, str) for value in present):
@@ -79,18 +64,24 @@ def column(name: str, values: Sequence[Any], units: str, description: str) -> Co
         array = np.array([math.nan if value is None else float(value) for value in values])
     else:
         array = np.array(present)
-    return Column(name, array, units, description)
+    return Finding(array, units, description)
 
 
-def write_scan(path: Path, columns: Sequence[Column], histograms: SampleCounts, attributes: Mapping[str, Any]) -> None:
-    """Write scan.h5 in full or not at all. attributes : `scan`, `scanned`, versions and whatever else."""
+def write_scan(
+    folder: Path, columns: Mapping[str, Finding], histograms: SampleCounts, attributes: Mapping[str, Any]
+) -> None:
+    """Write scan.h5 and then scan.csv, each in full or not at all.
+
+    columns : (samples,) numbers or texts each, as of :func:`column`, empty in scan.csv where a sample has no value.
+    attributes : `scan`, `scanned`, versions and whatever else.
+    """
 
     def fill(file: h5py.File) -> None:
         table = file.create_group("table")
-        table.attrs["columns"] = [item.name for item in columns]
-        for item in columns:
+        table.attrs["columns"] = list(columns)
+        for name, item in columns.items():
             kind = h5py.string_dtype() if item.values.dtype == object else item.values.dtype
-            put(table, item.name, item.values, item.units, item.description, dtype=kind)
+            put(table, name, item.values, item.units, item.description, dtype=kind)
         group = file.create_group("histogram")
         sets = {
             "edges": (histograms.edges, "energy/time", "edges of the power bins, 20 a decade, the same in every scan"),
@@ -102,19 +93,14 @@ def write_scan(path: Path, columns: Sequence[Column], histograms: SampleCounts, 
             packed = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if values.size > 1000 else {}
             put(group, name, values, units, text, dtype=values.dtype, **packed)
 
-    write_hdf5(path, fill, {**layout_of("scan"), "samples": len(histograms.count), **attributes})
-
-
-def write_scan_csv(path: Path, columns: Sequence[Column]) -> None:
-    """Write scan.csv in full or not at all: names, then one row a sample, empty where it has no value."""
-
     def cell(value: Any) -> str:
         if isinstance(value, bool):
             return str(value).lower()
         return "" if value != value else str(value)
 
-    cells = (map(cell, item.values.tolist()) for item in columns)
-    write_csv(path, [item.name for item in columns], zip(*cells, strict=True))
+    write_hdf5(folder / "scan.h5", fill, {**layout_of("scan"), "samples": len(histograms.count), **attributes})
+    cells = (map(cell, item.values.tolist()) for item in columns.values())
+    write_csv(folder / "scan.csv", list(columns), zip(*cells, strict=True))
 
 
 @dataclass(frozen=True)
@@ -186,7 +172,7 @@ def read_scan(scan: Path) -> StoredScan:
         table = {name: (s.asstr() if h5py.check_string_dtype(s.dtype) else s)[()] for name, s in sets.items()}
         edges, count, *of_states = (file[f"histogram/{name}"][()] for name in ("edges", "count", *CONTACT_SETS))
         is_real = edges.dtype.kind == "f" and edges.ndim == 1 and ((edges > 0) & (edges < np.inf)).all()
-        place = BINS_PER_DECADE * np.log10(edges) if is_real else np.full(1, np.nan)  # whole numbers, as bin_of counts
+        place = BINS_PER_DECADE * np.log10(edges) if is_real else np.full(1, np.nan)  # whole numbers
         first = round(float(place[0])) if is_real and len(edges) else 0
         if len(place) and not np.allclose(place, first + np.arange(len(place)), rtol=0, atol=1e-6):
             raise InputError("the edges of its histograms are no powers of its bins")

@@ -1,6 +1,5 @@
 """A packing solved: spins of least dissipation, what is proven of them, and which contacts slip."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from time import perf_counter
 
@@ -14,7 +13,7 @@ from taichi_bearings.numerics.double_double import Pair, divide, exactly
 from taichi_bearings.packing import planar
 from taichi_bearings.packing.motions import order_of, slipless_motions
 from taichi_bearings.packing.packing import Packing, Packings
-from taichi_bearings.packing.system import Found, System
+from taichi_bearings.packing.system import Found, System, acting
 from taichi_bearings.proof.contact_state import all_proven
 from taichi_bearings.scene import Solution, Status
 from taichi_bearings.verifier.judgement import Judgement
@@ -30,16 +29,10 @@ MOVED = 1e-7  # of a slip that a motion makes
 SLIPLESS, SLIPPING, UNDECIDED, DRIVEN = range(4)
 
 
-def solve_packing(
-    packing: Packing,
-    tolerance: float = 1e-8,
-    system_of: Callable[[Packing], System] = System.of,
-    method: str = "auto",
-) -> Solution:
+def solve_packing(packing: Packing, tolerance: float = 1e-8, method: str = "auto") -> Solution:
     """The state of least dissipation; slipless motions that nothing decides are left at rest.
 
-    tolerance : proven relative gap at which it counts as certified. system_of : finds the system, perhaps out of one
-    that is known. method : one of those below by its name.
+    tolerance : proven relative gap at which it counts as certified. method : one of those below by its name.
 
     Friction of discs, and of spheres whose contacts feel one spin component each, by minimum cuts, exactly; viscous
     networks by one linear system; all else by the central path.
@@ -51,9 +44,29 @@ def solve_packing(
     begun = perf_counter()
     runtime.current()
     with one_thread():
-        system = system_of(packing)
+        system = _system_of(packing)
         found = judged(system, _found(system, method), tolerance)
     return replace(found, seconds=perf_counter() - begun)
+
+
+_last: System | None = None  # of this process
+OF_A_NETWORK = ("center", "contact", "driven", "spin", "radius", "normal")
+
+
+def _system_of(packing: Packing) -> System:
+    """That of the last packing, with the coefficients of this one, if they differ in nothing else, as seeds do."""
+    global _last
+    known = _last
+    if known is None or not _alike(known.packing, packing):
+        known = _last = None  # its memory is free before another one is found
+        known = _last = System.of(packing)
+    of = tuple(values[known.contact] for values in packing.coefficients)
+    return replace(known, packing=packing, coefficients=of)
+
+
+def _alike(one: Packing, other: Packing) -> bool:
+    same = all(np.array_equal(getattr(one, name), getattr(other, name)) for name in OF_A_NETWORK)
+    return same and np.array_equal(acting(one), acting(other))
 
 
 def _found(system: System, method: str) -> Found:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from taichi_bearings.errors import InputError
-from taichi_bearings.scene.given import own_array
+from taichi_bearings.scene.array_files import own_array
 from taichi_bearings.words import shown
 
 if TYPE_CHECKING:

@@ -13,14 +13,13 @@ import h5py
 import numpy as np
 
 from taichi_bearings.errors import FileError, InputError, WriteError
-from taichi_bearings.options import SEED, SHAPE
+from taichi_bearings.options import SEED, SHAPE, finite_number
 from taichi_bearings.packing import checks, random_packing, space_filling
 from taichi_bearings.packing.lammps import read_dumps
 from taichi_bearings.packing.lattices import KINDS, Built, built, driven_bodies
 from taichi_bearings.plain_files import writing
 from taichi_bearings.scene.array_files import read_arrays
 from taichi_bearings.scene.disorder import Distribution, Draw
-from taichi_bearings.scene.given import finite_number
 from taichi_bearings.scene.law import Coefficients, Law, law_named
 from taichi_bearings.scene.scene import bearing_state, imposed_direction
 from taichi_bearings.words import html_table, meant, shown

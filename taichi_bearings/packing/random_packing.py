@@ -12,9 +12,8 @@ from math import pi
 import numpy as np
 
 from taichi_bearings.errors import InputError
-from taichi_bearings.options import whole
+from taichi_bearings.options import finite_number, whole
 from taichi_bearings.packing.lattices import Built
-from taichi_bearings.scene.given import finite_number
 from taichi_bearings.words import shown
 
 MOST_DEPOSITED = 200_000

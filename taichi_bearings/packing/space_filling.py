@@ -18,9 +18,8 @@ from math import ceil, cos, pi, sqrt
 import numpy as np
 
 from taichi_bearings.errors import InputError
-from taichi_bearings.options import whole
+from taichi_bearings.options import finite_number, whole
 from taichi_bearings.packing.lattices import Built
-from taichi_bearings.scene.given import finite_number
 
 LEAST_RADIUS = 1e-4  # of the height of the strip; some 30 000 discs a period
 LARGEST_COUNT, MOST_PERIODS = 20, 1000

@@ -11,13 +11,14 @@ import numpy as np
 
 from taichi_bearings.analysis.structure import structure_of
 from taichi_bearings.errors import InputError
-from taichi_bearings.files.whole_file import put, put_attributes, refuse_standing, replace_group, write_hdf5
+from taichi_bearings.files.whole_file import Finding, put, put_attributes, refuse_standing, replace_group, write_hdf5
+from taichi_bearings.options import OneOf
 from taichi_bearings.runs.run_directory import writable_folder
 from taichi_bearings.runs.run_file import file_of, read_run
 from taichi_bearings.runs.solved import Run, together
-from taichi_bearings.runs.structure_report import Finding, findings_of
+from taichi_bearings.runs.structure_report import findings_of
 from taichi_bearings.stages import alike, each, stage
-from taichi_bearings.words import html_table, meant
+from taichi_bearings.words import html_table, meant, sized
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -38,7 +39,8 @@ class Analysis:
     several samples a list with one value each; None where there is no such number. `taichi_bearings.quantities` has
     them in its table STRUCTURE, and docs/structure.md defines them all.
 
-    structure : of the sample shown: `structure.network`, `.rigid_domains`, `.interface`, `.bottlenecks` and others.
+    structure : of the sample shown: `structure.network`, `.rigid_domains`, `.interface`, `.bottlenecks` and others,
+    which are attributes of the analysis too.
     arrays : for each sample everything else by name, with units: the data sets of the group /analysis of run.h5.
     report : all numbers by name.
     """
@@ -76,6 +78,8 @@ class Analysis:
         known = self.__dict__.get("report", {})
         if name in known:
             return known[name]
+        if known and not name.startswith("_") and hasattr(self.structure, name):
+            return getattr(self.structure, name)
         raise AttributeError(f"an analysis has no {name!r}; it has {', '.join(known)}{meant(name, known)}")
 
     def __dir__(self) -> list[str]:
@@ -84,7 +88,7 @@ class Analysis:
     def __repr__(self) -> str:
         names = ("power_over_cut", "slipless_fraction", "spans", "domains") if len(self.arrays) == 1 else ()
         words = ", ".join(f"{name} = {self.report[name]}" for name in names) or f"{len(self.arrays)} samples"
-        return f"<Analysis of {'x'.join(map(str, self.report['shape']))} {self.report['law']}: {words}>"
+        return f"<Analysis of {sized(self.report)} {self.report['law']}: {words}>"
 
     def _repr_html_(self) -> str:
         """For notebooks: the numbers of a sample, or some of each of several."""
@@ -105,11 +109,7 @@ class Analysis:
         from taichi_bearings.plots.page import PAGE
         from taichi_bearings.runs.figures import FIGURES
 
-        if kind not in self.figures:
-            raise InputError(
-                f"the figure is {kind!r}; allowed are {', '.join(self.figures)}{meant(kind, self.figures)}"
-            )
-        return FIGURES[kind](self.structure, page or PAGE)
+        return FIGURES[OneOf(table=FIGURES).named("the figure", kind)](self.structure, page or PAGE)
 
 
 def analyse(

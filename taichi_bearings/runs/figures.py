@@ -9,13 +9,13 @@ from matplotlib.figure import Figure
 
 from taichi_bearings.analysis.structure import Structure, structure_of
 from taichi_bearings.errors import InputError
+from taichi_bearings.options import OneOf
 from taichi_bearings.plots.curves import draw_energy, draw_history
 from taichi_bearings.plots.page import PAGE, Page, check_planes
 from taichi_bearings.plots.spins import draw_power, draw_spins
 from taichi_bearings.plots.structure import draw_domains, draw_network
 from taichi_bearings.plots.style import describe, driving, mathematics
 from taichi_bearings.scene import Scene, Solution
-from taichi_bearings.words import meant
 
 FIGURES: dict[str, Callable[[Any, Page], Figure]] = {"domains": draw_domains, "network": draw_network}
 """How each figure of `bearings analyse` is drawn, of the structure of a sample."""
@@ -44,8 +44,7 @@ def draw_figure(
     time : of the snapshot whose spins are drawn; slip_threshold : that the run was asked for, if it was.
     page : how it is printed.
     """
-    if kind not in FIGURE_KINDS:
-        raise InputError(f"the figure is {kind!r}; allowed are {', '.join(FIGURE_KINDS)}{meant(kind, FIGURE_KINDS)}")
+    OneOf(*FIGURE_KINDS).named("the figure", kind)
     if time is not None and kind != "spins":
         raise InputError(f"time is {time}, but {kind} does not depend on it; only spins have snapshots")
     if not 0 <= sample < len(solution.state):

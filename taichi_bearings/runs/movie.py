@@ -21,9 +21,8 @@ from taichi_bearings.files.whole_file import refuse_ending, replace_file
 from taichi_bearings.plots.page import Page
 from taichi_bearings.plots.style import in_our_style
 from taichi_bearings.runs.figures import draw_snapshot
-from taichi_bearings.runs.run_directory import claimed
-from taichi_bearings.runs.run_file import file_of, read_run
-from taichi_bearings.stages import alike, each, stage
+from taichi_bearings.runs.run_file import opened_to_draw
+from taichi_bearings.stages import alike, each
 
 FILM_ENDINGS = (".mp4", ".gif")
 MOST_FRAMES_PER_SECOND = 60
@@ -49,17 +48,13 @@ def movie(
         raise InputError(f"out is {str(out)!r}, but there is no ffmpeg on this machine to make it; a .gif needs none")
     if not 0 < frames_per_second <= MOST_FRAMES_PER_SECOND:
         raise InputError(f"fps is {frames_per_second:g}; it must be above 0 and at most {MOST_FRAMES_PER_SECOND}")
-    with stage("reading"):
-        stored = read_run(run).sample(replica)
     ending = ending or (".gif" if encoder is None else ".mp4")
-    path = file_of(run).parent / f"movie{ending}" if out is None else out
-    solution = stored.solution
-    if solution.snapshots is None:
-        raise InputError(f"{run} holds no snapshots to film; run a dynamics with --snapshots, such as 0,0.1,1")
-    page = Page(title=title)
-    draw = partial(draw_snapshot, solution, 0, slip_threshold=stored.settings.slip_threshold, page=page)
-    times = np.sort(solution.snapshots.time).tolist()
-    with claimed(path, force or out is None):
+    with opened_to_draw(run, out, f"movie{ending}", force) as (stored, path):
+        solution, threshold = stored.sample(replica).solution, stored.settings.slip_threshold
+        if solution.snapshots is None:
+            raise InputError(f"{run} holds no snapshots to film; run a dynamics with --snapshots, such as 0,0.1,1")
+        draw = partial(draw_snapshot, solution, 0, slip_threshold=threshold, page=Page(title=title))
+        times = np.sort(solution.snapshots.time).tolist()
         moments = each(times, "drawing snapshot", alike)
         height = draw(times[0]).get_figheight()  # titles differ in length
         frames = (_picture(draw(time), height) for time in moments)

@@ -1,6 +1,6 @@
 """Packings as runs solve them: what the settings describe, and what the method that they name finds."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,20 +12,19 @@ from taichi_bearings.errors import DeviceError, InputError
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.options import options_of
 from taichi_bearings.packing import Packing, Packings, solve_packing
-from taichi_bearings.packing.system import System
 from taichi_bearings.proof.contact_state import all_proven, by_threshold
-from taichi_bearings.runs.settings import OF_DRIVEN, SIZES, RunSettings, settings_table
+from taichi_bearings.runs.settings import SIZES, RunSettings
 from taichi_bearings.runs.solved import Run
 from taichi_bearings.runs.torque import refuse_driven, under_torque
 from taichi_bearings.scene import Solution, Status
 from taichi_bearings.scene.array_files import read_arrays, read_coefficients
 from taichi_bearings.scene.driving import Ramp
 from taichi_bearings.scene.initial_spins import STARTS
-from taichi_bearings.scene.law import law_named
 from taichi_bearings.solvers.table import METHODS, InteriorPoint, MethodOptions, row_of_packing
 from taichi_bearings.stages import stage
 from taichi_bearings.words import counted, shown
 
+COEFFICIENTS = ("friction", "viscosity")  # arrays of a packing
 AXES_OF_PACKINGS = {"center": 2, "contact": 2, "normal": 2}  # of arrays of one sample; others have one
 
 
@@ -81,37 +80,28 @@ def method_of_packing(settings: RunSettings) -> type[MethodOptions]:
     return row_of_packing(settings.method) or METHODS.get(settings.method, InteriorPoint)
 
 
-STOPPED_BY = ("iterations", "time_limit", "duration", "record", "snapshots")
+def fitting(settings: RunSettings, strict: bool = True) -> RunSettings:
+    """As the method of this name of settings, and InputError for a torque that a packing cannot have."""
+    refuse_driven(settings, method_of_packing(settings))
+    return settings.fitting(method_of_packing(settings), strict)
 
 
-def refuse_unused(settings: RunSettings) -> None:
-    """InputError for what a packing, its method or its law does not use."""
-    given = settings.given
-    used = [key for key in options_of(RunSettings) if settings.packing is None or key not in OF_DRIVEN]
-    if strange := [key for key in given if key not in (*used, *options_of(method_of_packing(settings)))]:
-        raise InputError(
-            f"{strange[0]} is {shown(given[strange[0]])}, but a packing does not use it; it uses {', '.join(used)}"
-        )
-    if unused := unused_of_packing(settings):
-        raise InputError(next(iter(unused.values())))
-    if settings.torque is None:
+def refuse_packing(settings: RunSettings, has_seeds: bool) -> None:
+    """InputError for what cannot be solved. has_seeds : several are asked for, which must not be all the same."""
+    settings = fitting(settings, strict=False)
+    packings_of(settings)
+    if not has_seeds or settings.packing is None or settings.initial == "random":
         return
-    if method_of_packing(settings).is_dynamics or Ramp.of(settings.torque).rises:
-        raise InputError(f"torque is {settings.torque}; of packings minima alone tell what a constant one does")
-    if settings.packing is None:
-        refuse_driven(settings, InteriorPoint)
-
-
-def used(settings: RunSettings) -> RunSettings:
-    """The settings without what their method or law does not use, as in a scan that compares methods."""
-    table = settings_table()
-    return replace(settings, **{key: table[key].default for key in unused_of_packing(settings)})
+    if set(COEFFICIENTS[: len(settings.drawn)]) <= Packing.read(settings.packing).keys():
+        raise InputError(
+            f"seed is scanned, but {settings.packing} holds all coefficients, so nothing is drawn; leave out seed, or "
+            "friction from the file"
+        )
 
 
 def packings_of(settings: RunSettings) -> Packings:
     """The packings that the settings describe, one a replica: the arrays of the file, and of the settings what that
     lacks, drawn from seeds; or lattices with other driven bodies than planes."""
-    refuse_unused(settings)
     given = settings.given
     if settings.packing is None:
         return Packings(_lattice(replace(settings, seed=seed)) for seed in settings.seeds)
@@ -122,7 +112,7 @@ def packings_of(settings: RunSettings) -> Packings:
     if samples != {settings.replicas}:
         held = counted(samples.pop(), "sample")
         raise InputError(f"replicas is {settings.replicas}, but {settings.packing} holds {held}")
-    drawn = set(("friction", "viscosity")[: 1 + len(_drawn_viscosity(settings))])
+    drawn = set(COEFFICIENTS[: len(settings.drawn)])
     if settings.replicas > 1 and 1 not in axes.values() and drawn <= found.keys() and settings.initial != "random":
         raise InputError(
             f"replicas is {settings.replicas}, but {settings.packing} holds all coefficients, so nothing is drawn; "
@@ -133,35 +123,23 @@ def packings_of(settings: RunSettings) -> Packings:
             raise InputError(
                 f"{key} is {shown(given[key])}, but {settings.packing} holds {name}; leave one of the two out"
             )
-    others = {key: getattr(settings, key) for key in ("law", "distribution", *SIZES)} | _drawn_viscosity(settings)
+    others = {key: getattr(settings, key) for key in ("law", *SIZES)} | settings.drawn
     return Packings(
         Packing(**{**others, "seed": seed, **{n: v[number] if axes[n] == 1 else v for n, v in found.items()}})
         for number, seed in enumerate(settings.seeds)
     )
 
 
-def unused_of_packing(settings: RunSettings) -> dict[str, str]:
-    """The given keys that the method or the law does not use, each with a sentence that says so."""
-    found = settings.unused(method_of_packing(settings))
-    strange = {"initial", *STOPPED_BY} & settings.given.keys() - found.keys() if minimises(settings) else ()
-    name = settings.method
-    return found | {key: f"{key} is given, but method {name} of a packing does not use it" for key in sorted(strange)}
-
-
-def _drawn_viscosity(settings: RunSettings) -> dict[str, str]:
-    return {"viscosity": settings.viscosity} if len(law_named(settings.law).quantities) > 1 else {}
-
-
 def _lattice(settings: RunSettings) -> Packing:
     """A square or cubic lattice with the coefficients that it has between planes."""
-    names = ("periodic", "seed", "law", "distribution", "driven", "spin_top", "spin_bottom", "top", "bottom", *SIZES)
-    others = {key: getattr(settings, key) for key in names} | _drawn_viscosity(settings)
+    names = ("periodic", "seed", "law", "driven", "spin_top", "spin_bottom", "top", "bottom", *SIZES)
+    others = {key: getattr(settings, key) for key in names} | settings.drawn
     if len(settings.shape) == 3:
         others["direction"] = settings.direction
     if settings.coefficients is not None:
         file = Path(settings.coefficients)
-        groups = ("coefficient", "viscosity")[: len(law_named(settings.law).quantities)]
-        for name, group in zip(("friction", "viscosity"), groups, strict=False):
+        groups = ("coefficient", "viscosity")[: len(settings.drawn)]
+        for name, group in zip(COEFFICIENTS, groups, strict=False):
             found = read_coefficients(file, group, len(settings.shape))
             if Lattice.of(found).shape != settings.shape or found[0].ndim > len(settings.shape):
                 raise InputError(f"coefficients is {settings.coefficients!r}, which is not of this one lattice")
@@ -172,15 +150,9 @@ def _lattice(settings: RunSettings) -> Packing:
 ON_DEVICE = ("arch", "precision", "threads")
 
 
-def solved_packing(
-    settings: RunSettings,
-    packing: Packing,
-    system_of: Callable[[Packing], System] = System.of,
-    start: Any = None,
-    **others: Any,
-) -> Solution:
-    """The answer of the method that the settings name. system_of : see :func:`solve_packing`. start : instead of the
-    one that the settings name. others : density, monitors and checkpoints of :func:`follow_packing`."""
+def solved_packing(settings: RunSettings, packing: Packing, start: Any = None, **others: Any) -> Solution:
+    """The answer of the method that the settings name. start : instead of the one that they name. others : density,
+    monitors and checkpoints of :func:`follow_packing`."""
     row, given = row_of_packing(settings.method), settings.given
     device = {key: given[key] for key in ON_DEVICE if key in given}
     if row is None:
@@ -188,7 +160,7 @@ def solved_packing(
             raise DeviceError("the least power of a packing is found in the memory of the CPU; use --arch cpu")
         if threads := device.get("threads"):
             runtime.start(threads=threads)
-        found = solve_packing(packing, settings.tolerance, system_of, settings.method)
+        found = solve_packing(packing, settings.tolerance, settings.method)
     else:
         from taichi_bearings.solvers.packings import follow_packing  # and with it Taichi's kernels
         from taichi_bearings.solvers.recording import Recording

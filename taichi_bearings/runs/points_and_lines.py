@@ -10,13 +10,14 @@ import numpy as np
 
 from taichi_bearings.analysis.structure import LatticeStructure, Structure, structure_of
 from taichi_bearings.errors import InputError
+from taichi_bearings.files.whole_file import Finding
 from taichi_bearings.packing import Packing
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.quantities import CONTACTS, SPHERES, found_in
 from taichi_bearings.runs.figures import moment_of
 from taichi_bearings.runs.run_file import PACKING_ARRAYS
 from taichi_bearings.runs.solved import Run
-from taichi_bearings.runs.structure_report import Finding, columns_of
+from taichi_bearings.runs.structure_report import columns_of
 from taichi_bearings.scene import Solution
 from taichi_bearings.stages import stage
 

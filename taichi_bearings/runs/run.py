@@ -34,7 +34,7 @@ from taichi_bearings.runs.run_directory import (
     write_checkpoint,
 )
 from taichi_bearings.runs.run_file import refuse_scan, write_run_file
-from taichi_bearings.runs.settings import DRIVING_KEYS, RunSettings, parse_toml, settings_table
+from taichi_bearings.runs.settings import DRIVING_KEYS, RunSettings, parse_toml
 from taichi_bearings.runs.solved import Run, self_contained
 from taichi_bearings.runs.torque import by_friction, refuse_driven, under_torque
 from taichi_bearings.scene import Scene, Solution, Status
@@ -42,7 +42,6 @@ from taichi_bearings.scene.array_files import read_coefficients
 from taichi_bearings.scene.disorder import Distribution
 from taichi_bearings.scene.driving import Ramp
 from taichi_bearings.scene.initial_spins import initial_spin
-from taichi_bearings.scene.law import law_named
 from taichi_bearings.solvers.table import (
     METHODS,
     CundallStrack,
@@ -60,10 +59,8 @@ def build_scene(settings: RunSettings) -> Scene:
         key = "driven" if settings.packing is None else "packing"
         raise InputError(f"{key} is {getattr(settings, key)!r}: that is for `bearings run` alone, not for this command")
     given = {key: getattr(settings, key) for key in Scene.PARAMETERS} | {"law": settings.law}
-    has_viscosities = len(law_named(settings.law).quantities) > 1
     if settings.coefficients is None:
-        drawn = {key: getattr(settings, key) for key in ("seed", "distribution", "replicas")}
-        drawn |= {"viscosity": settings.viscosity} if has_viscosities else {}
+        drawn: dict[str, Any] = {"seed": settings.seed, "replicas": settings.replicas, **settings.drawn}
         return Scene.random(settings.shape, **drawn, **given)
     file = Path(settings.coefficients)
     given["seeds"] = tuple(settings.seeds)
@@ -79,7 +76,7 @@ def build_scene(settings: RunSettings) -> Scene:
     if samples != settings.replicas:
         held = counted(samples, "sample") if samples > 1 else "a single sample"
         raise InputError(f"replicas is {settings.replicas}, but {file} holds {held}; it must be {samples}")
-    if has_viscosities:
+    if "viscosity" in settings.drawn:
         given["viscosity"] = read_coefficients(file, "viscosity", len(shape))
     return Scene(coefficients, **given)
 
@@ -141,9 +138,9 @@ def prepare(settings: RunSettings, strict: bool = True) -> Job:
     """
     with stage("reading"):
         if settings.is_packing:
-            from taichi_bearings.runs.packing_run import packings_to_solve, used
+            from taichi_bearings.runs.packing_run import fitting, packings_to_solve
 
-            settings = settings if strict else used(settings)
+            settings = fitting(settings, strict)
             return Job(settings, *packings_to_solve(settings))
         compiler.name()  # refuses one that is unknown or absent
         scene = build_scene(settings)
@@ -154,12 +151,8 @@ def job_of(settings: RunSettings, scene: Scene, spin: np.ndarray, strict: bool =
     """The solve of a scene from these spins that the settings describe; InputError if they do not fit each other."""
     runtime.refuse_absent(settings.arch, settings.precision)
     row = method_row(settings, scene)
-    if settings.torque is not None and row.takes_torque:
-        refuse_driven(settings, row)
-    if unused := settings.unused(row):
-        if strict:
-            raise InputError(next(iter(unused.values())))
-        settings = replace(settings, **{key: settings_table()[key].default for key in unused})
+    refuse_driven(settings, row)
+    settings = settings.fitting(row, strict)
     if reason := row.refusal(scene):
         raise InputError(reason)
     least = row.bytes(scene.lattice.sites) / MEMORY_ERROR
@@ -445,18 +438,15 @@ def _unless_full() -> Iterator[None]:
 
 def draw_figures(found: Run, title: bool = True) -> None:
     """Draw the figures that a run gets into its directory, unless it wants none; title: whether words stand above."""
-    if found.settings.figures == "all":
-        with _unless_full(), stage("drawing"):
-            _draw(found, title)
+    if found.settings.figures != "all":
+        return
+    with _unless_full(), stage("drawing"):
+        from taichi_bearings.plots.curves import courses_of, draw_histogram, draw_history
+        from taichi_bearings.plots.page import Page
+        from taichi_bearings.plots.style import save
 
-
-def _draw(found: Run, title: bool) -> None:
-    from taichi_bearings.plots.curves import courses_of, draw_histogram, draw_history
-    from taichi_bearings.plots.page import Page
-    from taichi_bearings.plots.style import save
-
-    assert found.path is not None
-    page = Page(title=title)
-    save(draw_histogram(found.histogram, page), found.path / "power_histogram.png")
-    if courses_of(found.solution):
-        save(draw_history(found.solution, page), found.path / "history.png")
+        assert found.path is not None
+        page = Page(title=title)
+        save(draw_histogram(found.histogram, page), found.path / "power_histogram.png")
+        if courses_of(found.solution):
+            save(draw_history(found.solution, page), found.path / "history.png")

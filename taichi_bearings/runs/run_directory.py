@@ -70,7 +70,7 @@ def run_directory(path: Path, force: bool = False) -> Iterator[RunDirectory]:
             if os.path.lexists(path):
                 if not force:
                     raise FileError(f"output directory {path} already exists; choose another --out or add --force")
-                if not _is_run(path) and not (path.is_dir() and not any(path.iterdir())):
+                if not is_run(path) and not (path.is_dir() and not any(path.iterdir())):
                     raise FileError(f"{path} is not a run directory; --force replaces only run directories")
                 in_its_use = stack.enter_context(contextlib.ExitStack())
                 in_its_use.enter_context(in_use(path))
@@ -83,7 +83,8 @@ def run_directory(path: Path, force: bool = False) -> Iterator[RunDirectory]:
         yield RunDirectory(path, partial, standing)
 
 
-def _is_run(path: Path) -> bool:
+def is_run(path: Path) -> bool:
+    """True for a run directory, a run that is not finished too."""
     return any((path / name).is_file() for name in ("run.h5", CHECKPOINT_NAME))
 
 
@@ -213,7 +214,7 @@ def claimed(path: Path, force: bool = False) -> Iterator[None]:
     does, or if the file stands, unless `force`."""
     refuse_name(path)
     with contextlib.ExitStack() as stack:
-        if _is_run(path.parent):
+        if is_run(path.parent):
             stack.enter_context(in_use(path.parent))
         held = stack.enter_context(locked(path.with_name(f".{path.name}.in-use"), f"{path}"))
         tidy(path.parent, ours=path.name if held else "")

@@ -26,7 +26,7 @@ from taichi_bearings.quantities import (
     SPHERES,
     found_in,
 )
-from taichi_bearings.runs.run_directory import CHECKPOINT_NAME, claimed
+from taichi_bearings.runs.run_directory import CHECKPOINT_NAME, claimed, is_run
 from taichi_bearings.runs.settings import RunSettings, parse_toml, read_toml
 from taichi_bearings.runs.solved import Run
 from taichi_bearings.runtime import HOST, Runtime
@@ -123,7 +123,7 @@ def refuse_scan(path: Path) -> None:
         kind, command = ("a scan", "scan") if "scan" in read_toml(path) else ("a run", "run")
         raise FileError(f"{path} describes {kind} and holds no result; `bearings {command} {path}` solves it")
     folder = path.parent if path.name == SCAN_NAME else path
-    if _is_in(folder, SCAN_NAME, JOURNAL_NAME, "scan.toml") and not _is_in(path, "run.h5", CHECKPOINT_NAME):
+    if any((folder / name).is_file() for name in (SCAN_NAME, JOURNAL_NAME, "scan.toml")) and not is_run(path):
         raise FileError(
             f"{path} is a scan, not a run; `bearings scan {folder}` goes on with it, `bearings plot scan {folder}` and "
             f"`bearings histogram {folder}` draw it"
@@ -133,15 +133,11 @@ def refuse_scan(path: Path) -> None:
 def refuse_run(path: Path) -> None:
     """FileError for a run where a scan is wanted; it names the command that fits."""
     folder = path if path.is_dir() else path.parent
-    if path.name == "run.h5" or (_is_in(folder, "run.h5", CHECKPOINT_NAME) and not path.is_file()):
+    if path.name == "run.h5" or (is_run(folder) and not path.is_file()):
         raise FileError(
             f"{folder} is a run, not a scan; `bearings run {folder}` solves it again, `bearings plot spins {folder}` "
             "draws it"
         )
-
-
-def _is_in(folder: Path, *names: str) -> bool:
-    return any((folder / name).is_file() for name in names)
 
 
 def file_of(run: Path) -> Path:
@@ -174,16 +170,15 @@ def read_run(run: Path) -> Run:
 
 
 @contextmanager
-def opened_to_draw(run: Path, out: Path | None, name: str, force: bool, replica: int) -> Iterator[tuple[Run, Path]]:
-    """One sample of a run directory or its run.h5, and the file to write, which is ours meanwhile: `out`, or of this
-    name in the run directory.
+def opened_to_draw(run: Path, out: Path | None, name: str, force: bool) -> Iterator[tuple[Run, Path]]:
+    """The run in a directory or a run.h5, and the file to write, which is ours meanwhile: `out`, or of this name in the
+    run directory.
 
-    Raises FileError if `out` exists, unless `force`; what is in the run directory is replaced. InputError for a sample
-    that the run does not have.
+    Raises FileError if `out` exists, unless `force`; what is in the run directory is replaced.
     """
     with stage("reading"):
-        found = read_run(run).sample(replica)
-    path = (run if run.is_dir() else run.parent) / name if out is None else out
+        found = read_run(run)
+    path = file_of(run).parent / name if out is None else out
     with claimed(path, force or out is None):
         yield found, path
 
@@ -274,7 +269,7 @@ def _read(path: Path, file: h5py.File, attributes: Mapping[str, Any], settings: 
     sets = {name: of_contacts(name) for name in there}
     sets |= {"friction": of_contacts("friction", *vector), "spin": arrays.get("spin", *sites, *vector)}
     for name, values in sets.items():
-        is_fine = _is_number if name == "slip_bound" else np.isfinite
+        is_fine = (lambda of: ~np.isnan(of)) if name == "slip_bound" else np.isfinite
         arrays.check(name, values, is_fine if status is not Status.NOT_FINITE else np.isreal)
     rounding = arrays.get("spin_rounding", *sites, *vector) if "spin_rounding" in file else np.zeros_like(sets["spin"])
     own: dict[str, np.ndarray] = {"status": np.broadcast_to(np.array(ended, dtype=object), replicas)}
@@ -333,7 +328,3 @@ def _packings_in(path: Path, file: h5py.File, attributes: Mapping[str, Any], set
         return arrays.get(f"contact/{name}", first.contacts, *parts)
 
     return scene, arrays, of_contacts, (first.spheres,), () if first.dimension == 2 else (3,)
-
-
-def _is_number(values: np.ndarray) -> np.ndarray:
-    return ~np.isnan(values)

@@ -14,6 +14,7 @@ from pathlib import Path
 from sys import float_info
 from typing import Any
 
+from taichi_bearings.checksums import open_checked
 from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.options import (
@@ -36,13 +37,14 @@ from taichi_bearings.options import (
     real,
 )
 from taichi_bearings.plain_files import read_whole
+from taichi_bearings.runtime import ARCHITECTURES, PRECISIONS
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.array_files import read_coefficients
 from taichi_bearings.scene.driving import TORQUE
 from taichi_bearings.scene.law import LAWS
 from taichi_bearings.scene.scene import periodic_axes
-from taichi_bearings.solvers.table import METHODS, MethodOptions
-from taichi_bearings.words import meant
+from taichi_bearings.solvers.table import METHODS, MethodOptions, row_of_packing
+from taichi_bearings.words import meant, shown
 
 
 def _times(value: Any) -> str:
@@ -74,6 +76,9 @@ BETWEEN_PLANES = "planes"
 SIZES = ("radius", "normal_force")
 OF_DRIVEN = ("shape", "periodic", "spin_top", "spin_bottom", "direction", "top", "bottom", "driven", "coefficients")
 """Keys of a lattice, with planes or other driven bodies: a packing out of a file uses all but these."""
+OF_COURSES = ("initial", "iterations", "time_limit")
+"""Keys that say nothing of a packing whose minimum is found at once."""
+NAMED_FILES = ("coefficients", "packing", "initial")  # keys that name files
 DRIVING_KEYS = ("periodic", "top", "bottom", "driven")  # keys that summaries name where they are not the defaults
 
 motion = partial(option, methods=attrgetter("is_dynamics"))
@@ -202,8 +207,8 @@ class RunSettings:
         "Slip speed up to which a contact counts as slipless. Default: what the method can resolve.",
         unit="length/time",
     )
-    arch: str = how("cpu", OneOf("cpu", "cuda", "vulkan", "metal", "auto"), "Device.")
-    precision: str = how("f64", OneOf("f64", "f32"), "Precision of the fields; bounds are always f64.")
+    arch: str = how("cpu", OneOf(*ARCHITECTURES), "Device.")
+    precision: str = how("f64", OneOf(*PRECISIONS), "Precision of the fields; bounds are always f64.")
     threads: int = how(
         0, SEED, "CPU threads; 0 for all.", not_scanned="it changes no result, so set it for all samples"
     )
@@ -229,7 +234,10 @@ class RunSettings:
 
     @classmethod
     def from_mapping(cls, values: Mapping[str, Any], source: str = "the settings") -> "RunSettings":
-        """Settings from key-value pairs; an unknown key is refused, with the nearest known one."""
+        """Settings from key-value pairs; an unknown key is refused, with the nearest known one.
+
+        Coefficients from a file bring their shape, and their periodic sides unless some are given.
+        """
         for key in values:
             if key not in cls.keys():
                 hint = meant(key, cls.keys()) or f"; known keys are {', '.join(cls.keys())}"
@@ -240,20 +248,14 @@ class RunSettings:
 
             viscous = "law" not in values and "viscosity" in Packing.read(settings.packing)
             return replace(settings, law="coulomb-viscous") if viscous else settings
-        return settings if "shape" in values else settings.in_shape_of_coefficients()
-
-    def in_shape_of_coefficients(self) -> "RunSettings":
-        """The settings with the shape of the coefficients file, and its periodic sides unless some are given; FileError
-        if that cannot be read."""
-        if self.coefficients is None:
-            return self
-        lattice = Lattice.of(read_coefficients(Path(self.coefficients)))
-        return replace(self, shape=lattice.shape, periodic=self.periodic or lattice.periodic_names)
+        if "shape" in values or settings.coefficients is None:
+            return settings
+        lattice = Lattice.of(read_coefficients(Path(settings.coefficients)))
+        return replace(settings, shape=lattice.shape, periodic=settings.periodic or lattice.periodic_names)
 
     def to_toml(self) -> str:
         """The same settings as TOML, every key with its resolved value; keys without a value are left out."""
-        lines = [f"{key} = {toml_value(value)}" for key, value in self.described.items() if value is not None]
-        return "\n".join(lines) + "\n"
+        return toml_text({key: value for key, value in self.described.items() if value is not None})
 
     @property
     def seeds(self) -> range:
@@ -264,6 +266,11 @@ class RunSettings:
     def is_packing(self) -> bool:
         """True for a packing out of a file, and for a lattice with other driven bodies than planes."""
         return self.packing is not None or self.driven != BETWEEN_PLANES
+
+    @property
+    def drawn(self) -> dict[str, str]:
+        """What the coefficients of the law are drawn from, by key, unless they are given."""
+        return {key: getattr(self, key) for key in ("distribution", "viscosity")[: len(LAWS[self.law].quantities)]}
 
     @property
     def described(self) -> dict[str, Any]:
@@ -283,15 +290,20 @@ class RunSettings:
         return {key: list(v) if isinstance(v := given[key], tuple) else v for key in DRIVING_KEYS if key in given}
 
     def unused(self, method: type[MethodOptions]) -> dict[str, str]:
-        """The given keys that this method, the law or the lattice does not use, each with a sentence that says so."""
+        """The given keys that this method, the law or the bearing does not use, each with a sentence that says so."""
         table, law, unused = settings_table(), LAWS[self.law], {}
         has_states = self.top is not None or self.bottom is not None
+        minimises = self.is_packing and row_of_packing(self.method) is None
         for key, value in self.given.items():
             methods, laws = users_of(table[key])
             needs = [] if method.name in methods else [f"--method {' or '.join(methods)}"]
             needs += [] if law.name in laws else [f"--law {' or '.join(laws)}"]
-            if needs:
+            if self.packing is not None and key in OF_DRIVEN:
+                why = "a packing does not use it"
+            elif needs:
                 why = f"{method.name} with the law {law.name} does not use it; it needs {' and '.join(needs)}"
+            elif minimises and key in OF_COURSES:
+                why = f"method {self.method} of a packing does not use it"
             elif len(self.shape) not in table[key].dimensions:
                 why = "spins of discs point along z; it needs three sides"
             elif key in Scene.BY_SPINS and has_states:
@@ -300,8 +312,17 @@ class RunSettings:
                 why = f"the coefficients are those of {self.coefficients}; leave one of the two out"
             else:
                 continue
-            unused[key] = f"{key} is {value}, but {why}"
+            unused[key] = f"{key} is {shown(value)}, but {why}"
         return unused
+
+    def fitting(self, method: type[MethodOptions], strict: bool = True) -> "RunSettings":
+        """The settings without what is unused; if `strict` InputError for the first of that instead."""
+        unused = self.unused(method)
+        if not unused:
+            return self
+        if strict:
+            raise InputError(next(iter(unused.values())))
+        return replace(self, **{key: settings_table()[key].default for key in unused})
 
 
 def users_of(item: Option) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -345,6 +366,11 @@ def _table(rows: tuple[type[MethodOptions], ...]) -> dict[str, Option]:
     return found
 
 
+def toml_text(values: Mapping[str, Any]) -> str:
+    """Keys with their values as TOML, a line each."""
+    return "".join(f"{key} = {toml_value(value)}\n" for key, value in values.items())
+
+
 def toml_value(value: Any) -> str:
     """A text, number, truth value, list or (inline) table as it is written in TOML."""
     if isinstance(value, (list, tuple)):
@@ -367,16 +393,12 @@ def read_toml(path: Path) -> dict[str, Any]:
 
     path : a TOML file, a run directory (its scene.toml), or a run.h5 (its attribute `scene`).
     """
-    from taichi_bearings.checksums import check
-    from taichi_bearings.hdf5 import open_hdf5
-
     if path.is_dir():
         path = path / "scene.toml"
     if not path.is_file():
         raise FileError(f"scene file {path} does not exist")
     if path.suffix in (".h5", ".hdf5"):
-        with open_hdf5(path, "a run") as file:
-            check(path, file)
+        with open_checked(path, "a run") as file:
             if "scene" not in file.attrs:
                 raise FileError(f"{path} holds no scene; it was not written by `bearings run`")
             return parse_toml(str(file.attrs["scene"]), path)
@@ -426,11 +448,14 @@ def parse_toml(text: str, path: Path | None = None) -> dict[str, Any]:
     if path is None:
         return values
     folder = path if path.is_dir() else path.parent
-    for key in ("coefficients", "packing", "initial"):
-        value = values.get(key)
-        if isinstance(value, str) and (folder / value).is_file():
-            values[key] = str(folder / value)
-    return values
+    return values | {key: placed(values[key], folder) for key in NAMED_FILES if key in values}
+
+
+def placed(value: Any, folder: Path) -> Any:
+    """The name of a file, or a list of them, as it is called from here: one in this folder if it is there."""
+    if isinstance(value, list):
+        return [placed(part, folder) for part in value]
+    return str(folder / value) if isinstance(value, str) and (folder / value).is_file() else value
 
 
 def _refuse_unwritable(value: Any, depth: int = 0) -> None:

@@ -63,7 +63,7 @@ class Run:
         beside = named if named in STARTS or path is None else str((path if path.is_dir() else path.parent) / named)
         return initial_spin(self.solution.scene, beside)
 
-    @property
+    @cached_property
     def answered(self) -> Answered:
         return Answered(self.solution, self.settings.tolerance, self.settings.duration)
 
@@ -92,9 +92,10 @@ class Run:
     @property
     def histogram(self) -> "PowerHistogram":
         """Of the power over its slipping contacts, of all replicas."""
-        from taichi_bearings.analysis.histogram import power_histogram
+        from taichi_bearings.analysis.histogram import count_powers, pool
 
-        return power_histogram(self.solution.power_per_contact, self.solution.state, self.solution.slip_threshold)
+        found = self.solution
+        return pool(count_powers(found.power_per_contact, found.state), found.slip_threshold)
 
     def self_contained(self, folder: Path, name: str = "run.h5") -> RunSettings:
         """As the function of this name."""

@@ -1,23 +1,14 @@
 """The structure of one sample as arrays, for /analysis and other programs."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from taichi_bearings.analysis.structure import LatticeStructure, Structure
+from taichi_bearings.files.whole_file import Finding
 from taichi_bearings.quantities import Quantity, found_in
 from taichi_bearings.runs.run_file import AXES
-
-
-@dataclass(frozen=True)
-class Finding:
-    """An array of one sample with its unit and what it is."""
-
-    values: np.ndarray
-    units: str
-    description: str
-
 
 # fmt: off
 ON_SPHERES = (

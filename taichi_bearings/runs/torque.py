@@ -38,8 +38,12 @@ AMPLITUDE_ERROR = 1e-13  # relative, of an amplitude that is found by solving ag
 
 
 def refuse_driven(settings: RunSettings, method: type[MethodOptions]) -> None:
-    """InputError for settings that say how fast the top turns, or where the bottom may not, and for a torque in time
-    without a dynamics or a dynamics without a duration or from another start than rest."""
+    """InputError for settings with a torque that say how fast the top turns, or where the bottom may not, and for a
+    torque in time without a dynamics or a dynamics of a packing, without a duration or from another start than rest."""
+    if settings.torque is None or not method.takes_torque:
+        return
+    if settings.is_packing and (method.is_dynamics or Ramp.of(settings.torque).rises):
+        raise InputError(f"torque is {settings.torque}; of packings minima alone tell what a constant one does")
     if Ramp.of(settings.torque).rises and not method.is_dynamics:
         raise InputError(f"torque is {settings.torque}, which grows in time; it needs a dynamics with springs")
     if method.is_dynamics and settings.duration is None:

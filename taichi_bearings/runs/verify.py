@@ -32,7 +32,8 @@ def verify(path: Path) -> dict[str, Any]:
         if file_of(path).is_file():
             look_through(file_of(path))
         run, *others = read_stored_run(path)
-        unlike = _changed(run.path)
+        with open_hdf5(run.path, "a run") as file:  # what is not as it was written, where the file has checksums
+            unlike = [*changed(run.path, file)] if ATTRIBUTE in file.attrs else None
     samples, seeds, drawn = run.samples, np.asarray(run.attributes.get("seed", -1)).tolist(), False
     with stage("proving"), one_thread():
         report = report_of(run)
@@ -62,12 +63,6 @@ def verify(path: Path) -> dict[str, Any]:
         "run": str(path),
         "seconds": time.perf_counter() - began,
     }
-
-
-def _changed(path: Path) -> list[str] | None:
-    """Names of what is not as it was written, by the checksums in the file; None where it has none."""
-    with open_hdf5(path, "a run") as file:
-        return [*changed(path, file)] if ATTRIBUTE in file.attrs else None
 
 
 def _redrawn(run: StoredRun, lattice: Lattice, kind: str, key: str, values: tuple[np.ndarray, ...]) -> list[str]:

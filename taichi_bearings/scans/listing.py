@@ -14,7 +14,7 @@ from taichi_bearings.files.scan_file import FAILED
 from taichi_bearings.plain_files import read_json, read_lines
 from taichi_bearings.scans.parts import journals_in
 from taichi_bearings.scans.plan import count_samples
-from taichi_bearings.words import counted, driving_words, listed
+from taichi_bearings.words import counted, driving_words, listed, sized
 
 RUN_KIND, SCAN_KIND = "run", "scan"
 OF_A_RUN = ("run.h5", "summary.json", "checkpoint.h5")  # files that hold its results
@@ -144,20 +144,14 @@ def _words_of_run(values: Mapping[str, Any]) -> str:
     gap = "no gap" if None in gaps else f"gap {max(gaps):.1e}"
     decided = "states proven" if all(value is True for value in proven) else "states not proven"
     status = ", ".join(f"{many} {state}" if len(states) > 1 else state for state, many in Counter(states).items())
-    what = f"{_shape(values)} {values['law']}, {values['method']}, {seed}{driving_words(values)}"
+    what = f"{sized(values)} {values['law']}, {values['method']}, {seed}{driving_words(values)}"
     return f"{what}: {status}; {power}, {gap}, {decided}"
 
 
 def _words_of_scan(values: Mapping[str, Any]) -> str:
-    known = " ".join(str(part) for part in (_shape(values), values["law"], values["method"]) if part)
+    known = " ".join(str(part) for part in (sized(values), values["law"], values["method"]) if part)
     over = " x ".join(values["scanned"]) or "one sample"
     done = f"{values['samples_done']:,} of {counted(values['samples_asked'], 'sample')}"
     failed = f", {values['samples_failed']:,} failed" if values["samples_failed"] else ""
     states = ", ".join(f"{many:,} {state}" for state, many in values["statuses"].items())
     return f"{known + ', ' if known else ''}over {over}: {done}{failed}{'; ' + states if states else ''}"
-
-
-def _shape(values: Mapping[str, Any]) -> str:
-    if values.get("spheres"):
-        return f"{counted(values['spheres'], 'sphere')},"
-    return "x".join(map(str, values["shape"])) if isinstance(values["shape"], list) else str(values["shape"] or "")

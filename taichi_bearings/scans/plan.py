@@ -14,11 +14,14 @@ from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.runs.run_file import file_of, refuse_run
 from taichi_bearings.runs.settings import (
     MOST_SETTINGS_TEXT,
+    NAMED_FILES,
     WISHES,
     RunSettings,
     parse_assignment,
+    placed,
     read_toml,
     settings_table,
+    toml_text,
     toml_value,
 )
 from taichi_bearings.scene.initial_spins import STARTS
@@ -49,9 +52,6 @@ class Sample:
         return f"{words} ({self.key})" if words else self.key
 
 
-NAMED_FILES = ("coefficients", "packing", "initial")  # keys that name files
-
-
 def _wishes_in(document: dict[str, Any]) -> dict[str, Any]:
     """The wishes of a scan file by name, whose other keys stay in `document`; InputError for values not allowed."""
     return {name: item.read(name, document.pop(name)) for name, item in WISHES.items() if name in document}
@@ -70,7 +70,7 @@ class ScanPlan:
     @property
     def text(self) -> str:
         """The scan as TOML."""
-        return "".join(f"{name} = {toml_value(value)}\n" for name, value in self.wishes.items()) + self.settings
+        return toml_text(self.wishes) + self.settings
 
     def going_on_in(self, folder: Path) -> "ScanPlan":
         """The plan with what the scan in a folder was asked for before, where this one says nothing."""
@@ -144,12 +144,8 @@ def _read(path: Path, overrides: Sequence[str] = ()) -> tuple[dict[str, Any], li
     if not isinstance(zipped, list) or not all(isinstance(table, Mapping) for table in zipped):
         raise InputError(f"zip in [scan] of {path} must be tables, each headed [[scan.zip]]")
     single, *zipped = (dict(table) for table in (scan, *zipped))
-    for table in (single, *zipped):  # names of files relative to where the program runs, no longer to the scan file
-        for key in [key for key in NAMED_FILES if isinstance(table.get(key), list)]:
-            places = [path.parent / name if isinstance(name, str) else name for name in table[key]]
-            table[key] = [
-                str(p) if isinstance(p, Path) and p.is_file() else n for p, n in zip(places, table[key], strict=True)
-            ]
+    for table in (single, *zipped):
+        table |= {key: placed(table[key], path.parent) for key in NAMED_FILES if key in table}
     for text in overrides:
         key, value = parse_assignment(text, "--set", "key=value or scan.key=list or range")
         name = key.removeprefix("scan.")
@@ -287,10 +283,9 @@ def _spheres(name: str, _: str) -> int:
 
 def _text(document: Mapping[str, Any], axes: Sequence[Axis]) -> str:
     """The scan as TOML, with what --set has changed."""
-    lines = [f"{key} = {toml_value(value)}" for key, value in document.items()]
-    is_zipped = False
+    text, is_zipped = toml_text(document), False
     for number, axis in enumerate(axes):
         is_zipped |= len(axis) > 1
-        lines += ["[[scan.zip]]"] if is_zipped else ["[scan]"] if number == 0 else []
-        lines += [f"{key} = {toml_value(value)}" for key, value in axis.items()]
-    return "\n".join(lines) + "\n"
+        text += "[[scan.zip]]\n" if is_zipped else "[scan]\n" if number == 0 else ""
+        text += toml_text(axis)
+    return text or "\n"

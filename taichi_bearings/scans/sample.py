@@ -8,13 +8,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
+from taichi_bearings.analysis.histogram import count_powers
 from taichi_bearings.errors import BearingsError, InputError, WriteError
-from taichi_bearings.files.scan_file import bin_of
+from taichi_bearings.files.scan_file import BINS_PER_DECADE
 from taichi_bearings.files.whole_file import make_folder
 from taichi_bearings.numerics.blas import one_thread
-from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.quantities import plain
 from taichi_bearings.runs.run import Job, prepare, row_of, write_state
 from taichi_bearings.runs.settings import RunSettings
@@ -79,12 +77,7 @@ def _solve_block(block: Sequence[Sample], analyse: bool, states: Path | None) ->
     if files and sample_key(first) != block[0].key:
         raise InputError(f"{' or '.join(files)} has changed since the scan began; the same scan again would do it anew")
     settings = replace(first, replicas=len(block), threads=first.threads or 1)
-    more: dict[str, Any] = {}
-    if settings.is_packing:
-        from taichi_bearings.scans.packings import system_of
-
-        more = {"system_of": system_of}
-    found = prepare(settings, strict=False).solve(**more)
+    found = prepare(settings, strict=False).solve()
     if found.interrupted:
         raise Interrupted
     runs = [found.sample(number) for number in range(len(block))]
@@ -107,14 +100,13 @@ def _record(key: str, run: Any, analyse: bool) -> dict[str, Any]:
         from taichi_bearings.analysis.structure import structure_of
 
         scalars |= structure_of(answer).numbers
-    power = answer.power_per_contact
-    bins, count = np.unique(bin_of(power[(answer.state == ContactState.SLIPPING) & (power > 0)]), return_counts=True)
-    found = {str(number): int(many) for number, many in zip(bins, count, strict=True)}
+    counts = count_powers(answer.power_per_contact, answer.state, BINS_PER_DECADE)
+    bins = {str(number): many for number, many in enumerate(counts.count[0].tolist(), start=counts.first) if many}
     told = {name: plain(value) for name, value in scalars.items()}
     told["shape"] = "x".join(map(str, told["shape"] or ())) or []  # packings have none
     told["warnings"] = "; ".join(told["warnings"]) or []  # no column where there is nothing to say
     told = {name: value for name, value in told.items() if value is None or isinstance(value, (bool, int, float, str))}
-    return {"key": key, "scalars": told, "bins": found}
+    return {"key": key, "scalars": told, "bins": bins}
 
 
 def state_path(folder: Path, key: str) -> Path:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from taichi_bearings.errors import FileError, InputError
-from taichi_bearings.files.scan_file import write_scan, write_scan_csv
+from taichi_bearings.files.scan_file import write_scan
 from taichi_bearings.files.scan_journal import JOURNAL_NAME as JOURNAL
 from taichi_bearings.files.scan_journal import Journal
 from taichi_bearings.files.whole_file import replace_file
@@ -98,30 +98,30 @@ def missing_samples(
     return [sample for sample in parts.part_of(plan, part).samples if not is_kept(sample)], records
 
 
-def unused_keys(plan: ScanPlan, is_here: bool = False) -> list[str]:
-    """What no method and no law of a scan uses although it is given, a sentence each; InputError for samples that
-    cannot be. is_here : they are solved on this machine."""
+def refuse_unused(plan: ScanPlan, folder: Path, is_here: bool = False) -> None:
+    """InputError for what no method and no law of a scan uses although it is given, which is only said where the scan
+    goes on; and for samples that cannot be. is_here : they are solved on this machine."""
     found, used = dict[str, str](), set[str]()
     for group in groups_of(plan.samples):  # all but their seeds alike
         settings = group[0].settings
         if settings.is_packing:
-            from taichi_bearings.runs.packing_run import unused_of_packing
-            from taichi_bearings.scans.packings import refuse_packing
+            from taichi_bearings.runs.packing_run import refuse_packing
 
-            refuse_packing(group)
-            unused = unused_of_packing(settings)
-        else:
-            unused = settings.unused(row_of(settings))
+            refuse_packing(settings, has_seeds=len(group) > 1)
+        unused = settings.unused(row_of(settings))
         if is_here:
             refuse_absent(settings.arch, settings.precision)
         found = unused | found
         used |= settings.given.keys() - unused.keys()
-    return [sentence for key, sentence in found.items() if key not in used]
+    for sentence in (sentence for key, sentence in found.items() if key not in used):
+        if not (folder / "scan.toml").is_file():
+            raise InputError(sentence)
+        _say(f"{sentence}: it changes nothing here")
 
 
 def estimate(plan: ScanPlan, folder: Path, workers: int = 0, part: parts.Part | None = None) -> dict[str, Any]:
     """What a scan would do, without doing it: `samples`, `missing`, `workers`, `seconds` (None: unknown), `bytes`."""
-    unused_keys(plan)  # which refuses what cannot be
+    refuse_unused(plan, folder)
     plan = plan.going_on_in(folder)
     missing, _ = missing_samples(plan, folder, part)
     analyse = bool(plan.wishes.get("analyse"))
@@ -163,10 +163,7 @@ def scan(
     Raises InputError or FileError before anything is computed.
     """
     plan = plan.going_on_in(folder)
-    for sentence in unused_keys(plan, is_here=engine is None and client is None):
-        if not (folder / "scan.toml").is_file():
-            raise InputError(sentence)
-        _say(f"{sentence}: it changes nothing here")
+    refuse_unused(plan, folder, is_here=engine is None and client is None)
     with writable_folder(folder, "" if part is None else part.name):
         course = _Course(plan, folder, part, monitor)
         refuse_link_out(folder / STATES)
@@ -286,10 +283,8 @@ class _Course:
         self.removed = outdated_figures(self.folder, journals) if removes else []
         for figure in self.removed:
             figure.unlink(missing_ok=True)
-        columns = columns_of(self.plan, self.records)
-        histograms = histograms_of(self.plan, self.records)
-        write_scan(self.folder / "scan.h5", columns, histograms, attributes_of(self.plan, journals))
-        write_scan_csv(self.folder / "scan.csv", columns)
+        columns, histograms = columns_of(self.plan, self.records), histograms_of(self.plan, self.records)
+        write_scan(self.folder, columns, histograms, attributes_of(self.plan, journals))
 
     def write_files(self) -> None:
         """Once all is done; figures of the scan as it was before go."""

@@ -13,24 +13,22 @@ from taichi_bearings.errors import BearingsError, FileError
 from taichi_bearings.files.scan_file import (
     CONTACT_SETS,
     MISSING,
-    Column,
     StoredScan,
     column,
     dense_histograms,
     read_scan,
-)  # fmt: skip
-from taichi_bearings.files.whole_file import layout_of
+)
+from taichi_bearings.files.whole_file import Finding, layout_of
 from taichi_bearings.hdf5 import open_hdf5
 from taichi_bearings.plain_files import read_lines, read_whole
 from taichi_bearings.quantities import COLUMNS
 from taichi_bearings.runs.run import versions
 from taichi_bearings.runs.run_file import refuse_run
-from taichi_bearings.runs.settings import MOST_SETTINGS_TEXT, RunSettings, settings_table
+from taichi_bearings.runs.settings import MOST_SETTINGS_TEXT, RunSettings, settings_table, users_of
 from taichi_bearings.scans.parts import journal_bytes, read_journals
 from taichi_bearings.scans.plan import Sample, ScanPlan, read_plan, written
 from taichi_bearings.scene import Scene
-from taichi_bearings.scene.law import COULOMB, LAWS
-from taichi_bearings.solvers import METHODS
+from taichi_bearings.scene.law import COULOMB
 from taichi_bearings.version import VERSION
 
 DRAWN = ("seed", "coefficients")  # what a disorder comes from
@@ -84,7 +82,7 @@ def open_scan(path: Path) -> StoredScan:
         logging.getLogger(__name__).warning("bearings: %s %s, which cannot be used: %s", file, why, error)
         return stored
     attributes = attributes_of(plan, journals)
-    table = {item.name: item.values for item in columns_of(plan, records)}
+    table = {name: item.values for name, item in columns_of(plan, records).items()}
     return StoredScan(file, attributes, plan.scanned, table, histograms_of(plan, records))
 
 
@@ -108,7 +106,7 @@ def attributes_of(plan: ScanPlan, journals: int) -> dict[str, Any]:
     return {**known, "taichi_bearings": VERSION, **versions()}
 
 
-def columns_of(plan: ScanPlan, records: Mapping[str, Mapping[str, Any]]) -> list[Column]:
+def columns_of(plan: ScanPlan, records: Mapping[str, Mapping[str, Any]]) -> dict[str, Finding]:
     """The scanned keys, then FIRST_COLUMNS, then whatever else the records hold; one row a sample that has a record.
 
     A result that bears the name of a scanned key and may differ from it is called ``<name>_found``.
@@ -118,16 +116,15 @@ def columns_of(plan: ScanPlan, records: Mapping[str, Mapping[str, Any]]) -> list
     names = dict.fromkeys([*FIRST_COLUMNS, *(name for numbers in scalars for name in numbers)])
     settings = {key: (item.unit, item.help) for key, item in settings_table().items()}
     meaning = {name: (row.unit, row.text) for name, row in COLUMNS.items()}
-    columns = [column(key, [written(sample.point[key]) for sample in samples], *settings[key]) for key in plan.scanned]
+    columns = {key: column([written(sample.point[key]) for sample in samples], *settings[key]) for key in plan.scanned}
     for name in names:
         values = [numbers.get(name) for numbers in scalars]
         units, text = (settings | meaning).get(name, ("1", name.replace("_", " ")))
         if name not in plan.scanned:
-            columns.append(column(name, values, units, text))
+            columns[name] = column(values, units, text)
         elif name in ("method", "slip_threshold"):
-            columns.append(column(f"{name}_found", values, units, text))
-    columns.append(column("sample", [sample.key for sample in samples], *meaning["sample"]))
-    return columns
+            columns[f"{name}_found"] = column(values, units, text)
+    return columns | {"sample": column([sample.key for sample in samples], *meaning["sample"])}
 
 
 def _scalars(sample: Sample, record: Mapping[str, Any]) -> dict[str, Any]:
@@ -165,9 +162,8 @@ def disorder_of(columns: Mapping[str, np.ndarray], settings: RunSettings | None 
     solved = list(zip(methods, laws, strict=True))
     for key in of_system:
         if key in columns:
-            used = {
-                one: one[0] is None or table[key].is_used_by(METHODS.get(one[0]), LAWS[one[1]]) for one in set(solved)
-            }
+            by_all, (users, suited) = table[key].methods is None, users_of(table[key])
+            used = {one: one[0] is None or ((by_all or one[0] in users) and one[1] in suited) for one in set(solved)}
             values_of_key = columns[key].tolist()
             names.append([value if used[one] else None for value, one in zip(values_of_key, solved, strict=True)])
     return list(zip(*names, strict=True))

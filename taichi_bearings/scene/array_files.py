@@ -1,16 +1,32 @@
-"""Reading arrays that users bring: npy, npz or HDF5, each failure one sentence."""
+"""Arrays that users bring, checked: given as they are, or read from npy, npz or HDF5. Each failure is one sentence."""
 
 import math
 import zipfile
 from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from taichi_bearings.checksums import check
-from taichi_bearings.errors import FileError
-from taichi_bearings.hdf5 import LAYOUT, open_hdf5
+from taichi_bearings.checksums import open_checked
+from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.plain_files import CLAIMED_BYTES, CLAIMED_FACTOR, opened
+
+
+def own_array(name: str, values: Any) -> np.ndarray:
+    """A read-only copy in float64. name : in the plural, for the InputError about what is not real or is masked."""
+    try:
+        array = np.asanyarray(values)
+    except ValueError:
+        raise InputError(f"{name} are lists of unequal lengths; they must be an array of real numbers") from None
+    if array.dtype.kind not in "fiu":
+        raise InputError(f"{name} are of type {array.dtype}; they must be real numbers")
+    if np.ma.is_masked(array):
+        raise InputError(f"{name} have masked entries; every entry must be a number")
+    with np.errstate(over="ignore"):  # of longer floats; infinities are refused later
+        copy = np.array(array, dtype=np.float64, order="C", subok=False)
+    copy.setflags(write=False)
+    return copy
 
 
 def read_arrays(path: Path, names: Sequence[str], optional: Sequence[str] = ()) -> dict[str, np.ndarray]:
@@ -39,11 +55,7 @@ def read_arrays(path: Path, names: Sequence[str], optional: Sequence[str] = ()) 
                 members = {name: name if name in there else short_name(name) for name in (*names, *optional)}
                 _refuse_lack(path, [members[name] for name in names], there)
                 return {name: _member(path, stored, f"{m}.npy", most) for name, m in members.items() if m in there}
-        with open_hdf5(path) as file:
-            if file.attrs.get("schema_version", LAYOUT) != LAYOUT:
-                found = file.attrs["schema_version"]
-                raise FileError(f"{path} has layout version {found}; this program reads version {LAYOUT}")
-            check(path, file)
+        with open_checked(path) as file:
             _refuse_lack(path, names, file)
             found = [name for name in (*names, *optional) if name in file]
             if empty := [name for name in found if file[name].shape is None]:

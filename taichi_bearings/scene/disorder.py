@@ -8,7 +8,7 @@ import numpy as np
 
 from taichi_bearings.errors import InputError
 from taichi_bearings.lattice import Lattice
-from taichi_bearings.scene.given import own_array
+from taichi_bearings.scene.array_files import own_array
 from taichi_bearings.words import meant, shown
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from taichi_bearings.errors import InputError
 from taichi_bearings.numerics.minimum_cut import MinimumCut, minimum_cut
-from taichi_bearings.scene.given import own_array
+from taichi_bearings.scene.array_files import own_array, read_arrays
 from taichi_bearings.scene.scene import Scene, vector_length
 from taichi_bearings.words import meant
 
@@ -81,8 +81,6 @@ def initial_spin(scene: Scene, start: str | np.ndarray, called: str = "initial")
     if not Path(start).exists():
         allowed = f"{', '.join(STARTS)} or a file with an array `spin`"
         raise InputError(f"{called} is {start!r}; allowed are {allowed}{meant(start, STARTS)}")
-    from taichi_bearings.scene.array_files import read_arrays
-
     return _fitting(scene, read_arrays(Path(start), ["spin"])["spin"], start)
 
 

@@ -13,10 +13,10 @@ from taichi_bearings.lattice import Lattice
 from taichi_bearings.lattice.grid import AXIS_NAMES, MOST_SITES, axis_numbers
 from taichi_bearings.lattice.incidence import contact_differences
 from taichi_bearings.numerics.double_double import Pair, add
-from taichi_bearings.options import COUNT, SEED, SHAPE
+from taichi_bearings.options import COUNT, SEED, SHAPE, finite_number
+from taichi_bearings.scene.array_files import own_array
 from taichi_bearings.scene.disorder import Distribution, Draw, draw_coefficients
 from taichi_bearings.scene.driving import Driving
-from taichi_bearings.scene.given import finite_number, own_array
 from taichi_bearings.scene.law import COULOMB, LAWS, Coefficients, Law, law_named
 from taichi_bearings.words import html_table, shown
 

@@ -30,7 +30,7 @@ from taichi_bearings.packing.packing import Packing
 from taichi_bearings.packing.path import oblique
 from taichi_bearings.packing.system import System, acting, along_axes, odd_parts, slips_of, tangents
 from taichi_bearings.scene import Progress
-from taichi_bearings.scene.given import own_array
+from taichi_bearings.scene.array_files import own_array
 from taichi_bearings.scene.initial_spins import STARTS
 from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.solvers.method import Method

@@ -31,8 +31,8 @@ def view(run: Path, out: Path | None = None, force: bool = False, replica: int =
     Raises InputError or FileError before anything is computed.
     """
     refuse_ending(out, ".html", ".htm")
-    with opened_to_draw(run, out, PAGE_NAME, force, replica) as (found, path):
-        drawn = points_and_lines(found)
+    with opened_to_draw(run, out, PAGE_NAME, force) as (found, path):
+        drawn = points_and_lines(found, replica)
         with stage("writing"):
             write_text(path, page_of(facts_of(drawn), arrays_of(drawn)))
     moments = drawn.moments

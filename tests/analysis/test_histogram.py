@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from taichi_bearings.analysis.histogram import SampleCounts, count_powers, pool, power_histogram, rebinned, together
+from taichi_bearings.analysis.histogram import SampleCounts, count_powers, pool, rebinned, together
 from taichi_bearings.proof.contact_state import ContactState
 
 
@@ -21,7 +21,7 @@ def slipping(power, state):
 @pytest.mark.parametrize("bins_per_decade", [1, 5, 7])
 def test_every_slipping_contact_is_in_its_bin_and_the_others_are_counted(bins_per_decade):
     power, state = contacts(3)
-    found = power_histogram(power, state, 1e-9, bins_per_decade)
+    found = pool(count_powers(power, state, bins_per_decade), 1e-9)
     values = np.concatenate(slipping(power, state))
     assert (found.count == np.histogram(values, found.edges)[0]).all()
     assert found.slipping == len(values)
@@ -35,7 +35,7 @@ def test_every_slipping_contact_is_in_its_bin_and_the_others_are_counted(bins_pe
 
 def test_nothing_that_slips_makes_no_bins():
     power, state = np.ones((2, 5)), np.zeros((2, 5), dtype=int)
-    found = power_histogram(power, state, 1e-9)
+    found = pool(count_powers(power, state), 1e-9)
     assert (found.slipping, found.slipless, len(found.edges), len(found.count)) == (0, 10, 0, 0)
     both = together([count_powers(power, state), count_powers(*contacts(1))])
     assert both.count[:2].sum() == 0

@@ -177,7 +177,7 @@ def test_a_distribution_of_ones_own(needs_f64):
     (lambda s: tb.solve(s, start=np.zeros(3)), "spin in start has shape"),
     (lambda s: tb.solve(s, tb.LinearSolver()), "does not solve the law 'coulomb'"),
     (lambda s: tb.solve_many([s], tb.LinearSolver()), "does not solve the law 'coulomb'"),
-    (lambda s: tb.solve_many([s], workers=-1), "workers is -1"),
+    (lambda s: tb.solve_many([s], workers=-1), "workers is '-1'"),
     (lambda s: tb.CundallStrack(stiffness=-1), "stiffness is '-1'"),
     (lambda s: tb.load("nowhere"), "nowhere is not a run"),
     (lambda s: tb.solve(s, threads=1).plot("colours"), "the figure is 'colours'"),

@@ -20,7 +20,7 @@ from pathlib import Path
 import pytest
 from taichi_bearings_cli import main as command_line
 
-from taichi_bearings import stages
+from taichi_bearings import progress
 
 HANGS = 60.0  # seconds
 MOMENTS = (0.0, 0.1, 0.4, 1.0, 3.0, 8.0)  # seconds after a stage has begun
@@ -49,7 +49,7 @@ COMMANDS = {
 
 def strike_in(stage, after, pipe):
     """Send this process Ctrl-C so many seconds after a stage of this name has begun, and tell when."""
-    begin = stages.Watch.begin
+    begin = progress.Display.begin
 
     def strike():
         os.write(pipe, struct.pack("dd", time.monotonic(), time.process_time()))
@@ -58,12 +58,12 @@ def strike_in(stage, after, pipe):
     def begin_and_strike(watch, new):
         begin(watch, new)
         if new.name == stage:
-            stages.Watch.begin = begin
+            progress.Display.begin = begin
             timer = threading.Timer(after, strike)
             timer.daemon = True
             timer.start()
 
-    stages.Watch.begin = begin_and_strike
+    progress.Display.begin = begin_and_strike
 
 
 def seconds_to_exit(words, stage, after):

@@ -137,8 +137,8 @@ def test_a_bound_above_the_power_is_an_error_everywhere(path, tmp_path):
     with pytest.raises(FileError, match="a lower bound above its power"):
         read_run(path)
     scan, empty = tmp_path / "scan.h5", dense_histograms([{}], {"slipping": [0], "slipless": [0], "undecided": [0]})
-    columns = [column("status", ["certified"], "", "end"), column("gap", [1e-9], "1", "gap")]
-    write_scan(scan, columns, empty, {"scan": "", "scanned": []})
+    columns = {"status": column(["certified"], "", "end"), "gap": column([1e-9], "1", "gap")}
+    write_scan(tmp_path, columns, empty, {"scan": "", "scanned": []})
     read_scan(scan)
     with h5py.File(scan, "r+") as file:
         file["table/gap"][0] = -1e-6

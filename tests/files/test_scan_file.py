@@ -7,27 +7,28 @@ import h5py
 import numpy as np
 import pytest
 
+from taichi_bearings.analysis.histogram import count_powers
 from taichi_bearings.errors import FileError
-from taichi_bearings.files.scan_file import bin_of, column, dense_histograms, read_scan, write_scan, write_scan_csv
+from taichi_bearings.files.scan_file import column, dense_histograms, read_scan, write_scan
 from taichi_bearings.files.whole_file import write_csv, write_text
+from tests.stored_scans import bin_of
 
-COLUMNS = [
-    column("seed", [1, 2, 3], "1", "seed of the disorder"),
-    column("shape", ["4x4", "6x6", "6x6"], "1", "shape"),
-    column("power", [1 / 3, None, 2.5], "energy/time", "power"),
-    column("status", ["certified", "failed", "certified"], "1", "status"),
-    column("unique", [True, False, True], "1", "a truth value"),
-    column("iterations", [1, None, 3], "1", "whole numbers of which one is missing"),
-    column("error", [None, "größer, \"als\"\nerlaubt", None], "1", "texts"),
-]  # fmt: skip
+COLUMNS = {
+    "seed": column([1, 2, 3], "1", "seed of the disorder"),
+    "shape": column(["4x4", "6x6", "6x6"], "1", "shape"),
+    "power": column([1 / 3, None, 2.5], "energy/time", "power"),
+    "status": column(["certified", "failed", "certified"], "1", "status"),
+    "unique": column([True, False, True], "1", "a truth value"),
+    "iterations": column([1, None, 3], "1", "whole numbers of which one is missing"),
+    "error": column([None, "größer, \"als\"\nerlaubt", None], "1", "texts"),
+}  # fmt: skip
 CONTACTS = {"slipping": [3, 0, 2], "slipless": [5, 0, 6], "undecided": [0, 0, 1]}
 
 
 @pytest.fixture
 def path(tmp_path):
     histograms = dense_histograms([{-3: 2, 5: 1}, {}, {4: 2}], CONTACTS)
-    write_scan(tmp_path / "scan.h5", COLUMNS, histograms, {"scan": "seed = 1\n", "scanned": ["seed", "shape"]})
-    write_scan_csv(tmp_path / "scan.csv", COLUMNS)
+    write_scan(tmp_path, COLUMNS, histograms, {"scan": "seed = 1\n", "scanned": ["seed", "shape"]})
     return tmp_path
 
 
@@ -35,9 +36,9 @@ def test_what_is_written_is_read_back(path):
     scan = read_scan(path)
     assert scan.samples == 3
     assert scan.scanned == ("seed", "shape")
-    assert list(scan.table) == [item.name for item in COLUMNS]
-    for item in COLUMNS:
-        assert np.array_equal(scan.table[item.name], item.values, equal_nan=item.values.dtype == np.float64)
+    assert list(scan.table) == list(COLUMNS)
+    for name, item in COLUMNS.items():
+        assert np.array_equal(scan.table[name], item.values, equal_nan=item.values.dtype == np.float64)
     assert scan.failed.tolist() == [False, True, False]
     assert scan.table["seed"].dtype == np.int64
     assert scan.histograms.count.sum(axis=1).tolist() == [3, 0, 2]
@@ -48,8 +49,8 @@ def test_plain_h5py_can_read_it(path):
     with h5py.File(path / "scan.h5") as file:
         assert file.attrs["schema"] == "taichi_bearings.scan"
         assert file["table/status"].asstr()[1] == "failed"
-        for item in COLUMNS:
-            assert dict(file["table"][item.name].attrs) == {"units": item.units, "description": item.description}
+        for name, item in COLUMNS.items():
+            assert dict(file["table"][name].attrs) == {"units": item.units, "description": item.description}
         assert file["histogram/count"].dtype == np.int32
 
 
@@ -68,13 +69,16 @@ def test_every_power_lies_in_its_bin():
     assert (10 ** (number / 20) <= power * (1 + 1e-12)).all()
     assert (power <= 10 ** ((number + 1) / 20) * (1 + 1e-12)).all()
     low, high = int(number.min()), int(number.max())
+    counts = count_powers(power[None], np.ones((1, len(power)), dtype=np.uint8), 20)
+    assert counts.first == low
+    assert np.array_equal(counts.count[0], np.bincount(number - low))
     whole = dense_histograms([{int(n): 1 for n in number}], {name: [0] for name in CONTACTS})
     assert len(whole.edges) == high - low + 2
     assert math.isclose(whole.edges[0], 10 ** (low / 20))
 
 
 def test_a_scan_without_slipping_contacts_has_no_bins(tmp_path):
-    write_scan(tmp_path / "scan.h5", COLUMNS, dense_histograms([{}, {}, {}], CONTACTS), {"scan": "", "scanned": []})
+    write_scan(tmp_path, COLUMNS, dense_histograms([{}, {}, {}], CONTACTS), {"scan": "", "scanned": []})
     scan = read_scan(tmp_path)
     assert scan.histograms.count.shape == (3, 0)
     assert scan.scanned == ()

@@ -206,7 +206,7 @@ def test_a_packing_is_shown_as_it_is(packed, opened):
     assert page.ask("Array.from(bearings.sample.over)") == over.tolist()
     for key, count in (("slipless", structure.slipless.sum()), ("slipping", (structure.state == 1).sum())):
         assert page.ask(f"bearings.sample.counts.{key}") == count
-    assert page.ask("bearings.sample.counts.spans") is structure.spans
+    assert page.ask("bearings.sample.counts.spans") is structure.numbers["spans"]
     reached = structure.network.touched[packing.driven < 0].mean()
     assert page.ask("bearings.sample.counts.reached") == pytest.approx(reached)
     joined = np.array(page.ask("Array.from(bearings.sample.piece)"))

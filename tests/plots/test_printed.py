@@ -11,7 +11,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.text import Text
 
 import taichi_bearings as tb
-from taichi_bearings.analysis.histogram import power_histogram
+from taichi_bearings.analysis.histogram import count_powers, pool
 from taichi_bearings.errors import InputError
 from taichi_bearings.plots.curves import Curve, Look, draw_overlay, draw_scan
 from taichi_bearings.plots.page import Page, View, read_plane, read_view, read_width
@@ -141,7 +141,7 @@ def test_a_logarithmic_axis_names_few_ticks_and_no_line_crosses_an_empty_bin():
     assert 1 < len(boxes) < 8
     assert all(low.y1 < high.y0 for low, high in pairwise(boxes))
     power, state = np.array([[1.0, 1.1, 500.0, 550.0]]), np.ones((1, 4), dtype=int)
-    (curve,) = draw_overlay({1: power_histogram(power, state, 0.0)}, "seed").axes[0].lines
+    (curve,) = draw_overlay({1: pool(count_powers(power, state), 0.0)}, "seed").axes[0].lines
     gaps = np.isnan(curve.get_ydata())
     assert gaps.any()
     assert not gaps[[0, -1]].any()

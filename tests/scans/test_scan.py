@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from taichi_bearings.errors import BearingsError, FileError, InputError
-from taichi_bearings.files.scan_file import bin_of, read_scan
+from taichi_bearings.files.scan_file import read_scan
 from taichi_bearings.runs.run import prepare, solve_job
 from taichi_bearings.runs.run_file import read_run
 from taichi_bearings.runs.settings import RunSettings
@@ -21,9 +21,10 @@ from taichi_bearings.runs.solved import Run
 from taichi_bearings.scans import engine as scan_engine
 from taichi_bearings.scans.engine import LocalEngine, run_samples
 from taichi_bearings.scans.plan import read_plan
-from taichi_bearings.scans.scan import estimate, scan, unused_keys
+from taichi_bearings.scans.scan import estimate, refuse_unused, scan
 from tests.scans import scan_faults
 from tests.scans.scan_faults import Here, asking
+from tests.stored_scans import bin_of
 
 CLOCKS = {"seconds", "seconds_compile"}
 
@@ -274,9 +275,12 @@ def test_samples_of_two_precisions_get_workers_of_their_own(plan_of, tmp_path):
     assert np.allclose(power[:2], power[2:], rtol=2e-2)
 
 
-def test_what_no_sample_uses_is_refused_before_anything_is_computed(plan_of, tmp_path):
+def test_what_no_sample_uses_is_refused_before_anything_is_computed(plan_of, tmp_path, caplog):
     minima = plan_of("shape = [4, 4]\nmass = 2.0\n[scan]\nstiffness = [1e4, 1e5]\nradius = [0.5, 1.0]\n")
-    assert [sentence.split(" ")[0] for sentence in unused_keys(minima)] == ["mass", "stiffness"]
+    (tmp_path / "before").mkdir()
+    (tmp_path / "before" / "scan.toml").touch()
+    refuse_unused(minima, tmp_path / "before")
+    assert [record.message.split(" ")[1] for record in caplog.records] == ["mass", "stiffness"]
     with pytest.raises(InputError, match=r"mass is 2\.0, but planar-cut with the law coulomb does not use it"):
         scan(minima, tmp_path / "scan", engine=Here())
     assert not (tmp_path / "scan").exists()
@@ -284,7 +288,7 @@ def test_what_no_sample_uses_is_refused_before_anything_is_computed(plan_of, tmp
     with pytest.raises(InputError, match=r"it needs --law coulomb or coulomb-viscous"):
         scan(viscous, tmp_path / "scan", engine=Here())
     both = 'shape = [4, 4]\nmass = 2.0\nnormal_force = 2.0\n[[scan.zip]]\nmethod = ["auto", "rigid-limit"]\n'
-    assert unused_keys(plan_of(both + 'law = ["viscous", "coulomb"]\n')) == []
+    refuse_unused(plan_of(both + 'law = ["viscous", "coulomb"]\n'), tmp_path / "scan")
     report = scan(plan_of(both), tmp_path / "scan", engine=Here())
     assert report["reached"] == 2
 

@@ -188,10 +188,10 @@ def test_what_cannot_be_is_refused_before_anything_is_solved(plan_of, bcc, tmp_p
         'shape = [5, 5]\ndriven = "walls"\nmethod = "operator-splitting"': "method is .*of a packing it can be",
     }
     for text, sentence in refused.items():
-        for call in (partial(estimate, folder=None), partial(scan, folder=tmp_path / "never", engine=Here())):
+        for call in (estimate, partial(scan, engine=Here())):
             with pytest.raises(InputError, match=sentence):
-                call(plan_of(text))
-    with pytest.raises(InputError, match="time_limit is given, but method auto of a packing does not use it"):
+                call(plan_of(text), tmp_path / "never")
+    with pytest.raises(InputError, match=r"time_limit is 3\.0, but method auto of a packing does not use it"):
         scan(plan_of('packing = "bcc.npz"\ntime_limit = 3.0'), tmp_path / "never", engine=Here())
     assert not (tmp_path / "never").exists()
     with pytest.raises(FileError, match=r"none\.npz does not exist"):
