@@ -18,6 +18,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.spatial import cKDTree
 
+from taichi_bearings.numerics.double_double import exactly
 from taichi_bearings.packing import Packing
 from taichi_bearings.packing.answer import solve_packing, spins_of
 from taichi_bearings.packing.planar import least_spins
@@ -91,7 +92,7 @@ def spins_at_minimum(lattice: str, packing: Packing) -> np.ndarray:
     if lattice == "cubic":
         return np.asarray(solve_packing(packing, SURE).spin[0])
     system = System.of(packing)
-    return spins_of(packing, system.all_spins(least_spins(system)))
+    return spins_of(packing, exactly(system.all_spins(least_spins(system))))[0]
 
 
 def draw(lattice: str, size: int, odd: int, bottom: float, samples: int, seed: int) -> dict[str, Any]:
