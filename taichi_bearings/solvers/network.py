@@ -122,8 +122,7 @@ class Network:
 
     def laboratory_spin(self, spins: np.ndarray, spin_axes: object = None) -> np.ndarray:
         """omega (1, N, 3), of discs (1, N)."""
-        found = spins[:, 0].T / np.asarray(self.packing.radius)[:, None]
-        return found[None] if self.components == 3 else found[None, :, 0]
+        return spins_of(self.packing, spins[:, 0].T)[None]
 
     def start(self, start: str | np.ndarray) -> np.ndarray:
         """u (C, 1, N) at the start. start : "zero", "random", "minimum-cut" and "linear", the viscous answer for even

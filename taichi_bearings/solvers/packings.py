@@ -158,9 +158,6 @@ class CundallStrackOfPacking(OnNetwork, CundallStrackMethod):
     def _load_force(self, force: np.ndarray) -> None:
         self.fields.load("force", np.einsum("tre,tek->kre", force, self.scene.across))
 
-    def findings(self, last: Any) -> dict[str, np.ndarray]:
-        return {}
-
     def is_believed(self, found: Any) -> bool:
         """By the best bound so far; where none is proven as with static_ratio > 1."""
         if not self.scene.proven > 0:
