@@ -239,16 +239,10 @@ class Course:
     def answer(self, threshold: float | None) -> Solution:
         """What the best state and the best forces amount to, and how the course came there."""
         history, snapshots, last, seconds = self.recorder.history(), self.recorder.snapshots(), self.last, self.seconds
-        if not isinstance(self.scene, Scene):
-            found = self.method.answered(self)
-            return replace(found, seconds=seconds, history=history, snapshots=snapshots)
+        if (known := self.method.answered(self)) is not None:
+            return replace(known, seconds=known.seconds + seconds, history=history, snapshots=snapshots)
         scene, best, status = self.scene, self.best, self.status
         findings = self.method.findings(last) if isinstance(self.method, Dynamics) else best.progress.findings
-        if isinstance(self.method, Dynamics) and (known := self.method.known):
-            known = replace(known, findings={**known.findings, **findings}, history=history, snapshots=snapshots)
-            left, seconds, name = last.largest_balance_residual, known.seconds + seconds, self.method.options.name
-            known = replace(known, method=name, iterations=last.iteration, largest_balance_residual=left)
-            return replace(known, status=status, seconds=seconds)
         final = replace(best.progress, iteration=last.iteration, ended=last.ended, findings=findings)
         found, judgement = answered(scene, self.method, final, best.proof, best.bound, threshold)
         if status in (Status.CERTIFIED, Status.STALLED):

@@ -10,7 +10,7 @@ import numpy as np
 
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.proof.certificate import relative_gap
-from taichi_bearings.scene import Energy, Progress, Scene, Solution
+from taichi_bearings.scene import Energy, Progress, Scene
 from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.solvers.method import Method
 
@@ -99,12 +99,10 @@ class Dynamics(Method):
     kept : what its further course depends on, by name, beside the clock; WATCH_NAMES and ENERGY_NAMES if it has them.
     rest_gap : proven gap from which a stationary state is believed to be one.
     time : simulated time. aim : the next one at which a state is wanted. halted : it cannot make another step.
-    known : the answer, where the course adds its history alone.
     """
 
     kept: ClassVar[tuple[str, ...]] = ()
     rest_gap: ClassVar = 1e-4
-    known: Solution | None = None
     aim = np.inf
 
     def begin(self, scene: Scene, spin: np.ndarray) -> None:
