@@ -13,8 +13,8 @@ precision, whatever that of the runtime.
 from collections.abc import Callable
 
 from taichi_bearings.compiler import ti
-from taichi_bearings.kernels.elimination import LANES, NUMBERS, VECTORS
-from taichi_bearings.kernels.memory import BLOCKS, INTEGERS, fill, places
+from taichi_bearings.kernels.elimination import NUMBERS
+from taichi_bearings.kernels.memory import BLOCKS, fill, places
 
 BLOCK = 16  # contacts that are worked on together
 LEAST_DIVISOR = 1e-140  # of a slip that its size divides
@@ -78,19 +78,13 @@ def rotated(by_head, by_tail: ti.template(), head, tail: ti.template(), sign: ti
 
 
 @ti.func
-def scaled(values: ti.template(), at: ti.template(), head, tail: ti.template(), m):
-    """W point: head first."""
+def scaled(values: ti.template(), at: ti.template(), head, tail: ti.template(), m, sign: ti.template()):
+    """W point, or for sign -1 W^-1 point: head first."""
     weight = values[at[WEIGHT] + m]
-    found = rotated(values[at[WEIGHT_HEAD] + m], vector(values, at, TAIL, tail, m), head, tail, 1)
+    if ti.static(sign < 0):
+        weight = 1.0 / weight
+    found = rotated(values[at[WEIGHT_HEAD] + m], vector(values, at, TAIL, tail, m), head, tail, sign)
     return [weight * x for x in ti.static(found)]
-
-
-@ti.func
-def unscaled(values: ti.template(), at: ti.template(), head, tail: ti.template(), m):
-    """W^-1 point: head first."""
-    share = 1.0 / values[at[WEIGHT] + m]
-    found = rotated(values[at[WEIGHT_HEAD] + m], vector(values, at, TAIL, tail, m), head, tail, -1)
-    return [x * share for x in ti.static(found)]
 
 
 @ti.func
@@ -105,7 +99,7 @@ def divided(values: ti.template(), at: ti.template(), head, tail: ti.template(),
     by, by_tail = values[at[POINT_HEAD] + m], vector(values, at, POINT_TAIL, tail, m)
     first, share = (by * head - dot(by_tail, tail)) / determinant(by, by_tail), 1.0 / by
     rest = [(tail[k] - by_tail[k] * first) * share for k in ti.static(range(len(tail)))]
-    return unscaled(values, at, first, rest, m)
+    return scaled(values, at, first, rest, m, -1)
 
 
 @ti.func
@@ -219,8 +213,8 @@ def corrected(values: ti.template(), at: ti.template(), numbers: ti.template(), 
     state, step, like = at[0], at[1], at[2]
     axes = ti.static(range(len(like)))
     zero = ti.cast(0.0, ti.f64)
-    one = scaled(values, state, zero, vector(values, step, DUAL_STEP, like, m), m)
-    other = unscaled(values, state, values[step[BOUND_STEP] + m], vector(values, step, CHANGE, like, m), m)
+    one = scaled(values, state, zero, vector(values, step, DUAL_STEP, like, m), m, 1)
+    other = scaled(values, state, values[step[BOUND_STEP] + m], vector(values, step, CHANGE, like, m), m, -1)
     found = jordan(one[0], one[1:], other[0], other[1:])
     mend = divided(values, state, found[0] - numbers[m], found[1:], m)
     dual = vector(values, state, DUAL, like, m)
@@ -241,8 +235,8 @@ def recentred(values: ti.template(), at: ti.template(), numbers: ti.template(), 
     after = [slip[k] + along * change[k] for k in axes]
     dual_after = [dual[k] + dual_along * dual_step[k] for k in axes]
     bound = values[state[BOUND] + m] + along * values[step[BOUND_STEP] + m]
-    one = scaled(values, state, values[state[FRICTION_ROW] + m], dual_after, m)
-    other = unscaled(values, state, bound, after, m)
+    one = scaled(values, state, values[state[FRICTION_ROW] + m], dual_after, m, 1)
+    other = scaled(values, state, bound, after, m, -1)
     found = jordan(one[0], one[1:], other[0], other[1:])
     tail = found[1:]
     length = size(tail)
@@ -363,31 +357,3 @@ expand = _pass(expanded, step=EXTENT, finds=(REACH, DUAL_REACH, PRODUCT, BY_REAC
 correct = _pass(corrected, step=AIM)
 recentre = _pass(recentred, step=AIM)
 take = _pass(taken, TAKEN, finds=(POWER_FOUND, EXCESS))
-
-
-@ti.func
-def nothing(together: ti.template()):
-    if ti.static(together):
-        return ti.Vector.zero(ti.f64, LANES)
-    return ti.cast(0.0, ti.f64)
-
-
-def _sums(together: bool) -> Callable:
-    """Kernel that adds numbers up, those of LANES samples or of a sample alone."""
-    kind = VECTORS if together else NUMBERS
-
-    @ti.kernel
-    def run(begins: INTEGERS, places: INTEGERS, values: kind, found: kind, first: int, to: int):
-        """found[to + i] = sum over k from begins[i] on of values[first + places[k]]; ~place : to be taken off."""
-        ti.loop_config(serialize=True)
-        for i in range(begins.shape[0] - 1):
-            total = nothing(together)
-            for k in range(begins[i], begins[i + 1]):
-                off = places[k] >> 31  # -1 for what is taken off, 0 for the rest
-                total = total + ti.cast(1 | off, ti.f64) * values[first + (places[k] ^ off)]
-            found[to + i] = total
-
-    return run
-
-
-add_up, add_up_alone = _sums(True), _sums(False)

@@ -82,22 +82,18 @@ def answered(
 
 
 def with_forces_of(answer: Solution, other: Solution) -> Solution:
-    """An answer with the friction of another one to its scene in replicas where that proves more of it."""
-    more = other.lower_bound > answer.lower_bound
-
-    def picked(new: np.ndarray, old: np.ndarray) -> np.ndarray:
-        return np.where(more.reshape(-1, *(1,) * (old.ndim - 1)), new, old)
-
-    friction = picked(other.friction, answer.friction)
-    judgement = judged(answer.scene, answer.spin, answer.spin_rounding, friction) if more.any() else None
+    """An answer to one sample with the friction of another one to it, if that proves more of it."""
+    if not other.lower_bound[0] > answer.lower_bound[0]:
+        return answer
+    judgement = judged(answer.scene, answer.spin, answer.spin_rounding, other.friction)
     if judgement is None:
         return answer
     return replace(
         answer,
-        friction=friction,
-        force=picked(other.force, answer.force),
-        states_proven=answer.states_proven & ~more,
-        proven=picked(nothing_proven(answer.state), answer.proven),
+        friction=other.friction,
+        force=other.force,
+        states_proven=np.zeros(1, dtype=bool),
+        proven=nothing_proven(answer.state),
         slip_bound=judgement.slip_bound,
         largest_balance_residual=judgement.largest_torque,
         lower_bound=judgement.lower_bound,

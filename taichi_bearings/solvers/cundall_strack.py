@@ -15,7 +15,7 @@ from taichi_bearings.fields import team_size
 from taichi_bearings.kernels.cundall_strack import CundallStrackSteps
 from taichi_bearings.kernels.team import Sweeps, Team, made_once
 from taichi_bearings.scene import Energy, Progress, Scene
-from taichi_bearings.solvers.dynamics import WATCH_NAMES, SpringDynamics, default_inertia, replica_sum
+from taichi_bearings.solvers.dynamics import WATCH_NAMES, SpringDynamics, inertia_of, replica_sum
 from taichi_bearings.solvers.gear import (
     GEAR_COEFFICIENTS,
     Modes,
@@ -222,8 +222,7 @@ def stability_bound(
 
     held : spheres (*N) whose spins are given; the driven ones if None.
     """
-    inertia = options.inertia or default_inertia(scene, options.mass)
-    over = scene.lattice.radius**2 / inertia
+    over = scene.lattice.radius**2 / inertia_of(scene, options)
     decay = over * largest_weighted_eigenvalue(scene, spin_axes, held) if scene.law.flows else 0.0
     return largest_step(options, scene.law.holds, decay, over * largest_laplacian_eigenvalue(scene.lattice, spin_axes))
 
@@ -242,7 +241,7 @@ def sticking_modes(
     largest_spin : at the start, 1/time; the driven ones count too. stable : largest stable time step.
     """
     radius = scene.lattice.radius
-    over = radius**2 / (options.inertia or default_inertia(scene, options.mass))
+    over = radius**2 / inertia_of(scene, options)
     spectrum = over * laplacian_spectrum(scene.lattice, spin_axes)
     if not scene.law.holds:  # all as much stiffer than with even contacts as the stiffest one, known by its bound
         stiffest = largest_stable_step(options.gear_order, 1.0, 0.0) / stable

@@ -1,8 +1,8 @@
 """The only iteration loop: it owns the clock, the history, the monitors and the stopping."""
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -64,7 +64,7 @@ class Checkpoints:
 
 
 def solve(
-    scene: Scene,
+    scene: Any,
     method: Method,
     spin: np.ndarray,
     stop: StopRule | None = None,
@@ -75,6 +75,7 @@ def solve(
 ) -> Solution:
     """Run `method` on `scene` from the laboratory spins `spin` until `stop` says so.
 
+    scene : a Scene, or the `Network` of a packing, whose spins are u (C, 1, N), without a slip threshold.
     slip_threshold : length/time; contacts slipping less count as slipless. Default: what the method can resolve.
     recording, checkpoints : for a dynamics.
     Ctrl-C ends the run with status INTERRUPTED and everything reached so far, unless the answer is reached already;
@@ -83,40 +84,22 @@ def solve(
     """
     if reason := method.options.refusal(scene):
         raise InputError(reason)
-    began = time.perf_counter()
-    with (
-        followed(scene, method, spin, stop or StopRule(), monitors, recording or Recording(), checkpoints) as course,
-        stage("proving contact states"),
-    ):
-        solution = course.answer(slip_threshold)
-    running = runtime.current() if method.options.needs_taichi else runtime.HOST
-    compiling = course.called - began
-    return replace(solution, interrupted=course.interrupt.heard, running=running, seconds_compile=compiling)
-
-
-@contextmanager
-def followed(
-    scene: Any,
-    method: Method,
-    spin: np.ndarray,
-    stop: StopRule,
-    monitors: Sequence[Monitor],
-    recording: Recording,
-    checkpoints: Checkpoints | None,
-) -> "Iterator[Course]":
-    """The course of a method over a scene, or over the network of a packing, at its end. Ctrl-C ends it, and inside
-    nothing else."""
     if method.options.cpu_only and runtime.current().is_gpu:
         raise DeviceError(f"{method.options.name} works in the memory of the CPU; use --arch cpu")
+    began = time.perf_counter()
     with Interrupt() as interrupt:
         with stage("compiling" if method.options.needs_taichi else "preparing"), interrupt.at_once():
             method.begin(scene, spin)
         if interrupt.heard:  # nothing is reached yet
             raise KeyboardInterrupt
-        course = Course(scene, method, stop, recording, checkpoints, interrupt)
+        course = Course(scene, method, stop or StopRule(), recording or Recording(), checkpoints, interrupt)
         with stage("solving") as solving:
             course.follow([solving.tell, *monitors])
-        yield course
+        with stage("proving contact states"):
+            solution = course.answer(slip_threshold)
+    running = runtime.current() if method.options.needs_taichi else runtime.HOST
+    compiling = course.called - began
+    return replace(solution, interrupted=interrupt.heard, running=running, seconds_compile=compiling)
 
 
 def uninterrupted(solution: Solution) -> Solution:
@@ -146,8 +129,8 @@ class Course:
 
     def __init__(
         self,
-        scene: Scene,
-        method: Method,
+        scene: Any,
+        method: Any,
         stop: StopRule,
         recording: Recording,
         checkpoints: Checkpoints | None,
@@ -254,15 +237,12 @@ class Course:
         self.written_at = time.perf_counter()
 
     def answer(self, threshold: float | None) -> Solution:
-        """What the best state and the best forces amount to."""
-        scene, best, status, last, seconds = self.scene, self.best, self.status, self.last, self.seconds
-        history, snapshots = self.recorder.history(), self.recorder.snapshots()
+        """What the best state and the best forces amount to, and how the course came there."""
+        history, snapshots, last, seconds = self.recorder.history(), self.recorder.snapshots(), self.last, self.seconds
+        if (known := self.method.answered(self)) is not None:
+            return replace(known, seconds=known.seconds + seconds, history=history, snapshots=snapshots)
+        scene, best, status = self.scene, self.best, self.status
         findings = self.method.findings(last) if isinstance(self.method, Dynamics) else best.progress.findings
-        if isinstance(self.method, Dynamics) and (known := self.method.known):
-            known = replace(known, findings={**known.findings, **findings}, history=history, snapshots=snapshots)
-            left, seconds, name = last.largest_balance_residual, known.seconds + seconds, self.method.options.name
-            known = replace(known, method=name, iterations=last.iteration, largest_balance_residual=left)
-            return replace(known, status=status, seconds=seconds)
         final = replace(best.progress, iteration=last.iteration, ended=last.ended, findings=findings)
         found, judgement = answered(scene, self.method, final, best.proof, best.bound, threshold)
         if status in (Status.CERTIFIED, Status.STALLED):

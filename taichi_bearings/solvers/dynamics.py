@@ -10,20 +10,20 @@ import numpy as np
 
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.proof.certificate import relative_gap
-from taichi_bearings.scene import Energy, Progress, Scene, Solution
+from taichi_bearings.scene import Energy, Progress, Scene
 from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.solvers.method import Method
 
-REST_GAP = 1e-4  # proven gap from which a stationary state is believed to be one
 REST_SLIP = 1e-6  # of the imposed jump
 REST_CHECKS = 3  # consecutive checks, each 1/16 of the time so far apart, that must agree
 WATCH_NAMES = tuple(f"rest.{name}" for name in ("iteration", "time", "quiet_checks", "last_slipping", "last_objective"))
 ENERGY_NAMES = ("work", "injected", "energy_at_start")
 
 
-def default_inertia(scene: Scene, mass: float) -> float:
-    """m R^2 / 2 of a disc or 2 m R^2 / 5 of a sphere."""
-    return mass * scene.lattice.radius**2 * (0.5 if scene.lattice.dimension == 2 else 0.4)
+def inertia_of(scene: Scene, options: Any) -> float:
+    """The one that is given, or m R^2 / 2 of a disc or 2 m R^2 / 5 of a sphere."""
+    usual = options.mass * scene.lattice.radius**2 * (0.5 if scene.lattice.dimension == 2 else 0.4)
+    return float(options.inertia or usual)
 
 
 def replica_sum(values: np.ndarray) -> np.ndarray:
@@ -97,12 +97,12 @@ class Dynamics(Method):
     """A method whose iterations are steps in time, which can be interrupted and resumed with the same bits.
 
     kept : what its further course depends on, by name, beside the clock; WATCH_NAMES and ENERGY_NAMES if it has them.
+    rest_gap : proven gap from which a stationary state is believed to be one.
     time : simulated time. aim : the next one at which a state is wanted. halted : it cannot make another step.
-    known : the answer, where the course adds its history alone.
     """
 
     kept: ClassVar[tuple[str, ...]] = ()
-    known: Solution | None = None
+    rest_gap: ClassVar = 1e-4
     aim = np.inf
 
     def begin(self, scene: Scene, spin: np.ndarray) -> None:
@@ -121,7 +121,7 @@ class Dynamics(Method):
 
     def inertias(self, scene: Scene) -> Any:
         """Of the free spheres."""
-        return self.options.inertia or default_inertia(scene, self.options.mass)
+        return inertia_of(scene, self.options)
 
     def aim_at(self, time: float) -> None:
         """The next simulated time at which a state is wanted; infinity for none.
@@ -145,6 +145,10 @@ class Dynamics(Method):
     def findings(self, last: Progress) -> dict[str, np.ndarray]:
         """What else is found, by name, (R,) each. last : the state at the end."""
         return {}
+
+    def is_believed(self, found: Progress) -> bool:
+        """Rest is believed only if the certificate agrees."""
+        return bool((relative_gap(self.scene, found.objective, found.lower_bound) <= self.rest_gap).all())
 
     def advance(self, steps: int) -> None:
         with one_thread():  # fronts are shared among threads here, not inside the library
@@ -241,7 +245,3 @@ class SpringDynamics(Dynamics):
         )
         self.rest.look(found, self.time, scene.lattice.radius, self.options.rest_tolerance, self.is_believed(found))
         return replace(found, at_rest=self.rest.at_rest)
-
-    def is_believed(self, found: Progress) -> bool:
-        """Rest is believed only if the certificate agrees."""
-        return bool((relative_gap(self.scene, found.objective, found.lower_bound) <= REST_GAP).all())

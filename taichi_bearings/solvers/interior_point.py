@@ -34,6 +34,7 @@ from taichi_bearings.numerics.double_double import Pair, multiply
 from taichi_bearings.proof.certificate import largest_unbalanced_torque, lower_bound, work_and_bound
 from taichi_bearings.proof.contact_state import ContactState, all_slipless
 from taichi_bearings.scene import Progress, Scene
+from taichi_bearings.solvers.method import Method
 from taichi_bearings.solvers.table import InteriorPoint
 
 BATCHED_SITES = InteriorPoint.alike_in_a_block  # spheres up to which samples are factorised side by side
@@ -72,7 +73,7 @@ def _made(thread: int, lattice: Lattice, spin_axes: tuple[int, ...], jump: bytes
     return system, order, NewtonMatrix(system, order, engine=Engine.LAUNCH if lattice.sites < BATCHED_SITES else None)
 
 
-class InteriorPointMethod(Descent):
+class InteriorPointMethod(Descent, Method):
     """See the module docstring. An iteration is one Newton step of every replica that is not yet done."""
 
     def __init__(self, options: InteriorPoint) -> None:

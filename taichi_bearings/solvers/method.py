@@ -9,7 +9,7 @@ from taichi_bearings.kernels.stencil import Stencil
 from taichi_bearings.lattice.incidence import contact_differences, torques
 from taichi_bearings.lattice.layout import Layout
 from taichi_bearings.proof.certificate import Forces, largest_unbalanced_torque, lower_bound
-from taichi_bearings.scene import Progress, Scene
+from taichi_bearings.scene import Progress, Scene, Solution
 from taichi_bearings.scene.scene import vector_length
 
 
@@ -47,6 +47,10 @@ class Method:
     def progress(self) -> Progress:
         """Where the method stands, judged by the certificate; the only device-to-host read."""
         raise NotImplementedError
+
+    def answered(self, course: Any) -> Solution | None:
+        """What a course amounts to where that is not the best state of a lattice; its own seconds are added to it."""
+        return None
 
     def differences(self, staggered: np.ndarray) -> np.ndarray:
         """(C, R, *N) -> (C, R, E); the slip over the radius."""

@@ -17,9 +17,7 @@ from taichi_bearings.conic.cones import isotropic
 from taichi_bearings.conic.contraction import order_by_place
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.errors import InputError
-from taichi_bearings.fields import Fields, team_size
-from taichi_bearings.fields.lists import Lists, ListSpec
-from taichi_bearings.kernels.team import Team, made_once
+from taichi_bearings.fields.lists import Lists
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.numerics.double_double import exactly
@@ -29,20 +27,15 @@ from taichi_bearings.packing.interface import Interface
 from taichi_bearings.packing.packing import Packing
 from taichi_bearings.packing.path import oblique
 from taichi_bearings.packing.system import System, acting, along_axes, odd_parts, slips_of, tangents
-from taichi_bearings.scene import Progress
 from taichi_bearings.scene.array_files import own_array
 from taichi_bearings.scene.initial_spins import STARTS
 from taichi_bearings.scene.scene import vector_length
-from taichi_bearings.solvers.method import Method
 from taichi_bearings.verifier.judgement import Judgement
 from taichi_bearings.verifier.network import StoredPacking
 from taichi_bearings.words import meant, shown
 
-NEXT_TO_NO_POWER = 1e-10  # of the natural power, below which a relative gap says nothing
 START_RESIDUAL = 1e-12  # of the torques at the start, relative
 PERRON_STEPS, LEAST_SHARE = 30, 1e-3  # of the vector that bounds an eigenvalue: improvements, and its smallest entries
-LOOK_AGAIN = 1.2  # times the iterations after which bounds that cost a factorisation were looked for
-OF_BOUND = ("scene.proven", "scene.witness", "scene.looked")  # what the further course of a dynamics depends on beside
 
 
 class Network:
@@ -130,8 +123,7 @@ class Network:
 
     def laboratory_spin(self, spins: np.ndarray, spin_axes: object = None) -> np.ndarray:
         """omega (1, N, 3), of discs (1, N)."""
-        found = spins[:, 0].T / np.asarray(self.packing.radius)[:, None]
-        return found[None] if self.components == 3 else found[None, :, 0]
+        return spins_of(self.packing, spins[:, 0].T)[None]
 
     def start(self, start: str | np.ndarray) -> np.ndarray:
         """u (C, 1, N) at the start. start : "zero", "random", "minimum-cut" and "linear", the viscous answer for even
@@ -244,75 +236,3 @@ class Network:
             return matrix.balanced(force, isotropic(force, system.coefficients[0]))
         except NotPositiveDefinite:
             return force
-
-
-class OnNetwork(Method):
-    """What a method asks of contacts in lists. Fields hold of each T f and what is along its tangents."""
-
-    scene: Any
-
-    def carried(self, network: Any, spin: np.ndarray) -> tuple[int, ...]:
-        return network.minimum_spin_axes
-
-    def inertias(self, network: Any) -> np.ndarray:
-        return network.inertias(self.options.mass, self.options.inertia)
-
-    def specified(self, spheres: dict[str, int], contacts: list[str]) -> ListSpec:
-        across, components = self.scene.across, self.scene.components
-        counts = {"force": components, "coefficient": 1, "viscosity": 1, "work": 1}
-        counts["across"] = 6 if components == 3 else 0
-        names = (*contacts, *self.of_law, "across")
-        return tuple(spheres.items()), tuple((name, counts.get(name, len(across))) for name in names)
-
-    def on_device(self, spec: Any) -> Fields:
-        return Fields(self.scene.lists, spec)
-
-    def use(self, spec: Any, viscosity: np.ndarray | None) -> None:
-        fields, across = self.on_device(spec), self.scene.across
-        self.spec, self.fields = spec, fields
-        if self.scene.components == 3:
-            fields.load("across", across.transpose(0, 2, 1).reshape(6, 1, -1))
-        fields.load("coefficient", self.scene.acting_coefficient[None])
-        if viscosity is not None:
-            fields.load("viscosity", viscosity[None])
-
-    def sweeps_of(self, kind: type, corrector: tuple[float, ...]) -> tuple[Team, Any]:
-        """Workers and kernels of a kind. corrector : of Gear's method."""
-        team = Team(team_size(self.fields.layout, sum(count for _, count in self.spec[0])))
-        return team, made_once(kind, self.spec, self.scene.law.name, corrector)
-
-    def read_forces(self, name: str) -> np.ndarray:
-        found = self.fields.read(name)
-        return np.einsum("kre,tek->tre", found, self.scene.across) if name == "force" else found
-
-    def differences(self, staggered: np.ndarray) -> np.ndarray:
-        return self.scene.differences(staggered)
-
-    def pulls(self, force: np.ndarray) -> np.ndarray:
-        return self.scene.pulls(force)
-
-    def absolute(self, staggered: np.ndarray) -> np.ndarray:
-        return staggered
-
-    def proven_by(self, force: np.ndarray) -> np.ndarray:
-        return np.array([self.scene.proven_again(force)])
-
-    def judged(
-        self, staggered: np.ndarray, force: np.ndarray, proof: np.ndarray | None = None, **more: Any
-    ) -> Progress:
-        scene: Network = self.scene
-        objective = scene.law.objective(scene.contact, scene.slips(staggered)).sum(axis=1)
-        fastest = float(np.abs(scene.packing.imposed).max(initial=0.0)) or np.abs(staggered).max(initial=0.0)
-        natural = scene.law.objective(scene.contact, np.full(1, fastest)).sum(axis=1)
-        scene.is_cut_off = objective <= NEXT_TO_NO_POWER * natural
-        whole = not scene.looked < more["iteration"] < LOOK_AGAIN * scene.looked
-        scene.looked = more["iteration"] if whole else scene.looked
-        bound, proof = scene.bound(force if proof is None else proof, staggered, whole)
-        bound = min(bound, float(objective[0]))
-        if bound >= scene.proven:
-            scene.proven, scene.witness = bound, staggered
-        left = np.abs(scene.pulls(force))[..., ~scene.lattice.is_driven].max(initial=0.0)
-        return Progress(
-            staggered=staggered, spin_axes=self.spin_axes, force=force, objective=objective, proof=proof,
-            lower_bound=np.array([bound]), largest_balance_residual=np.array([left]), **more,
-        )  # fmt: skip

@@ -11,7 +11,10 @@ from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.conic.contraction import order_by_place
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.errors import InputError
+from taichi_bearings.fields import Fields, team_size
+from taichi_bearings.fields.lists import ListSpec
 from taichi_bearings.kernels.contact_list import CundallStrackLists, DescentLists
+from taichi_bearings.kernels.team import Team, made_once
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.packing.answer import SLIPLESS, SLIPPING, UNDECIDED, judged
 from taichi_bearings.packing.packing import Packing
@@ -21,14 +24,118 @@ from taichi_bearings.proof.contact_state import all_proven, classify
 from taichi_bearings.scene import Progress, Solution, Status
 from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.solvers.cundall_strack import CundallStrackMethod, largest_step
-from taichi_bearings.solvers.drive import Checkpoints, Course, Monitor, followed
+from taichi_bearings.solvers.drive import Checkpoints, Monitor, solve
 from taichi_bearings.solvers.dynamics import SpringDynamics
 from taichi_bearings.solvers.gradient_descent import GradientDescentMethod
 from taichi_bearings.solvers.implicit_cundall_strack import ImplicitCundallStrackMethod
-from taichi_bearings.solvers.network import OF_BOUND, Network, OnNetwork
+from taichi_bearings.solvers.method import Method
+from taichi_bearings.solvers.network import Network
 from taichi_bearings.solvers.recording import Recording
 from taichi_bearings.solvers.stopping import StopRule
 from taichi_bearings.solvers.table import MethodOptions
+
+NEXT_TO_NO_POWER = 1e-10  # of the natural power, below which a relative gap says nothing
+LOOK_AGAIN = 1.2  # times the iterations after which bounds that cost a factorisation were looked for
+OF_BOUND = ("scene.proven", "scene.witness", "scene.looked")  # what the further course of a dynamics depends on beside
+
+
+class OnNetwork(Method):
+    """What a method asks of contacts in lists. Fields hold of each T f and what is along its tangents."""
+
+    scene: Any
+
+    def carried(self, network: Any, spin: np.ndarray) -> tuple[int, ...]:
+        return network.minimum_spin_axes
+
+    def inertias(self, network: Any) -> np.ndarray:
+        return network.inertias(self.options.mass, self.options.inertia)
+
+    def specified(self, spheres: dict[str, int], contacts: list[str]) -> ListSpec:
+        across, components = self.scene.across, self.scene.components
+        counts = {"force": components, "coefficient": 1, "viscosity": 1, "work": 1}
+        counts["across"] = 6 if components == 3 else 0
+        names = (*contacts, *self.of_law, "across")
+        return tuple(spheres.items()), tuple((name, counts.get(name, len(across))) for name in names)
+
+    def on_device(self, spec: Any) -> Fields:
+        return Fields(self.scene.lists, spec)
+
+    def use(self, spec: Any, viscosity: np.ndarray | None) -> None:
+        fields, across = self.on_device(spec), self.scene.across
+        self.spec, self.fields = spec, fields
+        if self.scene.components == 3:
+            fields.load("across", across.transpose(0, 2, 1).reshape(6, 1, -1))
+        fields.load("coefficient", self.scene.acting_coefficient[None])
+        if viscosity is not None:
+            fields.load("viscosity", viscosity[None])
+
+    def sweeps_of(self, kind: type, corrector: tuple[float, ...]) -> tuple[Team, Any]:
+        """Workers and kernels of a kind. corrector : of Gear's method."""
+        team = Team(team_size(self.fields.layout, sum(count for _, count in self.spec[0])))
+        return team, made_once(kind, self.spec, self.scene.law.name, corrector)
+
+    def read_forces(self, name: str) -> np.ndarray:
+        found = self.fields.read(name)
+        return np.einsum("kre,tek->tre", found, self.scene.across) if name == "force" else found
+
+    def differences(self, staggered: np.ndarray) -> np.ndarray:
+        return self.scene.differences(staggered)
+
+    def pulls(self, force: np.ndarray) -> np.ndarray:
+        return self.scene.pulls(force)
+
+    def absolute(self, staggered: np.ndarray) -> np.ndarray:
+        return staggered
+
+    def proven_by(self, force: np.ndarray) -> np.ndarray:
+        return np.array([self.scene.proven_again(force)])
+
+    def judged(
+        self, staggered: np.ndarray, force: np.ndarray, proof: np.ndarray | None = None, **more: Any
+    ) -> Progress:
+        scene: Network = self.scene
+        objective = scene.law.objective(scene.contact, scene.slips(staggered)).sum(axis=1)
+        fastest = float(np.abs(scene.packing.imposed).max(initial=0.0)) or np.abs(staggered).max(initial=0.0)
+        natural = scene.law.objective(scene.contact, np.full(1, fastest)).sum(axis=1)
+        scene.is_cut_off = objective <= NEXT_TO_NO_POWER * natural
+        whole = not scene.looked < more["iteration"] < LOOK_AGAIN * scene.looked
+        scene.looked = more["iteration"] if whole else scene.looked
+        bound, proof = scene.bound(force if proof is None else proof, staggered, whole)
+        bound = min(bound, float(objective[0]))
+        if bound >= scene.proven:
+            scene.proven, scene.witness = bound, staggered
+        left = np.abs(scene.pulls(force))[..., ~scene.lattice.is_driven].max(initial=0.0)
+        return Progress(
+            staggered=staggered, spin_axes=self.spin_axes, force=force, objective=objective, proof=proof,
+            lower_bound=np.array([bound]), largest_balance_residual=np.array([left]), **more,
+        )  # fmt: skip
+
+    def answered(self, course: Any) -> Solution:
+        """The best state and the best forces; `force`, the states of a dynamics, and those of parts that nothing drives
+        are those of now."""
+        network, row, stop, last = self.scene, self.options, course.stop, course.best.progress
+        system = network.proof[0]
+        value, forces = network.bound(last.force if last.proof is None else last.proof, last.staggered, whole=True)
+        proof = forces if value > course.best.bound[0] else course.best.proof
+        found = Found(
+            np.zeros(system.unknowns), proof[:, 0, network.of_system], row.name, everywhere=last.staggered[:, 0].T
+        )
+        result = judged(system, found, stop.tolerance)
+        force, state, slip = result.force.copy(), result.state.copy(), result.slip[0]
+        force[:, network.acting] = vector_length(last.force)
+        loose = np.setdiff1d(network.acting, system.contact)
+        state[0, loose] = np.where(slip[loose] > last.resolution, SLIPPING, SLIPLESS)
+        if network.law.holds and row.is_dynamics:
+            state[:, network.acting] = _moving(network, result, last)
+        if not network.law.holds:  # sum eta |slip - that of the minimum|^2 is no more than what is open of the power
+            left = max(result.objective[0] - result.lower_bound[0], 0.0)
+            apart = np.sqrt(left / network.acting_coefficient[0])
+            state[0, network.acting[slip[network.acting] <= apart]] = UNDECIDED
+        cut_short = np.isfinite(stop.duration) and course.status in (Status.STEP_LIMIT, Status.TIME_LIMIT)
+        status = course.status if result.status is not Status.CERTIFIED or cut_short else result.status
+        proven = all_proven(state, result.proven)
+        iterations = course.last.iteration
+        return replace(result, status=status, iterations=iterations, force=force, state=state, states_proven=proven)
 
 
 class CundallStrackOfPacking(OnNetwork, CundallStrackMethod):
@@ -50,9 +157,6 @@ class CundallStrackOfPacking(OnNetwork, CundallStrackMethod):
 
     def _load_force(self, force: np.ndarray) -> None:
         self.fields.load("force", np.einsum("tre,tek->kre", force, self.scene.across))
-
-    def findings(self, last: Any) -> dict[str, np.ndarray]:
-        return {}
 
     def is_believed(self, found: Any) -> bool:
         """By the best bound so far; where none is proven as with static_ratio > 1."""
@@ -141,48 +245,11 @@ def follow_packing(
     checkpoints: Checkpoints | None = None,
 ) -> Solution:
     """A dynamics or descent of a packing. start, density : see :class:`Network`. Others : as of drive.solve."""
-    row = type(method)
-    if density is not None and not row.is_dynamics:
-        raise InputError(f"density is given, but {row.name} has no use for it; dynamics have")
+    if density is not None and not method.is_dynamics:
+        raise InputError(f"density is given, but {method.name} has no use for it; dynamics have")
     network, built = Network(packing, density), method.build_for_packing()
-    with (
-        one_thread(),
-        followed(network, built, network.start(start), stop, monitors, recording, checkpoints) as course,
-    ):
-        found = _answer(network, course, row, stop.tolerance)
-    cut_short = np.isfinite(stop.duration) and course.status in (Status.STEP_LIMIT, Status.TIME_LIMIT)
-    return replace(
-        found,
-        status=course.status if found.status is not Status.CERTIFIED or cut_short else found.status,
-        history=course.recorder.history(),
-        snapshots=course.recorder.snapshots(),
-        seconds=course.seconds,
-        iterations=course.last.iteration,
-    )
-
-
-def _answer(network: Network, course: Course, row: type[MethodOptions], tolerance: float) -> Solution:
-    """The best state and the best forces; `force`, the states of a dynamics, and those of parts that nothing drives
-    are those of now."""
-    system, best = network.proof[0], course.best
-    last = best.progress
-    value, forces = network.bound(last.force if last.proof is None else last.proof, last.staggered, whole=True)
-    proof = forces if value > best.bound[0] else best.proof
-    found = Found(
-        np.zeros(system.unknowns), proof[:, 0, network.of_system], row.name, everywhere=last.staggered[:, 0].T
-    )
-    result = judged(system, found, tolerance)
-    force, state, slip = result.force.copy(), result.state.copy(), result.slip[0]
-    force[:, network.acting] = vector_length(last.force)
-    loose = np.setdiff1d(network.acting, system.contact)
-    state[0, loose] = np.where(slip[loose] > last.resolution, SLIPPING, SLIPLESS)
-    if network.law.holds and row.is_dynamics:
-        state[:, network.acting] = _moving(network, result, last)
-    if not network.law.holds:  # sum eta |slip - that of the minimum|^2 is no more than what is open of the power
-        left = max(result.objective[0] - result.lower_bound[0], 0.0)
-        apart = np.sqrt(left / network.acting_coefficient[0])
-        state[0, network.acting[slip[network.acting] <= apart]] = UNDECIDED
-    return replace(result, force=force, state=state, states_proven=all_proven(state, result.proven))
+    with one_thread():
+        return solve(network, built, network.start(start), stop, monitors, None, recording, checkpoints)
 
 
 def _moving(network: Network, result: Solution, last: Progress) -> np.ndarray:

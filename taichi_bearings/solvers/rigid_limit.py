@@ -17,7 +17,6 @@ from dataclasses import replace
 import numpy as np
 
 from taichi_bearings.conic.proximal import ProximalSteps, Step
-from taichi_bearings.proof.certificate import relative_gap
 from taichi_bearings.scene import Progress, Scene
 from taichi_bearings.solvers.dynamics import ENERGY_NAMES, Dynamics, replica_sum
 
@@ -29,7 +28,6 @@ ACCEPTED_ERROR = 2.0  # error over tolerance up to which a step counts
 STOPPED_SPREAD = 1e-7  # of the unit of spin: a component that varies by less is stopped,
 STOPPED_ENERGY = 1e-14  # if that changes the kinetic energy by no more than this fraction of that at the start
 FIRST_RESOLVED_SLIP = 1e-12  # of the unit of spin: slips at the start
-STILL_GAP = 1e-9  # proven gap from which a state whose power no longer falls is believed to be at rest
 # steps in a row in which the power no longer falls: at rest if proven; nothing more to hope for
 REST_STEPS, STUCK_STEPS = 2, 20
 
@@ -41,6 +39,8 @@ class RigidLimitMethod(Dynamics):
         "length", "last_length", "unit", "largest", "creep", "staggered", "force", "moving", "slipping", "rest_time",
         "newton_steps", "still", *ENERGY_NAMES,
     )  # fmt: skip
+
+    rest_gap = 1e-9
 
     def begin(self, scene: Scene, spin: np.ndarray) -> None:
         super().begin(scene, spin)
@@ -169,15 +169,12 @@ class RigidLimitMethod(Dynamics):
             energy=self.balance(self.staggered, np.zeros(scene.replicas)),
             slipping=self.slipping,
         )
-        believed = self._is_believed(found)
+        believed = self.is_believed(found)
         at_rest, stuck = self.still >= REST_STEPS and believed, self.still >= STUCK_STEPS and not believed
         return replace(found, at_rest=at_rest, exhausted=stuck)
 
-    def _is_believed(self, found: Progress) -> bool:
-        return bool((relative_gap(self.scene, found.objective, found.lower_bound) <= STILL_GAP).all())
-
     def findings(self, last: Progress) -> dict[str, np.ndarray]:
-        rest_time = np.where(self._is_believed(last), self.rest_time, np.nan)
+        rest_time = np.where(self.is_believed(last), self.rest_time, np.nan)
         return {"rest_time": rest_time, "newton_steps": np.full(self.scene.replicas, self.newton_steps)}
 
     def restore(self, state: Mapping[str, np.ndarray]) -> None:

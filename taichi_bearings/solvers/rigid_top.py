@@ -51,7 +51,7 @@ class UnderTorque(SpringDynamics):
     def __init__(self, options: Any, rate: float, ramp: Ramp, known: Solution, friction: Solution) -> None:
         super().__init__(options)
         self.ramp, self.rate, self.friction = ramp, rate, friction
-        self.known: Solution = known
+        self.known = known
         self.limit = safe_angle(friction, options.stiffness)
         self.softness = over(self.limit, friction.lower_bound)
 
@@ -78,6 +78,13 @@ class UnderTorque(SpringDynamics):
         inertia = self.inertia * (motion.spin.reshape(replicas, -1) ** 2).sum(axis=1)
         viscous = scene.law.power(scene.contact, motion.slip).sum(axis=1) - motion.power
         return np.sqrt(2 * inertia * self.softness) + viscous * self.softness
+
+    def answered(self, course: Any) -> Solution:
+        """The motion of strength 1, to which the course adds its history and when the top turned."""
+        last, left = course.last, course.last.largest_balance_residual
+        ended = {"status": course.status, "iterations": last.iteration, "largest_balance_residual": left}
+        findings = {**self.known.findings, **self.findings(last)}
+        return replace(self.known, method=self.options.name, findings=findings, **ended)
 
     def findings(self, last: Progress) -> dict[str, np.ndarray]:
         _, turns, start = self.turning()

@@ -170,7 +170,7 @@ def test_what_cannot_be_judged_is_not_said_to_be_proven(tmp_path, needs_f64):
 
 def test_an_answer_with_the_forces_of_another_proves_what_it_says(tmp_path, needs_f64):
     """As where operator splitting goes on from a stalled answer: spins of the one, friction of the other."""
-    wanted = {"shape": (3, 3, 4), "threads": 1, "replicas": 2, "figures": "none"}
+    wanted = {"shape": (3, 3, 4), "threads": 1, "figures": "none"}
     rough = RunSettings(method="gradient-descent", iterations=300, **wanted)
     near = RunSettings(method="interior-point", iterations=9, **wanted)
     spins, forces = (run(settings, tmp_path / settings.method) for settings in (rough, near))
