@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from functools import lru_cache
+from typing import TypeAlias
 
 import numpy as np
 from scipy import sparse
@@ -14,6 +15,8 @@ from taichi_bearings.memory import aligned_zeros
 # padding contacts: finite in every formula, with negligible power
 PADDING = {kernels.FRICTION_ROW: 1e-300, kernels.BOUND: 1.0, kernels.SLIP: 1.0, kernels.SMOOTH: 1.0}
 MOST_CONSTANTS = 5  # that a law is told of each sample, at most
+# what numbers to add up or take off, for kernels.add_up; or with which factors
+Sums: TypeAlias = tuple[np.ndarray, np.ndarray] | sparse.csr_array
 
 
 class ContactRows:
@@ -53,13 +56,12 @@ class ContactRows:
         self._found = found.reshape(kernels.FOUND, kernels.BLOCK, self.samples)
         self.place = np.arange(system.unknowns) if place is None else place
         of_all, rows = system.operator.tocoo(), self._places(d)
-        ends = rows[of_all.row], self.place[of_all.col]
-        self._changes = sparse.csr_array((of_all.data, ends), shape=(2 * contacts, len(spins)))
-        self._torques = self._changes.T.tocsr()
+        ends = rows[of_all.row], self.place[of_all.col], of_all.data
+        self._changes = _sums(*ends, (2 * contacts, len(spins)))
+        self._torques = _sums(ends[1], ends[0], ends[2], (len(spins), 2 * contacts))
         if laplacian is not None:
             terms, stiffness = laplacian.tocoo(), self._places(d * (d + 1) // 2)
-            entries = terms.data, (terms.row, stiffness[terms.col])
-            self._stiffnesses = sparse.csr_array(entries, shape=(terms.shape[0], 3 * contacts))
+            self._stiffnesses = _sums(terms.row, stiffness[terms.col], terms.data, (terms.shape[0], 3 * contacts))
         self._starts: dict[tuple, list[Callable[[], None]]] = {}
 
     def _places(self, count: int) -> np.ndarray:
@@ -93,20 +95,26 @@ class ContactRows:
 
     def change(self, row: int) -> None:
         """Write the change of the slips that that of the spins makes into two rows from this one on."""
-        self._multiply(self._changes, self.spins, self._flat, 0, row * self._contacts)
+        self._add_up(self._changes, self.spins, self._flat, 0, row * self._contacts)
 
     def torques(self, row: int) -> None:
         """Write the torques of the forces in two rows from this one on over the spins: the transpose of `change`."""
-        self._multiply(self._torques, self._flat, self.spins, row * self._contacts, 0)
+        self._add_up(self._torques, self._flat, self.spins, row * self._contacts, 0)
 
     def add_stiffnesses(self, entries: np.ndarray) -> None:
         """Write the entries (n or more, S) of the Laplacian that they make."""
-        self._multiply(self._stiffnesses, self._flat, entries, kernels.STIFFNESS * self._contacts, 0)
+        self._add_up(self._stiffnesses, self._flat, entries, kernels.STIFFNESS * self._contacts, 0)
 
-    def _multiply(self, matrix: sparse.csr_array, values: np.ndarray, found: np.ndarray, first: int, to: int) -> None:
-        """Write the product with the values from `first` on from `to` on."""
-        shape, (rows, columns) = (-1,) if self.samples == 1 else (-1, self.samples), matrix.shape
-        found.reshape(shape)[to : to + rows] = matrix @ values.reshape(shape)[first : first + columns]
+    def _add_up(self, sums: Sums, values: np.ndarray, found: np.ndarray, first: int, to: int) -> None:
+        key, shape = (id(sums), first, to), (-1,) if self.samples == 1 else (-1, self.samples)
+        if isinstance(sums, sparse.csr_array):
+            rows, columns = sums.shape
+            found.reshape(shape)[to : to + rows] = sums @ values.reshape(shape)[first : first + columns]
+            return
+        if key not in self._starts:
+            kernel = kernels.add_up_alone if self.samples == 1 else kernels.add_up
+            self._starts[key] = [prepared(kernel, *sums, values.reshape(shape), found.reshape(shape), first, to)]
+        self._starts[key][0]()
 
     def put(self, row: int, sample: int, values: np.ndarray) -> None:
         """Write numbers (n,) or vectors (d, n) from a row on."""
@@ -133,3 +141,15 @@ def compile_passes() -> None:
     rows = ContactRows(ContactSystem(1, np.zeros((2, 2)), felt, slips=slips), np.zeros((1, 1)))
     for kernel in (kernels.prepare, kernels.expand, kernels.correct, kernels.recentre, kernels.take):
         rows.run(kernel)
+    rows.torques(kernels.FORCE)
+
+
+def _sums(row: np.ndarray, column: np.ndarray, sign: np.ndarray, shape: tuple[int, int]) -> Sums:
+    """Tables for kernels.add_up of a matrix with these entries, 1 or -1: terms in the order of columns. Of other
+    entries the matrix."""
+    if (np.abs(sign) != 1).any():
+        return sparse.csr_array((sign, (row, column)), shape=shape)
+    order = np.lexsort((column, row))
+    begins = np.concatenate([[0], np.cumsum(np.bincount(row, minlength=shape[0]))])
+    places = np.where(sign[order] > 0, column[order], ~column[order])
+    return begins.astype(np.int32), places.astype(np.int32)

@@ -13,8 +13,8 @@ precision, whatever that of the runtime.
 from collections.abc import Callable
 
 from taichi_bearings.compiler import ti
-from taichi_bearings.kernels.elimination import NUMBERS
-from taichi_bearings.kernels.memory import BLOCKS, fill, places
+from taichi_bearings.kernels.elimination import LANES, NUMBERS, VECTORS
+from taichi_bearings.kernels.memory import BLOCKS, INTEGERS, fill, places
 
 BLOCK = 16  # contacts that are worked on together
 LEAST_DIVISOR = 1e-140  # of a slip that its size divides
@@ -357,3 +357,31 @@ expand = _pass(expanded, step=EXTENT, finds=(REACH, DUAL_REACH, PRODUCT, BY_REAC
 correct = _pass(corrected, step=AIM)
 recentre = _pass(recentred, step=AIM)
 take = _pass(taken, TAKEN, finds=(POWER_FOUND, EXCESS))
+
+
+@ti.func
+def nothing(together: ti.template()):
+    if ti.static(together):
+        return ti.Vector.zero(ti.f64, LANES)
+    return ti.cast(0.0, ti.f64)
+
+
+def _sums(together: bool) -> Callable:
+    """Kernel that adds numbers up, those of LANES samples or of a sample alone."""
+    kind = VECTORS if together else NUMBERS
+
+    @ti.kernel
+    def run(begins: INTEGERS, places: INTEGERS, values: kind, found: kind, first: int, to: int):
+        """found[to + i] = sum over k from begins[i] on of values[first + places[k]]; ~place : to be taken off."""
+        ti.loop_config(serialize=True)
+        for i in range(begins.shape[0] - 1):
+            total = nothing(together)
+            for k in range(begins[i], begins[i + 1]):
+                off = places[k] >> 31  # -1 for what is taken off, 0 for the rest
+                total = total + ti.cast(1 | off, ti.f64) * values[first + (places[k] ^ off)]
+            found[to + i] = total
+
+    return run
+
+
+add_up, add_up_alone = _sums(True), _sums(False)
