@@ -123,7 +123,7 @@ class Network:
 
     def laboratory_spin(self, spins: np.ndarray, spin_axes: object = None) -> np.ndarray:
         """omega (1, N, 3), of discs (1, N)."""
-        return spins_of(self.packing, spins[:, 0].T)[None]
+        return spins_of(self.packing, exactly(spins[:, 0].T))[0][None]
 
     def start(self, start: str | np.ndarray) -> np.ndarray:
         """u (C, 1, N) at the start. start : "zero", "random", "minimum-cut" and "linear", the viscous answer for even
