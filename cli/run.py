@@ -108,9 +108,9 @@ def _task(
         if scene or out or force:
             raise InputError(f"resume is {resumed!r}: a resumed run keeps its scene and its directory; leave them out")
         return partial(resume, Path(resumed), given), resumed
-    if scene and not scene.endswith(".toml"):
+    if scene is not None and not scene.endswith(".toml"):
         refuse_scan(Path(scene))
-    values = read_toml(Path(scene)) if scene else {}
+    values = read_toml(Path(scene)) if scene is not None else {}
     if "scan" in values:
         raise InputError(f"{scene} describes a scan, not a run; `bearings scan {scene}` solves it")
     if "coefficients" in given:  # the file stored how it drew its own

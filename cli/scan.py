@@ -75,6 +75,8 @@ def command(context: click.Context, scan: Path, dry_run: bool, as_json: bool, **
         raise InputError("--scheduler has workers already; leave out --workers")
     if merge and (one_part or scheduler):
         raise InputError("--merge solves nothing; leave out --part and --scheduler")
+    if merge and not scan.exists():
+        raise InputError(f"there is no {scan}; --merge needs the folder of a scan, or its file and --out DIR")
     if folder is None and (merge or one_part):
         raise InputError("--part and --merge need --out DIR, the same for all parts")
     folder, workers = folder or default_run_path("scan"), asked["workers"] or 0
