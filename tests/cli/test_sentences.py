@@ -87,7 +87,7 @@ def test_what_is_there_but_no_file_of_a_run_is_told_apart_from_what_is_missing(r
 
 
 def test_parts_of_no_scan_are_not_merged(refused):
-    assert "there is no nowhere; --merge needs the folder of a scan" in refused("scan", "nowhere", "--merge")
+    assert "there is no nowhere; --part and --merge need the folder of a scan" in refused("scan", "nowhere", "--merge")
 
 
 def test_missing_arrays_are_named(refused, tmp_path):
