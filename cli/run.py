@@ -77,7 +77,7 @@ def command(
 
             verdict = verdict_of(found.path)
     summary = found.summary
-    for sentence in summary["warnings"]:
+    for sentence in summary["warnings"] + _idle_seed(found.settings, given):
         click.echo(in_lines(f"bearings: warning: {sentence}", err=True), err=True)
 
     def words() -> str:
@@ -91,6 +91,13 @@ def command(
     is_there = found.path.resolve() in (asked, asked.parent)
     reached = all(status.reached for status in found.status)
     context.exit(0 if reached and is_there and (verdict is None or verdict["verified"]) else 1)
+
+
+def _idle_seed(settings: Any, given: dict[str, Any]) -> list[str]:
+    """What is to be said of a --seed that draws nothing."""
+    from taichi_bearings.runs.packing_run import idle_seed
+
+    return idle_seed(settings) if "seed" in given else []
 
 
 def _task(
@@ -108,9 +115,9 @@ def _task(
         if scene or out or force:
             raise InputError(f"resume is {resumed!r}: a resumed run keeps its scene and its directory; leave them out")
         return partial(resume, Path(resumed), given), resumed
-    if scene and not scene.endswith(".toml"):
+    if scene is not None and not scene.endswith(".toml"):
         refuse_scan(Path(scene))
-    values = read_toml(Path(scene)) if scene else {}
+    values = read_toml(Path(scene)) if scene is not None else {}
     if "scan" in values:
         raise InputError(f"{scene} describes a scan, not a run; `bearings scan {scene}` solves it")
     if "coefficients" in given:  # the file stored how it drew its own

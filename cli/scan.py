@@ -76,7 +76,7 @@ def command(context: click.Context, scan: Path, dry_run: bool, as_json: bool, **
     if merge and (one_part or scheduler):
         raise InputError("--merge solves nothing; leave out --part and --scheduler")
     if folder is None and (merge or one_part):
-        raise InputError("--part and --merge need --out DIR, the same for all parts")
+        raise _without_folder(scan)
     folder, workers = folder or default_run_path("scan"), asked["workers"] or 0
     part = Part.parse(asked["part"]) if one_part else None
     plan = read_plan(path, asked["overrides"], {name: asked[name] for name in WISHES if asked[name] is not None})
@@ -92,6 +92,15 @@ def command(context: click.Context, scan: Path, dry_run: bool, as_json: bool, **
     answer(report, as_json, lambda: describe(report))
     done = report["reached"] == report["samples"] and not report["lacking"]
     context.exit(130 if report["interrupted"] else 0 if done else 1)
+
+
+def _without_folder(scan: Path) -> InputError:
+    """Why parts of this scan cannot be solved or merged: nothing says in which folder."""
+    if scan.suffix != ".toml" and not scan.exists():  # the name of a folder, mistyped
+        return InputError(
+            f"there is no {scan}; --part and --merge need the folder of a scan, or its file and --out DIR"
+        )
+    return InputError("--part and --merge need --out DIR, the same for all parts")
 
 
 def describe_estimate(expected: dict[str, Any]) -> str:

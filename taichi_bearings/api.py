@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from taichi_bearings.errors import InputError
+from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.lattice.grid import friction_by_axis
 from taichi_bearings.options import SEED, finite_number, options_of
 from taichi_bearings.packing import Packing, Packings
@@ -217,6 +217,8 @@ class Result:
 
         force : replace a run directory that stands there. FileError if something does, or if it cannot be written.
         """
+        if not force and os.path.lexists(path):
+            raise FileError(f"{path} already exists; save into another directory, or with force=True")
         with run_directory(Path(path), force) as directory:
             self._run = runs.publish(directory, replace(self._run, spin=self._run.start))
             runs.draw_figures(self._run)
@@ -341,6 +343,8 @@ def analyse(result: Result | str | Path, threshold: float | None = None, sample:
     sample : the one of several that is shown in figures and as `structure`.
     """
     found = load(result) if isinstance(result, (str, os.PathLike)) else result
+    if not isinstance(found, Result):
+        raise InputError(f"the result is {shown(found)}; it must be an answer of solve or load, or the path of a run")
     return Analysis(found._run, None if threshold is None else finite_number("threshold", threshold), sample)
 
 

@@ -29,7 +29,10 @@ class Kind:
                 text = ",".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)
             except ValueError:  # more digits than Python writes
                 text = shown(value)
-            raise InputError(f"{name} is {shown(text)}; it must be {self.allowed}{meant(text, self.known)}") from None
+            is_list_of_names = self.known and isinstance(value, (list, tuple))  # a list is no name, whatever it holds
+            said = shown(value if is_list_of_names else text)
+            hint = "" if is_list_of_names else meant(text, self.known)
+            raise InputError(f"{name} is {said}; it must be {self.allowed}{hint}") from None
 
 
 def numbers(convert: Callable[[Any], Any], counts: tuple[int, ...]) -> Callable[[Any], Any]:
@@ -145,7 +148,7 @@ FILE = Kind(_text, "the name of a file, in UTF-8", "FILE")
 REAL = Kind(_signed, "0 or a number of size 1e-15 to 1e15", "NUMBER")
 POSITIVE = Kind(bounded(real, LEAST_NUMBER, MOST_NUMBER), "a positive number from 1e-15 to 1e15", "NUMBER")
 NOT_NEGATIVE = Kind(bounded(real, 0, MOST_NUMBER), "0 or a positive number up to 1e15", "NUMBER")
-COUNT = Kind(bounded(integer, 1, 2**31), "a whole number, 1 or more", "N")
+COUNT = whole(1, 2**31)
 SEED = Kind(bounded(integer, 0, 2**62), "a whole number, 0 or more and below 2^62", "N")
 SHAPE = Kind(numbers(integer, (2, 3)), "two or three whole numbers such as 32,32,32", "NX,NY[,NZ]")
 TRUTH = Kind(_truth, "true or false", "")

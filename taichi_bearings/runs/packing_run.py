@@ -1,6 +1,6 @@
 """Packings as runs solve them: what the settings describe, and what the method that they name finds."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -112,8 +112,7 @@ def packings_of(settings: RunSettings) -> Packings:
     if samples != {settings.replicas}:
         held = counted(samples.pop(), "sample")
         raise InputError(f"replicas is {settings.replicas}, but {settings.packing} holds {held}")
-    drawn = set(COEFFICIENTS[: len(settings.drawn)])
-    if settings.replicas > 1 and 1 not in axes.values() and drawn <= found.keys() and settings.initial != "random":
+    if settings.replicas > 1 and 1 not in axes.values() and _draws_nothing(settings, found):
         raise InputError(
             f"replicas is {settings.replicas}, but {settings.packing} holds all coefficients, so nothing is drawn; "
             "leave out replicas, or friction from the file"
@@ -128,6 +127,20 @@ def packings_of(settings: RunSettings) -> Packings:
         Packing(**{**others, "seed": seed, **{n: v[number] if axes[n] == 1 else v for n, v in found.items()}})
         for number, seed in enumerate(settings.seeds)
     )
+
+
+def idle_seed(settings: RunSettings) -> list[str]:
+    """A sentence if the seed of these settings draws nothing, as the file of a packing holds all coefficients."""
+    if settings.packing is None or not Path(settings.packing).is_file():
+        return []
+    if not _draws_nothing(settings, Packing.read(settings.packing)):
+        return []
+    return [f"seed is {settings.seed}, but {settings.packing} holds all coefficients, so nothing is drawn from it"]
+
+
+def _draws_nothing(settings: RunSettings, found: Mapping[str, Any]) -> bool:
+    """Whether an array of the file gives every coefficient, and no spins to start from are drawn."""
+    return set(COEFFICIENTS[: len(settings.drawn)]) <= found.keys() and settings.initial != "random"
 
 
 def _lattice(settings: RunSettings) -> Packing:

@@ -60,6 +60,8 @@ def run_directory(path: Path, force: bool = False) -> Iterator[RunDirectory]:
     refuse_name(path)
     if path.is_symlink() or path.name in ("", ".."):
         path = real_path(path)
+    if not path.name:
+        raise FileError(f"output directory {path} is the root of the file system; choose another --out")
     made = [folder for folder in path.parents if not folder.exists()]  # nearest first
     with contextlib.ExitStack() as stack:
         stack.callback(_remove_empty, made)

@@ -153,13 +153,16 @@ def read_run(run: Path) -> Run:
     if not path.is_file():
         unfinished = path.with_name(CHECKPOINT_NAME).is_file()
         hint = f"; it is unfinished, `bearings run --resume {run}` goes on with it" if unfinished else ""
-        raise FileError(f"{run} is not a run: there is no {path}{hint}")
+        lacking = f"{path} is not a file" if path.exists() else f"there is no {path}"
+        raise FileError(f"{run} is not a run: {lacking}{hint}")
     with read_hdf5(path, "run") as file:
         attributes = attributes_of(file)
         told = (np.atleast_1d(attributes.get(name, np.nan)) for name in ("power", "lower_bound", "gap"))
         numbers = [v if v.dtype.kind in "iuf" else np.full(v.shape, np.nan) for v in told]  # no number says nothing
         if any(map(is_crossed, *np.broadcast_arrays(*numbers))):
             raise FileError(f"{path} has a lower bound above its power; it is damaged or was changed")
+        if "scene" not in attributes:
+            raise FileError(f"{path} lacks the attribute 'scene'; it is damaged or was changed")
         try:
             settings = RunSettings.from_mapping(parse_toml(str(attributes["scene"])), "its scene")
         except FileError as error:

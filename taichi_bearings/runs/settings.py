@@ -404,8 +404,9 @@ def read_toml(path: Path) -> dict[str, Any]:
             return parse_toml(str(file.attrs["scene"]), path)
     try:
         return parse_toml(read_whole(path, MOST_SETTINGS_TEXT).decode(), path)
-    except UnicodeDecodeError as error:
-        raise FileError(f"scene file {path} cannot be read: {error}") from None
+    except UnicodeDecodeError:
+        hint = "; --coefficients or --packing reads arrays" if path.suffix == ".npz" else ""
+        raise FileError(f"scene file {path} is not a text in UTF-8{hint}") from None
 
 
 def parse_assignment(text: str, option: str, allowed: str) -> tuple[str, Any]:

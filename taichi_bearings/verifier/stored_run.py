@@ -95,7 +95,8 @@ def read_stored_run(run: Path) -> list[StoredRun]:
     cannot be read."""
     path = run / "run.h5" if run.is_dir() else run
     if not path.is_file():
-        raise FileError(f"{run} is not a run: there is no {path}")
+        lacking = f"{path} is not a file" if path.exists() else f"there is no {path}"
+        raise FileError(f"{run} is not a run: {lacking}")
     try:
         with h5py.File(path, "r") as file:
             stored = file["packing/center"] if "packing" in file else None

@@ -170,6 +170,8 @@ def test_a_distribution_of_ones_own(needs_f64):
 
 @pytest.mark.parametrize(("call", "words"), [
     (lambda s: tb.solve("scene"), "the scene is a str"),
+    (lambda s: tb.analyse(3), "the result is 3; it must be an answer of solve or load, or the path of a run"),
+    (lambda s: tb.solve(s, threads=1).save("."), "already exists; save into another directory, or with force=True"),
     (lambda s: tb.solve(s, "newton"), "method is 'newton'"),
     (lambda s: tb.solve(s, tolerance=0), "tolerance is '0'"),
     (lambda s: tb.solve(s, stiffness=1e6), "options of a method belong to it"),

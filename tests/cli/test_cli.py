@@ -207,7 +207,10 @@ BAD = {
     "too large a step": (("--method", "cundall-strack", "--time-step", "1"), "stable only up to"),
     "huge seed": (("--seed", "99999999999999999999999"), "below 2^62"),
     "too many replicas": (("--replicas", "100000000"), "can be indexed"),
+    "replicas beyond 32 bits": (("--replicas", "100000000000"), "it must be a whole number from 1 to 2,147,483,648"),
     "missing scene": (("none.toml",), "does not exist"),
+    "scene without a name": (("",), "scene file scene.toml does not exist"),
+    "arrays as a scene": (("arrays.npz",), "is not a text in UTF-8; --coefficients or --packing reads arrays"),
 }
 
 
@@ -215,8 +218,11 @@ BAD = {
 def test_bad_input_is_one_sentence_and_exit_code_2(name, tmp_path):
     words, expected = BAD[name]
     shape = () if "--shape" in words else ("--shape", "3,3,4")
+    if "arrays.npz" in words:
+        np.savez(tmp_path / "arrays.npz", x=np.full((3, 5), 0.3))
+    before = list(tmp_path.iterdir())
     assert expected in refused("run", *shape, *words, "--out", tmp_path / "r", cwd=tmp_path)
-    assert list(tmp_path.iterdir()) == []
+    assert list(tmp_path.iterdir()) == before
 
 
 def test_bad_files_are_named(tmp_path):
@@ -228,6 +234,9 @@ def test_bad_files_are_named(tmp_path):
     assert "not valid TOML" in said_of("shape = [3, 3, 3\n")
     assert "shape is 'three'" in said_of('shape = "three"\n')
     assert "seed is 'True'" in said_of("seed = true\n")
+    assert said_of("law = ['coulomb']\n").endswith(
+        "law is ['coulomb']; it must be one of coulomb, viscous, coulomb-viscous"
+    )
     np.savez(tmp_path / "mu.npz", x=np.ones((2, 3, 3)), y=np.ones((3, 2, 3)), z=-np.ones((3, 3, 2)))
     cube = "shape = [3, 3, 3]\ncoefficients = 'mu.npz'\n"
     assert "coefficient -1.0 at [0, 0, 0] along z" in said_of(cube)

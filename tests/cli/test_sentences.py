@@ -1,8 +1,10 @@
 """What the commands say where something is not what it seems: one sentence that names it and the command that fits."""
 
 import json
+import os
 import sys
 
+import h5py
 import numpy as np
 import pytest
 
@@ -66,6 +68,26 @@ def test_a_run_where_a_scan_is_wanted(folder, refused, words):
 
 def test_a_table_of_a_scan_is_not_a_scan_to_solve(folder, refused):
     assert "`bearings scan scan` goes on with one" in refused("scan", "scan/scan.h5", cwd=folder)
+
+
+def test_the_root_of_the_file_system_is_no_place_for_a_run(refused):
+    for force in ((), ("--force",)):
+        words = ("run", "--shape", "4,5", "--out", os.sep, *force)
+        assert "is the root of the file system; choose another --out" in refused(*words)
+
+
+@pytest.mark.parametrize("command", ["analyse", "verify"])
+def test_what_is_there_but_no_file_of_a_run_is_told_apart_from_what_is_missing(refused, tmp_path, command):
+    assert refused(command, "nowhere").endswith("nowhere is not a run: there is no nowhere")
+    (tmp_path / "folder" / "run.h5").mkdir(parents=True)
+    assert refused(command, "folder").endswith("folder/run.h5 is not a file".replace("/", os.sep))
+    with h5py.File(tmp_path / "bare.h5", "w") as file:
+        file.attrs.update(schema="taichi_bearings.run", schema_version=1)
+    assert "bare.h5 lacks the attribute '" in refused(command, "bare.h5")
+
+
+def test_parts_of_no_scan_are_not_merged(refused):
+    assert "there is no nowhere; --part and --merge need the folder of a scan" in refused("scan", "nowhere", "--merge")
 
 
 def test_missing_arrays_are_named(refused, tmp_path):
