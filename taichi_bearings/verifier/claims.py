@@ -31,8 +31,8 @@ DESCRIPTIONS = "units and descriptions"
 @dataclass(frozen=True)
 class Claim:
     """What an attribute may say of a sample: this word, or this number, to a share `off` of its size and by so much
-    beside it. side : -1 of a bound from below, which may not be above the true one at all, 1 of one from above. needed :
-    it must be said. is_sure : false words are found, whatever else the file says."""
+    beside it. side : -1 of a bound from below, which may not be above the true one at all, 1 of one from above.
+    needed : it must be said. is_sure : false words are found, whatever else the file says."""
 
     name: str
     true: Any
