@@ -250,10 +250,10 @@ def _claims(run: StoredRun, judgement: Judgement, number: int) -> Iterator[Claim
     samples = run.samples
     objective, bound = float(judgement.objective[number]), float(judgement.lower_bound[number])
     (power,), (gap,) = _finite(judgement.power[[number]]), _finite(judgement.gap[[number]])
-    yield Claim("power", power, needed=True)
+    yield Claim("power", power, side=1, needed=True)
     yield Claim("lower_bound", bound, side=-1, needed=True)
     if samples.holds and samples.flows:
-        yield Claim("potential", _finite(judgement.objective[[number]])[0], needed=True)
+        yield Claim("potential", _finite(judgement.objective[[number]])[0], side=1, needed=True)
     yield Claim("gap", gap, beside=4 * EPS, side=1, needed=True)
     slip, force, state = (run.reported[name][number] for name in ("slip", "force", "state"))
     kinds = [slip[state == kind] for kind in (SLIPLESS, SLIPPING, UNPROVEN)]
