@@ -309,8 +309,11 @@ def _under_torque(run: StoredRun, judgement: Judgement, number: int) -> Iterator
     if "yields" not in run.attributes or (samples.holds and samples.flows) or turns or text:
         return
     torque, power = run.setting("torque", np.nan), float(judgement.power[number]) + beside
-    high, low = (power, float(judgement.lower_bound[number]) + beside) if samples.holds else (0.0, 0.0)
-    moves, held = abs(torque) > high * (1 + ROUNDED), abs(torque) <= low
+    low = float(judgement.lower_bound[number])
+    low = (low + beside) * (1 - 4 * EPS) if beside else low  # of sums that are rounded
+    high, low = (power, low) if samples.holds else (0.0, 0.0)
+    said = run.claimed("yield_torque_lower_bound")[number]  # a little less may be said, and then less is held
+    moves, held = abs(torque) > high * (1 + ROUNDED), said is not None and abs(torque) <= said
     strength = np.array([torque / power if samples.flows and moves and power else np.nan])
     yield Claim("yields", bool(moves), needed=True)
     yield Claim("yield_torque", high, needed=True)
