@@ -31,13 +31,15 @@ DESCRIPTIONS = "units and descriptions"
 @dataclass(frozen=True)
 class Claim:
     """What an attribute may say of a sample: this word, or this number, to a share `off` of its size and by so much
-    beside it. needed : it must be said. is_sure : false words are found, whatever else the file says."""
+    beside it. side : -1 of a bound from below, which may not be above the true one at all, 1 of one from above.
+    needed : it must be said. is_sure : false words are found, whatever else the file says."""
 
     name: str
     true: Any
     source: str = ""
     off: float = 1e-12
     beside: float = 0.0
+    side: int = 0
     needed: bool = False
     is_sure: bool = True
 
@@ -45,7 +47,8 @@ class Claim:
         """Whole numbers and truths are of their type already."""
         if said is None or self.true is None or isinstance(self.true, str):
             return bool(said == self.true)
-        return said == self.true or bool(abs(said - self.true) <= self.off * abs(self.true) + self.beside)
+        is_close = abs(said - self.true) <= self.off * abs(self.true) + self.beside
+        return said == self.true or bool(is_close and (said - self.true) * self.side >= 0)
 
 
 def summed_up(run: StoredRun, claims: list[list[Claim]]) -> Iterator[str]:

@@ -50,7 +50,8 @@ def enclosed_minimum(bounds: Bounds) -> tuple[np.ndarray, np.ndarray] | None:
     """True (E,) for the contacts that slip at every minimum, where all others that count rest at every one; and how
     far (E,) their slips are from the given ones at most. None if that is not known."""
     network, springs = bounds.network, bounds.springs
-    if springs is None or network.flows:
+    longest = np.linalg.norm(network.normal, axis=1).max(initial=0.0)  # steps 2 and 3 take normals for units
+    if springs is None or network.flows or not longest < UP:
         return None
     slides, number = network.counts & (network.slip.value > MOVING * network.box.max()), springs.number
     own, still = np.flatnonzero(slides), np.flatnonzero(network.counts & ~slides)

@@ -113,12 +113,13 @@ class Samples(OfLaw):
         scales = [self.normal_force, self.radius, self.jump_size or 1.0]
         strengths = [self.normal_force * c for c in self.coefficient]
         strengths += [self.radius * self.spin_unit * values for values in self.viscosity]
+        given = zip(strengths, (*self.coefficient, *self.viscosity), strict=True)
         arrays = (self.spin, self.spin_rounding, *self.friction, *strengths)
         sizes = [float(np.abs(values).max(initial=0.0)) for values in arrays]
         return (
             all(LEAST_SCALE < scale < MOST_SCALE for scale in scales)
             and all(size < MOST_SCALE for size in sizes)  # False for what is no number
-            and all(bool(((values > LEAST_SCALE) | (values == 0)).all()) for values in strengths)
+            and all(bool(((values > LEAST_SCALE) | (c == 0)).all()) for values, c in given)  # lost products are not 0
             and all(((c == 0) == (v == 0)).all() for c, v in zip(self.coefficient, self.viscosity, strict=False))
             and all(value == 0 or abs(value) > LEAST_JUMP for jump in self.exact_jump.values() for value in jump)
         )

@@ -140,10 +140,12 @@ def _arrays(run: StoredRun, judgement: Judgement) -> Iterator[str]:
     friction, and at the kinetic one where a contact is said to slip."""
     slip, power, force, state = (run.reported[name] for name in ("slip", "power", "force", "state"))
     acts, limit, size, is_lattice = judgement.acts, judgement.limit, judgement.friction_size, run.samples.is_lattice
+    strange = ~(np.abs(slip - judgement.slip) <= ROUNDED * judgement.slip)
+    slip = np.where(strange, judgement.slip, slip)  # of infinite ones no product says anything
     expected = judgement.damping * slip**2 + (limit * slip if judgement.holds else 0.0)
     expected = np.where(acts | (not is_lattice), expected, 0.0)  # driven contacts of packings are beside the power
     wrong = {
-        "slips that are not those of the spins": ~(np.abs(slip - judgement.slip) <= ROUNDED * judgement.slip),
+        "slips that are not those of the spins": strange,
         "powers that are not friction or damping times slip": ~(np.abs(power - expected) <= ROUNDED * expected),
         "states other than 0, 1, 2 and 3": ~np.isin(state, (SLIPLESS, SLIPPING, UNPROVEN, DRIVEN_STATE)),
         "states that do not name those between driven spheres and those absent": (state == DRIVEN_STATE) == acts,
@@ -248,11 +250,11 @@ def _claims(run: StoredRun, judgement: Judgement, number: int) -> Iterator[Claim
     samples = run.samples
     objective, bound = float(judgement.objective[number]), float(judgement.lower_bound[number])
     (power,), (gap,) = _finite(judgement.power[[number]]), _finite(judgement.gap[[number]])
-    yield Claim("power", power, needed=True)
-    yield Claim("lower_bound", bound, needed=True)
+    yield Claim("power", power, side=1, needed=True)
+    yield Claim("lower_bound", bound, side=-1, needed=True)
     if samples.holds and samples.flows:
-        yield Claim("potential", _finite(judgement.objective[[number]])[0], needed=True)
-    yield Claim("gap", gap, beside=4 * EPS, needed=True)
+        yield Claim("potential", _finite(judgement.objective[[number]])[0], side=1, needed=True)
+    yield Claim("gap", gap, beside=4 * EPS, side=1, needed=True)
     slip, force, state = (run.reported[name][number] for name in ("slip", "force", "state"))
     kinds = [slip[state == kind] for kind in (SLIPLESS, SLIPPING, UNPROVEN)]
     for kind, name in zip(kinds, ("slipless", "slipping", "undecided"), strict=True):
@@ -264,7 +266,7 @@ def _claims(run: StoredRun, judgement: Judgement, number: int) -> Iterator[Claim
     if not isinstance(samples, Samples):
         yield Claim("contacts", int((state != DRIVEN_STATE).sum()), source="the arrays")
         full = force >= (1 - MISSED_LIMIT) * judgement.limit[0]
-        full &= judgement.limit[0] * slip <= objective - bound
+        full &= judgement.limit[0] * np.where(np.isfinite(slip), slip, judgement.slip[0]) <= objective - bound
         yield Claim("critical", int((full & (state == UNPROVEN) & samples.holds).sum()), source="the arrays")
         yield Claim("largest_balance_residual", float(judgement.largest_torque[0]))
         yield Claim("driven_power", judgement.driven_power)
@@ -307,12 +309,15 @@ def _under_torque(run: StoredRun, judgement: Judgement, number: int) -> Iterator
     if "yields" not in run.attributes or (samples.holds and samples.flows) or turns or text:
         return
     torque, power = run.setting("torque", np.nan), float(judgement.power[number]) + beside
-    high, low = (power, float(judgement.lower_bound[number]) + beside) if samples.holds else (0.0, 0.0)
-    moves, held = abs(torque) > high * (1 + ROUNDED), abs(torque) <= low
+    low = float(judgement.lower_bound[number])
+    low = (low + beside) * (1 - 4 * EPS) if beside else low  # of sums that are rounded
+    high, low = (power, low) if samples.holds else (0.0, 0.0)
+    said = run.claimed("yield_torque_lower_bound")[number]  # a little less may be said, and then less is held
+    moves, held = abs(torque) > high * (1 + ROUNDED), said is not None and abs(torque) <= said
     strength = np.array([torque / power if samples.flows and moves and power else np.nan])
     yield Claim("yields", bool(moves), needed=True)
     yield Claim("yield_torque", high, needed=True)
-    yield Claim("yield_torque_lower_bound", low, needed=True)
+    yield Claim("yield_torque_lower_bound", low, side=-1, needed=True)
     yield Claim("amplitude", 0.0 if held else _finite(strength)[0], needed=True)
 
 

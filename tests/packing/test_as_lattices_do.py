@@ -172,6 +172,15 @@ def test_driven_spheres_that_touch_hold_a_torque_too_and_a_false_word_is_found(t
     assert any("yield torque lower bound" in sentence for sentence in verify(tmp_path / "run-True")["contradictions"])
 
 
+def test_a_torque_just_above_what_is_proven_to_be_held_is_verified(tmp_path):
+    """Contacts between driven discs are summed; a share of 1e-13 is given up for that, by the verifier less."""
+    packing = tb.Packing.lattice("triangular", (3, 3), seed=1)
+    held = solve(packing, torque=1.0).findings["yield_torque_lower_bound"]
+    found = solve(packing, torque=held * (1 + 2e-14))
+    assert np.isnan(found.findings["amplitude"])
+    assert verify(found.save(tmp_path / "run"))["contradictions"] == []
+
+
 def test_the_cut_start_the_threshold_and_the_histogram_are_those_of_the_lattice(tmp_path):
     scene, packing = pair((4, 4, 5), 1, spin_bottom=0.1)
     start = Network(packing).start("minimum-cut")[:, 0].T / np.asarray(packing.radius)[:, None]

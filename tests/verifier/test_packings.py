@@ -192,6 +192,15 @@ def test_rest_is_not_proven_where_a_normal_is_off_by_its_last_digit(kind):
     assert proofs < len(rests[:: len(rests) // 4])
 
 
+def test_minima_are_not_enclosed_where_normals_are_longer_than_units():
+    """Friction on them turns spheres by more than the enclosure counts; no scene has any, a file may."""
+    packing = OBLIQUE["bcc"]
+    found = tb.solve(packing)
+    arrays = packing.arrays() | {"normal": (1 + 1e-7) * np.asarray(packing.normal)}
+    proven = Judgement(StoredPacking("coulomb", arrays, found.spin, found.friction)).states[0].proven
+    assert (proven[(found.state == 0) & (found.force > 0)] == 2).all()
+
+
 @pytest.mark.parametrize("kind", OBLIQUE)
 def test_all_states_of_oblique_contacts_are_proven_and_no_false_ones(kind):
     """Of the minimum; and of spins and friction beside it no other states, and none if a contact bears too much."""

@@ -221,6 +221,15 @@ def test_a_driven_plane_turns_as_one_whatever_the_file_says_of_its_spheres():
     assert Judgement(replace(even, spin=spin)).power[0] == Judgement(even).power[0]
 
 
+@pytest.mark.parametrize("least", [5e-324, -5e-324])
+def test_friction_that_is_lost_in_its_product_with_the_normal_force_is_not_taken_for_none(least):
+    """All the slip is at the contacts with the top. Their friction is 0 in doubles, and was taken for absent contacts;
+    then nothing slipped, and that was proven."""
+    x, y, nothing = [[1e6, 1e6, 1e6]], [[1e6, least], [1e6, least]], [[0, 0], [0, 0]]
+    faint = by_hand(x, y, [[0, 0, 0]], nothing, [[0, 0, -1], [0, 0, 1]])
+    assert not replace(faint, normal_force=0.1).can_be_judged
+
+
 @pytest.mark.parametrize("what", ["coefficient", "normal_force", "radius", "direction"])
 def test_numbers_that_no_scene_has_are_not_judged(sample, what):
     samples, _ = sample

@@ -101,6 +101,34 @@ def test_what_a_run_did_not_prove_is_found(changed, name, change):
     assert len(report["contradictions"]) >= 1
 
 
+@pytest.mark.parametrize("name", ["spheres", "discs", "dampers"])
+@pytest.mark.parametrize(("key", "towards"), [("lower_bound", np.inf), ("gap", -np.inf), ("power", -np.inf)])
+def test_nothing_is_said_to_be_better_than_it_is_proven_to_be(changed, name, key, towards):
+    """Not by the last digit: nothing tells whether the least power is between the bounds by more than that."""
+
+    def say_a_little_more(file):
+        file.attrs[key] = np.nextafter(file.attrs[key], towards)
+
+    def say_a_little_less(file):
+        file.attrs[key] = np.nextafter(file.attrs[key], -towards)
+
+    found = verify(changed(name, say_a_little_more))["contradictions"]
+    assert any(key.replace("_", " ") in sentence for sentence in found)
+    assert verify(changed(name, say_a_little_less))["verified"]
+
+
+@pytest.mark.parametrize("name", ["spheres", "discs", "dampers"])
+def test_infinite_slips_are_named_in_one_sentence(changed, name):
+    """Without a warning of NumPy, also where nothing resists them: between driven spheres and by friction alone."""
+
+    def slip_infinitely(file):
+        file["contact/x/slip"][...] = np.inf
+
+    found = verify(changed(name, slip_infinitely))["contradictions"]
+    assert sum("slips that are not those of the spins" in sentence for sentence in found) == 1
+    assert not any("powers" in sentence for sentence in found)
+
+
 @pytest.mark.parametrize("tolerance", ["inf", "1e9", "1.0", "0.0", "nan", "true", '"small"'])
 def test_a_tolerance_that_certifies_anything_is_none(changed, tolerance):
     with suppress(FileError):
