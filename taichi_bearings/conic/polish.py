@@ -30,13 +30,13 @@ MATRIX_CHANGE = 1e-2  # change of a slip by a step, of itself, from which on the
 FREE_STIFFNESS = 1e-20  # stiffness along a slip, of that across it: for motions that nothing else resists
 MOST_SLIP_CHANGE = 0.5  # largest such change that is allowed
 SUM_BITS = 20  # bits that 2^20 numbers of one size may need in a sum without rounding
-Law = tuple[np.ndarray, np.ndarray | None]  # friction and viscosity, (n,) each
+Strengths = tuple[np.ndarray, np.ndarray | None]  # friction and viscosity, (n,) each
 
 
 def polished(
     tied: Contraction,
     matrix: NewtonMatrix,
-    law: Law,
+    strengths: Strengths,
     spins: Pair,
     top: Pair | None,
     chosen: np.ndarray,
@@ -44,28 +44,30 @@ def polished(
     """Spins of the whole system, slips and duals (d, n) near the given ones, all torques in balance; and the
     samples (samples,), of those chosen, in which no slip is lost.
 
-    matrix, law, spins : of the contracted system. top : imposed on the top above each unknown of a sample;
+    matrix, strengths, spins : of the contracted system. top : imposed on the top above each unknown of a sample;
     None where imposed spins are doubles.
     """
     system = _PreciseSystem(tied, top)
-    balanced, fine = _balanced(system, matrix, law, two_sum(*spins), chosen)  # small parts may be no mere rounding
+    balanced, fine = _balanced(
+        system, matrix, strengths, two_sum(*spins), chosen
+    )  # small parts may be no mere rounding
     slips = system.differences(balanced)
-    return system.expanded(balanced), slips[0], -_along(law[0], slips)[0], fine
+    return system.expanded(balanced), slips[0], -_along(strengths[0], slips)[0], fine
 
 
 def _balanced(
-    system: "_PreciseSystem", matrix: NewtonMatrix, law: Law, unknown: Pair, going: np.ndarray
+    system: "_PreciseSystem", matrix: NewtonMatrix, strengths: Strengths, unknown: Pair, going: np.ndarray
 ) -> tuple[Pair, np.ndarray]:
     """Newton's method until the torques do not fall any more, and where that leads anywhere; (samples,).
 
     going : samples that it is for.
     """
-    owners, strongest = system.owners, system.owners.largest(law[0])
+    owners, strongest = system.owners, system.owners.largest(strengths[0])
     best, fine, least, factorised = unknown, np.zeros_like(going), np.full(len(going), np.inf), np.zeros_like(going)
     for _ in range(MOST_POLISHING_STEPS):
         precise = system.differences(unknown)
         slip = length(precise[0])
-        torques = system.torques(_forces(law, precise))
+        torques = system.torques(_forces(strengths, precise))
         size = owners.largest_of_spins(np.abs(torques))
         going = going & (size < least) & ~owners.any(slip == 0)
         best, fine = _chosen(going[owners.spins], unknown, best), fine | going
@@ -74,7 +76,7 @@ def _balanced(
             break
         least, anew, before = np.where(going, size, least), going & ~factorised, going
         if anew.any():
-            stiffness = friction_stiffness(*law, precise[0], FREE_STIFFNESS)
+            stiffness = friction_stiffness(*strengths, precise[0], FREE_STIFFNESS)
             going = going & (matrix.factorise_each(stiffness, anew) | ~anew)
         step = matrix.solve(-torques, going)
         change = owners.largest(length(system.contracted.change(step)) / slip)
@@ -143,8 +145,8 @@ def _multiples(values: np.ndarray, jump: np.ndarray) -> np.ndarray:
     return np.rint(np.divide(values, jump, out=np.zeros_like(values), where=jump != 0))
 
 
-def _forces(law: Law, difference: Pair) -> Pair:
-    friction, viscosity = law
+def _forces(strengths: Strengths, difference: Pair) -> Pair:
+    friction, viscosity = strengths
     held = _along(friction, difference)
     return held if viscosity is None else add(held, scaled(viscosity, difference))
 
