@@ -239,7 +239,8 @@ class Course:
     def answer(self, threshold: float | None) -> Solution:
         """What the best state and the best forces amount to, and how the course came there."""
         history, snapshots, last, seconds = self.recorder.history(), self.recorder.snapshots(), self.last, self.seconds
-        if (known := self.method.answered(self)) is not None:
+        known = self.method.answered(self) if isinstance(self.method, Method) else None
+        if known is not None:
             return replace(known, seconds=known.seconds + seconds, history=history, snapshots=snapshots)
         scene, best, status = self.scene, self.best, self.status
         findings = self.method.findings(last) if isinstance(self.method, Dynamics) else best.progress.findings

@@ -141,6 +141,7 @@ TAKEN = {
 def test_iterations_take_no_more_memory_than_they_need(name):
     fixed, each = TAKEN[name]
     shape = (8, 9, 10) if each else (16, 18, 20)
+    begun(name, shape).advance(4)  # what is loaded and kept once is not counted
     method = begun(name, shape)
     method.advance(2)
     gc.collect()
