@@ -197,7 +197,9 @@ def test_minima_are_not_enclosed_where_normals_are_longer_than_units():
     packing = OBLIQUE["bcc"]
     found = tb.solve(packing)
     arrays = packing.arrays() | {"normal": (1 + 1e-7) * np.asarray(packing.normal)}
-    proven = Judgement(StoredPacking("coulomb", arrays, found.spin, found.spin_rounding, found.friction)).states[0].proven
+    proven = (
+        Judgement(StoredPacking("coulomb", arrays, found.spin, found.spin_rounding, found.friction)).states[0].proven
+    )
     assert (proven[(found.state == 0) & (found.force > 0)] == 2).all()
 
 
