@@ -117,7 +117,7 @@ def draw_limits(named: Any) -> Figure:
     for axes in panels[3:5]:
         name_sizes(axes, list(paper.by("side")), "$L$")
     panels[3].set(ylabel="samples that span", ylim=(-0.03, 1.04), title="(d)")
-    panels[4].set(yscale="symlog", ylim=(0, 60), title="(e)")
+    panels[4].set(yscale="symlog", ylim=(0, 300), title="(e)")
     panels[4].set_yticks([0, 1, 3, 10, 30], ["0", "1", "3", "10", "30"])
     panels[4].legend(loc="upper left")
     for row, of in enumerate(reversed(list(of_systems.values()))):
