@@ -209,13 +209,12 @@ def _by_curvature(network: Network, bound: np.ndarray) -> list[States]:
     each half of them; of each alone where friction is repeated, so that there may be ties."""
     samples, count = network.samples, network.count
     if samples is None:
-        reason = ""
-        for still in (STILL_IN_PAIRS, STILL):  # spins can be known in twice the precision
-            known = _by_domains(network, network.counts & (network.slip.value <= still * network.box.max()), bound)
-            if not isinstance(known, str):
-                return _samples(network, known, "", None)
-            reason = known
-        return _nothing(network, reason)
+        slip, fastest = network.slip.value, network.box.max()
+        still, nearly = (network.counts & (slip <= most * fastest) for most in (STILL_IN_PAIRS, STILL))
+        known = _by_domains(network, still, bound)  # spins can be known in twice the precision
+        if isinstance(known, str) and (nearly != still).any():
+            known = _by_domains(network, nearly, bound)
+        return _nothing(network, known) if isinstance(known, str) else _samples(network, known, "", None)
     if count == 1:
         return [_of_lattice(network)]
     if _repeats(network):
