@@ -271,10 +271,11 @@ def _read(path: Path, file: h5py.File, attributes: Mapping[str, Any], settings: 
     there = [name for name in CONTACTS if name not in NOT_IN_ALL or f"{first}/{name}" in file]
     sets = {name: of_contacts(name) for name in there}
     sets |= {"friction": of_contacts("friction", *vector), "spin": arrays.get("spin", *sites, *vector)}
+    is_stored = "spin_rounding" in file
+    sets["spin_rounding"] = arrays.get("spin_rounding", *sites, *vector) if is_stored else np.zeros_like(sets["spin"])
     for name, values in sets.items():
         is_fine = (lambda of: ~np.isnan(of)) if name == "slip_bound" else np.isfinite
         arrays.check(name, values, is_fine if status is not Status.NOT_FINITE else np.isreal)
-    rounding = arrays.get("spin_rounding", *sites, *vector) if "spin_rounding" in file else np.zeros_like(sets["spin"])
     own: dict[str, np.ndarray] = {"status": np.broadcast_to(np.array(ended, dtype=object), replicas)}
     if apart:
         own["iterations"] = number("iterations").astype(np.int64)
@@ -287,7 +288,6 @@ def _read(path: Path, file: h5py.File, attributes: Mapping[str, Any], settings: 
         method=str(attributes["method"]),
         status=status,
         iterations=int(np.max(attributes["iterations"])),
-        spin_rounding=rounding,
         power_per_contact=more.pop("power"),
         states_proven=number("states_proven") == 1,
         objective=number("potential" if scene.law.minimises == "potential" else "power"),

@@ -141,7 +141,8 @@ def ended(run: StoredRun, gap: np.ndarray) -> Iterator[str]:
         if status not in allowed:
             yield f"the status{which} is {status!r}; it must be one of {', '.join(allowed)}"
         elif status == "certified" and not (said is not None and max(said, gap[number]) <= tolerance):
-            yield f"the run{which} is said to be certified to {tolerance!r}; what is proven leaves {gap[number]!r}"
+            left = float(gap[number])
+            yield f"the run{which} is said to be certified to {tolerance!r}; what is proven leaves {left!r}"
         elif status != "certified" and said is not None and said <= tolerance and not cut_short:
             yield f"the run{which} is said to be {status}; its gap of {said!r} is within the tolerance of {tolerance!r}"
         elif status in DYNAMIC and not is_dynamics:

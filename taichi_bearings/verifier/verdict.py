@@ -123,7 +123,7 @@ def _packing(packing: StoredPacking) -> Iterator[str]:
     size = np.linalg.norm(normal, axis=1)
     if (bad := np.abs(size - 1) > NORMAL_ERROR).any():
         e = int(np.argmax(bad))
-        yield f"the normal of contact {e} has length {size[e]!r}; it must be a unit vector"
+        yield f"the normal of contact {e} has length {float(size[e])!r}; it must be a unit vector"
     low, high = np.sort(contact, axis=1).T
     outward = np.where((contact[:, 0] == low)[:, None], normal, -normal)
     order = np.lexsort((high, low))

@@ -13,7 +13,7 @@ from taichi_bearings import runtime
 from taichi_bearings.analysis.bottlenecks import Bottlenecks
 from taichi_bearings.analysis.network import SliplessNetwork
 from taichi_bearings.checksums import ATTRIBUTE
-from taichi_bearings.errors import DeviceError, InputError
+from taichi_bearings.errors import DeviceError, FileError, InputError
 from taichi_bearings.packing import Packings
 from taichi_bearings.quantities import STRUCTURE
 from taichi_bearings.runs.figures import draw_figure
@@ -64,7 +64,12 @@ def test_slips_far_below_the_rounding_of_the_spins_are_proven(law, seed, slips, 
     assert report["states_proven"]["slipping"] == slips
     assert report["states_proven"]["unproven"] == 0
     with h5py.File(tmp_path / "run" / "run.h5", "r+") as file:
-        del file["spin_rounding"], file.attrs[ATTRIBUTE]
+        file["spin_rounding"][0] = np.nan
+        del file.attrs[ATTRIBUTE]
+    with pytest.raises(FileError, match="spin_rounding in .* is damaged"):
+        tb.load(tmp_path / "run")
+    with h5py.File(tmp_path / "run" / "run.h5", "r+") as file:
+        del file["spin_rounding"]
     lost = verify(tmp_path / "run")["states_proven"]["unproven"] > 0
     assert lost == (law == "coulomb")
 
