@@ -66,7 +66,7 @@ def test_slips_far_below_the_rounding_of_the_spins_are_proven(law, seed, slips, 
     with h5py.File(tmp_path / "run" / "run.h5", "r+") as file:
         file["spin_rounding"][0] = np.nan
         del file.attrs[ATTRIBUTE]
-    with pytest.raises(FileError, match="spin_rounding in .* is damaged"):
+    with pytest.raises(FileError, match=r"spin_rounding in .* is damaged"):
         tb.load(tmp_path / "run")
     with h5py.File(tmp_path / "run" / "run.h5", "r+") as file:
         del file["spin_rounding"]
