@@ -18,51 +18,58 @@ from taichi_bearings.plots.style import BLUE, GREY, ORANGE, in_our_style, new_fi
 
 from .claims import Effort
 from .drawing import draw_deviations, draw_growth, name_sizes
-from .fits import exponent, skewness
+from .fits import exponent, growing_skewness, skewness
 from .samples import Found, Table, drawn
 from .sweeps import crossings
 
 FRICTION = (0.1, 1.0)  # uniform, the paper's
 HELD = 1e3  # friction that the ends of a path cannot cross
 WIDTH = 2.5  # half the height beside a held path, over L^(2/3): seven standard deviations of its middle
-BLOCK = 100  # samples that are drawn together
-SIZES, QUICK_SIZES = (8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256), (8, 12, 16, 24, 32, 48)
+BLOCK = 100  # samples that are kept together
+AT_ONCE = 2**20  # places of all samples that are drawn together, or one sample
+SIZES = dict.fromkeys((8, 12, 16, 24, 32, 48, 64), 500) | {  # length of held cuts -> samples for each of the effort's
+    96: 250, 128: 250, 192: 200, 256: 200, 384: 100, 512: 100, 768: 50, 1024: 50,
+}  # fmt: skip
+QUICK_SIZES = dict.fromkeys((8, 12, 16, 24, 32, 48), 500)
 TALL, QUICK_TALL = (16, 64, 256, 1024), (16, 64, 256)  # heights of free scenes of length FREE
-FREE = 16
+FREE, OF_FREE = 16, 100  # the latter for each of the effort's samples
 LONG, QUICK_LONG = 96, 32  # length of cuts whose weights are compared with the law of Tracy and Widom
-PER_SEED = 100  # samples of a held length for each of `Effort.samples`, fewer where they are large
 TRACY_WIDOM, GUMBEL = -0.2241, -1.1395  # skewness of E
+THETA = 1 / 3
 
 
 def draw(kind: str, length: int, height: int, samples: int, seed: int) -> dict[str, Any]:
     """Weights of the minimum cuts of a block, in units of the largest friction, and where they cross the middle."""
     rng = np.random.default_rng([seed, length, height])
-    sideways = rng.uniform(*FRICTION, (samples, length - 1, height))
-    upward = rng.uniform(*FRICTION, (samples, length, height - 1))
-    if kind == "held":
-        upward[:, [0, -1]] += np.where(np.arange(height - 1) == (height - 1) // 2, 0.0, HELD)[None, None]
-    through = crossings(sideways, upward, length // 2)
-    return {"weight": through.min(axis=1).tolist(), "middle": (through.argmin(axis=1) + 1).tolist()}
+    found: dict[str, list[float]] = {"weight": [], "middle": []}
+    at_once = max(1, AT_ONCE // (length * height))
+    for first in range(0, samples, at_once):
+        count = min(at_once, samples - first)
+        sideways = rng.uniform(*FRICTION, (count, length - 1, height))
+        upward = rng.uniform(*FRICTION, (count, length, height - 1))
+        if kind == "held":
+            upward[:, [0, -1]] += np.where(np.arange(height - 1) == (height - 1) // 2, 0.0, HELD)[None, None]
+        through = crossings(sideways, upward, length // 2)
+        found["weight"] += through.min(axis=1).tolist()
+        found["middle"] += (through.argmin(axis=1) + 1).tolist()
+    return found
 
 
 def study(folder: Path, effort: Effort) -> Found:
     """Cuts with held ends, by their length, and with free ends, by the height."""
     sizes, tall, long = (QUICK_SIZES, QUICK_TALL, QUICK_LONG) if effort.quick else (SIZES, TALL, LONG)
-    points = [("held", size, 2 * int(WIDTH * size ** (2 / 3)) + 3) for size in sizes]
-    points += [("free", FREE, height) for height in tall]
-    most = PER_SEED * effort.samples
-    wanted = {
-        point: max(BLOCK, most if point[1] <= 64 else most // 2 if point[1] <= 128 else most // 4) for point in points
-    }
+    points = {("held", size, 2 * int(WIDTH * size ** (2 / 3)) + 3): several for size, several in sizes.items()}
+    points |= {("free", FREE, height): OF_FREE for height in tall}
+    wanted = {point: max(BLOCK, several * effort.samples) for point, several in points.items()}
     found = drawn(draw, wanted, BLOCK, effort.seed, folder / "exponents.jsonl")
     rows = [row_of(point, of) for point, of in found.items()]
     held, free = (Table.of([row for row in rows if row["ends"] == kind]) for kind in ("held", "free"))
     weight, middle = ({p[1]: of[name] for p, of in found.items() if p[0] == "held"} for name in ("weight", "middle"))
     theta, zeta = exponent(weight), exponent(middle)
     named = {
-        "theta": theta, "zeta": zeta, "held": held, "free": free, "pinned": held[held.length >= long],
-        "free_length": FREE, "law_of_tracy_and_widom": TRACY_WIDOM, "law_of_gumbel": GUMBEL,
-        "weight": weight, "middle": middle,
+        "theta": theta, "zeta": zeta, "grown": growing_skewness(weight, THETA), "held": held, "free": free,
+        "pinned": held[held.length >= long], "free_length": FREE, "law_of_tracy_and_widom": TRACY_WIDOM,
+        "law_of_gumbel": GUMBEL, "weight": weight, "middle": middle,
     }  # fmt: skip
     return Found({".csv": Table.of(rows)}, draw_exponents, named)
 

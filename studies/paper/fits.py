@@ -4,9 +4,11 @@ resampled over the disorder."""
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import permutations
 from typing import Any
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 from scipy.stats import chi2, skew
 
 RESAMPLES = 400
@@ -180,12 +182,13 @@ class Collapse(Fitted):
 
 
 def collapse(curves: dict[int, dict[int, np.ndarray]]) -> Collapse:
-    """Of the means of samples, L -> n -> (samples,), as functions of log n, taken as straight between its points."""
+    """Of the means of samples, L -> n -> (samples,), as functions of log n, cubic between its points."""
     rng, sizes = np.random.default_rng(0), sorted(curves)
 
     def best(sizes: Sequence[int], drawn: Callable[[np.ndarray], np.ndarray] = np.asarray) -> tuple[float, float]:
         means = {L: np.array([drawn(v).mean() for v in curves[L].values()]) for L in sizes}
-        misfits = [_apart({L: curves[L] for L in sizes}, means, errors, a) for a in trials]
+        courses = {L: CubicSpline(np.log(list(curves[L])), means[L]) for L in sizes}
+        misfits = [_apart(courses, means, errors, a) for a in trials]
         return float(trials[np.argmin(misfits)]), min(misfits)
 
     def fitted(sizes: Sequence[int]) -> tuple[float, float, float]:
@@ -204,19 +207,18 @@ def collapse(curves: dict[int, dict[int, np.ndarray]]) -> Collapse:
 
 
 def _apart(
-    curves: dict[int, dict[int, np.ndarray]], means: dict[int, np.ndarray], errors: dict[int, np.ndarray], a: float
+    courses: Mapping[int, CubicSpline], means: Mapping[int, np.ndarray], errors: Mapping[int, np.ndarray], a: float
 ) -> float:
-    """Mean square distance, in errors, of each point of a curve from every other curve, where that has neighbours."""
+    """Mean square distance, in errors, of each point of a course of log n from every other one, where that has
+    neighbours."""
     total, count = 0.0, 0
-    for L, of in curves.items():
-        x = np.log(list(of)) - a * np.log(L)
-        for M, other in curves.items():
-            if M != L:
-                at = np.log(list(other)) - a * np.log(M)
-                inside = (x >= at[0]) & (x <= at[-1])
-                there, error = np.interp(x[inside], at, means[M]), np.interp(x[inside], at, errors[M])
-                total += float(((means[L][inside] - there) ** 2 / (errors[L][inside] ** 2 + error**2)).sum())
-                count += int(inside.sum())
+    for L, M in permutations(courses, 2):
+        known = courses[M].x
+        x = courses[L].x - a * np.log(L / M)
+        inside = (x >= known[0]) & (x <= known[-1])
+        error = np.hypot(errors[L][inside], np.interp(x[inside], known, errors[M]))
+        total += float((((means[L][inside] - courses[M](x[inside])) / error) ** 2).sum())
+        count += int(inside.sum())
     return total / count if count else np.inf
 
 
@@ -226,3 +228,33 @@ def skewness(values: Sequence[float] | np.ndarray) -> tuple[float, float]:
     rng = np.random.default_rng(0)
     several = [skew(rng.choice(found, len(found))) for _ in range(RESAMPLES)]
     return float(skew(found)), float(np.std(several, ddof=1))
+
+
+def growing_skewness(samples: Mapping[int, np.ndarray], theta: float) -> Law:
+    """Skewness s of the part of a weight that grows with the size: variance A L^(2 theta) + B, third cumulant
+    s A^(3/2) L^(3 theta) + C, from the smallest size on from which both fit; B and C are what single contacts add."""
+    rng, sizes = np.random.default_rng(0), np.array(sorted(samples))
+    growth = sizes[:, None] ** (theta * np.array([2, 3]))
+    found = np.array([_cumulants(samples[L]) for L in sizes])
+    again = np.array([[_cumulants(rng.choice(samples[L], len(samples[L]))) for _ in range(RESAMPLES)] for L in sizes])
+    spread = again.std(axis=1, ddof=1)
+
+    def fitted(first: int, values: np.ndarray) -> tuple[Any, float, float]:
+        """Skewness, probability of a misfit as large, and A, for cumulants (sizes, ..., 2)."""
+        lines = [line_through(growth[first:, k], spread[first:, k], values[first:, ..., k]) for k in range(2)]
+        (variance, third), goodness = (line[0][1] for line in lines), min(line[1] for line in lines)
+        return third / variance**1.5, goodness, variance
+
+    fits = [fitted(first, found) for first in range(max(1, len(sizes) - LEAST_SIZES + 1))]
+    chosen = first_that_fits([fit[1] for fit in fits])
+    value, goodness, amplitude = fits[chosen]
+    error = float(fitted(chosen, again)[0].std(ddof=1))
+    beyond = max(abs(fit[0] - value) for fit in fits[chosen : chosen + 3])
+    told = {int(L): float(fit[0]) for L, fit in zip(sizes, fits, strict=False)}
+    return Law(float(value), error, float(beyond), int(sizes[chosen]), told, goodness, float(amplitude))
+
+
+def _cumulants(values: np.ndarray) -> tuple[float, float]:
+    """The second and the third."""
+    apart = values - values.mean()
+    return float((apart**2).mean()), float((apart**3).mean())

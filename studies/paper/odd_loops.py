@@ -32,11 +32,11 @@ from .samples import Found, Table, drawn
 
 FRICTION = (0.1, 1.0)  # uniform, the paper's
 BLOCK = 5  # samples that are drawn together
-OF_DISCS = {16: 50.0, 32: 50.0, 64: 10.0, 128: 2.0, 256: 0.5, 512: 0.025, 1000: 0.025}
+OF_DISCS = {16: 50.0, 32: 50.0, 64: 10.0, 128: 2.0, 256: 0.5, 512: 0.1, 1000: 0.025}
 SIZES = {  # L -> of the samples; those that get less than a block are left out
     "square": OF_DISCS,
     "triangular": OF_DISCS,
-    "cubic": {4: 1.0, 6: 1.0, 8: 0.5, 12: 0.05},
+    "cubic": {4: 2.0, 6: 2.0, 8: 2.0, 12: 0.75, 16: 0.2, 24: 0.025},
 }
 QUICK_SIZES = {"square": {8: 1.0, 16: 1.0}, "triangular": {8: 1.0, 16: 1.0}, "cubic": {4: 0.5, 5: 0.5}}
 NUMBERS, QUICK_NUMBERS = (0, 1, 2, 4, 8, 16, 32, 64), (0, 2, 8, 32)  # of odd contacts

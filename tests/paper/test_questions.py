@@ -9,7 +9,7 @@ from scipy import sparse, stats
 from scipy.optimize import linprog
 from taichi_bearings_studies.paper import exponents, fits, odd_loops, reproduce, samples, surfaces, sweeps
 from taichi_bearings_studies.paper.claims import Effort
-from taichi_bearings_studies.paper.fits import collapse, exponent, skewness
+from taichi_bearings_studies.paper.fits import collapse, exponent, growing_skewness, skewness
 
 import taichi_bearings as tb
 from taichi_bearings.numerics.planar import minimum_cuts
@@ -126,8 +126,25 @@ def test_skewness_and_its_error():
     assert skewness(normal)[1] == pytest.approx((6 / 5000) ** 0.5, rel=0.2)
 
 
+def test_skewness_of_what_grows():
+    rng = np.random.default_rng(5)
+    skewed = {L: (2 - rng.gamma(2.0, size=40_000)) / 2**0.5 for L in (8, 16, 32, 64, 128, 256)}  # of -2 / 2^(1/2)
+    weight = {L: 0.5 * L ** (1 / 3) * of + rng.gamma(1.0, size=of.shape) for L, of in skewed.items()}
+    found = growing_skewness(weight, 1 / 3)
+    assert abs(found.value + 2**0.5) < 3 * found.error < 0.2
+    assert found.amplitude == pytest.approx(0.25, rel=0.05)
+    assert skewness(weight[8])[0] > found.value + 0.3
+
+
+def test_curves_may_bend_between_their_points():
+    of = {L: {n: np.array([-0.001, 0.001]) + 1 / (1 + n / L) ** 2 for n in (1, 2, 4, 8, 16, 32, 64)} for L in (4, 6, 9)}
+    found = collapse(of)
+    assert abs(found.value - 1) < 0.05
+    assert found.misfit < 1.5
+
+
 def test_studies_in_a_small_form(tmp_path, monkeypatch):
-    monkeypatch.setattr(exponents, "QUICK_SIZES", (4, 6, 8))
+    monkeypatch.setattr(exponents, "QUICK_SIZES", dict.fromkeys((4, 6, 8), 100))
     monkeypatch.setattr(exponents, "QUICK_TALL", (8, 16))
     monkeypatch.setattr(exponents, "QUICK_LONG", 6)
     few = {"square": {6: 3.0, 8: 3.0}, "triangular": {6: 3.0, 8: 3.0}, "cubic": {3: 2.5, 4: 2.5}}
@@ -143,7 +160,7 @@ def test_studies_in_a_small_form(tmp_path, monkeypatch):
     asked = ("exponents", "surfaces", "odd-loops")
     (out := tmp_path / "out").mkdir()
     claims = [c for name in asked for c in reproduce.FIGURES[name].reproduce(out, effort)]
-    assert len(claims) == 5 + 7 + 5
+    assert len(claims) == 6 + 7 + 5
     assert {claim.verdict for claim in claims} >= {"too few samples"}
     written = {f"{name}.{ending}" for name in asked for ending in ("csv", "pdf", "png")}
     assert {path.name for path in out.iterdir()} == written | {"surfaces-minima.csv"}
