@@ -30,7 +30,8 @@ class Fitted:
     """A number that is fitted from a smallest size on, with its errors.
 
     error : from the disorder. systematic : how much the value changes, at most, where the next size, or the next two,
-    are left out. smallest : size from which on it is fitted. fits : smallest size -> value.
+    are left out, or the last one that is left out is not. smallest : size from which on it is fitted. fits : smallest
+    size -> value.
     """
 
     value: float
@@ -107,7 +108,7 @@ def exponent(
     smallest, value, error, goodness = fits[chosen]
     rows = _rows(sizes[chosen:], spread[chosen:], offset, np.array([value]))[0]
     amplitude, constant = np.append(np.linalg.lstsq(rows, (variance / spread)[chosen:], rcond=None)[0], 0.0)[:2]
-    beyond = max(abs(fit[1] - value) for fit in fits[chosen : chosen + 3])
+    beyond = max(abs(fit[1] - value) for fit in fits[max(chosen - 1, 0) : chosen + 3])
     told, errors = {fit[0]: fit[1] for fit in fits}, [fit[2] for fit in fits]
     return Exponent(value, error, beyond, smallest, told, goodness, float(amplitude), float(constant), errors)
 
@@ -142,7 +143,7 @@ def _grown(sizes: np.ndarray, spread: np.ndarray, offset: bool, columns: np.ndar
 class Limit(Law):
     """Of a mean: q(L) = value + amplitude L^-w, w = STATED.
 
-    systematic : also where the last size that is left out is not, or with w of OTHERS. sizes : number of those fitted.
+    systematic : also with w of OTHERS. sizes : number of those fitted.
     """
 
     sizes: int
@@ -175,8 +176,7 @@ def limit(samples: Mapping[int, np.ndarray]) -> Limit | None:
 @dataclass(frozen=True)
 class Collapse(Fitted):
     """Of the exponent a at which curves against n / L^a lie closest together, from the smallest size on from which they
-    lie together. systematic : also where the last size that is left out is not. misfit : chi^2 a degree of freedom.
-    fits : smallest size -> value, error and misfit."""
+    lie together. misfit : chi^2 a degree of freedom. fits : smallest size -> value, error and misfit."""
 
     misfit: float
 
@@ -249,7 +249,7 @@ def growing_skewness(samples: Mapping[int, np.ndarray], theta: float) -> Law:
     chosen = first_that_fits([fit[1] for fit in fits])
     value, goodness, amplitude = fits[chosen]
     error = float(fitted(chosen, again)[0].std(ddof=1))
-    beyond = max(abs(fit[0] - value) for fit in fits[chosen : chosen + 3])
+    beyond = max(abs(fit[0] - value) for fit in fits[max(chosen - 1, 0) : chosen + 3])
     told = {int(L): float(fit[0]) for L, fit in zip(sizes, fits, strict=False)}
     return Law(float(value), error, float(beyond), int(sizes[chosen]), told, goodness, float(amplitude))
 

@@ -4,12 +4,16 @@ honeycombs, of which discs in the hexagons make triangular lattices: such with v
 Around a loop of an odd number of discs neighbours cannot all turn in opposite ways, so there discs rest, or contacts
 slip. Without such loops, the bottom at rest, half of the discs roll with the top on average. A contact across a
 diagonal inside the part that rolls slips by twice the speed of the others, so it costs about twice a mean friction, a
-disc in a hexagon six times that, and the interface moves out of their way. How far depends on the landscape of
-interfaces: the least powers of those at different heights differ by about L^(1/3). If that rules, n odd contacts act
-alike at equal n / L^(1/3), and in large samples a vanishing density stops the bearing. Every sample is solved exactly,
-by cuts of the double cover. Contacts across the squares of cubic lattices of spheres are put beside: proven minima.
+disc in a hexagon six times that, and the interface moves out of their way. Below the top it encloses s n of them, s the
+share that rolls. It wanders by L^(2/3), and interfaces further apart than that differ by about L^(1/3) in power, so few
+odd contacts leave s ~ L^(1/3) / n. If s L is below L^(2/3), the interface is confined between the top and the odd
+contacts: in each of L / (s L)^(3/2) stretches of a length (s L)^(3/2) it loses (s L)^(1/2), so 1 / s in all, and s n +
+c / s is least at s = (c / n)^(1/2), whatever the size. Both together: s n^(1/2) is a function of n / L^(2/3), constant
+where that is large. In any case a vanishing density stops large bearings. Every sample is solved exactly, by cuts of
+the double cover. Contacts across the squares of cubic lattices of spheres are put beside: proven minima.
 """
 
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -18,6 +22,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.spatial import cKDTree
 
+from taichi_bearings.errors import InputError
 from taichi_bearings.numerics.double_double import exactly
 from taichi_bearings.packing import Packing
 from taichi_bearings.packing.answer import solve_packing, spins_of
@@ -27,7 +32,7 @@ from taichi_bearings.plots.style import BLUE, GREY, in_our_style, new_figure, sh
 
 from .claims import Effort
 from .drawing import draw_means, name_sizes
-from .fits import collapse
+from .fits import Collapse, collapse, line_through
 from .samples import Found, Table, drawn
 
 FRICTION = (0.1, 1.0)  # uniform, the paper's
@@ -36,13 +41,18 @@ OF_DISCS = {16: 50.0, 32: 50.0, 64: 10.0, 128: 2.0, 256: 0.5, 512: 0.1, 1000: 0.
 SIZES = {  # L -> of the samples; those that get less than a block are left out
     "square": OF_DISCS,
     "triangular": OF_DISCS,
-    "cubic": {4: 2.0, 6: 2.0, 8: 2.0, 12: 0.75, 16: 0.2, 24: 0.025},
+    "cubic": {4: 2.0, 6: 2.0, 8: 2.0, 12: 0.5, 16: 0.2},
 }
-QUICK_SIZES = {"square": {8: 1.0, 16: 1.0}, "triangular": {8: 1.0, 16: 1.0}, "cubic": {4: 0.5, 5: 0.5}}
-NUMBERS, QUICK_NUMBERS = (0, 1, 2, 4, 8, 16, 32, 64), (0, 2, 8, 32)  # of odd contacts
+QUICK_OF_DISCS = {8: 5.0, 16: 5.0, 32: 2.5}
+QUICK_SIZES = {"square": QUICK_OF_DISCS, "triangular": QUICK_OF_DISCS, "cubic": {4: 0.5, 5: 0.5}}
+NUMBERS, QUICK_NUMBERS = (0, 1, 2, 4, 8, 16, 32, 64, 128, 256), (0, 2, 8, 32)  # of odd contacts
+DENSEST = 0.5  # share of the places that they take at most
 BOTTOMS = (0.0, 0.25, 0.5, 1.0)  # omega_B / omega_T
-TURNED, OF_TURNED = 16, 4.0  # L of the lattices of discs in which the bottom turns, and how many of the samples
+TURNED, OF_TURNED = 32, 4.0  # L of the lattices of discs in which the bottom turns, and how many of the samples
 LANDSCAPE = {"square": 1 / 3, "triangular": 1 / 3, "cubic": 0.84}  # a of n / L^a, if that of interfaces rules
+WANDERING = 2 / 3  # a of n / L^a, of s n^(1/2)
+FEWEST_LAYERS, LARGEST_SHARE = 2, 0.25  # of discs that roll, of an interface that neither top nor bottom holds
+CROWDED = 2.0  # n / L^WANDERING beyond which the interface is confined
 DIMENSION = {"square": 2, "triangular": 2, "cubic": 3}  # the same, if the density rules
 SURE = 1e-6  # relative gap of minima of spheres, and spin of those at rest over that of the top
 
@@ -53,6 +63,8 @@ def network(lattice: str, size: int, odd: int, bottom: float, seed: int) -> Pack
     honeycomb the disc that a triangular lattice has there."""
     rng = np.random.default_rng([seed, size, odd])
     bare, holes, tree, reach = _without_odd_loops(lattice, size, bottom)
+    if odd > DENSEST * len(holes):
+        raise InputError(f"odd is {odd}; allowed are at most {DENSEST:.0%} of the {len(holes)} places")
     hole = rng.permutation(holes)[:odd]
     around = np.array([sorted(discs) for discs in tree.query_ball_point(hole, reach)], dtype=int)
     if lattice != "triangular":
@@ -111,6 +123,45 @@ def draw(lattice: str, size: int, odd: int, bottom: float, samples: int, seed: i
     return found
 
 
+def dilute(lattice: str, size: int, numbers: Sequence[int]) -> list[int]:
+    """Of these numbers those of which there is room for twice as many."""
+    return [n for n in numbers if n <= DENSEST * len(_without_odd_loops(lattice, size, 0.0)[1])]
+
+
+Curves = Mapping[int, Mapping[int, np.ndarray]]  # L -> n -> shares that roll
+
+
+def held_by_nothing_else(curves: Curves) -> dict[int, dict[int, np.ndarray]]:
+    """Of odd contacts, those whose interface is neither within FEWEST_LAYERS of the top nor beside the bottom."""
+    return {
+        L: {n: of for n, of in by.items() if n and FEWEST_LAYERS / L < of.mean() < LARGEST_SHARE}
+        for L, by in curves.items()
+    }
+
+
+def confined(curves: Curves) -> Collapse | None:
+    """Of s n^(1/2) against n / L^a; None where too few sizes have three numbers of odd contacts."""
+    told = {
+        L: {n: of * n**0.5 for n, of in by.items()} for L, by in held_by_nothing_else(curves).items() if len(by) > 2
+    }
+    return collapse(told) if len(told) > 1 else None
+
+
+def crowded(curves: Curves) -> dict[str, Any] | None:
+    """Of all sizes together: s = c n^-x, where the interface is confined between the top and odd contacts; x, its
+    error, the probability of such a misfit and the number of points. None for fewer than three."""
+    told = held_by_nothing_else(curves)
+    points = [(n, of) for L, by in told.items() for n, of in by.items() if n > CROWDED * L**WANDERING]
+    if len(points) < 3 or len({n for n, _ in points}) < 2:
+        return None
+    x, mean = np.log([n for n, _ in points]), np.array([of.mean() for _, of in points])
+    spread = np.array([of.std(ddof=1) / len(of) ** 0.5 for _, of in points]) / mean
+    (_, slope), goodness = line_through(x, spread, np.log(mean))
+    weight = spread**-2.0
+    error = (weight * (x - np.average(x, weights=weight)) ** 2).sum() ** -0.5
+    return {"value": -float(slope), "error": float(error), "goodness": goodness, "points": len(points)}
+
+
 def study(folder: Path, effort: Effort) -> Found:
     """Bearings by lattice, size, number of odd contacts or discs, and spin of the bottom."""
     shares, numbers = (QUICK_SIZES, QUICK_NUMBERS) if effort.quick else (SIZES, NUMBERS)
@@ -118,10 +169,13 @@ def study(folder: Path, effort: Effort) -> Found:
         lattice: [size for size, part in of.items() if part * effort.samples >= BLOCK] for lattice, of in shares.items()
     }
     turned, discs = max(sizes["square"]) if effort.quick else TURNED, ("square", "triangular")
-    points = [(lattice, size, odd, 0.0) for lattice in sizes for size in sizes[lattice] for odd in numbers]
+    points = [(lattice, L, n, 0.0) for lattice, of in sizes.items() for L in of for n in dilute(lattice, L, numbers)]
     wanted = {point: round(effort.samples * shares[point[0]][point[1]]) for point in points}
-    points = [(lattice, turned, odd, bottom) for lattice in discs for bottom in BOTTOMS[1:] for odd in numbers]
-    wanted |= dict.fromkeys(points, round(effort.samples * OF_TURNED))
+    turning = [
+        (lattice, turned, n, bottom)
+        for lattice in discs for bottom in BOTTOMS[1:] for n in dilute(lattice, turned, numbers)
+    ]  # fmt: skip
+    wanted |= dict.fromkeys(turning, round(effort.samples * OF_TURNED))
     found = drawn(draw, wanted, BLOCK, effort.seed, folder / "odd-loops.jsonl")
     rows = []
     for (lattice, size, odd, bottom), of in found.items():
@@ -129,16 +183,15 @@ def study(folder: Path, effort: Effort) -> Found:
         for name, values in of.items():
             row |= {name: values.mean(), f"{name}_error": values.std(ddof=1) / len(values) ** 0.5}
         rows.append(row)
-    rolling = {
-        lattice: {size: {odd: found[lattice, size, odd, 0.0]["rolling"] for odd in numbers} for size in sizes[lattice]}
-        for lattice in sizes
-    }
+    rolling: dict[str, Any] = {lattice: {L: {} for L in of} for lattice, of in sizes.items()}
+    for lattice, L, n, _ in points:
+        rolling[lattice][L][n] = found[lattice, L, n, 0.0]["rolling"]
+    most = min(max(rolling[lattice][turned]) for lattice in discs)
     resting = {
-        lattice: {bottom: found[lattice, turned, max(numbers), bottom]["resting"] for bottom in BOTTOMS}
-        for lattice in discs
+        lattice: {bottom: found[lattice, turned, most, bottom]["resting"] for bottom in BOTTOMS} for lattice in discs
     }
     ruled = {
-        lattice: collapse({size: {odd: values for odd, values in of.items() if odd} for size, of in curves.items()})
+        lattice: collapse({L: {odd: values for odd, values in of.items() if odd} for L, of in curves.items()})
         for lattice, curves in rolling.items()
     }
     count = {lattice: sum(n for point, n in wanted.items() if point[0] == lattice) for lattice in sizes}
@@ -146,7 +199,10 @@ def study(folder: Path, effort: Effort) -> Found:
         "drawn_samples": count,
         "rolling": {f"{lattice} {size}": of for lattice in discs for size, of in rolling[lattice].items()},
         "courses": rolling, "rest": resting, "ruled": ruled, "few": min(odd for odd in numbers if odd >= 8),
-        "most_odd": max(numbers), "size": turned, "landscape": LANDSCAPE, "dimension": DIMENSION,
+        "most_odd": most, "size": turned, "landscape": LANDSCAPE, "dimension": DIMENSION,
+        "wandering": WANDERING, "layers": FEWEST_LAYERS, "largest_share": LARGEST_SHARE, "beyond": CROWDED,
+        "confined": {lattice: confined(rolling[lattice]) for lattice in discs},
+        "crowded": {lattice: crowded(rolling[lattice]) for lattice in discs},
     }  # fmt: skip
     return Found({".csv": Table.of(rows)}, draw_odd_loops, named)
 

@@ -39,7 +39,7 @@ SIZES = {  # lowest friction -> L of cuts -> of the samples
     0.3: {8: 2.0, 16: 2.0, 32: 1.0},
 }
 QUICK_SIZES = {0.0: {6: 10.0, 8: 10.0, 12: 10.0, 16: 10.0, 24: 5.0}, 0.1: {8: 5.0, 16: 5.0}, 0.3: {8: 5.0, 16: 5.0}}
-SCANS = {"surfaces": 8, "surfaces-large": 8}  # of minima -> largest side in the quick form
+SCANS = {"surfaces": 8, "surfaces-large": 8, "surfaces-largest": 8}  # of minima -> largest side in the quick form
 
 
 def cuts(length: int, lowest: float, samples: int, seed: int) -> dict[str, Any]:

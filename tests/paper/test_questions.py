@@ -12,6 +12,7 @@ from taichi_bearings_studies.paper.claims import Effort
 from taichi_bearings_studies.paper.fits import collapse, exponent, growing_skewness, skewness
 
 import taichi_bearings as tb
+from taichi_bearings.errors import InputError
 from taichi_bearings.numerics.planar import minimum_cuts
 from taichi_bearings.runs.run import build_scene
 from taichi_bearings.runs.settings import RunSettings
@@ -87,6 +88,35 @@ def test_minima_with_odd_contacts(lattice, odd, bottom):
     assert found["power_over_rest"][0] == pytest.approx(least.fun / (friction @ np.abs(known)), rel=1e-9)
 
 
+def test_no_more_odd_contacts_than_half_of_the_places():
+    assert odd_loops.dilute("square", 4, (0, 2, 4, 8)) == [0, 2, 4]  # of nine squares
+    with pytest.raises(InputError, match="odd is 5; allowed are at most 50% of the 9 places"):
+        odd_loops.network("square", 4, 5, 0.0, 0)
+
+
+def test_the_law_of_confined_interfaces_is_found():
+    rng = np.random.default_rng(6)
+    shares = {
+        L: {
+            n: 0.3 * n**-0.5 * (1 + (n / L ** (2 / 3)) ** -3) ** (1 / 6) * rng.gamma(2, 0.5, 400)
+            for n in odd_loops.NUMBERS[1:]
+        }
+        for L in (64, 128, 256, 512)
+    }
+    told = odd_loops.held_by_nothing_else(shares)
+    assert all(2 / L < of.mean() < 0.25 for L, by in told.items() for of in by.values())
+    assert 256 not in told[64]
+    found = odd_loops.confined(shares)
+    assert abs(found.value - 2 / 3) < 3 * found.error < 0.3
+    assert found.misfit < 1.5
+    many = odd_loops.crowded(shares)
+    assert abs(many["value"] - 0.5) < 3 * many["error"] < 0.1
+    assert many["goodness"] > 0.01
+    assert odd_loops.crowded({64: {8: shares[64][8]}}) is None
+    grown = {L: {n: of * (L / 64) ** 0.5 for n, of in by.items()} for L, by in shares.items()}
+    assert odd_loops.crowded(grown)["goodness"] < 1e-6
+
+
 @pytest.mark.parametrize("offset", [0.0, 2.0])
 def test_an_exponent_is_found_with_its_error(offset):
     rng = np.random.default_rng(0)
@@ -147,11 +177,12 @@ def test_studies_in_a_small_form(tmp_path, monkeypatch):
     monkeypatch.setattr(exponents, "QUICK_SIZES", dict.fromkeys((4, 6, 8), 100))
     monkeypatch.setattr(exponents, "QUICK_TALL", (8, 16))
     monkeypatch.setattr(exponents, "QUICK_LONG", 6)
-    few = {"square": {6: 3.0, 8: 3.0}, "triangular": {6: 3.0, 8: 3.0}, "cubic": {3: 2.5, 4: 2.5}}
+    few = {"square": {8: 3.0, 10: 3.0}, "triangular": {8: 3.0, 10: 3.0}, "cubic": {3: 2.5, 4: 2.5}}
     monkeypatch.setattr(odd_loops, "QUICK_SIZES", few)
     monkeypatch.setattr(odd_loops, "QUICK_NUMBERS", (0, 2, 8))
     monkeypatch.setattr(surfaces, "QUICK_SIZES", {lowest: {4: 1.0, 6: 1.0} for lowest in (0.0, 0.1, 0.3)})
-    for name, shapes in (("surfaces", "[[3, 3, 3], [4, 4, 4]]"), ("surfaces-large", "[[3, 3, 4]]")):
+    scans = {"surfaces": "[[3, 3, 3], [4, 4, 4]]", "surfaces-large": "[[3, 3, 4]]", "surfaces-largest": "[[5, 5, 5]]"}
+    for name, shapes in scans.items():
         (tmp_path / f"{name}.toml").write_text(f"[scan]\nshape = {shapes}\nseed = {{ start = 0, stop = 400 }}\n")
     monkeypatch.setattr(samples, "SCANS", tmp_path)
     for name, few in (("RESAMPLES", 20), ("TRIALS", 16), ("COLLAPSES", 3)):
