@@ -8,6 +8,7 @@ and Henley, Phys. Rev. Lett. 54, 1985). With both ends held, -E follows the Trac
 lightest of many that are nearly independent, and extreme-value statistics take over: Gumbel, skewness -1.1395.
 """
 
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from taichi_bearings.plots.style import BLUE, GREY, ORANGE, in_our_style, new_fi
 
 from .claims import Effort
 from .drawing import draw_deviations, draw_growth, name_sizes
-from .fits import exponent, growing_skewness, skewness
+from .fits import exponent, growing_skewness, skewness, skewness_of_least
 from .samples import Found, Table, drawn
 from .sweeps import crossings
 
@@ -66,10 +67,13 @@ def study(folder: Path, effort: Effort) -> Found:
     held, free = (Table.of([row for row in rows if row["ends"] == kind]) for kind in ("held", "free"))
     weight, middle = ({p[1]: of[name] for p, of in found.items() if p[0] == "held"} for name in ("weight", "middle"))
     theta, zeta = exponent(weight), exponent(middle)
+    lightest = {
+        high: skewness_of_least(found["free", FREE, low]["weight"], high // low) for low, high in pairwise(tall)
+    }
     named = {
-        "theta": theta, "zeta": zeta, "grown": growing_skewness(weight, THETA), "held": held, "free": free,
-        "pinned": held[held.length >= long], "free_length": FREE, "law_of_tracy_and_widom": TRACY_WIDOM,
-        "law_of_gumbel": GUMBEL, "weight": weight, "middle": middle,
+        "theta": theta, "zeta": zeta, "grown": growing_skewness(weight, THETA), "lightest": lightest,
+        "held": held, "free": free, "pinned": held[held.length >= long], "free_length": FREE,
+        "law_of_tracy_and_widom": TRACY_WIDOM, "law_of_gumbel": GUMBEL, "weight": weight, "middle": middle,
     }  # fmt: skip
     return Found({".csv": Table.of(rows)}, draw_exponents, named)
 

@@ -258,3 +258,17 @@ def _cumulants(values: np.ndarray) -> tuple[float, float]:
     """The second and the third."""
     apart = values - values.mean()
     return float((apart**2).mean()), float((apart**3).mean())
+
+
+def skewness_of_least(values: np.ndarray, several: int) -> tuple[float, float]:
+    """Of the least of so many values that are drawn one by one, with its standard error from the disorder."""
+    count, rng = len(values), np.random.default_rng(0)
+    share = -np.diff((np.arange(count, -1, -1) / count) ** several)  # of the least, in the order of the values
+
+    def of(drawn: np.ndarray) -> float:
+        apart = np.sort(drawn)
+        apart -= share @ apart
+        return float(share @ apart**3 / (share @ apart**2) ** 1.5)
+
+    again = [of(rng.choice(values, count)) for _ in range(RESAMPLES)]
+    return of(np.array(values)), float(np.std(again, ddof=1))

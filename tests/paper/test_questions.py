@@ -9,7 +9,7 @@ from scipy import sparse, stats
 from scipy.optimize import linprog
 from taichi_bearings_studies.paper import exponents, fits, odd_loops, reproduce, samples, surfaces, sweeps
 from taichi_bearings_studies.paper.claims import Effort
-from taichi_bearings_studies.paper.fits import collapse, exponent, growing_skewness, skewness
+from taichi_bearings_studies.paper.fits import collapse, exponent, growing_skewness, skewness, skewness_of_least
 
 import taichi_bearings as tb
 from taichi_bearings.errors import InputError
@@ -166,6 +166,17 @@ def test_skewness_of_what_grows():
     assert skewness(weight[8])[0] > found.value + 0.3
 
 
+def test_skewness_of_the_least_of_several():
+    rng = np.random.default_rng(7)
+    value, error = skewness_of_least(rng.uniform(size=20_000), 4)  # of the beta distribution (1, 4)
+    assert abs(value - stats.beta(1, 4).stats("s")) < 3 * error < 0.1
+    few = rng.uniform(size=12)
+    all_pairs = [min(pair) for pair in itertools.product(few, repeat=2)]
+    assert skewness_of_least(few, 2)[0] == pytest.approx(stats.skew(all_pairs))
+    one = rng.gamma(2.0, size=1000)
+    assert skewness_of_least(one, 1)[0] == pytest.approx(stats.skew(one))
+
+
 def test_curves_may_bend_between_their_points():
     of = {L: {n: np.array([-0.001, 0.001]) + 1 / (1 + n / L) ** 2 for n in (1, 2, 4, 8, 16, 32, 64)} for L in (4, 6, 9)}
     found = collapse(of)
@@ -191,7 +202,7 @@ def test_studies_in_a_small_form(tmp_path, monkeypatch):
     asked = ("exponents", "surfaces", "odd-loops")
     (out := tmp_path / "out").mkdir()
     claims = [c for name in asked for c in reproduce.FIGURES[name].reproduce(out, effort)]
-    assert len(claims) == 6 + 7 + 5
+    assert len(claims) == 7 + 7 + 5
     assert {claim.verdict for claim in claims} >= {"too few samples"}
     written = {f"{name}.{ending}" for name in asked for ending in ("csv", "pdf", "png")}
     assert {path.name for path in out.iterdir()} == written | {"surfaces-minima.csv"}
