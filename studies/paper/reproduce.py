@@ -103,12 +103,12 @@ FIGURES = {
         PaperFigure("drivings", "Other imposed bearing states", "variants.drivings", (40, 20)),
         PaperFigure("parameters", "Stiffness K, damping A and normal force F_n", "parameters", (60, 50),
                     "The first seed; claims are about all samples."),
-        PaperFigure("exponents", "Minimum cuts of discs as directed polymers", "exponents", (900, 60), asked=True),
-        PaperFigure("surfaces", "Cut surfaces and minima of spheres, by size", "surfaces", (700, 60), "All samples.",
+        PaperFigure("exponents", "Minimum cuts of discs as directed polymers", "exponents", (1200, 25), asked=True),
+        PaperFigure("surfaces", "Cut surfaces and minima of spheres, by size", "surfaces", (1100, 60), "All samples.",
                     (".csv", "-minima.csv"), asked=True),
-        PaperFigure("odd-loops", "How many odd contacts stop a bearing of discs", "odd_loops", (5700, 60), asked=True),
-        PaperFigure("yield", "The torques that a bearing holds", "yield_surface", (1800, 60), asked=True),
-        PaperFigure("limits", "What of the picture survives in large samples", "limits", (3600, 120), "All samples.",
+        PaperFigure("odd-loops", "How many odd contacts stop a bearing of discs", "odd_loops", (4500, 20), asked=True),
+        PaperFigure("yield", "The torques that a bearing holds", "yield_surface", (700, 60), asked=True),
+        PaperFigure("limits", "What of the picture survives in large samples", "limits", (2600, 120), "All samples.",
                     (".csv", "-limits.csv"), asked=True),
     )
 }  # fmt: skip

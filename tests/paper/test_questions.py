@@ -1,6 +1,7 @@
 """Questions beyond the paper: samples against truths of other codes, fits against laws that are known."""
 
 import itertools
+from collections import Counter
 
 import networkx
 import numpy as np
@@ -217,6 +218,14 @@ def test_distances_are_those_of_other_codes():
     crossed = np.diff(cuts.above[:, 4], axis=1) != 0
     assert (crossed.sum(axis=1) > 1).any()
     assert crossed[np.arange(200), paths.argmin(axis=1)].all()
+
+
+def test_minima_of_surfaces_are_samples_of_scans():
+    full = Counter(settings.shape for settings in samples.planned(surfaces.SCANS, Effort()))
+    cubes = {(L, L, L): 600 for L in (4, 6, 8, 10, 12)}
+    assert full == cubes | {(16, 16, 16): 200, (8, 8, 16): 200, (8, 8, 32): 200, (24, 24, 24): 100}
+    quick = Counter(settings.shape for settings in samples.planned(surfaces.SCANS, Effort(samples=20, quick=True)))
+    assert quick == {(L, L, L): 60 for L in (4, 6, 8)} | {(8, 8, 16): 20, (8, 8, 32): 20}
 
 
 def test_held_surfaces_are_lightest_cuts_through_one_contact(monkeypatch):
