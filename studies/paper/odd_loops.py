@@ -209,27 +209,31 @@ def study(folder: Path, effort: Effort) -> Found:
 
 @in_our_style
 def draw_odd_loops(of: Any) -> Figure:
-    """A row a lattice: (a) share of the discs that roll with the top against the number n of odd contacts, (b) against
-    n / L^a, with the exponent a at which three or more sizes lie closest together, from the smallest on from which they
-    do; (c) share of the discs that rest, against the bottom's speed, with as many odd contacts as in (a) at most."""
+    """A row a lattice: (a) share s of the discs that roll with the top against the number n of odd contacts; (b) of
+    discs s n^(1/2), where s tells, against n / L^(2/3), of spheres s against n / L^a, with the exponent a at which
+    three or more sizes lie closest together, from the smallest on from which they do; (c) share of the discs that rest,
+    against the bottom's speed, with as many odd contacts as in (a) at most."""
     figure = new_figure(7.1, 2.4 * len(of.courses))
     rows: Any = figure.subplots(len(of.courses), 3, squeeze=False)
     for panels, (lattice, curves) in zip(rows, of.courses.items(), strict=True):
         rule, first = of.ruled[lattice].value, of.ruled[lattice].smallest
+        are_discs, told = lattice in of.rest, held_by_nothing_else(curves)
         for (L, by), color in zip(curves.items(), shades(len(curves)), strict=True):
-            n = np.array([odd for odd in by if odd])
+            look = {"color": color, "label": f"L = {L}"}
+            with_odd = {n: shares for n, shares in by.items() if n}
             panels[0].axhline(by[0].mean(), color=color, lw=0.6, ls=":")
-            for axes, x in ((panels[0], n), (panels[1], n / L**rule))[: 1 + (len(curves) > 2 and first <= L)]:
-                draw_means(axes, {odd: by[odd] for odd in n}, x, color=color, label=f"L = {L}")
-        name_sizes(panels[0], n, "odd contacts n")
-        panels[0].set(ylabel="share of discs that roll", ylim=(0, 0.85))
+            draw_means(panels[0], with_odd, **look)
+            if are_discs and told[L]:
+                scaled = {n / L**WANDERING: shares * n**0.5 for n, shares in told[L].items()}
+                draw_means(panels[1], scaled, **look)
+            elif not are_discs and first <= L:
+                draw_means(panels[1], {n / L**rule: shares for n, shares in with_odd.items()}, **look)
+        name_sizes(panels[0], sorted({n for by in curves.values() for n in by if n}), "odd contacts n")
+        panels[0].set(ylabel="share s of discs that roll", ylim=(0, 0.85))
         panels[0].set_title(f"{lattice}; dotted: none")
         panels[0].legend(loc="upper right", ncols=2)
-        if len(curves) > 2:
-            panels[1].set(xscale="log", xlabel=f"$n / L^{{{rule:.2f}}}$", ylim=(0, None))
-            panels[1].set_title(f"together from {first} on")
-        else:
-            panels[1].set_axis_off()
+        panels[1].set(xscale="log", xlabel="$n / L^{2/3}$" if are_discs else f"$n / L^{{{rule:.2f}}}$", ylim=(0, None))
+        panels[1].set_title(r"$s\,n^{1/2}$, confined" if are_discs else f"together from {first} on")
         if lattice not in of.rest:
             panels[2].set_axis_off()
             continue
