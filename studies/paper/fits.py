@@ -14,7 +14,7 @@ from scipy.stats import chi2, skew
 RESAMPLES = 400
 EXPONENTS, TRIALS, COLLAPSES = (-0.5, 2.5), 151, 50  # of collapses: looked at, how finely, and resampled how often
 MOST_MISFIT = 1.5  # chi^2 a degree of freedom up to which curves lie together
-LEAST_SIZES, LEAST_CURVES = 5, 3  # that a fit and a collapse take
+LEAST_FREE, LEAST_CURVES = 2, 3  # degrees of freedom that a fit leaves, and curves that a collapse takes
 POSSIBLE = {True: (0.05, 1.5), False: (-1.0, 1.5)}  # exponents of standard deviations, with a constant and without
 FINELY = 500  # how many of them are tried
 VARIANCE = partial(np.var, ddof=1)  # unbiased
@@ -66,8 +66,8 @@ class Law(Fitted):
 @dataclass(frozen=True)
 class Exponent(Law):
     """Of a standard deviation that grows with the size L: sd^2 = amplitude L^(2 value) + offset, what single contacts
-    add. errors : of the value of each of `fits` from the disorder; where that is as large as the systematic one, both
-    are the same scatter."""
+    add, and perhaps further terms. errors : of the value of each of `fits` from the disorder; where that is as large as
+    the systematic one, both are the same scatter."""
 
     offset: float
     errors: list[float]
@@ -88,11 +88,12 @@ def line_through(x: np.ndarray, spread: np.ndarray, y: np.ndarray) -> tuple[np.n
 
 
 def exponent(
-    samples: Mapping[int, np.ndarray], square: Callable[[np.ndarray], Any] = VARIANCE, offset: bool = True
+    samples: Mapping[int, np.ndarray], square: Callable[[np.ndarray], Any] = VARIANCE, beside: Sequence[float] = (0.0,)
 ) -> Exponent:
     """Of the deviation of samples, size -> (samples, ...), from the smallest size on from which such a law fits.
 
-    square : of the samples of a size, what grows like A L^(2 value) + B. offset : whether there is a B.
+    square : of the samples of a size, what grows like A L^(2 value). beside : exponents of terms that are added to it,
+    that of the offset first.
     """
     rng, sizes = np.random.default_rng(0), np.array(sorted(samples))
     variance = np.array([square(samples[L]) for L in sizes])
@@ -100,17 +101,17 @@ def exponent(
     again = variance[:, None] + (again - variance[:, None]) * _unbiased(samples)[:, None]
     spread, fits = again.std(axis=1, ddof=1), []
     columns = np.concatenate([variance[:, None], again], axis=1)
-    for first in range(max(1, len(sizes) - LEAST_SIZES + 1 + (not offset))):
-        values, misfit = _grown(sizes[first:], spread[first:], offset, columns[first:])
-        goodness = float(chi2.sf(misfit, max(1, len(sizes) - first - 2 - offset)))
+    for first in range(max(1, len(sizes) - LEAST_FREE - 1 - len(beside))):
+        values, misfit = _grown(sizes[first:], spread[first:], beside, columns[first:])
+        goodness = float(chi2.sf(misfit, max(1, len(sizes) - first - 2 - len(beside))))
         fits.append((int(sizes[first]), float(values[0]), float(values[1:].std(ddof=1)), goodness))
     chosen = first_that_fits([fit[-1] for fit in fits])
     smallest, value, error, goodness = fits[chosen]
-    rows = _rows(sizes[chosen:], spread[chosen:], offset, np.array([value]))[0]
-    amplitude, constant = np.append(np.linalg.lstsq(rows, (variance / spread)[chosen:], rcond=None)[0], 0.0)[:2]
+    rows = _rows(sizes[chosen:], spread[chosen:], beside, np.array([value]))[0]
+    amplitude, offset = np.append(np.linalg.lstsq(rows, (variance / spread)[chosen:], rcond=None)[0], 0.0)[:2]
     beyond = max(abs(fit[1] - value) for fit in fits[max(chosen - 1, 0) : chosen + 3])
     told, errors = {fit[0]: fit[1] for fit in fits}, [fit[2] for fit in fits]
-    return Exponent(value, error, beyond, smallest, told, goodness, float(amplitude), float(constant), errors)
+    return Exponent(value, error, beyond, smallest, told, goodness, float(amplitude), float(offset), errors)
 
 
 def _unbiased(samples: Mapping[int, np.ndarray]) -> np.ndarray:
@@ -119,18 +120,20 @@ def _unbiased(samples: Mapping[int, np.ndarray]) -> np.ndarray:
     return np.sqrt(number / (number - 1))
 
 
-def _rows(sizes: np.ndarray, spread: np.ndarray, offset: bool, values: np.ndarray) -> np.ndarray:
-    """(T, sizes, 1 or 2): for each exponent what A and B are worth at each size, in errors."""
-    powers = sizes ** (2 * values[:, None])
-    return np.stack([powers, np.ones_like(powers)][: 1 + offset], axis=2) / spread[:, None]
+def _rows(sizes: np.ndarray, spread: np.ndarray, beside: Sequence[float], values: np.ndarray) -> np.ndarray:
+    """(T, sizes, terms): for each exponent what the terms are worth at each size, in errors."""
+    exponents = [2 * values, *(np.full_like(values, power) for power in beside)]
+    return sizes[:, None] ** np.stack(exponents, axis=1)[:, None] / spread[:, None]
 
 
-def _grown(sizes: np.ndarray, spread: np.ndarray, offset: bool, columns: np.ndarray) -> tuple[np.ndarray, float]:
+def _grown(
+    sizes: np.ndarray, spread: np.ndarray, beside: Sequence[float], columns: np.ndarray
+) -> tuple[np.ndarray, float]:
     """Exponents (R,) of least squares of several courses (sizes, R), and the least sum of the first: for each exponent
     a line in L^(2 value), between the best of which there is a parabola."""
-    trials = np.linspace(*POSSIBLE[offset], FINELY)
+    trials = np.linspace(*POSSIBLE[bool(beside)], FINELY)
     target, every = columns / spread[:, None], np.arange(columns.shape[1])
-    basis = np.linalg.qr(_rows(sizes, spread, offset, trials))[0]
+    basis = np.linalg.qr(_rows(sizes, spread, beside, trials))[0]
     misfit = (target**2).sum(axis=0) - ((basis.transpose(0, 2, 1) @ target) ** 2).sum(axis=1)
     at = np.clip(misfit.argmin(axis=0), 1, FINELY - 2)
     before, here, after = (misfit[at + step, every] for step in (-1, 0, 1))
@@ -245,7 +248,7 @@ def growing_skewness(samples: Mapping[int, np.ndarray], theta: float) -> Law:
         (variance, third), goodness = (line[0][1] for line in lines), min(line[1] for line in lines)
         return third / variance**1.5, goodness, variance
 
-    fits = [fitted(first, found) for first in range(max(1, len(sizes) - LEAST_SIZES + 1))]
+    fits = [fitted(first, found) for first in range(max(1, len(sizes) - LEAST_FREE - 1))]
     chosen = first_that_fits([fit[1] for fit in fits])
     value, goodness, amplitude = fits[chosen]
     error = float(fitted(chosen, again)[0].std(ddof=1))

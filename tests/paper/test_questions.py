@@ -127,6 +127,16 @@ def test_an_exponent_is_found_with_its_error(offset):
     assert found.smallest == 8
 
 
+def test_a_further_term_is_told_apart():
+    rng = np.random.default_rng(8)
+    sizes = (8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256)
+    samples = {L: (L**0.8 - 4 * L**-0.4 + 2) ** 0.5 * rng.normal(size=40_000) for L in sizes}
+    plain, found = exponent(samples), exponent(samples, beside=(0.0, -0.4))
+    assert plain.smallest > found.smallest == 8
+    assert abs(found.value - 0.4) < 3 * found.error < 0.05
+    assert found.amplitude == pytest.approx(1, abs=0.3)
+
+
 def test_small_sizes_that_do_not_fit_are_left_out():
     rng = np.random.default_rng(1)
     samples = {L: L**0.4 * (1 + 40 / L**2) * rng.normal(size=4000) for L in (4, 8, 16, 32, 64, 128, 256, 512)}
@@ -203,7 +213,7 @@ def test_studies_in_a_small_form(tmp_path, monkeypatch):
     asked = ("exponents", "surfaces", "odd-loops")
     (out := tmp_path / "out").mkdir()
     claims = [c for name in asked for c in reproduce.FIGURES[name].reproduce(out, effort)]
-    assert len(claims) == 7 + 7 + 5
+    assert len(claims) == 8 + 7 + 5
     assert {claim.verdict for claim in claims} >= {"too few samples"}
     written = {f"{name}.{ending}" for name in asked for ending in ("csv", "pdf", "png")}
     assert {path.name for path in out.iterdir()} == written | {"surfaces-minima.csv"}
@@ -265,6 +275,6 @@ def test_a_power_law_without_a_constant():
         L: np.stack([L**-0.3 * (x := rng.normal(size=2000)), x + 0.3 * rng.normal(size=2000)], axis=1)
         for L in (4, 6, 8, 12, 16)
     }
-    found = exponent(sides, lambda pairs: pairs[:, 0].var() / pairs[:, 1].var(), offset=False)
+    found = exponent(sides, lambda pairs: pairs[:, 0].var() / pairs[:, 1].var(), beside=())
     assert abs(found.value + 0.3) < 3 * found.error < 0.1
     assert found.offset == 0
