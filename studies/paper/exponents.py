@@ -33,7 +33,7 @@ SIZES = dict.fromkeys((8, 12, 16, 24, 32, 48, 64), 500) | {  # length of held cu
 }  # fmt: skip
 QUICK_SIZES = dict.fromkeys((8, 12, 16, 24, 32, 48), 500)
 TALL, QUICK_TALL = (16, 64, 256, 1024), (16, 64, 256)  # heights of free scenes of length FREE
-FREE, OF_FREE = 16, 100  # the latter for each of the effort's samples
+FREE, OF_FREE = 16, 500  # the latter for each of the effort's samples
 LONG, QUICK_LONG = 96, 32  # length of cuts whose weights are compared with the law of Tracy and Widom
 TRACY_WIDOM, GUMBEL = -0.2241, -1.1395  # skewness of E
 THETA = 1 / 3
@@ -92,12 +92,13 @@ def draw_exponents(of: Any) -> Figure:
     fitted laws; (b) skewness of the weight, held ends against the length and free ends against the height."""
     figure = new_figure(7.1, 2.8)
     left, right = figure.subplots(1, 2)
-    for found, fit, color, text in (
-        (of.weight, of.theta, BLUE, r"weight, $\theta$"),
-        (of.middle, of.zeta, ORANGE, r"middle, $\zeta$"),
+    further = f",\nwith the next term {of.further.value:.3f} ± {of.further.total:.3f}"
+    for found, fit, color, text, more in (
+        (of.weight, of.theta, BLUE, r"weight, $\theta$", further),
+        (of.middle, of.zeta, ORANGE, r"middle, $\zeta$", ""),
     ):
         draw_deviations(left, found, color=color)
-        draw_growth(left, found, fit, color, f"{text} = {fit.value:.3f} ± {fit.total:.3f}")
+        draw_growth(left, found, fit, color, f"{text} = {fit.value:.3f} ± {fit.total:.3f}{more}")
     left.set(yscale="log", ylabel="standard deviation")
     name_sizes(left, list(of.weight)[:: max(1, len(of.weight) // 5)], "length of the cut, discs")
     left.set_title("(a) held ends")
@@ -110,7 +111,7 @@ def draw_exponents(of: Any) -> Figure:
     for value, text in ((TRACY_WIDOM, "Tracy–Widom"), (GUMBEL, "Gumbel")):
         right.axhline(value, color=GREY, lw=0.8)
         right.annotate(
-            text, (1.0, value), xycoords=("axes fraction", "data"), ha="right", va="bottom", color=GREY, fontsize=7
+            text, (1.0, value), xycoords=("axes fraction", "data"), ha="right", va="top", color=GREY, fontsize=7
         )
     right.set(xscale="log", xlabel="length or height, discs", ylabel="skewness of the weight")
     right.set_title("(b) distribution of the weight")
