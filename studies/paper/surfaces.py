@@ -33,7 +33,7 @@ HEIGHT = 3.0  # of lattices that are cut, over L^ROUGHNESS: beyond what held cut
 PAPER_LOWEST = 0.1  # the paper's friction is uniform in [0.1, 1]
 BLOCK = 10  # cuts that are drawn together
 SIZES = {  # lowest friction -> L of cuts -> of the samples
-    0.0: {8: 20.0, 12: 20.0, 16: 20.0, 24: 10.0, 32: 6.0, 48: 2.5, 64: 1.0, 96: 0.25},
+    0.0: {8: 40.0, 12: 40.0, 16: 40.0, 24: 40.0, 32: 20.0, 48: 10.0, 64: 4.0, 96: 1.0},
     0.1: {8: 2.0, 16: 2.0, 32: 1.0, 64: 0.25},
     0.2: {8: 2.0, 16: 2.0, 32: 1.0},
     0.3: {8: 2.0, 16: 2.0, 32: 1.0},
