@@ -184,7 +184,7 @@ class Collapse(Fitted):
     misfit: float
 
 
-def collapse(curves: dict[int, dict[int, np.ndarray]]) -> Collapse:
+def collapse(curves: Mapping[int, Mapping[int, np.ndarray]]) -> Collapse:
     """Of the means of samples, L -> n -> (samples,), as functions of log n, cubic between its points."""
     rng, sizes = np.random.default_rng(0), sorted(curves)
 

@@ -44,7 +44,7 @@ SIZES = {  # L -> of the samples; those that get less than a block are left out
     "cubic": {4: 2.0, 6: 2.0, 8: 2.0, 12: 0.5, 16: 0.2},
 }
 QUICK_OF_DISCS = {8: 5.0, 16: 5.0, 32: 2.5}
-QUICK_SIZES = {"square": QUICK_OF_DISCS, "triangular": QUICK_OF_DISCS, "cubic": {4: 0.5, 5: 0.5}}
+QUICK_SIZES = {"square": QUICK_OF_DISCS, "triangular": QUICK_OF_DISCS, "cubic": {4: 1.0, 5: 1.0}}
 NUMBERS, QUICK_NUMBERS = (0, 1, 2, 4, 8, 16, 32, 64, 128, 256), (0, 2, 8, 32)  # of odd contacts
 DENSEST = 0.5  # share of the places that they take at most
 BOTTOMS = (0.0, 0.25, 0.5, 1.0)  # omega_B / omega_T
@@ -52,6 +52,7 @@ TURNED, OF_TURNED = 32, 4.0  # L of the lattices of discs in which the bottom tu
 LANDSCAPE = {"square": 1 / 3, "triangular": 1 / 3, "cubic": 0.84}  # a of n / L^a, if that of interfaces rules
 WANDERING = 2 / 3  # a of n / L^a, of s n^(1/2)
 FEWEST_LAYERS, LARGEST_SHARE = 2, 0.25  # of discs that roll, of an interface that neither top nor bottom holds
+ENOUGH = 20  # samples of a size that enters a fit: the scatter of five tells no error
 CROWDED = 2.0  # n / L^WANDERING beyond which the interface is confined
 DIMENSION = {"square": 2, "triangular": 2, "cubic": 3}  # the same, if the density rules
 SURE = 1e-6  # relative gap of minima of spheres, and spin of those at rest over that of the top
@@ -131,6 +132,12 @@ def dilute(lattice: str, size: int, numbers: Sequence[int]) -> list[int]:
 Curves = Mapping[int, Mapping[int, np.ndarray]]  # L -> n -> shares that roll
 
 
+def well_known(curves: Curves) -> dict[int, Mapping[int, np.ndarray]]:
+    """Those with ENOUGH samples, without the share of no odd contact."""
+    with_odd = {L: {n: of for n, of in by.items() if n} for L, by in curves.items()}
+    return {L: by for L, by in with_odd.items() if min(map(len, by.values()), default=0) >= ENOUGH}
+
+
 def held_by_nothing_else(curves: Curves) -> dict[int, dict[int, np.ndarray]]:
     """Of odd contacts, those whose interface is neither within FEWEST_LAYERS of the top nor beside the bottom."""
     return {
@@ -141,16 +148,15 @@ def held_by_nothing_else(curves: Curves) -> dict[int, dict[int, np.ndarray]]:
 
 def confined(curves: Curves) -> Collapse | None:
     """Of s n^(1/2) against n / L^a; None where too few sizes have three numbers of odd contacts."""
-    told = {
-        L: {n: of * n**0.5 for n, of in by.items()} for L, by in held_by_nothing_else(curves).items() if len(by) > 2
-    }
-    return collapse(told) if len(told) > 1 else None
+    told = held_by_nothing_else(well_known(curves))
+    scaled = {L: {n: of * n**0.5 for n, of in by.items()} for L, by in told.items() if len(by) > 2}
+    return collapse(scaled) if len(scaled) > 1 else None
 
 
 def crowded(curves: Curves) -> dict[str, Any] | None:
     """Of all sizes together: s = c n^-x, where the interface is confined between the top and odd contacts; x, its
     error, the probability of such a misfit and the number of points. None for fewer than three."""
-    told = held_by_nothing_else(curves)
+    told = held_by_nothing_else(well_known(curves))
     points = [(n, of) for L, by in told.items() for n, of in by.items() if n > CROWDED * L**WANDERING]
     if len(points) < 3 or len({n for n, _ in points}) < 2:
         return None
@@ -190,10 +196,8 @@ def study(folder: Path, effort: Effort) -> Found:
     resting = {
         lattice: {bottom: found[lattice, turned, most, bottom]["resting"] for bottom in BOTTOMS} for lattice in discs
     }
-    ruled = {
-        lattice: collapse({L: {odd: values for odd, values in of.items() if odd} for L, of in curves.items()})
-        for lattice, curves in rolling.items()
-    }
+    known = {lattice: well_known(curves) for lattice, curves in rolling.items()}
+    ruled = {lattice: collapse(curves) for lattice, curves in known.items() if len(curves) > 1}
     count = {lattice: sum(n for point, n in wanted.items() if point[0] == lattice) for lattice in sizes}
     named = {
         "drawn_samples": count,
@@ -201,6 +205,7 @@ def study(folder: Path, effort: Effort) -> Found:
         "courses": rolling, "rest": resting, "ruled": ruled, "few": min(odd for odd in numbers if odd >= 8),
         "most_odd": most, "size": turned, "landscape": LANDSCAPE, "dimension": DIMENSION,
         "wandering": WANDERING, "layers": FEWEST_LAYERS, "largest_share": LARGEST_SHARE, "beyond": CROWDED,
+        "fewest_samples": ENOUGH,
         "confined": {lattice: confined(rolling[lattice]) for lattice in discs},
         "crowded": {lattice: crowded(rolling[lattice]) for lattice in discs},
     }  # fmt: skip
@@ -216,8 +221,7 @@ def draw_odd_loops(of: Any) -> Figure:
     figure = new_figure(7.1, 2.4 * len(of.courses))
     rows: Any = figure.subplots(len(of.courses), 3, squeeze=False)
     for panels, (lattice, curves) in zip(rows, of.courses.items(), strict=True):
-        rule, first = of.ruled[lattice].value, of.ruled[lattice].smallest
-        are_discs, told = lattice in of.rest, held_by_nothing_else(curves)
+        are_discs, told, ruled = lattice in of.rest, held_by_nothing_else(curves), of.ruled.get(lattice)
         for (L, by), color in zip(curves.items(), shades(len(curves)), strict=True):
             look = {"color": color, "label": f"L = {L}"}
             with_odd = {n: shares for n, shares in by.items() if n}
@@ -226,14 +230,19 @@ def draw_odd_loops(of: Any) -> Figure:
             if are_discs and told[L]:
                 scaled = {n / L**WANDERING: shares * n**0.5 for n, shares in told[L].items()}
                 draw_means(panels[1], scaled, **look)
-            elif not are_discs and first <= L:
-                draw_means(panels[1], {n / L**rule: shares for n, shares in with_odd.items()}, **look)
+            elif not are_discs and ruled and ruled.smallest <= L:
+                draw_means(panels[1], {n / L**ruled.value: shares for n, shares in with_odd.items()}, **look)
         name_sizes(panels[0], sorted({n for by in curves.values() for n in by if n}), "odd contacts n")
         panels[0].set(ylabel="share s of discs that roll", ylim=(0, 0.85))
         panels[0].set_title(f"{lattice}; dotted: none")
         panels[0].legend(loc="upper right", ncols=2)
-        panels[1].set(xscale="log", xlabel="$n / L^{2/3}$" if are_discs else f"$n / L^{{{rule:.2f}}}$", ylim=(0, None))
-        panels[1].set_title(r"$s\,n^{1/2}$, confined" if are_discs else f"together from {first} on")
+        panels[1].set(xscale="log", ylim=(0, None))
+        if are_discs:
+            panels[1].set(xlabel="$n / L^{2/3}$", title=r"$s\,n^{1/2}$, confined")
+        elif ruled:
+            panels[1].set(xlabel=f"$n / L^{{{ruled.value:.2f}}}$", title=f"together from {ruled.smallest} on")
+        else:
+            panels[1].set_axis_off()
         if lattice not in of.rest:
             panels[2].set_axis_off()
             continue

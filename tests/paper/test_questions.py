@@ -202,6 +202,7 @@ def test_studies_in_a_small_form(tmp_path, monkeypatch):
     few = {"square": {8: 3.0, 10: 3.0}, "triangular": {8: 3.0, 10: 3.0}, "cubic": {3: 2.5, 4: 2.5}}
     monkeypatch.setattr(odd_loops, "QUICK_SIZES", few)
     monkeypatch.setattr(odd_loops, "QUICK_NUMBERS", (0, 2, 8))
+    monkeypatch.setattr(odd_loops, "ENOUGH", 5)
     monkeypatch.setattr(surfaces, "QUICK_SIZES", {lowest: {4: 1.0, 6: 1.0} for lowest in (0.0, 0.1, 0.3)})
     scans = {"surfaces": "[[3, 3, 3], [4, 4, 4]]", "surfaces-large": "[[3, 3, 4]]", "surfaces-largest": "[[5, 5, 5]]"}
     for name, shapes in scans.items():
