@@ -29,11 +29,11 @@ from .samples import Found, Table, drawn, measured, planned, told
 SIDEWAYS = 0.5**0.5  # weight of a contact along x or y over that of one along z: of a jump along x + y
 ROUGHNESS, ENERGY = 0.41, 0.84  # zeta and theta of surfaces
 HELD = 1e3  # friction that a held cut cannot cross
-HEIGHT = 3.0  # of lattices that are cut, over L^ROUGHNESS: beyond what held cuts reach
+HEIGHT = 6.0  # of lattices that are cut, over L^ROUGHNESS: what a cut feels of it is the same for all L, as heights go
 PAPER_LOWEST = 0.1  # the paper's friction is uniform in [0.1, 1]
 BLOCK = 10  # cuts that are drawn together
 SIZES = {  # lowest friction -> L of cuts -> of the samples
-    0.0: {8: 40.0, 12: 40.0, 16: 40.0, 24: 40.0, 32: 20.0, 48: 10.0, 64: 4.0, 96: 1.0},
+    0.0: {8: 40.0, 12: 40.0, 16: 40.0, 24: 40.0, 32: 20.0, 48: 8.0, 64: 2.0, 96: 0.5},
     0.1: {8: 2.0, 16: 2.0, 32: 1.0, 64: 0.25},
     0.2: {8: 2.0, 16: 2.0, 32: 1.0},
     0.3: {8: 2.0, 16: 2.0, 32: 1.0},
@@ -47,7 +47,7 @@ def cuts(length: int, lowest: float, samples: int, seed: int) -> dict[str, Any]:
     in the middle, in units of the largest friction, and the variance of their height within a sample.
 
     Friction is uniform in [lowest, 1]. A free cut takes the lightest of many surfaces, of fewer the rougher they are,
-    which changes the law up to large sizes; a held one does not choose.
+    which changes the law up to large sizes; a held one pays for each layer by which it leaves its contact in a spike.
     """
     middle = round(HEIGHT / 2 * length**ROUGHNESS)
     rng = np.random.default_rng([seed, length, round(1000 * lowest)])
