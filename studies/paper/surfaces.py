@@ -33,7 +33,7 @@ HEIGHT = 6.0  # of lattices that are cut, over L^ROUGHNESS: what a cut feels of 
 PAPER_LOWEST = 0.1  # the paper's friction is uniform in [0.1, 1]
 BLOCK = 10  # cuts that are drawn together
 SIZES = {  # lowest friction -> L of cuts -> of the samples
-    0.0: {8: 40.0, 12: 40.0, 16: 40.0, 24: 40.0, 32: 20.0, 48: 8.0, 64: 2.0, 96: 0.5},
+    0.0: {8: 40.0, 12: 40.0, 16: 40.0, 24: 40.0, 32: 15.0, 48: 2.5, 64: 0.75, 96: 0.1},
     0.1: {8: 2.0, 16: 2.0, 32: 1.0, 64: 0.25},
     0.2: {8: 2.0, 16: 2.0, 32: 1.0},
     0.3: {8: 2.0, 16: 2.0, 32: 1.0},
