@@ -41,7 +41,7 @@ OF_DISCS = {16: 50.0, 32: 50.0, 64: 10.0, 128: 2.0, 256: 0.5, 512: 0.1, 1000: 0.
 SIZES = {  # L -> of the samples; those that get less than a block are left out
     "square": OF_DISCS,
     "triangular": OF_DISCS,
-    "cubic": {4: 2.0, 6: 2.0, 8: 2.0, 12: 0.5, 16: 0.2},
+    "cubic": {4: 2.0, 6: 2.0, 8: 2.0, 12: 0.5, 16: 0.1},
 }
 QUICK_OF_DISCS = {8: 5.0, 16: 5.0, 32: 2.5}
 QUICK_SIZES = {"square": QUICK_OF_DISCS, "triangular": QUICK_OF_DISCS, "cubic": {4: 1.0, 5: 1.0}}
