@@ -78,6 +78,12 @@ def first_that_fits(goodness: Sequence[float]) -> int:
     return next((number for number, one in enumerate(goodness) if one >= LEAST_GOODNESS), len(goodness) - 1)
 
 
+def _changed(values: Sequence[float], chosen: int) -> float:
+    """By how much the chosen one changes, at most, where the next size, or the next two, are left out, or the last one
+    that is left out is not."""
+    return float(max(abs(value - values[chosen]) for value in values[max(chosen - 1, 0) : chosen + 3]))
+
+
 def line_through(x: np.ndarray, spread: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, float]:
     """Value at 0 and slope (2, ...) of least squares, for y (sizes, ...) with errors `spread`; and the probability of a
     misfit as large, all together."""
@@ -109,7 +115,7 @@ def exponent(
     smallest, value, error, goodness = fits[chosen]
     rows = _rows(sizes[chosen:], spread[chosen:], beside, np.array([value]))[0]
     amplitude, offset = np.append(np.linalg.lstsq(rows, (variance / spread)[chosen:], rcond=None)[0], 0.0)[:2]
-    beyond = max(abs(fit[1] - value) for fit in fits[max(chosen - 1, 0) : chosen + 3])
+    beyond = _changed([fit[1] for fit in fits], chosen)
     told, errors = {fit[0]: fit[1] for fit in fits}, [fit[2] for fit in fits]
     return Exponent(value, error, beyond, smallest, told, goodness, float(amplitude), float(offset), errors)
 
@@ -169,10 +175,9 @@ def limit(samples: Mapping[int, np.ndarray]) -> Limit | None:
     part, ((value, amplitude), goodness) = parts[chosen], fits[chosen]
     error = line_through(sizes[part] ** -STATED, spread[part], again[part])[0][0].std(ddof=1)
     beside = [line_through(sizes[part] ** -w, spread[part], mean[part]) for w in OTHERS]
-    values = [found[0] for found, _ in fits[max(chosen - 1, 0) : chosen + 3]]
-    values += [found[0] for found, fit in beside if fit >= LEAST_GOODNESS]
+    others = [abs(found[0] - value) for found, fit in beside if fit >= LEAST_GOODNESS]
     told = {int(L): float(found[0]) for L, (found, _) in zip(sizes, fits, strict=False)}
-    beyond, smallest = float(np.abs(np.array(values) - value).max()), int(sizes[chosen])
+    beyond, smallest = float(max([_changed([found[0] for found, _ in fits], chosen), *others])), int(sizes[chosen])
     return Limit(float(value), float(error), beyond, smallest, told, goodness, float(amplitude), len(sizes[part]))
 
 
@@ -205,7 +210,7 @@ def collapse(curves: Mapping[int, Mapping[int, np.ndarray]]) -> Collapse:
     found = list(fits.values())
     chosen = next((number for number, fit in enumerate(found) if fit[2] <= MOST_MISFIT), len(found) - 1)
     value, error, misfit = found[chosen]
-    beyond = max(abs(fit[0] - value) for fit in found[max(chosen - 1, 0) : chosen + 3])
+    beyond = _changed([fit[0] for fit in found], chosen)
     return Collapse(value, error, beyond, sizes[chosen], fits, misfit)
 
 
@@ -252,9 +257,9 @@ def growing_skewness(samples: Mapping[int, np.ndarray], theta: float) -> Law:
     chosen = first_that_fits([fit[1] for fit in fits])
     value, goodness, amplitude = fits[chosen]
     error = float(fitted(chosen, again)[0].std(ddof=1))
-    beyond = max(abs(fit[0] - value) for fit in fits[max(chosen - 1, 0) : chosen + 3])
+    beyond = _changed([fit[0] for fit in fits], chosen)
     told = {int(L): float(fit[0]) for L, fit in zip(sizes, fits, strict=False)}
-    return Law(float(value), error, float(beyond), int(sizes[chosen]), told, goodness, float(amplitude))
+    return Law(float(value), error, beyond, int(sizes[chosen]), told, goodness, float(amplitude))
 
 
 def _cumulants(values: np.ndarray) -> tuple[float, float]:

@@ -50,11 +50,11 @@ DENSEST = 0.5  # share of the places that they take at most
 BOTTOMS = (0.0, 0.25, 0.5, 1.0)  # omega_B / omega_T
 TURNED, OF_TURNED = 32, 4.0  # L of the lattices of discs in which the bottom turns, and how many of the samples
 LANDSCAPE = {"square": 1 / 3, "triangular": 1 / 3, "cubic": 0.84}  # a of n / L^a, if that of interfaces rules
+DIMENSION = {"square": 2, "triangular": 2, "cubic": 3}  # the same, if the density rules
 WANDERING = 2 / 3  # a of n / L^a, of s n^(1/2)
 FEWEST_LAYERS, LARGEST_SHARE = 2, 0.25  # of discs that roll, of an interface that neither top nor bottom holds
 ENOUGH = 20  # samples of a size that enters a fit: the scatter of five tells no error
 CROWDED = 2.0  # n / L^WANDERING beyond which the interface is confined
-DIMENSION = {"square": 2, "triangular": 2, "cubic": 3}  # the same, if the density rules
 SURE = 1e-6  # relative gap of minima of spheres, and spin of those at rest over that of the top
 
 
@@ -172,7 +172,9 @@ def study(folder: Path, effort: Effort) -> Found:
     """Bearings by lattice, size, number of odd contacts or discs, and spin of the bottom."""
     shares, numbers = (QUICK_SIZES, QUICK_NUMBERS) if effort.quick else (SIZES, NUMBERS)
     sizes = {
-        lattice: [size for size, part in of.items() if part * effort.samples >= BLOCK] for lattice, of in shares.items()
+        lattice: enough
+        for lattice, of in shares.items()
+        if (enough := [size for size, part in of.items() if part * effort.samples >= BLOCK])
     }
     turned, discs = max(sizes["square"]) if effort.quick else TURNED, ("square", "triangular")
     points = [(lattice, L, n, 0.0) for lattice, of in sizes.items() for L in of for n in dilute(lattice, L, numbers)]
