@@ -4,7 +4,16 @@ from pathlib import Path
 from typing import Any
 
 import click
-from taichi_bearings_cli.options import FILE_PATH, Choice, answer, json_option, out_options, title_option
+from taichi_bearings_cli.options import (
+    FILE_PATH,
+    Choice,
+    answer,
+    dpi_option,
+    json_option,
+    out_options,
+    title_option,
+    width_option,
+)
 from taichi_bearings_cli.progress import Display
 
 
@@ -21,24 +30,33 @@ from taichi_bearings_cli.progress import Display
 @click.option(
     "--by", metavar="KEY", default=None, help="Overlay the histograms of each value of this column or setting."
 )
+@click.option(
+    "--format", "ending", type=Choice(["png", "pdf", "svg"]), default="png", show_default=True,
+    help="Of the figure.",
+)  # fmt: skip
+@width_option
+@dpi_option
 @title_option
 @out_options("Folder for the files. [default: outputs/<time>-histogram-<id>]")
 @json_option
 def command(runs: tuple[Path, ...], normalise: str, by: str | None, as_json: bool, **asked: Any) -> None:
-    """Distribution of the power per contact, pooled over all samples of runs and scans, as CSV, HDF5 and PNG.
+    """Distribution of the power per contact, pooled over all samples of runs and scans: CSV, HDF5 and a figure.
 
     Only slipping contacts are binned; slipless and undecided ones are counted in the header. Errors are standard errors
     over the samples, or the roots of the counts where there is but one sample. docs/histograms.md says more.
 
     \b
     Examples:
-      bearings histogram outputs/a outputs/b --bins-per-decade 10 --out outputs --force
+      bearings histogram outputs/a outputs/b --bins-per-decade 10 --format pdf --width single
       bearings histogram outputs/my-scan --by spin_bottom --normalise mean
     """
+    from taichi_bearings.plots.page import Page, read_width
     from taichi_bearings.scans.histogram import histogram
 
+    width, dpi, title = (asked.pop(name) for name in ("width", "dpi", "title"))
+    page = Page(None if width is None else read_width(width), dpi, title=title)
     with Display():
-        report = histogram(runs, normalise=normalise, by=by, **asked)
+        report = histogram(runs, normalise=normalise, by=by, page=page, **asked)
     lines = []
     for part in report.get("groups", [report]):
         name = f"{by} {part[by]}: " if by else ""

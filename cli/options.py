@@ -119,6 +119,13 @@ replica_option = click.option("--replica", type=click.IntRange(0), default=0, he
 json_option = click.option("--json", "as_json", is_flag=True, help="Print exactly one JSON object on stdout.")
 
 
+width_option = click.option(
+    "--width", metavar="CM", default=None, help="Printed width: single (8.6 cm), double (17.8 cm) or a number of cm."
+)
+dpi_option = click.option(
+    "--dpi", type=click.IntRange(30, 2400), default=300, show_default=True,
+    help="Dots an inch of PNG, and of pictures in others.",
+)  # fmt: skip
 title_option = click.option("--title/--no-title", default=True, help="Words above figures. [default: on]")
 
 

@@ -4,7 +4,15 @@ from pathlib import Path
 from typing import Any
 
 import click
-from taichi_bearings_cli.options import Choice, out_options, replica_option, run_argument, title_option
+from taichi_bearings_cli.options import (
+    Choice,
+    dpi_option,
+    out_options,
+    replica_option,
+    run_argument,
+    title_option,
+    width_option,
+)
 
 STRUCTURE_KINDS = ("domains", "network")
 PLOT_KINDS = ("spins", "power", "history", "energy", *STRUCTURE_KINDS, "scan")
@@ -22,13 +30,8 @@ PLOT_KINDS = ("spins", "power", "history", "energy", *STRUCTURE_KINDS, "scan")
 @click.option("--by", metavar="COLUMN", multiple=True, help="scan: a curve for each value. May be repeated.")
 @click.option("--where", metavar="KEY=VALUE", multiple=True, help="scan: only these samples. May be repeated.")
 @click.option("--log", type=Choice(["x", "y", "xy"]), default=None, help="scan: logarithmic axes.")
-@click.option(
-    "--width", metavar="CM", default=None, help="Printed width: single (8.6 cm), double (17.8 cm) or a number of cm."
-)
-@click.option(
-    "--dpi", type=click.IntRange(30, 2400), default=300, show_default=True,
-    help="Dots an inch of PNG, and of pictures in others.",
-)  # fmt: skip
+@width_option
+@dpi_option
 @title_option
 @click.option("--plane", "planes", metavar="AXIS=N", multiple=True, help="3D: a cut to show, as y=5. May be repeated.")
 @click.option("--view", metavar="ELEVATION,AZIMUTH", default=None, help="3D: from where, in degrees, as 22,-55.")

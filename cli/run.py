@@ -14,9 +14,9 @@ from taichi_bearings_cli.verify import describe as describe_verdict
 from taichi_bearings.quantities import COLUMNS
 from taichi_bearings.words import counted, listed, undecided_kinds
 
-OF_A_SAMPLE = ("power", "gap", "proof", "slipping", "slipless", "undecided", "critical", "tied_contacts")
+OF_A_SAMPLE = ("power", "gap", "proof", "slipping", "slipless", "undecided", "critical", "tied_contacts", "unproven")
 LAST_TOLD = (
-    "driven_power", "slipless_motions", "states_proven", "unproven", "largest_slipless_slip", "smallest_slipping_slip",
+    "driven_power", "slipless_motions", "largest_slipless_slip", "smallest_slipping_slip",
     "power_normalised", "yields", "yield_torque_lower_bound", "yield_torque", "amplitude", "torque_at_yield",
     "time_at_yield", "time", "duration",
 )  # fmt: skip
@@ -160,14 +160,21 @@ def describe(summary: dict[str, Any], times: str) -> str:
 def _of_a_sample(
     summary: dict[str, Any], power: Any, gap: Any, proof: str | None, slipping: int, slipless: int, *others: Any
 ) -> str:
-    """Its power, what is proven of that, and what the contacts are, in the order of OF_A_SAMPLE; None: not finite."""
+    """A line on one sample: its power, how far that is proven, how many contacts slip, and of how many that is proven.
+
+    summary : of the run. The other arguments are the sample's columns in the order of OF_A_SAMPLE; None where a number
+    is not finite or not known.
+    """
+    *doubtful, unproven = (number or 0 for number in others)
+    contacts = summary["contacts"]
     proven = "its potential proven" if "potential" in summary else "proven"
     within = "exactly" if power == gap == 0 else f"within {'not finite' if gap is None else format(gap, '.1e')}"
     if proof not in (None, "proven"):
         proven, within = f"{within},", proof
-    named = undecided_kinds(*(number or 0 for number in others)) or ["0 undecided"]
-    kinds = ", ".join(words.replace(" ", " is " if words.startswith("1 ") else " are ") for words in named)
+    named = undecided_kinds(*doubtful)
+    kinds = "".join(f", {words.replace(' ', ' is ' if words.startswith('1 ') else ' are ')}" for words in named)
+    states = "all proven" if not unproven else "none proven" if unproven == contacts else f"{unproven:,} not proven"
     return (
         f"P = {'not finite' if power is None else format(power, '.12g')}, {proven} {within}; of "
-        f"{summary['contacts']:,} contacts {slipping:,} slip, {slipless:,} do not, {kinds}"
+        f"{contacts:,} contacts {slipping:,} slip, {slipless:,} do not{kinds}; {states}"
     )

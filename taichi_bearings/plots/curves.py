@@ -164,7 +164,7 @@ MATHEMATICS = {
 @style.in_our_style
 def draw_histogram(histogram: PowerHistogram, page: Page = PAGE) -> Figure:
     """Number of slipping contacts against their power, logarithmic, with standard errors; no empty bins."""
-    figure = style.plain_figure(height=2.2)
+    figure = style.plain_figure(page.inches("single"), 2.2, page.dpi)
     axes = figure.add_subplot()
     axes.set(xscale="log", yscale="log", xlabel=_label(histogram), ylabel="slipping contacts per bin")
     style.label_in_plain_text(axes.xaxis, axes.yaxis)
@@ -185,10 +185,11 @@ def draw_histogram(histogram: PowerHistogram, page: Page = PAGE) -> Figure:
 
 
 @style.in_our_style
-def draw_overlay(histograms: Mapping[Any, PowerHistogram], by: str) -> Figure:
+def draw_overlay(histograms: Mapping[Any, PowerHistogram], by: str, page: Page = PAGE) -> Figure:
     """Share of the slipping contacts per decade of their power, with bands of a standard error up and down."""
     rows = -(-len(histograms) // (1 if len(histograms) < 9 else 2))
-    figure = style.new_figure(style.DOUBLE if len(histograms) > 8 else 5.0, 3.0 + 0.15 * rows)
+    width = page.inches("double") if page.width is not None or len(histograms) > 8 else 5.0
+    figure = style.new_figure(width, 3.0 + 0.15 * rows, page.dpi)
     axes = figure.add_subplot()
     first = next(iter(histograms.values()))
     axes.set(xscale="log", yscale="log", xlabel=_label(first), ylabel="share of slipping contacts a decade")

@@ -100,7 +100,7 @@ def _undecided(solution: Solution, settings: RunSettings) -> Iterator[str]:
     uneven = too_uneven(solution) & ~named.any(axis=1)
     if uneven.any():
         of = _in_samples(uneven)
-        yield f"what weak contacts dissipate is lost beside the gap or the rest{of}: only proven states are named"
+        yield f"the weakest contacts dissipate less than gap or rounding resolve{of}: only proven states are named"
     elif number > 0:
         scene, full = solution.scene, SATURATED * solution.scene.strength
         undecided = solution.state == ContactState.UNDECIDED
@@ -109,12 +109,13 @@ def _undecided(solution: Solution, settings: RunSettings) -> Iterator[str]:
         held = int((fast & ~bears_all).sum())
         passing = int((fast & bears_all & (solution.proven == SLIPLESS) & ~unresolved(solution)).sum())
         all_contacts = scene.lattice.contacts * scene.replicas
-        yield (
-            f"{number:,} of {counted(all_contacts, 'contact')} undecided: {held:,} slip faster than "
-            f"{solution.slip_threshold:.1e} but do not bear all their friction, {number - held - passing:,} slip "
-            "slower, or by less than the gap resolves, and bear it"
-            + (f", {passing:,} slip now and at no minimum" if passing else "")
-        )
+        kinds = {
+            f"creep faster than {solution.slip_threshold:.1e} while their friction is below its limit": held,
+            "are at their friction limit, and move too slowly to be told from rest": number - held - passing,
+            "slip now, and are proven to slip at no minimum": passing,
+        }
+        told = "; ".join(f"{count:,} {words}" for words, count in kinds.items() if count)
+        yield f"{number:,} of {counted(all_contacts, 'contact')} undecided: {told}"
 
 
 def _mingled(solution: Solution, settings: RunSettings) -> Iterator[str]:

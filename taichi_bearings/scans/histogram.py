@@ -25,6 +25,7 @@ from taichi_bearings.files.histogram_file import Histograms, write_arrays, write
 from taichi_bearings.files.scan_file import BINS_PER_DECADE, StoredScan
 from taichi_bearings.files.whole_file import refuse_standing
 from taichi_bearings.interrupts import awaited
+from taichi_bearings.plots.page import PAGE, Page
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.runs.run_directory import default_run_path, writable_folder
 from taichi_bearings.runs.run_file import file_of, read_run
@@ -186,11 +187,14 @@ def histogram(
     bins_per_decade: int = 5,
     normalise: str = "none",
     by: str | None = None,
-    title: bool = True,
+    page: Page = PAGE,
+    ending: str = "png",
 ) -> dict[str, Any]:
-    """Pool the histograms of runs and scans, write power_histogram.csv, .h5 and .png into `out`; returns the report.
+    """Pool the histograms of runs and scans, write power_histogram.csv, .h5 and a figure into `out`, and return the
+    report that `--json` prints.
 
-    title : whether words stand above the figure.
+    paths : run directories and scans. out : folder; None for a new one. force : replace what stands there.
+    bins_per_decade, normalise, by : see :func:`pooled`. page : how the figure is printed. ending : png, pdf or svg.
 
     Raises InputError or FileError before anything is written.
     """
@@ -198,17 +202,16 @@ def histogram(
     if len({source.path.resolve() for source in sources}) < len(sources):
         raise InputError(f"the runs {', '.join(map(str, paths))} name the same run twice")
     folder = out or default_run_path("histogram")
-    table, arrays, figure = (folder / f"power_histogram.{ending}" for ending in ("csv", "h5", "png"))
+    table, arrays, figure = (folder / f"power_histogram.{kind}" for kind in ("csv", "h5", ending))
     refuse_standing((table, arrays, figure), force)
     with stage("counting"):
         found = pooled(sources, bins_per_decade, normalise, by)
     with writable_folder(folder):
         with stage("drawing"):
             from taichi_bearings.plots.curves import draw_histogram, draw_overlay  # loads matplotlib
-            from taichi_bearings.plots.page import Page
             from taichi_bearings.plots.style import save
 
-            drawn = draw_overlay(found, by) if by else draw_histogram(found[None], Page(title=title))
+            drawn = draw_overlay(found, by, page) if by else draw_histogram(found[None], page)
         with stage("writing"), awaited():  # all three or none
             write_table(table, found, by)
             write_arrays(arrays, found, by)
