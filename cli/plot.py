@@ -45,7 +45,7 @@ def command(kind: str, run: Path, replica: int, time: float | None, out: Path | 
     \b
     spins    the spins as colour; 3D: from outside and two cuts
     power    where the power is dissipated
-    history  power, lower bound and gap as the run went on; under a torque in time how fast the top turns
+    history  power, lower bound and gap as the run went on
     energy   a dynamics: energy injected, dissipated, kinetic, in springs, and what their balance misses
 
     and the figures of `bearings analyse`:

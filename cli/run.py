@@ -17,8 +17,8 @@ from taichi_bearings.words import counted, listed, undecided_kinds
 OF_A_SAMPLE = ("power", "gap", "proof", "slipping", "slipless", "undecided", "critical", "tied_contacts", "unproven")
 LAST_TOLD = (
     "driven_power", "slipless_motions", "largest_slipless_slip", "smallest_slipping_slip",
-    "power_normalised", "yields", "yield_torque_lower_bound", "yield_torque", "amplitude", "torque_at_yield",
-    "time_at_yield", "time", "duration",
+    "power_normalised", "yields", "yield_torque_lower_bound", "yield_torque", "amplitude",
+    "time", "duration",
 )  # fmt: skip
 """Columns that a report ends with, where it has them."""
 

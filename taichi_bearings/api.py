@@ -290,7 +290,7 @@ def solve(
         `Result.spin`.
     callback : hears of each :class:`Check`; where it returns True the solve ends with what was reached, as by Ctrl-C.
     progress : show on a terminal or below the cell of a notebook how far it is, while it takes longer than a moment.
-    options : `torque` on the top instead of its spin, force*length, of springs in time "start:stop:step" too; adds
+    options : `torque` on the top instead of its spin, force*length, for what finds minima; adds
         `yields`, `yield_torque`, `yield_torque_lower_bound` and `amplitude` to `findings`; `iterations` at most;
         `time_limit`, s; of a dynamics `duration`, the simulated time to go on for, and the simulated times `record` of
         the rows of the history and `snapshots` of spins that are kept, as numbers or as "log:start,stop,count";

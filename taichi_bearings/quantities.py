@@ -146,8 +146,6 @@ CHECK_ROWS = _named(
         Quantity("dissipated_energy", "energy", "energy dissipated at the contacts since the start"),
         Quantity("energy_residual", "1", "what the energy balance leaves unexplained, over the energy gone through it"),
         Quantity("largest_balance_residual", "force*length", "largest torque left over on a free sphere"),
-        Quantity("torque", "force*length", "torque on the top at this moment"),
-        Quantity("amplitude", "1", "strength of the motion of the top at this moment"),
     ]
 )
 """Columns of the history."""
@@ -242,9 +240,6 @@ FINDINGS = _named(
         Quantity("yield_torque", "force*length", "torque beyond which friction is proven not to hold"),
         Quantity("yield_torque_lower_bound", "force*length", "torque that friction is proven to hold"),
         Quantity("amplitude", "1", "strength of the motion under the torque, 1 for that of the run; 0 where it holds"),
-        Quantity("torque_at_yield", "force*length", "torque at the moment from which on the top turns"),
-        Quantity("torque_at_yield_error", "force*length", "about by how much inertia and viscosity make it too large"),
-        Quantity("time_at_yield", "time", "simulated time from which on the top turns"),
         Quantity("newton_steps", "1", "factorisations of a dynamics with implicit steps"),
     ]
 )

@@ -6,7 +6,7 @@ the n contacts are (d, n), where d is the most slipping components that one has 
 them first, and 0 in the others.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations_with_replacement, product
 from typing import Any
@@ -65,12 +65,6 @@ class ContactSystem:
         offset, felt = np.tile(self.offset, count), np.tile(self.felt, count)
         place = None if self.place is None else np.tile(self.place, count)
         return ContactSystem(self.unknowns * count, offset, felt, ends, place=place)
-
-    def with_one_more(self, column: np.ndarray) -> "ContactSystem":
-        """The same contacts over one unknown more, the last, of which a unit adds column (d, n) to the differences;
-        nothing is imposed."""
-        slips = sparse.csr_array(sparse.hstack([self.operator, sparse.csr_array(column.reshape(-1, 1))]))
-        return replace(self, unknowns=self.unknowns + 1, offset=np.zeros_like(column), ends=None, slips=slips)
 
     def change(self, step: np.ndarray) -> np.ndarray:
         """Change of the differences (d, n) that a change of the spins (unknowns,) makes; or (d, n, S) of S samples."""

@@ -31,14 +31,12 @@ LEAST_DECADES = 30.0  # from the first to the last step, for a logarithmic axis
 @style.in_our_style
 def draw_history(answer: Solution, page: Page = PAGE) -> Figure:
     """Power and lower bound, and below it their relative gap, against iterations (or time, for a dynamics), of every
-    sample or replica; where a torque turns the top, how fast it does. InputError for a method without steps."""
+    sample or replica. InputError for a method without steps."""
     courses = courses_of(answer)
     if not courses:
         steps = counted(_steps(answer.sample(0)), "step")
         raise InputError(f"the run kept {steps} of {answer.method}; a history is drawn of 2 or more")
     course, scene = courses[0], courses[0].system
-    if "torque" in course.history:
-        return _draw_turning(course, page)
     width = page.inches("single")
     figure = style.plain_figure(width, 0.85 * width, page.dpi)
     top, bottom = figure.subplots(2, 1, sharex=True)
@@ -75,32 +73,6 @@ def courses_of(solution: Solution) -> list[Solution]:
 def _steps(solution: Solution) -> int:
     """That the history kept, of several packings that of all."""
     return int((solution.history.get("iteration", np.zeros(0)) > 0).sum())
-
-
-def _draw_turning(solution: Solution, page: Page) -> Figure:
-    """Strength of the motion of the top against a torque that grows, with the bounds between which it is proven to set
-    it in motion, or else against time; and the moment at which it begins to turn."""
-    history, found = solution.history, solution.findings
-    torque, strength = history["torque"], np.abs(history["amplitude"])
-    x, name, marks = history["time"], "time", [("time_at_yield", "begins to turn", ":", style.GREY)]
-    if np.ptp(torque) > 0:
-        x, name, marks = torque, "torque (force · length)", [("torque_at_yield", "begins to turn", ":", style.GREY)]
-        marks += [("yield_torque_lower_bound", "proven to be held", "--", style.ORANGE)]
-        marks += [("yield_torque", "proven not to be held", "-", style.ORANGE)]
-    width = page.inches("single")
-    figure = style.plain_figure(width, 0.65 * width, page.dpi)
-    axes = figure.subplots()
-    axes.plot(x, np.where(strength > 0, strength, np.nan), color=style.BLUE)
-    for key, label, dashes, colour in marks:
-        values = np.copysign(found[key], x[-1])[np.isfinite(found[key])]
-        for n, value in enumerate(values):
-            axes.axvline(value, color=colour, ls=dashes, label="_" * n + label)
-    axes.set(yscale="log", xlabel=name, ylabel="strength $|a|$ of the motion of the top")
-    if axes.get_legend_handles_labels()[1]:
-        axes.legend(frameon=True, framealpha=0.85, edgecolor="none")
-    style.label_in_plain_text(axes.yaxis)
-    style.put_title(figure, f"{describe(solution.scene, None)}\n{solution.method}", page)
-    return figure
 
 
 @style.in_our_style

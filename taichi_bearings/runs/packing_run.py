@@ -18,7 +18,6 @@ from taichi_bearings.runs.solved import Run
 from taichi_bearings.runs.torque import refuse_driven, under_torque
 from taichi_bearings.scene import Solution, Status
 from taichi_bearings.scene.array_files import read_arrays, read_coefficients
-from taichi_bearings.scene.driving import Ramp
 from taichi_bearings.scene.initial_spins import STARTS
 from taichi_bearings.solvers.table import METHODS, InteriorPoint, MethodOptions, row_of_packing
 from taichi_bearings.stages import stage
@@ -186,8 +185,7 @@ def solved_packing(settings: RunSettings, packing: Packing, start: Any = None, *
         found = follow_packing(packing, method, first, stop, Recording.of(settings), **others)
     if settings.torque is not None and found.status is not Status.INTERRUPTED:
         free = replace(settings, torque=None, slip_threshold=None)
-        torque = Ramp.of(settings.torque).stop
-        found = under_torque(found, torque, lambda packings: solved_packing(free, packings[0], **others))
+        found = under_torque(found, settings.torque, lambda packings: solved_packing(free, packings[0], **others))
     if (threshold := settings.slip_threshold) is None:
         return found
     state = by_threshold(found.slip, found.state, threshold)

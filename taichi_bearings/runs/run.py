@@ -36,15 +36,13 @@ from taichi_bearings.runs.run_directory import (
 from taichi_bearings.runs.run_file import refuse_scan, write_run_file
 from taichi_bearings.runs.settings import DRIVING_KEYS, RunSettings, parse_toml
 from taichi_bearings.runs.solved import Run, self_contained
-from taichi_bearings.runs.torque import by_friction, refuse_driven, under_torque
+from taichi_bearings.runs.torque import refuse_driven, under_torque
 from taichi_bearings.scene import Scene, Solution, Status
 from taichi_bearings.scene.array_files import read_coefficients
 from taichi_bearings.scene.disorder import Distribution
-from taichi_bearings.scene.driving import Ramp
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers.table import (
     METHODS,
-    CundallStrack,
     MethodOptions,
     OperatorSplitting,
     fastest,
@@ -178,15 +176,10 @@ def solve_job(job: Job, monitors: Sequence[Any] = (), checkpoints: Any = None) -
     from taichi_bearings.solvers.stopping import StopRule
 
     settings, method = job.settings, job.method
-    ramp = None if settings.torque is None else Ramp.of(settings.torque)
-    if ramp is not None and method.options.is_dynamics:
-        method = _rigid_top(job, ramp)
     if job.method.options.needs_taichi:
         with stage("starting Taichi"):
             runtime.start(settings.arch, settings.precision, settings.threads)
     stop, recording = StopRule.of(settings), Recording.of(settings)
-    if ramp is not None and settings.record is None:
-        recording = replace(recording, history=ramp.looks(stop.duration))
     solution = solve(job.scene, method, job.spin, stop, monitors, settings.slip_threshold, recording, checkpoints)
     stalled = solution.method == "interior-point" and solution.status is Status.STALLED and not solution.interrupted
     if settings.method == "auto" and stalled and not OperatorSplitting.refusal(job.scene):
@@ -203,30 +196,14 @@ def solve_job(job: Job, monitors: Sequence[Any] = (), checkpoints: Any = None) -
                 break
         if (solution.gap <= settings.tolerance).all():
             solution = replace(solution, status=Status.CERTIFIED)
-    if ramp is None or solution.interrupted or method is not job.method:
+    if settings.torque is None or solution.interrupted:
         return solution
-    again = _solve_again(job, replace(settings, torque=None))
-    return under_torque(solution, ramp.stop, again)
+    free = replace(settings, torque=None)
 
+    def again(scene: Scene) -> Solution:
+        return solve_job(Job(free, scene, initial_spin(scene, "linear"), job.method.options.build()))
 
-def _solve_again(job: Job, settings: RunSettings) -> Callable[[Scene], Solution]:
-    """What solves other scenes by the same method, from their linear start."""
-    return lambda scene: solve_job(Job(settings, scene, initial_spin(scene, "linear"), job.method.options.build()))
-
-
-def _rigid_top(job: Job, ramp: Ramp) -> Any:
-    """The dynamics of a top under a torque, which knows the motion of strength 1."""
-    from taichi_bearings.solvers.drive import uninterrupted
-    from taichi_bearings.solvers.rigid_top import ImplicitRigidTopMethod, RigidTopMethod
-
-    kind: Any = RigidTopMethod if isinstance(job.method.options, CundallStrack) else ImplicitRigidTopMethod
-    options: Any = dict.fromkeys(("torque", "iterations", "duration", "record", "snapshots"))
-    settings = replace(job.settings, method="auto", **options)
-    again = _solve_again(replace(job, method=method_row(settings, job.scene)().build()), settings)
-    solution = uninterrupted(again(job.scene))
-    friction = by_friction(solution, again)
-    known = uninterrupted(under_torque(solution, ramp.stop, again, friction))
-    return kind(job.method.options, ramp.rate(job.settings.duration), ramp, known, friction)
+    return under_torque(solution, settings.torque, again)
 
 
 def _better(first: Solution, second: Solution, tolerance: float) -> Solution:
@@ -353,8 +330,6 @@ def resume(
             if reached - duration >= max(step, 1e-9 * reached, np.finfo(float).tiny):
                 words = f"{path} has already reached {reached:g}; it must be longer"
                 raise InputError(f"duration is {duration:g}, but {words}")
-            if stored.torque is not None and Ramp.of(stored.torque).rises:
-                raise InputError(f"duration cannot change: it says how fast the torque of {path} grows")
         settings = RunSettings.from_mapping(parse_toml(scene, path) | changes, "the options")
         job = prepare(settings, strict=False)
         return _solve_with_checkpoints(path, job, stored, arrays or None, monitors, title)

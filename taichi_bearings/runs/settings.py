@@ -40,7 +40,6 @@ from taichi_bearings.plain_files import read_whole
 from taichi_bearings.runtime import ARCHITECTURES, PRECISIONS
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.array_files import read_coefficients
-from taichi_bearings.scene.driving import TORQUE
 from taichi_bearings.scene.law import LAWS
 from taichi_bearings.scene.scene import periodic_axes
 from taichi_bearings.solvers.table import METHODS, MethodOptions, row_of_packing
@@ -133,14 +132,13 @@ class RunSettings:
         "along x; or shaft:r, all walls along x and y, and the spheres within r diameters of the axis in the middle. "
         "Other bodies than planes make a packing (docs/packings.md).",
     )
-    torque: float | str | None = how(
+    torque: float | None = how(
         None,
-        TORQUE,
-        "Torque on the top instead of its spin, along its state of strength 1: does it hold, and how fast does it "
-        "turn? START:STOP:STEP, of a dynamics: a torque that grows from START to STOP in the course of the "
-        "duration, with a row of the history after every STEP.",
+        REAL,
+        "Torque on the top instead of its spin, along its state of strength 1: does friction hold the top, and how "
+        "fast does it turn if not?",
         unit="force*length",
-        methods=attrgetter("takes_torque"),
+        methods=lambda method: not method.is_dynamics,
     )
     coefficients: str | None = option(
         None,

@@ -25,7 +25,6 @@ from taichi_bearings.packing import Packing, Packings
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene import Scene, Solution, Status
-from taichi_bearings.scene.driving import Ramp
 from taichi_bearings.scene.law import COULOMB, LAWS
 from taichi_bearings.solvers.table import MethodOptions
 
@@ -38,26 +37,16 @@ AMPLITUDE_ERROR = 1e-13  # relative, of an amplitude that is found by solving ag
 
 
 def refuse_driven(settings: RunSettings, method: type[MethodOptions]) -> None:
-    """InputError for settings with a torque that say how fast the top turns, or where the bottom may not, and for a
-    torque in time without a dynamics or a dynamics of a packing, without a duration or from another start than rest."""
-    if settings.torque is None or not method.takes_torque:
+    """InputError for settings with a torque that also say how fast the top turns, or that the bottom turns where the
+    law viscous needs it at rest. method : the one that the settings stand for."""
+    if settings.torque is None or method.is_dynamics:  # dynamics do not use a torque, and say so themselves
         return
-    if settings.is_packing and (method.is_dynamics or Ramp.of(settings.torque).rises):
-        raise InputError(f"torque is {settings.torque}; of packings minima alone tell what a constant one does")
-    if Ramp.of(settings.torque).rises and not method.is_dynamics:
-        raise InputError(f"torque is {settings.torque}, which grows in time; it needs a dynamics with springs")
-    if method.is_dynamics and settings.duration is None:
-        raise InputError(f"torque is {settings.torque}, and duration is not given; a dynamics needs how long it acts")
-    if method.is_dynamics and settings.initial not in ("linear", "zero"):
-        raise InputError(f"initial is {settings.initial!r}, but under a torque a dynamics starts at rest; leave it out")
     for key in ("spin_top", *(() if any(settings.top or ()) else ("bottom",))):
         if key in settings.given:
             raise InputError(f"{key} is {settings.given[key]}, but a torque turns the top, along its state --top")
     driven = settings.spin_bottom or (any(settings.bottom or ()) and settings.bottom)
-    if driven and (method.is_dynamics or not LAWS[settings.law].holds):
-        raise InputError(
-            f"the bottom has the spin {driven}; under a torque a dynamics, and the law viscous, need it at rest"
-        )
+    if driven and not LAWS[settings.law].holds:
+        raise InputError(f"the bottom has the spin {driven}; under a torque the law viscous needs it at rest")
 
 
 def _imposed(scene: Any) -> tuple[float, float]:
@@ -91,7 +80,7 @@ def _with_driven(found: Solution) -> Solution:
     return replace(found, power=power, objective=objective, lower_bound=low)
 
 
-def by_friction(solution: Solution, solve: Solve) -> Solution:
+def _by_friction(solution: Solution, solve: Solve) -> Solution:
     """The motion of strength 1 with friction alone, or the same where there is no friction or nothing else."""
     scene = solution.scene
     if not (scene.law.holds and scene.law.flows):
@@ -101,9 +90,8 @@ def by_friction(solution: Solution, solve: Solve) -> Solution:
     return solve(replace(scene, law=COULOMB, viscosity=()))
 
 
-def under_torque(solution: Solution, torque: float, solve: Solve, friction: Solution | None = None) -> Solution:
+def under_torque(solution: Solution, torque: float, solve: Solve) -> Solution:
     """The motion of strength 1, with what the torque does beside it. solve : the same for other scenes or packings.
-    friction : the same with friction alone, if it is known.
 
     yields : the torque is more than friction is proven to hold at most. yield_torque, yield_torque_lower_bound :
     force*length, between which it starts to. amplitude : strength of the motion, 1 for that of the solution; 0 where
@@ -116,15 +104,15 @@ def under_torque(solution: Solution, torque: float, solve: Solve, friction: Solu
             raise InputError(f"torque is {torque:g}, but no body turns, along whose spins it would act")
         if others and not scene.law.holds:
             raise InputError(f"torque is {torque:g}; with the law viscous all bodies but the last must be at rest")
-    found = _found(_with_driven(solution), torque, lambda other: _with_driven(solve(other)), friction)
+    found = _found(_with_driven(solution), torque, lambda other: _with_driven(solve(other)))
     return replace(solution, findings={**solution.findings, **found})
 
 
-def _found(solution: Solution, torque: float, solve: Solve, friction: Solution | None) -> dict[str, np.ndarray]:
+def _found(solution: Solution, torque: float, solve: Solve) -> dict[str, np.ndarray]:
     scene = solution.scene
     if _imposed(scene)[1]:
         return _beside_driven(scene, torque, solve)
-    friction = by_friction(solution, solve) if friction is None else friction
+    friction = _by_friction(solution, solve)
     low, high = np.zeros(scene.replicas), np.zeros(scene.replicas)
     if scene.law.holds:
         low, high = friction.lower_bound, friction.power

@@ -62,17 +62,12 @@ class CundallStrackMethod(SpringDynamics):
         return self.specified(spheres, ["force", *["elongation"] * holds, *["work"] * energy])
 
     @property
-    def held(self) -> np.ndarray:
-        """Spheres (*N) whose spins are given."""
-        return self.scene.lattice.is_driven
-
-    @property
     def unit_inertia(self) -> float:
         """Inertia of a sphere whose field `is_free` holds 1."""
         return self.inertia
 
     def _largest_step(self) -> float:
-        return stability_bound(self.scene, self.spin_axes, self.options, self.held)
+        return stability_bound(self.scene, self.spin_axes, self.options)
 
     def _kernels(self, corrector: tuple[float, ...]) -> tuple[Team, Sweeps]:
         numbers = self.stencil.components + self.stencil.force_components
@@ -87,7 +82,7 @@ class CundallStrackMethod(SpringDynamics):
         for n in range(1, options.gear_order + 1):
             forces.append(self._force_derivative(derivatives) / n)
             rate = scene.lattice.radius / self.inertia * self.pulls(forces[-1])
-            self._drive(rate, n)
+            rate[..., scene.lattice.is_driven] = 0.0
             derivatives.append(self.time_step * rate)
         for n, values in enumerate(derivatives):
             self.fields.load(f"gear_{n}", values)
@@ -99,10 +94,6 @@ class CundallStrackMethod(SpringDynamics):
             self.open_books(staggered)
             self.power_at_start = self._contact_power(forces[0], staggered)
             self.pull_at_start = self.pulls(forces[0])
-
-    def _drive(self, rate: np.ndarray, order: int) -> None:
-        """Put right what the driven spheres do, in the derivative of this order of the spins over the time step."""
-        rate[..., self.scene.lattice.is_driven] = 0.0
 
     def _force_derivative(self, derivatives: list[np.ndarray]) -> np.ndarray:
         """Derivative of the contact forces (C, R, E) at the start, scaled like the last of these of the spins, of the
@@ -215,15 +206,10 @@ class CundallStrackMethod(SpringDynamics):
         return 10 * scene.normal_force * strongest / (self.options.stiffness * speed) if speed > 0 else 0.0
 
 
-def stability_bound(
-    scene: Scene, spin_axes: tuple[int, ...], options: CundallStrack, held: np.ndarray | None = None
-) -> float:
-    """Largest stable time step while all contacts stick, from the stiffest mode of this lattice; slipping is softer.
-
-    held : spheres (*N) whose spins are given; the driven ones if None.
-    """
+def stability_bound(scene: Scene, spin_axes: tuple[int, ...], options: CundallStrack) -> float:
+    """Largest stable time step while all contacts stick, from the stiffest mode of this lattice; slipping is softer."""
     over = scene.lattice.radius**2 / inertia_of(scene, options)
-    decay = over * largest_weighted_eigenvalue(scene, spin_axes, held) if scene.law.flows else 0.0
+    decay = over * largest_weighted_eigenvalue(scene, spin_axes) if scene.law.flows else 0.0
     return largest_step(options, scene.law.holds, decay, over * largest_laplacian_eigenvalue(scene.lattice, spin_axes))
 
 

@@ -239,9 +239,9 @@ class Course:
     def answer(self, threshold: float | None) -> Solution:
         """What the best state and the best forces amount to, and how the course came there."""
         history, snapshots, last, seconds = self.recorder.history(), self.recorder.snapshots(), self.last, self.seconds
-        known = self.method.answered(self) if isinstance(self.method, Method) else None
-        if known is not None:
-            return replace(known, seconds=known.seconds + seconds, history=history, snapshots=snapshots)
+        of_packing = self.method.answered(self) if isinstance(self.method, Method) else None
+        if of_packing is not None:
+            return replace(of_packing, seconds=seconds, history=history, snapshots=snapshots)
         scene, best, status = self.scene, self.best, self.status
         findings = self.method.findings(last) if isinstance(self.method, Dynamics) else best.progress.findings
         final = replace(best.progress, iteration=last.iteration, ended=last.ended, findings=findings)

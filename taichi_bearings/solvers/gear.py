@@ -104,10 +104,10 @@ def largest_laplacian_eigenvalue(lattice: Lattice, spin_axes: tuple[int, ...]) -
     return max(float(eigenvalues(lattice, component).max()) for component in spin_axes)
 
 
-def largest_weighted_eigenvalue(scene: Scene, spin_axes: tuple[int, ...], held: np.ndarray | None = None) -> float:
+def largest_weighted_eigenvalue(scene: Scene, spin_axes: tuple[int, ...]) -> float:
     """Upper estimate of the largest eigenvalue of the Laplacian weighted by the viscosities, over all replicas.
 
-    held : spheres (*N) whose spins are given; the driven ones if None. Lanczos to a relative 1e-3, raised by as much.
+    Found by Lanczos' method to a relative 1e-3, and raised by as much.
     """
     lattice, largest, viscosities = scene.lattice, 0.0, scene.viscosities
     if viscosities is None:
@@ -115,7 +115,7 @@ def largest_weighted_eigenvalue(scene: Scene, spin_axes: tuple[int, ...], held: 
     for felt in lattice.felt(spin_axes):
         for weights in viscosities:
             edges = [(*lattice.ends[:, felt], weights[felt])]
-            matrix = graph_laplacian(edges, lattice.sites, (lattice.is_driven if held is None else held).ravel())
+            matrix = graph_laplacian(edges, lattice.sites, lattice.is_driven.ravel())
             if not matrix.count_nonzero():
                 continue
             if matrix.shape[0] < 3:

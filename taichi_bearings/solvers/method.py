@@ -49,7 +49,7 @@ class Method:
         raise NotImplementedError
 
     def answered(self, course: Any) -> Solution | None:
-        """What a course amounts to where that is not the best state of a lattice; its own seconds are added to it."""
+        """The solution of a course through a packing; None for a lattice, whose best state drive.py answers with."""
         return None
 
     def differences(self, staggered: np.ndarray) -> np.ndarray:

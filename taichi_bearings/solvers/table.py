@@ -52,8 +52,8 @@ class MethodOptions:
     """A method and its options. The facts of a method are class variables, its options the fields.
 
     name : for --method. implementation : "module:class", which is called with the options. of_packings : the same
-    for lists of contacts, "" where there is none, or what finds minima. is_dynamics : it steps in time. takes_torque :
-    it can do with a torque on the top. cpu_only : it works in the memory of the CPU.
+    for lists of contacts, "" where there is none, or what finds minima. is_dynamics : it steps in time. cpu_only :
+    it works in the memory of the CPU.
     alike_in_a_block : spheres up to which it gives a seed the same bits alone and beside others, and gains by it.
     colour, marker : in every figure. solves : True for a law.
     """
@@ -62,7 +62,6 @@ class MethodOptions:
     implementation: ClassVar[str]
     of_packings: ClassVar[str] = ""
     is_dynamics: ClassVar[bool] = False
-    takes_torque: ClassVar[bool] = True
     needs_taichi: ClassVar[bool] = True
     cpu_only: ClassVar[bool] = False
     alike_in_a_block: ClassVar[float] = 0
@@ -244,7 +243,7 @@ def _error_tolerance() -> float:
 class Motion(MethodOptions):
     """What all dynamics have."""
 
-    is_dynamics, takes_torque = True, False
+    is_dynamics = True
 
     mass: float = option(1.0, POSITIVE, "Mass of a sphere.", unit="mass")
     inertia: float | None = option(
@@ -283,8 +282,6 @@ class Springs(Motion):
     At rest once the power changes by less than rest_tolerance over three checks in a row, no contact changes between
     sticking and slipping, and no free sphere feels more than this share of the typical friction torque.
     """
-
-    takes_torque = True
 
     stiffness: float = material(1e5, POSITIVE, "Tangential stiffness K_t.", unit="force/length")
     damping: float = material(1e3, NOT_NEGATIVE, "Tangential damping A_t.", unit="force*time/length")

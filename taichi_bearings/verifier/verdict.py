@@ -298,15 +298,15 @@ def _claims(run: StoredRun, judgement: Judgement, number: int) -> Iterator[Claim
 
 
 def _under_torque(run: StoredRun, judgement: Judgement, number: int) -> Iterator[Claim]:
-    """Whether a torque moves the top follows from the bounds on the power of strength 1, but for coulomb-viscous, a
-    torque that grows, and a bottom that turns."""
-    samples, text, beside = run.samples, isinstance(run.settings.get("torque"), str), 0.0
+    """Whether a torque moves the top follows from the bounds on the power of strength 1, but for coulomb-viscous and a
+    bottom that turns."""
+    samples, beside = run.samples, 0.0
     if isinstance(samples, Samples):
         turns = bool(samples.spin_bottom)
     else:  # the last body stands for the top, contacts among driven spheres add to what it takes
         driven, beside = samples.arrays["driven"], judgement.driven_power
         turns = samples.arrays["spin"][(driven >= 0) & (driven < driven.max())].any()
-    if "yields" not in run.attributes or (samples.holds and samples.flows) or turns or text:
+    if "yields" not in run.attributes or (samples.holds and samples.flows) or turns:
         return
     torque, power = run.setting("torque", np.nan), float(judgement.power[number]) + beside
     low = float(judgement.lower_bound[number])
@@ -330,8 +330,7 @@ def _history(run: StoredRun, judgement: Judgement) -> Iterator[str]:
         bounds, powers = (_row(run.history.get(name), number) for name in ("lower_bound", least))
         if bounds is not None and (bounds > judgement.upper_bound[number] * (1 + ROUNDED)).any():
             yield f"a lower bound of the history is above the least {least}"
-        moves_alike = "amplitude" not in run.history  # else a torque turns the top by less or more than strength 1
-        if moves_alike and powers is not None and (powers < judgement.lower_bound[number] * (1 - ROUNDED)).any():
+        if powers is not None and (powers < judgement.lower_bound[number] * (1 - ROUNDED)).any():
             yield f"a {least} of the history is below the least {least}"
 
 

@@ -105,6 +105,37 @@ def test_what_a_torque_cannot_go_with(method, scene):
         solve(Scene.random((2, 2, 3), **scene), method, torque=3.0)
 
 
+def test_a_bottom_that_turns_loosens_the_top():
+    """4x4x4 with x on top and y below: a third of the torque sets it in motion. The top turns where that lowers the
+    potential less the work of the torque."""
+    crossed = Scene.random((4, 4, 4), seed=3, top=(1.0, 0.0, 0.0), bottom=(0.0, 1.0, 0.0))
+    held = solve(replace(crossed, bottom=(0.0,) * 4), torque=1.0).findings["yield_torque"]
+    assert held == pytest.approx(167.364, abs=1e-3)
+    for way in (1, -1):
+        found = solve(crossed, torque=60.0 * way, tolerance=1e-12).findings
+        low, high = found["yield_torque_lower_bound"], found["yield_torque"]
+        assert 0.32 * held < low < high < 0.33 * held
+        assert high - low < 1e-6 * high
+        assert found["yields"]
+        still, little, more = (
+            solve(replace(crossed, top=(way * a, 0, 0)), tolerance=1e-12).power for a in (0.0, 1e-4, 1e-2)
+        )
+        assert little - 1e-4 * high <= still <= little - 1e-4 * low
+        assert more - 1e-2 * 60.0 < still
+    with pytest.raises(InputError, match="bottom"):
+        solve(Scene.random((3, 3, 4), law="viscous", spin_bottom=0.3), torque=3.0)
+
+
+def test_a_top_that_turns_with_the_bottom_is_held_from_turning_on_by_the_jump_alone():
+    """About one axis only the difference counts: against the bottom's motion the whole least power holds the top."""
+    scene = Scene.random((3, 3, 4), seed=2, spin_bottom=0.5)
+    limit = solve(replace(scene, spin_bottom=0.0)).power
+    against, along = (solve(scene, torque=torque, tolerance=1e-12).findings for torque in (-1.0, 1.0))
+    assert (against["yields"], along["yields"]) == (False, True)
+    assert against["yield_torque"] == pytest.approx(limit, rel=1e-6)
+    assert along["yield_torque"] == pytest.approx(-limit, rel=1e-6)
+
+
 def scaled(scene, strength):
     if scene.top is None:
         return replace(scene, spin_top=strength)
