@@ -25,7 +25,7 @@ from scipy.sparse.linalg import spsolve
 from taichi_bearings.analysis.bottlenecks import Bottlenecks
 from taichi_bearings.analysis.domains import RigidDomains, rigid_domains
 from taichi_bearings.analysis.network import MOST_BODIES, SliplessNetwork
-from taichi_bearings.numerics.minimum_cut import minimum_cut
+from taichi_bearings.numerics.minimum_cut import WEIGHT_ROUNDING, minimum_cut
 from taichi_bearings.packing import Packing
 from taichi_bearings.packing.interface import SAME_STATE, Interface, bearing_states
 from taichi_bearings.packing.structure import self_stress_of
@@ -378,14 +378,14 @@ def find_interface(scene: Scene, replica: int = 0) -> Interface:
     low, high = cut.above[0].ravel()[scene.lattice.ends]
     power = unit * float(cut.weight[0])
     if scene.law.minimises != "power":
-        spin, axes = minimum_cut_spin(scene.sample(replica)), scene.lattice.all_spin_axes
+        spin, axes = minimum_cut_spin(scene.sample(replica)), scene.minimum_spin_axes
         power = float(scene.sample(replica).power(scene.staggered_spin(spin, axes), axes)[0])
     return Interface(
         power,
         (low != high) & (weight[0] > 0) & (scene.jump > 0),  # without a jump nothing slips
         cut.above[0],
         cut.between[0],
-        unit * float(cut.lower_bound[0]),
+        unit * float(cut.lower_bound[0]) * (1 - WEIGHT_ROUNDING),
         unit * float(cut.next_weight[0]),
     )
 

@@ -26,8 +26,8 @@ from scipy.sparse.csgraph import breadth_first_order, maximum_flow
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.numerics.planar import MinimumCuts, minimum_cuts
 
-TIED_WEIGHTS = 1e-12  # relative difference up to which two cuts count as equally light where a flow has found them
-ROUNDED_WEIGHT = 2.0**-16  # weight of a cut over that of one known before, below which its rounding matters
+WEIGHT_ROUNDING = 2.0**-48  # of given weights: a dozen roundings of 2^-53 each
+ROUNDED_WEIGHT = 2.0**-6  # weight of a cut over that of one known before, below which its rounding matters
 PRESENT_CAPACITY = 2**40  # capacity of every contact that is there, where a cut of absent ones is known
 FLOW_BITS = 29  # of a flow; scipy has 31, and what capacity is left is up to three times the flow
 
@@ -38,7 +38,8 @@ class MinimumCut:
 
     above : (R, *N), True on the top side; the contacts whose ends differ are the cut, the lowest one where some tie.
     between : (R, *N), True for the spheres that are not proven to lie on the same side of all cuts as light as this
-        one: what lies between cuts that tie. Planar grids: exactly; else to 1e-12 of the weight and its rounding.
+        one: what lies between cuts that tie, of weights as given in planar grids, else if weights may be rounded by
+        WEIGHT_ROUNDING. Spheres that no contact with weight joins to bottom or top change no cut, and are not there.
     weight : (R,), of this cut. lower_bound : (R,), no cut is lighter; proven, and good to about 1e-15 a contact.
     next_weight : (R,), of the lightest other cut that leaves either side in one piece, good to the same; NaN where it
         takes more than this cut to know (see :func:`next_cut`).
@@ -52,7 +53,7 @@ class MinimumCut:
 
     @property
     def unique(self) -> np.ndarray:
-        """True where every other cut is proven to be heavier, if not planar by more than 1e-12, (R,)."""
+        """True where every other set of contacts that cuts is proven to be heavier, (R,)."""
         return np.asarray(~self.between.reshape(len(self.between), -1).any(axis=1))
 
 
@@ -184,10 +185,13 @@ def _cut_lattice(weight: tuple[np.ndarray, ...]) -> GraphCut:
     return replace(cut, above=cut.above[node], between=cut.between[node])
 
 
-def graph_cut(ends: np.ndarray, edges: np.ndarray, above: np.ndarray) -> GraphCut:
+def graph_cut(
+    ends: np.ndarray, edges: np.ndarray, above: np.ndarray, rounding: float | np.ndarray = WEIGHT_ROUNDING
+) -> GraphCut:
     """A lightest cut between the first and the last node of an undirected graph.
 
     ends : (2, edges) nodes. edges : (edges,) weights. above : (nodes,) True on the far side of a cut that is known.
+    rounding : share of each weight by which it may differ from the one that is meant.
     """
     cut, light = above[ends[0]] != above[ends[1]], False
     while not light:  # a cut that is much lighter than the one known before is found anew, in a finer unit
@@ -201,12 +205,16 @@ def graph_cut(ends: np.ndarray, edges: np.ndarray, above: np.ndarray) -> GraphCu
         above = ~within_reach(ends, left_over, 0)
         cut = above[ends[0]] != above[ends[1]]
         light = bool(edges[cut].sum() >= at_most * ROUNDED_WEIGHT)
-    units = int(capacity[cut].sum())
-    tie = int(TIED_WEIGHTS * units) + int(cut.sum())
+    units, last = int(capacity[cut].sum()), len(above) - 1
+    # a cut that is heavier by more than that in whole units is heavier by the weights that are meant
+    share = float(np.max(rounding, initial=0.0))
+    tie = int(3 * share * (units + cut.sum())) + int(cut.sum())
     from_bottom, from_top = (
-        within_reach(ends, left, start, tie) for left, start in ((left_over, 0), (left_over[::-1], len(above) - 1))
+        within_reach(ends, left, start, tie) for left, start in ((left_over, 0), (left_over[::-1], last))
     )
-    return GraphCut(above, ~(from_bottom | from_top), flow, float(unit), units)
+    present = np.tile(edges > 0, (2, 1))
+    joined = within_reach(ends, present, 0) | within_reach(ends, present, last)
+    return GraphCut(above, joined & ~(from_bottom | from_top), flow, float(unit), units)
 
 
 def _parted(above: np.ndarray, axis: int, lattice: Lattice) -> np.ndarray:

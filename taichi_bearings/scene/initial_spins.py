@@ -41,12 +41,16 @@ def cut_of(scene: Scene) -> MinimumCut:
 def cut_weights(scene: Scene) -> np.ndarray:
     """Share of each contact in the objective of such an interface, over :func:`cut_unit`; (R, E).
 
-    Viscous contacts weigh by the square of their slip, and viscosities beside a friction by their share in it.
+    A contact of the interface slips by R |J x n|, J the jump of the imposed states at its place and n its axis. Of J
+    only the components that a minimum needs count: the one along the height can change from bottom to top layer by
+    layer, where no contact feels it. Viscous contacts weigh by the square of their slip, and viscosities beside a
+    friction by their share in it. Each weight is within
+    :data:`taichi_bearings.numerics.minimum_cut.WEIGHT_ROUNDING` of the exact one, relatively.
     """
     unit = float(scene.driving.unit[0][0])
     units = (1.0, scene.lattice.radius * unit / scene.normal_force)
     coefficients = tuple(unit * values for unit, values in zip(units, scene.named_coefficients.values(), strict=False))
-    axes = scene.lattice.all_spin_axes
+    axes = scene.minimum_spin_axes
     jump = scene.driving.top_in_units(axes)[0].reshape(len(axes), -1)[:, scene.lattice.column]
     across = vector_length(np.where(scene.lattice.felt(axes), jump, 0.0))
     return scene.law.objective(coefficients, across)
@@ -59,8 +63,9 @@ def cut_unit(scene: Scene) -> float:
 
 
 def minimum_cut_spin(scene: Scene) -> np.ndarray:
-    """Every sphere turns with the bottom or with the top: of all such states the one of least power."""
-    axes = scene.lattice.all_spin_axes
+    """Every sphere turns with the bottom or with the top, in the components that a minimum needs: of all such states
+    the one of least power, or what else the stationary state minimises. The other components slip nowhere."""
+    axes = scene.minimum_spin_axes
     top = scene.top_spin(axes)[:, None, ..., None]
     return scene.laboratory_spin(np.where(cut_of(scene).above, top, 0.0), axes)
 
