@@ -126,6 +126,10 @@ class Structure:
         """The largest imposed R omega, of a lattice R times the largest jump; length/time."""
         return float(np.linalg.norm(self.packing.imposed, axis=1).max(initial=0.0))
 
+    def shown_spin(self, spin: np.ndarray) -> np.ndarray:
+        """Spins of this sample, in the shape they have, less what no contact feels; the same of a packing."""
+        return spin
+
     @property
     def snapshots(self) -> np.ndarray:
         """Spins (S, ...) of a dynamics that kept some."""
@@ -295,6 +299,25 @@ class LatticeStructure(Structure):
     @property
     def fastest(self) -> float:
         return self.scene.lattice.radius * self.scene.jump
+
+    def shown_spin(self, spin: np.ndarray) -> np.ndarray:
+        """Spins (..., *N, 3) as pictures show them: about the height, every layer has the mean of the driven planes.
+
+        No contact feels by how much a whole layer turns about the height (up to the sign of the sublattice), so a
+        dynamics keeps whatever mean each layer began with. Where both planes have the same mean, free layers get it
+        too; else, and in 2D, the spins stay as they are.
+        """
+        if self.scene.lattice.dimension == 2:
+            return spin
+        sign = self.scene.lattice.parity
+        staggered = sign * spin[..., 2]
+        mean = staggered.mean(axis=(-3, -2), keepdims=True)
+        bottom, top = mean[..., :1], mean[..., -1:]
+        if not np.allclose(bottom, top, rtol=0, atol=1e-12 * self.scene.fastest):
+            return spin
+        shown = spin.copy()
+        shown[..., 1:-1, 2] -= (sign * (mean - bottom))[..., 1:-1]
+        return shown
 
     def slips_of(self, spin: np.ndarray) -> np.ndarray:
         axes = self.scene.lattice.all_spin_axes

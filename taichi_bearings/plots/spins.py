@@ -37,12 +37,14 @@ def draw_spins(structure: Structure, page: Page = PAGE, title: str = "", note: s
     """|spin| over the larger imposed spin, of a packing R |spin| over the largest such, as colour; slipping contacts in
     black, of cubic lattices in cuts. If many slip, and nearly all, or it is no plane, they are counted alone.
 
+    Turns of whole layers that no contact feels are left out (`Structure.shown_spin`).
+
     note : what black lines mean.
     """
     slips, movable = structure.state == ContactState.SLIPPING, int((structure.state != ContactState.DRIVEN).sum())
     counted = f"{int(slips.sum()):,} of {movable:,} contacts slip"
     drawn = slips & (slips.sum() <= max(MOST_SLIPS * movable, FEW_SLIPS))
-    system, place, spin = structure.system, structure.network.lattice, structure.spin
+    system, place, spin = structure.system, structure.network.lattice, structure.shown_spin(structure.spin)
     if isinstance(system, Packing):
         surface = spin.reshape(system.spheres, -1) * np.asarray(system.radius)[:, None]
         speed, label = (
@@ -124,10 +126,10 @@ def _norm(power: np.ndarray) -> LogNorm:
 
 
 def _draw_lines(axes: Any, sheet: Sheet, power: np.ndarray, site: float) -> LogNorm:
-    """Slipping contacts as lines between the centres."""
+    """Slipping contacts as lines across them, where the two surfaces slip past each other, coloured by their power."""
     norm = _norm(power)
     look: dict[str, Any] = {"array": power, "cmap": POWER_COLOURS, "norm": norm}
-    sheet.draw(axes, power > 0, lw=bearing.line_on_site(site, 0.3, 0.8, 3.0), **look)
+    sheet.draw(axes, power > 0, across=True, lw=bearing.line_on_site(site, 0.3, 0.8, 3.0), **look)
     return norm
 
 

@@ -153,7 +153,7 @@ def draw_network(structure: Structure, page: Page = PAGE) -> Figure:
     Where no path joins bottom and top the figure says so, and contacts joined to the bottom are blue, those joined to
     the top red.
     """
-    network, spin = structure.network, structure.spin
+    network, spin = structure.network, structure.shown_spin(structure.spin)
     if not isinstance(structure, LatticeStructure):
         return _draw_network_of_packing(network, structure.movable, page)
     (spin_top, spin_bottom), path = structure.scene.imposed, network.shortest_path

@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib import colormaps
 
 from taichi_bearings.plots.bearing import SPIN_COLOURS
+from taichi_bearings.plots.spins import POWER_COLOURS
 from taichi_bearings.plots.structure import colour_of_turn
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.runs.points_and_lines import Moments, PointsAndLines
@@ -41,12 +42,12 @@ def arrays_of(drawn: PointsAndLines) -> dict[str, np.ndarray]:
         "first": np.diff(ends[:, 0], prepend=0).astype(np.int32),
         "second": (ends[:, 1] - ends[:, 0]).astype(np.int32),
         "normal": np.asarray(packing.normal).T.astype(np.float32),
-        "spin": spheres["spin"].astype(np.float32),
+        "spin": _shown_spins(drawn, spheres["spin"][None])[0].astype(np.float32),
         "domain": spheres["domain"].astype(np.int32),
         "domain_size": np.bincount(spheres["domain"]).astype(np.int32),
         "map_spin": _colours(SPIN_COLOURS, 0.0, 1.0),
-        "map_power": _colours("plasma_r", *COLOUR_RANGE),
-        "map_share": _colours("viridis_r", *COLOUR_RANGE),
+        "map_power": _colours(POWER_COLOURS, *COLOUR_RANGE),
+        "map_share": _colours("plasma_r", *COLOUR_RANGE),
     }
     found["flags"] = (CUT * contacts.get("on_cut", 0) + PATH * contacts["on_path"]).astype(np.uint8)
     found["path"] = drawn.structure.network.path.astype(np.int32)
@@ -59,9 +60,17 @@ def arrays_of(drawn: PointsAndLines) -> dict[str, np.ndarray]:
         found |= {"kind": spheres["domain_kind"], "turn": np.round(255 * turn).astype(np.uint8)}
     if (moments := drawn.moments) is not None:
         chosen = _shown(moments)
-        ways = {"snapshot_spin": moments.spin, "snapshot_slip": moments.slip}
+        ways = {"snapshot_spin": _shown_spins(drawn, moments.spin), "snapshot_slip": moments.slip}
         found |= {name: values[chosen].astype(np.float32) for name, values in ways.items()}
     return found
+
+
+def _shown_spins(drawn: PointsAndLines, spins: np.ndarray) -> np.ndarray:
+    """Spins (S, N, 3) of the sample less what no contact feels, as :meth:`Structure.shown_spin` says."""
+    if not drawn.is_lattice or drawn.packing.dimension == 2:
+        return spins
+    shape = drawn.structure.spin.shape
+    return drawn.structure.shown_spin(spins.reshape(len(spins), *shape)).reshape(spins.shape)
 
 
 def _colours(name: str, first: float, last: float) -> np.ndarray:
@@ -161,7 +170,8 @@ def _median(radius: np.ndarray) -> float:
 
 def _ends_of_scales(drawn: PointsAndLines, fastest: float) -> dict[str, Any]:
     """fastest : the largest imposed spin, of a sphere of median size."""
-    spins = drawn.spheres["spin"].values if drawn.moments is None else drawn.moments.spin[_shown(drawn.moments)]
+    moments, end = drawn.moments, drawn.spheres["spin"].values[None]
+    spins = _shown_spins(drawn, end if moments is None else moments.spin[_shown(moments)])
     speed = np.linalg.norm(spins, axis=-1) * (drawn.packing.radius / _median(drawn.packing.radius))
     shares = drawn.contacts["betweenness"].values if "betweenness" in drawn.contacts else np.zeros(1)
     return {

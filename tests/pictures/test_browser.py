@@ -256,9 +256,11 @@ def test_snapshots_play_in_time(dynamics, opened):
     page = opened(dynamics)
     assert page.ask("document.title").endswith("seed 5")
     end = page.pixels()
-    rows = points_and_lines(read_run(dynamics)).moments
+    drawn = points_and_lines(read_run(dynamics))
+    rows, shape = drawn.moments, drawn.structure.spin.shape
     page.move("time", 1)
-    assert np.array(page.ask("Array.from(bearings.sample.spinNow)")) == pytest.approx(rows.spin[1].ravel(), rel=1e-6)
+    shown = drawn.structure.shown_spin(rows.spin[1].reshape(shape))
+    assert np.array(page.ask("Array.from(bearings.sample.spinNow)")) == pytest.approx(shown.ravel(), rel=1e-6)
     assert page.ask("bearings.sample.counts.slipping") == (rows.state[1] == 1).sum()
     page.move("time", 0)
     assert page.tab.locator("#title").inner_text().endswith("t = 0")
