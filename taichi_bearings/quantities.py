@@ -300,7 +300,7 @@ STRUCTURE = {
                  lambda s: s.rigid_domains.spread),
     ],
     "bottlenecks": [
-        Quantity("connected_pairs", "1", "pairs of a bottom and a top sphere that slipless contacts join",
+        Quantity("connected_pairs", "1", "pairs of a bottom and a top sphere that paths over free spheres join",
                  lambda s: s.bottlenecks.betweenness.pairs),
         Quantity("mean_distance", "contacts", "mean length of the shortest paths",
                  lambda s: _if_spans(s, s.bottlenecks.betweenness.mean_distance), r"\langle \ell \rangle"),

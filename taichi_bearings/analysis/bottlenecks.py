@@ -1,11 +1,13 @@
 """Bottlenecks: the few links of the slipless network that carry most of what goes from bottom to top, or between the
 two driven bodies of a packing, called so too.
 
-Two ways to look for them. *Shortest paths*: a bottom sphere s and a top sphere t that slipless contacts join are a
-*pair*. Let sigma_st be the number of shortest paths from s to t and sigma_st(e) the number of those through link e.
-The betweenness of e is the sum over all pairs of sigma_st(e) / sigma_st: every pair sends one unit from s to t, split
-evenly over its shortest paths (Freeman, Sociometry 40, 35, 1977, with these sources and targets only). Driven spheres
-are ends only: contacts within a driven plane are no links, so no path runs through a third driven sphere.
+Two ways to look for them. *Shortest paths*: a path leads from a driven sphere s of one body over free spheres alone to
+a driven sphere t of another body. Driven spheres are ends only: contacts within a body are no links, and no path runs
+through a third driven sphere, though it may have several links. Two spheres s and t that some path joins are a *pair*.
+Let sigma_st be the number of shortest paths from s to t and sigma_st(e) the number of those through link e; two links
+between the same two spheres, as in a ring of two, are two ways. The betweenness of e is the sum over all pairs of
+sigma_st(e) / sigma_st: every pair sends one unit from s to t, split evenly over its shortest paths (Freeman, Sociometry
+40, 35, 1977, with these sources and targets only). Over the number of pairs it is the share of the link.
 
 And *what parts the planes alone*, in words of percolation theory (Stauffer and Aharony, Introduction to Percolation
 Theory, 1994): the *backbone* is all that lies on some path from the bottom to the top that visits nothing twice; what
@@ -21,7 +23,8 @@ these shares are kept, so the counts, which grow exponentially with the distance
 overflow. The work grows like sources times links.
 """
 
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -134,7 +137,8 @@ def betweenness(network: SliplessNetwork, links: np.ndarray | None = None) -> Be
     """
     sites, edges = len(network.body), network.ends.shape[1]
     neighbours = _neighbours(network, np.arange(edges) if links is None else np.flatnonzero(links))
-    found = [_between(neighbours, sites, edges, *ends) for ends in _ends_of_pairs(network)]
+    passed = network.free.ravel()
+    found = [_between(neighbours, passed, edges, *ends) for ends in _ends_of_pairs(network)]
     pairs, far = sum(one.pairs for one in found), sum(one.pairs * one.mean_distance for one in found)
     link, sphere = (np.sum([np.zeros(n), *v], axis=0) for n, v in (
         (edges, [one.link for one in found]), (sites, [one.sphere for one in found])
@@ -143,9 +147,11 @@ def betweenness(network: SliplessNetwork, links: np.ndarray | None = None) -> Be
 
 
 def _between(
-    neighbours: "_Neighbours", sites: int, edges: int, starts: np.ndarray, targets: np.ndarray, pairs: int
+    neighbours: "_Neighbours", passed: np.ndarray, edges: int, starts: np.ndarray, targets: np.ndarray, pairs: int
 ) -> Betweenness:
-    """Of these pairs alone."""
+    """The betweenness of the pairs of one of the `starts` and one of the `targets`, so many. passed : (sites,) True for
+    the spheres that paths may run through. edges : number of links of the network."""
+    sites = len(passed)
     is_target = np.zeros(sites, dtype=bool)
     is_target[targets] = True
     work = max(1, len(neighbours.link) // 2)
@@ -155,7 +161,7 @@ def _between(
     link, sphere, distance = np.zeros(edges), np.zeros(sites), 0.0
     at_once = max(1, BATCH_WORK // max(work, sites))
     for begin in range(0, len(drawn), at_once):
-        levels = _count_paths(neighbours, drawn[begin : begin + at_once])
+        levels = _count_paths(neighbours, passed, drawn[begin : begin + at_once])
         arrived, flows = _send_home(levels, is_target)
         place = np.concatenate([level.link for level in levels[:0:-1]])
         link += np.bincount(place, weights=flows, minlength=edges)
@@ -168,17 +174,37 @@ def _between(
 
 
 def _ends_of_pairs(network: SliplessNetwork) -> Iterator[tuple[np.ndarray, np.ndarray, int]]:
-    """Of each driven body and those behind it: spheres that are joined to the other side, as indices, of the side that
-    has fewer and of the other; the pairs."""
-    sites = len(network.body)
-    ones = np.ones(network.ends.shape[1], dtype=np.int8)
-    label = connected_components(csr_array((ones, tuple(network.ends)), shape=(sites, sites)), directed=False)[1]
-    touched = [network.touched_of(body) for body in network.held]
-    for number, low in enumerate(touched[:-1]):
-        high = np.concatenate(touched[number + 1 :])
-        pairs = int((np.bincount(label[low], minlength=sites) * np.bincount(label[high], minlength=sites)).sum())
-        bottom, top = low[np.isin(label[low], label[high])], high[np.isin(label[high], label[low])]
+    """For each driven body and those behind it: the spheres, as indices, that belong to a pair, of the side that has
+    fewer of them and of the other; and the number of pairs."""
+    beside = _pieces_beside(network)
+    touched = [network.touched_of(body).tolist() for body in network.held]
+    for number, own in enumerate(touched[:-1]):
+        others = [sphere for of in touched[number + 1 :] for sphere in of]
+        spanning = _all_of(beside[sphere] for sphere in own) & _all_of(beside[sphere] for sphere in others)
+        low, high = ({sphere: beside[sphere] & spanning for sphere in side} for side in (own, others))
+        counts = Counter(low.values()), Counter(high.values())
+        pairs = sum(n * m for one, n in counts[0].items() for other, m in counts[1].items() if one & other)
+        bottom, top = (np.array([n for n, pieces in side.items() if pieces], np.int64) for side in (low, high))
         yield (bottom, top, pairs) if len(bottom) <= len(top) else (top, bottom, pairs)
+
+
+def _all_of(sets: Iterable[frozenset[int]]) -> frozenset[int]:
+    """What is in some of the sets."""
+    return frozenset[int]().union(*sets)
+
+
+def _pieces_beside(network: SliplessNetwork) -> dict[int, frozenset[int]]:
+    """The connected pieces of free spheres and links between them, by number, that each driven sphere has a link to."""
+    sites, free = len(network.body), network.free.ravel()
+    inner = free[network.ends].all(axis=0)
+    ones = np.ones(int(inner.sum()), dtype=np.int8)
+    label = connected_components(csr_array((ones, tuple(network.ends[:, inner])), shape=(sites, sites)), False)[1]
+    found: dict[int, set[int]] = {}
+    for here, there in (network.ends, network.ends[::-1]):
+        leaves = ~free[here]
+        for sphere, piece in zip(here[leaves].tolist(), label[there[leaves]].tolist(), strict=True):
+            found.setdefault(sphere, set()).add(piece)
+    return {sphere: frozenset(pieces) for sphere, pieces in found.items()}
 
 
 class _Neighbours(NamedTuple):
@@ -214,8 +240,9 @@ class _Level(NamedTuple):
     share: np.ndarray
 
 
-def _count_paths(neighbours: _Neighbours, sources: np.ndarray) -> list[_Level]:
-    """The levels of the breadth-first searches from `sources`, nearest first, the sources themselves level 0."""
+def _count_paths(neighbours: _Neighbours, passed: np.ndarray, sources: np.ndarray) -> list[_Level]:
+    """The levels of the breadth-first searches from `sources`, nearest first, the sources themselves level 0. passed :
+    (sites,) True for the spheres from which a search goes on."""
     searches, sites = len(sources), len(neighbours.degree)
     place = np.full(searches * sites, -1, dtype=np.int32)  # index in the level of a sphere found; -1 if not found yet
     none = np.empty(0, dtype=np.int64)
@@ -225,6 +252,8 @@ def _count_paths(neighbours: _Neighbours, sources: np.ndarray) -> list[_Level]:
     while len(level.sphere):
         levels.append(level)
         degree = neighbours.degree[level.sphere]
+        if len(levels) > 1:
+            degree = np.where(passed[level.sphere], degree, 0)
         tail = np.repeat(np.arange(len(degree)), degree)
         slot = np.arange(len(tail)) + np.repeat(neighbours.first[level.sphere] - (np.cumsum(degree) - degree), degree)
         found = (level.search * sites)[tail] + neighbours.sphere[slot]

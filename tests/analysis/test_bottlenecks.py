@@ -1,11 +1,15 @@
 """Loads of links and spheres: by hand, and against networkx on random networks."""
 
+from dataclasses import replace
+
 import networkx
 import numpy as np
 import pytest
 
 from taichi_bearings.analysis import bottlenecks
 from taichi_bearings.analysis.bottlenecks import Bottlenecks, betweenness
+from taichi_bearings.analysis.network import SliplessNetwork
+from taichi_bearings.packing import Packing
 from tests.analysis.networks import (
     APART,
     CHAIN,
@@ -22,6 +26,7 @@ from tests.analysis.networks import (
     numbered,
     random_network,
 )
+from tests.scenes import some_of
 
 
 def test_every_link_of_a_single_chain_carries_everything():
@@ -102,6 +107,58 @@ def test_betweenness_agrees_with_networkx(network):
     np.testing.assert_allclose(found.sphere[free], [2 * load[sphere] for sphere in free], atol=1e-9)
     assert found.sphere[network.touched_of(0)].sum() == pytest.approx(found.pairs)
     assert found.link.sum() == pytest.approx(found.pairs * found.mean_distance)
+
+
+def random_packing(number):
+    """Small networks of many kinds, with driven spheres that have several links: planes of bcc, fcc and diamond, a
+    shaft, scattered bodies; each contact that has a free end is a link by chance."""
+    kind, cells = [("bcc", (2, 2, 3)), ("fcc", (2, 2, 2)), ("cubic", (2, 3, 4)), ("diamond", (1, 2, 2)),
+                   ("triangular", (4, 5)), ("honeycomb", (3, 4))][number % 6]  # fmt: skip
+    rng, sides = np.random.default_rng([number, 5]), ((), ("x",))[number // 6 % 2] if kind in ("bcc", "cubic") else ()
+    packing = Packing.lattice(kind, cells, periodic=sides, seed=number)
+    if number % 4 == 3:  # up to four bodies anywhere
+        driven = rng.choice([-1, -1, -1, 0, 1, 2, 3], packing.spheres)
+        driven[:2] = 0, 1
+        packing = replace(packing, driven=driven)
+    held = packing.driven[packing.contact] >= 0
+    slipless = (rng.random(packing.contacts) < rng.uniform(0.3, 0.9)) & ~held.all(axis=1)
+    return SliplessNetwork(packing, slipless)
+
+
+def by_networkx(network):
+    """(link, sphere, pairs, mean distance) by networkx, body after body. A node amid each link tells links between the
+    same two spheres apart; arcs leave the spheres of one body, enter those of the later ones, and join free spheres."""
+    driven, loads = network.lattice.driven.ravel(), np.zeros(network.ends.shape[1])
+    spheres, pairs, far = np.zeros(len(driven)), 0, 0
+    bodies = np.unique(driven[driven >= 0])
+    for body in bodies[:-1]:
+        graph = networkx.DiGraph()
+        graph.add_nodes_from(range(len(driven)))
+        for link, ends in enumerate(network.ends.T.tolist()):
+            for tail, head in (ends, ends[::-1]):
+                if driven[tail] in (-1, body) and (driven[head] == -1 or driven[head] > body):
+                    graph.add_edges_from([(tail, (link, tail)), ((link, tail), head)])
+        sources, targets = np.flatnonzero(driven == body).tolist(), np.flatnonzero(driven > body).tolist()
+        load = networkx.betweenness_centrality_subset(graph, sources, targets)
+        loads += [sum(load.get((link, end), 0) for end in ends) for link, ends in enumerate(network.ends.T.tolist())]
+        spheres += [load[sphere] for sphere in range(len(driven))]
+        for source in sources:
+            distance = networkx.single_source_shortest_path_length(graph, source)
+            reached = [distance[target] for target in targets if target in distance]
+            pairs, far = pairs + len(reached), far + sum(reached) // 2
+    return loads, spheres, pairs, far / max(1, pairs)
+
+
+@pytest.mark.parametrize("number", some_of(60, 2))
+def test_betweenness_of_packings_is_that_of_networkx(number):
+    network = random_packing(number)
+    found, (loads, spheres, pairs, far) = Bottlenecks(network), by_networkx(network)
+    assert found.betweenness.pairs == pairs
+    assert found.betweenness.mean_distance == pytest.approx(far)
+    np.testing.assert_allclose(found.betweenness.link, loads, atol=1e-9)
+    np.testing.assert_allclose(found.share, loads / max(1, pairs), atol=1e-9)
+    free = network.lattice.driven < 0
+    np.testing.assert_allclose(found.betweenness.sphere[free], spheres[free], atol=1e-9)
 
 
 @pytest.mark.parametrize("network", RANDOM)
