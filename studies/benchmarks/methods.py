@@ -45,6 +45,7 @@ SPARE = 0.7  # share of the free memory that may be taken
 PEERS = {"clarabel": ("black", "s"), "scs": ("#8a8a8a", "X")}
 PEER_DASHES = ("--", ":", "-.")  # by the linear solver
 MOST_MARKERS = 12  # a curve, so that long histories stay lines
+FEWEST_JOINED = 4  # looks at a method from which on a line joins them: fewer are no course
 MOST_COLUMNS = 3
 LEAST = 1e-17  # below anything that double precision can tell
 
@@ -183,7 +184,8 @@ def draw_accuracy(rows: Sequence[Row]) -> Figure:
                 one.set_axisbelow(True)
                 for row in of_scene:
                     every = -(-len(row["seconds"]) // MOST_MARKERS)
-                    one.plot(row["seconds"], row[key], markevery=every, **looks[row["what"]])
+                    joined = {} if len(row["seconds"]) >= FEWEST_JOINED else {"ls": ""}
+                    one.plot(row["seconds"], row[key], markevery=every, **looks[row["what"]] | joined)
         for unused in axes[:, len(block) :].flat:
             unused.set_axis_off()
         axes[0, 0].set_ylabel("relative error of the power")

@@ -60,6 +60,11 @@ class Case:
         return self.scaled or self.scene
 
 
+def column_of(value: Any) -> str:
+    """The text by which reports call a value of an axis."""
+    return value if isinstance(value, str) else f"{value:g}"
+
+
 Change = Callable[[Case, Any, Row], Case]
 
 
@@ -76,6 +81,12 @@ class Axis:
     change: Change
     rows: Callable[[Row], bool] = lambda row: True
     patience: float = 1.0
+
+    @property
+    def columns(self) -> list[str]:
+        """The values as texts: numbers from the least to the greatest, then words in the order in which they stand."""
+        numbers = sorted(value for value in self.values if not isinstance(value, str))
+        return list(map(column_of, [*numbers, *(value for value in self.values if isinstance(value, str))]))
 
 
 def drawn(row: Row, shape: Sequence[int], draw: Draw, seed: int = 7, **others: Any) -> Scene:
@@ -323,7 +334,7 @@ class Cell:
 
     @property
     def column(self) -> str:
-        return self.value if isinstance(self.value, str) else f"{self.value:g}"
+        return column_of(self.value)
 
     @property
     def key(self) -> str:

@@ -1,6 +1,7 @@
 """The sweep over all cells, and its report: a journal that loses nothing, CSV, a table, maps, and numbers."""
 
 import json
+import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
@@ -15,13 +16,13 @@ from matplotlib.patches import Patch
 from taichi_bearings.errors import FileError
 from taichi_bearings.files.scan_journal import Journal, read_journal
 from taichi_bearings.files.whole_file import write_csv, write_text
-from taichi_bearings.plots.style import in_our_style, new_figure, save
+from taichi_bearings.plots.style import SUPERSCRIPTS, in_our_style, new_figure, save
 from taichi_bearings.runs.run_directory import writable_folder
 from taichi_bearings.scans.engine import LocalEngine, Outcome
 from taichi_bearings.stages import alike, each
 from taichi_bearings.version import VERSION
 
-from .axes import AXES, Cell, Row
+from .axes import AXES, Axis, Cell, Row
 from .cells import CRASH, OUTCOMES, RIGHT, WRONG, Judge, solve_cells
 
 Line = dict[str, Any]
@@ -104,7 +105,7 @@ class Sweep:
         write_csv(paths[0], columns, ([line[name] for name in columns] for line in rows))
         write_text(paths[1], json.dumps(self.summary(), indent=1, allow_nan=False) + "\n")
         for axis in dict.fromkeys(line["axis"] for line in rows):
-            figure = draw_outcomes(AXES[axis].title, [line for line in rows if line["axis"] == axis])
+            figure = draw_outcomes(AXES[axis], [line for line in rows if line["axis"] == axis])
             for ending in (".png", ".pdf"):
                 paths.append(self.folder / f"{axis}{ending}")
                 save(figure, paths[-1])
@@ -127,9 +128,11 @@ def _name(line: Line) -> str:
 
 
 def _decades(line: Line) -> str:
-    """0 below the rounding of doubles, empty without an error."""
+    """The relative error of a cell as a power of ten, "exact" below the rounding of doubles, empty without an error."""
     error = line["error"]
-    return "" if error is None else "0" if error < 1e-16 else f"{error:.0e}".replace("e-0", "e-").replace("e+00", "")
+    if error is None:
+        return ""
+    return "exact" if error < 1e-16 else f"10{str(round(math.log10(error))).translate(SUPERSCRIPTS)}"
 
 
 def scaling(rows: Sequence[Line]) -> dict[str, Any]:
@@ -156,9 +159,14 @@ def lines_of(summary: Mapping[str, Any]) -> list[str]:
 
 
 @in_our_style
-def draw_outcomes(title: str, lines: Sequence[Line]) -> Figure:
-    """The outcome of each cell of an axis as colour, its error as a power of ten; a row a method, law and so on."""
-    columns, rows = (list(dict.fromkeys(names)) for names in ([x["value"] for x in lines], map(_name, lines)))
+def draw_outcomes(axis: Axis, lines: Sequence[Line]) -> Figure:
+    """The outcome of each cell of an axis as colour, and its relative error as a power of ten.
+
+    axis : its values are the columns, in order. lines : the cells that are done; each method, law, dimension, device
+    and precision among them has a row.
+    """
+    tried, rows = {line["value"] for line in lines}, sorted(dict.fromkeys(map(_name, lines)))
+    columns = [name for name in axis.columns if name in tried]
     kinds = list(COLOURS)
     codes = np.full((len(rows), len(columns)), len(kinds))
     figure = new_figure(2.3 + 0.42 * len(columns), 1.1 + 0.19 * len(rows))
@@ -171,13 +179,15 @@ def draw_outcomes(title: str, lines: Sequence[Line]) -> Figure:
     colours = ListedColormap([*COLOURS.values(), NOTHING])
     look: Any = {"cmap": colours, "vmin": -0.5, "vmax": len(kinds) + 0.5, "edgecolors": "white", "lw": 1}
     axes.pcolormesh(np.arange(len(columns) + 1) - 0.5, np.arange(len(rows) + 1) - 0.5, codes, **look)
-    axes.set_xticks(range(len(columns)), columns, rotation=30 if max(map(len, columns)) > 6 else 0)
+    slanted: dict[str, Any] = {"rotation": 30, "ha": "right"} if max(map(len, columns)) > 6 else {}
+    axes.set_xticks(range(len(columns)), columns, **slanted)
     axes.set_yticks(range(len(rows)), rows, fontsize=7)
     axes.invert_yaxis()
     axes.tick_params(length=0)
     for spine in axes.spines.values():
         spine.set_visible(False)
-    axes.set_xlabel(title)
+    axes.set_xlabel(axis.title)
+    figure.supxlabel("in each cell: relative error of the power", fontsize=7)
     used = [kind for number, kind in enumerate(kinds) if (codes == number).any()]
     handles = [Patch(color=COLOURS[kind], label=kind) for kind in used]
     figure.legend(handles=handles, loc="outside upper center", ncols=len(used))

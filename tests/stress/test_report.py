@@ -11,6 +11,7 @@ from taichi_bearings_cli.main import bearings
 from taichi_bearings_studies.stress import cells
 from taichi_bearings_studies.stress.axes import AXES, Cell, Row
 from taichi_bearings_studies.stress.cells import CRASH, NOT_REACHED, REFUSED, RIGHT, WRONG, Judge, solve_cells
+from taichi_bearings_studies.stress.report import draw_outcomes
 from taichi_bearings_studies.stress.truth import least
 
 from taichi_bearings.files.scan_journal import Journal, read_journal
@@ -148,3 +149,18 @@ def test_a_sweep_goes_on_from_its_journal_and_a_wrong_cell_fails_it(tmp_path):
     again = sweep(tmp_path)
     assert again.exit_code == 0, again.output  # solved anew
     assert len((tmp_path / "cells.jsonl").read_bytes().splitlines()) == len(kept) + 1 + 2 * len(strange)
+
+
+def test_the_columns_of_a_map_stand_in_order_and_cells_say_their_error():
+    """Numbers grow from left to right whatever was done first; errors are powers of ten."""
+    line = {"axis": "contrast", "method": "auto", "law": "coulomb", "dimension": 2, "arch": "cpu", "precision": "f64"}
+    done = [("9", 3e-8), ("0", 1e-17), ("12", 2e-3)]
+    lines = [line | {"value": value, "error": error, "outcome": RIGHT} for value, error in done]
+    (axes,) = draw_outcomes(AXES["contrast"], lines).axes
+    assert [label.get_text() for label in axes.get_xticklabels()] == ["0", "9", "12"]
+    assert {(text.get_position()[0], text.get_text()) for text in axes.texts} == {
+        (0, "exact"),
+        (1, "10⁻⁸"),
+        (2, "10⁻³"),
+    }
+    assert AXES["driving"].columns == ["2", "1e-1", "1e-4", "1e-8", "1e-12", "1e-15", "an ulp", "equal"]
