@@ -23,6 +23,7 @@ from taichi_bearings.files.whole_file import refuse_ending, refuse_standing, wri
 from taichi_bearings.plots.curves import Curve, Look, draw_scan
 from taichi_bearings.plots.page import PAGE, Page
 from taichi_bearings.plots.style import ENDINGS, column_label, save
+from taichi_bearings.quantities import STRUCTURE
 from taichi_bearings.runs.run_directory import claimed
 from taichi_bearings.scans.stored_scans import (
     CENSUS_COLUMNS,
@@ -110,6 +111,11 @@ def columns_of(scan: StoredScan, request: Request) -> dict[str, np.ndarray]:
         table[SIZE] = np.array(heights)
     for name in (*request.y.split("/"), request.x, *request.by):
         if name not in table:
+            if name in STRUCTURE:
+                raise InputError(
+                    f"{scan.path} has no column {name!r}: it is a number of `bearings analyse`; "
+                    f"`bearings scan {scan.path.parent} --analyse` adds it, and solves each sample anew for that"
+                )
             raise InputError(f"{scan.path} has no column {name!r}; it has {', '.join(table)}{meant(name, table)}")
     chosen = np.ones(scan.samples, dtype=bool)
     for condition in request.where:  # KEY=VALUE, a text or a number to the last bit
