@@ -1,4 +1,4 @@
-"""Which contacts of a Coulomb network with oblique normals slip at every minimum, from one that is enclosed.
+"""Which contacts of a network with friction and oblique normals slip at every minimum, from one that is enclosed.
 
 Let S be the contacts that slip in the given spins, T the others, and V all spins at which T rests.
 
@@ -6,14 +6,17 @@ Let S be the contacts that slip in the given spins, T the others, and V all spin
    turn as one of their exact motions does, which also have a floor of the other singular values (exact_motions.py).
    Contacts of T that are left have independent rows in the spins that are left, by a floor of K K^T. So V is not
    empty, and some of its spins are near the given ones, or those that Newton's method has improved.
-2. Within V the power has one minimum near these: along motions x that T allows its curvature is |B x|^2, the sum of
-   mu F_n / |y| (K x across y)^2 over S, and elimination proves a floor tau of it with springs at T. Its slope there is
-   r . x for torques r that are left over, and b . B x for what friction is off across slips. The power rises where
-   |B x| is above (|r| / tau^1/2 + |b|) / 0.72, as long as no slip changes by more than a quarter (curvature.py).
+2. Within V the potential has one minimum near these: along motions x that T allows its curvature is |B x|^2, the sum
+   of mu F_n / |y| (K x across y)^2 + eta |K x|^2 over S, and elimination proves a floor tau of it with springs at T.
+   Its slope there is r . x for torques r that are left over, and b . B x for what friction turns by from the given
+   slips to those in V. The potential rises where |B x| is above (|r| / tau^1/2 + |b|) / 0.72, as long as no slip of a
+   contact with friction changes by more than a quarter (curvature.py). Damping resists by eta |K x|^2 anywhere.
 3. There the friction of S is known, and what it leaves to T is borne by the friction of T at hand and a correction, the
-   size of which the floors of step 1 bound: the power has no slope in V, so T can bear it. If all of that is inside the
-   discs it is one of the whole power; as T bears less than its friction, it rests at every minimum, so all lie in V,
-   and there is only one.
+   size of which the floors of step 1 bound: the potential has no slope in V, so T can bear it. If all of that is inside
+   the discs it is one of the whole potential; as T bears less than its friction, it rests at every minimum, so all lie
+   in V, and there is only one.
+
+Contacts with damping alone belong to S, whatever they slip.
 
 Newton's method moves the spins as T allows, until S leaves nothing over that T cannot bear, and lets T bear the rest,
 in sums of two doubles, of which each step finds more digits. Nothing of that is proven, and nothing has to be: the
@@ -47,13 +50,15 @@ MOST_GRADIENTS, CLOSE = 40, 1e-6  # steps, and the share of the torques at which
 
 @np.errstate(all="ignore")  # what is not finite proves nothing
 def enclosed_minimum(bounds: Bounds) -> tuple[np.ndarray, np.ndarray] | None:
-    """True (E,) for the contacts that slip at every minimum, where all others that count rest at every one; and how
-    far (E,) their slips are from the given ones at most. None if that is not known."""
+    """Mask S (E,), where all other contacts that count rest at every minimum, and how far (E,) slips of S are from the
+    given ones at most. A contact of S slips at every minimum if it has friction, or slips farther than that. None if
+    nothing is known."""
     network, springs = bounds.network, bounds.springs
     longest = np.linalg.norm(network.normal, axis=1).max(initial=0.0)  # steps 2 and 3 take normals for units
-    if springs is None or network.flows or not longest < UP:
+    if springs is None or not longest < UP:
         return None
-    slides, number = network.counts & (network.slip.value > MOVING * network.box.max()), springs.number
+    moves = (network.slip.value > MOVING * network.box.max()) | (network.holding.high == 0)
+    slides, number = network.counts & moves, springs.number
     own, still = np.flatnonzero(slides), np.flatnonzero(network.counts & ~slides)
     exact = ExactMotions.of(network, number, network.counts & ~slides)
     others = network.counts & ~slides & ~exact.contacts
@@ -102,16 +107,36 @@ class Near:
 
     @cached_property
     def strength(self) -> Enclosure:
-        """(S,), friction that they bear."""
+        """(S,), mu F_n of S."""
         return self.network.holding.at(self.own)
 
     @cached_property
+    def damping(self) -> Enclosure:
+        """(S,), eta of S."""
+        return self.network.slope.at(self.own)
+
+    @cached_property
+    def turns(self) -> np.ndarray:
+        """Numbers (k,) among S of the contacts with friction, which turns with the slip."""
+        return np.flatnonzero(self.strength.high > 0)
+
+    @cached_property
+    def lawful(self) -> list[Enclosure]:
+        """(S,) by component, the friction that the law gives these slips."""
+        found, some = [], self.turns
+        for part in self.slips:
+            slip = part.at(self.own)
+            found.append(self.damping * slip if self.network.flows else Enclosure.exact(np.zeros(len(self.own))))
+            found[-1].put(some, found[-1].at(some) + self.strength.at(some) * (slip.at(some) / self.size.at(some)))
+        return found
+
+    @cached_property
     def friction(self) -> list[Enclosure]:
-        """(E,) by component, exact sums of two doubles, of S nearly along its slips."""
+        """(E,) by component, exact sums of two doubles, of S nearly what the law says."""
         found = []
-        for part, slip in zip(self.pull, self.slips, strict=True):
+        for part, own in zip(self.pull, self.lawful, strict=True):
             found.append(_doubles(part))
-            found[-1].put(self.own, _doubles(self.strength * (slip.at(self.own) / self.size)))
+            found[-1].put(self.own, _doubles(own))
         return found
 
     @cached_property
@@ -134,18 +159,22 @@ class Near:
         return np.asarray(self.network.place[np.nonzero(self.number >= 0)[0]].T)
 
     def form(self, firmness: float = 1.0) -> Form | None:
-        """Of S what slips change across them, times the root of friction over slip, and of T all slips, times that of
-        friction over the median slip and the firmness."""
-        own, still, strength = self.own, self.still, self.network.holding.value
-        across = np.cross(self.network.normal[own], np.stack([part.value[own] for part in self.slips], axis=1))
+        """Of S what slips change across them, times the root of friction over slip, and with damping all slips, times
+        its root; and of T all slips, times the root of friction over the median slip and the firmness."""
+        own, some, still, strength = self.own, self.turns, self.still, self.network.holding.value
+        turning, flowing = own[some], own[self.damping.high > 0]
+        across = np.cross(self.network.normal[turning], np.stack([part.value[turning] for part in self.slips], axis=1))
         across /= np.linalg.norm(across, axis=1)[:, None]
-        root = np.sqrt(strength[own] / self.size.value)
-        firm = firmness * np.sqrt(strength[still] / (np.median(self.size.value) if len(own) else 1.0))
-        at = np.append(self.rows_of(own), self.rows_of(still))
-        row = np.append(np.tile(np.arange(len(own)), 3), len(own) + np.arange(3 * len(still)))
-        shape = (len(own) + 3 * len(still), self.rows.shape[0])
-        size_of = np.append(np.tile(root, 3), np.tile(firm, 3))
-        value = size_of * np.append(across.T.ravel(), np.ones(3 * len(still)))
+        sizes = self.size.value[some]
+        root = np.sqrt(strength[turning] / sizes)
+        firm = firmness * np.sqrt(strength[still] / (np.median(sizes) if len(some) else 1.0))
+        at = np.concatenate([self.rows_of(turning), self.rows_of(flowing), self.rows_of(still)])
+        others = 3 * (len(flowing) + len(still))
+        row = np.append(np.tile(np.arange(len(some)), 3), len(some) + np.arange(others))
+        shape = (len(some) + others, self.rows.shape[0])
+        damped = np.sqrt(self.network.slope.value[flowing])
+        size_of = np.concatenate([np.tile(root, 3), np.tile(damped, 3), np.tile(firm, 3)])
+        value = size_of * np.append(across.T.ravel(), np.ones(others))
         rows = sparse.csr_array(sparse.csr_array((value, (row, at)), shape=shape) @ self.rows)
         doubt = sparse.csr_array((32 * EPS * size_of, (row, at)), shape=shape) @ abs(self.rows)
         return Form.of(rows, sparse.csr_array(doubt), self.place)
@@ -158,6 +187,7 @@ class Near:
         soft = None if form is None else form.elimination.factorised()
         if form is None or factor is None or soft is None:
             return self
+        moving = form.rows[: form.rows.shape[0] - 3 * len(self.still)]
 
         def borne(torque: np.ndarray) -> np.ndarray:
             """By which spins slips of T are that bear it, as far as T can."""
@@ -168,8 +198,8 @@ class Near:
             return spins - borne(fixed.T @ (fixed @ spins))
 
         def bends(spins: np.ndarray) -> np.ndarray:
-            """Torques of S, as its slips turn."""
-            return (form.rows[: len(self.own)].T @ (form.rows[: len(self.own)] @ (spins / form.scale))) / form.scale
+            """Torques of S, as its slips change."""
+            return (moving.T @ (moving @ (spins / form.scale))) / form.scale
 
         best, least, found = self, np.inf, self
         while True:
@@ -195,7 +225,7 @@ class Near:
 
     def proven_reach(self) -> np.ndarray | None:
         """(S,), how far slips of the only minimum are from these at most; None if that is not known."""
-        reach = self._reach() if (self.size.least > 0).all() else None
+        reach = self._reach() if (self.size.least[self.turns] > 0).all() else None
         return reach if reach is not None and self._holds(reach) else None
 
     @property
@@ -205,9 +235,14 @@ class Near:
 
     @cached_property
     def _wrong(self) -> np.ndarray:
-        """(S,), how far friction is from that along slips."""
-        pairs = zip(self.friction, self.slips, strict=True)
-        return length([f.at(self.own) - self.strength * (s.at(self.own) / self.size) for f, s in pairs]).most
+        """(S,), how far friction is from what the law says."""
+        return length([f.at(self.own) - own for f, own in zip(self.friction, self.lawful, strict=True)]).most
+
+    def _over_slip(self, change: np.ndarray) -> np.ndarray:
+        """(S,), changes of slips over these; 0 of contacts without friction."""
+        found = np.zeros(len(self.own))
+        found[self.turns] = (change / self.size.least)[self.turns] * UP
+        return found
 
     def _torques(self, unsure: np.ndarray) -> np.ndarray:
         """(N, 3), sizes at the unknowns, where friction of S is not sure by as much (S,)."""
@@ -218,31 +253,42 @@ class Near:
 
     def _reach(self) -> np.ndarray | None:
         """Step 2: (S,), how far slips are from these at the minimum in V, at most; or None."""
-        size, strength, form = self.size, self.strength, self.form()
+        size, damping, form = self.size.most, self.damping.most, self.form()
         if form is None or (tau := form.floor(sharp=True)) is None:
             return None
         others, ends = np.setdiff1d(self.still, np.flatnonzero(self.exact.contacts)), self.network.contact[:, self.own]
         missed = float(np.sqrt(sum((part.most[others] ** 2).sum() for part in self.slips)))
         off = missed / self.loose * UP if missed else 0.0  # of spins in V from these
         far = np.where(self._left[ends].any(axis=0), 2 * off * UP, 0.0)  # of their slips
-        bends = (self._wrong / strength.least + 2 * far / size.least) * UP  # of friction across slips, over it
-        longer = (length([part.at(self.own) for part in self.friction]) - strength).most
+        bends, longer, whole = self._off_direction(far)
         scale = np.zeros(self.number.shape)
         scale[self.number >= 0] = form.scale
-        slope = np.linalg.norm(scale * self._torques(longer + strength.most * bends**2 * UP)) / tau
-        slope += np.sqrt((strength.most * size.most * bends**2).sum() / tau)
+        slope = np.linalg.norm(scale * self._torques(longer + whole * bends**2 * UP)) / tau
+        slope += np.sqrt((whole * size * bends**2 + damping * far**2).sum() / tau)
         largest = scale.max(axis=1)
         found = (far + 12 * largest[ends].max(axis=0) * slope * UP**2 + TINY) * UP
-        turn, loss = found / size.least * UP, np.zeros(len(scale))
+        turn, loss = self._over_slip(found), np.zeros(len(scale))
         for end in ends:
-            np.add.at(loss, end, 8 * turn**2 * (strength.most / size.least))
+            np.add.at(loss, end, 8 * turn * self._over_slip(turn * self.strength.most))
         known = (turn <= MOST_TURN).all() and (largest**2 * loss * UP < tau / 8).all()
         return found if known else None
+
+    def _off_direction(self, far: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(S,) each, of contacts with friction how far the direction of F is from those of slips that differ by `far`,
+        and how far its size is from that which the law gives these slips; of others 0, and how far F is from the law;
+        and at most the size of F."""
+        some, bends, longer = self.turns, np.zeros(len(self.own)), self._wrong.copy()
+        whole = self.strength + self.damping * self.size if self.network.flows else self.strength
+        bends[some] = ((self._wrong / whole.least + 2 * far / self.size.least) * UP)[some]
+        longer[some] = (length([part.at(self.own) for part in self.friction]) - whole).most[some]
+        return bends, longer, whole.most
 
     def _holds(self, reach: np.ndarray) -> bool:
         """Step 3, where slips (S,) are as far from these."""
         network, exact = self.network, self.exact
-        torque = self._torques(self._wrong + 2 * reach / self.size.least * UP * self.strength.most)
+        torque = self._torques(
+            self._wrong + 2 * self._over_slip(reach) * self.strength.most + self.damping.most * reach
+        )
         by_left = float(np.linalg.norm(torque[self._left])) / self.loose * UP
         most = np.sqrt(2 * np.bincount(network.contact[:, network.counts].ravel()).max())
         by_exact = (float(np.linalg.norm(torque[exact.spheres])) + most * by_left) / exact.floor * UP**2

@@ -19,12 +19,12 @@ are on one side of every lightest cut. That decides contacts one by one, ties or
 
 Any network. At any minimum all contacts together have sum phi(y) + phi*(F) - F . y <= E, the excess of the potential of
 the given spins over what the friction proves. So with damping eta no slip is further than (2 E / eta)^1/2 from the
-given one; steps 1 to 3 say the rest, with domains of the contacts that have more room in their discs than they slip:
-slips are the same at all minima. One component alone may have many imposed values (then each step between them has its
-cuts) and odd loops (then the cuts are those of the double cover, each sphere with either sign). Where components mix
-the minimum is enclosed (oblique.py). Where that fails, a slip y* that is b across its friction has mu F_n b^2 / (2
-|y*|) <= mu F_n |y*| - F . y*, and one with the room m has m |y*|: a quadratic form of y* that is at most E, and of the
-given slips as well. Its floor, by an elimination, says how far minima are.
+given one; steps 1 to 3 say the rest, with domains of the contacts that have more room in their discs than they slip,
+or where components mix oblique.py: slips are the same at all minima. One component alone may have many imposed values
+(then each step between them has its cuts) and odd loops (then the cuts are those of the double cover, each sphere
+with either sign). Where components mix the minimum is enclosed (oblique.py). Where that fails, a slip y* that is b
+across its friction has mu F_n b^2 / (2 |y*|) <= mu F_n |y*| - F . y*, and one with the room m has m |y*|: a quadratic
+form of y* that is at most E, and of the given slips as well. Its floor, by an elimination, says how far minima are.
 """
 
 from __future__ import annotations
@@ -83,12 +83,10 @@ def proven_states(bounds: Bounds, slip_bound: np.ndarray) -> list[States]:
         far = np.sqrt(2 * bounds.excess[network.sample_of(np.arange(len(rests)))] / network.slope.least) * UP
         known = _apart(network, slip_bound, far)
         found = _samples(network, known, "slips are small, or nothing is known of what bears no viscosity", True)
-        found = _with_damping(bounds, slip_bound, found)
+        near = enclosed_minimum(bounds) if network.mixes and network.holds else None
+        found = _with_damping(bounds, slip_bound, found) if near is None else _enclosed(network, near, slip_bound)
     elif network.mixes and (near := enclosed_minimum(bounds)) is not None:
-        slides, far = near
-        most = np.where(slides, network.slip.most + far, 0.0)
-        slip_bound[network.counts] = np.fmin(slip_bound, most)[network.counts]
-        found = _samples(network, np.where(slides & network.counts, SLIPPING, SLIPLESS), "", None)
+        found = _enclosed(network, near, slip_bound)
     elif network.mixes:
         known = _apart(network, slip_bound, _by_cones(bounds))
         found = _samples(network, known, "minima are not known closely enough", None)
@@ -120,6 +118,16 @@ def proven_states(bounds: Bounds, slip_bound: np.ndarray) -> list[States]:
 def _samples(network: Network, states: np.ndarray, reason: str, unique: bool | None) -> list[States]:
     """States (m,) sample by sample."""
     return [States(own, unique, reason) for own in states.reshape(network.count, -1)]
+
+
+def _enclosed(network: Network, near: tuple[np.ndarray, np.ndarray], bound: np.ndarray) -> list[States]:
+    """States by the mask S and the distances of :func:`enclosed_minimum`. bound : of slips, improved in place."""
+    slides, far = near
+    most = np.where(slides, network.slip.most + far, 0.0)
+    bound[network.counts] = np.fmin(bound, most)[network.counts]
+    known = (network.holding.high > 0) | (network.slip.least > far)
+    slips = np.where(known, SLIPPING, UNPROVEN)
+    return _samples(network, np.where(slides & network.counts, slips, SLIPLESS), "slips are small", None)
 
 
 def _nothing(network: Network, reason: str) -> list[States]:

@@ -133,6 +133,10 @@ OBLIQUE = {
     "fcc": tb.Packing.lattice("fcc", (2, 3, 2), seed=1),
     "diagonals": with_diagonals((4, 4, 4), seed=0),
     "random": tb.Packing.random(60, seed=2),
+    "damped bcc": tb.Packing.lattice("bcc", (3, 3, 3), seed=1, law=LAWS[1], viscosity="power-law:1,100,-1"),
+    "damped fcc": tb.Packing.lattice("fcc", (2, 2, 3), seed=2, law=LAWS[1], viscosity="power-law:0.1,10,-1"),
+    "damped diamond": tb.Packing.lattice("diamond", (2, 2, 2), seed=1, law=LAWS[1], viscosity="power-law:10,1000,-1"),
+    "damped random": tb.Packing.random(100, seed=1, law=LAWS[1], viscosity="power-law:0.1,10,-1"),
 }
 
 
@@ -218,7 +222,9 @@ def test_all_states_of_oblique_contacts_are_proven_and_no_false_ones(kind):
         spin = found.spin + size * free[:, None] * rng.standard_normal(found.spin.shape)
         friction = found.friction * (1 + size * rng.standard_normal(len(found.slip)))[:, None]
         proven = (
-            Judgement(StoredPacking("coulomb", packing.arrays(), spin, np.zeros_like(spin), friction)).states[0].proven
+            Judgement(StoredPacking(packing.law.name, packing.arrays(), spin, np.zeros_like(spin), friction))
+            .states[0]
+            .proven
         )
         acts = found.state != 3
         assert ((proven == found.proven) | (proven == 2))[acts].all()
@@ -229,7 +235,9 @@ def test_all_states_of_oblique_contacts_are_proven_and_no_false_ones(kind):
     weak[rests[0]] = 0.99 * found.force[rests[0]] / np.broadcast_to(packing.normal_force, weak.shape)[rests[0]]
     arrays = packing.arrays() | {"friction": weak}
     proven = (
-        Judgement(StoredPacking("coulomb", arrays, found.spin, found.spin_rounding, found.friction)).states[0].proven
+        Judgement(StoredPacking(packing.law.name, arrays, found.spin, found.spin_rounding, found.friction))
+        .states[0]
+        .proven
     )
     assert proven[rests[0]] == 2
 
