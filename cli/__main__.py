@@ -1,20 +1,36 @@
 """The console script, and python -m taichi_bearings_cli: Ctrl-C is heard before anything large is loaded."""
 
+import os
+import signal
 import sys
+from typing import NoReturn
 
-from taichi_bearings import interrupts
+BEFORE = "bearings: interrupted before a first result was reached; nothing is kept"
+
+
+def _end(*_: object) -> NoReturn:
+    """End a process that has done nothing yet."""
+    os.write(2, f"{BEFORE}\n".encode())
+    os._exit(130)
+
+
+for number in (signal.SIGINT, signal.SIGTERM):
+    signal.signal(number, _end)
+
+from taichi_bearings import interrupts, leaving  # noqa: E402
 
 
 def main() -> None:
     """Run the command line."""
-    interrupts.heard_at_once()
+    interrupts.always_heard()
     try:
         from taichi_bearings_cli.main import main as bearings
 
         bearings()
     except KeyboardInterrupt:
         interrupts.ignored()
-        print("bearings: interrupted before a first result was reached; nothing is kept", file=sys.stderr)
+        leaving.end_now(BEFORE)
+        print(BEFORE, file=sys.stderr)
         sys.exit(130)
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from taichi_bearings import interrupts
+from taichi_bearings import interrupts, leaving
 from taichi_bearings.errors import BearingsError
 from taichi_bearings.version import VERSION
 from taichi_bearings.words import meant
@@ -32,7 +32,7 @@ COMMANDS = {  # name -> (module, one line for --help)
     "cite": "How to cite the program and its paper.",
     "info": "Versions, devices, precision and cache.",
 }
-INTERRUPTED = "bearings: interrupted; nothing is kept but what was complete"
+INTERRUPTED = f"bearings: {leaving.NOTHING_KEPT}"
 
 
 class LazyGroup(click.Group):
@@ -71,6 +71,9 @@ def main() -> None:
     """Run the command line; errors made by the user are one sentence and exit code 2, never a traceback."""
     interrupts.heard_at_once()
     os.environ["MPLBACKEND"] = "agg"  # a notebook's shell names its own, which need not be installed here
+    os.environ.setdefault(
+        "HDF5_USE_FILE_LOCKING", "FALSE"
+    )  # files are replaced in one move; some systems have no locks
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # its font cache is not the user's business
     if os.path.lexists("matplotlibrc"):  # of a stranger, perhaps: some settings start programs
         click.echo("bearings: the matplotlibrc of this folder is not read; MATPLOTLIBRC can name one that is", err=True)
@@ -86,10 +89,23 @@ def main() -> None:
     try:
         code = _exit_code()
     except KeyboardInterrupt:
-        click.echo(INTERRUPTED, err=True)
-        code = 130
+        code = _interrupted(INTERRUPTED)
+    except Exception:
+        if not leaving.heard():
+            raise
+        code = _interrupted(INTERRUPTED)  # a library has made something else of it
     interrupts.ignored()
+    if code == leaving.INTERRUPTED:
+        leaving.end_now()
     sys.exit(code)
+
+
+def _interrupted(sentence: str) -> int:
+    """Say that a command was interrupted, and end its process at once if it is our own; give the exit code."""
+    interrupts.ignored()
+    leaving.end_now(sentence)
+    click.echo(sentence, err=True)
+    return leaving.INTERRUPTED
 
 
 def _exit_code() -> int:
@@ -100,8 +116,7 @@ def _exit_code() -> int:
         error.show()
         return 2
     except click.Abort as error:  # which click makes of a KeyboardInterrupt
-        click.echo(str(error.__cause__ or "") or INTERRUPTED, err=True)
-        return 130
+        return _interrupted(str(error.__cause__ or "") or INTERRUPTED)
     except BearingsError as error:
         click.echo(f"bearings: {error}", err=True)
         return 2

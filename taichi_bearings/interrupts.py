@@ -2,11 +2,13 @@
 
 Python tells its main thread of a signal between two of its own steps. What may be torn out of anything then ends at
 once (`heard_at_once`). What must not be half done looks up where it may end (`look_up`, inside `while_wanted`).
+A command that does not end by these means is ended by :mod:`taichi_bearings.leaving`.
 """
 
 import _thread
 import math
 import signal
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -15,7 +17,9 @@ from contextvars import ContextVar
 from types import FrameType
 from typing import Any
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM)
+from taichi_bearings import leaving
+from taichi_bearings.leaving import SIGNALS
+
 SOON = 0.02  # seconds
 IMPATIENCE = 5.0  # seconds
 
@@ -62,7 +66,7 @@ def handled(handler: Callable[[int, FrameType | None], Any] | signal.Handlers) -
 def awaited() -> Iterator[threading.Event]:
     """Ctrl-C and SIGTERM change nothing inside but set the event."""
     heard = threading.Event()
-    with handled(lambda *_: heard.set()):
+    with leaving.saving(), handled(lambda *_: heard.set()):
         yield heard
 
 
@@ -99,10 +103,30 @@ def is_loading(frame: FrameType | None) -> bool:
     return False
 
 
+def again_soon(is_wanted: Callable[[], bool] = lambda: True) -> None:
+    """Have Ctrl-C handled once more in a moment: what the handler raised would be swallowed now, or was.
+
+    is_wanted : asked then; False where it is too late.
+    """
+
+    def ring() -> None:
+        time.sleep(SOON)
+        if not is_wanted():
+            return
+        if hasattr(signal, "pthread_kill"):  # which also ends a wait
+            signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+        else:
+            _thread.interrupt_main()
+
+    _thread.start_new_thread(
+        ring, ()
+    )  # no Thread: the main one may be starting another, which a second start waits for
+
+
 def interrupt(_: int, frame: FrameType | None) -> None:
-    """A handler that ends what is under way, or soon if a module is being loaded."""
-    if is_loading(frame) and hasattr(signal, "setitimer"):
-        signal.setitimer(signal.ITIMER_REAL, SOON)
+    """Handle a signal by ending what is under way, or soon if a module is being loaded."""
+    if is_loading(frame):
+        again_soon()
     else:
         raise KeyboardInterrupt
 
@@ -111,14 +135,34 @@ def ignored() -> None:
     """For a process of our own that is about to end."""
     for number in SIGNALS:
         signal.signal(number, signal.SIG_IGN)
-    if hasattr(signal, "setitimer"):
-        signal.setitimer(signal.ITIMER_REAL, 0)
 
 
 def heard_at_once() -> None:
-    """For a process of our own: Ctrl-C, SIGTERM and the alarm of :func:`interrupt` end what is under way."""
-    for number in (*SIGNALS, *([signal.SIGALRM] if hasattr(signal, "SIGALRM") else [])):
+    """For a process of our own: Ctrl-C and SIGTERM end what is under way."""
+    for number in SIGNALS:
         signal.signal(number, interrupt)
+
+
+def always_heard() -> None:
+    """For the process of a command: as :func:`heard_at_once`, and sure to end where an interrupt is swallowed or where
+    Python cannot hear of it."""
+    heard_at_once()
+    leaving.watch()
+    unraisable, in_thread = sys.unraisablehook, threading.excepthook
+
+    def swallowed(what: Any) -> None:
+        """Hear of what a destructor or a callback could not raise."""
+        if what.exc_type is not None and issubclass(what.exc_type, KeyboardInterrupt):
+            again_soon()
+        elif not leaving.heard():  # what is torn down does not matter
+            unraisable(what)
+
+    def failed(what: Any) -> None:
+        """Hear of what a thread raises."""
+        if not leaving.heard():
+            in_thread(what)
+
+    sys.unraisablehook, threading.excepthook = swallowed, failed
 
 
 class Interrupt:
@@ -166,6 +210,7 @@ class Interrupt:
             self.heard, self._first = True, time.monotonic()
         elif time.monotonic() - self._first > IMPATIENCE:
             raise KeyboardInterrupt
-        if self._at_once and not is_loading(frame):
-            self._at_once = False
+        if self._at_once and is_loading(frame):
+            again_soon(lambda: self._at_once)
+        elif self._at_once:
             raise GivenUp

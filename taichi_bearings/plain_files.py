@@ -15,6 +15,7 @@ from collections.abc import Generator, Iterator
 from pathlib import Path
 from typing import IO, Any
 
+from taichi_bearings import leaving
 from taichi_bearings.errors import FileError, WriteError
 
 OPEN_FLAGS = (
@@ -50,31 +51,9 @@ def opened(path: Path, flags: int = os.O_RDONLY) -> IO[bytes]:
         stack.callback(os.close, descriptor)
         if not stat.S_ISREG(os.fstat(descriptor).st_mode):
             raise strange
-        is_written = bool(flags & (os.O_WRONLY | os.O_RDWR))
-        if not is_written and _is_hollow(descriptor):
-            size = os.fstat(descriptor).st_size
-            raise FileError(f"{path} claims to hold {size:,} bytes, and nearly all of them are holes")
         stack.pop_all()
+    is_written = bool(flags & (os.O_WRONLY | os.O_RDWR))
     return os.fdopen(descriptor, "wb", buffering=0) if is_written else os.fdopen(descriptor, "rb")
-
-
-def _is_hollow(descriptor: int) -> bool:
-    """True for a large file that is mostly holes: a few bytes on a disk read as any number of zeros."""
-    size = os.fstat(descriptor).st_size
-    if size <= CLAIMED_BYTES or not hasattr(os, "SEEK_DATA"):
-        return False
-    end = stored = 0
-    while end < size:
-        try:
-            start = os.lseek(descriptor, end, os.SEEK_DATA)
-            end = os.lseek(descriptor, start, os.SEEK_HOLE)
-        except OSError:  # nothing but a hole follows
-            start = end = size
-        stored += end - start
-        if end > max(CLAIMED_FACTOR * stored, CLAIMED_BYTES):
-            return True
-    os.lseek(descriptor, 0, os.SEEK_SET)
-    return False
 
 
 def real_path(path: Path) -> Path:
@@ -135,6 +114,7 @@ def new_file(path: Path) -> tuple[IO[bytes], Path]:
     """An empty file beside `path`, made new and locked, and its name; :func:`remove_leftovers` knows what it is."""
     while True:
         name = path.with_name(f".{path.name[:40]}.partial-{os.getpid()}-{secrets.token_hex(3)}")
+        leaving.add_temporary(name)
         file = opened(name, os.O_WRONLY | os.O_CREAT | os.O_EXCL | NO_LINK)
         if lock(file) is not False and is_at(file, name):
             return file, name
@@ -187,9 +167,11 @@ def locked(path: Path, what: str) -> Iterator[bool]:
                 raise FileError(f"{what} is in use by another process; stop that or wait for its end")
             if not is_at(file, path):
                 continue  # whoever had it before removed it after we opened it: others would lock a new one
+            leaving.add_temporary(path)
             try:
                 yield bool(held)
             finally:
+                leaving.forget_temporary(path)
                 if is_at(file, path):  # an exchanged directory takes its lock with it
                     with contextlib.suppress(OSError):
                         let_go(file)

@@ -16,6 +16,7 @@ import numpy as np
 from taichi_bearings.checksums import open_checked, seal
 from taichi_bearings.errors import FileError, InputError, printable
 from taichi_bearings.hdf5 import LAYOUT
+from taichi_bearings.leaving import forget_temporary
 from taichi_bearings.plain_files import let_go, new_file, real_path, refuse_link_out, write_all, writing
 from taichi_bearings.words import shown
 
@@ -56,6 +57,7 @@ def replace_file(path: Path, content: Buffer) -> None:
                 os.replace(temporary, path)
         finally:
             temporary.unlink(missing_ok=True)
+            forget_temporary(temporary)
 
 
 def write_text(path: Path, text: str) -> None:

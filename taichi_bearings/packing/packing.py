@@ -261,7 +261,7 @@ class Packing:
                 with open(path, "xb") as file:
                     np.savez(file, **self.arrays())  # type: ignore[arg-type]
             elif path.suffix in (".h5", ".hdf5"):
-                with h5py.File(path, "x") as stored:
+                with h5py.File(path, "x", locking=False) as stored:
                     for name, values in self.arrays().items():
                         stored[name] = values
             else:

@@ -16,6 +16,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from PIL import Image
 
+from taichi_bearings import leaving
 from taichi_bearings.errors import InputError, WriteError
 from taichi_bearings.files.whole_file import refuse_ending, replace_file
 from taichi_bearings.plots.page import Page
@@ -80,6 +81,7 @@ def _mp4(encoder: str, frames: Iterator[np.ndarray], frames_per_second: float) -
     height, width = first.shape[:2]
     repeated = max(1, math.ceil(10 / frames_per_second))
     with tempfile.TemporaryDirectory() as folder:
+        leaving.add_temporary(Path(folder))
         film, said = Path(folder) / "movie.mp4", Path(folder) / "said"
         words = [encoder, "-loglevel", "error", "-f", "rawvideo", "-pixel_format", "rgb24",
                  "-video_size", f"{width}x{height}", "-framerate", f"{frames_per_second:g}", "-i", "-",

@@ -1,13 +1,14 @@
 """Packings as runs solve them: what the settings describe, and what the method that they name finds."""
 
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from taichi_bearings import runtime
+from taichi_bearings import leaving, runtime
 from taichi_bearings.errors import DeviceError, InputError
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.options import options_of
@@ -55,7 +56,7 @@ def solve_packings(
     for number, (packing, own) in enumerate(zip(packings, written, strict=True)):
         told = {} if minimises(settings) else {"monitors": monitors, "checkpoints": own}
         try:
-            with stage("solving"):
+            with stage("solving"), leaving.saving() if found else nullcontext():
                 first = start[number] if several else start
                 found.append(solved_packing(settings, packing, start=first, **told, **others))
         except KeyboardInterrupt:

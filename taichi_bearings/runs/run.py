@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from taichi_bearings import compiler, runtime
+from taichi_bearings import compiler, leaving, runtime
 from taichi_bearings.errors import FileError, InputError, WriteError
 from taichi_bearings.files.whole_file import write_text
 from taichi_bearings.interrupts import awaited
@@ -274,7 +274,8 @@ def kept(found: Run, write: Callable[[], Run], title: bool = True, otherwise: st
     try:
         if heard.is_set() or found.interrupted:
             raise KeyboardInterrupt
-        draw_figures(found, title)
+        with leaving.saying(f"interrupted; the run is in {found.path}"):
+            draw_figures(found, title)
     except KeyboardInterrupt:
         return replace(found, interrupted=True)
     return found
@@ -357,7 +358,8 @@ def _solve_with_checkpoints(
 
     every = stored.checkpoint_every or np.inf
     try:
-        found = job.solve(monitors, Checkpoints(every, write, arrays))
+        with leaving.saying(f"interrupted; `bearings run --resume {path}` goes on from the last checkpoint"):
+            found = job.solve(monitors, Checkpoints(every, write, arrays))
     except KeyboardInterrupt:
         raise KeyboardInterrupt(str(path)) from None
     found = replace(found, path=path, command=command())

@@ -17,6 +17,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
+from taichi_bearings import leaving
 from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.files.whole_file import layout_of, make_folder, read_hdf5, refuse_standing, write_hdf5
 from taichi_bearings.plain_files import locked, real_path, remove, remove_leftover, writing
@@ -80,7 +81,9 @@ def run_directory(path: Path, force: bool = False) -> Iterator[RunDirectory]:
                     in_its_use.close()
             standing = path.stat() if path.exists() else None
             partial = path.with_name(f".{path.name}.partial-{os.getpid()}-{secrets.token_hex(3)}")
+            stack.callback(leaving.forget_temporary, partial)
             stack.callback(shutil.rmtree, partial, ignore_errors=True)
+            leaving.add_temporary(partial)
             partial.mkdir()
         yield RunDirectory(path, partial, standing)
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from taichi_bearings.checksums import ATTRIBUTE, changed
 from taichi_bearings.errors import InputError
-from taichi_bearings.hdf5 import look_through, open_hdf5
+from taichi_bearings.hdf5 import open_hdf5
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.runs.run_file import file_of, refuse_scan
@@ -29,11 +29,11 @@ def verify(path: Path) -> dict[str, Any]:
     size: dict[str, Any]
     with stage("reading"):
         refuse_scan(path)
-        if file_of(path).is_file():
-            look_through(file_of(path))
+        unlike = None
+        if (file_of(path)).is_file():
+            with open_hdf5(file_of(path), "a run") as file:  # what is not as it was written, where it has checksums
+                unlike = [*changed(path, file)] if ATTRIBUTE in file.attrs else None
         run, *others = read_stored_run(path)
-        with open_hdf5(run.path, "a run") as file:  # what is not as it was written, where the file has checksums
-            unlike = [*changed(run.path, file)] if ATTRIBUTE in file.attrs else None
     samples, seeds, drawn = run.samples, np.asarray(run.attributes.get("seed", -1)).tolist(), False
     with stage("proving"), one_thread():
         report = report_of(run)

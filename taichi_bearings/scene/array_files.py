@@ -10,6 +10,7 @@ import numpy as np
 
 from taichi_bearings.checksums import open_checked
 from taichi_bearings.errors import FileError, InputError
+from taichi_bearings.memory import refuse_beyond
 from taichi_bearings.plain_files import CLAIMED_BYTES, CLAIMED_FACTOR, opened
 
 
@@ -43,10 +44,11 @@ def read_arrays(path: Path, names: Sequence[str], optional: Sequence[str] = ()) 
         if path.suffix == ".npy":
             if len(names) > 1:
                 raise FileError(f"{path} holds one array but {', '.join(names)} are needed; use npz or HDF5")
-            opened(path).close()  # no file of holes
+            opened(path).close()  # a regular file
             mapped = np.load(path, mmap_mode="r", allow_pickle=False)  # none longer than its file
             if mapped.dtype.itemsize == 0:  # and so without limit
                 raise ValueError
+            refuse_beyond(mapped.nbytes, f"the array in {path}")
             return {names[0]: np.array(mapped)}
         if path.suffix == ".npz":
             with opened(path) as file, zipfile.ZipFile(file) as stored:

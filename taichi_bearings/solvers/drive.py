@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from taichi_bearings import runtime
+from taichi_bearings import leaving, runtime
 from taichi_bearings.errors import DeviceError, FileError, InputError
 from taichi_bearings.interrupts import GivenUp, Interrupt, while_wanted
 from taichi_bearings.proof.certificate import Forces, relative_gap
@@ -93,10 +93,11 @@ def solve(
         if interrupt.heard:  # nothing is reached yet
             raise KeyboardInterrupt
         course = Course(scene, method, stop or StopRule(), recording or Recording(), checkpoints, interrupt)
-        with stage("solving") as solving:
-            course.follow([solving.tell, *monitors])
-        with stage("proving contact states"):
-            solution = course.answer(slip_threshold)
+        with leaving.saving():  # what is reached from here on
+            with stage("solving") as solving:
+                course.follow([solving.tell, *monitors])
+            with stage("proving contact states"):
+                solution = course.answer(slip_threshold)
     running = runtime.current() if method.options.needs_taichi else runtime.HOST
     compiling = course.called - began
     return replace(solution, interrupted=interrupt.heard, running=running, seconds_compile=compiling)

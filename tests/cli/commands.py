@@ -90,8 +90,7 @@ def _anew(words, cwd, **settings):
 
 def _answer(call, words, cwd):
     """Of a call that takes its words from `sys.argv` and may end the process."""
-    numbers = (*interrupts.SIGNALS, *([signal.SIGALRM] if hasattr(signal, "SIGALRM") else []))
-    handlers, place = {number: signal.getsignal(number) for number in numbers}, os.getcwd()
+    handlers, place = {number: signal.getsignal(number) for number in interrupts.SIGNALS}, os.getcwd()
     alone = mock.patch.object(runtime, "available_threads", return_value=1)
     with _caught(1) as out, _caught(2) as err, alone, mock.patch.object(sys, "argv", list(words)):
         start, code, log = _start_of_memory(), 0, logging.StreamHandler(err)

@@ -194,15 +194,6 @@ def test_an_array_that_claims_too_much_is_not_allocated(tmp_path, claim, ending)
     assert "cannot be read" in refused("run", "--shape", "4,5", "--initial", file, "--out", tmp_path / "out")
 
 
-def test_a_list_without_end_is_seen(stranger):
-    """HDF5 2.0 reads an entry of no length in its list of texts over and over, deaf to Ctrl-C."""
-    content = (stranger / "run.h5").read_bytes()
-    heap = content.index(b"GCOL\x01\0\0\0")
-    (stranger / "run.h5").write_bytes(content[: heap + 16] + bytes(64) + content[heap + 80 :])
-    for words in (("verify",), ("plot", "spins"), ("analyse",), ("histogram",)):
-        assert "does not terminate" in refused(*words, stranger)
-
-
 def test_a_message_does_nothing_to_a_terminal():
     text = str(BearingsError("\x1b[2J\x07 in\n" + "x" * 10**6))
     assert text.startswith(r"\x1b[2J\x07 in\nxx")
@@ -382,7 +373,7 @@ def test_checksums_are_a_table_of_texts(stranger, text, command):
 
 
 @pytest.mark.parametrize("command", ["verify", "view"])
-def test_lists_that_many_entries_share_take_memory_once(stranger, command):
+def test_lists_that_many_entries_share_are_not_read(stranger, command):
     """4000 entries that all name one list of 8 MB: 32 GB from a file of 8 MB."""
 
     def share(file):
@@ -396,7 +387,7 @@ def test_lists_that_many_entries_share_take_memory_once(stranger, command):
     content = bytearray((stranger / "run.h5").read_bytes())
     content[place : place + size] = content[place : place + size // 4000] * 4000
     (stranger / "run.h5").write_bytes(content)
-    assert "is not read" in refused(command, stranger)
+    assert "holds lists, which can be of any length" in refused(command, stranger)
 
 
 def test_a_packed_array_and_its_header_take_little_memory(tmp_path):
@@ -413,26 +404,6 @@ def test_a_packed_array_and_its_header_take_little_memory(tmp_path):
     }
     assert "claims to hold more than" in said["array"]
     assert "cannot be read" in said["header"]
-
-
-@pytest.mark.skipif(not hasattr(os, "SEEK_DATA"), reason="this system tells of no holes")
-@pytest.mark.parametrize("name", ["run.h5", "samples.jsonl", "spin.npy"])
-def test_holes_are_not_read(stranger, name):
-    """A few bytes on a disk that claim to be 20 GB."""
-    file = stranger / name
-    file.touch()
-    if name == "spin.npy":
-        claiming(file, "<f8", (25 * 10**8,))
-    os.truncate(file, 20 * 10**9)
-    began = time.process_time()
-    if name == "samples.jsonl":
-        (stranger / "run.h5").unlink()
-        (stranger / "scan.toml").write_text("shape = [4, 5]\n")
-        assert "holes" in next(iter(entries(stranger))).words()
-    else:
-        words = ["verify", file] if name == "run.h5" else ["run", "--shape", "4,5", "--initial", file]
-        assert "holes" in refused(*words)
-    assert time.process_time() - began < 3
 
 
 EVIL = "=cmd\n=1+1, $\\frac{$ \x1b[2J"

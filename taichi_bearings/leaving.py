@@ -1,0 +1,142 @@
+"""How the process of a command ends by Ctrl-C or SIGTERM, whatever it is doing; a program that imports us never does.
+
+Python runs the handler of a signal in its main thread, between two of its own steps. So a handler is deaf inside a long
+call of a library, and some code swallows what a handler raises: modules that are being loaded, destructors, callbacks.
+Therefore a thread hears of each signal too (:func:`watch`). Where the process is still there a second later and nothing
+is being saved, the thread removes the temporary files, says one sentence and ends the process.
+"""
+
+import contextlib
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NoReturn
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+INTERRUPTED = 130  # exit code
+GRACE, LOOK = 1.0, 0.05  # seconds until a process is ended that does not end itself, and between two looks at it
+NOTHING_KEPT = "interrupted; nothing is kept but what was complete"
+AS_BEFORE = "\r\x1b[2K\x1b[?25h"  # a terminal without a line of progress, and with its cursor
+
+_temporary = set[str]()
+_sentences = [NOTHING_KEPT]
+_saving = 0
+_heard = threading.Event()
+_watched = False
+_last_word = threading.Lock()  # whoever holds it ends the process
+
+
+@contextlib.contextmanager
+def saving() -> Iterator[None]:
+    """Keep the process while the work inside lasts: it has something to save, and hears of signals by itself."""
+    global _saving
+    _saving += 1
+    try:
+        yield
+    finally:
+        _saving -= 1
+
+
+@contextlib.contextmanager
+def saying(sentence: str) -> Iterator[None]:
+    """Have this sentence said of what is kept where the process is ended inside."""
+    _sentences.append(sentence)
+    try:
+        yield
+    finally:
+        _sentences.pop()
+
+
+def add_temporary(path: Path) -> None:
+    """Have a file or folder removed where the process is ended from outside of what made it."""
+    _temporary.add(os.path.abspath(path))
+
+
+def forget_temporary(path: Path) -> None:
+    """Undo :func:`add_temporary`: it is removed, or has another name."""
+    _temporary.discard(os.path.abspath(path))
+
+
+def heard() -> bool:
+    """Return whether this process has been told to end."""
+    return _heard.is_set()
+
+
+@contextlib.contextmanager
+def by_default() -> Iterator[None]:
+    """Have a signal end the command's process inside as the system does by default, even in a call of a library that
+    never returns and lets no other thread work. Where something is being saved nothing changes."""
+    if not _watched or _saving or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {number: signal.signal(number, signal.SIG_DFL) for number in SIGNALS}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def watch() -> None:
+    """Start the thread that ends this process, which must be a command of our own, wherever a signal is not heard."""
+    global _watched
+    if _watched or sys.platform == "win32":
+        return
+    _watched = True
+    reading, writing = os.pipe()
+    os.set_blocking(writing, False)
+    signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
+    threading.Thread(target=_end_the_deaf, args=(reading,), daemon=True).start()
+
+
+def _end_the_deaf(reading: int) -> None:
+    """Wait for a signal, then for the end of the process, and bring that about if it does not come."""
+    while os.read(reading, 1)[0] not in SIGNALS:
+        pass
+    _heard.set()
+    left = GRACE
+    while left > 0:
+        time.sleep(LOOK)
+        left = GRACE if _saving else left - LOOK
+    _last_word.acquire()
+    with contextlib.suppress(OSError):
+        os.write(2, f"{AS_BEFORE if os.isatty(2) else ''}bearings: {_sentences[-1]}\n".encode(errors="replace"))
+    _leave()
+
+
+def end_now(sentence: str = "") -> None:
+    """End an interrupted command at once, without waiting for its threads, if it is watched; else do nothing.
+
+    sentence : what is still to be said, on stderr.
+    """
+    if not _watched:
+        return
+    _last_word.acquire()
+    if sentence and sys.stderr is not None:
+        with contextlib.suppress(OSError, ValueError):
+            print(sentence, file=sys.stderr)
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError, ValueError, AttributeError):
+            stream.flush()
+    _leave()
+
+
+def _leave() -> NoReturn:
+    """End the processes that this one has started, remove its temporary files, and end it."""
+    with contextlib.suppress(Exception):
+        multiprocessing: Any = sys.modules.get("multiprocessing")
+        for child in multiprocessing.active_children() if multiprocessing else []:
+            child.kill()
+    for path in list(_temporary):
+        with contextlib.suppress(OSError):
+            if os.path.isdir(path) and not os.path.islink(path):
+                import shutil  # loaded by whoever made the folder
+
+                shutil.rmtree(path, ignore_errors=True)
+            else:
+                os.unlink(path)
+    os._exit(INTERRUPTED)
