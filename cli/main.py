@@ -95,7 +95,7 @@ def main() -> None:
             raise
         code = _interrupted(INTERRUPTED)  # a library has made something else of it
     interrupts.ignored()
-    if code == leaving.INTERRUPTED:
+    if code == leaving.EXIT_CODE:
         leaving.end_now()
     sys.exit(code)
 
@@ -105,7 +105,7 @@ def _interrupted(sentence: str) -> int:
     interrupts.ignored()
     leaving.end_now(sentence)
     click.echo(sentence, err=True)
-    return leaving.INTERRUPTED
+    return leaving.EXIT_CODE
 
 
 def _exit_code() -> int:

@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
-INTERRUPTED = 130  # exit code
-GRACE, LOOK = 1.0, 0.05  # seconds until a process is ended that does not end itself, and between two looks at it
+EXIT_CODE = 130  # exit code
+GRACE, GLANCE = 1.0, 0.05  # seconds until a process is ended that does not end itself, and between two looks at it
 NOTHING_KEPT = "interrupted; nothing is kept but what was complete"
 AS_BEFORE = "\r\x1b[2K\x1b[?25h"  # a terminal without a line of progress, and with its cursor
 
@@ -100,8 +100,8 @@ def _end_the_deaf(reading: int) -> None:
     _heard.set()
     left = GRACE
     while left > 0:
-        time.sleep(LOOK)
-        left = GRACE if _saving else left - LOOK
+        time.sleep(GLANCE)
+        left = GRACE if _saving else left - GLANCE
     _last_word.acquire()
     with contextlib.suppress(OSError):
         os.write(2, f"{AS_BEFORE if os.isatty(2) else ''}bearings: {_sentences[-1]}\n".encode(errors="replace"))
@@ -139,4 +139,4 @@ def _leave() -> NoReturn:
                 shutil.rmtree(path, ignore_errors=True)
             else:
                 os.unlink(path)
-    os._exit(INTERRUPTED)
+    os._exit(EXIT_CODE)
