@@ -116,6 +116,10 @@ def answer(report: Mapping[str, Any], as_json: bool, words: Callable[[], str]) -
 
 run_argument = click.argument("run", metavar="RUN", type=FILE_PATH)
 replica_option = click.option("--replica", type=click.IntRange(0), default=0, help="Which replica of a block of seeds.")
+analyse_option = click.option(
+    "--analyse", is_flag=True,
+    help="Compute the structure of the run. [default: what `bearings analyse` has written into it, if anything]",
+)  # fmt: skip
 json_option = click.option("--json", "as_json", is_flag=True, help="Print exactly one JSON object on stdout.")
 
 

@@ -35,6 +35,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
 from taichi_bearings.analysis.network import SliplessNetwork
+from taichi_bearings.stages import alike, each, stage
 
 LEAST_LOAD = 1e-12  # a load that is less is none
 EXACT_WORK = 200_000_000  # sources times links; beyond it a sample of the sources must do
@@ -68,7 +69,9 @@ class Bottlenecks:
         """(E,) True for links on some path from bottom to top that visits no body twice: they alone are on shortest
         paths. All False if the planes are apart."""
         network, through = self.network, np.zeros(self.network.ends.shape[1], dtype=bool)
-        if network.spans:
+        if not network.spans:
+            return through
+        with stage("finding the backbone"):
             in_piece = network.spanning.ravel()[network.ends[0]]
             low, high = network.body[network.ends[:, in_piece]]
             outside = np.full(len(network.held), network.bodies)
@@ -160,7 +163,7 @@ def _between(
         drawn = np.sort(np.random.default_rng(0).choice(starts, number, replace=False))
     link, sphere, distance = np.zeros(edges), np.zeros(sites), 0.0
     at_once = max(1, BATCH_WORK // max(work, sites))
-    for begin in range(0, len(drawn), at_once):
+    for begin in each(range(0, len(drawn), at_once), "counting shortest paths", alike):
         levels = _count_paths(neighbours, passed, drawn[begin : begin + at_once])
         arrived, flows = _send_home(levels, is_target)
         place = np.concatenate([level.link for level in levels[:0:-1]])

@@ -35,6 +35,7 @@ from taichi_bearings.quantities import STRUCTURE, Quantity, plain
 from taichi_bearings.scene import Scene, Solution
 from taichi_bearings.scene.initial_spins import cut_unit, cut_weights, minimum_cut_spin
 from taichi_bearings.scene.scene import vector_length
+from taichi_bearings.stages import stage
 
 OF_EVERY_SAMPLE = ("power", "lower_bound", "slipping", "slipless", "undecided", "critical")
 OF_TIES = ("tied_contacts", "minimum_is_unique")
@@ -152,7 +153,8 @@ class Structure:
     @cached_property
     def interface(self) -> Interface | None:
         """The lightest interface of two rigid domains; None where there are no two bearing states."""
-        return Interface.of(self.packing)
+        with stage("finding the minimum cut"):
+            return Interface.of(self.packing)
 
     @cached_property
     def signs(self) -> tuple[np.ndarray, np.ndarray]:
@@ -352,7 +354,8 @@ class LatticeStructure(Structure):
 
     @cached_property
     def interface(self) -> Interface:
-        return find_interface(self.scene)
+        with stage("finding the minimum cut"):
+            return find_interface(self.scene)
 
     @cached_property
     def states(self) -> np.ndarray:
@@ -364,7 +367,8 @@ class LatticeStructure(Structure):
     @cached_property
     def rigid_domains(self) -> RigidDomains:
         axes = self.scene.minimum_spin_axes
-        return rigid_domains(self.network, self.scene.staggered_spin(self.spin[None], axes)[:, 0], axes)
+        with stage("finding rigid domains"):
+            return rigid_domains(self.network, self.scene.staggered_spin(self.spin[None], axes)[:, 0], axes)
 
     @cached_property
     def height(self) -> np.ndarray:
@@ -379,7 +383,8 @@ class LatticeStructure(Structure):
 
     @cached_property
     def self_stress(self) -> int:
-        return int(self_stress(self.network, self.scene.minimum_spin_axes).sum())
+        with stage("counting states of self-stress"):
+            return int(self_stress(self.network, self.scene.minimum_spin_axes).sum())
 
 
 def structure_of(answer: Solution, number: int = 0, threshold: float | None = None) -> Any:

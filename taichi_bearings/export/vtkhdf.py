@@ -63,16 +63,19 @@ class Geometry:
         return found
 
 
-def export(run: Path, out: Path | None = None, force: bool = False, replica: int = 0) -> dict[str, Any]:
+def export(
+    run: Path, out: Path | None = None, force: bool = False, replica: int = 0, analyse: bool = False
+) -> dict[str, Any]:
     """Write one sample of a run directory or its run.h5 for ParaView, and say what the file holds.
 
     out : the file, an earlier one is replaced with `force` only; default: run.vtkhdf in the run directory, which is.
+    analyse : compute the structure; else the file has of it what that of the run holds.
     Raises InputError or FileError before anything is computed.
     """
     refuse_ending(out, ".vtkhdf")
     with opened_to_draw(run, out, VTK_NAME, force) as (stored, path):
         found = stored.sample(replica)
-        drawn = points_and_lines(found)
+        drawn = points_and_lines(stored, replica, analyse)
         geometry, moments = Geometry.of(drawn.packing), drawn.moments
         of_file = {key: found.attributes[key] for key in OF_THE_FILE if key in found.attributes}
         known = found.summary | of_file | {"replica": replica}
@@ -82,7 +85,7 @@ def export(run: Path, out: Path | None = None, force: bool = False, replica: int
         with stage("writing"):
             write_vtkhdf(path, geometry, drawn.spheres, drawn.contacts, told, moments, drawn.time)
     steps = 1 if moments is None else len(moments.time) + 1
-    counts = {"points": geometry.spheres, "lines": len(geometry.ends), "steps": steps}
+    counts = {"analysed": drawn.drawn.is_known, "points": geometry.spheres, "lines": len(geometry.ends), "steps": steps}
     images = len(geometry.sphere) - geometry.spheres
     return {"file": str(path), "bytes": path.stat().st_size, **counts, **({"images": images} if images else {})}
 

@@ -16,6 +16,7 @@ from taichi_bearings.options import OneOf
 from taichi_bearings.runs.run_directory import writable_folder
 from taichi_bearings.runs.run_file import file_of, read_run
 from taichi_bearings.runs.solved import Run, together
+from taichi_bearings.runs.stored_structure import GROUP
 from taichi_bearings.runs.structure_report import findings_of
 from taichi_bearings.stages import alike, each, stage
 from taichi_bearings.words import html_table, meant, sized
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
     from taichi_bearings.plots.page import Page
 
 
-GROUP = "analysis"
 FILL = {"b": 0, "i": -1, "u": 255, "f": np.nan}
 """What pads arrays of samples that have not the same length, by kind of number."""
 TOLD_OF_RUN = ("status", "method", "law", "shape", "spheres", "contacts", "seed", "spin_top", "spin_bottom", "version")

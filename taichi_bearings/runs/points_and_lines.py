@@ -15,9 +15,9 @@ from taichi_bearings.packing import Packing
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.quantities import CONTACTS, SPHERES, found_in
 from taichi_bearings.runs.figures import moment_of
-from taichi_bearings.runs.run_file import PACKING_ARRAYS
+from taichi_bearings.runs.run_file import PACKING_ARRAYS, file_of
 from taichi_bearings.runs.solved import Run
-from taichi_bearings.runs.structure_report import columns_of
+from taichi_bearings.runs.stored_structure import Drawn
 from taichi_bearings.scene import Solution
 from taichi_bearings.stages import stage
 
@@ -43,13 +43,15 @@ class PointsAndLines:
     """N spheres and E contacts of one sample in D dimensions.
 
     Of lattices spheres are in C order; contacts along x first, then y (, z), each in C order of their lower spheres.
-    structure : of the answer that is shown. spheres, contacts : a column (N, ...) or (E,) each, by name.
+    structure : of the answer that is shown, to be asked for nothing that was not analysed. spheres, contacts : a column
+    (N, ...) or (E,) each, by name. drawn : what is known of the structure.
     time : of the end of a dynamics, else None. moments : of its snapshots before the end, if it has any.
     """
 
     structure: Structure
     spheres: dict[str, Finding] = field(repr=False)
     contacts: dict[str, Finding] = field(repr=False)
+    drawn: Drawn = field(repr=False)
     time: float | None
     moments: Moments | None
 
@@ -67,17 +69,31 @@ class PointsAndLines:
         return isinstance(self.structure, LatticeStructure)
 
 
-def points_and_lines(run: Run, replica: int = 0) -> PointsAndLines:
-    """One sample of a run; InputError if it has no such sample, or is not finite."""
+def points_and_lines(run: Run, replica: int = 0, analyse: bool = False) -> PointsAndLines:
+    """One sample of a run; InputError if it has no such sample, or is not finite.
+
+    analyse : compute its structure; else what its file holds of that is taken, if anything.
+    """
     answer = run.sample(replica).solution
     if not all(np.isfinite(values).all() for values in (answer.spin, answer.slip)):
         raise InputError("the spins or slips of the run are not finite; there is nothing to draw")
     time = float(answer.history["time"][-1]) if "time" in answer.history else None
-    with stage("analysing"):
-        structure: Structure = structure_of(answer)
-        moments = _moments(structure, time, run.settings.slip_threshold)
-        spheres, contacts = columns_of(structure)
-    packing, row = structure.packing, SPHERES["spin"]
+    structure: Structure = structure_of(answer)
+    if analyse:
+        with stage("analysing"):
+            drawn = Drawn.computed(structure)
+    else:
+        with stage("reading"):
+            number = replica if len(run.solution.state) > 1 else None
+            drawn = Drawn() if run.path is None else Drawn.stored(file_of(run.path), structure, number)
+    with stage("collecting what is drawn"):
+        return _collected(structure, drawn, time, run.settings.slip_threshold)
+
+
+def _collected(structure: Structure, drawn: Drawn, time: float | None, slip_threshold: float | None) -> PointsAndLines:
+    """Everything that is known of the spheres and contacts of a sample. time : of the end of a dynamics."""
+    answer, moments = structure.answer, _moments(structure, time, slip_threshold)
+    spheres, contacts, packing, row = dict(drawn.spheres), dict(drawn.contacts), structure.packing, SPHERES["spin"]
     spheres["spin"] = Finding(_in_space(structure.spin[None], packing.dimension)[0], row.unit, row.text)
     contacts |= _of_contacts(answer)
     coefficients = zip(
@@ -86,15 +102,16 @@ def points_and_lines(run: Run, replica: int = 0) -> PointsAndLines:
     for name, quantity, values in coefficients:
         contacts[name] = Finding(values, quantity.unit, f"{quantity.name} coefficient")
     if isinstance(structure, LatticeStructure):
-        domains, lattice = structure.rigid_domains, structure.scene.lattice
-        kind = domains.kind[domains.domain.ravel()].astype(np.uint8)
-        spheres["domain_kind"] = Finding(kind, "1", f"what its rigid domain is locked to: {DOMAIN_KINDS}")
+        lattice = structure.scene.lattice
+        if (domains := drawn.domains) is not None:
+            kind = domains.kind[domains.domain.ravel()].astype(np.uint8)
+            spheres["domain_kind"] = Finding(kind, "1", f"what its rigid domain is locked to: {DOMAIN_KINDS}")
         spheres["driven"] = Finding(lattice.is_driven.ravel(), "1", "spin is imposed")
         contacts["axis"] = Finding(lattice.axis.astype(np.uint8), "1", "0 along x, 1 along y, 2 along z")
     else:
         spheres |= {name: Finding(getattr(packing, name), *PACKING_ARRAYS[name]) for name in ("radius", "driven")}
         contacts["normal_force"] = Finding(packing.normal_force, *PACKING_ARRAYS["normal_force"])
-    return PointsAndLines(structure, spheres, contacts, time, moments)
+    return PointsAndLines(structure, spheres, contacts, drawn, time, moments)
 
 
 def _of_contacts(answer: Solution) -> dict[str, Finding]:

@@ -62,7 +62,9 @@ def findings_of(structure: Structure) -> dict[str, Finding]:
     """The structure of one sample as arrays, by their names in the group /analysis."""
     spheres, contacts = columns_of(structure)
     if not isinstance(structure, LatticeStructure):
-        return {f"sphere_{n}" if n in contacts else n: column for n, column in spheres.items()} | contacts
+        path = Finding(structure.network.path, "1", "numbers of the spheres along one shortest slipless path")
+        renamed = {f"sphere_{n}" if n in contacts else n: column for n, column in spheres.items()}
+        return renamed | contacts | {"path": path}
     domains, lattice = structure.rigid_domains, structure.scene.lattice
     components = ", ".join(AXES[component] for component in domains.spin_axes)
     spheres["betweenness/sphere"] = spheres.pop("betweenness")

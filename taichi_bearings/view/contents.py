@@ -43,20 +43,21 @@ def arrays_of(drawn: PointsAndLines) -> dict[str, np.ndarray]:
         "second": (ends[:, 1] - ends[:, 0]).astype(np.int32),
         "normal": np.asarray(packing.normal).T.astype(np.float32),
         "spin": _shown_spins(drawn, spheres["spin"][None])[0].astype(np.float32),
-        "domain": spheres["domain"].astype(np.int32),
-        "domain_size": np.bincount(spheres["domain"]).astype(np.int32),
         "map_spin": _colours(SPIN_COLOURS, 0.0, 1.0),
         "map_power": _colours(POWER_COLOURS, *COLOUR_RANGE),
         "map_share": _colours("plasma_r", *COLOUR_RANGE),
     }
-    found["flags"] = (CUT * contacts.get("on_cut", 0) + PATH * contacts["on_path"]).astype(np.uint8)
-    found["path"] = drawn.structure.network.path.astype(np.int32)
+    if drawn.drawn.is_known:
+        label = spheres["domain"]
+        found |= {"domain": label.astype(np.int32), "domain_size": np.bincount(label).astype(np.int32)}
+        found["flags"] = (CUT * contacts.get("on_cut", 0) + PATH * contacts["on_path"]).astype(np.uint8)
+        found["path"] = drawn.drawn.path.astype(np.int32)
     if "above_cut" in spheres:
         found["above"] = spheres["above_cut"].astype(np.uint8)
     if "betweenness" in spheres:
         found["sphere_betweenness"] = spheres["betweenness"].astype(np.float32)
-    if "domain_kind" in spheres:
-        turn = colour_of_turn(drawn.structure.rigid_domains.turn)[spheres["domain"], :3]
+    if (domains := drawn.drawn.domains) is not None:
+        turn = colour_of_turn(domains.turn)[spheres["domain"], :3]
         found |= {"kind": spheres["domain_kind"], "turn": np.round(255 * turn).astype(np.uint8)}
     if (moments := drawn.moments) is not None:
         chosen = _shown(moments)
@@ -101,6 +102,7 @@ def facts_of(drawn: PointsAndLines) -> dict[str, Any]:
         "subtitle": f"{told}; contact states {decided}",
         "open": ", ".join(undecided_kinds(undecided, structure.critical, tied)),
         "proven": proven,
+        "analysed": drawn.drawn.is_known,
         "decided": decided,
         "friction_limit": law.is_rate_independent and law.quantities[0].is_friction,
         "coefficients": [

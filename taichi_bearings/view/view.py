@@ -24,19 +24,24 @@ SCRIPTS = ("words", "squares", "sample", "picture", "legend", "pointing", "contr
 NUMBER_TYPES = {"float32": "f4", "int32": "i4", "uint8": "u1"}
 
 
-def view(run: Path, out: Path | None = None, force: bool = False, replica: int = 0) -> dict[str, Any]:
-    """Write the page of one sample of a run directory or its run.h5, and say where it is and how large.
+def view(
+    run: Path, out: Path | None = None, force: bool = False, replica: int = 0, analyse: bool = False
+) -> dict[str, Any]:
+    """Write the page of one sample of a run directory or its run.h5, and say where it is, how large, and whether it
+    shows the structure of the sample.
 
     out : the file, an earlier one is replaced with `force` only; default: view.html in the run directory, which is.
+    analyse : compute the structure; else the page has of it what the file of the run holds.
     Raises InputError or FileError before anything is computed.
     """
     refuse_ending(out, ".html", ".htm")
     with opened_to_draw(run, out, PAGE_NAME, force) as (found, path):
-        drawn = points_and_lines(found, replica)
+        drawn = points_and_lines(found, replica, analyse)
         with stage("writing"):
             write_text(path, page_of(facts_of(drawn), arrays_of(drawn)))
     moments = drawn.moments
-    return {"file": str(path), "bytes": path.stat().st_size, "snapshots": 0 if moments is None else len(moments.time)}
+    shown = {"snapshots": 0 if moments is None else len(moments.time), "analysed": drawn.drawn.is_known}
+    return {"file": str(path), "bytes": path.stat().st_size, **shown}
 
 
 def page_of(facts: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> str:

@@ -18,8 +18,8 @@ def run(tmp_path_factory):
 @pytest.mark.parametrize(
     ("command", "name", "counts"),
     [
-        ("view", "view.html", {"snapshots": 2}),
-        ("export", "run.vtkhdf", {"points": 16, "lines": 24, "steps": 3}),
+        ("view", "view.html", {"snapshots": 2, "analysed": False}),
+        ("export", "run.vtkhdf", {"analysed": False, "points": 16, "lines": 24, "steps": 3}),
         ("movie", "a.gif", {"frames": 2, "fps": 4.0}),
     ],
 )

@@ -84,7 +84,7 @@ def opened(browser, tmp_path):
     pages = []
 
     def show(run, *look):
-        view(run, tmp_path / "page.html", force=True)
+        view(run, tmp_path / "page.html", force=True, analyse=True)
         pages.append(Page(browser, tmp_path / "page.html", *look))
         return pages[-1]
 

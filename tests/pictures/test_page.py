@@ -25,7 +25,7 @@ def held_by(page):
 
 def page_of(run, folder):
     path = folder / "page.html"
-    assert view(run, path)["bytes"] == path.stat().st_size
+    assert view(run, path, analyse=True)["bytes"] == path.stat().st_size
     return path.read_text(encoding="utf-8")
 
 
@@ -33,7 +33,7 @@ def page_of(run, folder):
 def test_a_page_holds_the_rows_to_the_digits_that_it_shows(name, request, tmp_path):
     run = request.getfixturevalue(name)
     facts, arrays, _ = held_by(page_of(run, tmp_path))
-    rows = points_and_lines(read_run(run))
+    rows = points_and_lines(read_run(run), analyse=True)
     for key in ("slip", "power", "force", "coefficient", "betweenness"):
         assert arrays[key] == pytest.approx(rows.contacts[key].values, rel=1e-7, abs=1e-37)
     shown = rows.structure.shown_spin(rows.structure.spin)

@@ -47,8 +47,8 @@ def same(found, columns):
 @pytest.mark.parametrize("name", ["minimum", "discs"])
 def test_vtk_reads_what_we_know_of_each_sphere_and_contact(name, request, read, tmp_path):
     run = request.getfixturevalue(name)
-    report = export(run, tmp_path / "a.vtkhdf")
-    rows = points_and_lines(read_run(run))
+    report = export(run, tmp_path / "a.vtkhdf", analyse=True)
+    rows = points_and_lines(read_run(run), analyse=True)
     points, lines, spheres, contacts, _, steps = read(tmp_path / "a.vtkhdf")
     assert (report["points"], report["lines"], report["steps"]) == (len(points), len(lines), 1)
     assert steps <= 1
@@ -62,8 +62,8 @@ def test_vtk_reads_what_we_know_of_each_sphere_and_contact(name, request, read, 
 
 
 def test_contacts_across_periodic_sides_lead_to_images_beyond_the_last_spheres(periodic, read, tmp_path):
-    report = export(periodic, tmp_path / "a.vtkhdf")
-    rows = points_and_lines(read_run(periodic))
+    report = export(periodic, tmp_path / "a.vtkhdf", analyse=True)
+    rows = points_and_lines(read_run(periodic), analyse=True)
     lattice, sites = rows.answer.scene.lattice, rows.answer.scene.lattice.sites
     for step, moment in enumerate(rows.moments.spin):
         points, lines, spheres, contacts, *_ = read(tmp_path / "a.vtkhdf", step)
@@ -81,8 +81,8 @@ def test_contacts_across_periodic_sides_lead_to_images_beyond_the_last_spheres(p
 
 def test_vtk_reads_the_snapshots_as_time_steps_and_the_answer_as_the_last(dynamics, read, tmp_path):
     path = tmp_path / "a.vtkhdf"
-    rows = points_and_lines(read_run(dynamics))
-    number = export(dynamics, path)["steps"]
+    rows = points_and_lines(read_run(dynamics), analyse=True)
+    number = export(dynamics, path, analyse=True)["steps"]
     assert number == len(rows.moments.time) + 1 == 4
     for step, time in enumerate(rows.moments.time):
         points, lines, spheres, contacts, found, steps = read(path, step)
@@ -102,7 +102,7 @@ def test_vtk_reads_the_snapshots_as_time_steps_and_the_answer_as_the_last(dynami
 
 def test_a_picture_is_drawn_of_it_without_a_window(minimum, tmp_path):
     pytest.importorskip("vtkmodules.vtkRenderingOpenGL2", reason=NO_VTK)
-    export(minimum, tmp_path / "a.vtkhdf")
+    export(minimum, tmp_path / "a.vtkhdf", analyse=True)
     words = [sys.executable, ROOT / "docs" / "paraview.py", tmp_path / "a.vtkhdf", tmp_path / "a.png"]
     done = subprocess.run(words, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr

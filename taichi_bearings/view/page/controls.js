@@ -27,11 +27,11 @@ class Controls {
     const { sample, choices } = this, flags = (bit) => sample.flags.reduce((sum, f) => sum + ((f & bit) > 0), 0);
     const walls = sample.first.reduce((sum, s, c) => sum + (sample.domain[s] !== sample.domain[sample.second[c]]), 0);
     const bottlenecks = sample.betweenness.reduce((sum, b) => sum + (b > 0 && b >= sample.facts.bottleneck_share), 0);
-    this.available = { spheres: sample.spheres, network: 1, slipping: 1, undecided: sample.state.reduce((sum, is) => sum + (is === UNDECIDED), 0), cut: flags(CUT), walls, path: flags(PATH), bottlenecks };
+    this.available = { spheres: sample.spheres, network: 1, slipping: 1, undecided: sample.state.reduce((sum, is) => sum + (is === UNDECIDED), 0), cut: flags(CUT), walls, path: flags(PATH), bottlenecks, domains: Number(sample.has("domain")) };
     PRESETS.forEach(([name], n) => {
       const button = document.createElement("button");
       Object.assign(button, { type: "button", textContent: name, disabled: !this.available[PRESETS[n][5]] });
-      if (button.disabled) button.title = "This sample has none.";
+      if (button.disabled) button.title = sample.facts.analysed ? "This sample has none." : "Not analysed: bearings view --analyse shows it.";
       button.addEventListener("click", () => { this.usePreset(n); this.changed(); });
       element("presets").append(button);
     });
@@ -171,7 +171,7 @@ class Controls {
     element("threshold").setAttribute("aria-valuetext", element("threshold-text").textContent);
     const open = counts.undecided ? `, ${facts.open}` : "";
     element("states").textContent = `${grouped(counts.slipless)} slipless, ${grouped(counts.slipping)} slipping${open}. They ${counts.spans ? "join" : "do not join"} ${facts.joined} and touch ${six(100 * counts.reached)} % of the free spheres.`
-      + (!sample.isEnd ? " Domains, path and bottlenecks are known of the end state alone." : choices.slip === null ? "" : " Domains, path and bottlenecks stay those of the run.");
+      + (!facts.analysed ? " Cut, domains, path and bottlenecks are not in this page: bearings view --analyse finds them." : !sample.isEnd ? " Domains, path and bottlenecks are known of the end state alone." : choices.slip === null ? "" : " Domains, path and bottlenecks stay those of the run.");
     const what = sample.isEnd ? "P" : "|v|";
     element("power-text").textContent = choices.power === 0 ? "all" : `${what} ≥ ${weakest(choices).toExponential(2)}`;
     element("power").setAttribute("aria-valuetext", element("power-text").textContent);

@@ -3,7 +3,7 @@
 class Sample {
   constructor(facts, arrays) {
     const spheres = arrays.radius.length, contacts = arrays.slip.length, dimension = arrays.center.length / spheres;
-    const absent = { betweenness: new Float32Array(contacts), flags: new Uint8Array(contacts), kind: new Uint8Array(spheres).fill(KINDS.length - 1), path: [] };
+    const absent = { betweenness: new Float32Array(contacts), flags: new Uint8Array(contacts), kind: new Uint8Array(spheres).fill(KINDS.length - 1), path: [], domain: new Int32Array(spheres), domain_size: [spheres] };
     Object.assign(this, { facts, spheres, contacts, dimension, ...absent, ...arrays });
     this.has = (name) => name in arrays;
     const { center, radius, normal, first, second } = this, unit = 2 * radius.slice().sort()[spheres >> 1];
@@ -97,7 +97,7 @@ function numbersOf(sample, found) {
   const { facts, dimension } = sample, axes = [0, 1, 2].slice(0, dimension), position = (s) => `(${axes.map((k) => six(facts.origin[k] + sample.center[sample.spheres * k + s])).join(", ")})`;
   if (found.sphere !== undefined) {
     const s = found.sphere, spin = [0, 1, 2].map((k) => sample.spinNow[3 * s + k]);
-    const ofDomain = sample.domain_size[sample.domain[s]], atEnd = [["rigid domain", `${grouped(sample.domain[s])}, of ${grouped(ofDomain)} ${ofDomain === 1 ? "sphere" : "spheres"}`]];
+    const ofDomain = sample.domain_size[sample.domain[s]], atEnd = !sample.has("domain") ? [] : [["rigid domain", `${grouped(sample.domain[s])}, of ${grouped(ofDomain)} ${ofDomain === 1 ? "sphere" : "spheres"}`]];
     if (sample.has("kind")) atEnd.push(["locked to", KINDS[sample.kind[s]][0]]);
     if (sample.has("sphere_betweenness")) atEnd.push(["shortest paths", `${six(100 * sample.sphere_betweenness[s])} % visit it`]);
     const name = facts.shape ? position(s) : `${s} at ${position(s)}`, by = facts.shape ? "" : ` with body ${sample.body[s]}`;

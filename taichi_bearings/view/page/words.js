@@ -24,7 +24,7 @@ const PRESETS = [  // name, layers, colour of the spheres, their size in 3D, kin
   ["Network", ["network", "path"], "piece", 0.25, [], "network"],
   ["Slipping", ["slipping", "undecided"], "plain", 0.25, [], "slipping"],
   ["Minimum cut", ["cut"], "side", 0.25, [], "cut"],
-  ["Domains", ["spheres", "walls"], "turn", 1, [0, 1], "spheres"],
+  ["Domains", ["spheres", "walls"], "turn", 1, [0, 1], "domains"],
   ["Bottlenecks", ["bottlenecks", "path"], "betweenness", 0.25, [], "bottlenecks"],
 ];
 const OVER = ["path", "bottlenecks"];  // drawn after what one sees through

@@ -1,0 +1,151 @@
+"""What is drawn of the structure of a sample: as the group /analysis of its run.h5 holds it, or computed anew."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from taichi_bearings.analysis.domains import Lock, RigidDomains
+from taichi_bearings.analysis.structure import LatticeStructure, Structure
+from taichi_bearings.errors import FileError
+from taichi_bearings.files.whole_file import Finding
+from taichi_bearings.hdf5 import open_hdf5
+from taichi_bearings.quantities import Quantity
+from taichi_bearings.runs.run_file import AXES
+from taichi_bearings.runs.structure_report import IN_FILES, ON_CONTACTS, ON_SPHERES, columns_of
+
+GROUP = "analysis"
+BY_THRESHOLD = "threshold"
+"""What the attribute `states` of the group says where the structure does not go by the contact states of the run."""
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """What of the structure of a sample is drawn: nothing where it was not analysed.
+
+    spheres, contacts : a column (N,) or (E,) each, by name, N spheres in C order and E contacts.
+    domains : the rigid domains of a lattice. path : (L,) spheres along one shortest slipless path.
+    is_known : the sample was analysed.
+    """
+
+    spheres: dict[str, Finding] = field(default_factory=dict)
+    contacts: dict[str, Finding] = field(default_factory=dict)
+    domains: RigidDomains | None = None
+    path: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=int))
+    is_known: bool = False
+
+    @classmethod
+    def computed(cls, structure: Structure) -> "Drawn":
+        """The structure by the contact states of the run, computed now."""
+        spheres, contacts = columns_of(structure)
+        domains = structure.rigid_domains if isinstance(structure, LatticeStructure) else None
+        return cls(spheres, contacts, domains, structure.network.path, True)
+
+    @classmethod
+    def stored(cls, path: Path, structure: Structure, replica: int | None) -> "Drawn":
+        """The structure that `bearings analyse` has written into the file `path`; nothing where it has not, or by a
+        threshold. FileError for a group that holds something else.
+
+        structure : of the sample, of which nothing is computed. replica : number of the sample; None if the file has
+        no axis of replicas.
+        """
+        with open_hdf5(path, "a run") as file:
+            group = file.get(GROUP)
+            if not isinstance(group, h5py.Group) or str(group.attrs.get("states", BY_THRESHOLD)) == BY_THRESHOLD:
+                return cls()
+            try:
+                return _Stored(group, structure, replica).drawn()
+            except (KeyError, ValueError, IndexError, TypeError, AttributeError, OverflowError) as error:
+                again = "`bearings analyse` writes it anew"
+                raise FileError(f"the group {GROUP} of {path} is damaged or was changed: {error}; {again}") from None
+
+
+@dataclass(frozen=True)
+class _Stored:
+    """Reads the group of one sample. Arguments : as of Drawn.stored."""
+
+    group: h5py.Group
+    structure: Structure
+    replica: int | None
+
+    def drawn(self) -> Drawn:
+        spheres, contacts = self._columns()
+        domain = spheres["domain"].values
+        count = self.structure.packing.spheres
+        if not (domain.dtype.kind in "iu" and domain.min() >= 0 and domain.max() < count):
+            raise ValueError("domain holds no labels")
+        domains = self._domains(domain) if isinstance(self.structure, LatticeStructure) else None
+        return Drawn(spheres, contacts, domains, self._path(), True)
+
+    def get(self, name: str, *shape: int | None) -> np.ndarray:
+        """The numbers of a data set. shape : that they must have, None for any length."""
+        stored = self.group[name]
+        found = np.asarray(stored[()] if self.replica is None else stored[self.replica])
+        fits = len(found.shape) == len(shape) and all(w in (None, n) for n, w in zip(found.shape, shape, strict=True))
+        if not fits or found.dtype.kind not in "biuf" or (found.dtype.kind == "f" and not np.isfinite(found).all()):
+            raise ValueError(f"{name} has {found.dtype} of shape {found.shape}")
+        return found
+
+    def _columns(self) -> tuple[dict[str, Finding], dict[str, Finding]]:
+        """Columns of the spheres and of the contacts, as structure_report.findings_of has written them."""
+        structure, both = self.structure, {row.name for row in ON_SPHERES} & {row.name for row in ON_CONTACTS}
+        packing = structure.packing
+        if not isinstance(structure, LatticeStructure):
+            names = {row: f"sphere_{row.name}" if row.name in both else row.name for row in ON_SPHERES}
+            spheres = {row: self.get(n, packing.spheres) for row, n in names.items() if n in self.group}
+            contacts = {r: self.get(r.name, len(packing.contact)) for r in ON_CONTACTS if r.name in self.group}
+            return _findings(spheres), _findings(contacts)
+        lattice = structure.scene.lattice
+        names = {
+            row: "betweenness/sphere" if row.name in both else IN_FILES.get(row.name, row.name) for row in ON_SPHERES
+        }
+        spheres = {row: self.get(n, *lattice.shape).ravel() for row, n in names.items() if n in self.group}
+        contacts = {}
+        for row in ON_CONTACTS:
+            parts = [f"{IN_FILES.get(row.name, row.name)}/{axis}" for axis in AXES[: lattice.dimension]]
+            if parts[0] in self.group:
+                found = [self.get(part, *lattice.contact_shape(axis)).ravel() for axis, part in enumerate(parts)]
+                contacts[row] = np.concatenate(found)
+        return _findings(spheres), _findings(contacts)
+
+    def _domains(self, domain: np.ndarray) -> RigidDomains:
+        """The rigid domains of a lattice. domain : (N,) their labels."""
+        structure: Any = self.structure
+        scene, count = structure.scene, int(domain.max()) + 1
+        axes = scene.minimum_spin_axes
+        spins = scene.staggered_spin(structure.spin[None], axes).reshape(len(axes), *scene.lattice.shape)
+        above = np.broadcast_to(spins[..., -1:], spins.shape).reshape(len(axes), -1)
+        found, first = np.unique(domain, return_index=True)
+        lock = self.get("domains/lock", None, len(axes))[:count]
+        spheres = np.bincount(domain)
+        mean = np.stack([np.bincount(domain, values) / spheres for values in spins.reshape(len(axes), -1)], axis=1)
+        if len(found) != count or len(lock) != count or lock.min() < 0 or lock.max() > Lock.BOTH:
+            raise ValueError("domains/lock does not fit the labels")
+        names = [f"component_domain/{AXES[k]}" for k in axes]
+        labels = np.stack([self.get(name, *scene.lattice.shape) for name in names])
+        return RigidDomains(
+            axes, labels, domain.reshape(scene.lattice.shape), spheres, mean, 0.0, lock, above[:, first].T
+        )
+
+    def _path(self) -> np.ndarray:
+        """Spheres along the stored path, by number."""
+        structure, count = self.structure, self.structure.packing.spheres
+        if "path" not in self.group:
+            return np.empty(0, dtype=int)
+        if not isinstance(structure, LatticeStructure):
+            path = self.get("path", None)
+        else:
+            shape = structure.scene.lattice.shape
+            places = self.get("path", None, len(shape))
+            places = places[(places >= 0).all(axis=1)]  # samples with shorter paths are padded
+            path = np.ravel_multi_index(tuple(places.T), shape) if len(places) else np.empty(0, dtype=int)
+        path = path[path >= 0]
+        if len(path) and (path.dtype.kind not in "iu" or path.max() >= count):
+            raise ValueError("path holds no numbers of spheres")
+        return np.asarray(path)
+
+
+def _findings(columns: dict[Quantity, np.ndarray]) -> dict[str, Finding]:
+    return {row.name: Finding(values, row.unit, row.text) for row, values in columns.items()}
