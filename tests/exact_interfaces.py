@@ -116,3 +116,19 @@ def power_of_sides(scene, top, bottom, above):
         slip = scene.radius * np.linalg.norm(np.cross(spins[0] + spins[1], np.eye(3)[axis]))
         total += values[axis][place] * scene.strength * (slip if scene.law.holds else slip**2)
     return total
+
+
+def slipping_in_some_and_every(shape, weights, periodic=()):
+    """{(axis, place): (in some, in every) lightest cut} of the contacts with weight, of whole weights: what a largest
+    flow of networkx leaves open says it. Contacts between two spheres of bottom or top are left out."""
+    _, _, left = lightest(shape, weights, periodic, slack=0)
+    near = nx.descendants(left, "bottom") | {"bottom"}
+    far = nx.ancestors(left, "top") | {"top"}
+    label = {node: number for number, part in enumerate(nx.strongly_connected_components(left)) for node in part}
+    found, last = {}, shape[-1] - 1
+    for axis, place, low, high in contacts(shape, periodic):
+        ends = ["bottom" if end[-1] == 0 else "top" if end[-1] == last else end for end in (low, high)]
+        if weights[axis, place] and ends[0] != ends[1]:
+            every = any(one in near and other in far for one, other in (ends, ends[::-1]))
+            found[axis, place] = label[ends[0]] != label[ends[1]], every
+    return found

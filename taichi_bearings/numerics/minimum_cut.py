@@ -66,7 +66,7 @@ def minimum_cut(weight: tuple[np.ndarray, ...]) -> MinimumCut:
     *sideways, upward = weight
     idle = next((axis for axis, values in enumerate(sideways) if not values.any()), None)
     closed = set(Lattice.of(weight).periodic) - {idle}
-    if closed or not (upward > 0).all() or (len(sideways) == 2 and idle is None):
+    if closed or (len(sideways) == 2 and idle is None):
         return flow_cut(weight)
     if len(sideways) == 1:
         above, between, bound, following = _cut_planes(sideways[0][:, None], upward[:, None])
@@ -141,17 +141,21 @@ def _cut_planes(sideways: np.ndarray, upward: np.ndarray) -> tuple[np.ndarray, n
     """Stacks of planar grids that nothing joins: sides and what lies between ties (R, planes, w, h), proven weight
     and weight of the next cut (R,)."""
     replicas, planes, columns, gaps = upward.shape
+    sideways, upward = (np.ascontiguousarray(values).reshape(-1, *values.shape[2:]) for values in (sideways, upward))
     above, between = (np.zeros((replicas * planes, columns, gaps + 1), dtype=bool) for _ in range(2))
     bound, further = np.empty((2, replicas * planes))
-    grids = (np.ascontiguousarray(values).reshape(-1, *values.shape[2:]) for values in (sideways, upward))
-    for part, cuts in minimum_cuts(*grids):
+    for part, cuts in minimum_cuts(sideways, upward):
         above[part], bound[part], further[part] = cuts.above, cuts.weight, cuts.next_weight - cuts.weight
         for grid in np.flatnonzero(~cuts.unique):
             cut = np.diff(cuts.above[grid], axis=0), np.diff(cuts.above[grid], axis=1)
             apart = cut[0] | cuts.sideways_tied[grid], cut[1] | cuts.upward_tied[grid]
+            present = sideways[part][grid] > 0, upward[part][grid] > 0
             node, ends = _network(Lattice.of(apart))
-            left_over, last = np.tile(~_edges(apart), (2, 1)), node.max()
-            between[part][grid] = ~(within_reach(ends, left_over, 0) | within_reach(ends, left_over, last))[node]
+            known, joined = (
+                np.logical_or(*(within_reach(ends, np.tile(edges, (2, 1)), start) for start in (0, node.max())))
+                for edges in (_edges(present) & ~_edges(apart), _edges(present))
+            )
+            between[part][grid] = (joined & ~known)[node]
     stack = (replicas, planes, columns, gaps + 1)
     bound, further = (values.reshape(replicas, planes) for values in (bound, further))
     weight = bound.sum(axis=1)

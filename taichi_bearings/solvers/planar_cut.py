@@ -31,7 +31,6 @@ class PlanarCutMethod(Method):
         planes = len(self.top)
         self.tied = np.zeros((scene.replicas, planes), dtype=np.int64)
         self.next_over_minimum = np.full((scene.replicas, planes), np.inf)
-        self.absent = bool((scene.coefficient == 0).any())  # then ties are not known exactly
         self.iteration = 0
 
     def advance(self, steps: int) -> None:
@@ -41,7 +40,7 @@ class PlanarCutMethod(Method):
         spins[:, self.top == 0] = 0.0  # no jump: all turns alike
         height = self.scene.lattice.height_axis
         (sideways,) = (axis for axis in range(height) if axis != self.component)
-        coefficient = self.scene.lattice.by_axis(self.scene.positive_coefficient)
+        coefficient = self.scene.lattice.by_axis(self.scene.coefficient)
         replica, plane = (index.ravel() for index in np.indices((self.scene.replicas, len(self.top))))
         replica, plane = replica[self.top[plane] != 0], plane[self.top[plane] != 0]
         weights = [self.by_plane(coefficient[axis], self.component)[replica, plane] for axis in (sideways, height)]
@@ -51,10 +50,14 @@ class PlanarCutMethod(Method):
             where = replica[part], plane[part]
             spins[where] = np.where(cuts.above, self.top[plane[part], None, None], 0.0)
             beside, rising = (cuts.above[low] != cuts.above[high] for low, high in map(grid.along, range(2)))
+            beside, rising = (cut & (of[part] > 0) for cut, of in zip((beside, rising), weights, strict=True))
             self._store(sideways, where, beside, cuts.sideways_flow, cuts.sideways_tied)
             self._store(height, where, rising, cuts.upward_flow, cuts.upward_tied)
             self.tied[where] = cuts.tied
-            self.next_over_minimum[where] = cuts.next_weight / cuts.weight
+            joined = cuts.weight > 0
+            self.next_over_minimum[where] = np.divide(
+                cuts.next_weight, cuts.weight, out=np.full(len(joined), np.inf), where=joined
+            )
 
     def _store(
         self, axis: int, where: tuple[np.ndarray, np.ndarray], cut: np.ndarray, flow: np.ndarray, tied: np.ndarray
@@ -87,5 +90,5 @@ class PlanarCutMethod(Method):
             state=self.state.copy() if cut else None,
             settled=np.full(scene.replicas, cut),  # also where the start has the least power, less a rounding
             states_proven=unique if cut else None,
-            findings=findings if cut and self.top.any() and not self.absent else {},
+            findings=findings if cut and self.top.any() else {},
         )

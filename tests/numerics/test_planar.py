@@ -9,6 +9,8 @@ import pytest
 from scipy.ndimage import label
 
 from taichi_bearings.numerics.planar import MinimumCuts, minimum_cuts
+from tests.cuts import all_cuts
+from tests.scenes import some_of
 
 
 def cuts_of(sideways, upward):
@@ -196,3 +198,26 @@ def test_flows_balance_and_are_admissible_without_any_rounding(columns, rows, de
         assert least == pytest.approx(cuts.weight[n], rel=1e-14)
         assert cuts.weight[n] <= least * (1 + 1e-15)
     assert (cuts.next_weight >= cuts.weight).all()
+
+
+@pytest.mark.parametrize("number", some_of(140, 5))
+def test_absent_contacts_leave_cuts_and_ties_exact(number):
+    """Weights of 0 anywhere, up to a bottom and a top that nothing joins; over thirty decades, too."""
+    rng = np.random.default_rng([number, 7])
+    columns, rows = [(2, 3), (3, 4), (4, 4), (5, 4), (3, 5), (2, 6), (4, 5)][number % 7]
+    draw = [
+        lambda shape: rng.integers(1, 4, shape).astype(float),
+        lambda shape: 10.0 ** rng.integers(-15, 16, shape),
+        lambda shape: rng.choice([0.1, 0.2, 0.3], shape),
+        lambda shape: rng.uniform(0.1, 1.0, shape),
+    ][number // 7 % 4]
+    weight, absent = [draw((columns - 1, rows)), draw((columns, rows - 1))], rng.choice([0.1, 0.3, 0.6])
+    for values in weight:
+        values[rng.random(values.shape) < absent] = 0.0
+    least, expected = all_cuts(weight)
+    ((_, cut),) = minimum_cuts(*(values[None] for values in weight))
+    for values, (some, every), tied in zip(weight, expected, (cut.sideways_tied, cut.upward_tied), strict=True):
+        assert np.array_equal(tied[0], some & ~every & (values > 0))
+    sides = [cut.above[0, 1:] != cut.above[0, :-1], cut.above[0, :, 1:] != cut.above[0, :, :-1]]
+    assert sum(Fraction(v) for of, cuts in zip(weight, sides, strict=True) for v in of[cuts].tolist()) == least
+    assert least * (1 - Fraction(1, 10**12)) <= Fraction(cut.weight[0]) <= least

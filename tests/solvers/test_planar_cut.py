@@ -15,8 +15,9 @@ from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import PlanarCut
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
+from tests.exact_interfaces import slipping_in_some_and_every
 from tests.kernels.twins import is_driven, neighbours
-from tests.scenes import axis_of, make_scene, minima, name_of, scene_of
+from tests.scenes import axis_of, make_scene, minima, name_of, scene_of, some_of
 
 SIX_DECADES = ["lognormal:1,2.3", "bimodal:1e-3,1e3,0.5", "power-law:1e-3,1e3,-1"]
 
@@ -168,3 +169,29 @@ def test_findings_are_in_the_summary():
     assert summary["cut_is_unique"] == [True, True]
     assert summary["tied_contacts"] == [0, 0]
     assert min(summary["next_cut_over_minimum"]) > 1
+
+
+@pytest.mark.parametrize("number", some_of(60, 4))
+def test_ties_beside_absent_contacts_are_all_found_and_nothing_else(number):
+    """Discs and cubic lattices driven about x; contacts in some and in every lightest cut by networkx."""
+    rng = np.random.default_rng([number, 3])
+    shape = [(5, 6), (9, 8), (3, 4, 5), (12, 5)][number % 4]
+    values = [
+        rng.integers(1, 4, tuple(n - (a == axis) for a, n in enumerate(shape))) * 0.25 for axis in range(len(shape))
+    ]
+    for of in values:
+        of[rng.random(of.shape) < rng.choice([0.05, 0.2])] = 0.0
+    scene = Scene(tuple(values), **({"direction": (1, 0, 0)} if len(shape) == 3 else {}))
+    solution = solve(scene, PlanarCut().build(), initial_spin(scene, "zero"), StopRule(1e-12))
+    tied = 0
+    planes = range(shape[0]) if len(shape) == 3 else [slice(None)]
+    for plane in planes:
+        own = [of[plane] for of in values[-2:]]
+        weights = {(a, place): int(4 * v) for a, of in enumerate(own) for place, v in np.ndenumerate(of)}
+        states = [of[0][plane] for of in scene.lattice.by_axis(solution.state)[-2:]]
+        for (axis, place), (some, every) in slipping_in_some_and_every(shape[-2:], weights).items():
+            tied += some and not every
+            expected = ContactState.SLIPPING if every else ContactState.UNDECIDED if some else ContactState.SLIPLESS
+            assert states[axis][place] == expected
+    assert solution.findings["tied_contacts"][0] == tied
+    assert solution.minimum_is_unique[0] == (not tied)

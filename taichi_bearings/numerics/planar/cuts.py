@@ -28,12 +28,12 @@ class MinimumCuts:
     """Minimum cuts of B grids of w columns and h rows, and largest flows, which have the same weight.
 
     above : (B, w, h), True on the top side of a cut that no other is lighter than; the contacts whose ends differ are
-        the cut.
+        the cut, those without weight apart.
     sideways_flow, upward_flow : shaped as the weights, towards the higher index; balanced but in the end rows.
-    sideways_tied, upward_tied : True for the contacts of some but not of all minimum cuts. Exact where the weights are
-        positive; contacts without weight may count as tied though no cut needs them.
-    weight : (B,), of the flow: that of the cut, less than a unit a contact lower. next_weight : (B,), of the lightest
-        other cut that leaves either side in one piece, good to the same; equal to `weight` for ties, else larger.
+    sideways_tied, upward_tied : True for the contacts with weight that are in some but not in all minimum cuts.
+    weight : (B,), of the flow: that of the cut, less than a unit a contact lower; 0 where contacts with weight do not
+        join bottom and top. next_weight : (B,), of the lightest other cut that leaves either side in one piece, good to
+        the same; equal to `weight` for ties, else larger; NaN where contacts without weight hide it.
     """
 
     above: np.ndarray
@@ -59,7 +59,6 @@ def minimum_cuts(sideways: np.ndarray, upward: np.ndarray) -> Iterator[tuple[sli
     """Cuts of least weight between the bottom row and the top row of each grid, bundle by bundle.
 
     sideways : weights (B, w - 1, h) along the rows, none negative; those of the bottom and the top row take no part.
-    upward : weights (B, w, h - 1) along the columns, all positive; w >= 2, h >= 3.
     yields : the grids of a bundle and their cuts.
     """
     batch, columns, rows = upward.shape
@@ -81,8 +80,9 @@ def _cuts_of(inner: np.ndarray, upward: np.ndarray) -> MinimumCuts:
         crossed[unsure], sideways_tied[unsure, :, 1:-1], upward_tied[unsure] = equal_paths(
             inner[unsure], upward[unsure], unit[unsure], path.pick(unsure)
         )
-        tied = sideways_tied[unsure].any(axis=(1, 2)) | upward_tied[unsure].any(axis=(1, 2))
+        tied = _any(sideways_tied[unsure]) | _any(upward_tied[unsure])
         beyond = np.maximum(next_weight[unsure], np.nextafter(weight[unsure], np.inf))
+        beyond[_any(inner[unsure] == 0) | _any(upward[unsure] == 0)] = np.nan  # other ways across absent contacts
         next_weight[unsure] = np.where(tied, weight[unsure], beyond)
     above = np.zeros((batch, columns, gaps + 1), dtype=bool)
     np.logical_xor.accumulate(crossed, axis=2, out=above[..., 1:])  # each crossing of the path changes the side
@@ -99,17 +99,26 @@ def _cuts_of(inner: np.ndarray, upward: np.ndarray) -> MinimumCuts:
     )
 
 
+def _any(values: np.ndarray) -> np.ndarray:
+    """(B,) True for the grids in which some of the values are true."""
+    return np.asarray(values.any(axis=(1, 2)))
+
+
 def _fine_paths(inner: np.ndarray, upward: np.ndarray) -> tuple[np.ndarray, ShortestPaths]:
-    """Units (B,), and shortest paths, of 2^50 to 2^52 of them, by weights rounded down to whole units."""
+    """Units (B,), and shortest paths, of 2^50 to 2^52 of them, by weights rounded down to whole units; paths of length
+    0 where the least weight is 0."""
     at_most = upward.sum(axis=1).min(axis=1)  # the weight of a straight cut
+    lightest = np.minimum(*(np.min(of, axis=(1, 2), where=of > 0, initial=np.inf) for of in (inner, upward)))
+    lightest[np.isinf(lightest)] = 1.0
     while True:
-        unit = np.ldexp(1.0, np.frexp(at_most)[1] - 52)
+        # where a cut of no weight is known, the lightest contact counts at least one unit
+        unit = np.ldexp(1.0, np.where(at_most > 0, np.frexp(at_most)[1] - 52, np.frexp(lightest)[1] - 1))
         path = shortest_paths(np.floor(inner / grids(unit)), np.floor(upward / grids(unit)))
-        coarse = path.length < 2.0**50
+        found = np.sum(inner, axis=(1, 2), where=path.inner) + np.sum(upward, axis=(1, 2), where=path.upward)
+        coarse = (path.length < 2.0**50) & (found > 0) & (at_most > 0)
         if not coarse.any():
             return unit, path
-        found = np.sum(inner, axis=(1, 2), where=path.inner) + np.sum(upward, axis=(1, 2), where=path.upward)
-        at_most = np.where(coarse, found, at_most)
+        at_most = np.where(coarse | (found == 0), found, at_most)
 
 
 __all__ = ["MinimumCuts", "minimum_cuts"]

@@ -5,8 +5,9 @@ there are seldom many: those on a walk longer than the shortest one by less than
 them the search is repeated with the weights themselves, as whole numbers of Python, which round nothing.
 
 A contact of a lightest path takes a stretch of the least weight, from the distance of one of its faces to that of the
-other, and all of the path takes every stretch once. So one path is followed, and its own contacts are in all lightest
-paths unless another contact that is in some of them takes a part of the same stretch.
+other, and all of the path takes every stretch once. Contacts without weight take none: which of them a path crosses
+makes no difference. So one path is followed, and its own contacts are in all lightest paths unless another contact that
+is in some of them takes a part of the same stretch.
 """
 
 from bisect import bisect_left, bisect_right
@@ -28,7 +29,7 @@ def equal_paths(
 
     inner, upward : weights (B, w - 1, h - 2) and (B, w, h - 1). unit : (B,). path : from these weights, rounded down.
     returns : mask of the upward contacts of a path that no other is lighter than; masks of the inner and of the upward
-        contacts that are in some but not in all lightest paths.
+        contacts with weight that are in some but not in all lightest paths.
     """
     contact, ends, weight, shares = _steps_in_doubt(inner, upward, unit, path)
     crossed, tied = np.zeros((2, upward.size + inner.size), dtype=bool)
@@ -86,14 +87,14 @@ def _lightest(steps: list[Step], left: int, right: int) -> tuple[list[int], list
     spots = [0, *(from_left[steps[number][1]] for number in own)]  # rising
     unshared, change, of_path = list[int](), [0] * (len(own) + 1), set(own)
     for number, (tail, head, weight) in enumerate(steps):
-        if number not in of_path and from_left[tail] + weight + from_right[head] == spots[-1]:
+        if number not in of_path and weight and from_left[tail] + weight + from_right[head] == spots[-1]:
             unshared.append(number)
             first, end = bisect_right(spots, from_left[tail]) - 1, bisect_left(spots, from_left[head])
             if first < end:
                 change[first] += 1
                 change[end] -= 1
     covered = accumulate(change[:-1])
-    return own, unshared + [number for number, others in zip(own, covered, strict=True) if others]
+    return own, unshared + [n for n, others in zip(own, covered, strict=True) if others and steps[n][2]]
 
 
 def _distances(steps: list[Step], start: int) -> tuple[dict[int, int], dict[int, int]]:
