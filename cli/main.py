@@ -32,6 +32,14 @@ COMMANDS = {  # name -> (module, one line for --help)
     "cite": "How to cite the program and its paper.",
     "info": "Versions, devices, precision and cache.",
 }
+GROUPS = {
+    "Solve": ("run", "scan"),
+    "Look": ("list", "plot", "histogram", "view", "movie", "export"),
+    "Check and understand": ("verify", "analyse"),
+    "Study": ("reproduce", "benchmark", "stress"),
+    "About the program": ("info", "cite"),
+}
+"""The commands as `bearings --help` lists them."""
 INTERRUPTED = f"bearings: {leaving.NOTHING_KEPT}"
 
 
@@ -52,8 +60,9 @@ class LazyGroup(click.Group):
         return importlib.import_module(f"taichi_bearings_cli.{name}").command
 
     def format_commands(self, context: click.Context, formatter: click.HelpFormatter) -> None:
-        with formatter.section("Commands"):
-            formatter.write_dl(list(COMMANDS.items()))
+        for title, names in GROUPS.items():
+            with formatter.section(title):
+                formatter.write_dl([(name, COMMANDS[name]) for name in names], col_max=12)
 
 
 @click.command(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})

@@ -52,23 +52,51 @@ FILES, FILE_PATH = Text(), FileName()  # names as they were typed, and as paths
 class SettingsCommand(click.Command):
     """A command that takes all settings of a run beside options of its own. Values stay text: RunSettings reads them.
 
-    Its help lists the settings by the methods that use them.
+    Its help has a section for what is solved, for how, and for files; then the options that only some methods have.
+    `--help` leaves out what few need, `--help-all` has everything.
     """
 
     def get_params(self, context: click.Context) -> list[click.Parameter]:
-        return [*_settings_options((*METHODS, *LAWS)), *super().get_params(context)]
+        everything = click.Option(
+            ["--help-all"], is_flag=True, is_eager=True, expose_value=False, callback=_show_everything,
+            help="Show the options that few need too, and exit.",
+        )  # fmt: skip
+        return [*_settings_options((*METHODS, *LAWS)), *super().get_params(context), everything]
 
     def format_options(self, context: click.Context, formatter: click.HelpFormatter) -> None:
-        table, groups = settings_table(), {tuple(METHODS): list[tuple[str, str]]()}
+        sections = dict[str, list[tuple[str, str]]](
+            (title, []) for title in ("What is solved", "How", "Files and output")
+        )
+        table = settings_table()
         for parameter in self.get_params(context):
             record = parameter.get_help_record(context) if isinstance(parameter, click.Option) else None
-            owners = users_of(table[parameter.name])[0] if parameter.name in table else tuple(METHODS)
-            if record:
-                groups.setdefault(owners, []).append(record)
-        for owners, records in groups.items():
-            title = "Options" if owners == tuple(METHODS) else f"Options of {', '.join(owners)}"
+            item = table.get(parameter.name or "")
+            if record and not (item and item.rare and not context.meta.get(EVERYTHING)):
+                sections.setdefault(_section_of(item), []).append(record)
+        for title, records in sections.items():
             with formatter.section(title):
                 formatter.write_dl(records)
+
+
+EVERYTHING = "taichi_bearings_cli.everything"  # key of what a context knows: whether its help leaves nothing out
+
+
+def _show_everything(context: click.Context, _: click.Parameter, asked: bool) -> None:
+    """Print the help with all options, and exit, if that is asked for."""
+    if asked:
+        context.meta[EVERYTHING] = True
+        click.echo(context.get_help())
+        context.exit()
+
+
+def _section_of(item: Option | None) -> str:
+    """The section of the help that lists an option; None: it is no setting of a run."""
+    if item is None:
+        return "Files and output"
+    owners = users_of(item)[0]
+    if owners != tuple(METHODS):
+        return f"Options of {', '.join(owners)}"
+    return "How" if item.of_solving else "What is solved"
 
 
 @lru_cache(maxsize=8)

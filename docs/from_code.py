@@ -11,6 +11,7 @@ from docutils.parsers.rst import Directive
 from sphinx.application import Sphinx
 from sphinx.util.logging import getLogger
 from taichi_bearings_cli.main import bearings
+from taichi_bearings_cli.options import EVERYTHING
 
 from taichi_bearings.options import Option, options_of
 from taichi_bearings.solvers import MethodOptions
@@ -41,6 +42,7 @@ def contexts(context: click.Context) -> Iterator[click.Context]:
 
 def _section(context: click.Context) -> nodes.section:
     context.terminal_width = context.max_content_width = WIDTH
+    context.meta[EVERYTHING] = True
     words = context.command_path
     title, text = nodes.title(text=words), context.command.get_help(context)
     help = nodes.literal_block(text, text, language="text")

@@ -163,6 +163,7 @@ class Option:
     of_solving : it says how a system is solved, not which one it is.
     not_scanned : why a scan cannot vary it: it changes no result; empty if it can.
     unset : wherever a run is described None stands for the default, as if it were not given.
+    rare : few need it, so `--help` leaves it to `--help-all`.
     """
 
     default: Any
@@ -175,6 +176,7 @@ class Option:
     of_solving: bool = False
     not_scanned: str = ""
     unset: bool = False
+    rare: bool = False
 
     def read(self, name: str, value: Any) -> Any:
         """The value as it is kept; InputError names it and what is allowed."""

@@ -171,7 +171,7 @@ class RunSettings:
     normal_force: float = option(
         50.0, POSITIVE, "Normal force at every contact.", unit="force", laws=attrgetter("holds")
     )
-    radius: float = option(0.5, POSITIVE, "Radius of the spheres.", unit="length")
+    radius: float = option(0.5, POSITIVE, "Radius of the spheres.", unit="length", rare=True)
     iterations: int | None = how(
         None,
         SEED,
@@ -204,11 +204,12 @@ class RunSettings:
         POSITIVE,
         "Slip speed up to which a contact counts as slipless. Default: what the method can resolve.",
         unit="length/time",
+        rare=True,
     )
     arch: str = how("cpu", OneOf(*ARCHITECTURES), "Device.")
-    precision: str = how("f64", OneOf(*PRECISIONS), "Precision of the fields; bounds are always f64.")
+    precision: str = how("f64", OneOf(*PRECISIONS), "Precision of the fields; bounds are always f64.", rare=True)
     threads: int = how(
-        0, SEED, "CPU threads; 0 for all.", not_scanned="it changes no result, so set it for all samples"
+        0, SEED, "CPU threads; 0 for all.", not_scanned="it changes no result, so set it for all samples", rare=True
     )
     figures: str = how("all", OneOf("all", "none"), "Figures to draw into the run directory.")
     owned: tuple[tuple[str, Any], ...] = ()

@@ -166,7 +166,7 @@ class InteriorPoint(MethodOptions):
     colour, marker = "#D55E00", "^"
     solves = _laws(attrgetter("holds"))
 
-    settle: bool = how(True, TRUTH, "Once certified, go on until every contact is known to slip or not.")
+    settle: bool = how(True, TRUTH, "Once certified, go on until every contact is known to slip or not.", rare=True)
 
     @classmethod
     def suits(cls, scene: "Scene", tolerance: float, on_gpu: bool) -> bool:
@@ -227,16 +227,18 @@ class GradientDescent(MethodOptions):
     colour, marker = "#E69F00", "P"
     solves = _laws()
 
-    momentum: bool = how(True, TRUTH, "Accelerate, and regularise friction; without it the paper's plain method.")
+    momentum: bool = how(
+        True, TRUTH, "Accelerate, and regularise friction; without it the paper's plain method.", rare=True
+    )
 
 
 def _rest_tolerance(default: float) -> float:
-    return how(default, POSITIVE, "Relative change of P that counts as rest.", unset=True)
+    return how(default, POSITIVE, "Relative change of P that counts as rest.", unset=True, rare=True)
 
 
 def _error_tolerance() -> float:
     help = "Steps chosen by error: root mean square error of the spins in a step, relative to the largest spin."
-    return how(1e-3, POSITIVE, help, unset=True)
+    return how(1e-3, POSITIVE, help, unset=True, rare=True)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -245,9 +247,13 @@ class Motion(MethodOptions):
 
     is_dynamics = True
 
-    mass: float = option(1.0, POSITIVE, "Mass of a sphere.", unit="mass")
+    mass: float = option(1.0, POSITIVE, "Mass of a sphere.", unit="mass", rare=True)
     inertia: float | None = option(
-        None, POSITIVE, "Moment of inertia. Default: m R^2/2 (disc), 2 m R^2/5 (sphere).", unit="mass*length^2"
+        None,
+        POSITIVE,
+        "Moment of inertia. Default: m R^2/2 (disc), 2 m R^2/5 (sphere).",
+        unit="mass*length^2",
+        rare=True,
     )
     time_step: float | None = how(
         None,
@@ -290,6 +296,7 @@ class Springs(Motion):
         OneOf("reset", "relax"),
         "While a contact slips its spring is reset to carry the friction alone, as in the paper, or relaxes to that "
         "through its damper, so that no spring jumps and the course has a limit for short time steps.",
+        rare=True,
     )
     rest_tolerance: float = _rest_tolerance(1e-9)
 
@@ -316,10 +323,10 @@ class CundallStrack(Springs):
     solves = _laws()
 
     static_ratio: float = material(
-        1.0, Kind(bounded(real, 1), "1 or more", "NUMBER"), "Static over kinetic friction, mu_s/mu_k."
+        1.0, Kind(bounded(real, 1), "1 or more", "NUMBER"), "Static over kinetic friction, mu_s/mu_k.", rare=True
     )
-    gear_order: int = how(2, whole(2, 5), "Derivatives that the predictor keeps.")
-    energy: bool = how(False, TRUTH, "Keep an energy balance; a step takes a third longer.")
+    gear_order: int = how(2, whole(2, 5), "Derivatives that the predictor keeps.", rare=True)
+    energy: bool = how(False, TRUTH, "Keep an energy balance; a step takes a third longer.", rare=True)
 
 
 @register

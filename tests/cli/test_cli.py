@@ -2,12 +2,15 @@
 
 import json
 import os
+import re
 import signal
 
 import h5py
 import numpy as np
 import pytest
+from taichi_bearings_cli.main import COMMANDS, GROUPS
 
+from taichi_bearings.runs.settings import settings_table
 from tests.cli.commands import bearings, refused
 
 SMALL = ("--shape", "3,4,5", "--tolerance", "1e-3", "--figures", "none")
@@ -306,3 +309,18 @@ def test_a_time_step_too_long_for_the_course_is_said_with_a_number(tmp_path):
     short = json.loads(bearings("run", *words, *short).stdout)
     assert short["step_error"] <= 1e-2 < summary["step_error"]
     assert short["accurate_time_step"] == float(step)
+
+
+def test_help_leaves_out_what_few_need_and_all_help_has_it():
+    short, full = (bearings("run", word).stdout for word in ("--help", "--help-all"))
+    for name, item in settings_table().items():
+        told = f"--{name.replace('_', '-')}"
+        assert f"{told} " in full or f"{told}\n" in full, name
+        assert (re.search(rf"{told}\b(?!-)", short) is None) == item.rare, name
+    assert [short.index(title) for title in ("What is solved:", "How:", "Files and output:")] == sorted(
+        short.index(title) for title in ("What is solved:", "How:", "Files and output:")
+    )
+
+
+def test_the_list_of_commands_has_each_once():
+    assert sorted(name for names in GROUPS.values() for name in names) == sorted(COMMANDS)
