@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from taichi_bearings.solvers import (
         CundallStrack,
         GradientDescent,
-        ImplicitCundallStrack,
         InteriorPoint,
         LinearSolver,
         OperatorSplitting,
@@ -31,7 +30,7 @@ if TYPE_CHECKING:
 
 __version__ = VERSION
 __all__ = [
-    "BearingsError", "CundallStrack", "DeviceError", "FileError", "GradientDescent", "ImplicitCundallStrack",
+    "BearingsError", "CundallStrack", "DeviceError", "FileError", "GradientDescent", 
     "InputError", "InteriorPoint", "LinearSolver", "OperatorSplitting", "Packing", "PlanarCut",
     "Result", "RigidLimit", "Scene", "__version__", "analyse", "load", "solve", "solve_many",
 ]  # fmt: skip

@@ -240,7 +240,7 @@ FINDINGS = _named(
         Quantity("yield_torque", "force*length", "torque beyond which friction is proven not to hold"),
         Quantity("yield_torque_lower_bound", "force*length", "torque that friction is proven to hold"),
         Quantity("amplitude", "1", "strength of the motion under the torque, 1 for that of the run; 0 where it holds"),
-        Quantity("newton_steps", "1", "factorisations of a dynamics with implicit steps"),
+        Quantity("newton_steps", "1", "factorisations of a dynamics in the rigid limit"),
     ]
 )
 """What methods have found beside the answer (`Solution.findings`): also numbers of samples."""

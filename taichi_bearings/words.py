@@ -37,8 +37,8 @@ def shown(value: Any) -> str:
 def meant(word: object, known: Iterable[str]) -> str:
     """The end of a sentence that refuses a word: the one of the known words that was likely meant; empty if none is.
 
-    >>> meant("interior_pont", ["planar-cut", "interior-point"]), meant("implicit", ["implicit-cundall-strack"])
-    ("; did you mean 'interior-point'?", "; did you mean 'implicit-cundall-strack'?")
+    >>> meant("interior_pont", ["planar-cut", "interior-point"]), meant("gradient", ["gradient-descent"])
+    ("; did you mean 'interior-point'?", "; did you mean 'gradient-descent'?")
     >>> meant("x", ["planar-cut"])
     ''
     """

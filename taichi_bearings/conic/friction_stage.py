@@ -1,7 +1,8 @@
-"""One implicit stage of a dynamics with friction: the spins at its end, and the contact forces that they cause there.
+"""Spheres held by springs that friction limits: their spins in balance, and the contact forces there.
 
-With the trial force F* = start + resistance * R D Omega of every contact, limited to |F| <= limit, and a viscous force
-viscosity * R D Omega beside it, if there is one, the spins obey
+With inertia it is one implicit step of a dynamics, without it one step of the method of multipliers. With the trial
+force F* = start + resistance * R D Omega of every contact, limited to |F| <= limit, and a viscous force viscosity *
+R D Omega beside it, if there is one, the spins obey
 
     inertia (Omega - base) + R D^T F(Omega) = 0,
 
@@ -78,10 +79,10 @@ class Friction:
 
 
 class FrictionStage:
-    """Solver for the stages of all samples of a scene, one at a time.
+    """Solver for stages over one system of contacts.
 
-    conserved : (modes, m) unknowns whose sum no contact changes; empty if there are none.
-    spin_scale, force_scale : what counts as large.
+    system : the contacts. matrix : factorises their Newton matrix. radius : of the spheres. spin_scale, force_scale :
+    sizes of spins and forces, of which rounding is a share.
     """
 
     def __init__(
@@ -89,11 +90,10 @@ class FrictionStage:
         system: ContactSystem,
         matrix: NewtonMatrix,
         radius: float,
-        conserved: np.ndarray,
         spin_scale: float,
         force_scale: float,
     ) -> None:
-        self.system, self.matrix, self.radius, self.conserved = system, matrix, radius, conserved
+        self.system, self.matrix, self.radius = system, matrix, radius
         self.spin_scale, self.force_scale = spin_scale, force_scale
         self.factorisations = 0
         self._factorised: tuple[float, np.ndarray] | None = None  # inertia and stiffness
@@ -104,7 +104,7 @@ class FrictionStage:
         base, guess : (unknowns,). start : (d, n), force.
         """
         inertia, resistance = friction.inertia, friction.resistance
-        spins = guess + self._conserving(np.zeros_like(guess), base - guess)
+        spins = guess
         trial = self._trial(start, resistance, spins)
         scale = inertia * self.spin_scale + self.radius * self.force_scale
         # of torques, from rounding the spins
@@ -118,7 +118,7 @@ class FrictionStage:
             prepared = self._prepare(friction, trial)
             if not prepared:
                 return None
-            step = self._conserving(self._solved(-torque), base - spins)
+            step = self._solved(-torque)
             change = resistance * self.radius * self.system.change(step)
             length = self._step_length(friction, trial, change, spins, base, step, float(torque @ step))
             spins = spins + length * step
@@ -225,15 +225,9 @@ class FrictionStage:
             torque = self._torque(force, friction.inertia, spins - base)
             if np.abs(torque).max(initial=0.0) <= CORRECTED_TORQUE * scale:
                 break
-            step = self._conserving(self._solved(-torque), base - spins)
+            step = self._solved(-torque)
             force = force + resisted(self._stiffness, self.system.change(step)) / self.radius
             spins = spins + step
         viscosity = friction.viscosity
         held = force if viscosity is None else force - viscosity * self.radius * self.system.differences(spins)
         return StageEnd(spins, force, held, friction.slips(trial))
-
-    def _conserving(self, step: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-        """The step with the mean change of every conserved mode set to the wanted one; changed in place."""
-        if self.conserved.size:
-            step[self.conserved] += (wanted - step)[self.conserved].mean(axis=1, keepdims=True)
-        return step

@@ -129,7 +129,7 @@ def _settled(
     firm, rest = np.where(point.friction > 0, point.friction, 1.0), np.zeros(contacts.unknowns)
     for hold in HOLDS:
         here = replace(contacts, offset=_slips(system, contacts, spins))
-        stage = FrictionStage(here, matrix, 1.0, np.zeros((0, 0), dtype=np.int64), SMALL_SPINS, 1.0)
+        stage = FrictionStage(here, matrix, 1.0, SMALL_SPINS, 1.0)
         with one_thread():
             end = stage.solve(Friction(point.friction, hold * firm, 0.0, point.viscosity), rest, held, rest)
         if end is None:

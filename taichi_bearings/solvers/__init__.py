@@ -4,7 +4,6 @@ from taichi_bearings.solvers.table import (
     METHODS,
     CundallStrack,
     GradientDescent,
-    ImplicitCundallStrack,
     InteriorPoint,
     LinearSolver,
     MethodOptions,
@@ -15,6 +14,6 @@ from taichi_bearings.solvers.table import (
 )
 
 __all__ = [
-    "METHODS", "CundallStrack", "GradientDescent", "ImplicitCundallStrack", "InteriorPoint", "LinearSolver",
+    "METHODS", "CundallStrack", "GradientDescent", "InteriorPoint", "LinearSolver",
     "MethodOptions", "OperatorSplitting", "PlanarCut", "RigidLimit", "register",
 ]  # fmt: skip

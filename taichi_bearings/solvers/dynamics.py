@@ -98,12 +98,13 @@ class Dynamics(Method):
 
     kept : what its further course depends on, by name, beside the clock; WATCH_NAMES and ENERGY_NAMES if it has them.
     rest_gap : proven gap from which a stationary state is believed to be one.
-    time : simulated time. aim : the next one at which a state is wanted. halted : it cannot make another step.
+    time : simulated time. aim : the next one at which a state is wanted. end : the one at which the run ends, infinity
+    if it has none. halted : it cannot make another step.
     """
 
     kept: ClassVar[tuple[str, ...]] = ()
     rest_gap: ClassVar = 1e-4
-    aim = np.inf
+    aim = end = np.inf
 
     def begin(self, scene: Scene, spin: np.ndarray) -> None:
         super().begin(scene, spin)
@@ -129,6 +130,10 @@ class Dynamics(Method):
         `next_check` stops at the first step that reaches it; a method that chooses its steps ends one there exactly.
         """
         self.aim = time
+
+    def end_at(self, time: float, resumable: bool) -> None:
+        """The simulated time at which the run ends, to rounding. resumable : `state` is asked for afterwards."""
+        self.end = time
 
     def state(self) -> dict[str, np.ndarray]:
         """Everything that the further course depends on."""
@@ -212,7 +217,7 @@ class SpringDynamics(Dynamics):
         scene, difference = self.scene, self.differences(staggered)
         force = self.options.damping * scene.lattice.radius * difference
         size, limit = vector_length(force), scene.normal_force * scene.acting_coefficient
-        slips = size > limit * getattr(self.options, "static_ratio", 1.0)
+        slips = size > limit * self.options.static_ratio
         force = force * np.divide(limit, size, out=np.ones_like(size), where=slips)
         return self.with_viscosity(force if scene.law.holds else np.zeros_like(force), difference)
 

@@ -5,11 +5,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from scipy import sparse
 
-from taichi_bearings.conic.contact_system import ContactSystem
-from taichi_bearings.conic.contraction import order_by_place
-from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.errors import InputError
 from taichi_bearings.fields import Fields, team_size
 from taichi_bearings.fields.lists import ListSpec
@@ -18,16 +14,13 @@ from taichi_bearings.kernels.team import Team, made_once
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.packing.answer import SLIPLESS, SLIPPING, UNDECIDED, judged
 from taichi_bearings.packing.packing import Packing
-from taichi_bearings.packing.path import oblique
-from taichi_bearings.packing.system import Found, System, slips_of
+from taichi_bearings.packing.system import Found
 from taichi_bearings.proof.contact_state import all_proven, classify
 from taichi_bearings.scene import Progress, Solution, Status
 from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.solvers.cundall_strack import CundallStrackMethod, largest_step
 from taichi_bearings.solvers.drive import Checkpoints, Monitor, solve
-from taichi_bearings.solvers.dynamics import SpringDynamics
 from taichi_bearings.solvers.gradient_descent import GradientDescentMethod
-from taichi_bearings.solvers.implicit_cundall_strack import ImplicitCundallStrackMethod
 from taichi_bearings.solvers.method import Method
 from taichi_bearings.solvers.network import Network
 from taichi_bearings.solvers.recording import Recording
@@ -163,54 +156,6 @@ class CundallStrackOfPacking(OnNetwork, CundallStrackMethod):
         if not self.scene.proven > 0:
             return not len(self.scene.acting) or self.time >= self._loading_time()
         return super().is_believed(replace(found, lower_bound=np.array([self.scene.proven])))
-
-
-class ImplicitCundallStrackOfPacking(OnNetwork, ImplicitCundallStrackMethod):
-    """An iteration is one time step, with the contacts as one group and spheres of any weight.
-
-    The unknowns of a stage are w = S^-1 u of the free spheres, S^2 = unit inertia R^2 / I: all have one inertia.
-    """
-
-    kept = (*ImplicitCundallStrackMethod.kept, *OF_BOUND)
-
-    def begin(self, network: Any, spins: np.ndarray) -> None:
-        SpringDynamics.begin(self, network, spins)
-        self.free = ~network.lattice.is_driven
-        self.scale = np.repeat(np.sqrt(self.unit_inertia / self.inertia[self.free]), network.components)
-        self.system, self.order = self._contacts(network)
-        self._begin(spins)
-
-    def _contacts(self, network: Network) -> tuple[ContactSystem, np.ndarray]:
-        """What a stage asks of its contacts, over w, and the order of elimination. scale : S, of u by component."""
-        packing, free, c = network.packing, np.flatnonzero(self.free), network.components
-        moved = np.full((packing.spheres, c), -1)
-        moved[free] = np.arange(len(free) * c).reshape(-1, c)
-        matrix = slips_of(packing, network.acting, moved)
-        offset, of = network.differences(packing.imposed.T[:, None])[:, 0], tuple(v[0] for v in network.contact)
-        sphere, known = np.repeat(free, c), packing.imposed
-        system = System(packing, network.acting, moved, None, sphere, known, matrix, offset, of)
-        whole = oblique(system)
-        slips = sparse.csr_array(whole.operator @ sparse.diags_array(self.scale))
-        return replace(whole, slips=slips), order_by_place(whole, system.place)
-
-    @property
-    def unit_inertia(self) -> float:
-        return float(self.inertia[self.free].mean()) if self.free.any() else 1.0
-
-    def free_spins(self, staggered: np.ndarray) -> np.ndarray:
-        return (staggered[:, 0, self.free].T.ravel() / self.scale)[None]
-
-    def place_free_spins(self, staggered: np.ndarray, replica: int, spins: np.ndarray) -> None:
-        staggered[:, 0, self.free] = (spins * self.scale).reshape(-1, len(staggered)).T
-
-    def _matrix(self) -> NewtonMatrix:
-        return NewtonMatrix(self.system, self.order)
-
-    def _conserved(self) -> np.ndarray:
-        return np.zeros((0, 0), dtype=np.int64)
-
-    def is_believed(self, found: Any) -> bool:
-        return self.scene.proven == 0 or super().is_believed(found)
 
 
 class GradientDescentOfPacking(OnNetwork, GradientDescentMethod):

@@ -281,13 +281,21 @@ class RigidLimit(Motion):
     rest_tolerance: float = _rest_tolerance(1e-12)
 
 
+@register
 @dataclass(frozen=True, kw_only=True)
-class Springs(Motion):
-    """Springs and dampers of Cundall and Strack, the paper's values as defaults.
+class CundallStrack(Motion):
+    """The paper's second method: springs and dampers of Cundall and Strack, the paper's values as defaults, in explicit
+    steps by Gear's method.
 
     At rest once the power changes by less than rest_tolerance over three checks in a row, no contact changes between
     sticking and slipping, and no free sphere feels more than this share of the typical friction torque.
     """
+
+    name = "cundall-strack"
+    implementation = "taichi_bearings.solvers.cundall_strack:CundallStrackMethod"
+    of_packings = "taichi_bearings.solvers.packings:CundallStrackOfPacking"
+    colour, marker = "#8C6BB1", ">"
+    solves = _laws()
 
     stiffness: float = material(1e5, POSITIVE, "Tangential stiffness K_t.", unit="force/length")
     damping: float = material(1e3, NOT_NEGATIVE, "Tangential damping A_t.", unit="force*time/length")
@@ -299,6 +307,11 @@ class Springs(Motion):
         rare=True,
     )
     rest_tolerance: float = _rest_tolerance(1e-9)
+    static_ratio: float = material(
+        1.0, Kind(bounded(real, 1), "1 or more", "NUMBER"), "Static over kinetic friction, mu_s/mu_k.", rare=True
+    )
+    gear_order: int = how(2, whole(2, 5), "Derivatives that the predictor keeps.", rare=True)
+    energy: bool = how(False, TRUTH, "Keep an energy balance; a step takes a third longer.", rare=True)
 
     def after_slip(self, span: float) -> tuple[float, float]:
         """Elongation of a slipping contact after a time `span`: so much of its force, and of the elongation before.
@@ -309,39 +322,6 @@ class Springs(Motion):
             return 1 / self.stiffness, 0.0
         resistance = self.stiffness * span + self.damping
         return span / resistance, self.damping / resistance
-
-
-@register
-@dataclass(frozen=True, kw_only=True)
-class CundallStrack(Springs):
-    """The paper's second method: explicit steps by Gear's method."""
-
-    name = "cundall-strack"
-    implementation = "taichi_bearings.solvers.cundall_strack:CundallStrackMethod"
-    of_packings = "taichi_bearings.solvers.packings:CundallStrackOfPacking"
-    colour, marker = "#8C6BB1", ">"
-    solves = _laws()
-
-    static_ratio: float = material(
-        1.0, Kind(bounded(real, 1), "1 or more", "NUMBER"), "Static over kinetic friction, mu_s/mu_k.", rare=True
-    )
-    gear_order: int = how(2, whole(2, 5), "Derivatives that the predictor keeps.", rare=True)
-    energy: bool = how(False, TRUTH, "Keep an energy balance; a step takes a third longer.", rare=True)
-
-
-@register
-@dataclass(frozen=True, kw_only=True)
-class ImplicitCundallStrack(Springs):
-    """Cundall-Strack dynamics without a stability limit; it chooses its steps."""
-
-    name = "implicit-cundall-strack"
-    implementation = "taichi_bearings.solvers.implicit_cundall_strack:ImplicitCundallStrackMethod"
-    of_packings = "taichi_bearings.solvers.packings:ImplicitCundallStrackOfPacking"
-    cpu_only = True
-    colour, marker = "#7A5230", "*"
-    solves = _laws()
-
-    error_tolerance: float = _error_tolerance()
 
 
 def fastest(scene: "Scene", tolerance: float, on_gpu: bool) -> type[MethodOptions]:

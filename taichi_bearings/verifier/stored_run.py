@@ -36,7 +36,7 @@ REPORTED_SETS, OPTIONAL_SETS = ("slip", "power", "force", "state"), ("slip_bound
 OF_SPHERES = ("center", "driven", "spin", "radius")  # arrays of packings
 STORED_SIZES = ("radius", "friction", "viscosity", "normal_force")
 LEAST_STORED, MOST_STORED = 1e-15, 1e15  # of these, and most of places and spins
-FOLLOWED = ("cundall-strack", "implicit-cundall-strack", "gradient-descent")  # methods of packings that end in a motion
+FOLLOWED = ("cundall-strack", "gradient-descent")  # methods of packings that end in a motion
 MOST_SCENE_TEXT = 2**22  # letters of the scene
 A_LINE = re.compile(r"""\s*([\w-]+\s*=\s*("|[^"{]*\Z|\[["xyz, ]*\]\Z)|#|\Z)""")
 """A key without dots and its value, which is no table: keys of many dots take memory like their length squared. Words

@@ -15,7 +15,7 @@ pytestmark = pytest.mark.usefixtures("taichi_runtime", "needs_f64")
 LATTICES = [((4, 4), ()), ((2, 4), "x"), ((3, 3, 4), ()), ((4, 3, 4), "x"), ((3, 2, 4), "y"), ((4, 2, 4), "x,y")]
 BODIES = [("square", (5, 5), "walls"), ("square", (5, 5), "shaft:0.6"), ("cubic", (4, 3, 3), "planes"),
           ("cubic", (4, 3, 3), "walls"), ("cubic", (5, 5, 3), "shaft:0.6")]  # fmt: skip
-OF_PACKINGS = ("auto", "gradient-descent", "cundall-strack", "implicit-cundall-strack")
+OF_PACKINGS = ("auto", "gradient-descent", "cundall-strack")
 ADDED, JUMP, ABOUT_X = (4.1, -8.3, 2.7, 1.9), (1.0, 0.5, 0.0, 0.3), (1.0, 0.0, 0.0, 0.0)
 ROUNDING = 1e-15  # of what all contacts dissipate that slip as fast as the fastest driven sphere
 

@@ -11,7 +11,6 @@ import pytest
 from taichi_bearings.compiler import name as compiler_name
 from taichi_bearings.compiler import ti
 from taichi_bearings.conic import central_path
-from taichi_bearings.conic.friction_stage import FrictionStage
 from taichi_bearings.kernels.elimination import LANES
 from taichi_bearings.numerics.cholesky.factor import CalledFactor, DenseFactor, LaunchedFactor
 from taichi_bearings.scene.initial_spins import initial_spin
@@ -61,7 +60,6 @@ def counting(monkeypatch):
         watch(operator_splitting, "_to_modes", "products with sines")
         watch(operator_splitting, "_from_modes", "products with sines")
         watch(central_path.Path, "step", "Newton steps")
-        watch(FrictionStage, "_prepare", "Newton steps with springs")
         yield seen
 
 
@@ -120,19 +118,10 @@ def test_a_step_of_the_rigid_limit_factorises_once_a_newton_step(monkeypatch):
     assert 2 <= seen["Newton steps"] <= seen["factorisations"] <= seen["Newton steps"] + 2 * 2
 
 
-def test_short_steps_with_springs_factorise_nothing_and_long_ones_once_a_newton_step(monkeypatch):
-    for time_step, factorises in ((1e-5, False), (0.1, True)):
-        method = begun("implicit-cundall-strack", time_step=time_step)
-        seen = seen_while(method, 2, monkeypatch)
-        assert (seen["factorisations"] > 0) == factorises
-        assert seen["factorisations"] <= seen["Newton steps with springs"]
-        assert seen["Newton steps with springs"] > 0
-
-
 # bytes that iterations take beside what is there, of a lattice of any size and a sphere; in a kernel nothing is taken
 TAKEN = {
     "gradient-descent": (16e3, 0), "cundall-strack": (16e3, 0), "operator-splitting": (250e3, 0),
-    "interior-point": (100e3, 400), "rigid-limit": (100e3, 800), "implicit-cundall-strack": (100e3, 800),
+    "interior-point": (100e3, 400), "rigid-limit": (100e3, 800), 
     "linear-solver": (100e3, 800), "planar-cut": (100e3, 200),
 }  # fmt: skip
 

@@ -197,8 +197,8 @@ def test_ctrl_c_saves_what_was_reached(tmp_path, what):
 BAD = {
     "option of other methods": (("--stiffness", "2e5"), "with the law coulomb does not use it; it needs --method cund"),
     "option of another dynamics": (
-        ("--method", "implicit-cundall-strack", "--static-ratio", "1.2"),
-        "static_ratio is 1.2, but implicit-cundall-strack with the law coulomb does not use it",
+        ("--method", "rigid-limit", "--static-ratio", "1.2"),
+        "static_ratio is 1.2, but rigid-limit with the law coulomb does not use it",
     ),
     "option of other laws": (("--law", "viscous", "--normal-force", "2"), "it needs --law coulomb or coulomb-viscous"),
     "height of 2": (("--shape", "5,5,2"), "must be 3 or more"),

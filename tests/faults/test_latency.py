@@ -38,7 +38,6 @@ COMMANDS = {
     "32x32x32": "run --shape 32,32,32",
     "300x300": "run --shape 300,300",
     "rigid limit, 16x16x16": "run --shape 16,16,16 --method rigid-limit --initial random --duration 1e9",
-    "implicit, 16x16x16": "run --shape 16,16,16 --method implicit-cundall-strack --initial random --duration 1e9",
     "Cundall-Strack, 32x32x32": "run --shape 32,32,32 --method cundall-strack --duration 1e9",
     "gradient descent, 32x32x32": "run --shape 32,32,32 --method gradient-descent --tolerance 1e-12",
     "splitting, 32x32x32": "run --shape 32,32,32 --method operator-splitting --tolerance 1e-12",

@@ -11,7 +11,7 @@ from taichi_bearings.solvers.table import fastest
 
 TOLERANCE = 1e-10
 NEAREST = Fraction(1, 2**52)  # relative: two roundings of a double
-LIMITS = {"rigid-limit": 15, "implicit-cundall-strack": 10, "interior-point": 200}
+LIMITS = {"rigid-limit": 15, "interior-point": 200}
 ENOUGH = 300  # iterations of the other methods, if they are named: a proof must hold wherever they end
 
 

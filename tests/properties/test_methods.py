@@ -15,7 +15,6 @@ from tests.properties.scenes import PLANAR, SPHERES, cases, scenes, seeds
 
 SHARES = {  # of the cases: these take longer
     "rigid-limit": 0.15,
-    "implicit-cundall-strack": 0.15,
     "operator-splitting": 0.3,
     "cundall-strack": 0.4,
     "interior-point": 0.5,

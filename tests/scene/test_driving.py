@@ -81,7 +81,7 @@ def test_spins_about_an_axis_are_one_case_of_it(shape, law):
 RUNS = [
     {}, {"law": "viscous"}, {"method": "operator-splitting", "tolerance": 1e-4},
     {"method": "gradient-descent", "iterations": 300}, {"method": "cundall-strack", "duration": 0.05},
-    {"method": "implicit-cundall-strack", "tolerance": 1e-3}, {"method": "rigid-limit", "law": "coulomb-viscous"},
+    {"method": "cundall-strack", "tolerance": 1e-3}, {"method": "rigid-limit", "law": "coulomb-viscous"},
     {"replicas": 3, "distribution": "bimodal:1,2,0.5"},
 ]  # fmt: skip
 

@@ -24,7 +24,7 @@ RUNS = {
     "descent": {"shape": (3, 3, 4), "method": "gradient-descent", "tolerance": 1e-3},
     "cut short": {"shape": (4, 4, 4), "method": "operator-splitting", "iterations": 20},
     "springs": {"shape": (3, 3, 4), "method": "cundall-strack", "duration": 0.2, "slip_threshold": 1e-4},
-    "dashpots": {"shape": (4, 5), "law": "viscous", "method": "implicit-cundall-strack", "duration": 0.2},
+    "dashpots": {"shape": (4, 5), "law": "viscous", "method": "cundall-strack", "duration": 0.2},
     "rigid": {"shape": (3, 4), "method": "rigid-limit"},
     "states": {"shape": (3, 3, 4), "top": (1.0, 0.5, 0.0, 0.2), "bottom": (0.0, 0.0, 0.0, -0.4)},
     "ring": {"shape": (2, 4, 4), "periodic": ("x",)},

@@ -16,7 +16,7 @@ from taichi_bearings.scene import Scene
 
 LAWS = ("coulomb", "viscous", "coulomb-viscous")
 METHODS = (
-    "auto", "interior-point", "operator-splitting", "gradient-descent", "cundall-strack", "implicit-cundall-strack",
+    "auto", "interior-point", "operator-splitting", "gradient-descent", "cundall-strack",
     "rigid-limit", "planar-cut", "linear-solver",
 )  # fmt: skip
 SHAPES = ((2, 3), (3, 4), (4, 5), (3, 9), (6, 7), (2, 2, 3), (3, 3, 4), (4, 4, 4))

@@ -33,7 +33,7 @@ HONEST = {
     },
     "springs that still load": {"shape": (3, 9), "method": "cundall-strack", "seed": 25, "iterations": 5000},
     "a contact that slips on its way to rest": {
-        "shape": (2, 3), "method": "implicit-cundall-strack", "seed": 964873, "distribution": "bimodal:1,2,0.5",
+        "shape": (2, 3), "method": "cundall-strack", "seed": 964873, "distribution": "bimodal:1,2,0.5",
         "tolerance": 1e-3, "radius": 1e-12, "iterations": 300,
     },
     "a plane by splitting": {"shape": (3, 9), "method": "operator-splitting", "seed": 33, "tolerance": 1e-3},
@@ -41,7 +41,7 @@ HONEST = {
         "shape": (3, 9), "method": "operator-splitting", "spin_bottom": 1 - 1e-14, "iterations": 1000,
     },
     "snapshots": {
-        "shape": (2, 3), "method": "implicit-cundall-strack", "replicas": 3, "duration": 0.5, "snapshots": "0.1,0.3",
+        "shape": (2, 3), "method": "cundall-strack", "replicas": 3, "duration": 0.5, "snapshots": "0.1,0.3",
     },
     "a slow plane beside a fast one": {
         **MIXED, "shape": (3, 3, 5), "method": "rigid-limit", "spin_top": 1e-12, "spin_bottom": 99999999.0,
