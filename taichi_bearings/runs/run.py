@@ -41,6 +41,7 @@ from taichi_bearings.scene import Scene, Solution, Status
 from taichi_bearings.scene.array_files import read_coefficients
 from taichi_bearings.scene.disorder import Distribution
 from taichi_bearings.scene.initial_spins import initial_spin
+from taichi_bearings.solvers.recording import SAME_TIME
 from taichi_bearings.solvers.table import (
     METHODS,
     MethodOptions,
@@ -324,11 +325,9 @@ def resume(
         if stored.checkpoint_every is None:
             raise FileError(f"{checkpoint_of(path)} is damaged or was changed: its scene names no checkpoint_every")
         if "duration" in changes and stored.duration is not None:
-            duration, ends = stored.duration, ("last_time", "time_step")  # of each replica of a packing
-            found = [[v for key, v in arrays.items() if key.rpartition("/")[2] == name] for name in ends]
-            reached, step = (float(max(values, default=0.0)) for values in found)
-            # steps of fixed length, which the checkpoint then names, end a run by less than one of them late
-            if reached - duration >= max(step, 1e-9 * reached, np.finfo(float).tiny):
+            duration, ends = stored.duration, [v for key, v in arrays.items() if key.rpartition("/")[2] == "last_time"]
+            reached = float(max(ends, default=0.0))  # by the replica of a packing that is farthest
+            if reached > duration * (1 + SAME_TIME):
                 words = f"{path} has already reached {reached:g}; it must be longer"
                 raise InputError(f"duration is {duration:g}, but {words}")
         settings = RunSettings.from_mapping(parse_toml(scene, path) | changes, "the options")

@@ -27,14 +27,22 @@ from taichi_bearings.solvers.gear import (
 from taichi_bearings.solvers.table import CundallStrack
 
 DEFAULT_STEP = 0.8  # of the stability bound
+SAME_STEP = 1e-12  # relative distance of two times that counts as none
 
 
 class CundallStrackMethod(SpringDynamics):
-    """See the module docstring. An iteration is one time step."""
+    """See the module docstring. An iteration is one time step; all are as long but the last, which ends the run at its
+    duration.
+
+    before_last : the state from which a last step that is shorter was made; None as long as there was none.
+    """
 
     kept = WATCH_NAMES
     same_force, checks = 1e-12, (100, 16, 0.0)
     stepping = CundallStrackSteps
+    resumable = False
+    before_last: dict[str, np.ndarray] | None = None
+    books_before: tuple[np.ndarray, ...] | None = None  # work, injected, power and pull of contacts before that step
 
     def begin(self, scene: Scene, spin: np.ndarray) -> None:
         super().begin(scene, spin)
@@ -88,7 +96,7 @@ class CundallStrackMethod(SpringDynamics):
             self.fields.load(f"gear_{n}", values)
         self.fields.load("predicted", np.sum(derivatives, axis=0))
         if scene.law.holds:
-            self.fields.load("integral", np.sum([values / (n + 1) for n, values in enumerate(derivatives)], axis=0))
+            self.fields.load("integral", _mean_of(derivatives))
         if options.energy:
             self._load_force(forces[0])
             self.open_books(staggered)
@@ -113,11 +121,23 @@ class CundallStrackMethod(SpringDynamics):
         force = np.where(sticks, scene.lattice.radius * felt, 0.0)
         return self.with_viscosity(force, self.differences(derivatives[-1]))
 
+    def end_at(self, time: float, resumable: bool) -> None:
+        super().end_at(time, resumable)
+        self.resumable = resumable
+
     def next_check(self, iteration: int) -> int:
-        wanted = int(np.ceil(self.aim / self.time_step * (1 - 1e-12))) if np.isfinite(self.aim) else np.inf
-        return int(min(self.rest.next_check, max(wanted, iteration + 1)))
+        return int(min(self.rest.next_check, max(self._steps_to(self.aim), iteration + 1)))
+
+    def _steps_to(self, time: float) -> float:
+        """Number of steps after which a simulated time is reached."""
+        return float(np.ceil(time / self.time_step * (1 - SAME_STEP))) if np.isfinite(time) else np.inf
 
     def state(self) -> dict[str, np.ndarray]:
+        """That before a last step that is shorter, so that a run which goes on for longer has the same bits as one that
+        never ended."""
+        return self._state() if self.before_last is None else self.before_last
+
+    def _state(self) -> dict[str, np.ndarray]:
         fields = {name: self.fields.read(name) for name in self._changing}
         return super().state() | fields | {"time_step": np.array(self.time_step)}
 
@@ -136,24 +156,60 @@ class CundallStrackMethod(SpringDynamics):
         for name in self._changing:
             self.fields.load(name, state[name])
 
-    def numbers(self) -> tuple[float, ...]:
-        """The constants of a step."""
+    def numbers(self, span: float) -> tuple[float, ...]:
+        """The constants of a step of this length, time."""
         scene, options = self.scene, self.options
         radius = scene.lattice.radius
         return (
-            radius * self.time_step,
+            radius * span,
             options.stiffness,
             radius * (options.damping if scene.law.holds else 1.0),
             scene.normal_force,
             scene.normal_force * options.static_ratio,
-            *options.after_slip(self.time_step),
-            self.time_step * radius / self.unit_inertia,
+            *options.after_slip(span),
+            span * radius / self.unit_inertia,
         )
 
     def advance(self, steps: int) -> None:
-        self.steps.run(self.fields, self.team, steps, self.numbers())
-        self.iteration += steps
-        self.time = self.iteration * self.time_step
+        """So many steps; the one that reaches the end of the run is as long as is left."""
+        ends = self.iteration + steps == self._steps_to(self.end)
+        shorter = ends and (self.iteration + steps) * self.time_step > self.end * (1 + SAME_STEP)
+        if whole := steps - int(shorter):
+            self.steps.run(self.fields, self.team, whole, self.numbers(self.time_step))
+            self.iteration += whole
+            self.time = self.iteration * self.time_step
+        if shorter:
+            self._make_last_step(self.end - self.time)
+        if ends:
+            self.time = self.end
+
+    def _make_last_step(self, span: float) -> None:
+        """One shorter step, of length `span`.
+
+        The n-th scaled derivative goes with the n-th power of the step. The mean spin of the next step is their sum,
+        and what Gear's method corrects of the stretch of the step before, which is a length and stays the same.
+        """
+        if self.resumable:
+            self.before_last = self._state()
+        if self.options.energy:
+            staggered, force, _ = self.motion()
+            self.books_before = (
+                *self._work(staggered, force),
+                self._contact_power(force, staggered),
+                self.pulls(force),
+            )
+        share = span / self.time_step
+        old = [self.fields.read(f"gear_{n}") for n in range(self.options.gear_order + 1)]
+        new = [share**n * values for n, values in enumerate(old)]
+        for n, values in enumerate(new):
+            self.fields.load(f"gear_{n}", values)
+        self.fields.load("predicted", np.sum(new, axis=0))
+        if self.scene.law.holds:
+            corrected = self.fields.read("integral") - _mean_of(old)
+            self.fields.load("integral", _mean_of(new) + corrected / share)
+        self.steps.run(self.fields, self.team, 1, self.numbers(span))
+        self.iteration += 1
+        self.last_span = span
 
     def spins(self) -> np.ndarray:
         """(C, R, *N), staggered, of now."""
@@ -182,13 +238,24 @@ class CundallStrackMethod(SpringDynamics):
         """
         if not self.options.energy:
             return None
-        scene, reach = self.scene, self.scene.lattice.radius * self.time_step
-        ends = (self._contact_power(force, staggered) - self.power_at_start) / 2
-        self.work = reach * (replica_sum(self.fields.read("work")) + ends)
-        pull = self.fields.read("impulse") + (self.pull_at_start - self.pulls(force)) / 2
-        driven = self.absolute(staggered) * scene.lattice.is_driven
-        self.injected = -reach * replica_sum(pull * driven)
+        self.work, self.injected = self._work(staggered, force)
         return self.balance(staggered, spring)
+
+    def _work(self, staggered: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(R,) each, energy: what the contacts took from the spins since the start, and what the driven spheres gave.
+
+        staggered, force : spins (C, R, *N) and contact forces (C, R, E) at the end of the last step.
+        """
+        driven, power = self.absolute(staggered) * self.scene.lattice.is_driven, self._contact_power(force, staggered)
+        if self.books_before is not None:  # the trapezoidal rule over the last step alone
+            work, injected, power_before, pull_before = self.books_before
+            reach = self.scene.lattice.radius * self.last_span / 2
+            pull = replica_sum((pull_before + self.pulls(force)) * driven)
+            return work + reach * (power_before + power), injected - reach * pull
+        reach = self.scene.lattice.radius * self.time_step
+        pull = self.fields.read("impulse") + (self.pull_at_start - self.pulls(force)) / 2
+        work = replica_sum(self.fields.read("work")) + (power - self.power_at_start) / 2
+        return reach * work, -reach * replica_sum(pull * driven)
 
     def _load_force(self, force: np.ndarray) -> None:
         self.fields.load("force", self.stencil.forces_at_lower_sphere(force, self.fields.layout))
@@ -204,6 +271,11 @@ class CundallStrackMethod(SpringDynamics):
         strongest = float(scene.acting_coefficient.max()) * self.options.static_ratio
         speed = scene.lattice.radius * scene.jump
         return 10 * scene.normal_force * strongest / (self.options.stiffness * speed) if speed > 0 else 0.0
+
+
+def _mean_of(derivatives: list[np.ndarray]) -> np.ndarray:
+    """Mean over the next step of a quantity with these scaled derivatives, the 0th first."""
+    return np.asarray(np.sum([values / (n + 1) for n, values in enumerate(derivatives)], axis=0))
 
 
 def stability_bound(scene: Scene, spin_axes: tuple[int, ...], options: CundallStrack) -> float:

@@ -142,6 +142,8 @@ class Course:
         self.best, self.recorder = _Best(scene, method), Recorder(scene, recording)
         self.target, self.launch = 0, 64  # iteration of the next look at the progress; iterations at a time
         self.began = self.called = self.written_at = time.perf_counter()
+        if isinstance(method, Dynamics):
+            method.end_at(self.stop.duration, checkpoints is not None)
         resume = checkpoints.resume if checkpoints else None
         if resume is not None and isinstance(method, Dynamics):
             try:
