@@ -158,7 +158,8 @@ SAMPLES = _named(
                  lambda a: None if a.scene.law.minimises == "power" else a.solution.objective),
         Quantity("lower_bound", "energy/time", "proven: no spins dissipate less; or, have a lower potential",
                  lambda a: a.solution.lower_bound, r"P_\mathrm{low}"),
-        Quantity("gap", "1", "(power - lower_bound) / power, or the same of the potential",
+        Quantity("gap", "1", "(power - lower_bound) / power, or the same of the potential; 0 where"
+                 " a state without any slip is proven to exist",
                  lambda a: a.solution.gap, r"(P - P_\mathrm{low})\,/\,P"),
         Quantity("status", "1", "how it ended: certified (the gap is within the tolerance), stationary or finished"
                  " (a dynamics), stalled, step-limit, time-limit, interrupted, not-finite; in scans also failed",

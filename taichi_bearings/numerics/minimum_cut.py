@@ -280,9 +280,10 @@ def led_to(nodes: int, row: np.ndarray, column: np.ndarray, starts: np.ndarray) 
 def largest_flow(ends: np.ndarray, capacity: np.ndarray, at_most: int) -> np.ndarray:
     """A largest flow from the first to the last node of an undirected graph: (edges,) int64, from lower to upper end.
 
-    ends : (2, edges) nodes, lower and upper; capacity : (edges,) int64 below 2^62. at_most : no flow is
-    larger; below 2^62. By OR-tools where it is installed, push and relabel, else by SciPy. The flow is not unique; the
-    nodes that it leaves within reach of the first node are (Ford and Fulkerson).
+    ends : (2, edges) nodes, lower and upper. capacity : (edges,) of both ways, or (2, edges) from lower to upper and
+    back, int64 below 2^62; of two rows no edges may join the same two nodes. at_most : no flow is larger; below 2^62.
+    By OR-tools where it is installed, push and relabel, else by SciPy. The flow is not unique; the nodes that it leaves
+    within reach of the first node are (Ford and Fulkerson).
     """
     try:
         from ortools.graph.python.max_flow import SimpleMaxFlow
@@ -290,7 +291,8 @@ def largest_flow(ends: np.ndarray, capacity: np.ndarray, at_most: int) -> np.nda
         return flow_by_scipy(ends, capacity, at_most)
     last, network = int(ends.max()), SimpleMaxFlow()
     lower, upper = ends.astype(np.int32)
-    edges = [network.add_arcs_with_capacity(*ways, capacity) for ways in ((lower, upper), (upper, lower))]
+    up, down = np.broadcast_to(capacity, ends.shape)
+    edges = [network.add_arcs_with_capacity(*way) for way in ((lower, upper, up), (upper, lower, down))]
     network.add_arc_with_capacity(last + 1, 0, at_most)  # so that no sum of capacities can overflow
     status = network.solve(last + 1, last)
     if status != network.OPTIMAL:
@@ -308,18 +310,21 @@ def flow_by_scipy(ends: np.ndarray, capacity: np.ndarray, at_most: int) -> np.nd
     """
     nodes = int(ends.max()) + 1
     pairs, own = np.unique(np.sort(ends, axis=0), axis=1, return_inverse=True)
-    if pairs.shape[1] < ends.shape[1]:  # rings of two spheres have two contacts between the same pair
+    if (
+        pairs.shape[1] < ends.shape[1] and capacity.ndim == 1
+    ):  # rings of two spheres have two contacts between the same pair
         return _shared_out(ends, capacity, pairs, own.ravel(), at_most)
     row, column = np.concatenate([ends, ends[::-1]], axis=1).astype(np.int32)  # the only indices SciPy 1.11 takes
-    left_over = np.tile(capacity, 2)  # of both directions
+    left_over = np.broadcast_to(capacity, ends.shape).ravel()  # of both directions
+    at_start = left_over[: ends.shape[1]].copy()
     while True:
         shift = max(at_most.bit_length() - FLOW_BITS, 0)
         graph = (np.minimum(left_over, 2 * at_most + 1) >> shift).astype(np.int32)
         result = maximum_flow(csr_array((graph, (row, column)), shape=(nodes, nodes)), 0, nodes - 1)
         sent = np.asarray(result.flow[row, column]).ravel().astype(np.int64)
-        left_over -= sent << shift
+        left_over = left_over - (sent << shift)
         if shift == 0:
-            return capacity - left_over[: len(capacity)]
+            return np.asarray(at_start - left_over[: ends.shape[1]])
         below = within_reach(ends, graph - sent, 0)
         cut = int(left_over[below[row] & ~below[column]].sum())
         at_most = min(at_most - (int(result.flow_value) << shift), cut)

@@ -105,18 +105,19 @@ def spins_of(packing: Packing, u: Pair) -> Pair:
     return spin, rest
 
 
-def judged(system: System, found: Found, tolerance: float) -> Solution:
-    """What was found, with all that is proven of it."""
-    packing, law = system.packing, system.packing.kind
-    u = system.all_spins(found.spins) if found.everywhere is None else found.everywhere
-    rest = np.append(np.zeros(system.unknowns) if found.rest is None else found.rest, 0.0)[system.moved]
-    spin, rounding = spins_of(packing, (np.nan_to_num(u, posinf=0.0, neginf=0.0), rest))
-    force, friction = forces_of(system, np.nan_to_num(found.force, posinf=0.0, neginf=0.0))
-    judgement = Judgement(StoredPacking(law.name, packing.arrays(), spin, rounding, friction))
+def judged(system: System, found: Found, tolerance: float, moves: bool = False) -> Solution:
+    """What was found, with all that is proven of it. moves : it is a motion on its way, so that its spins are kept;
+    else, where a state without any slip is proven to exist, they become that state."""
+    packing, law, judgement = system.packing, system.packing.kind, judgement_of(system, found)
+    if judgement.can_be_judged and judgement.slipless[0] and not moves and (judgement.network.slip.most > 0).any():
+        found = _without_slip(system, found)
+        judgement = judgement_of(system, found)
     if not judgement.can_be_judged:
         raise InputError(
             "the spins imposed are too small or too large to be judged; the largest must be above 1e-100 length/time"
         )
+    spin, rounding = judgement.samples.spin, judgement.samples.spin_rounding
+    force, friction = forces_of(system, np.nan_to_num(found.force, posinf=0.0, neginf=0.0))
     known, acts, slip = judgement.states[0].proven, judgement.acts, judgement.slip
     state = np.where(acts, np.where(known == UNPROVEN, _states(system, found, judgement), known), DRIVEN)
     state, proven = state.astype(np.uint8), np.where(acts, known, DRIVEN).astype(np.uint8)
@@ -146,6 +147,24 @@ def judged(system: System, found: Found, tolerance: float) -> Solution:
             "slipless_motions": np.array([system.motions], dtype=object),
         },
     )
+
+
+def judgement_of(system: System, found: Found) -> Judgement:
+    """What judges the spins and the forces that were found."""
+    u = system.all_spins(found.spins) if found.everywhere is None else found.everywhere
+    rest = np.append(np.zeros(system.unknowns) if found.rest is None else found.rest, 0.0)[system.moved]
+    spin, rounding = spins_of(system.packing, (np.nan_to_num(u, posinf=0.0, neginf=0.0), rest))
+    friction = forces_of(system, np.nan_to_num(found.force, posinf=0.0, neginf=0.0))[1]
+    return Judgement(StoredPacking(system.packing.kind.name, system.packing.arrays(), spin, rounding, friction))
+
+
+def _without_slip(system: System, found: Found) -> Found:
+    """The state in which no contact slips, as well as sums of two doubles have it; no contact bears anything there."""
+    from taichi_bearings.packing.rolling import rolled  # and with it Taichi's kernels
+
+    start = exactly(np.zeros(system.unknowns))
+    spins, rest = rolled(system, start, np.ones(len(system.contact), dtype=bool))
+    return replace(found, spins=spins, rest=rest, everywhere=None, force=np.zeros_like(system.offset), slips=None)
 
 
 def forces_of(system: System, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

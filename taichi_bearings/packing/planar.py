@@ -6,24 +6,28 @@ With u = s U the sums u_i + u_j of a network without odd loops are differences, 
 
 over the sorted driven values t. Parts with odd loops take two copies of each spin, U = u and U = -u, and half the
 friction; exchanging the copies turns the cut of (a, b) into that of (-b, -a), so cuts at positive values are enough.
-Frictions are rounded down to whole units, so flows are exact: one that fills all nested cuts and is balanced
-in whole numbers proves the least power of the rounded network, which is never above that of the true one.
+All of it is exact: frictions, products of two doubles, are whole multiples of a unit, however far apart they are, and
+flows are whole numbers of any length (numerics/exact_flow.py). A flow that fills all nested cuts and is balanced is the
+friction of a minimum; each part of the network that the cuts leave together carries no more than what they bring to it,
+so that forces in doubles are balanced to the rounding of what flows there.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from taichi_bearings.numerics.minimum_cut import largest_flow, led_to
-from taichi_bearings.packing.system import System, odd_parts
+from taichi_bearings.numerics.exact_flow import exact_flow
+from taichi_bearings.numerics.minimum_cut import led_to
+from taichi_bearings.packing.packing import Packing
+from taichi_bearings.packing.system import System, components_of, odd_parts
 
-UNIT_BITS = 59  # of the sum of all frictions
+MANTISSA_BITS = 53
 
 
 @dataclass(frozen=True)
 class _Cover:
     """Edges (low, high) between nodes: the first `free` ones are to be found, each other one has one of the driven
-    `values`. weight : (edges,), whole units.
+    `values`. weight : (edges,), whole numbers of Python, of units of force.
 
     contact, sign : of each edge; the force of the contact is the sum of sign * flow, from low to high.
     mirror : (free,), the other copy of a node, -1 if it has none. rest : the highest level of such parts that is not
@@ -48,10 +52,10 @@ def least_power(system: System) -> tuple[np.ndarray, np.ndarray]:
     component = system.felt.argmax(axis=1)  # (A,); any of contacts that feel none
     cover, sign = _covered(system, component)
     place = _nested(cover)
-    force = np.zeros(len(system.contact), dtype=np.int64)
+    force = np.zeros(len(system.contact), dtype=object)
     np.add.at(force, cover.contact, cover.sign * _filling(cover, place))
     spins = _spins(cover, place, sign)
-    return spins, system.across[:, np.arange(len(component)), component] * force * cover.unit
+    return spins, system.across[:, np.arange(len(component)), component] * (force.astype(float) * cover.unit)
 
 
 def least_spins(system: System) -> np.ndarray:
@@ -67,7 +71,7 @@ def _spins(cover: _Cover, place: np.ndarray, sign: np.ndarray) -> np.ndarray:
 
 def _covered(system: System, component: np.ndarray) -> tuple[_Cover, np.ndarray]:
     """The network of differences; the sign of each unknown (unknowns,)."""
-    weight, count = system.coefficients[0], system.unknowns
+    count = system.unknowns
     spheres = system.packing.contact[system.contact]
     feels = np.any(system.felt, axis=1)
     ends = np.where(feels[:, None], system.moved[spheres, component[:, None]], -1)  # (A, 2)
@@ -75,10 +79,8 @@ def _covered(system: System, component: np.ndarray) -> tuple[_Cover, np.ndarray]
     odd, sign = odd_parts(count, *ends[within].T)
     mirrored = np.where(odd, count + np.cumsum(odd) - 1, -1)
     inner, rim = np.flatnonzero(within), np.flatnonzero(some & ~within)
-    total = float(weight[rim].sum()) or 1.0
-    clipped = np.minimum(weight, total)  # no minimum cut holds more
-    unit = float(np.ldexp(1.0, int(np.frexp(clipped.sum())[1]) - UNIT_BITS))
-    units = np.floor(clipped / unit / 2).astype(np.int64)  # of each of two copies
+    units, unit = _whole(system.packing, system.contact)
+    units = np.minimum(units, units[rim].sum())  # no minimum cut holds more
     first, second = ends[inner].T
     own, held = ends[rim].max(axis=1), np.where(ends[rim, 0] < 0, spheres[rim, 0], spheres[rim, 1])
     u, twice, pair = system.known[held, component[rim]], odd[first], odd[own]
@@ -94,7 +96,25 @@ def _covered(system: System, component: np.ndarray) -> tuple[_Cover, np.ndarray]
     edges = np.concatenate(low), np.concatenate(high), units[contact] * copies, contact, np.concatenate(signs)
     mirror = np.append(mirrored, np.flatnonzero(odd))
     rest = int(np.searchsorted(values, -np.abs(u[pair]).min(initial=np.inf)))
-    return _Cover(len(mirror), *edges, values, unit, mirror, rest), sign
+    return _Cover(len(mirror), *edges, values, unit / 2, mirror, rest), sign
+
+
+def _whole(packing: Packing, contact: np.ndarray) -> tuple[np.ndarray, float]:
+    """Friction times normal force of contacts (A,), exactly: whole numbers of Python, and the unit of force. A normal
+    force that all of them have is left to the unit."""
+    normal = np.broadcast_to(packing.normal_force, packing.contacts)[contact]
+    same = bool((normal == normal[:1]).all())
+    (part, power), (more, further) = (np.frexp(v) for v in (np.asarray(packing.friction)[contact], normal))
+    whole = np.ldexp(part, MANTISSA_BITS).astype(np.int64).astype(object)
+    if not same:
+        whole, power = whole * np.ldexp(more, MANTISSA_BITS).astype(np.int64), power + further
+    least = int(power[whole > 0].min(initial=2**16))
+    whole = whole << np.where(whole > 0, power - least, 0).astype(object)
+    common = int(np.bitwise_or.reduce(whole, initial=0))
+    zeros = (common & -common).bit_length() - 1 if common else 0
+    bits = MANTISSA_BITS if same else 2 * MANTISSA_BITS
+    unit = float(np.ldexp(float(normal[0]) if same and len(normal) else 1.0, least - bits + zeros)) if common else 1.0
+    return whole >> zeros, unit
 
 
 def _nested(cover: _Cover) -> np.ndarray:
@@ -145,47 +165,35 @@ def _halved(cover: _Cover, least: np.ndarray, most: np.ndarray) -> _Round:
     could still be drained: they reach the smallest sink side."""
     middle, (low, high), open_ = (least + most + 1) // 2, (cover.low, cover.high), least < most
     together = (least[low] == least[high]) & (most[low] == most[high]) & open_[low]
-    source, sink = np.zeros((2, len(least)), dtype=np.int64)
+    source, sink = np.zeros((2, len(least)), dtype=object)
     for own, other in ((low, high), (high, low)):
         above = least[other] >= middle[own]  # ranges are the same or share no level; driven nodes have one
         np.add.at(source, own, cover.weight * (above & ~together & open_[own]))
         np.add.at(sink, own, cover.weight * (~above & ~together & open_[own]))
     ends, weight = np.stack([low[together], high[together]]), cover.weight[together]
-    inner, into, out = _flow(len(least), (ends[0], ends[1]), weight, source, sink)
+    inner, into, out = exact_flow(ends, weight, source, sink)
     left = np.concatenate([weight - inner, weight + inner]) > 0
     row, column = np.concatenate([ends, ends[::-1]], axis=1)[:, left]
     upper = led_to(len(least), row, column, np.flatnonzero(source > into))
     return least, most, middle, upper, (column, row, np.flatnonzero(sink > out))
 
 
-def _flow(
-    nodes: int, ends: tuple[np.ndarray, np.ndarray], weight: np.ndarray, source: np.ndarray, sink: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Largest flow (edges,) from low to high, from the source and to the sink (nodes,), in whole units."""
-    fed, drained = np.flatnonzero(source), np.flatnonzero(sink)
-    low = np.concatenate([ends[0] + 1, np.zeros(len(fed), dtype=np.int64), drained + 1])
-    high = np.concatenate([ends[1] + 1, fed + 1, np.full(len(drained), nodes + 1)])
-    capacity = np.concatenate([weight, source[fed], sink[drained]])
-    at_most = min(int(source.sum()), int(sink.sum()))
-    flow = np.zeros(len(low), dtype=np.int64)
-    if at_most:
-        flow = largest_flow(np.stack([low, high]), capacity, at_most)
-    inner, into, out = np.split(flow, [len(weight), len(weight) + len(fed)])
-    full_in, full_out = np.zeros(nodes, dtype=np.int64), np.zeros(nodes, dtype=np.int64)
-    full_in[fed], full_out[drained] = into, out
-    return inner, full_in, full_out
-
-
 def _filling(cover: _Cover, place: np.ndarray) -> np.ndarray:
     """Flow (edges,) from low to high: full across the nested cuts, balanced at all nodes that are not driven."""
     fall = np.sign(place[cover.low] - place[cover.high])
     flow, flat = fall * cover.weight, fall == 0
-    low, high = np.minimum([cover.low, cover.high], cover.free)  # all that is driven is one node, the last
-    need = np.zeros(cover.free + 1, dtype=np.int64)  # what flows in
-    np.add.at(need, low, -flow)
-    np.add.at(need, high, flow)
+    need = np.zeros(len(place), dtype=object)  # what flows in
+    np.add.at(need, cover.low, -flow)
+    np.add.at(need, cover.high, flow)
+    low, high = cover.low[flat], cover.high[flat]
+    within = high < cover.free
+    part = components_of(cover.free, low[within], high[within])
+    ground = cover.free + part  # the driven spheres that touch a part, as a node of its own
+    need, own = np.append(need[: cover.free], np.zeros(part.max(initial=-1) + 1, dtype=object)), need[: cover.free]
+    np.subtract.at(need, ground, own)
+    ends = np.stack([low, np.where(within, high, ground[low])])
     source, sink = np.maximum(need, 0), np.maximum(-need, 0)
-    flow[flat], into, _ = _flow(len(need), (low[flat], high[flat]), cover.weight[flat], source, sink)
+    flow[flat], into, _ = exact_flow(ends, cover.weight[flat], source, sink)
     if (into != source).any():
         raise RuntimeError("a largest flow does not fill the nested cuts")
     return flow

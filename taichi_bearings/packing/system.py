@@ -68,7 +68,7 @@ class System:
         free = packing.driven < 0
         first, second = packing.contact[contact].T
         inner = free[first] & free[second]
-        label = _components(packing.spheres, first[inner], second[inner])
+        label = components_of(packing.spheres, first[inner], second[inner])
         joined = np.zeros(packing.spheres, dtype=bool)  # by label
         for end, other in ((first, second), (second, first)):
             joined[label[end[free[end] & ~free[other]]]] = True
@@ -165,7 +165,7 @@ def _without_slip(
     for k in range(wanted.shape[1]) if packing.dimension == 3 else ():
         ends = packing.contact[contact[packing.normal[contact, k] == 0]]  # type: ignore[index]
         odd, sign = odd_parts(packing.spheres, *ends.T)
-        label = _components(packing.spheres, *ends.T)
+        label = components_of(packing.spheres, *ends.T)
         turned = sign * packing.imposed[:, k]
         low, high = np.full(label.max() + 1, np.inf), np.full(label.max() + 1, -np.inf)
         np.minimum.at(low, label[held], turned[held])
@@ -201,6 +201,6 @@ def acting(packing: Packing) -> np.ndarray:
     return np.flatnonzero(some & free[packing.contact].any(axis=1))
 
 
-def _components(spheres: int, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+def components_of(spheres: int, first: np.ndarray, second: np.ndarray) -> np.ndarray:
     graph = sparse.csr_array((np.ones(len(first), dtype=np.int8), (first, second)), shape=(spheres, spheres))
     return np.asarray(connected_components(graph, directed=False)[1])

@@ -24,6 +24,7 @@ from taichi_bearings.words import counted
 SLIPLESS, SLIPPING, UNPROVEN = ContactState.SLIPLESS, ContactState.SLIPPING, ContactState.UNDECIDED
 DECADE = 10.0  # slips closer than that to what is resolved, or to those of the other kind, are named
 STRETCHED_SHARE = 1e-2  # of the distance that the planes have slid past each other, that springs may take up
+ROUNDED_SLIP = 1e-10  # of the fastest imposed surface, up to which a slip may be none but for rounding
 UNFINISHED = {
     Status.STEP_LIMIT: "the limit of iterations came",
     Status.TIME_LIMIT: "the time limit came",
@@ -34,7 +35,7 @@ UNFINISHED = {
 
 def caveats(solution: Solution, settings: RunSettings) -> list[str]:
     """All that is to be said of an answer, (R,) samples together."""
-    of_kind = CAVEATS if isinstance(solution.scene, Scene) else (_not_proven,)
+    of_kind = CAVEATS if isinstance(solution.scene, Scene) else (_without_power, _too_wide, _not_proven)
     return [sentence for of in of_kind for sentence in of(solution, settings)]
 
 
@@ -44,6 +45,36 @@ def _not_proven(solution: Solution, settings: RunSettings) -> Iterator[str]:
     for seed, proof in zip(solution.scene.seeds, solution.findings["proof"], strict=True):
         if proof != "proven":
             yield f"what is proven of the least power{f' of seed {seed}' * several}: {proof}"
+
+
+def _without_power(solution: Solution, settings: RunSettings) -> Iterator[str]:
+    """Why no contact of a packing need slip."""
+    packings = solution.scene
+    idle = np.array([not (packing.driven >= 0).any() for packing in packings])
+    still = (solution.objective == 0) & (solution.gap == 0) & ~idle
+    if idle.any():
+        yield f"the least power is 0{_in_samples(idle)}: no sphere is driven"
+    elif still.any():
+        yield f"the least power is 0{_in_samples(still)}: the spins can be such that no contact slips"
+
+
+def _too_wide(solution: Solution, settings: RunSettings) -> Iterator[str]:
+    """Why a minimum of a packing is not certified."""
+    short = ~(solution.gap <= settings.tolerance)
+    if not short.any() or solution.status is not Status.STALLED:
+        return
+    fastest = np.array([float(np.abs(packing.imposed).max(initial=0.0)) for packing in solution.scene])
+    slip = np.where(solution.state == ContactState.DRIVEN, 0.0, solution.slip).max(axis=1, initial=0.0)
+    if (faint := short & (slip <= ROUNDED_SLIP * fastest)).any():
+        largest = float(solution.power[faint].max())
+        yield (
+            f"the power of {largest:.1e} may be that of rounding alone{_in_samples(faint)}: contacts hardly slip, but "
+            "no state without slip is proven to exist for normals and spins as they are stored"
+        )
+    else:
+        worst = float(np.max(np.where(np.isfinite(solution.gap), solution.gap, np.inf)))
+        words = f"{UNFINISHED[Status.STALLED]} with a proven gap of {worst:.1e}{_in_samples(short)}"
+        yield f"{words}; the tolerance is {settings.tolerance:g}"
 
 
 def _in_samples(which: np.ndarray) -> str:

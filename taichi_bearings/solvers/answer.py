@@ -19,6 +19,7 @@ from taichi_bearings.proof.contact_state import (
 from taichi_bearings.scene import Progress, Scene, Solution, Status
 from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.solvers.method import Method
+from taichi_bearings.solvers.without_slip import without_slip
 from taichi_bearings.verifier.judgement import Judgement
 from taichi_bearings.verifier.samples import CRITICAL, LAWS, SLIPLESS, SLIPPING, UNPROVEN, Samples
 from taichi_bearings.verifier.states import States
@@ -35,6 +36,10 @@ def answered(
     forces : from which the bound follows. threshold : slip speed up to which a contact counts as slipless, or None for
     what the method can resolve.
     """
+    if not method.options.is_dynamics:
+        final = without_slip(scene, final)
+        idle = scene.is_cut_off | (scene.jump == 0)
+        forces = np.where(idle[:, None], 0.0, forces) if idle.any() else forces
     spin, spin_rounding = scene.laboratory_pair(final.staggered, final.rest, final.spin_axes)
     proof = certifying_forces(scene, forces, final.spin_axes, bound)
     friction = laboratory_forces(proof, scene.lattice, final.spin_axes)

@@ -239,6 +239,14 @@ class Course:
         self.checkpoints.write(self.method.state() | self.recorder.state() | self.best.state() | own)
         self.written_at = time.perf_counter()
 
+    def ended_as(self, found: Solution) -> Status:
+        """How it ended, for an answer that is not proven: a motion is at rest where next to nothing is left of a power
+        whose least value is 0, and of which no bound can be a part."""
+        if self.status is not Status.CERTIFIED:
+            return self.status
+        at_rest = isinstance(self.method, Dynamics) and bool((found.lower_bound == 0).any())
+        return Status.STATIONARY if at_rest else Status.STALLED
+
     def answer(self, threshold: float | None) -> Solution:
         """What the best state and the best forces amount to, and how the course came there."""
         history, snapshots, last, seconds = self.recorder.history(), self.recorder.snapshots(), self.last, self.seconds
@@ -250,7 +258,8 @@ class Course:
         final = replace(best.progress, iteration=last.iteration, ended=last.ended, findings=findings)
         found, judgement = answered(scene, self.method, final, best.proof, best.bound, threshold)
         if status in (Status.CERTIFIED, Status.STALLED):
-            status = Status.CERTIFIED if (found.gap <= self.stop.tolerance).all() else Status.STALLED
+            certified = (found.gap <= self.stop.tolerance).all()
+            status = Status.CERTIFIED if certified else self.ended_as(found)
         with suppress(GivenUp), self.interrupt.at_once(self.stop.seconds - self._seconds_of_this_call):
             as_proven = threshold is None and (scene.law.flows or not isinstance(self.method, Dynamics))
             at_minimum = threshold is None and not as_proven and status is Status.CERTIFIED

@@ -21,12 +21,13 @@ from taichi_bearings.fields.lists import Lists
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.numerics.double_double import exactly
-from taichi_bearings.packing.answer import forces_of, spins_of
+from taichi_bearings.packing.answer import forces_of, judgement_of, spins_of
 from taichi_bearings.packing.checks import sizes
 from taichi_bearings.packing.interface import Interface
 from taichi_bearings.packing.packing import Packing
 from taichi_bearings.packing.path import oblique
-from taichi_bearings.packing.system import System, acting, along_axes, odd_parts, slips_of, tangents
+from taichi_bearings.packing.rolling import rolled
+from taichi_bearings.packing.system import Found, System, acting, along_axes, odd_parts, slips_of, tangents
 from taichi_bearings.scene.array_files import own_array
 from taichi_bearings.scene.initial_spins import STARTS
 from taichi_bearings.scene.scene import vector_length
@@ -64,9 +65,18 @@ class Network:
         numbers = np.arange(packing.spheres * self.components).reshape(-1, self.components)
         self.matrix = slips_of(packing, self.acting, numbers)
         self.transposed = self.matrix.T.tocsr()
-        self.jump, self.is_cut_off = self._largest_jump(held), np.zeros(1, dtype=bool)
+        self.jump = self._largest_jump(held)
         # the best bound so far, spins that it is proven with, and the iteration of the last whole look
         self.proven, self.witness, self.looked = 0.0, np.zeros((self.components, 1, packing.spheres)), 0
+
+    @cached_property
+    def is_cut_off(self) -> np.ndarray:
+        """(1,), True where a state without any slip is proven to exist."""
+        system = self.proof[0]
+        spins, rest = rolled(system, exactly(np.zeros(system.unknowns)), np.ones(len(system.contact), dtype=bool))
+        still = Found(spins, np.zeros_like(system.offset), "", rest=rest)
+        judgement = judgement_of(system, still)
+        return judgement.slipless if judgement.can_be_judged else np.zeros(1, dtype=bool)
 
     def _largest_jump(self, held: np.ndarray) -> float:
         """Diagonal of the box of the imposed u, with the signs of a sublattice where there are two, else of both."""

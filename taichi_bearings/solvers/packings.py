@@ -27,7 +27,6 @@ from taichi_bearings.solvers.recording import Recording
 from taichi_bearings.solvers.stopping import StopRule
 from taichi_bearings.solvers.table import MethodOptions
 
-NEXT_TO_NO_POWER = 1e-10  # of the natural power, below which a relative gap says nothing
 LOOK_AGAIN = 1.2  # times the iterations after which bounds that cost a factorisation were looked for
 OF_BOUND = ("scene.proven", "scene.witness", "scene.looked")  # what the further course of a dynamics depends on beside
 
@@ -88,9 +87,6 @@ class OnNetwork(Method):
     ) -> Progress:
         scene: Network = self.scene
         objective = scene.law.objective(scene.contact, scene.slips(staggered)).sum(axis=1)
-        fastest = float(np.abs(scene.packing.imposed).max(initial=0.0)) or np.abs(staggered).max(initial=0.0)
-        natural = scene.law.objective(scene.contact, np.full(1, fastest)).sum(axis=1)
-        scene.is_cut_off = objective <= NEXT_TO_NO_POWER * natural
         whole = not scene.looked < more["iteration"] < LOOK_AGAIN * scene.looked
         scene.looked = more["iteration"] if whole else scene.looked
         bound, proof = scene.bound(force if proof is None else proof, staggered, whole)
@@ -113,7 +109,7 @@ class OnNetwork(Method):
         found = Found(
             np.zeros(system.unknowns), proof[:, 0, network.of_system], row.name, everywhere=last.staggered[:, 0].T
         )
-        result = judged(system, found, stop.tolerance)
+        result = judged(system, found, stop.tolerance, row.is_dynamics)
         force, state, slip = result.force.copy(), result.state.copy(), result.slip[0]
         force[:, network.acting] = vector_length(last.force)
         loose = np.setdiff1d(network.acting, system.contact)
@@ -125,7 +121,7 @@ class OnNetwork(Method):
             apart = np.sqrt(left / network.acting_coefficient[0])
             state[0, network.acting[slip[network.acting] <= apart]] = UNDECIDED
         cut_short = np.isfinite(stop.duration) and course.status in (Status.STEP_LIMIT, Status.TIME_LIMIT)
-        status = course.status if result.status is not Status.CERTIFIED or cut_short else result.status
+        status = result.status if result.status is Status.CERTIFIED and not cut_short else course.ended_as(result)
         proven = all_proven(state, result.proven)
         iterations = course.last.iteration
         return replace(result, status=status, iterations=iterations, force=force, state=state, states_proven=proven)

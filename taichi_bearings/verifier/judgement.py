@@ -10,12 +10,11 @@ import numpy as np
 from taichi_bearings.verifier.bounds import PROVEN, Bounds, slip_bound
 from taichi_bearings.verifier.enclosure import UP
 from taichi_bearings.verifier.network import Network, StoredPacking
-from taichi_bearings.verifier.samples import OfLaw, Samples
-from taichi_bearings.verifier.springs import natural
-from taichi_bearings.verifier.states import States, proven_states
+from taichi_bearings.verifier.samples import SLIPLESS, OfLaw, Samples
+from taichi_bearings.verifier.states import STILL, States, proven_states
+from taichi_bearings.verifier.without_slip import exists_without_slip
 
 EPS = np.finfo(np.float64).eps
-NO_POWER = 1e-10  # of the natural power, below which a relative gap of packings says nothing
 NORMAL_ROUNDING = 1e-12  # of the friction, along a normal of a packing
 
 
@@ -89,9 +88,26 @@ class Judgement(OfLaw):
         return self._by_sample(np.linalg.norm(self.network.friction, axis=1)) * self.force_unit
 
     @cached_property
+    def slipless(self) -> np.ndarray:
+        """(R,) mask of the samples of which a state without any slip is proven to exist: their least objective is 0."""
+        return exists_without_slip(self.network)
+
+    @cached_property
+    def at_rest(self) -> np.ndarray:
+        """(R,) mask of those among them whose spins are such a state, but for what doubles cannot say."""
+        found = self.slipless.copy()
+        if found.any():
+            network = self.network
+            fastest = float(network.box.max(initial=0.0)) or 1.0
+            slip = self._by_sample(np.where(network.acts, network.slip.most, 0.0))
+            found &= slip.max(axis=1, initial=0.0) <= STILL * fastest
+        return found
+
+    @cached_property
     def slip(self) -> np.ndarray:
-        """(R, E), speeds of the slips of these spins, to the nearest doubles."""
-        return self._by_sample(self.network.slip.value * self.network.speed_unit)
+        """(R, E), speeds of the slips of these spins, to the nearest doubles; none where they are at rest."""
+        slip = self._by_sample(self.network.slip.value * self.network.speed_unit)
+        return np.where(self.at_rest[:, None] & self.acts, 0.0, slip) if self.at_rest.any() else slip
 
     @cached_property
     def slip_bound(self) -> np.ndarray | None:
@@ -120,9 +136,16 @@ class Judgement(OfLaw):
 
     @cached_property
     def _proven(self) -> tuple[list[States], np.ndarray]:
-        """States, and bounds of slips (m,) that come of the same proof."""
-        bound = self._slip_bounds.copy()
-        return proven_states(self.bounds, bound), bound
+        """States, and bounds of slips (m,) that come of the same proof. Where a state without slip exists, every
+        minimum is one."""
+        bound, slipless = self._slip_bounds.copy(), self.slipless
+        network, none = self.network, [States(np.full(self.acts.shape[1], SLIPLESS), self.samples.is_lattice or None)]
+        if slipless.any():
+            bound[np.repeat(slipless, self.acts.shape[1]) & network.acts] = 0.0
+        if slipless.all():
+            return none * network.count, bound
+        found = proven_states(self.bounds, bound)
+        return [none[0] if at_rest else states for at_rest, states in zip(slipless, found, strict=True)], bound
 
     @property
     def states(self) -> list[States]:
@@ -135,53 +158,52 @@ class Judgement(OfLaw):
 
     @property
     def lower_bound(self) -> np.ndarray:
-        """(R,), not above the least objective."""
-        return np.maximum(self._reported(np.minimum(self.bounds.lower, self.bounds.upper), -np.inf), 0.0)
+        """(R,), not above the least objective. It is lowered by what rounding takes from the objective that is
+        reported, so that the gap of the reported numbers is not below the one before any rounding."""
+        lower = np.maximum(self._reported(np.minimum(self.bounds.lower, self.bounds.upper), -np.inf), 0.0)
+        upper, objective = self.upper_bound, self.objective
+        share = np.divide(objective, upper, out=np.ones_like(upper), where=np.isfinite(upper) & (upper > objective))
+        lowered = np.where(share < 1, np.nextafter(lower * np.nextafter(share, 0.0), 0.0), lower)
+        return np.where(self.slipless, 0.0, lowered)
 
     @property
     def upper_bound(self) -> np.ndarray:
-        """(R,), not below the objective of these spins, and so not below the least one."""
-        return self._reported(self.bounds.upper, np.inf)
+        """(R,), not below the least objective: that of these spins, rounded up, or 0 at rest."""
+        return np.where(self.at_rest, 0.0, self._reported(self.bounds.upper, np.inf))
 
     @property
     def power(self) -> np.ndarray:
-        """(R,), what these spins dissipate, to the nearest doubles."""
-        power = self.network.dissipated(1.0).value * self.network.power_unit
-        return np.where(np.isinf(self.bounds.upper), np.inf, power)
+        """(R,), what these spins dissipate, to the nearest doubles; 0 at rest."""
+        return self._of_spins(1.0, self.network.power_unit)
 
     @property
     def objective(self) -> np.ndarray:
         """(R,), what is least at rest: the power, or with friction and viscosity the potential; nearest doubles."""
-        objective = self.network.dissipated(0.5).value * (self.network.power_unit * self.share)
-        return np.where(np.isinf(self.bounds.upper), np.inf, objective)
+        return self._of_spins(0.5, self.network.power_unit * self.share)
+
+    def _of_spins(self, of_slope: float, unit: float) -> np.ndarray:
+        """(R,), what friction and `of_slope` times damping take, in the unit, infinite where spins are impossible."""
+        taken = np.where(np.isinf(self.bounds.upper), np.inf, self.network.dissipated(of_slope).value * unit)
+        return np.where(self.at_rest, 0.0, taken)
 
     @property
     def price(self) -> np.ndarray:
         """(R,), what torques left over on free spheres cost, over the objective."""
-        price, upper = self.bounds.price, self.bounds.upper
+        price, upper = np.where(self.slipless, 0.0, self.bounds.price), self.bounds.upper
         return np.divide(price, upper, out=np.where(price > 0, np.inf, 0.0), where=upper > 0)
 
-    @cached_property
+    @property
     def gap(self) -> np.ndarray:
-        """(R,), (upper - lower) / upper, rounded up, or over the natural objective where next to nothing is dissipated;
-        NaN without an upper bound. Of no jump or of planes that nothing joins, a part of nothing says nothing."""
-        upper, lower = self.upper_bound, self.lower_bound
-        joins = self.network.joins if self.samples.is_lattice else np.zeros(1, dtype=bool)
-        unit = upper
-        if not joins.all():
-            unit = self._reported(natural(self.network), np.inf)
-            larger = unit <= upper if self.samples.is_lattice else NO_POWER * unit < upper
-            unit = np.where(joins | larger, upper, unit)
-        with np.errstate(invalid="ignore"):
-            gap = np.divide(upper - lower, unit, out=np.zeros_like(unit), where=unit > 0)
-        for _ in range(2):
-            gap = np.where(gap != 0, np.nextafter(gap, np.inf), gap)
-        return np.where(np.isfinite(upper), gap, np.nan)
+        """(R,), (objective - lower bound) / objective of the numbers that are reported; 0 at rest, NaN of spins that
+        are impossible."""
+        objective = self.objective
+        gap = np.divide(objective - self.lower_bound, objective, out=np.zeros_like(objective), where=objective > 0)
+        return np.where(np.isfinite(objective), gap, np.nan)
 
     @property
     def proof(self) -> str:
         """What spins the lower bound is proven of."""
-        return self.bounds.proof
+        return PROVEN if self.slipless.all() else self.bounds.proof
 
     @property
     def largest_torque(self) -> np.ndarray:

@@ -61,7 +61,7 @@ class Springs:
                 holding * (least / potential) / potential if least < np.inf else 0.0, slope / potential / 2
             )
         number = np.full((len(network.free), 3), -1)
-        there = network.reached[:, None] & ~_turning_freely(network)
+        there = network.reached[:, None] & ~turning_freely(network)
         number[there] = np.arange(there.sum())
         form = weighed(network, slip_rows(network, number), np.sqrt(np.tile(weight, 3)), number)
         return None if form is None else cls(network, weight, number, form)
@@ -166,7 +166,7 @@ def slip_rows(network: Network, number: np.ndarray) -> sparse.csr_array:
     return sparse.csr_array((np.concatenate(values), at), shape=(3 * count, int(number.max(initial=-1)) + 1))
 
 
-def _turning_freely(network: Network) -> np.ndarray:
+def turning_freely(network: Network) -> np.ndarray:
     """(N, 3) mask of the largest component of the one direction that all contacts of a sphere have, bit by bit."""
     normal = network.normal[network.counts]
     large = np.argmax(np.abs(normal), axis=1)

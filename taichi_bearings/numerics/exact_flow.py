@@ -1,0 +1,131 @@
+"""Largest flows of whole numbers of any length, without rounding.
+
+Capacities may span any number of decades. Each round takes the leading bits of what capacity is left: no edge carries
+more than the flow that can still come, so capacities are cut down to a bound B on it, and bits below a unit of some B /
+2^50 go away. A largest flow of these short numbers leaves less than a unit per edge, which the next round finds in a
+finer unit (capacity scaling; Gabow, J. Comput. System Sci. 31, 1985). Parts that nothing joins have units of their own.
+The end is exact: the cut that is left over has no capacity at all.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
+
+from taichi_bearings.numerics.minimum_cut import largest_flow, led_to
+
+ROUND_BITS = 57  # of the flows of one round, all parts together
+SHORT = 2**59  # capacities below which all sums fit into 64 bits
+
+
+@dataclass
+class _Left:
+    """Capacity that is left: of edges (P,) from the lower to the upper end and back, from the source and to the sink
+    (nodes,)."""
+
+    there: np.ndarray
+    back: np.ndarray
+    fed: np.ndarray
+    drained: np.ndarray
+
+    @property
+    def parts(self) -> tuple[np.ndarray, ...]:
+        return self.there, self.back, self.fed, self.drained
+
+
+def exact_flow(
+    ends: np.ndarray, capacity: np.ndarray, source: np.ndarray, sink: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A largest flow (E,) from low to high ends, and what it takes from the source and brings to the sink, (nodes,).
+
+    ends : (2, E) nodes. capacity : (E,) of both ways; source, sink : (nodes,), most that may come and go there. All are
+    whole numbers, int64 or of Python (dtype object), none negative.
+    """
+    pairs, own = np.unique(np.sort(ends, axis=0), axis=1, return_inverse=True)
+    own, nodes = own.ravel(), len(source)
+    total = np.zeros(pairs.shape[1], dtype=object)
+    np.add.at(total, own, capacity.astype(object))
+    short = max([0, int(source.sum()), int(sink.sum()), *total]) < SHORT
+    kind = np.int64 if short else object
+    left = _Left(*(values.astype(kind) for values in (total, total, source, sink)))
+    _exhaust(left, pairs, _parts(nodes, pairs[:, total > 0]))
+    flow = _shared(total - left.there, capacity, own, ends[0] > ends[1])
+    return flow.astype(kind), source - left.fed, sink - left.drained
+
+
+def _parts(nodes: int, pairs: np.ndarray) -> np.ndarray:
+    """Number of the part of each node."""
+    graph = sparse.csr_array((np.ones(pairs.shape[1], dtype=np.int8), tuple(pairs)), shape=(nodes, nodes))
+    return np.asarray(connected_components(graph, directed=False)[1])
+
+
+def _exhaust(left: _Left, pairs: np.ndarray, part: np.ndarray) -> None:
+    """Take a largest flow from what is left, in place."""
+    count, nodes = int(part.max(initial=-1)) + 1, len(part)
+    kind = left.there.dtype
+    bound = np.minimum(*(_summed(values, part, count, kind) for values in (left.fed, left.drained)))
+    of_pair = part[pairs[0]]
+    while (open_ := bound > 0).any():
+        bits = max(ROUND_BITS - int(open_.sum()).bit_length(), 1)
+        shift = np.array([max(int(b).bit_length() - bits, 0) for b in bound], dtype=kind)
+        owners = of_pair, of_pair, part, part
+        units = [
+            (np.minimum(values, bound[owner]) >> shift[owner]).astype(np.int64)
+            for values, owner in zip(left.parts, owners, strict=True)
+        ]
+        sent, into, out = _round(pairs, *units)
+        moved = sent.astype(kind) << shift[of_pair]
+        left.there, left.back = left.there - moved, left.back + moved
+        left.fed = left.fed - (into.astype(kind) << shift[part])
+        left.drained = left.drained - (out.astype(kind) << shift[part])
+        over = np.stack([units[0] - sent, units[1] + sent]) > 0
+        row, column = np.concatenate([pairs, pairs[::-1]], axis=1)[:, over.ravel()]
+        above = led_to(nodes, row, column, np.flatnonzero(units[2] > into))
+        low, high = above[pairs]
+        crossing = np.where(low & ~high, left.there, np.where(high & ~low, left.back, 0)).astype(kind)
+        cut = _summed(crossing, of_pair, count, kind)
+        cut = cut + _summed(np.where(above, left.drained, left.fed).astype(kind), part, count, kind)
+        sums = _summed(into.astype(kind) << shift[part], part, count, kind)
+        bound = np.where(open_, np.minimum(bound - sums, cut), 0).astype(kind)
+
+
+def _summed(values: np.ndarray, owner: np.ndarray, count: int, kind: np.dtype) -> np.ndarray:
+    """(count,), sums of the values of each owner."""
+    found = np.zeros(count, dtype=kind)
+    np.add.at(found, owner, values)
+    return found
+
+
+def _round(
+    pairs: np.ndarray, there: np.ndarray, back: np.ndarray, fed: np.ndarray, drained: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A largest flow of int64 capacities, (P,) net from lower to upper end, and (nodes,) from source and to sink."""
+    nodes, begins, ends = len(fed), np.flatnonzero(fed), np.flatnonzero(drained)
+    taken, given = np.zeros(nodes, dtype=np.int64), np.zeros(nodes, dtype=np.int64)
+    at_most = min(int(fed.sum()), int(drained.sum()))
+    if not at_most:
+        return np.zeros_like(there), taken, given
+    low = np.concatenate([pairs[0] + 1, np.zeros(len(begins), dtype=np.int64), ends + 1])
+    high = np.concatenate([pairs[1] + 1, begins + 1, np.full(len(ends), nodes + 1)])
+    nothing = np.zeros(len(begins) + len(ends), dtype=np.int64)
+    capacity = np.stack([np.concatenate([there, fed[begins], drained[ends]]), np.append(back, nothing)])
+    flow = largest_flow(np.stack([low, high]), capacity, at_most)
+    sent, taken[begins], given[ends] = np.split(flow, [len(there), len(there) + len(begins)])
+    return sent, taken, given
+
+
+def _shared(flow: np.ndarray, capacity: np.ndarray, own: np.ndarray, turned: np.ndarray) -> np.ndarray:
+    """(E,), the flow (P,) of each pair of nodes, shared by its edges. turned : (E,), edges from the upper node."""
+    if len(flow) == len(own):
+        shared = flow[own]
+    else:
+        order = np.argsort(own, kind="stable")
+        ordered, group = capacity[order].astype(object), own[order]
+        total = np.add.accumulate(ordered, dtype=object) if len(ordered) else ordered
+        first = np.flatnonzero(np.diff(group, prepend=-1))
+        before = np.empty(len(own), dtype=object)
+        before[order] = total - ordered - (total - ordered)[first][group]
+        size, sign = np.abs(flow)[own], np.where(flow[own] > 0, 1, -1)
+        shared = sign * np.maximum(np.minimum(size - before, capacity), 0)
+    return np.where(turned, -shared, shared)

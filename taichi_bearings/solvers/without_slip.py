@@ -1,0 +1,45 @@
+"""The state of a lattice in which no contact slips, for samples that have one."""
+
+from dataclasses import replace
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
+
+from taichi_bearings.scene import Progress, Scene
+
+
+def without_slip(scene: Scene, final: Progress) -> Progress:
+    """The end of a minimisation, without slip in samples whose least objective is 0.
+
+    There the planes turn alike, or no contacts join them: what contacts join to the top turns with it, all else with
+    the bottom, and no contact bears anything.
+    """
+    idle = np.flatnonzero(scene.is_cut_off | (scene.jump == 0))
+    if not len(idle):
+        return final
+    staggered, axes = final.staggered.copy(), final.spin_axes
+    top = scene.top_spin(axes)[..., None]  # (C, *plane, 1), of component k the same all along its layer x_k
+    for replica in idle:
+        for slot, felt in enumerate(scene.lattice.felt(axes)):
+            with_top = _joined_to_top(scene, felt & (scene.acting_coefficient[replica] > 0))
+            staggered[slot, replica] = np.where(with_top, top[slot], 0.0)
+    some = np.isin(np.arange(scene.replicas), idle)
+    rest, slip = final.rest, final.slip
+    if rest is not None:
+        rest = np.where(some.reshape(1, -1, *(1,) * scene.lattice.dimension), 0.0, rest)
+    if slip is not None:
+        slip = np.where(some[:, None], 0.0, slip)
+    force = np.where(some[:, None], 0.0, final.force)
+    return replace(final, staggered=staggered, rest=rest, force=force, slip=slip)
+
+
+def _joined_to_top(scene: Scene, contacts: np.ndarray) -> np.ndarray:
+    """(*N,) mask of the top plane and the spheres that some contacts (E,) join to it."""
+    sites = scene.lattice.sites
+    sphere = np.arange(sites).reshape(scene.lattice.shape)
+    sphere[..., -1] = sites - 1
+    low, high = sphere.ravel()[scene.lattice.ends][:, contacts]
+    graph = sparse.coo_array((np.ones(len(low), dtype=np.int8), (low, high)), shape=(sites, sites))
+    label = connected_components(graph, directed=False)[1]
+    return np.asarray(label[sphere] == label[sites - 1])

@@ -1,0 +1,118 @@
+"""Does a state exist in which no contact slips? Told by structure, never by how little some spins dissipate.
+
+Samples of a lattice have one where nothing joins the two planes in a component in which they differ. Packings have one
+in three cases, which may meet in one packing:
+
+1. nothing that is driven touches the part: it is at rest;
+2. components do not mix (discs, normals along the axes), and in no component contacts join driven spheres that ask for
+   different spins, or a driven sphere that turns to an odd loop;
+3. components mix, and each sphere either belongs to a part in which spins can make any slips whatever (rows of K are
+   independent, by a proven floor), or to one in which spins are found, in fractions, that roll exactly.
+
+Normals and imposed spins are the stored doubles. Where normals are rounded that have to agree, none of this holds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from fractions import Fraction
+
+import numpy as np
+
+from taichi_bearings.verifier.exact_motions import ExactMotions
+from taichi_bearings.verifier.network import Network, connected
+from taichi_bearings.verifier.springs import rolling, turning_freely
+
+LEAST_IMPOSED = 1e-200  # of the fastest imposed spin, below which products with radii are not exact
+NEARLY_NONE = 1e-10  # of the fastest imposed component: slips of packings below which the proof is tried
+MOST_IN_FRACTIONS = 8  # free spheres of a part, beyond which fractions become long
+IMPOSED = -1  # the column of what is imposed
+
+
+def exists_without_slip(network: Network) -> np.ndarray:
+    """(R,) mask of the samples of which it is proven that some spins of the free spheres leave all contacts without
+    slip. False says nothing."""
+    if network.samples is not None:
+        return _of_lattice(network)
+    if not network.counts.any():
+        return np.ones(1, dtype=bool)
+    if not _is_exact(network):
+        return np.zeros(1, dtype=bool)
+    found = _rolls_exactly(network) if network.mixes else not network.needed
+    return np.array([found])
+
+
+def _of_lattice(network: Network) -> np.ndarray:
+    if not network.needed:
+        return np.ones(network.count, dtype=bool)
+    absent = network.free[network.contact].any(axis=0) & ~network.acts
+    if not absent.any():
+        return np.zeros(network.count, dtype=bool)
+    return ~network.joins
+
+
+def _is_exact(network: Network) -> bool:
+    """True where all imposed R omega are exact sums of two doubles."""
+    sizes = [np.abs(part.high[part.high != 0]) for part in network.imposed]
+    return all((size > LEAST_IMPOSED).all() for size in sizes)
+
+
+@np.errstate(all="ignore")  # what is not finite proves nothing
+def _rolls_exactly(network: Network) -> bool:
+    """Case 3, where the given spins are nearly such a state."""
+    fastest = network.box.max(initial=0.0)
+    if not (network.slip.most[network.counts] <= NEARLY_NONE * fastest).all():
+        return False
+    left = replace(network, rolling=rolling(network))
+    if not left.counts.any():
+        return True
+    number = np.full((len(left.free), 3), -1)
+    moves = left.reached[:, None] & ~turning_freely(left)
+    number[moves] = np.arange(moves.sum())
+    open_ = left.counts & ~ExactMotions.of(left, number, left.counts).contacts
+    first, second = left.contact[:, left.counts]
+    inner = left.free[first] & left.free[second]
+    part = connected(first[inner], second[inner], len(left.free))[np.where(left.free[left.contact[0]], *left.contact)]
+    return all(_is_consistent(left, left.counts & (part == own)) for own in np.unique(part[open_]))
+
+
+def _is_consistent(network: Network, contacts: np.ndarray) -> bool:
+    """True if spins exist at which the contacts (E,) of one part roll, by elimination in fractions, without any
+    rounding; False of parts too large for that."""
+    spheres = np.unique(network.contact[:, contacts])
+    spheres = spheres[network.free[spheres]]
+    if len(spheres) > MOST_IN_FRACTIONS:
+        return False
+    unknown = {int(sphere): 3 * place for place, sphere in enumerate(spheres)}
+    pivots = dict[int, dict[int, Fraction]]()  # by unknown, an equation that is 1 there and 0 at the pivots before
+    for contact in np.flatnonzero(contacts):
+        for row in _equations(network, int(contact), unknown):
+            for column, equation in pivots.items():
+                factor = row.get(column, 0)
+                if factor:
+                    for other, value in equation.items():
+                        row[other] = row.get(other, Fraction(0)) - factor * value
+            first = next((c for c, value in row.items() if c != IMPOSED and value), None)
+            if first is not None:
+                pivots[first] = {c: value / row[first] for c, value in row.items() if value}
+            elif row.get(IMPOSED, 0):
+                return False
+    return True
+
+
+def _equations(network: Network, contact: int, unknown: dict[int, int]) -> list[dict[int, Fraction]]:
+    """Coefficients by unknown, and of IMPOSED what is imposed, of (u_i + u_j) x n = 0 by component, exactly."""
+    normal = [Fraction(float(value)) for value in network.normal[contact]]
+    rows = list[dict[int, Fraction]]()
+    for a, b in ((1, 2), (2, 0), (0, 1)):
+        row = {IMPOSED: Fraction(0)}
+        for sphere in network.contact[:, contact].tolist():
+            for component, factor in ((a, normal[b]), (b, -normal[a])):
+                if sphere in unknown:
+                    column = unknown[sphere] + component
+                    row[column] = row.get(column, Fraction(0)) + factor
+                else:
+                    part = network.imposed[component]
+                    row[IMPOSED] += factor * (Fraction(float(part.high[sphere])) + Fraction(float(part.low[sphere])))
+        rows.append(row)
+    return rows

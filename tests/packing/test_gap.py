@@ -1,0 +1,135 @@
+"""The gap of packings is its formula, and certified what has the least power, whatever the contrast of frictions."""
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+import taichi_bearings as tb
+from tests.packing.fraction_twin import least_power_of_discs
+from tests.packing.twins import random_packing
+from tests.scenes import some_of
+
+
+def chain(friction, dimension, **given):
+    """Spheres in a row, the first at rest and the last turning across it."""
+    count = len(friction) + 1
+    center = np.zeros((count, dimension))
+    center[:, 0] = np.arange(count)
+    driven = np.full(count, -1)
+    driven[[0, -1]] = 0, 1
+    spin = np.zeros((count, 3) if dimension == 3 else count)
+    spin[-1] = (0, 0.6, 0.8) if dimension == 3 else 1.0
+    contact = np.column_stack([np.arange(count - 1), np.arange(1, count)])
+    given = {"friction": friction, "normal_force": 1.0} | given
+    return tb.Packing(center=center, contact=contact, driven=driven, spin=spin, **given)
+
+
+def check(found, least, tolerance=1e-8, certified=True):
+    """The gap of the numbers that are told; a bound below the exact least power, or above it by a rounding of the
+    double that the latter is told as; and certified where and only where the gap allows."""
+    power, lower = Fraction(float(found.power)), Fraction(float(found.lower_bound))
+    formula = (found.power - found.lower_bound) / found.power if found.power else 0.0
+    assert found.gap == pytest.approx(formula, rel=1e-15)
+    assert (found.status == "certified") == (found.gap <= tolerance)
+    assert lower <= least
+    assert power >= least * (1 - Fraction(2) ** -51)
+    if found.status == "certified":
+        assert power <= least * (1 + Fraction(tolerance))
+    assert found.status == "certified" or not certified
+
+
+@pytest.mark.parametrize("decades", [0, 6, 12, 18, 24, 30])
+@pytest.mark.parametrize("dimension", [2, 3])
+@pytest.mark.parametrize("method", ["auto", "interior-point"])
+def test_a_chain_slips_at_its_weakest_contact(decades, dimension, method):
+    half = 10.0 ** (decades / 2)
+    friction = np.array([half, 3 / half, 1 / half, 2 * half / 3])
+    found = tb.solve(chain(friction, dimension), method=method)
+    check(found, Fraction(float(friction.min())) / 2, certified=method == "auto" or decades <= 12)
+
+
+@pytest.mark.parametrize("weak", [1e-6, 1e-12, 1e-15])
+@pytest.mark.parametrize("seed", range(2))
+def test_a_weak_layer_across_a_strong_frame_is_the_cut(weak, seed):
+    packing = tb.Packing.lattice("square", (6, 7), seed=seed)
+    force = np.random.default_rng(seed).lognormal(0, 1, packing.contacts) * 100
+    row = np.round(packing.center[:, 1] / 1.0).astype(int)[packing.contact]
+    force[(row.min(axis=1) == 3) & (row.max(axis=1) == 4)] *= weak
+    packing = tb.Packing(**packing.arrays() | {"normal_force": force})
+    found = tb.solve(packing)
+    check(found, least_power_of_discs(packing))
+    assert found.states_proven
+
+
+@pytest.mark.parametrize("seed", some_of(300, 13))
+def test_discs_have_the_least_power_of_exact_cuts(seed):
+    """Odd loops, several bodies with several values, floating parts, ties, 0 to 30 decades of friction."""
+    draw = np.random.default_rng([54, seed])
+    packing, decades = random_packing(draw, 2, spheres=int(draw.integers(4, 24))), (0, 6, 12, 18, 24, 30)[seed % 6]
+    friction = np.clip(10 ** draw.uniform(-decades / 2, decades / 2, packing.contacts), 1e-15, 1e15)
+    friction = friction if draw.random() < 0.7 else 10.0 ** np.round(np.log10(friction))
+    normal = draw.uniform(0.5, 2, packing.contacts) if draw.random() < 0.5 else 1.0
+    packing = tb.Packing(**packing.arrays() | {"friction": friction, "normal_force": normal})
+    check(tb.solve(packing), least_power_of_discs(packing), certified=False)
+
+
+STILL = {
+    "discs that turn alike": lambda: tb.Packing.lattice("square", (4, 5), seed=1, spin_top=1.0, spin_bottom=1.0),
+    "spheres that turn alike": lambda: tb.Packing.lattice("bcc", (3, 3, 3), seed=1, spin_top=0.3, spin_bottom=0.3),
+    "a loose chain": lambda: random_chain(3),
+    "nothing joins them": lambda: chain(np.array([1.0, 0.0, 1.0]), 2),
+}
+
+
+def random_chain(free):
+    """Spheres of any radii in a crooked row between two driven ones: more spins than slips."""
+    draw = np.random.default_rng(7)
+    center = np.cumsum(draw.normal(size=(free + 2, 3)), axis=0)
+    driven, spin = np.append(np.append(0, np.full(free, -1)), 1), np.zeros((free + 2, 3))
+    spin[0], spin[-1] = draw.normal(size=(2, 3))
+    contact = np.column_stack([np.arange(free + 1), np.arange(1, free + 2)])
+    radius, vector = draw.uniform(0.5, 2, free + 2), np.diff(center, axis=0)
+    normal = vector / np.linalg.norm(vector, axis=1)[:, None]
+    return tb.Packing(center, contact, driven, spin, radius=radius, normal=normal, friction=np.ones(free + 1))
+
+
+@pytest.mark.parametrize("name", STILL)
+@pytest.mark.parametrize("method", ["auto", "interior-point", "gradient-descent"])
+def test_where_no_slip_is_needed_power_bound_and_gap_are_0(name, method):
+    packing = STILL[name]()
+    found = tb.solve(packing, method=method)
+    assert (found.power, found.lower_bound, found.gap, found.status) == (0.0, 0.0, 0.0, "certified")
+    acts = (packing.driven[packing.contact] < 0).any(axis=1) & (packing.friction > 0)
+    assert packing.slips(found.spin)[acts].max() < 1e-15
+    assert (found.state[acts] == 0).all()
+    assert found.states_proven
+    assert any("the least power is 0" in sentence for sentence in found.warnings)
+
+
+@pytest.mark.parametrize("method", ["auto", "gradient-descent", "cundall-strack"])
+def test_a_packing_in_which_nothing_is_driven_says_so(method):
+    packing = tb.Packing.lattice("triangular", (3, 4), seed=2)
+    packing = tb.Packing(**packing.arrays() | {"driven": np.full(packing.spheres, -1)})
+    found = tb.solve(packing, method=method)
+    assert found.power == 0
+    assert found.warnings == ["the least power is 0: no sphere is driven"]
+
+
+def test_power_that_may_be_mere_rounding_is_not_certified_and_says_why():
+    """A bearing state of a bcc lattice that dilates, of rounded normals: nearly without slip, and not proven to be."""
+    alike = (0.0, 0.0, 0.0, 0.2)
+    found = tb.solve(tb.Packing.lattice("bcc", (3, 3, 4), seed=1, top=alike, bottom=alike))
+    assert 0 < found.power < 1e-11
+    assert found.gap == (found.power - found.lower_bound) / found.power > 1e-3
+    assert found.status == "stalled"
+    assert any("may be that of rounding alone" in sentence for sentence in found.warnings)
+
+
+def test_a_motion_that_has_died_out_is_at_rest_and_not_certified():
+    """Its power is what its last slips dissipate, of which no bound can be a part."""
+    packing = tb.Packing.lattice("square", (4, 5), seed=1, spin_top=1.0, spin_bottom=1.0)
+    found = tb.solve(packing, method="cundall-strack", start="random")
+    assert found.status == "stationary"
+    assert found.power > 0
+    assert (found.lower_bound, found.gap) == (0.0, 1.0)
