@@ -197,8 +197,10 @@ class Judgement(OfLaw):
         """(R,), (objective - lower bound) / objective of the numbers that are reported; 0 at rest, NaN of spins that
         are impossible."""
         objective = self.objective
-        gap = np.divide(objective - self.lower_bound, objective, out=np.zeros_like(objective), where=objective > 0)
-        return np.where(np.isfinite(objective), gap, np.nan)
+        gap = np.where(np.isfinite(objective), 0.0, np.nan)
+        some = np.isfinite(objective) & (objective > 0)
+        gap[some] = (objective[some] - self.lower_bound[some]) / objective[some]
+        return gap
 
     @property
     def proof(self) -> str:
