@@ -1,6 +1,7 @@
 """The least power of discs with friction, exactly, by networkx and fractions; nothing is shared with the solvers."""
 
 from fractions import Fraction
+from itertools import pairwise
 
 import networkx as nx
 
@@ -22,7 +23,7 @@ def least_power_of_discs(packing):
     whole = max([1, *(w.denominator for _, _, w in pairs)])
     values = sorted({sign * u for u in held.values() for sign in (1, -1)})
     total = Fraction(0)
-    for low, high in zip(values, values[1:], strict=False):
+    for low, high in pairwise(values):
 
         def node(i, sign, low=low):
             return (i, sign) if i not in held else ("below" if sign * held[i] <= low else "above")
