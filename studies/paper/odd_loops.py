@@ -80,7 +80,7 @@ def network(lattice: str, size: int, odd: int, bottom: float, seed: int) -> Pack
         center=center, contact=contact, normal=step / np.linalg.norm(step, axis=1)[:, None],
         driven=np.append(bare.driven, np.full(more, -1)),
         spin=np.concatenate([bare.spin, np.zeros((more, *bare.spin.shape[1:]))]),
-        friction=rng.uniform(*FRICTION, len(contact)),
+        friction=rng.uniform(*FRICTION, len(contact)), schematic=True,  # a diagonal is longer than spheres reach
     )  # fmt: skip
 
 

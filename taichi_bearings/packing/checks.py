@@ -1,6 +1,7 @@
 """What users bring as a packing, checked: each failure is one sentence that names the value."""
 
-from collections.abc import Callable
+import logging
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,9 +14,11 @@ if TYPE_CHECKING:
     from taichi_bearings.packing.packing import Packing
 
 MOST_SPHERES, MOST_CONTACTS = 20_000_000, 100_000_000
-GAP, OVERLAP = 0.01, 0.2  # of the sum of the radii, that may part the surfaces of a contact, and that it may be pressed
-UNIT_ERROR = 1e-6  # of the length of a normal that is given
+MOST_INTEGER = 2**53  # the largest up to which floats hold every whole number
+GAP, OVERLAP = 0.05, 0.2  # of the sum of the radii, that may part the surfaces of a contact, and that it may be pressed
+UNIT_ERROR = 1e-3  # of the length of a normal that is given: one printed with three decimals
 SAME_NORMAL = 1e-6  # distance of normals of contacts of the same two spheres, from which on they are two contacts
+TURNED = ", as MATLAB and Fortran write arrays: turn center, contact, normal and spin"
 LEAST_SIZE, MOST_SIZE = 1e-15, 1e15  # of coefficients, forces and radii; and most of spins
 
 
@@ -28,8 +31,10 @@ def _refuse(bad: Any, sentence: Callable[[int], str]) -> None:
 def places(values: Any) -> np.ndarray:
     center = own_array("centres", values)
     if center.ndim != 2 or center.shape[1] not in (2, 3) or not 1 <= len(center) <= MOST_SPHERES:
+        is_turned = center.ndim == 2 and len(center) in (2, 3) and center.shape[1] > 3
+        hint = f"; it looks transposed{TURNED}" if is_turned else ""
         raise InputError(
-            f"center has shape {center.shape}; it must be (N, 2) or (N, 3) with N from 1 to {MOST_SPHERES:,}"
+            f"center has shape {center.shape}; it must be (N, 2) or (N, 3) with N from 1 to {MOST_SPHERES:,}{hint}"
         )
     _refuse_not_finite("center", center, "sphere")
     order = np.lexsort(center.T)
@@ -42,6 +47,14 @@ def places(values: Any) -> np.ndarray:
 
 def _integers(name: str, values: Any) -> np.ndarray:
     array = np.asanyarray(values) if not isinstance(values, np.ma.MaskedArray) else np.asarray(0.5)
+    if array.dtype.kind == "f":
+        with np.errstate(invalid="ignore"):
+            whole = array.astype(np.int64) if (np.abs(array) <= MOST_INTEGER).all() else array[:0]
+        if array.size and array.ndim and (whole.shape != array.shape or (whole != array).any()):
+            flat = array.ravel()
+            own = flat[~((np.abs(flat) <= MOST_INTEGER) & (flat == np.round(flat)))][0]
+            raise InputError(f"{name} holds {own}; it must hold whole numbers")
+        array = whole if array.ndim else array
     if array.dtype.kind not in "iu" and not (array.size == 0 and array.dtype.kind == "f"):
         raise InputError(f"{name} is of type {array.dtype}; it must hold whole numbers")
     if array.size and array.dtype.kind == "u" and array.max() > np.iinfo(np.int64).max:
@@ -55,20 +68,37 @@ def pairs(values: Any, spheres: int) -> np.ndarray:
     contact = _integers("contact", values)
     contact = contact.reshape(0, 2) if contact.size == 0 else contact
     if contact.ndim != 2 or contact.shape[1] != 2 or len(contact) > MOST_CONTACTS:
-        raise InputError(f"contact has shape {contact.shape}; it must be (E, 2) with E up to {MOST_CONTACTS:,}")
+        hint = f"; it looks transposed{TURNED}" if contact.ndim == 2 and len(contact) == 2 else ""
+        raise InputError(f"contact has shape {contact.shape}; it must be (E, 2) with E up to {MOST_CONTACTS:,}{hint}")
     outside = ((contact < 0) | (contact >= spheres)).any(axis=1)
-    _refuse(outside, lambda e: f"contact {e} is between {contact[e].tolist()}; spheres are numbered 0 to {spheres - 1}")
+    hint = "; contacts seem to count from 1" if len(contact) and (contact.min(), contact.max()) == (1, spheres) else ""
+    _refuse(
+        outside,
+        lambda e: f"contact {e} is between {contact[e].tolist()}; spheres are numbered 0 to {spheres - 1}{hint}",
+    )
     _refuse(contact[:, 0] == contact[:, 1], lambda e: f"contact {e} is of sphere {contact[e, 0]} with itself")
     return contact
 
 
 def bodies(values: Any, spheres: int) -> np.ndarray:
-    driven = _integers("driven", values)
+    """(N,) the body of each sphere, -1 for free ones; truths drive body 0."""
+    array = np.asanyarray(values)
+    is_mask = array.dtype.kind == "b" and not np.ma.is_masked(array)
+    driven = _integers("driven", np.where(array, 0, -1) if is_mask else values)
     if driven.shape != (spheres,):
         raise InputError(f"driven has shape {driven.shape}; it must be ({spheres},), one number a sphere")
     strange, allowed = (driven < -1) | (driven >= spheres), f"-1, or a body from 0 to {spheres - 1}"
     _refuse(strange, lambda i: f"driven of sphere {i} is {driven[i]}; it must be {allowed}")
     return driven
+
+
+def columns_as_rows(found: Mapping[str, Any]) -> dict[str, np.ndarray]:
+    """Arrays of a file by name, of which columns (N, 1) or (E, 1) are (N,) or (E,)."""
+    places, pairs = np.shape(found["center"]), np.shape(found["contact"])
+    counts = {places[0] if places else 0, pairs[0] if pairs else 0}
+    one = {"driven", "radius", "friction", "viscosity", "normal_force", *(["spin"] if places[-1:] == (2,) else [])}
+    is_column = {n: n in one and np.ndim(v) == 2 and v.shape[1] == 1 and len(v) in counts for n, v in found.items()}
+    return {name: values[:, 0] if is_column[name] else values for name, values in found.items()}
 
 
 def spins(values: Any, spheres: int, dimension: int, held: np.ndarray) -> np.ndarray:
@@ -96,47 +126,50 @@ def sizes(name: str, values: Any, count: int, what: str, may_vanish: bool = Fals
     return array
 
 
+def pressing(values: Any, contacts: int) -> np.ndarray:
+    """(E,) normal forces; those that pull, which bear no friction, become 0 with a warning."""
+    array = own_array("values of normal_force", values)
+    if array.shape == (contacts,) and (pulling := array < 0).any():
+        logging.getLogger(__name__).warning(
+            "bearings: %d of %d normal forces are negative; these contacts pull and do not act", pulling.sum(), contacts
+        )
+        values = np.where(pulling, 0.0, array)
+    return sizes("normal_force", values, contacts, "contact", may_vanish=array.ndim > 0)
+
+
 def _refuse_not_finite(name: str, values: np.ndarray, what: str) -> None:
     bad = ~(np.abs(values) <= MOST_SIZE).all(axis=tuple(range(1, values.ndim)))
     _refuse(bad, lambda i: f"{name} of {what} {i} is {shown(values[i])}; it must be finite and at most {MOST_SIZE:g}")
 
 
-def touching(packing: "Packing") -> np.ndarray:
-    """Normals (E, D) from the centres; InputError for a contact that is none."""
-    first, second = packing.contact.T
-    vector = packing.center[second] - packing.center[first]
-    return directions(packing.contact, vector, packing.radius, "; across a periodic side it needs a normal")
+def misfit(size: float, reach: float) -> str:
+    """What is wrong with two spheres of a contact at a distance `size`, whose radii add up to `reach`."""
+    apart = f"are {size:.6g} apart and their radii add up to {reach:.6g}"
+    if size > reach:
+        return apart
+    return f"{apart}: they overlap by {1 - size / reach:.0%} of that, and at most {OVERLAP:.0%} is taken"
 
 
-def directions(contact: np.ndarray, vector: np.ndarray, radius: Any, hint: str = "") -> np.ndarray:
-    """Unit vectors along `vector` (E, D), between the centres of contacts; InputError for spheres that do not touch."""
-    first, second = contact.T
-    size, reach = np.linalg.norm(vector, axis=1), radius[first] + radius[second]
-    _refuse(
-        ~((size <= (1 + GAP) * reach) & (size >= (1 - OVERLAP) * reach)),
-        lambda e: (
-            f"contact {e} does not touch: spheres {first[e]} and {second[e]} are {size[e]:.6g} apart and their "
-            f"radii add up to {reach[e]:.6g}{hint}"
-        ),
-    )
-    normal = vector / size[:, None]
-    normal.setflags(write=False)
-    return normal
-
-
-def normals(values: Any, packing: "Packing") -> np.ndarray:
+def normals(values: Any, packing: "Packing") -> tuple[np.ndarray, float]:
+    """Unit vectors (E, D), and by how much the length of the worst of those that are given is wrong."""
     normal, shape = own_array("normals", values), (packing.contacts, packing.dimension)
     normal = normal.reshape(shape) if normal.size == 0 == packing.contacts else normal
     if normal.shape != shape:
-        raise InputError(f"normal has shape {normal.shape}; it must be {shape}")
+        raise InputError(f"normal has shape {normal.shape}; it must be {shape}{transposed(normal, shape)}")
     _refuse_not_finite("normal", normal, "contact")
     size = np.linalg.norm(normal, axis=1)
     bad = ~(np.abs(size - 1) <= UNIT_ERROR)
-    _refuse(bad, lambda e: f"normal of contact {e} has length {size[e]:.9g}; it must be a unit vector")
+    _refuse(
+        bad, lambda e: f"normal of contact {e} has length {size[e]:.9g}; it must be a unit vector, to {UNIT_ERROR:g}"
+    )
     off = np.abs(size - 1) > 4 * np.finfo(np.float64).eps  # others stay as they are, bit by bit
     normal = np.where(off[:, None], normal / np.where(off, size, 1.0)[:, None], normal)
-    normal.setflags(write=False)
-    return normal
+    return normal, float(np.abs(size - 1).max(initial=0.0))
+
+
+def transposed(array: np.ndarray, shape: tuple[int, ...]) -> str:
+    """The end of a message, if an array has its axes exchanged as MATLAB and Fortran write them."""
+    return "; it looks transposed" if array.ndim == 2 and array.T.shape == shape else ""
 
 
 def refuse_repeated(packing: "Packing") -> None:

@@ -1,101 +1,309 @@
-"""Packings out of LAMMPS: a `dump custom` of atoms and a `dump local` of their contacts, read as files of strangers.
+"""Packings out of LAMMPS or LIGGGHTS: a `dump custom` of atoms and a `dump local` of their contacts (manual: dump,
+compute pair/local)."""
 
-After the manual's pages dump and compute pair/local. Nothing is believed that a file says of its length: lines are read
-one by one, and only numbers that are there take memory.
-"""
-
-from array import array
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing
-from itertools import islice
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from taichi_bearings.errors import FileError, InputError
-from taichi_bearings.packing.checks import MOST_CONTACTS, MOST_SIZE, MOST_SPHERES, directions
-from taichi_bearings.plain_files import read_lines
-from taichi_bearings.words import shown
+from taichi_bearings.lattice.grid import AXIS_NAMES, axis_numbers
+from taichi_bearings.packing.checks import GAP, LEAST_SIZE, MOST_CONTACTS, MOST_SIZE, MOST_SPHERES, OVERLAP, misfit
+from taichi_bearings.packing.dumps import Frame, Frames, read_frame
+from taichi_bearings.packing.periods import nearest_images
+from taichi_bearings.scene.scene import periodic_axes
+from taichi_bearings.text_lines import CutOff
+from taichi_bearings.words import counted, shown
 
 SPIN = ("omegax", "omegay", "omegaz")
-MOST_INTEGER = 2**53  # the largest up to which floats hold every whole number
+PLACES = ("{}", "{}u", "{}s", "{}su")  # as they are, unwrapped, shares of the box, both
+FLAT = 1e-6  # of the largest radius, by which centres of discs may leave their plane
 
 
-def read_dumps(
-    atoms: Path, contacts: Path, columns: Sequence[str], *, step: int | None = None, driven: Any = None,
-    driven_types: Mapping[int, int] | None = None, spin: Mapping[int, Any] | None = None, dimension: int = 3,
-) -> dict[str, np.ndarray]:  # fmt: skip
-    """Arrays of a packing by name; spheres in the order of their ids.
+@dataclass(frozen=True)
+class Asked:
+    """What is to be read of dumps, beside the names of the columns of their contacts.
 
-    atoms : has columns id, x y z (or xu yu zu), radius or diameter. contacts : has the columns named by `columns`, as
-    ("c_pair[1]", "c_pair[2]", "c_force"): the ids of both atoms of a contact, and if there is a third one the normal
-    force; pairs with force 0 are left out. step : timestep, the last one of `atoms` if None.
+    step : the timestep; if None the last one that is whole in both files.
     driven : body of driven atoms by id, or (N,) in the order of the ids, -1 for free ones; or driven_types : body of
     all atoms of a type. spin : of each body, 1/time, a vector, of discs a number; if None columns omegax, omegay,
-    omegaz. dimension : 2 for discs in the plane z = const. Normals go the shortest way around periodic sides ("pp").
-
-    Raises FileError or InputError, one sentence, with the line of the file at fault.
+    omegaz. dimension : 2 for discs in the plane z = const. radius : of all atoms, length, for dumps without radius and
+    diameter. periodic : axes that close on themselves, for dumps whose box does not say so.
     """
-    if dimension not in (2, 3):
-        raise InputError(f"dimension is {shown(dimension)}; it must be 2 or 3")
-    if isinstance(columns, str) or len(columns) not in (2, 3):
-        raise InputError(f"columns is {shown(columns)}; it must be two or three names of columns of {contacts}")
-    rates = list(SPIN if dimension == 3 else SPIN[2:]) if spin is None else []
-    kinds = ["type"] if driven_types is not None else []
 
-    def wanted(names: Sequence[str]) -> list[str]:
-        axes = [name if "x" in names else f"{name}u" for name in "xyz"[:dimension]]
-        return ["id", *kinds, "radius" if "radius" in names else "diameter", *axes, *rates]
+    step: int | None = None
+    driven: Any = None
+    driven_types: Mapping[int, int] | None = None
+    spin: Mapping[int, Any] | None = None
+    dimension: int = 3
+    radius: float | None = None
+    periodic: Any = None
 
-    frame = _Frame(atoms, "ATOMS", step, MOST_SPHERES, wanted, whole=1 + len(kinds))
-    table = frame.table[np.argsort(frame.table[:, 0], kind="stable")]
-    number, (radius, *place) = table[:, 0].astype(np.int64), table[:, 1 + len(kinds) : 2 + len(kinds) + dimension].T
+    def __post_init__(self) -> None:
+        if self.dimension not in (2, 3):
+            raise InputError(f"dimension is {shown(self.dimension)}; it must be 2 or 3")
+        if (self.driven is None) == (self.driven_types is None):
+            raise InputError("one of driven and driven_types must say which atoms are driven")
+
+    @property
+    def kinds(self) -> list[str]:
+        """The column of types, where it is needed."""
+        return ["type"] if self.driven_types is not None else []
+
+    @property
+    def rates(self) -> list[str]:
+        """The columns of spins, where they are needed."""
+        return [] if self.spin is not None else list(SPIN if self.dimension == 3 else SPIN[2:])
+
+    def size(self, names: Sequence[str]) -> list[str]:
+        """The column of radii or diameters, where it is needed."""
+        return ["radius" if "radius" in names else "diameter"] if self.radius is None else []
+
+    def place(self, names: Sequence[str]) -> list[str]:
+        """The columns of places: of the first kind of which all axes are there; z too of discs that have it."""
+        needed = AXIS_NAMES[: self.dimension]
+        kind = next((kind for kind in PLACES if all(kind.format(axis) in names for axis in needed)), "{}")
+        return [name for axis in AXIS_NAMES if (name := kind.format(axis)) in names or axis in needed]
+
+    def columns(self, names: Sequence[str]) -> list[str]:
+        return ["id", *self.kinds, *self.size(names), *self.place(names), *self.rates]
+
+
+def read_dumps(atoms: Path, contacts: Path, columns: Sequence[str], asked: Asked) -> dict[str, np.ndarray]:
+    """Arrays of a packing by name; spheres in the order of their ids.
+
+    atoms : has columns id, radius or diameter, and x y z, xu yu zu (unwrapped), xs ys zs or xsu ysu zsu (shares of the
+    box). contacts : has the columns named by `columns`: the ids of both atoms of a contact, as ("c_pair[1]",
+    "c_pair[2]"); then none, or the normal force, or the components of the force on the first atom. Rows whose force
+    does not press are left out, and counted in a warning. Both may be packed by gzip, bzip2 or xz.
+
+    Normals go the shortest way around periodic sides ("pp"). Ids printed as 1e+06 are those of the only atom that
+    prints so. Raises FileError or InputError, one sentence, with the line of the file and the atoms at fault.
+    """
+    most = 2 + asked.dimension
+    if isinstance(columns, str) or len(columns) not in {2, 3, most, 5}:
+        raise InputError(f"columns is {shown(columns)}; it must be 2, 3 or {most} names of columns of {contacts}")
+    frame, rows = _frames(atoms, contacts, list(columns), asked)
+    kinds, sizes, places = len(asked.kinds), len(asked.size(frame.names)), asked.place(frame.names)
+    order = np.argsort(frame.table[:, 0], kind="stable")
+    _refuse_strange_rows(frame)
+    table, number = frame.table[order], frame.table[order, 0].astype(np.int64)
     if (twice := number[1:] == number[:-1]).any():
-        raise FileError(f"{atoms} has atom {number[1:][twice][0]} twice at timestep {frame.step}")
-    if not (np.abs(table) <= max(MOST_SIZE, MOST_INTEGER)).all():
-        raise FileError(f"{atoms} has numbers that are not finite at timestep {frame.step}")
-    body = _bodies(number, driven, driven_types, table[:, 1].astype(np.int64))
-    found: dict[str, Any] = {"center": np.column_stack(place), "driven": body}
-    found["radius"] = radius * (1.0 if "radius" in frame.names else 0.5)
-    found["spin"] = _imposed(body, spin, dimension) if spin is not None else table[:, -len(rates) :]
-    if dimension == 2:
-        found["spin"] = found["spin"].reshape(-1)
-    return found | _contacts(contacts, columns, frame, number, found["center"], found["radius"])
+        pair = sorted(order[int(np.argmax(twice)) :][:2].tolist())
+        why = "; its ids have lost digits, so print them as whole numbers" if frame.is_rounded else ""
+        raise FileError(f"{frame.at(pair[1])} has atom {number[1:][twice][0]} once more{why}")
+    body = _bodies(number, asked, table[:, 1].astype(np.int64))
+    center = _centers(frame, places, table[:, 1 + kinds + sizes :][:, : len(places)], asked)
+    found: dict[str, Any] = {"center": center, "driven": body, "radius": _radii(frame, table[:, 1 + kinds], asked)}
+    spin = _imposed(body, asked.spin, asked.dimension) if asked.spin is not None else table[:, -len(asked.rates) :]
+    found["spin"] = spin if asked.dimension == 3 else spin.reshape(-1)
+    _refuse_sizes(frame, order, found["radius"])
+    return found | _contacts(rows, frame, number, found, asked)
+
+
+def _frames(atoms: Path, contacts: Path, columns: list[str], asked: Asked) -> tuple[Frame, Frame]:
+    """The timestep of both dumps: the one that is asked for, or the last one that is whole in both. A warning says
+    what is left out for that."""
+    first, second = Frames.of(atoms), Frames.of(contacts)
+    cut = [str(part.cut) for part in (first, second) if part.cut is not None]
+    for step in dict.fromkeys(own for own, _ in reversed(first.starts)):
+        if asked.step is not None and step != asked.step:
+            continue
+        if not second.of_step(step):
+            cut.append(f"{contacts} has no timestep {step}")
+            continue
+        try:
+            whole = 1 + len(asked.kinds)
+            frame = _whole_frame(first, step, "ATOMS", MOST_SPHERES, asked.columns, whole)
+            rows = _whole_frame(second, step, "", MOST_CONTACTS, lambda _: columns, 2)
+        except CutOff as error:
+            cut.append(str(error))
+            continue
+        if cut:
+            told = "; ".join(dict.fromkeys(cut))
+            logging.getLogger(__name__).warning("bearings: %s; the timestep %d is read instead", told, step)
+        return frame, rows
+    named = "" if asked.step is None else f"{shown(asked.step)} "
+    reasons = f": {'; '.join(dict.fromkeys(cut))}" if cut else ""
+    raise FileError(f"no timestep {named}is whole in both {atoms} and {contacts}{reasons}")
+
+
+def _whole_frame(frames: Frames, step: int, *of: Any) -> Frame:
+    """The last one of this timestep that is whole; CutOff if none is."""
+    error = CutOff(frames.path, 0, f"it has no timestep {step}")
+    for start in frames.of_step(step):
+        try:
+            return read_frame(frames.path, step, start, *of)
+        except CutOff as found:
+            error = found
+    raise error
+
+
+def _refuse_strange_rows(frame: Frame) -> None:
+    """FileError for a number that is not finite or too large."""
+    strange = ~(np.abs(frame.table) <= MOST_INTEGER_OR_SIZE).all(axis=1)
+    if strange.any():
+        row = int(np.argmax(strange))
+        number = next(value for value in frame.table[row].tolist() if not abs(value) <= MOST_INTEGER_OR_SIZE)
+        raise FileError(f"{frame.at(row)} has {number} for atom {frame.table[row, 0]:.0f}; numbers must be finite")
+
+
+MOST_INTEGER_OR_SIZE = max(MOST_SIZE, 2.0**53)
+
+
+def _centers(frame: Frame, names: list[str], place: np.ndarray, asked: Asked) -> np.ndarray:
+    """Centres (N, D), length. names : of the columns `place`, which are lengths or shares of the box."""
+    if "s" in names[0]:
+        if frame.box is None:
+            raise FileError(f"{frame.path} has shares of a box, but no box at timestep {frame.step}")
+        shares = np.column_stack([place, np.zeros((len(place), 3 - place.shape[1]))])
+        place = frame.box.places(shares)
+    if asked.dimension == 2 and place.shape[1] == 3 and len(place):
+        low, high = float(place[:, 2].min()), float(place[:, 2].max())
+        if high - low > FLAT * float(np.abs(place).max()):
+            raise InputError(f"dimension is 2, but atoms of {frame.path} lie at z from {low:g} to {high:g}")
+    return np.asarray(place[:, : asked.dimension])
+
+
+def _radii(frame: Frame, column: np.ndarray, asked: Asked) -> np.ndarray:
+    """Radii (N,), out of the column of radii or diameters, or the one that is asked for."""
+    if asked.radius is None:
+        return column * (1.0 if "radius" in frame.names else 0.5)
+    if own := [name for name in ("radius", "diameter") if name in frame.names]:
+        raise InputError(f"radius is {shown(asked.radius)}, but {frame.path} has a column {own[0]}; leave out radius")
+    return np.full(len(frame.table), asked.radius, dtype=float)
+
+
+def _refuse_sizes(frame: Frame, order: np.ndarray, radius: np.ndarray) -> None:
+    wrong = ~((radius >= LEAST_SIZE) & (radius <= MOST_SIZE))
+    if wrong.any():
+        row = int(order[np.argmax(wrong)])
+        own = f"{frame.at(row)}: the radius of atom {frame.table[row, 0]:.0f} is {radius[wrong][0]:g}"
+        raise FileError(f"{own}; it must be from {LEAST_SIZE:g} to {MOST_SIZE:g}")
 
 
 def _contacts(
-    path: Path, columns: Sequence[str], frame: "_Frame", number: np.ndarray, center: np.ndarray, radius: np.ndarray
+    rows: Frame, frame: Frame, number: np.ndarray, spheres: Mapping[str, np.ndarray], asked: Asked
 ) -> dict[str, np.ndarray]:
-    """Contacts, normals and, of a third column, normal forces, of atoms with these numbers (N,), at the same time."""
-    rows = _Frame(path, "", frame.step, MOST_CONTACTS, lambda _: list(columns), whole=2).table
-    rows = rows[rows[:, 2] != 0] if len(columns) > 2 else rows
-    ids = rows[:, :2].astype(np.int64)
-    where = np.minimum(np.searchsorted(number, ids), len(number) - 1)
-    if not len(number) or (number[where] != ids).any():
-        lost = ids[number[where] != ids] if len(number) else [0]
-        raise FileError(f"{path} has a contact of atom {lost[0]}, which {frame.path} lacks at timestep {frame.step}")
-    vector = center[where[:, 1]] - center[where[:, 0]]
-    for axis, length in enumerate(frame.sides[: center.shape[1]]):
-        if not length:
-            continue
-        if len(where) and length <= 2 * (radius[where[:, 0]] + radius[where[:, 1]]).max():
-            side = "xyz"[axis]
+    """Contacts, normals and, where columns give them, normal forces, of atoms with these numbers (N,)."""
+    if frame.box is not None and rows.box is not None and not frame.box.is_as(rows.box):
+        raise FileError(f"{rows.path} has another box than {frame.path} at timestep {frame.step}; are they of one run?")
+    strange = ~np.isfinite(rows.table).all(axis=1)
+    if strange.any():
+        raise FileError(f"{rows.at(int(np.argmax(strange)))} has a force that is not finite")
+    force, row, count = rows.table[:, 2:], np.arange(len(rows.table)), len(rows.table)
+    has_forces, is_vector = force.shape[1] > 0, force.shape[1] > 1
+    if has_forces:
+        force = force if is_vector else _pressing(rows, force[:, 0], count)[:, None]
+        row, force = row[force.any(axis=1)], force[force.any(axis=1)]
+    contact = _matched(rows, row, frame, number)
+    normal = _normals(rows, row, contact, number, frame, spheres, asked)
+    if is_vector:
+        pressing = _pressing(rows, -np.einsum("ed,ed->e", force[:, : normal.shape[1]], normal), count)
+        acts = pressing > 0
+        contact, normal, force = contact[acts], normal[acts], pressing[acts, None]
+    return {"contact": contact, "normal": normal} | ({"normal_force": force[:, 0]} if has_forces else {})
+
+
+def _normals(
+    rows: Frame, row: np.ndarray, contact: np.ndarray, number: np.ndarray, frame: Frame,
+    spheres: Mapping[str, np.ndarray], asked: Asked,
+) -> np.ndarray:  # fmt: skip
+    """Normals (E, D) of contacts (E, 2), which are rows (E,) of the dump, the shortest way around periodic sides."""
+    center, reach = spheres["center"], spheres["radius"][contact].sum(axis=1)
+    vector = center[contact[:, 1]] - center[contact[:, 0]]
+    vector, is_doubtful = nearest_images(vector, _periods(frame, asked), (1 + GAP) * reach)
+    size = np.linalg.norm(vector, axis=1)
+    is_near = size <= (1 + GAP) * reach
+    wrong = ~(is_near & (size >= (1 - OVERLAP) * reach)) | is_doubtful
+    pair = np.sort(contact, axis=1) @ np.array([len(number), 1])
+    again = np.ones(len(pair), dtype=bool)
+    again[np.unique(pair, return_index=True)[1]] = False
+    if not (wrong | again).any():
+        return np.asarray(vector / size[:, None])
+    own = int(np.argmax(wrong | again))
+    i, j = number[contact[own]].tolist()
+    where = f"{rows.at(int(row[own]))}: atoms {i} and {j}"
+    if is_doubtful[own] and is_near[own]:
+        raise InputError(f"{where} touch both ways around a periodic side, so that it is not known which is meant")
+    if wrong[own]:
+        unknown = frame.box is None or frame.box.periodic is None
+        hint = "; if that is across a periodic side, name it by `periodic`" if unknown and not is_near[own] else ""
+        raise InputError(f"{where} {misfit(size[own], reach[own])}{hint}")
+    raise InputError(f"{where} are those of an earlier line too; each contact must be there once")
+
+
+def _periods(frame: Frame, asked: Asked) -> np.ndarray:
+    """Vectors (k, D) of the periodic sides."""
+    box = frame.box
+    if asked.periodic is not None:
+        closed = set(axis_numbers(periodic_axes(asked.periodic, AXIS_NAMES[: asked.dimension])))
+        if box is None:
             raise InputError(
-                f"the periodic side {side} is {length:g} long, so that spheres may touch both ways around it"
+                f"periodic is {shown(asked.periodic)}, but {frame.path} has no box at timestep {frame.step}"
             )
-        vector[:, axis] -= length * np.round(vector[:, axis] / length)
-    found = {"contact": where, "normal": directions(where, vector, radius)}
-    return found | ({"normal_force": rows[:, 2]} if len(columns) > 2 else {})
+        if box.periodic is not None:
+            raise InputError(
+                f"periodic is {shown(asked.periodic)}, but the box of {frame.path} says that; leave it out"
+            )
+        box = replace(box, periodic=[axis in closed for axis in range(3)])
+    periods = np.zeros((0, asked.dimension)) if box is None else box.periods(asked.dimension)
+    return periods[periods.any(axis=1)]
 
 
-def _bodies(number: np.ndarray, driven: Any, driven_types: Mapping[int, int] | None, kind: np.ndarray) -> np.ndarray:
+def _pressing(rows: Frame, force: np.ndarray, count: int) -> np.ndarray:
+    """Forces (E,) that press spheres together, 0 for those that do not act; a warning says how many of all `count`
+    rows are left out for that.
+
+    force : positive where it presses. If all pull, the file counts forces the other way, and they are turned.
+    """
+    warn = logging.getLogger(__name__).warning
+    if (force < 0).any() and not (force > 0).any():
+        warn("bearings: all forces of %s have the sign of those that pull; it is taken for that of pressing", rows.path)
+        force = -force
+    pulling, idle = int((force < 0).sum()), count - int((force > 0).sum())
+    if idle:
+        words = "%s bear no normal force that presses, of which %d pull; they are left out"
+        warn(f"bearings: {words}", f"{idle:,} of {counted(count, 'row')} of {rows.path}", pulling)
+    return np.where(force > 0, force, 0.0)
+
+
+def _matched(rows: Frame, row: np.ndarray, frame: Frame, number: np.ndarray) -> np.ndarray:
+    """Contacts (E, 2) as places among the numbers (N,) of all atoms. row : (E,), rows of the dump."""
+    ids = rows.table[row, :2].astype(np.int64)
+    keys, place = number, np.arange(len(number))
+    if rows.is_rounded and not frame.is_rounded:  # as %g prints them
+        keys = np.array([int(float(f"{one:g}")) for one in number.tolist()], dtype=np.int64)
+        place = np.argsort(keys, kind="stable")
+        keys = keys[place]
+    where = np.minimum(np.searchsorted(keys, ids), max(len(keys) - 1, 0))
+    lost = (keys[where] != ids).any(axis=1) if len(keys) else np.ones(len(ids), dtype=bool)
+    if lost.any():
+        own = int(np.argmax(lost))
+        missing = next(one for one in ids[own].tolist() if one not in keys)
+        words = f"{rows.at(int(row[own]))} has a contact of atom {missing}"
+        raise FileError(f"{words}, which {frame.path} lacks at timestep {frame.step}")
+    after = np.minimum(where + 1, max(len(keys) - 1, 0))
+    doubtful = ((keys[after] == ids) & (after != where)).any(axis=1)
+    if doubtful.any():
+        own = int(np.argmax(doubtful))
+        end = int(np.argmax((keys[after] == ids)[own] & (after != where)[own]))
+        one, two = number[place[[where[own, end], after[own, end]]]].tolist()
+        raise FileError(
+            f"{rows.at(int(row[own]))} has {ids[own, end]:g} for atom {one} or {two}: ids have lost digits; write them "
+            "with `dump_modify format` in full"
+        )
+    return np.asarray(place[where])
+
+
+def _bodies(number: np.ndarray, asked: Asked, kind: np.ndarray) -> np.ndarray:
     """Body of each atom (N,), -1 for free ones."""
-    if (driven is None) == (driven_types is None):
-        raise InputError("one of driven and driven_types must say which atoms are driven")
-    if driven is not None and not isinstance(driven, Mapping):
-        return np.asarray(driven)
-    table, keys = (driven_types or {}, kind) if driven is None else (driven, number)
+    if asked.driven is not None and not isinstance(asked.driven, Mapping):
+        return np.asarray(asked.driven)
+    table, keys = (asked.driven_types or {}, kind) if asked.driven is None else (asked.driven, number)
     body = np.full(len(number), -1)
     for key, own in table.items():
         if not (keys == key).any():
@@ -105,109 +313,10 @@ def _bodies(number: np.ndarray, driven: Any, driven_types: Mapping[int, int] | N
 
 
 def _imposed(body: np.ndarray, spin: Mapping[int, Any], dimension: int) -> np.ndarray:
+    """Spins (N, 3), of discs (N,), of the driven atoms; 0 for others."""
     values = np.zeros((len(body), 3) if dimension == 3 else len(body))
     for own in np.unique(body[body >= 0]).tolist():
         if own not in spin:
             raise InputError(f"spin lacks body {own}; it must give the spin of each driven body")
         values[body == own] = spin[own]
     return values
-
-
-class _Frame:
-    """One timestep of a dump. names : of its columns. sides : (3,), lengths of periodic sides of the box, else 0.
-
-    table : (count, columns), the columns that `wanted` says of their names; the first `whole` are whole numbers.
-    """
-
-    lines: Iterator[bytes]
-
-    def __init__(
-        self, path: Path, items: str, step: int | None, most: int, wanted: Callable[[Sequence[str]], list[str]],
-        whole: int,
-    ) -> None:  # fmt: skip
-        if not path.is_file():
-            raise FileError(f"{path} does not exist or is not a file")
-        self.path, self.line = path, 0
-        with closing(read_lines(path)) as self.lines:  # an error may be kept, and with it an open file
-            self.step, start = self._last(step)
-        with closing(read_lines(path)) as lines:
-            self.lines, self.line = islice(lines, start, None), start
-            self._read_header(items, most)
-            self.table = self._columns(wanted(self.names), whole)
-
-    def _read_header(self, items: str, most: int) -> None:
-        self._next("a timestep")
-        kind = self._header("NUMBER OF ", f"ITEM: NUMBER OF {items or 'ENTRIES'}")[0]
-        if items and kind != items:
-            raise self._wrong(f"ITEM: NUMBER OF {items}")
-        self.count = self._integer(self._next("a number"), 0, most)
-        flags = self._header("BOX BOUNDS", "ITEM: BOX BOUNDS with three flags such as pp ff pp")
-        if len(flags) != 3 or any(len(flag) != 2 or set(flag) - set("pfsm") for flag in flags):
-            raise self._wrong("ITEM: BOX BOUNDS with three flags such as pp ff pp, a box that is not triclinic")
-        bounds = [self._numbers(self._next("two bounds"), [0, 1], 2, 0) for _ in range(3)]
-        self.sides = [high - low if flag == "pp" else 0.0 for (low, high), flag in zip(bounds, flags, strict=True)]
-        if not all(0 <= side <= MOST_SIZE for side in self.sides):
-            raise self._wrong("bounds in order above")
-        self.names = self._header(kind, f"ITEM: {kind} and names of columns")
-
-    def _last(self, step: int | None) -> tuple[int, int]:
-        """The timestep, and the number of the line before it."""
-        found = None
-        for line in self.lines:
-            self.line += 1
-            if line.startswith(b"ITEM: TIMESTEP"):
-                start = self.line
-                own = self._integer(self._next("a timestep"), 0, MOST_INTEGER)
-                if step is None or own == step:
-                    found = own, start
-        if found is None:
-            raise FileError(f"{self.path} has no timestep{'' if step is None else f' {step}'}; it is no dump with that")
-        return found
-
-    def _next(self, expected: str) -> bytes:
-        line = next(self.lines, None)
-        self.line += 1
-        if line is None:
-            raise FileError(f"{self.path} ends at line {self.line}, where {expected} must follow")
-        return line
-
-    def _wrong(self, expected: str) -> FileError:
-        return FileError(f"{self.path} is damaged or no dump: line {self.line} must be {expected}")
-
-    def _header(self, begin: str, expected: str) -> list[str]:
-        words = self._next(expected).decode("latin-1").strip()
-        if not words.startswith(f"ITEM: {begin}"):
-            raise self._wrong(expected)
-        return words[len(f"ITEM: {begin}") :].split()
-
-    def _integer(self, text: bytes, least: int, most: int) -> int:
-        digits = text.strip()
-        if not digits.isdigit() or len(digits) > 20 or not least <= int(digits) <= most:
-            raise self._wrong(f"a whole number from {least} to {most}")
-        return int(digits)
-
-    def _numbers(self, line: bytes, places: list[int], width: int, whole: int) -> list[float]:
-        """The numbers at these places of a line of so many words, the first `whole` of them whole."""
-        words = line.split()
-        try:
-            if len(words) != width or b"_" in line:
-                raise ValueError
-            numbers = [float(words[place]) for place in places]
-            if any(not (value.is_integer() and 0 <= value <= MOST_INTEGER) for value in numbers[:whole]):
-                raise ValueError
-        except ValueError:
-            raise self._wrong(f"{width} numbers, ids and types whole") from None
-        return numbers
-
-    def _columns(self, names: list[str], whole: int) -> np.ndarray:
-        if lacking := [name for name in names if self.names.count(name) != 1]:
-            raise FileError(f"{self.path} must have one column {lacking[0]}; it has {' '.join(self.names)}")
-        places, values = [self.names.index(name) for name in names], array("d")
-        for number in range(self.count):
-            line = self._next(f"row {number + 1} of {self.count}")
-            values.extend(self._numbers(line, places, len(self.names), whole))
-        after = next(self.lines, b"ITEM: ")
-        if not after.startswith(b"ITEM: ") and after.strip():
-            self.line += 1
-            raise self._wrong(f"the next timestep after {self.count} rows")
-        return np.frombuffer(values, dtype=np.float64).reshape(self.count, len(names))

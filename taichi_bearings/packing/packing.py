@@ -4,6 +4,7 @@ With u = R omega the slip at a contact with unit normal n, from the first to the
 radii drop out, and a packing out of a simulation, a space-filling bearing and a lattice are the same convex problem.
 """
 
+import logging
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
@@ -14,21 +15,26 @@ import numpy as np
 
 from taichi_bearings.errors import FileError, InputError, WriteError
 from taichi_bearings.options import SEED, SHAPE, finite_number
-from taichi_bearings.packing import checks, random_packing, space_filling
-from taichi_bearings.packing.lammps import read_dumps
+from taichi_bearings.packing import checks, geometry, random_packing, space_filling
+from taichi_bearings.packing.found import TOLERANCE, Sides, completed, from_centers
+from taichi_bearings.packing.found import told as contacts_told
+from taichi_bearings.packing.lammps import Asked, read_dumps
 from taichi_bearings.packing.lattices import KINDS, Built, built, driven_bodies
+from taichi_bearings.packing.tables import read_contacts, read_spheres
 from taichi_bearings.plain_files import writing
 from taichi_bearings.scene.array_files import read_arrays
 from taichi_bearings.scene.disorder import Distribution, Draw
 from taichi_bearings.scene.law import Coefficients, Law, law_named
 from taichi_bearings.scene.scene import bearing_state, imposed_direction
+from taichi_bearings.text_lines import is_table
 from taichi_bearings.words import html_table, meant, shown
 
 NEEDED, OPTIONAL = (
     ("center", "contact", "driven", "spin"),
-    ("radius", "normal", "friction", "viscosity", "normal_force"),
+    ("radius", "normal", "friction", "viscosity", "normal_force", "schematic"),
 )
 DISTRIBUTION = "uniform:0.1,1.0"
+SIDES_GIVEN = [item.name for item in fields(Sides)]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -47,6 +53,8 @@ class Packing:
     law : "coulomb", "viscous" or "coulomb-viscous"; if None the last one where a viscosity is given, else the first.
     distribution, seed : of coefficients that are not given: a text such as "uniform:0.1,1.0" or a function
         (rng, shape), and the seed of ``default_rng``; viscosities take ``default_rng([seed, 2])``.
+    schematic : True for a network whose centres only say where it is drawn: contacts then need not lie where spheres
+        touch, and normals that are given are taken as they are.
 
     Raises InputError, one sentence that names the value, for what is no packing.
     """
@@ -63,21 +71,33 @@ class Packing:
     law: Law | str | None = None
     distribution: str | Draw = DISTRIBUTION
     seed: int = 0
+    schematic: bool = False
     normals_given: bool = field(init=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "normals_given", self.normal is not None)
+        object.__setattr__(self, "schematic", bool(np.any(self.schematic)))
         put = lambda name, values: object.__setattr__(self, name, values)  # noqa: E731
         put("center", checks.places(self.center))
         put("contact", checks.pairs(self.contact, self.spheres))
         put("driven", checks.bodies(self.driven, self.spheres))
         put("spin", checks.spins(self.spin, self.spheres, self.dimension, self.driven >= 0))
         put("radius", checks.sizes("radius", self.radius, self.spheres, "sphere"))
-        put("normal", checks.touching(self) if self.normal is None else checks.normals(self.normal, self))
+        put("normal", self._checked_normals())
         checks.refuse_repeated(self)
         put("law", law_named(self.law or ("coulomb" if self.viscosity is None else "coulomb-viscous")))
-        put("normal_force", checks.sizes("normal_force", self.normal_force, self.contacts, "contact"))
+        put("normal_force", checks.pressing(self.normal_force, self.contacts))
         self._take_coefficients(put)
+
+    def _checked_normals(self) -> np.ndarray:
+        places = (self.center, self.contact, self.radius)
+        if self.normal is None:
+            normal = geometry.from_places(*places)
+        else:
+            normal, error = checks.normals(self.normal, self)
+            normal = normal if self.schematic else geometry.agreed(*places, normal, error)
+        normal.setflags(write=False)
+        return normal
 
     def _take_coefficients(self, put: Any) -> None:
         two = len(self.kind.quantities) > 1
@@ -204,11 +224,11 @@ class Packing:
     def from_lammps(cls, atoms: str | Path, contacts: str | Path, columns: Any, **others: Any) -> "Packing":
         """From a `dump custom` of atoms and the named columns of a `dump local` of their contacts at the same timestep.
 
-        others : of :func:`taichi_bearings.packing.lammps.read_dumps`, and fields of this class.
+        others : of :class:`taichi_bearings.packing.lammps.Asked`, and fields of this class.
         """
-        known = read_dumps.__kwdefaults__ or {}
-        given = {name: others.pop(name) for name in list(others) if name in known}
-        return cls(**{**read_dumps(Path(atoms), Path(contacts), columns, **given), **others})
+        known = {item.name for item in fields(Asked)}
+        asked = Asked(**{name: others.pop(name) for name in list(others) if name in known})
+        return cls(**{**read_dumps(Path(atoms), Path(contacts), columns, asked), **others})
 
     @classmethod
     def _between_sides(cls, size: Any, found: Built, unit: float, seed: int, others: dict[str, Any]) -> "Packing":
@@ -226,18 +246,55 @@ class Packing:
         return cls(unit * radius * place, contact, body, spin, radius * size, normal, seed=seed, **others)
 
     @classmethod
-    def load(cls, path: str | Path, **others: Any) -> "Packing":
-        """From an npz or HDF5 file with arrays of the names above, in HDF5 also below ``packing``.
+    def from_centers(
+        cls, center: Any, radius: Any = 0.5, tolerance: float = TOLERANCE, driven: Any = None, spin: Any = None,
+        periodic: Any = None, **others: Any,
+    ) -> "Packing":  # fmt: skip
+        """Spheres or discs that touch where |d - R_i - R_j| <= tolerance (R_i + R_j), d being between their centres.
 
-        others : what the file does not hold, such as `law`, `seed`, or a `radius` for all. Raises FileError for what
-        cannot be read, InputError for what is no packing.
+        center : (N, D), length. radius : (N,), or one for all. driven, spin : as of this class. Without `driven` those
+            within tolerance radii of the lowest and of the highest along the last axis are driven, as body 0, the
+            bottom, and 1, the top. periodic : lengths of the periodic sides, 0 along other axes, as (4.0, 4.0, 0).
+        others : without `spin`, `spin_bottom`, `spin_top` (0 and 1, 1/time) and, of spheres, `direction` ((1, 1, 0));
+            and fields of this class.
+
+        Raises InputError for two spheres that overlap by more than the tolerance. A log line tells how many contacts
+        were found, and how many spheres touch nothing.
         """
-        return cls(**{**cls.read(path), **others})
+        sides = Sides(**{name: others.pop(name) for name in SIDES_GIVEN if name in others})
+        given = {name: values for name, values in (("driven", driven), ("spin", spin)) if values is not None}
+        found = from_centers(center, radius, tolerance, given, sides, periodic)
+        logging.getLogger(__name__).info(
+            "bearings: %s", contacts_told(found["contact"], len(found["center"]), tolerance)
+        )
+        return cls(**{**found, **others})
+
+    @classmethod
+    def load(cls, path: str | Path, contacts: str | Path | None = None, **others: Any) -> "Packing":
+        """From an npz or HDF5 file with arrays of the names above, in HDF5 also below ``packing``; or a table (.csv) of
+        centres, as of :meth:`from_centers`, and one of `contacts`, if they are not to be found.
+
+        others : what the file does not hold, such as `law`, `seed`, or a `radius` for all; of tables also what
+        :meth:`from_centers` takes. Raises FileError for what cannot be read, InputError for what is no packing.
+        """
+        found = cls.read(path, contacts)
+        if not is_table(path):
+            return cls(**{**found, **others})
+        sides = Sides(**{name: others.pop(name) for name in SIDES_GIVEN if name in others})
+        of = {"radius": others.pop("radius", 0.5)} if "radius" not in found else {}
+        share, periodic = others.pop("tolerance", TOLERANCE), others.pop("periodic", None)
+        return cls(**{**completed({**of, **found}, share, sides, periodic), **others})
 
     @staticmethod
-    def read(path: str | Path) -> dict[str, np.ndarray]:
-        """The arrays of such a file by name; FileError if it cannot be read."""
+    def read(path: str | Path, contacts: str | Path | None = None) -> dict[str, np.ndarray]:
+        """The arrays of such files by name, no more than they hold; FileError if they cannot be read."""
         path = Path(path)
+        if is_table(path):
+            found = read_spheres(path)
+            ids = found.pop("id", None)
+            return found | ({} if contacts is None else read_contacts(Path(contacts), ids, len(found["center"])))
+        if contacts is not None:
+            raise InputError(f"contacts is {shown(str(contacts))}, but {path} is no table (.csv) and has its own")
         try:
             found = read_arrays(path, NEEDED, OPTIONAL)
         except FileError as error:
@@ -246,12 +303,13 @@ class Packing:
             group = [f"packing/{name}" for name in (*NEEDED, *OPTIONAL)]
             stored = read_arrays(path, group[: len(NEEDED)], group[len(NEEDED) :])
             found = {name.rpartition("/")[2]: values for name, values in stored.items()}
-        return found
+        return checks.columns_as_rows(found)
 
     def arrays(self) -> dict[str, np.ndarray]:
         """What a file holds, by name."""
-        names = (*NEEDED, *OPTIONAL)
-        return {name: np.asarray(value) for name in names if (value := getattr(self, name)) is not None}
+        given = {name: getattr(self, name) for name in (*NEEDED, *OPTIONAL)}
+        given["schematic"] = [1] if self.schematic else None
+        return {name: np.asarray(value) for name, value in given.items() if value is not None}
 
     def save(self, path: str | Path) -> Path:
         """Write the arrays into a new file, npz or HDF5 by its name; WriteError if it is there or cannot be written."""

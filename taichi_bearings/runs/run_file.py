@@ -46,6 +46,7 @@ PACKING_ARRAYS = {
     "friction": ("1", "coefficient of the law: friction, or with the law viscous damping, force*time/length"),
     "viscosity": ("force*time/length", "viscosity of the contacts"),
     "normal_force": ("force", "normal force of the contacts"),
+    "schematic": ("1", "1: contacts need not lie where spheres touch"),
 }
 """Data sets of the group /packing: unit and words."""
 FRICTION_OF_SECOND = {

@@ -227,7 +227,7 @@ def _packing(
     }
     for name, values in arrays.items():
         if name in STORED_SIZES:
-            absent = (values == 0) & (name in ("friction", "viscosity"))
+            absent = (values == 0) & (name in ("friction", "viscosity", "normal_force"))
             fine[name] = (values >= LEAST_STORED) & (values <= MOST_STORED) | absent
         all_fine = fine.get(name, np.abs(values) <= MOST_STORED).reshape(len(values), -1).all(axis=1)
         if not all_fine.all():

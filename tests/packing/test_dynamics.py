@@ -127,7 +127,7 @@ def loose_packing(center, contact, radius, law, seed):
     vector = center[contact[:, 1]] - center[contact[:, 0]]
     normal, count = vector / np.linalg.norm(vector, axis=1)[:, None], len(center)
     return tb.Packing(
-        center, contact, np.full(count, -1), np.zeros((count, 3)), radius, normal, law=law, seed=seed
+        center, contact, np.full(count, -1), np.zeros((count, 3)), radius, normal, law=law, seed=seed, schematic=True
     )  # fmt: skip
 
 

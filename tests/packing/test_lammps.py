@@ -105,22 +105,44 @@ def test_a_packing_is_the_same_there_and_back(tmp_path, dimension):
 
 
 WRONG = [
-    (ATOMS.replace("pp ff ff", "xy xz yz pp ff ff"), CONTACTS, "line 15 must be ITEM: BOX BOUNDS.*not triclinic"),
-    (ATOMS.replace("ATOMS\n3", "ATOMS\n4"), CONTACTS, "ends at line 23, where row 4 of 4 must follow"),
+    (ATOMS.replace("pp ff ff", "xy xz yz pp ff ff"), CONTACTS, "line 16 must be 3 numbers"),
+    (ATOMS.replace("pp ff ff", "pp ff"), CONTACTS, "line 15 must be ITEM: BOX BOUNDS with three flags"),
+    (
+        ATOMS.replace("ATOMS\n3", "ATOMS\n4"),
+        CONTACTS,
+        "no timestep is whole in both .* at line 23 row 4 of 4 must follow",
+    ),
     (ATOMS.replace("ATOMS\n3", "ATOMS\n2"), CONTACTS, "line 22 must be the next timestep after 2 rows"),
     (ATOMS.replace("ATOMS\n3", "ATOMS\n99999999999999"), CONTACTS, "line 14 must be a whole number"),
     (ATOMS.replace("10 1 0.5", "10 1 zero"), CONTACTS, "line 21 must be 9 numbers"),
     (ATOMS.replace("10 1 0.5", "1_0 1 0.5"), CONTACTS, "line 21 must be 9 numbers"),
     (ATOMS.replace("10 1 0.5", "10.5 1 0.5"), CONTACTS, "line 21 must be 9 numbers, ids and types whole"),
-    (ATOMS.replace("10 1 0.5", "20 1 0.5"), CONTACTS, "has atom 20 twice"),
-    (ATOMS.replace("10 1 0.5", "10 1 nan"), CONTACTS, "not finite"),
+    (ATOMS.replace("10 1 0.5", "20 1 0.5"), CONTACTS, "line 22 of .* has atom 20 once more"),
+    (ATOMS.replace("10 1 0.5", "10 1 nan"), CONTACTS, "line 21 of .* has nan for atom 10; numbers must be finite"),
+    (ATOMS.replace("0.5 1 1 1 1", "0.5 1 1 0 1"), CONTACTS, "line 21 of .*: the radius of atom 10 is 0; it must be"),
     (ATOMS.replace("diameter", "mass"), CONTACTS, "must have one column diameter"),
     (ATOMS.replace("0.0 4.0", "4.0 0.0"), CONTACTS, "bounds in order"),
-    (ATOMS.replace("0.0 4.0", "0.0 2.0"), CONTACTS, "periodic side x is 2 long"),
-    (ATOMS, CONTACTS.replace("200", "100"), "contacts has no timestep 200"),
-    (ATOMS, CONTACTS.replace("2 10 30", "2 10 31"), "has a contact of atom 31"),
-    (ATOMS, CONTACTS.replace("3 30 20 0", "3 30 20 1"), "contact 2 does not touch"),
-    (ATOMS, CONTACTS.replace("3 30 20 0", "3 10 20 1"), "contacts 0 and 2 are both of spheres 0 and 1"),
+    (
+        ATOMS.replace("0.0 4.0", "0.0 2.0"),
+        CONTACTS.replace("0 4", "0 2"),
+        "atoms 10 and 30 touch both ways around a periodic side",
+    ),
+    (
+        ATOMS,
+        CONTACTS.replace("200", "300"),
+        "no timestep is whole in both .*contacts has no timestep 200",
+    ),
+    (ATOMS, CONTACTS.replace("2 10 30", "2 10 31"), "line 11 of .* has a contact of atom 31"),
+    (
+        ATOMS,
+        CONTACTS.replace("3 30 20 0", "3 30 20 1"),
+        "line 12 of .*: atoms 30 and 20 are 1.25 apart and their radii add up to 0.75",
+    ),
+    (
+        ATOMS,
+        CONTACTS.replace("3 30 20 0", "3 10 20 1"),
+        "line 12 of .*: atoms 10 and 20 are those of an earlier line too",
+    ),
     (ATOMS, CONTACTS.replace("c_fn", "fn"), "must have one column c_fn; it has index c_pair"),
     ("", CONTACTS, "atoms has no timestep"),
 ]
@@ -135,8 +157,8 @@ def test_what_is_no_dump_is_one_sentence_with_its_line(tmp_path, atoms, contacts
 
 def test_what_is_asked_for_must_be_there(tmp_path):
     for others, words in [
-        ({"step": 100, "driven_types": {1: 0}}, "contacts has no timestep 100"),
-        ({"step": 150}, "atoms has no timestep 150"),
+        ({"step": 100, "driven_types": {1: 0}}, "no timestep 100 is whole in both"),
+        ({"step": 150}, "no timestep 150 is whole in both"),
         ({"driven_types": {3: 0}}, "driven is 3, but there is no such atom or type"),
         ({"driven": {10: 0}}, "one of driven and driven_types"),
         ({"spin": {1: (0, 0, 1)}}, "spin lacks body 0"),

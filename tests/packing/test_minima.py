@@ -155,7 +155,7 @@ def test_odd_rings_are_half_of_their_double_cover():
         center=np.concatenate([packing.center, packing.center + 100]),
         contact=np.concatenate([np.stack([first, second + count], 1), np.stack([first + count, second], 1)]),
         driven=np.tile(packing.driven, 2), spin=np.concatenate([packing.spin, packing.spin]),
-        normal=np.tile(packing.normal, (2, 1)), friction=np.tile(packing.friction, 2),
+        normal=np.tile(packing.normal, (2, 1)), friction=np.tile(packing.friction, 2), schematic=True,
     )  # fmt: skip
     one, two = tb.solve(packing), tb.solve(cover)
     assert one.power == pytest.approx(two.power / 2, rel=1e-10)
@@ -181,7 +181,7 @@ def test_radii_drop_out():
     packing = tb.Packing.lattice("bcc", (3, 3, 3), seed=2)
     radius = 10 ** np.random.default_rng(1).uniform(-1, 1, packing.spheres)
     spin = packing.imposed / radius[:, None]
-    given = packing.arrays() | {"radius": radius, "spin": spin}
+    given = packing.arrays() | {"radius": radius, "spin": spin, "schematic": True}
     one, two = tb.solve(packing), tb.solve(tb.Packing(**given))
     assert one.power == pytest.approx(two.power, rel=1e-11)
     assert np.abs(one.spin * packing.radius[:, None] - two.spin * radius[:, None]).max() < 1e-8
@@ -222,7 +222,8 @@ def test_normals_that_nearly_agree_prove_nothing_false(angle):
     normal = np.array([[0, 0, 1.0], [np.sin(angle), 0, np.cos(angle)]])
     center = np.array([[0, 0, 0], [0, 0, 1.0], [0, 0, 9.0]])
     spin = [[0, 0, 0], [0, 0, 0], [1.0, 0, 0]]
-    packing = tb.Packing(center, [(0, 1), (0, 2)], [-1, 0, 1], spin, normal=normal, friction=[1.0, 0.5])
+    of = {"normal": normal, "friction": [1.0, 0.5], "schematic": True}
+    packing = tb.Packing(center, [(0, 1), (0, 2)], [-1, 0, 1], spin, **of)
     found = tb.solve(packing)
     assert found.lower_bound <= found.power
     assert found.lower_bound == pytest.approx(0, abs=1e-8) or "exact but for the rounding" in found.proof

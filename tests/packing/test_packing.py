@@ -19,7 +19,10 @@ WRONG = [
     ({"contact": [[0, 1], [2, 2]]}, "contact 1 is of sphere 2 with itself"),
     ({"contact": [[0, 1], [0, 2]]}, "contact 1 does not touch"),
     ({"contact": [[0, 1], [1, 0]]}, "contacts 0 and 1 are both of spheres 0 and 1"),
-    ({"contact": [[0.0, 1.0], [1.0, 2.0]]}, "contact is of type float64"),
+    ({"contact": [[0.0, 1.0], [1.0, 1.5]]}, "contact holds 1.5; it must hold whole numbers"),
+    ({"contact": [[0.0, np.nan], [1.0, 2.0]]}, "contact holds nan"),
+    ({"contact": [["0", "1"], ["1", "2"]]}, "contact is of type"),
+    ({"contact": [[1, 2], [2, 3]]}, "contacts seem to count from 1"),
     ({"contact": [0, 1]}, r"contact has shape \(2,\)"),
     ({"contact": np.array([[0, 2**63], [1, 2]], dtype=np.uint64)}, "too large"),
     ({"driven": [0, -2, 1]}, "driven of sphere 1 is -2"),
@@ -37,6 +40,7 @@ WRONG = [
     ({"friction": [0.5]}, r"friction has shape \(1,\)"),
     ({"viscosity": [0.5, 0.5], "law": "coulomb"}, "viscosity is given"),
     ({"normal_force": 0.0}, "normal_force of contact 0 is 0"),
+    ({"normal_force": [1.0, np.nan]}, "normal_force of contact 1 is nan"),
     ({"law": "columb"}, "did you mean 'coulomb'"),
     ({"friction": None, "distribution": "uniform:2"}, "uniform is written"),
 ]
@@ -58,11 +62,11 @@ def test_arrays_are_copied_and_defaults_drawn_in_the_order_of_the_contacts():
 
 
 def test_a_ring_of_two_has_two_contacts():
-    turned = {"contact": [[0, 1], [1, 0], [1, 2]], "friction": [0.5, 0.2, 0.1]}
-    packing = tb.Packing(**ROW | turned | {"normal": [[1, 0], [1, 0], [1, 0]]})
+    turned = {"center": [[0, 0], [1, 0], [1, 1]], "contact": [[0, 1], [1, 0], [1, 2]], "friction": [0.5, 0.2, 0.1]}
+    packing = tb.Packing(**ROW | turned | {"normal": [[1, 0], [1, 0], [0, 1]]})
     assert packing.contacts == 3
     with pytest.raises(tb.InputError, match="are both of spheres 0 and 1"):
-        tb.Packing(**ROW | turned | {"normal": [[1, 0], [-1, 0], [1, 0]]})
+        tb.Packing(**ROW | turned | {"normal": [[1, 0], [-1, 0], [0, 1]]})
 
 
 @pytest.mark.parametrize("name", ["a.npz", "a.h5"])

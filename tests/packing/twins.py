@@ -88,5 +88,5 @@ def random_packing(rng, dimension, law="coulomb", spheres=None, contrast=None, l
         values["viscosity"] = 10 ** rng.uniform(-contrast, 0, len(contact))
     return tb.Packing(
         center=center, contact=contact, driven=driven, spin=spin, radius=radius, normal=normal, law=law,
-        normal_force=1.0, **values,
+        normal_force=1.0, schematic=True, **values,
     )  # fmt: skip

@@ -63,7 +63,7 @@ def small_discs(seed):
     arrays = {name: getattr(packing, name) for name in names}
     driven = rng.integers(-1, 2, packing.spheres).astype(float)
     friction = rng.integers(1, 4, packing.contacts).astype(float)
-    return tb.Packing(**arrays, spin=driven, radius=1.0, friction=friction, normal_force=1.0)
+    return tb.Packing(**arrays, spin=driven, radius=1.0, friction=friction, normal_force=1.0, schematic=True)
 
 
 def all_minima(packing):
@@ -121,7 +121,8 @@ def with_diagonals(cells, seed):
     normal = np.concatenate([arrays["normal"], vector / np.linalg.norm(vector, axis=1)[:, None]])
     friction = np.append(arrays["friction"], rng.uniform(0.1, 1, len(pairs)))
     contact = np.concatenate([arrays["contact"], pairs])
-    return tb.Packing(**arrays | {"contact": contact, "normal": normal, "friction": friction, "normal_force": 50.0})
+    of = {"contact": contact, "normal": normal, "friction": friction, "normal_force": 50.0, "schematic": True}
+    return tb.Packing(**arrays | of)
 
 
 OBLIQUE = {
@@ -260,7 +261,8 @@ def test_spheres_that_can_only_roll_prove_that_they_do():
     normal = center[pair[:, 1]] - center[pair[:, 0]]
     normal /= np.linalg.norm(normal, axis=1)[:, None]
     spin = np.array([[1.0, 0.3, 0.2], [-0.4, 0.8, 0.1], *[[0.0] * 3] * 4])
-    found = tb.solve(tb.Packing(center, pair, [0, 1, -1, -1, -1, -1], spin, normal=normal, friction=np.ones(6)))
+    of = {"normal": normal, "friction": np.ones(6), "schematic": True}
+    found = tb.solve(tb.Packing(center, pair, [0, 1, -1, -1, -1, -1], spin, **of))
     assert found.proof == "proven"
     assert found.proven[2:].tolist() == [0] * 4
     assert found.power > 0

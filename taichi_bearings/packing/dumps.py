@@ -1,0 +1,191 @@
+"""One timestep of a dump of LAMMPS or LIGGGHTS, read as the file of a stranger (manual: dump, dump_modify).
+
+Nothing is believed that a file says of its length: lines are read one by one, and only numbers that are there take
+memory. A timestep counts only where every line of it is there with its end.
+"""
+
+from array import array
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing, suppress
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+
+from taichi_bearings.errors import FileError
+from taichi_bearings.packing.periods import Box
+from taichi_bearings.text_lines import CutOff, number_of, read_text_lines
+
+MOST_INTEGER = 2**53  # the largest up to which floats hold every whole number
+TIMESTEP = b"ITEM: TIMESTEP"
+FLAGS = {0: "", 3: "", 5: "abc origin", 6: "xy xz yz"}  # words before the three flags, by the number of all words
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One timestep. names : of its columns. box : None where the dump has none.
+
+    table : (rows, columns), those that were wanted. line : of the file, before the first row. is_rounded : true where
+    whole numbers are printed as 1e+06, so that they may have lost digits.
+    """
+
+    path: Path
+    step: int
+    names: list[str]
+    box: Box | None
+    table: np.ndarray
+    line: int
+    is_rounded: bool
+
+    def at(self, row: int) -> str:
+        """Where a row stands, for messages."""
+        return f"line {self.line + row + 1} of {self.path}"
+
+
+@dataclass(frozen=True)
+class Frames:
+    """Where the timesteps of a dump begin. starts : timestep and line of each, in the order of the file.
+
+    cut : what the file lacks at its end; None if nothing.
+    """
+
+    path: Path
+    starts: list[tuple[int, int]]
+    cut: CutOff | None
+
+    @classmethod
+    def of(cls, path: Path) -> "Frames":
+        """Raises FileError for a file that cannot be read or has no timestep."""
+        starts, line, cut = list[tuple[int, int]](), 0, None
+        with closing(read_text_lines(path)) as lines:
+            try:
+                for line, text in enumerate(lines, start=1):
+                    begins, awaited = text.startswith(TIMESTEP), bool(starts) and starts[-1][0] < 0
+                    if begins and awaited:  # a writer that was killed there, and another one that went on
+                        starts[-1] = -1, line
+                    elif begins:
+                        starts.append((-1, line))
+                    elif awaited:
+                        starts[-1] = _integer(path, line, text, 0, MOST_INTEGER), line - 2
+            except CutOff as error:
+                cut = error
+        if starts and starts[-1][0] < 0:
+            cut = cut or CutOff(path, line, f"it ends at line {line}, where a timestep must follow")
+            starts.pop()
+        if not starts and cut is None:
+            raise FileError(f"{path} has no timestep; it is no dump")
+        return cls(path, starts, cut)
+
+    def of_step(self, step: int) -> list[int]:
+        """Lines before a timestep that may be there several times, the last one first."""
+        return [line for own, line in reversed(self.starts) if own == step]
+
+
+def read_frame(
+    path: Path, step: int, start: int, items: str, most: int, wanted: Callable[[Sequence[str]], list[str]], whole: int
+) -> Frame:
+    """The timestep that begins after line `start`.
+
+    items : "ATOMS", or "" for whatever a dump of local data calls its rows. most : rows that are read. wanted : the
+    names of the columns to read, of those that the dump has; the first `whole` of them hold whole numbers.
+
+    Raises CutOff if it is not all there, FileError with the line at fault if it is damaged.
+    """
+    with closing(read_text_lines(path)) as lines:
+        return _Reader(path, islice(lines, start, None), start).read(step, items, most, wanted, whole)
+
+
+def _integer(path: Path, line: int, text: bytes, least: int, most: int) -> int:
+    digits = text.strip()
+    if not digits.isdigit() or len(digits) > 20 or not least <= int(digits) <= most:
+        raise FileError(f"{path} is damaged or no dump: line {line} must be a whole number from {least} to {most}")
+    return int(digits)
+
+
+class _Reader:
+    """Reads the lines of one timestep. line : how many lines of the file are read."""
+
+    def __init__(self, path: Path, lines: Iterator[bytes], line: int) -> None:
+        self.path, self.lines, self.line, self.is_rounded = path, lines, line, False
+
+    def read(self, step: int, items: str, most: int, wanted: Callable[[Sequence[str]], list[str]], whole: int) -> Frame:
+        self._next("ITEM: TIMESTEP")
+        self._next("a timestep")
+        kind = self._header("NUMBER OF ", f"ITEM: NUMBER OF {items or 'ENTRIES'}")[0]
+        if items and kind != items:
+            raise self._wrong(f"ITEM: NUMBER OF {items}")
+        count = _integer(self.path, self.line + 1, self._next("a number"), 0, most)
+        text = self._next(f"ITEM: BOX BOUNDS or ITEM: {kind}").decode("latin-1").strip()
+        box = None
+        if text.startswith("ITEM: BOX BOUNDS"):
+            box = self._box(text[len("ITEM: BOX BOUNDS") :].split())
+            text = self._next(f"ITEM: {kind} and names of columns").decode("latin-1").strip()
+        if not text.startswith(f"ITEM: {kind} "):
+            raise self._wrong(f"ITEM: {kind} and names of columns")
+        names = text[len(f"ITEM: {kind}") :].split()
+        line, table = self.line, self._rows(names, count, wanted(names), whole)
+        return Frame(self.path, step, names, box, table, line, self.is_rounded)
+
+    def _next(self, expected: str) -> bytes:
+        line = next(self.lines, None)
+        self.line += 1
+        if line is None or (line.startswith(TIMESTEP) and not expected.startswith("ITEM: TIMESTEP")):
+            raise CutOff(self.path, self.line, f"at line {self.line} {expected} must follow")
+        return line
+
+    def _wrong(self, expected: str) -> FileError:
+        return FileError(f"{self.path} is damaged or no dump: line {self.line} must be {expected}")
+
+    def _header(self, begin: str, expected: str) -> list[str]:
+        words = self._next(expected).decode("latin-1").strip()
+        found = words[len(f"ITEM: {begin}") :].split()
+        if not words.startswith(f"ITEM: {begin}") or not found:
+            raise self._wrong(expected)
+        return found
+
+    def _box(self, words: list[str]) -> Box:
+        """The box of three lines. words : what follows ITEM: BOX BOUNDS; older dumps have nothing there."""
+        flags, kind = words[-3:], " ".join(words[:-3])
+        if FLAGS.get(len(words)) != kind or any(len(flag) != 2 or set(flag) - set("pfsm") for flag in flags):
+            raise self._wrong("ITEM: BOX BOUNDS with three flags such as pp ff pp, after xy xz yz of a triclinic box")
+        width = {"": 2, "xy xz yz": 3, "abc origin": 4}[kind]
+        rows = [self._numbers(self._next("bounds"), list(range(width)), width, 0) for _ in range(3)]
+        box = Box.of_bounds(np.array(rows), [flag == "pp" for flag in flags] if flags else None)
+        if box is None:
+            raise self._wrong("bounds in order above")
+        return box
+
+    def _numbers(self, line: bytes, places: list[int], width: int, whole: int) -> list[float]:
+        """The numbers at these places of a line of so many words, the first `whole` of them whole."""
+        words = line.split()
+        try:
+            if len(words) != width:
+                raise ValueError
+            try:
+                numbers = [float(words[place]) for place in places]
+            except ValueError:
+                numbers = [number_of(words[place]) for place in places]
+            if b"_" in line and any(b"_" in words[place] for place in places):
+                raise ValueError
+            if any(not (value.is_integer() and 0 <= value <= MOST_INTEGER) for value in numbers[:whole]):
+                raise ValueError
+        except ValueError:
+            raise self._wrong(f"{width} numbers, ids and types whole") from None
+        if not self.is_rounded and any(b"e" in words[place].lower() for place in places[:whole]):
+            self.is_rounded = True
+        return numbers
+
+    def _rows(self, names: list[str], count: int, wanted: list[str], whole: int) -> np.ndarray:
+        if lacking := [name for name in wanted if names.count(name) != 1]:
+            raise FileError(f"{self.path} must have one column {lacking[0]}; it has {' '.join(names)}")
+        places, values = [names.index(name) for name in wanted], array("d")
+        for number in range(count):
+            line = self._next(f"row {number + 1} of {count}")
+            values.extend(self._numbers(line, places, len(names), whole))
+        with suppress(CutOff):  # of a timestep that follows
+            after = next(self.lines, b"ITEM: ")
+            if not after.startswith(b"ITEM: ") and after.strip():
+                self.line += 1
+                raise self._wrong(f"the next timestep after {count} rows")
+        return np.frombuffer(values, dtype=np.float64).reshape(count, len(wanted))

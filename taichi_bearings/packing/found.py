@@ -1,0 +1,153 @@
+"""What is not said of spheres and follows from their places: which of them touch, and which are driven."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from taichi_bearings.errors import InputError
+from taichi_bearings.options import finite_number
+from taichi_bearings.packing.checks import GAP, bodies, places, sizes
+from taichi_bearings.packing.touching import images, near_pairs
+from taichi_bearings.scene.array_files import own_array
+from taichi_bearings.scene.scene import imposed_direction
+from taichi_bearings.words import counted, shown
+
+TOLERANCE = 1e-3  # of the sum of the radii
+SIDES = 2  # bodies: the bottom is 0, the top 1
+
+
+@dataclass(frozen=True)
+class Sides:
+    """How bottom and top are driven: spins, 1/time, about an axis, which discs have no choice of."""
+
+    spin_bottom: float = 0.0
+    spin_top: float = 1.0
+    direction: Any = (1.0, 1.0, 0.0)
+
+    def spins(self, driven: np.ndarray, dimension: int) -> np.ndarray:
+        """(N, 3), of discs (N,); InputError for a body that is neither bottom nor top."""
+        if (beyond := driven >= SIDES).any():
+            own = int(np.argmax(beyond))
+            words = f"driven of sphere {own} is {driven[own]}"
+            raise InputError(f"{words}; without spins there are the bodies 0, the bottom, and 1, the top")
+        rate = np.array([finite_number(name, getattr(self, name)) for name in ("spin_bottom", "spin_top")])
+        spin = np.where(driven >= 0, rate[np.maximum(driven, 0)], 0.0)
+        if dimension == 2:
+            return spin
+        axis = np.array(imposed_direction(self.direction))
+        return np.asarray(spin[:, None] * (axis / np.linalg.norm(axis)))
+
+
+def from_centers(
+    center: Any, radius: Any, tolerance: float, given: dict[str, Any], sides: Sides, periodic: Any = None
+) -> dict[str, np.ndarray]:
+    """Arrays of a packing of spheres that touch where |d - R_i - R_j| <= tolerance (R_i + R_j), d between centres.
+
+    center : (N, D), length. radius : (N,) or one for all, length. given : `driven` (N,) or `spin`, if they are known;
+    else those within tolerance radii of the lowest and of the highest along the last axis are driven. periodic : (D,),
+    lengths of the periodic sides, 0 or None along others.
+
+    Raises InputError for spheres that overlap by more, and where nothing touches or it is not clear what is driven.
+    """
+    center = places(center)
+    count, dimension = center.shape
+    radius = sizes("radius", radius, count, "sphere")
+    share = finite_number("tolerance", tolerance)
+    if not 0 <= share <= GAP:
+        raise InputError(f"tolerance is {shown(tolerance)}; it must be from 0 to {GAP:g}, a share of R_i + R_j")
+    length = _lengths(periodic, dimension, float(radius.max()) * (1 + share))
+    contact, normal = _contacts(center, radius, share, length)
+    driven = given.get("driven")
+    driven = _ends(center, radius, share, length) if driven is None else bodies(driven, count)
+    spin = given.get("spin")
+    spin = sides.spins(driven, dimension) if spin is None else spin
+    return {"center": center, "contact": contact, "driven": driven, "spin": spin, "radius": radius, "normal": normal}
+
+
+def completed(found: Mapping[str, Any], tolerance: float, sides: Sides, periodic: Any = None) -> dict[str, np.ndarray]:
+    """Arrays of a packing out of those of tables: contacts are found if there are none, and so is what is driven.
+
+    found : by name, with center and radius. The other arguments are those of :func:`from_centers`.
+    """
+    if "contact" not in found:
+        rest = {name: values for name, values in found.items() if name not in ("center", "radius")}
+        return rest | from_centers(found["center"], found["radius"], tolerance, rest, sides, periodic)
+    center = places(found["center"])
+    radius = sizes("radius", found["radius"], len(center), "sphere")
+    driven = found.get("driven")
+    driven = _ends(center, radius, tolerance, np.zeros(1)) if driven is None else bodies(driven, len(center))
+    spin = found.get("spin")
+    spin = sides.spins(driven, center.shape[1]) if spin is None else spin
+    return {**found, "radius": radius, "driven": driven, "spin": spin}
+
+
+def told(contact: np.ndarray, spheres: int, tolerance: float) -> str:
+    """A sentence on the contacts (E, 2) that were found, and on spheres that have none."""
+    alone = spheres - len(np.unique(contact))
+    of = f"{counted(len(contact), 'contact')} of {counted(spheres, 'sphere')} found within {tolerance:g} of touching"
+    none = f"{counted(alone, 'sphere')} touch{'es' if alone == 1 else ''} nothing" if alone else "each touches another"
+    return f"{of}; {none}"
+
+
+def _lengths(periodic: Any, dimension: int, largest: float) -> np.ndarray:
+    """(D,) lengths of the periodic sides, 0 along other axes."""
+    if periodic is None:
+        return np.zeros(dimension)
+    values = [0.0 if value is None else value for value in np.atleast_1d(np.array(periodic, dtype=object)).tolist()]
+    length = own_array("lengths of periodic sides", values)
+    if length.shape != (dimension,) or not (np.abs(length) < np.inf).all() or (length < 0).any():
+        raise InputError(
+            f"periodic is {shown(periodic)}; it must be {dimension} lengths, 0 or None where nothing closes"
+        )
+    if ((length > 0) & (length <= 2 * largest)).any():
+        raise InputError(f"periodic is {shown(periodic)}; each length must be larger than the largest sphere")
+    return length
+
+
+def _contacts(
+    center: np.ndarray, radius: np.ndarray, share: float, length: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Contacts (E, 2), ordered by their spheres, and normals (E, D); InputError for a deeper overlap, and for none."""
+    inside, closed = np.array(center), length > 0
+    inside[:, closed] = np.mod(inside[:, closed], length[closed])
+    number, shift = images(inside, radius, np.diag(length)[closed], 1 + share)
+    place = inside[number] + shift
+    found = list(near_pairs(inside, radius, place, radius[number], 1 + share))
+    first, image = (np.concatenate(part) for part in zip(*found, strict=True))
+    second = number[image]
+    normal = place[image] - inside[first]
+    leads_up = _leads_up(shift[image])
+    kept = (first < second) | ((first == second) & leads_up)
+    first, second, normal = first[kept], second[kept], normal[kept]
+    size, reach = np.linalg.norm(normal, axis=1), radius[first] + radius[second]
+    if (deep := size < (1 - share) * reach).any():
+        own = int(np.argmin(np.where(deep, size / reach, np.inf)))
+        like = "; radii look like diameters" if np.median(size / reach) < 0.6 else ""
+        words = f"are {size[own]:.6g} apart and their radii add up to {reach[own]:.6g}"
+        over = f"they overlap by {1 - size[own] / reach[own]:.2g} of that, more than the tolerance {share:g}"
+        raise InputError(f"spheres {first[own]} and {second[own]} {words}: {over}{like}")
+    if not len(first):
+        raise InputError(f"no two spheres touch within the tolerance {share:g}; are radii in the unit of the centres?")
+    order = np.lexsort((*normal.T, second, first))
+    return np.stack([first[order], second[order]], axis=1), (normal / size[:, None])[order]
+
+
+def _leads_up(shift: np.ndarray) -> np.ndarray:
+    """True for shifts (X, D) whose last component that is not 0 is positive: one of each two images."""
+    up = np.zeros(len(shift), dtype=bool)
+    for component in shift.T:
+        up = np.where(component != 0, component > 0, up)
+    return up
+
+
+def _ends(center: np.ndarray, radius: np.ndarray, share: float, length: np.ndarray) -> np.ndarray:
+    """Bodies (N,): 0 for the lowest spheres along the last axis, 1 for the highest, -1 for others."""
+    height, name = center[:, -1], "xyz"[center.shape[1] - 1]
+    if length[-1]:
+        raise InputError(f"{name} is periodic, so there is no bottom and no top; give a column or an array `driven`")
+    low, high = height - height.min() <= share * radius, height.max() - height <= share * radius
+    if (low & high).any():
+        raise InputError(f"all spheres lie at one height {name}, so there is no bottom and no top; give `driven`")
+    return np.where(high, 1, np.where(low, 0, -1))

@@ -1,0 +1,133 @@
+"""Spheres and contacts as tables of text (CSV), read as files of strangers: a failure is a sentence with its line."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from taichi_bearings.errors import FileError
+from taichi_bearings.packing.checks import MOST_CONTACTS, MOST_INTEGER, MOST_SPHERES
+from taichi_bearings.text_lines import number_of, read_text_lines
+from taichi_bearings.words import meant
+
+SPHERES = {
+    "x": "x", "y": "y", "z": "z", "radius": "radius", "r": "radius", "diameter": "diameter", "d": "diameter",
+    "driven": "driven", "spin": "spin", "spin_x": "spin_x", "spin_y": "spin_y", "spin_z": "spin_z", "id": "id",
+}  # fmt: skip
+CONTACTS = {
+    "first": "first", "i": "first", "second": "second", "j": "second", "nx": "nx", "ny": "ny", "nz": "nz",
+    "friction": "friction", "mu": "friction", "viscosity": "viscosity", "normal_force": "normal_force",
+    "fn": "normal_force",
+}  # fmt: skip
+"""Columns that a table may have, and what they are called here."""
+WHOLE = {"driven", "id", "first", "second"}
+DELIMITERS = (",", ";", "\t")
+
+
+def read_spheres(path: Path) -> dict[str, np.ndarray]:
+    """Arrays by name of a table with the columns x, y and of spheres z, in any order; of more columns radius (or
+    diameter), driven, spin (of spheres spin_x, spin_y, spin_z), and id. `id` (N,), if there, is what contacts name."""
+    columns = _read(path, SPHERES, MOST_SPHERES, ("x", "y"))
+    axes = [name for name in "xyz" if name in columns]
+    found = {"center": np.column_stack([columns.pop(name) for name in axes])}
+    if "diameter" in columns:
+        if "radius" in columns:
+            raise FileError(f"{path} has columns of radii and of diameters; leave one of the two out")
+        columns["radius"] = columns.pop("diameter") / 2
+    rates = ["spin"] if len(axes) == 2 else ["spin_x", "spin_y", "spin_z"]
+    given = [name for name in columns if name.startswith("spin")]
+    if given and sorted(given) != sorted(rates):
+        raise FileError(f"{path} has a column {given[0]}; spins of its {len(axes)} axes need {', '.join(rates)}")
+    if given:
+        spins = np.column_stack([columns.pop(name) for name in rates])
+        found["spin"] = spins if len(axes) == 3 else spins[:, 0]
+    if "id" in columns:
+        ids = columns["id"]
+        order = np.argsort(ids, kind="stable")
+        twice = ids[order[1:]] == ids[order[:-1]]
+        if twice.any():
+            raise FileError(f"{path} has the id {ids[order[1:]][twice][0]} twice; each sphere must be there once")
+    return found | columns
+
+
+def read_contacts(path: Path, ids: np.ndarray | None, spheres: int) -> dict[str, np.ndarray]:
+    """Arrays by name of a table with the columns first and second (or i and j), the ids of the spheres of a contact,
+    or without ids their numbers, from 0; of more columns nx, ny, nz, friction, viscosity and normal_force."""
+    columns = _read(path, CONTACTS, MOST_CONTACTS, ("first", "second"))
+    contact = np.column_stack([columns.pop("first"), columns.pop("second")])
+    normal = [columns.pop(name) for name in ("nx", "ny", "nz") if name in columns]
+    found = {"contact": contact, **columns} | ({"normal": np.column_stack(normal)} if normal else {})
+    if ids is None:
+        return found
+    order = np.argsort(ids, kind="stable")
+    where = np.minimum(np.searchsorted(ids[order], contact), spheres - 1)
+    if (lost := ids[order[where]] != contact).any():
+        row = int(np.argmax(lost.any(axis=1)))
+        missing = contact[row][lost[row]][0]
+        raise FileError(f"row {row + 1} of {path} has a contact of sphere {missing}, but no sphere has this id")
+    return found | {"contact": order[where]}
+
+
+def _read(path: Path, names: Mapping[str, str], most: int, needed: Sequence[str]) -> dict[str, np.ndarray]:
+    """The columns (rows,) of a table by name. names : those that it may have, with what they are called here."""
+    head, rows, delimiter = None, list[list[float]](), None
+    for line, text in enumerate(read_text_lines(path), start=1):
+        try:
+            words = text.decode().strip()
+        except UnicodeDecodeError:
+            raise FileError(f"line {line} of {path} is no text in UTF-8") from None
+        if not words:
+            continue
+        if head is None:
+            delimiter = next((mark for mark in DELIMITERS if mark in words), None)
+            cells = _cells(words.removeprefix("#"), delimiter)
+            if not words.startswith("#") or all(cell.lower() in names for cell in cells):
+                head = _head(path, line, cells, names, needed)
+        elif not words.startswith("#"):
+            rows.append(_row(path, line, _cells(words, delimiter), head))
+            if len(rows) > most:
+                raise FileError(f"{path} has more than {most:,} rows; that is the most that is read")
+    if head is None:
+        raise FileError(f"{path} has no header such as {','.join(needed)}, so that nobody knows what its columns are")
+    table = np.array(rows, dtype=float).reshape(len(rows), len(head))
+    return {name: table[:, k].astype(np.int64) if name in WHOLE else table[:, k] for k, name in enumerate(head)}
+
+
+def _cells(words: str, delimiter: str | None) -> list[str]:
+    return [cell.strip().strip('"').strip() for cell in words.split(delimiter)]
+
+
+def _head(path: Path, line: int, cells: list[str], names: Mapping[str, str], needed: Sequence[str]) -> list[str]:
+    """What the columns are called here; FileError for one that is not known, or lacks or is there twice."""
+    known = [cell.lower() for cell in cells]
+    if strange := [name for name in known if name not in names]:
+        allowed = ", ".join(names)
+        raise FileError(
+            f"line {line} of {path} names a column {strange[0]!r}{meant(strange[0], names)}; a header of these is "
+            f"needed: {allowed}"
+        )
+    found = [names[name] for name in known]
+    if lacking := [name for name in needed if name not in found]:
+        raise FileError(f"{path} must have a column {lacking[0]}; its header is {','.join(known)}")
+    if twice := [name for name in found if found.count(name) > 1]:
+        raise FileError(f"{path} has the column {twice[0]} twice")
+    return found
+
+
+def _row(path: Path, line: int, cells: list[str], names: Sequence[str]) -> list[float]:
+    """The numbers of a row; FileError names the line and what is wrong in it."""
+    if len(cells) != len(names):
+        raise FileError(f"line {line} of {path} has {len(cells)} cells, and its header {len(names)}")
+    numbers = []
+    for name, cell in zip(names, cells, strict=True):
+        try:
+            value = number_of(cell.encode())
+        except ValueError:
+            hint = "; write decimal points" if "," in cell else ""
+            raise FileError(f"line {line} of {path} has {cell!r} for {name}; it must be a number{hint}") from None
+        if name in WHOLE and not (value.is_integer() and abs(value) <= MOST_INTEGER):
+            raise FileError(f"line {line} of {path} has {cell!r} for {name}; it must be a whole number")
+        if not np.isfinite(value):
+            raise FileError(f"line {line} of {path} has {cell!r} for {name}; it must be finite")
+        numbers.append(value)
+    return numbers

@@ -1,0 +1,109 @@
+"""Lines of texts that others have written, plain or packed; one that may have lost its end is never taken for whole."""
+
+import bz2
+import io
+import lzma
+import re
+import zlib
+from collections.abc import Callable, Generator
+from pathlib import Path
+from typing import IO, Any
+
+from taichi_bearings.errors import FileError
+from taichi_bearings.plain_files import MOST_LINE, opened
+
+PACKERS: dict[bytes, Callable[[], Any]] = {
+    b"\x1f\x8b": lambda: zlib.decompressobj(31),
+    b"BZh": bz2.BZ2Decompressor,
+    b"\xfd7zXZ\0": lzma.LZMADecompressor,
+}
+"""By the first bytes of a packed file what unpacks one stream of it."""
+AT_ONCE = 2**20  # packed bytes that are read at a time
+UTF_8, UTF_16 = b"\xef\xbb\xbf", (b"\xff\xfe", b"\xfe\xff")  # marks of the byte order
+NUMBER = re.compile(rb"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d{1,5})?")
+
+
+class CutOff(FileError):
+    """A text that ends within a line, or within the stream that it is packed in. line : where it ends."""
+
+    def __init__(self, path: Path, line: int, why: str) -> None:
+        self.line = line
+        super().__init__(f"{path} is cut off: {why}")
+
+
+def read_text_lines(path: Path) -> Generator[bytes, None, None]:
+    """The lines of a text, plain or packed by gzip, bzip2 or xz, each with its end; a mark of the byte order is left
+    out.
+
+    Raises CutOff where a line has no end or a packed stream stops within itself, after all lines that are whole: a
+    number there may have lost its last digits. Raises FileError for what cannot be read, is damaged, or is no text.
+    """
+    number = 0
+    try:
+        with opened(path) as file:
+            head = file.read(6)
+            file.seek(0)
+            packer = next((make for magic, make in PACKERS.items() if head.startswith(magic)), None)
+            unpacker = _Unpacker(file, packer) if packer is not None else None
+            text: Any = file if unpacker is None else io.BufferedReader(unpacker)
+            while line := text.readline(MOST_LINE):
+                number += 1
+                if number == 1 and line.startswith(UTF_16):
+                    raise FileError(f"{path} is a text in UTF-16; save it in UTF-8")
+                if len(line) == MOST_LINE and not line.endswith(b"\n"):
+                    raise FileError(f"line {number} of {path} is longer than {MOST_LINE:,} bytes")
+                if not line.endswith(b"\n"):
+                    raise CutOff(path, number, f"line {number} has no end; if it is whole, end it with a new line")
+                yield line.removeprefix(UTF_8) if number == 1 else line
+            if unpacker is not None and unpacker.is_torn:
+                raise CutOff(path, number + 1, f"its packed data end within themselves after line {number}")
+    except FileNotFoundError:
+        raise FileError(f"{path} does not exist or is not a file") from None
+    except (zlib.error, lzma.LZMAError, EOFError) as error:
+        raise FileError(f"{path} is damaged after line {number}: {error}") from None
+    except OSError as error:
+        raise FileError(f"{path} cannot be read: {error.strerror or error}") from None
+
+
+class _Unpacker(io.RawIOBase):
+    """The content of a packed file of any number of streams. is_torn : true once it has ended within one."""
+
+    def __init__(self, file: IO[bytes], make: Callable[[], Any]) -> None:
+        self.file, self.make, self.is_torn = file, make, False
+        self.stream, self.packed = make(), b""
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: Any) -> int:
+        while True:
+            if self.stream.eof:
+                self.packed = self.stream.unused_data or self.file.read(AT_ONCE)
+                if not self.packed.strip(b"\0"):  # nothing, or what fills up blocks of a tape
+                    return 0
+                self.stream = self.make()
+            self.packed = self.packed or self.file.read(AT_ONCE)
+            is_end = not self.packed
+            found = self.stream.decompress(self.packed, len(buffer))
+            self.packed = getattr(self.stream, "unconsumed_tail", b"")  # other streams keep it themselves
+            if found:
+                buffer[: len(found)] = found
+                return len(found)
+            if is_end and not self.stream.eof:
+                self.is_torn = True
+                return 0
+
+
+def is_table(path: str | Path) -> bool:
+    """True for the name of a table of text, packed or not."""
+    name = Path(path).name.lower()
+    return any(name.removesuffix(ending).endswith(".csv") for ending in (".gz", ".bz2", ".xz"))
+
+
+def number_of(word: bytes) -> float:
+    """A number as C, Fortran (1.5D-01) or Python print it; not-a-number and infinities too. ValueError for others."""
+    if NUMBER.fullmatch(word):
+        return float(word.replace(b"D", b"e").replace(b"d", b"e"))
+    if word.lower().lstrip(b"+-") in (b"nan", b"inf", b"infinity"):
+        return float(word)
+    raise ValueError
