@@ -18,7 +18,7 @@ PACKERS: dict[bytes, Callable[[], Any]] = {
     b"\xfd7zXZ\0": lzma.LZMADecompressor,
 }
 """By the first bytes of a packed file what unpacks one stream of it."""
-AT_ONCE = 2**20  # packed bytes that are read at a time
+READ_AT_ONCE = 2**20  # packed bytes that are read at a time
 UTF_8, UTF_16 = b"\xef\xbb\xbf", (b"\xff\xfe", b"\xfe\xff")  # marks of the byte order
 NUMBER = re.compile(rb"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d{1,5})?")
 
@@ -78,11 +78,11 @@ class _Unpacker(io.RawIOBase):
     def readinto(self, buffer: Any) -> int:
         while True:
             if self.stream.eof:
-                self.packed = self.stream.unused_data or self.file.read(AT_ONCE)
+                self.packed = self.stream.unused_data or self.file.read(READ_AT_ONCE)
                 if not self.packed.strip(b"\0"):  # nothing, or what fills up blocks of a tape
                     return 0
                 self.stream = self.make()
-            self.packed = self.packed or self.file.read(AT_ONCE)
+            self.packed = self.packed or self.file.read(READ_AT_ONCE)
             is_end = not self.packed
             found = self.stream.decompress(self.packed, len(buffer))
             self.packed = getattr(self.stream, "unconsumed_tail", b"")  # other streams keep it themselves

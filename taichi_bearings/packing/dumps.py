@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 
 from taichi_bearings.errors import FileError
+from taichi_bearings.packing.checks import MOST_INTEGER
 from taichi_bearings.packing.periods import Box
 from taichi_bearings.text_lines import CutOff, number_of, read_text_lines
 
-MOST_INTEGER = 2**53  # the largest up to which floats hold every whole number
 TIMESTEP = b"ITEM: TIMESTEP"
 FLAGS = {0: "", 3: "", 5: "abc origin", 6: "xy xz yz"}  # words before the three flags, by the number of all words
 

@@ -24,7 +24,7 @@ EXACT = 1e-12  # error of the length of normals, up to which they are taken as t
 PRINTED = 30.0  # times the error of the lengths of normals, by which printed ones may differ from the centres
 SAME_PLACE = 0.5  # times the sum of the radii: spheres nearer than that are at one place
 LEAST_SPREAD = 0.02  # of the sum of the radii: contacts are pressed unequally by so much at least
-MOST_PERIODS = 64  # shifts that are tried as periods: each shortens them, or is one more
+MOST_TRIED_PERIODS = 64  # shifts that are tried as periods: each shortens them, or is one more
 ROUNDING = 1e-9  # of the length of a shift
 NEAR = 0.1  # relative distance of a ratio from the one that tells diameters from radii
 
@@ -168,7 +168,7 @@ def _periods(shift: np.ndarray, slack: np.ndarray, least: float) -> tuple[np.nda
     and the first shift for which there are none."""
     periods, own = np.zeros((0, shift.shape[1])), 0
     order = np.argsort(np.linalg.norm(shift, axis=1), kind="stable")
-    for _ in range(MOST_PERIODS):
+    for _ in range(MOST_TRIED_PERIODS):
         whole = np.round(shift @ np.linalg.pinv(periods)) if len(periods) else np.zeros((len(shift), 0))
         rest = shift - whole @ periods
         over = np.linalg.norm(rest, axis=1) > slack + ROUNDING * np.linalg.norm(shift, axis=1)

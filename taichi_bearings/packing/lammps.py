@@ -19,7 +19,7 @@ from taichi_bearings.text_lines import CutOff
 from taichi_bearings.words import counted, shown
 
 SPIN = ("omegax", "omegay", "omegaz")
-PLACES = ("{}", "{}u", "{}s", "{}su")  # as they are, unwrapped, shares of the box, both
+KINDS_OF_PLACES = ("{}", "{}u", "{}s", "{}su")  # as they are, unwrapped, shares of the box, both
 FLAT = 1e-6  # of the largest radius, by which centres of discs may leave their plane
 
 
@@ -65,7 +65,7 @@ class Asked:
     def place(self, names: Sequence[str]) -> list[str]:
         """The columns of places: of the first kind of which all axes are there; z too of discs that have it."""
         needed = AXIS_NAMES[: self.dimension]
-        kind = next((kind for kind in PLACES if all(kind.format(axis) in names for axis in needed)), "{}")
+        kind = next((kind for kind in KINDS_OF_PLACES if all(kind.format(axis) in names for axis in needed)), "{}")
         return [name for axis in AXIS_NAMES if (name := kind.format(axis)) in names or axis in needed]
 
     def columns(self, names: Sequence[str]) -> list[str]:

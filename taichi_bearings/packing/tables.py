@@ -10,24 +10,24 @@ from taichi_bearings.packing.checks import MOST_CONTACTS, MOST_INTEGER, MOST_SPH
 from taichi_bearings.text_lines import number_of, read_text_lines
 from taichi_bearings.words import meant
 
-SPHERES = {
+SPHERE_COLUMNS = {
     "x": "x", "y": "y", "z": "z", "radius": "radius", "r": "radius", "diameter": "diameter", "d": "diameter",
     "driven": "driven", "spin": "spin", "spin_x": "spin_x", "spin_y": "spin_y", "spin_z": "spin_z", "id": "id",
 }  # fmt: skip
-CONTACTS = {
+CONTACT_COLUMNS = {
     "first": "first", "i": "first", "second": "second", "j": "second", "nx": "nx", "ny": "ny", "nz": "nz",
     "friction": "friction", "mu": "friction", "viscosity": "viscosity", "normal_force": "normal_force",
     "fn": "normal_force",
 }  # fmt: skip
 """Columns that a table may have, and what they are called here."""
-WHOLE = {"driven", "id", "first", "second"}
+WHOLE_COLUMNS = {"driven", "id", "first", "second"}
 DELIMITERS = (",", ";", "\t")
 
 
 def read_spheres(path: Path) -> dict[str, np.ndarray]:
     """Arrays by name of a table with the columns x, y and of spheres z, in any order; of more columns radius (or
     diameter), driven, spin (of spheres spin_x, spin_y, spin_z), and id. `id` (N,), if there, is what contacts name."""
-    columns = _read(path, SPHERES, MOST_SPHERES, ("x", "y"))
+    columns = _read(path, SPHERE_COLUMNS, MOST_SPHERES, ("x", "y"))
     axes = [name for name in "xyz" if name in columns]
     found = {"center": np.column_stack([columns.pop(name) for name in axes])}
     if "diameter" in columns:
@@ -53,7 +53,7 @@ def read_spheres(path: Path) -> dict[str, np.ndarray]:
 def read_contacts(path: Path, ids: np.ndarray | None, spheres: int) -> dict[str, np.ndarray]:
     """Arrays by name of a table with the columns first and second (or i and j), the ids of the spheres of a contact,
     or without ids their numbers, from 0; of more columns nx, ny, nz, friction, viscosity and normal_force."""
-    columns = _read(path, CONTACTS, MOST_CONTACTS, ("first", "second"))
+    columns = _read(path, CONTACT_COLUMNS, MOST_CONTACTS, ("first", "second"))
     contact = np.column_stack([columns.pop("first"), columns.pop("second")])
     normal = [columns.pop(name) for name in ("nx", "ny", "nz") if name in columns]
     found = {"contact": contact, **columns} | ({"normal": np.column_stack(normal)} if normal else {})
@@ -90,7 +90,7 @@ def _read(path: Path, names: Mapping[str, str], most: int, needed: Sequence[str]
     if head is None:
         raise FileError(f"{path} has no header such as {','.join(needed)}, so that nobody knows what its columns are")
     table = np.array(rows, dtype=float).reshape(len(rows), len(head))
-    return {name: table[:, k].astype(np.int64) if name in WHOLE else table[:, k] for k, name in enumerate(head)}
+    return {name: table[:, k].astype(np.int64) if name in WHOLE_COLUMNS else table[:, k] for k, name in enumerate(head)}
 
 
 def _cells(words: str, delimiter: str | None) -> list[str]:
@@ -125,7 +125,7 @@ def _row(path: Path, line: int, cells: list[str], names: Sequence[str]) -> list[
         except ValueError:
             hint = "; write decimal points" if "," in cell else ""
             raise FileError(f"line {line} of {path} has {cell!r} for {name}; it must be a number{hint}") from None
-        if name in WHOLE and not (value.is_integer() and abs(value) <= MOST_INTEGER):
+        if name in WHOLE_COLUMNS and not (value.is_integer() and abs(value) <= MOST_INTEGER):
             raise FileError(f"line {line} of {path} has {cell!r} for {name}; it must be a whole number")
         if not np.isfinite(value):
             raise FileError(f"line {line} of {path} has {cell!r} for {name}; it must be finite")

@@ -6,7 +6,7 @@ from itertools import chain
 import numpy as np
 from scipy.spatial import cKDTree
 
-AT_ONCE = 50_000  # spheres whose neighbours are looked for together; each list of them takes memory
+SEARCHED_AT_ONCE = 50_000  # spheres whose neighbours are looked for together; each list of them takes memory
 
 
 def near_pairs(
@@ -26,8 +26,8 @@ def near_pairs(
     for own in np.unique(octave):
         chosen = np.flatnonzero(octave == own)
         tree, largest = cKDTree(center[chosen]), radius[chosen].max()
-        for start in range(0, len(places), AT_ONCE):
-            part = slice(start, start + AT_ONCE)
+        for start in range(0, len(places), SEARCHED_AT_ONCE):
+            part = slice(start, start + SEARCHED_AT_ONCE)
             lists = tree.query_ball_point(places[part], factor * (sizes[part] + largest) * (1 + 1e-12))
             counts = np.fromiter(map(len, lists), dtype=np.int64, count=len(lists))
             second = chosen[np.fromiter(chain.from_iterable(lists), dtype=np.int64, count=counts.sum())]
