@@ -26,6 +26,9 @@ def main() -> None:
     try:
         from taichi_bearings_cli.main import main as bearings
 
+        from taichi_bearings.memory import keep_freed
+
+        keep_freed()
         bearings()
     except KeyboardInterrupt:
         interrupts.ignored()

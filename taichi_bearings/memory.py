@@ -1,5 +1,6 @@
 """How much memory there is, so that what cannot fit is refused before it is begun and not ended by the system."""
 
+import ctypes
 import math
 import os
 import sys
@@ -11,6 +12,9 @@ from numpy.typing import DTypeLike
 
 CGROUP = Path("/sys/fs/cgroup")
 LITTLE_BYTES = 1e8  # bytes
+# options of mallopt of the GNU C library: bytes from which memory is taken for itself and given back at once, of free
+# memory at the end of the heap from which that is given back, and taken with each growth of the heap
+KEPT = {-3: 2**25, -1: 2**29, -2: 2**26}
 
 
 def free_bytes() -> float:
@@ -38,6 +42,18 @@ def refuse_beyond(needed: float, what: str) -> None:
     room = free_bytes() if needed > LITTLE_BYTES else needed
     if needed > room:
         raise MemoryError(f"{what} needs {needed / 1e9:.1f} GB; {max(room, 0) / 1e9:.1f} GB are free")
+
+
+def keep_freed() -> None:
+    """Have the C library keep what arrays of some megabytes give back for those that follow: a page that the system has
+    taken back is cleared, and faulted in, each time it is used again. Elsewhere than with the GNU library nothing is
+    changed."""
+    try:
+        mallopt = ctypes.CDLL(None).mallopt
+    except (OSError, AttributeError, TypeError):  # no C library with such a function
+        return
+    for option, size in KEPT.items():
+        mallopt(option, size)
 
 
 def aligned_zeros(count: int, block: int, dtype: DTypeLike = float) -> np.ndarray:

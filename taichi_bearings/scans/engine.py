@@ -27,6 +27,7 @@ from typing import Any
 from taichi_bearings.errors import BearingsError, InputError, WriteError
 from taichi_bearings.files.scan_file import FAILED
 from taichi_bearings.interrupts import unheard_by_children
+from taichi_bearings.memory import keep_freed
 
 Unit = tuple[Any, ...]
 """Tasks that can be pickled: samples of a scan, or scenes that somebody has made. Each has key, label and settings."""
@@ -262,6 +263,7 @@ def serve(pipe: Connection, work: Work) -> None:
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # where nothing keeps Ctrl-C from us: it is for the parent
     threading.Thread(target=_end_with_parent, daemon=True).start()
+    keep_freed()
     with contextlib.suppress(OSError):  # if memory runs out, let it be a worker that goes, not the scan
         Path("/proc/self/oom_score_adj").write_text("500")
     with contextlib.suppress(EOFError, BrokenPipeError, ConnectionResetError), pipe:

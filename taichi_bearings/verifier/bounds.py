@@ -18,7 +18,7 @@ from functools import cached_property
 
 import numpy as np
 
-from taichi_bearings.verifier.enclosure import UP, Enclosure, length, row_sum
+from taichi_bearings.verifier.enclosure import UP, Enclosure, in_cache, row_sum
 from taichi_bearings.verifier.network import Network
 from taichi_bearings.verifier.springs import Springs, natural, rolling
 
@@ -55,8 +55,8 @@ class Bounds:
         if network.mixes and upper > 0:
             network = replace(network, rolling=rolling(network))
         count, friction, springs, proof = network.count, network.own_friction, None, PROVEN
-        torques, free = network.own_torques, network.reached
-        left = np.array([np.where(free, t.most, 0.0).reshape(count, -1).max(axis=1, initial=0.0) for t in torques])
+        torques = network.own_torques
+        left = np.array([_largest(network, torque) for torque in torques])
         paid = price = _price(network, torques)
         if network.mixes and upper > 0:
             springs = Springs.of(network, max(float(upper[0]), LEAST_POWER * float(natural(network)[0])))
@@ -72,13 +72,13 @@ class Bounds:
             held = np.flatnonzero(imposed.high)
             if len(held):
                 work = work + row_sum((torque.at(held) * imposed.at(held)).reshaped((count, -1)))
-        size = length(friction)
+        size = network.graph.lengths(friction)
         hard, soft = (
             np.flatnonzero(network.counts & some) for some in (network.slope.high == 0, network.slope.high > 0)
         )
         worst = _worst(network, size, hard)
         if (worst > 1).any():
-            size = size / Enclosure.exact(np.repeat(worst, len(size.high) // count))
+            size = size / Enclosure.exact(network.on_contacts(worst))
         beyond = size.at(soft)
         if network.holds:  # no less than what is beyond the friction
             beyond = Enclosure.exact(np.maximum((beyond - network.holding.at(soft)).upper(), 0.0))
@@ -93,32 +93,48 @@ class Bounds:
         return np.maximum((self.upper - self.lower) * UP, 0.0)
 
 
+def _largest(network: Network, torque: Enclosure) -> np.ndarray:
+    """(R,), of the torques on free spheres that are reached."""
+    if not torque.high.any():
+        return np.zeros(network.count)
+    return np.where(network.reached, torque.most, 0.0).reshape(network.count, -1).max(axis=1, initial=0.0)
+
+
 def _price(network: Network, torques: list[Enclosure]) -> Enclosure:
     """(R,), what torques on free spheres may take from the work at spins within what is imposed."""
-    total = Enclosure.exact(np.zeros(network.count))
+    total, taken_of = Enclosure.exact(np.zeros(network.count)), _taken if network.samples is None else _taken_between
     for torque, reach, size in zip(torques, network.reach, network.box, strict=True):
-        if not size:
-            continue
-        taken = np.where(network.reached, torque.most, 0.0)
-        if network.samples is not None:  # none for a spin between 0 and what has the same sign for sure
-            taken[np.sign(reach.high) * torque.high >= torque.error + np.abs(torque.low)] = 0.0
-        own = np.flatnonzero(network.free)
-        total = total + row_sum((Enclosure.exact(taken[own]) * abs(reach.at(own))).reshaped((network.count, -1)))
+        if size and (torque.high.any() or torque.error.any()):
+            taken = taken_of(torque, reach, network.reached)
+            total = total + row_sum(taken[np.flatnonzero(network.free)].reshaped((network.count, -1)))
     return total
+
+
+@in_cache
+def _taken(torque: Enclosure, reach: Enclosure, some: np.ndarray) -> Enclosure:
+    """Of some spheres, what a torque may take at spins between reach and its negative; 0 of others."""
+    return Enclosure.exact(np.where(some, torque.most, 0.0)) * abs(reach)
+
+
+@in_cache
+def _taken_between(torque: Enclosure, reach: Enclosure, some: np.ndarray) -> Enclosure:
+    """At spins between 0 and reach: none if they have the sign of the torque for sure."""
+    gives = np.sign(reach.high) * torque.high >= torque.error + np.abs(torque.low)
+    return _taken(torque, reach, some & ~gives)
 
 
 def _worst(network: Network, size: Enclosure, hard: np.ndarray) -> np.ndarray:
     """(R,), largest size / holding of some contacts, 1 at least, rounded up: of those that are about as large."""
-    found, sample = np.ones(network.count), network.sample_of(hard)
-    about = size.high[hard] / network.holding.high[hard]
-    most = found.copy()
-    np.maximum.at(most, sample, about)
-    large = hard[about >= most[sample] * (1 - DOUBLE_ERROR)]
+    found, about = np.ones(network.count), np.zeros(len(network.acts))
+    about[hard] = size.high[hard] / network.holding.high[hard]
+    most = about.reshape(network.count, -1).max(axis=1, initial=1.0)
+    large = hard[about[hard] >= network.on_contacts(most * (1 - DOUBLE_ERROR))[hard]]
     np.maximum.at(found, network.sample_of(large), (size.at(large) / network.holding.at(large)).most)
     return found
 
 
 @np.errstate(divide="ignore", invalid="ignore", over="ignore")
+@in_cache
 def slip_bound(room: np.ndarray, slope: np.ndarray, excess: np.ndarray) -> np.ndarray:
     """No contact slips faster at any minimum; nearly rounded up, or no number. room : m = mu F_n - |F|, rounded down.
 

@@ -8,10 +8,12 @@ Products that may underflow have a larger error; numbers beyond 1e140 in size ar
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from decimal import Decimal
-from typing import Any
+from functools import wraps
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,6 +26,42 @@ SLIGHTLY_UP = 1 + 2.0**-51  # the same for two operations
 SPLIT = 2.0**27 + 1
 # size of a product from which parts of it may underflow, and more than they can be
 UNDERFLOWING_PRODUCT, UNDERFLOW_ERROR = 1e-250, 1e-290
+IN_CACHE = 8192  # numbers of which some twenty arrays fit the second cache of a processor
+Made = TypeVar("Made", bound=Callable[..., Any])
+
+
+def in_cache(made: Made) -> Made:
+    """A function that finds an enclosure or doubles, element by element, of enclosures, arrays and numbers, in parts
+    that the caches of a processor hold: of large arrays only what is given and what is found passes through memory. It
+    finds the same either way."""
+
+    @wraps(made)
+    def in_parts(*given: Any) -> Any:
+        shape = np.broadcast_shapes(*(np.shape(v.high if isinstance(v, Enclosure) else v) for v in given))
+        if math.prod(shape) <= 2 * IN_CACHE:
+            return made(*given)
+        whole = [v.spread(shape) if isinstance(v, Enclosure) else np.broadcast_to(v, shape) for v in given]
+        found: list[np.ndarray] = []
+        for part in _parts_of(shape):
+            of_part = made(*(v[part] for v in whole))
+            values = of_part.parts if isinstance(of_part, Enclosure) else (of_part,)
+            found = found or [np.empty(shape) for _ in values]
+            for into, some in zip(found, values, strict=True):
+                into[part] = some
+        return Enclosure(*found) if len(found) > 1 else found[0]
+
+    return in_parts  # type: ignore[return-value]
+
+
+def _parts_of(shape: tuple[int, ...]) -> Iterator[tuple[int | slice, ...]]:
+    """Places of all numbers of an array of this shape, about IN_CACHE of them at a time."""
+    row = math.prod(shape[1:])
+    if row > 2 * IN_CACHE:
+        for first in range(shape[0]):
+            yield from ((first, *part) for part in _parts_of(shape[1:]))
+    else:
+        step = max(1, IN_CACHE // max(row, 1))
+        yield from ((slice(first, first + step),) for first in range(0, shape[0], step))
 
 
 @dataclass(frozen=True)
@@ -54,6 +92,7 @@ class Enclosure:
     def __neg__(self) -> Enclosure:
         return Enclosure(-self.high, -self.low, self.error)
 
+    @in_cache
     def __add__(self, other: Enclosure) -> Enclosure:
         high, rest = _two_sum(self.high, other.high)
         low, more = _two_sum(self.low, other.low)
@@ -64,18 +103,21 @@ class Enclosure:
     def __sub__(self, other: Enclosure) -> Enclosure:
         return self + (-other)
 
+    @in_cache
     def plus(self, other: np.ndarray) -> Enclosure:
         """Sum with doubles that are exact."""
         high, rest = _two_sum(self.high, other)
         high, rest = _fast_two_sum(high, rest + self.low)
         return Enclosure(high, rest, (self.error + PAIR_ROUNDING * np.abs(high)) * UP)
 
+    @in_cache
     def __mul__(self, other: Enclosure) -> Enclosure:
         product, rest = _two_product(self.high, other.high)
         rest += self.high * other.low + self.low * other.high
         most, others = self.most, other.most
         return _rounded(product, rest, self.error * others + other.error * most, lambda: (most > 0) & (others > 0))
 
+    @in_cache
     def times(self, other: np.ndarray) -> Enclosure:
         """Product with doubles that are exact."""
         product, rest = _two_product(self.high, other)
@@ -83,6 +125,7 @@ class Enclosure:
         error = self.error * (np.abs(other) * SLIGHTLY_UP)
         return _rounded(product, rest, error, lambda: (self.most > 0) & (other != 0))
 
+    @in_cache
     def __truediv__(self, other: Enclosure) -> Enclosure:
         """Quotient; the divisor must not enclose 0."""
         first = self.high / other.high
@@ -93,6 +136,7 @@ class Enclosure:
         missed = left - other.times(second)
         return Enclosure(high, low, missed.most / other.least * UP)
 
+    @in_cache
     def sqrt(self) -> Enclosure:
         """Square root of numbers that are not negative, as all that a value of 0 encloses are taken to be."""
         zero = self.high == 0
@@ -130,6 +174,10 @@ class Enclosure:
         """0 elsewhere."""
         return Enclosure(*(np.where(some, part, 0.0) for part in self.parts))
 
+    def spread(self, shape: tuple[int, ...]) -> Enclosure:
+        """The same numbers again and again, as broadcast; read-only."""
+        return Enclosure(*(np.broadcast_to(part, shape) for part in self.parts))
+
     def reshaped(self, shape: tuple[int, ...]) -> Enclosure:
         return Enclosure(*(part.reshape(shape) for part in self.parts))
 
@@ -152,6 +200,7 @@ class Enclosure:
         """The nearest doubles."""
         return self.high + self.low
 
+    @in_cache
     def upper(self) -> np.ndarray:
         """Doubles not below the numbers."""
         change = self.low + self.error
@@ -170,11 +219,12 @@ def joined(members: list[Enclosure]) -> Enclosure:
 
 def row_sum(values: Enclosure) -> Enclosure:
     """(R,) from (R, n), pair by pair."""
-    while values.high.shape[1] > 1:
-        half = values.high.shape[1] // 2
-        paired = values[:, :half] + values[:, half : 2 * half]
-        odd = values[:, 2 * half :]
-        values = Enclosure(*(np.concatenate(both, axis=1) for both in zip(paired.parts, odd.parts, strict=True)))
+    while (size := values.high.shape[1]) > 1:
+        half = size // 2
+        paired, odd = values[:, :half] + values[:, half : 2 * half], values[:, 2 * half :]
+        values = paired
+        if size % 2:
+            values = Enclosure(*(np.concatenate(both, axis=1) for both in zip(paired.parts, odd.parts, strict=True)))
     return values.reshaped((-1,)) if values.high.size else Enclosure.exact(np.zeros(len(values.high)))
 
 

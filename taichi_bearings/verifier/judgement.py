@@ -9,6 +9,7 @@ import numpy as np
 
 from taichi_bearings.verifier.bounds import PROVEN, Bounds, slip_bound
 from taichi_bearings.verifier.enclosure import UP
+from taichi_bearings.verifier.grid import Grid
 from taichi_bearings.verifier.network import Network, StoredPacking
 from taichi_bearings.verifier.samples import SLIPLESS, OfLaw, Samples
 from taichi_bearings.verifier.states import STILL, States, proven_states
@@ -124,15 +125,13 @@ class Judgement(OfLaw):
         """(m,), by the room that friction leaves; on lattices by the spins between those of the planes, on packings by
         all that there is to dissipate. In units of speed."""
         network, bounds = self.network, self.bounds
-        sample = network.sample_of(np.arange(len(network.acts)))
         slope = network.slope.least if self.flows else np.zeros(1)
-        bound = slip_bound((network.holding - bounds.size).lower(), slope, bounds.excess[sample])
-        if network.samples is None:
+        bound = slip_bound((network.holding - bounds.size).lower(), slope, network.on_contacts(bounds.excess))
+        if not isinstance(network.graph, Grid):
             most = np.fmin(bounds.upper / network.holding.least, np.sqrt(2 * bounds.upper / network.slope.least)) * UP
             bound = np.where(network.counts & (bounds.proof == PROVEN), np.fmin(bound * UP, most), most)
             return np.where(network.acts, bound, np.inf)
-        felt = [(network.reach[k].most[network.contact[0]] * network.feels[k]) ** 2 for k in network.components]
-        return np.where(network.counts, np.fmin(bound, np.sqrt(sum(felt))) * UP, 0.0)
+        return np.where(network.counts, np.fmin(bound, network.graph.widths) * UP, 0.0)
 
     @cached_property
     def _proven(self) -> tuple[list[States], np.ndarray]:

@@ -21,6 +21,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from taichi_bearings.verifier.enclosure import Enclosure, grouped_sum, joined, length, row_sum
+from taichi_bearings.verifier.grid import Grid, nothing
 from taichi_bearings.verifier.samples import LAWS, LEAST_SCALE, MOST_SCALE, OfLaw, Samples, power_of_two
 
 LEAST_SPEED = 1e-100  # of the fastest surface that is imposed
@@ -45,22 +46,46 @@ class StoredPacking(OfLaw):
 
 
 @dataclass(frozen=True)
+class Listed:
+    """The contacts of a packing: place (n, D) of its spheres, contact (2, m), normal (m, D), friction (m, C)."""
+
+    place: np.ndarray
+    contact: np.ndarray
+    normal: np.ndarray
+    friction: np.ndarray
+
+    def any_end(self, mask: np.ndarray) -> np.ndarray:
+        """(m,), is the mask (n,) true of either sphere?"""
+        return np.asarray(mask[self.contact].any(axis=0))
+
+    @property
+    def slips_with(self) -> np.ndarray:
+        """(C, m) mask of the components that contacts slip with, where components do not mix."""
+        return self.normal.T == 0 if self.normal.shape[1] == 3 else np.ones((1, len(self.normal)), dtype=bool)
+
+    def lengths(self, parts: list[Enclosure]) -> Enclosure:
+        """(m,), of vectors given by component."""
+        return length(parts)
+
+    def torques(self, moment: list[Enclosure]) -> list[Enclosure]:
+        """Their sums at each sphere, (n,) by component."""
+        return [grouped_sum(joined([part, part]), self.contact.ravel(), len(self.place)) for part in moment]
+
+
+@dataclass(frozen=True)
 class Network(OfLaw):
     """R samples of N spheres and E contacts each, n = R N and m = R E in all; D = 2 or 3, and C = 1 or 3 components.
 
-    law : a key of LAWS. place : (n, D). contact : (2, m), numbers of the first and the second sphere. normal : (m, D).
-    free : (n,). speed_unit, force_unit : a power of two, but for the radius in the speeds of lattices.
-    spin : u by component, C enclosures (n,). moment : n x F by component, C enclosures (m,), 0 where nothing acts.
-    holding : mu F_n; slope : eta, (m,) enclosures, 0 where there is none. imposed : u of driven spheres by component,
-    0 for free ones, and on lattices measured from the bottom. friction : F on the second sphere, (m, C).
-    samples : of a lattice. rolling : (n,) mask of free spheres whose contacts can all roll, whatever the others do.
+    law : a key of LAWS. free : (n,). speed_unit, force_unit : a power of two, but for the radius in the speeds of
+    lattices. spin : u by component, C enclosures (n,), on lattices with the sign s. moment : n x F by component, C
+    enclosures (m,), 0 where nothing acts. holding : mu F_n; slope : eta, (m,) enclosures, 0 where there is none.
+    imposed : u of driven spheres by component, 0 for free ones, and on lattices measured from the bottom.
+    graph : where its contacts are, and what they bear. rolling : (n,) mask of free spheres whose contacts can all roll,
+    whatever the others do.
     """
 
     law: str
     count: int
-    place: np.ndarray
-    contact: np.ndarray
-    normal: np.ndarray
     free: np.ndarray
     speed_unit: float
     force_unit: float
@@ -69,9 +94,33 @@ class Network(OfLaw):
     holding: Enclosure
     slope: Enclosure
     imposed: list[Enclosure]
-    friction: np.ndarray
-    samples: Samples | None = None
+    graph: Grid | Listed
     rolling: np.ndarray | None = None
+
+    @property
+    def samples(self) -> Samples | None:
+        """Of a lattice."""
+        return self.graph.samples if isinstance(self.graph, Grid) else None
+
+    @property
+    def place(self) -> np.ndarray:
+        """(n, D)."""
+        return self.graph.place
+
+    @property
+    def contact(self) -> np.ndarray:
+        """(2, m), numbers of the first and the second sphere."""
+        return self.graph.contact
+
+    @property
+    def normal(self) -> np.ndarray:
+        """(m, D)."""
+        return self.graph.normal
+
+    @property
+    def friction(self) -> np.ndarray:
+        """F on the second sphere, (m, C)."""
+        return self.graph.friction
 
     @classmethod
     def of(cls, stored: Samples | StoredPacking) -> Network | None:
@@ -82,37 +131,20 @@ class Network(OfLaw):
 
     @classmethod
     def of_lattice(cls, samples: Samples) -> Network:
-        count, shape, dimension = samples.count, samples.shape, samples.dimension
-        number = np.arange(count * samples.sublattice.size).reshape(count, *shape)
-        ends = [
-            [whole.take(range(c.shape[1 + a]), 1 + a) for whole in (number, np.roll(number, -1, 1 + a))]
-            for a, c in enumerate(samples.coefficient)
-        ]
-        contact = np.stack([samples.flat(side).ravel() for side in zip(*ends, strict=True)])
-        axis = samples.flat([np.full(c.shape, a) for a, c in enumerate(samples.coefficient)]).ravel()
-        coefficient = samples.flat(samples.coefficient).ravel()
-        at = number.ravel() % shape[-1]  # height of each sphere
-        free = (at > 0) & (at < shape[-1] - 1)
-        acts = free[contact].any(axis=0) & (coefficient != 0)
-        nothing = np.broadcast_to(0.0, len(acts))  # takes no memory
-        zero = Enclosure(nothing, nothing, nothing)
-        strength, force = samples.normal_force if samples.holds else 1.0, samples.force_unit
+        grid, strength, force = Grid(samples), samples.normal_force if samples.holds else 1.0, samples.force_unit
+        coefficient, free = samples.flat(samples.coefficient).ravel(), np.ones(grid.spheres, dtype=bool)
+        for plane in (0, -1):
+            grid.on_spheres(free)[..., plane] = False
+        acts, none = grid.any_end(free) & (coefficient != 0), np.broadcast_to(0.0, grid.contacts)  # takes no memory
+        zero = Enclosure(none, none, none)
         unit, speed = power_of_two(strength), samples.radius * (samples.spin_unit / force)
         holding = Enclosure.exact(coefficient / (force / unit)).times(np.array([strength / unit]))
         viscosity = samples.flat(samples.viscosity).ravel() if samples.viscosity else coefficient
-        friction = samples.flat_friction.reshape(len(acts), -1) / force
-        normal, friction[coefficient == 0] = np.eye(dimension, dtype=np.int8)[axis], 0.0
-        turned = friction if dimension == 2 else np.cross(normal, friction)
-        sign = np.tile(samples.sublattice.ravel(), count)
         return cls(
-            samples.law, count, np.tile(np.indices(shape).reshape(dimension, -1).T, (count, 1)).astype(float), contact,
-            normal, free, samples.radius * samples.spin_unit, force,
-            [spin.signed(sign) for spin in samples.signed_spin.values()],
-            [Enclosure(np.where(acts, part, 0.0), nothing, nothing) for part in turned.T],
-            holding if samples.holds else zero,
+            samples.law, samples.count, free, samples.radius * samples.spin_unit, force,
+            list(samples.signed_spin.values()), grid.moment(acts), holding if samples.holds else zero,
             Enclosure.exact(viscosity).times(np.array([speed])) if samples.flows else zero,
-            [samples.jump_at(k).signed(sign * (at == shape[-1] - 1)) for k in samples.components],
-            friction, samples,
+            [grid.imposed(k) for k in samples.components], grid,
         )  # fmt: skip
 
     @classmethod
@@ -151,11 +183,11 @@ class Network(OfLaw):
         moving = moving if (radius == 1).all() else [part.times(radius) for part in moving]
         moment = moments([Enclosure.exact(np.where(acts, part, 0.0)) for part in friction.T], packing["normal"])
         return cls(
-            law, 1, packing["center"], packing["contact"].T, packing["normal"], free, speed * unit, force, moving,
-            moment,
+            law, 1, free, speed * unit, force, moving, moment,
             Enclosure.exact(packing["friction"] / force).times(packing["normal_force"]) if holds else zero,
             Enclosure.exact(slope * (speed / force)).times(np.array([unit])) if flows else zero,
-            [part.where(~free) for part in moving], friction,
+            [part.where(~free) for part in moving],
+            Listed(packing["center"], packing["contact"].T, packing["normal"], friction),
         )  # fmt: skip
 
     @property
@@ -169,11 +201,18 @@ class Network(OfLaw):
     @cached_property
     def acts(self) -> np.ndarray:
         """(m,) mask of contacts with a coefficient and a free end."""
-        return ((self.holding.high > 0) | (self.slope.high > 0)) & self.free[self.contact].any(axis=0)
+        return ((self.holding.high > 0) | (self.slope.high > 0)) & self.graph.any_end(self.free)
+
+    @cached_property
+    def is_whole(self) -> bool:
+        """True for lattices all of whose contacts with a free end act: every column reaches from bottom to top."""
+        return self.samples is not None and bool(self.free.any() and (self.acts == self.graph.any_end(self.free)).all())
 
     @cached_property
     def reached(self) -> np.ndarray:
         """(n,) mask of free spheres in parts that touch driven spheres."""
+        if self.is_whole:
+            return self.free
         first, second = self.contact[:, self._holding]
         inner, count = self.free[first] & self.free[second], len(self.free)
         label = connected(first[inner], second[inner], count)
@@ -185,12 +224,12 @@ class Network(OfLaw):
     @cached_property
     def counts(self) -> np.ndarray:
         """(m,) mask of the contacts that act there: others dissipate nothing at any minimum."""
-        return self._holding & self.reached[self.contact].any(axis=0)
+        return self.acts if self.is_whole else self._holding & self.graph.any_end(self.reached)
 
     @cached_property
     def _holding(self) -> np.ndarray:
         """(m,) mask of those that act and do not belong to rolling spheres."""
-        return self.acts if self.rolling is None else self.acts & ~self.rolling[self.contact].any(axis=0)
+        return self.acts if self.rolling is None else self.acts & ~self.graph.any_end(self.rolling)
 
     @cached_property
     def box(self) -> np.ndarray:
@@ -217,19 +256,30 @@ class Network(OfLaw):
     @cached_property
     def slips_with(self) -> np.ndarray:
         """(C, m) mask of the components that contacts slip with, where components do not mix."""
-        return self.normal.T == 0 if len(self.spin) == 3 else np.ones((1, len(self.normal)), dtype=bool)
+        return self.graph.slips_with
 
     @cached_property
     def feels(self) -> np.ndarray:
-        """The same of those that count."""
+        """(C, m) mask of the components that contacts slip with which count, where components do not mix."""
         return self.counts & self.slips_with
 
     def sample_of(self, contacts: np.ndarray) -> np.ndarray:
+        """The numbers of the samples of some contacts."""
         return contacts // (len(self.acts) // self.count)
+
+    def on_contacts(self, values: np.ndarray) -> np.ndarray:
+        """(m,), what each contact has of a number (R,) a sample."""
+        return (
+            np.broadcast_to(values, len(self.acts))
+            if self.count == 1
+            else np.repeat(values, len(self.acts) // self.count)
+        )
 
     def by_sample(self, values: Enclosure, contacts: np.ndarray) -> Enclosure:
         """(R,), sums over some contacts."""
-        whole = Enclosure.exact(np.zeros(len(self.acts)))
+        if not len(contacts):
+            return nothing(self.count)
+        whole = nothing(len(self.acts))
         whole.put(contacts, values)
         return row_sum(whole.reshaped((self.count, -1)))
 
@@ -241,24 +291,17 @@ class Network(OfLaw):
     @cached_property
     def slip(self) -> Enclosure:
         """(m,), its size."""
-        if self.samples is None:
-            return length(self.slips(self.spin))
-        some, parts = np.flatnonzero(~self.still), []
-        for k in self.components:
-            own = np.flatnonzero(self.slips_with[k][some])
-            parts.append(Enclosure.exact(np.zeros(len(some))))
-            parts[-1].put(own, self.motion.difference(k, some[own]))
-        found = Enclosure.exact(np.zeros(len(self.acts)))
-        found.put(some, length(parts))
-        return found
+        return self.motion.slip if isinstance(self.graph, Grid) else length(self.slips(self.spin))
 
     @cached_property
     def still(self) -> np.ndarray:
         """(m,) mask: no slip at all, exactly."""
+        if isinstance(self.graph, Grid):
+            return self.graph.alike(self.spin)
         (first, second), found = self.contact, np.ones(len(self.acts), dtype=bool)
-        for k in self.components:
-            for part in self.spin[k].parts[:2]:
-                found &= (part[first] == -part[second]) | ~self.slips_with[k]
+        for part, feels in zip(self.spin, self.slips_with, strict=True):
+            for of in part.parts[:2]:
+                found &= (of[first] == -of[second]) | ~feels
         return found
 
     @cached_property
@@ -288,18 +331,13 @@ class Network(OfLaw):
     @property
     def joins(self) -> np.ndarray:
         """(R,), True if contacts lead from the bottom of a lattice to its top in a component in which both differ."""
+        if self.is_whole:
+            return np.full(self.count, bool(self.needed))
         return Motion(self, self.acts).torn
 
     def torques(self, moment: list[Enclosure]) -> list[Enclosure]:
         """Their sums at each sphere, (n,) by component."""
-        if self.samples is None:
-            return [grouped_sum(joined([part, part]), self.contact.ravel(), len(self.free)) for part in moment]
-        axis, found = np.argmax(self.normal, axis=1), [Enclosure.exact(np.zeros(len(self.free))) for _ in moment]
-        for own in (np.flatnonzero(axis == a) for a in range(self.normal.shape[1])):
-            for total, part in zip(found, moment, strict=True):
-                for end in self.contact[:, own] if part.high[own].any() else ():  # no sphere twice in either end
-                    total.put(end, total.at(end).plus(part.high[own]))
-        return found
+        return self.graph.torques(moment)
 
     @cached_property
     def needed(self) -> list[int]:
@@ -343,10 +381,13 @@ class Network(OfLaw):
 
     def _sums(self, some: np.ndarray) -> tuple[Enclosure, Enclosure]:
         """(R,) each, of friction times slip and of damping times its square."""
-        own, nothing = np.flatnonzero(some & (self.slip.most > 0)), Enclosure.exact(np.zeros(self.count))
-        slip = self.slip.at(own)
-        held = self.by_sample(self.holding.at(own) * slip, own) if self.holds else nothing
-        return held, self.by_sample(self.slope.at(own) * slip * slip, own) if self.flows else nothing
+        slips, slip = some & ((self.slip.high != 0) | (self.slip.error != 0)), self.slip
+        held, flowing = nothing(self.count), nothing(self.count)
+        if self.holds:
+            held = row_sum((self.holding * slip).where(slips).reshaped((self.count, -1)))
+        if self.flows:
+            flowing = row_sum((self.slope * slip * slip).where(slips).reshaped((self.count, -1)))
+        return held, flowing
 
 
 def connected(first: np.ndarray, second: np.ndarray, size: int) -> np.ndarray:
@@ -384,17 +425,23 @@ class Motion:
     rests: np.ndarray
 
     @cached_property
-    def domain(self) -> list[np.ndarray]:
-        """By component, (n,), number of the domain of each sphere."""
-        network, found = self.network, []
-        held = np.flatnonzero(~network.free)
-        for k in network.components:
-            first, second = network.contact[:, self.rests & network.slips_with[k]]
-            if network.samples is not None:
-                leader = network.samples.anchor(network.samples.components[k])[held]
-                first, second = np.append(first, held), np.append(second, leader)
-            found.append(connected(first, second, len(network.free)))
-        return found
+    def domain(self) -> Domains:
+        """By component, (n,), number of the domain of each sphere; found when it is asked for."""
+        return Domains(self)
+
+    def joins(self, k: int) -> bool:
+        """True if any contact joins spheres to a domain of a component."""
+        return bool((self.rests & self.network.slips_with[k]).any())
+
+    def domains(self, k: int) -> np.ndarray:
+        """(n,), number of the domain of each sphere."""
+        network, size = self.network, len(self.network.free)
+        own = np.arange(size) if network.samples is None else network.samples.anchor(network.samples.components[k])
+        if not self.joins(k):
+            return own
+        first, second = network.contact[:, self.rests & network.slips_with[k]]
+        held = np.flatnonzero(own != np.arange(size))
+        return connected(np.append(first, held), np.append(second, own[held]), size)
 
     def _models(self, k: int) -> np.ndarray:
         """(n,), the sphere as which each turns: of those of its domain a driven one if there is any, else the first."""
@@ -409,22 +456,50 @@ class Motion:
         """(R,), True if contacts without slip join driven spheres that turn otherwise: impossible."""
         network, found = self.network, np.zeros(self.network.count, dtype=bool)
         held = np.flatnonzero(~network.free)
-        for k in (k for k in network.components if network.imposed[k].high.any()):
+        for k in (k for k in network.components if network.imposed[k].high.any() and self.joins(k)):
             own, model = network.imposed[k].signed(network.sign[k]), self._models(k)[held]
             differs = np.any([part[held] != part[model] for part in own.parts[:2]], axis=0)
             found[held[differs] // (len(network.free) // network.count)] = True
         return found
 
+    def _turns(self, k: int) -> tuple[Enclosure, Enclosure | None]:
+        """Signed spins (n,), and what those that turn with the top of a lattice lack, if they lack anything."""
+        network = self.network
+        own = network.spin[k] if network.samples is not None else network.spin[k].signed(network.sign[k])
+        if (self.rests & ~network.still).any():
+            own = own.at(self._models(k))
+        shift = None if network.samples is None else network.samples.shift[network.samples.components[k]]
+        if shift is None or not (shift.high.any() or shift.error.any()):
+            return own, None
+        return own, shift.at(self._models(k)) if self.joins(k) else shift
+
+    @cached_property
+    def slip(self) -> Enclosure:
+        """(m,), of all contacts of a lattice; exactly 0 of those that are still."""
+        network = self.network
+        assert isinstance(network.graph, Grid)
+        turns = [self._turns(k) for k in network.components]
+        return network.graph.slips([own for own, _ in turns], [shift for _, shift in turns], network.still)
+
     def difference(self, k: int, some: np.ndarray) -> Enclosure:
         """Of signed spins, of some contacts that feel component k."""
-        network, (first, second) = self.network, self.network.contact[:, some]
-        own, model, domain = network.spin[k].signed(network.sign[k]), self._models(k), self.domain[k]
-        if (self.rests & ~network.still).any():
-            own = own.at(model)
-        differ, found = np.flatnonzero(domain[first] != domain[second]), Enclosure.exact(np.zeros(len(some)))
+        first, second = self.network.contact[:, some]
+        own, shift = self._turns(k)
+        domain, found = self.domain[k], nothing(len(some))
+        differ = np.flatnonzero(domain[first] != domain[second])
         found.put(differ, own.at(second[differ]) - own.at(first[differ]))
-        if network.samples is not None:  # the top turns as it should
-            shift = network.samples.shift[network.samples.components[k]].at(model)
+        if shift is not None:  # the top turns as it should
             at_top = np.flatnonzero(shift.high[first] != shift.high[second])
             found.put(at_top, found.at(at_top) + (shift.at(second[at_top]) - shift.at(first[at_top])))
+        return found
+
+
+class Domains(dict[int, np.ndarray]):
+    """By component, found when it is asked for."""
+
+    def __init__(self, motion: Motion) -> None:
+        self.motion = motion
+
+    def __missing__(self, k: int) -> np.ndarray:
+        self[k] = found = self.motion.domains(k)
         return found

@@ -204,8 +204,11 @@ class Samples(OfLaw):
         return 1.0 - 2.0 * (np.indices(self.shape).sum(axis=0) % 2)
 
     def jump_at(self, component: int) -> Enclosure:
-        """(R * N,), the jump of a component in the layer of each sphere."""
-        return self.jump[component].at(np.tile(self.layer(component), self.count))
+        """(R * N,), the jump of a component in the layer of each sphere; read-only where it is the same in all."""
+        jump, count = self.jump[component], self.count * self.sublattice.size
+        if len(jump.high) == 1:
+            return jump.spread((count,))
+        return jump.at(np.tile(self.layer(component), self.count))
 
     def layer(self, component: int) -> np.ndarray:
         """(N,), the layer of `jump` of each sphere: its number along k, or 0 where the top turns as one."""
@@ -220,39 +223,58 @@ class Samples(OfLaw):
         low = (np.arange(self.count)[:, None] * first.size + first).ravel()
         return np.stack([low, low + self.shape[-1] - 1])
 
+    def as_led(self, values: np.ndarray, component: int) -> np.ndarray:
+        """The same array (R * N,), in which driven spheres have what the first of their plane and layer has."""
+        spheres = values.reshape(self.count, *self.shape)
+        first = [slice(None), *[slice(0, 1)] * (self.dimension - 1)]
+        if len(self.exact_jump[component]) > 1:
+            first[1 + component] = slice(None)
+        for plane in (spheres[..., 0], spheres[..., -1]):
+            plane[...] = plane[tuple(first)].copy()
+        return values
+
     def anchor(self, component: int) -> np.ndarray:
         """(R * N,), the sphere that each turns as along a component: itself, or the first of its plane and layer."""
-        low, high = self.leader(component).reshape(2, -1, self.shape[-1])
-        number = np.arange(low.size).reshape(low.shape)
-        number[:, 0], number[:, -1] = low[:, 0], high[:, -1]
-        return number.ravel()
+        return self.as_led(np.arange(self.count * self.sublattice.size), component)
 
-    @property
+    @cached_property
     def signed_spin(self) -> dict[int, Enclosure]:
         """(R * N,) component by component, spins with the sign of their sublattice, in units of `spin_unit`; driven
-        spheres as their leaders."""
-        parts, sign = (self.spin, self.spin_rounding), np.tile(self.sublattice.ravel(), self.count)
-        pair = Enclosure.exact(*(part.reshape(sign.size, -1) / self.spin_unit for part in parts))
-        return {k: pair[:, at].signed(sign).at(self.anchor(k)) for at, k in enumerate(self.components)}
+        spheres as their leaders. Without any error."""
+        sign, found = self.sublattice / self.spin_unit, {}  # a power of two
+        for at, k in enumerate(self.components):
+            pair = (
+                part.reshape(self.count, *self.shape, -1)[..., at] * sign for part in (self.spin, self.spin_rounding)
+            )
+            high, low, error = Enclosure.exact(*(part.reshape(-1) for part in pair)).parts
+            found[k] = Enclosure(self.as_led(high, k), self.as_led(low, k), error)
+        return found
 
     @cached_property
     def shift(self) -> dict[int, Enclosure]:
         """(R * N,) by component, what the signed spin of spheres of the top, as stored, lacks of the imposed one,
         measured from the bottom; 0 of all others."""
-        found, is_top = {}, np.arange(self.count * self.sublattice.size) % self.shape[-1] == self.shape[-1] - 1
+        return {k: self._shift(k, stored) for k, stored in self.signed_spin.items()}
+
+    def _shift(self, component: int, stored: Enclosure) -> Enclosure:
+        jump, size = self.exact_jump[component], self.sublattice.size
+        first = np.arange(self.count)[:, None] * size
+        if len(jump) > 1:
+            first = first + np.arange(len(jump)) * math.prod(self.shape[component + 1 :])
+        bottom, top = (stored.at(end.ravel()).parts[:2] for end in (first, first + self.shape[-1] - 1))
         with localcontext() as context:
             context.prec = DIGITS
-            for k, stored in self.signed_spin.items():
-                jump, (low, high) = self.exact_jump[k], self.leader(k)
-                first, place = np.unique(low, return_index=True, return_inverse=True)[1:]
-                pairs = [stored.at(end[first]).parts[:2] for end in (low, high)]
-                missing = [
-                    jump[number % len(jump)] + sum(Decimal(v) for v in (*bottom, *(-v for v in top)))
-                    for number, (bottom, top) in enumerate(
-                        zip(*(np.transpose(pair).tolist() for pair in pairs), strict=True)
-                    )
-                ]
-                found[k] = Enclosure.of_decimals(missing).at(place).where(is_top)
+            given = zip(*(np.transpose(pair).tolist() for pair in (bottom, top)), strict=True)
+            missing = [
+                jump[number % len(jump)] + sum(Decimal(v) for v in (*low, *(-v for v in high)))
+                for number, (low, high) in enumerate(given)
+            ]
+            exact = Enclosure.of_decimals(missing)
+        found = Enclosure.exact(np.zeros(self.count * size))
+        along = [1] * (self.dimension - 1)
+        along[component if len(jump) > 1 else 0] = len(jump)
+        for whole, values in zip(found.parts, exact.parts, strict=True):
+            whole.reshape(self.count, *self.shape)[..., -1] = values.reshape(self.count, *along)
         return found
 
     def flat(self, of_axes: Iterable[np.ndarray]) -> np.ndarray:

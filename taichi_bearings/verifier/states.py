@@ -76,11 +76,11 @@ class States:
 def proven_states(bounds: Bounds, slip_bound: np.ndarray) -> list[States]:
     """slip_bound : (m,), that no slip of any minimum exceeds, in units of speed; of packings improved in place."""
     network, lattice = bounds.network, bounds.network.samples is not None
-    rests = ~network.counts | (bounds.upper == 0)[network.sample_of(np.arange(len(network.acts)))]
+    rests = ~network.counts | network.on_contacts(bounds.upper == 0)
     if bounds.proof != PROVEN:
         found = _nothing(network, "the bound is proven of some spins alone")
     elif network.flows:
-        far = np.sqrt(2 * bounds.excess[network.sample_of(np.arange(len(rests)))] / network.slope.least) * UP
+        far = np.sqrt(2 * network.on_contacts(bounds.excess) / network.slope.least) * UP
         known = _apart(network, slip_bound, far)
         found = _samples(network, known, "slips are small, or nothing is known of what bears no viscosity", True)
         near = enclosed_minimum(bounds) if network.mixes and network.holds else None

@@ -1,6 +1,8 @@
 """Work that does not depend on the machine, for every method: kernel launches, passes, factorisations, memory taken."""
 
 import gc
+import subprocess
+import sys
 import tracemalloc
 from collections import Counter
 from contextlib import contextmanager
@@ -15,6 +17,8 @@ from taichi_bearings.kernels.elimination import LANES
 from taichi_bearings.numerics.cholesky.factor import CalledFactor, DenseFactor, LaunchedFactor
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import METHODS, linear_solver, operator_splitting, planar_cut
+from taichi_bearings.solvers.answer import judged
+from taichi_bearings.verifier import network
 from tests.scenes import make_scene
 
 
@@ -142,3 +146,57 @@ def test_iterations_take_no_more_memory_than_they_need(name):
     finally:
         tracemalloc.stop()
     assert taken <= fixed + each * np.prod(shape)
+
+
+# bytes that a judgement of a whole lattice takes at once: parts in the cache, and arrays over its spheres
+JUDGED = 4e6, 540
+
+
+@pytest.mark.parametrize("periodic", [(), ("x", "y")])
+def test_a_whole_lattice_is_judged_by_slices_without_lists_of_contacts_or_searches_of_graphs(periodic, monkeypatch):
+    scene, searches = make_scene((24, 25, 26), "coulomb", periodic=periodic), Counter()
+    rng = np.random.default_rng(0)
+    spin, friction = rng.random((1, *scene.lattice.shape, 3)), rng.random((1, scene.lattice.all_contacts, 3))
+    monkeypatch.setattr(network, "connected", lambda *_: searches.update(["searches"]))
+    gc.collect()
+    tracemalloc.start()
+    try:
+        judgement = judged(scene, spin, np.zeros_like(spin), friction)
+        before = tracemalloc.get_traced_memory()[0]
+        assert (judgement.power > 0).all()
+        assert (judgement.lower_bound == 0).all()
+        assert np.isfinite(judgement.slip_bound).all()
+        assert (judgement.gap >= 1).all()
+        taken = tracemalloc.get_traced_memory()[1] - before
+    finally:
+        tracemalloc.stop()
+    assert not searches
+    assert not {"contact", "normal", "place", "friction"} & set(vars(judgement.network.graph))
+    assert taken <= JUDGED[0] + JUDGED[1] * scene.lattice.sites
+
+
+FREED_AGAIN = """
+import resource, sys
+import numpy as np
+from taichi_bearings.memory import keep_freed
+if sys.argv[1] == "kept":
+    keep_freed()
+def used():
+    return [np.full(500_000, 1.0) for _ in range(8)] and resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+used()
+first = used()
+for _ in range(10):
+    last = used()
+print(last - first)
+"""
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="counts pages that Linux gives")
+def test_freed_memory_is_kept_for_what_follows():
+    """Ten times 32 MB are 78 000 pages of 4 kB."""
+    kept, given = (
+        int(subprocess.run([sys.executable, "-c", FREED_AGAIN, how], capture_output=True, check=True).stdout)
+        for how in ("kept", "given back")
+    )
+    assert kept < 100
+    assert given >= kept

@@ -1,0 +1,243 @@
+"""The contacts of samples of a lattice, by slices: what is asked of all of them reads arrays over the spheres where
+they lie, and writes no list of contacts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from taichi_bearings.verifier.enclosure import Enclosure, in_cache, length
+from taichi_bearings.verifier.samples import Samples
+
+Place = tuple[slice, ...]
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Of R samples with N spheres and E contacts each, n = R N and m = R E in all, numbered as in network.py."""
+
+    samples: Samples
+
+    @cached_property
+    def pieces(self) -> list[tuple[int, Place, Place, Place]]:
+        """Axis by axis: places of contacts in the array (R, *contacts) of that axis, and of their first and their
+        second spheres in arrays (R, *N). Contacts across a periodic side are a piece of their own."""
+        found = []
+        for axis, coefficient in enumerate(self.samples.coefficient):
+            last, contacts = self.samples.shape[axis] - 1, coefficient.shape[1 + axis]
+            found.append(self._piece(axis, slice(0, last), slice(0, last), slice(1, last + 1)))
+            if contacts > last:
+                found.append(self._piece(axis, slice(last, None), slice(last, None), slice(0, 1)))
+        return found
+
+    @staticmethod
+    def _piece(axis: int, *along: slice) -> tuple[int, Place, Place, Place]:
+        own, first, second = ((slice(None),) * (1 + axis) + (part,) for part in along)
+        return axis, own, first, second
+
+    @property
+    def spheres(self) -> int:
+        """n."""
+        return self.samples.count * self.samples.sublattice.size
+
+    @cached_property
+    def contacts(self) -> int:
+        """m."""
+        return sum(of.size for of in self.samples.coefficient)
+
+    def on_spheres(self, values: np.ndarray) -> np.ndarray:
+        """(R, *N), a view of (n,)."""
+        return values.reshape(self.samples.count, *self.samples.shape)
+
+    def by_axis(self, values: np.ndarray) -> list[np.ndarray]:
+        """An array (R, *contacts) an axis, views of (m,)."""
+        rows, begin = values.reshape(self.samples.count, -1), 0
+        found: list[np.ndarray] = []
+        for of in self.samples.coefficient:
+            size = of[0].size
+            found.append(rows[:, begin : begin + size].reshape(of.shape))
+            begin += size
+        return found
+
+    def across(self, made: np.ufunc, values: np.ndarray, kind: type) -> np.ndarray:
+        """(m,), a function of the values (n,) of the first and of the second sphere of each contact."""
+        found: np.ndarray = np.empty(self.contacts, dtype=kind)
+        spheres = self.on_spheres(values)
+        by_axis = self.by_axis(found)
+        for axis, own, first, second in self.pieces:
+            made(spheres[first], spheres[second], out=by_axis[axis][own])
+        return found
+
+    def any_end(self, mask: np.ndarray) -> np.ndarray:
+        """(m,), is the mask (n,) true of either sphere?"""
+        return self.across(np.logical_or, mask, bool)
+
+    @cached_property
+    def contact(self) -> np.ndarray:
+        """(2, m), numbers of the first and the second sphere."""
+        found, number = np.empty((2, self.contacts), dtype=np.intp), self.on_spheres(np.arange(self.spheres))
+        for side, ends in enumerate(found):
+            by_axis = self.by_axis(ends)
+            for axis, own, *places in self.pieces:
+                by_axis[axis][own] = number[places[side]]
+        return found
+
+    @cached_property
+    def place(self) -> np.ndarray:
+        """(n, D), of each sphere in its sample."""
+        dimension = self.samples.dimension
+        return np.tile(np.indices(self.samples.shape).reshape(dimension, -1).T, (self.samples.count, 1)).astype(float)
+
+    @cached_property
+    def normal(self) -> np.ndarray:
+        """(m, D)."""
+        found = np.zeros((self.contacts, self.samples.dimension), dtype=np.int8)
+        for axis in range(self.samples.dimension):
+            self.by_axis(found[:, axis])[axis][...] = 1
+        return found
+
+    @cached_property
+    def slips_with(self) -> np.ndarray:
+        """(C, m) mask of the components that contacts slip with."""
+        found = np.ones((len(self.samples.components), self.contacts), dtype=bool)
+        for mask, component in zip(found, self.samples.components, strict=True):
+            if component < self.samples.dimension:
+                self.by_axis(mask)[component][...] = False
+        return found
+
+    @cached_property
+    def friction(self) -> np.ndarray:
+        """(m, C), on the second sphere in units of force, 0 at contacts that are absent."""
+        samples = self.samples
+        found = samples.flat_friction.reshape(self.contacts, -1) / samples.force_unit
+        found[samples.flat(samples.coefficient).ravel() == 0] = 0.0
+        return found
+
+    def moment(self, acts: np.ndarray) -> list[Enclosure]:
+        """n x F by component, (m,) each, of the contacts that act."""
+        samples, nothing = self.samples, np.broadcast_to(0.0, self.contacts)  # takes no memory
+        found, acting = [np.zeros(self.contacts) for _ in samples.components], self.by_axis(acts)
+        by_axis = [self.by_axis(part) for part in found]
+        for axis, friction in enumerate(samples.friction):
+            if samples.dimension == 2:
+                turned = [(0, friction, samples.force_unit)]
+            else:
+                before, after = (axis + 1) % 3, (axis + 2) % 3
+                turned = [(before, friction[..., after], -samples.force_unit)]
+                turned += [(after, friction[..., before], samples.force_unit)]
+            for slot, values, unit in turned:
+                np.divide(values, unit, out=by_axis[slot][axis])
+                by_axis[slot][axis][~acting[axis]] = 0.0
+        return [Enclosure(part, nothing, nothing) for part in found]
+
+    def felt(self, axis: int) -> list[int]:
+        """Places among the components of those that contacts along an axis slip with."""
+        return [slot for slot, k in enumerate(self.samples.components) if k != axis]
+
+    def imposed(self, component: int) -> Enclosure:
+        """(n,), on the top what is imposed along a component, measured from the bottom."""
+        found, jump = nothing(self.spheres), self.samples.jump_at(component)
+        for whole, part, sign in zip(found.parts, jump.parts, (1, 1, 0), strict=True):
+            signs = self.samples.sublattice[..., -1] if sign else 1.0
+            self.on_spheres(whole)[..., -1] = signs * self.on_spheres(part)[..., -1]
+        return found
+
+    def alike(self, spin: list[Enclosure]) -> np.ndarray:
+        """(m,), are the signed spins of both spheres the same in all that a contact slips with?"""
+        found = np.ones(self.contacts, dtype=bool)
+        into = self.by_axis(found)
+        parts = [[self.on_spheres(of) for of in part.parts[:2] if of.any()] for part in spin]
+        for axis, own, first, second in self.pieces:
+            for of in (of for slot in self.felt(axis) for of in parts[slot]):
+                into[axis][own] &= of[first] == of[second]
+        return found
+
+    def slips(self, spin: list[Enclosure], shift: list[Enclosure | None], still: np.ndarray) -> Enclosure:
+        """(m,), sizes of the differences of signed spins. shift : what to add to the spins by component, in twice the
+        precision. still : (m,) mask of contacts that do not slip at all."""
+        found = nothing(self.contacts)
+        into, at_rest = [self.by_axis(part) for part in found.parts], self.by_axis(still)
+        added = {slot: self.of_spheres(part) for slot, part in enumerate(shift) if part is not None}
+        turning = {slot: self.of_spheres(part) for slot, part in enumerate(spin) if slot in added or _any(part)}
+        for axis, own, first, second in self.pieces:
+            parts = []
+            for slot in (slot for slot in self.felt(axis) if slot in turning):
+                part = turning[slot][second] - turning[slot][first]
+                if slot in added:
+                    more = added[slot]
+                    places = np.nonzero((more.high[first] != more.high[second]) & ~at_rest[axis][own])
+                    moved = part[places] + (more[second][places] - more[first][places])
+                    for of, values in zip(part.parts, moved.parts, strict=True):
+                        of[places] = values
+                parts.append(part)
+            if parts:
+                for whole, values in zip(into, size_of(parts).parts, strict=True):
+                    whole[axis][own] = values
+        return found
+
+    def of_spheres(self, values: Enclosure) -> Enclosure:
+        """(R, *N), views of (n,)."""
+        return Enclosure(*(self.on_spheres(part) for part in values.parts))
+
+    @cached_property
+    def widths(self) -> np.ndarray:
+        """(m,), sizes of the largest slips at spins between those of the planes; rounded, but each part of it is up."""
+        found = np.zeros(self.contacts)
+        for axis, whole in enumerate(self.by_axis(found)):
+            for k in (self.samples.components[slot] for slot in self.felt(axis)):
+                square, along = self.samples.jump[k].most ** 2, [1] * self.samples.dimension
+                if len(square) > 1:
+                    along[k] = len(square)
+                whole += square.reshape(along)
+        return np.sqrt(found)
+
+    def lengths(self, parts: list[Enclosure]) -> Enclosure:
+        """(m,), of vectors across contacts given by component."""
+        found = nothing(self.contacts)
+        into = [self.by_axis(part) for part in found.parts]
+        there = {slot: [self.by_axis(of) for of in part.parts] for slot, part in enumerate(parts) if _any(part)}
+        for axis in range(self.samples.dimension):
+            felt = [Enclosure(*(of[axis] for of in there[slot])) for slot in self.felt(axis) if slot in there]
+            if felt:
+                for whole, values in zip(into, size_of(felt).parts, strict=True):
+                    whole[axis][...] = values
+        return found
+
+    def torques(self, moment: list[Enclosure]) -> list[Enclosure]:
+        """Sums of exact moments at each sphere, (n,) by component: axis by axis, first spheres before second ones."""
+        found = []
+        for slot, part in enumerate(moment):
+            found.append(nothing(self.spheres))
+            if not part.high.any():
+                continue
+            total, pulls = self.of_spheres(found[-1]), self.by_axis(part.high)
+            for axis in (a for a in range(self.samples.dimension) if slot in self.felt(a)):
+                for end in (2, 3):
+                    for piece in (piece for piece in self.pieces if piece[0] == axis):
+                        at = piece[end]
+                        for whole, values in zip(total.parts, total[at].plus(pulls[axis][piece[1]]).parts, strict=True):
+                            whole[at] = values
+        return found
+
+
+def nothing(count: int) -> Enclosure:
+    """(count,) zeros."""
+    return Enclosure(np.zeros(count), np.zeros(count), np.zeros(count))
+
+
+def size_of(parts: list[Enclosure]) -> Enclosure:
+    """Length of vectors given by one or two parts."""
+    return abs(parts[0]) if len(parts) == 1 else _length_of_two(*parts)
+
+
+@in_cache
+def _length_of_two(first: Enclosure, second: Enclosure) -> Enclosure:
+    shape = first.high.shape
+    return length([part.reshaped((-1,)) for part in (first, second)]).reshaped(shape)
+
+
+def _any(part: Enclosure) -> Any:
+    return any(of.any() for of in part.parts)
