@@ -15,12 +15,14 @@ is paid for as well: torques are summed in twice the precision, so what is paid 
 and the power, not to the much larger sum of all forces times the imposed jump.
 """
 
+from collections.abc import Callable
+
 import numpy as np
 
 from taichi_bearings.lattice.grid import tangential
 from taichi_bearings.lattice.incidence import contact_differences, torques
 from taichi_bearings.numerics.poisson import solve_poisson
-from taichi_bearings.scene.scene import Scene, vector_length
+from taichi_bearings.scene.scene import Scene, inverse, vector_length
 
 Forces = np.ndarray  # (C, R, E), along the spin difference of each contact
 SUM_ROUNDING = 32 * np.finfo(np.float64).eps
@@ -87,8 +89,7 @@ def certifying_forces(scene: Scene, force: Forces, spin_axes: tuple[int, ...], b
         done |= (reached >= bound * (1 - CERTIFIED_ERROR)) | (worst <= 1 + CERTIFIED_ERROR)
         if done.all():
             break
-        shortened = force + 1.5 * (capped(force, ratio) - force)
-        force = _where(done, force, balance(scene, shortened, spin_axes))
+        force = _where(done, force, balance(scene, _over_relaxed(force, ratio), spin_axes))
         ratio = saturation(scene, force)
         worst = ratio.max(axis=1)
         value = _work_of_planes(scene, force, spin_axes) / np.maximum(worst, 1.0)
@@ -236,7 +237,24 @@ def _in_cache(values: np.ndarray) -> list[tuple[slice, slice]]:
 
 def capped(force: Forces, ratio: np.ndarray) -> Forces:
     """Forces with each one longer than its friction disc shortened to it. ratio : their saturation, (R, E)."""
-    return force * np.minimum(1.0, inverse(ratio))
+    return _changed(force, ratio, lambda f, share: f * share)
+
+
+def _over_relaxed(force: Forces, ratio: np.ndarray) -> Forces:
+    """Forces changed by one and a half times of what :func:`capped` does to them."""
+    return _changed(force, ratio, lambda f, share: f + 1.5 * (f * share - f))
+
+
+def _changed(force: Forces, ratio: np.ndarray, change: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> Forces:
+    """What is made of forces, in parts that the caches of a processor hold, and of the largest share of each, up to 1,
+    that is inside its disc: 0 where the saturation is."""
+    found = np.empty(force.shape)
+    for part in _in_cache(ratio):
+        share = inverse(ratio[part])
+        np.minimum(1.0, share, out=share)
+        for whole, given in zip(found, force, strict=True):
+            whole[part] = change(given[part], share)
+    return found
 
 
 def scaled(scene: Scene, force: Forces) -> Forces:
@@ -254,9 +272,12 @@ def _divided(force: Forces, worst: np.ndarray) -> Forces:
 def saturation(scene: Scene, force: Forces) -> np.ndarray:
     """|f| / (mu F_n) of every contact, (R, E), rounded up; 0 between driven spheres, infinite for a force at a contact
     that is absent."""
-    size = vector_length(force)
-    ratio = size * (1 + 4 * np.finfo(np.float64).eps) * inverse(scene.strength * scene.acting_coefficient)
-    return np.where((scene.coefficient == 0) & (size > 0), np.inf, ratio)
+    size, absent = vector_length(force), scene.coefficient == 0
+    ratio = size * (1 + 4 * np.finfo(np.float64).eps)
+    ratio *= scene.inverse_limit
+    if absent.any():
+        ratio[absent & (size > 0)] = np.inf
+    return ratio
 
 
 def balance(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> Forces:
@@ -271,13 +292,11 @@ def balance(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> Forces:
     potential = np.zeros_like(pull)
     for slot, component in enumerate(spin_axes):
         potential[slot][..., 1:-1] = solve_poisson(pull[slot][..., 1:-1], lattice, component)
-    return _without_driven_contacts(scene, force + contact_differences(potential, lattice, spin_axes))
-
-
-def inverse(values: np.ndarray) -> np.ndarray:
-    """1 / values, and 0 where values is 0."""
-    return np.divide(1.0, values, out=np.zeros_like(values), where=values != 0)
+    found = contact_differences(potential, lattice, spin_axes)
+    found += force
+    np.copyto(found, 0.0, where=scene.idle)
+    return found
 
 
 def _without_driven_contacts(scene: Scene, force: Forces) -> Forces:
-    return np.where(scene.acting_coefficient == 0, 0.0, force)
+    return np.where(scene.idle, 0.0, force)

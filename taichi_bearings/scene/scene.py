@@ -24,6 +24,7 @@ LEAST_DIRECTION = 1e-100  # least part of a direction that counts
 LEAST_COEFFICIENT, MOST_COEFFICIENT = 1e-15, 1e15
 # of the mean coefficient: what stands for an absent contact where a method must divide by it
 ABSENT_COEFFICIENT = 1e-12
+LENGTHS_IN_CACHE = 16_384  # vectors of which the second cache of a processor holds all that is made of them
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -307,6 +308,11 @@ class Scene:
         return self.lattice.between_driven | (self.coefficient == 0)
 
     @cached_property
+    def inverse_limit(self) -> np.ndarray:
+        """(R, E) 1 over the friction that contacts bear, 0 for contacts that take no part."""
+        return inverse(self.strength * self.acting_coefficient)
+
+    @cached_property
     def is_cut_off(self) -> np.ndarray:
         """(R,), True where absent contacts leave the two driven planes unconnected: no contact need slip then."""
         if (self.coefficient > 0).all():
@@ -477,11 +483,27 @@ def _arrays(kind: str, given: Any) -> tuple[np.ndarray, ...]:
     return tuple(own_array(f"{kind} along {name}", values) for name, values in zip(AXIS_NAMES, found, strict=False))
 
 
+def inverse(values: np.ndarray) -> np.ndarray:
+    """1 / values, and 0 where values is 0."""
+    return np.divide(1.0, values, out=np.zeros_like(values), where=values != 0)
+
+
 def vector_length(components: np.ndarray) -> np.ndarray:
     """Euclidean length over the first axis; (0, ...) gives zeros, one component gives |component| exactly."""
     if len(components) == 0:
         return np.zeros(components.shape[1:])
-    if len(components) == 1:
-        return np.abs(components[0])
-    size = np.hypot(components[0], components[1])
-    return size if len(components) == 2 else np.hypot(size, components[2])
+    if components[0].size <= LENGTHS_IN_CACHE or not components.flags.c_contiguous:
+        return _length(components)
+    flat = components.reshape(len(components), -1)
+    found = np.empty(flat.shape[1], flat.dtype)
+    for first in range(0, len(found), LENGTHS_IN_CACHE):
+        part = slice(first, first + LENGTHS_IN_CACHE)
+        found[part] = _length(flat[:, part])
+    return found.reshape(components.shape[1:])
+
+
+def _length(components: np.ndarray) -> np.ndarray:
+    """Of those that are not 0 everywhere, as it is of contacts along one axis."""
+    size, *others = [part for part in components if part.any()] or components[:1]
+    size = np.hypot(size, others[0]) if others else np.abs(size)
+    return size if len(others) < 2 else np.hypot(size, others[1])

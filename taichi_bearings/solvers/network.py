@@ -30,7 +30,7 @@ from taichi_bearings.packing.rolling import rolled
 from taichi_bearings.packing.system import Found, System, acting, along_axes, odd_parts, slips_of, tangents
 from taichi_bearings.scene.array_files import own_array
 from taichi_bearings.scene.initial_spins import STARTS
-from taichi_bearings.scene.scene import vector_length
+from taichi_bearings.scene.scene import inverse, vector_length
 from taichi_bearings.verifier.judgement import Judgement
 from taichi_bearings.verifier.network import StoredPacking
 from taichi_bearings.words import meant, shown
@@ -57,6 +57,7 @@ class Network:
         self.contact = tuple(values[None, self.acting] for values in packing.coefficients)
         self.acting_coefficient, self.viscosities = self.contact[0], self.law.viscosity(self.contact)
         self.coefficient = self.positive_coefficient = self.acting_coefficient
+        self.inverse_limit = inverse(self.strength * self.acting_coefficient)
         self.idle = np.zeros(self.coefficient.shape, dtype=bool)
         self.viscosity_beside_friction = self.viscosities if self.law.holds else None
         self.components, held = packing.imposed.shape[1], packing.driven >= 0

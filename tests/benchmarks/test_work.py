@@ -154,7 +154,7 @@ JUDGED = 4e6, 540
 
 @pytest.mark.parametrize("periodic", [(), ("x", "y")])
 def test_a_whole_lattice_is_judged_by_slices_without_lists_of_contacts_or_searches_of_graphs(periodic, monkeypatch):
-    scene, searches = make_scene((24, 25, 26), "coulomb", periodic=periodic), Counter()
+    scene, searches = make_scene((24, 26, 25), "coulomb", periodic=periodic), Counter()
     rng = np.random.default_rng(0)
     spin, friction = rng.random((1, *scene.lattice.shape, 3)), rng.random((1, scene.lattice.all_contacts, 3))
     monkeypatch.setattr(network, "connected", lambda *_: searches.update(["searches"]))
