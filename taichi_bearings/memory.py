@@ -14,7 +14,7 @@ CGROUP = Path("/sys/fs/cgroup")
 LITTLE_BYTES = 1e8  # bytes
 # options of mallopt of the GNU C library: bytes from which memory is taken for itself and given back at once, of free
 # memory at the end of the heap from which that is given back, and taken with each growth of the heap
-KEPT = {-3: 2**25, -1: 2**29, -2: 2**26}
+MALLOC_OPTIONS = {-3: 2**25, -1: 2**29, -2: 2**26}
 
 
 def free_bytes() -> float:
@@ -52,7 +52,7 @@ def keep_freed() -> None:
         mallopt = ctypes.CDLL(None).mallopt
     except (OSError, AttributeError, TypeError):  # no C library with such a function
         return
-    for option, size in KEPT.items():
+    for option, size in MALLOC_OPTIONS.items():
         mallopt(option, size)
 
 
