@@ -139,11 +139,20 @@ def _shown(default: object) -> str:
 
 def answer(report: Mapping[str, Any], as_json: bool, words: Callable[[], str]) -> None:
     """Print what a command has found: one JSON object, or words for people."""
-    click.echo(json.dumps(report, allow_nan=False) if as_json else words())
+    click.echo(json.dumps(report, allow_nan=False) if as_json else words() + replica_shown(report))
+
+
+def replica_shown(report: Mapping[str, Any]) -> str:
+    """The end of a sentence that says which of several replicas a report is of; empty where there is only one."""
+    if "replicas" not in report or not isinstance(report.get("replica"), int):
+        return ""
+    return f"; this is replica {report['replica']} of {report['replicas']}, counted from 0, which --replica chooses"
 
 
 run_argument = click.argument("run", metavar="RUN", type=FILE_PATH)
-replica_option = click.option("--replica", type=click.IntRange(0), default=0, help="Which replica of a block of seeds.")
+replica_option = click.option(
+    "--replica", type=click.IntRange(0), default=0, help="Which replica of a block of seeds, from 0."
+)
 analyse_option = click.option(
     "--analyse", is_flag=True,
     help="Compute the structure of the run. [default: what `bearings analyse` has written into it, if anything]",

@@ -9,6 +9,7 @@ from taichi_bearings_cli.options import (
     dpi_option,
     out_options,
     replica_option,
+    replica_shown,
     run_argument,
     title_option,
     width_option,
@@ -99,11 +100,13 @@ def _plot_run(kind: str, run: Path, replica: int, time: float | None, out: Path 
     from taichi_bearings.files.whole_file import refuse_ending
     from taichi_bearings.plots.style import ENDINGS, save, save_small
     from taichi_bearings.runs.figures import draw_figure
-    from taichi_bearings.runs.run_file import opened_to_draw
+    from taichi_bearings.runs.run_file import opened_to_draw, replica_drawn
 
     refuse_ending(out, *ENDINGS)
-    with opened_to_draw(run, out, kind, force) as (stored, path):
+    with opened_to_draw(run, out, kind, force, replica) as (stored, path):
         figure = draw_figure(kind, stored.solution, replica, time, stored.settings.slip_threshold, page)
         if out:
             save(figure, out)
         click.echo(out or save_small(figure, path))
+        if kind != "history" and (which := replica_shown(replica_drawn(stored, replica))):  # a history is of all
+            click.echo(f"bearings: {kind}{which}", err=True)

@@ -23,26 +23,28 @@ from taichi_bearings.errors import InputError
 from taichi_bearings.files.whole_file import write_hdf5, write_text
 from taichi_bearings.packing import Packing
 from taichi_bearings.packing.system import System
-from taichi_bearings.runs.run_file import opened_to_draw
+from taichi_bearings.runs.run_file import opened_to_draw, replica_drawn
 from taichi_bearings.stages import stage
 from taichi_bearings.version import VERSION
 
 PROBLEM_NAMES = {"cbf": "problem.cbf", "fclib": "problem.hdf5"}
 
 
-def export_problem(run: Path, form: str, out: Path | None, force: bool = False, replica: int = 0) -> dict[str, Any]:
+def export_problem(
+    run: str | Path, form: str, out: str | Path | None, force: bool = False, replica: int = 0
+) -> dict[str, Any]:
     """Write the problem of one sample of a run, and say what the file holds; arguments as of vtkhdf.export.
 
     form : "cbf" or "fclib". Raises InputError for a problem that the format cannot say.
     """
-    with opened_to_draw(run, out, PROBLEM_NAMES[form], force) as (stored, path):
-        found = stored.sample(replica)
+    with opened_to_draw(run, out, PROBLEM_NAMES[form], force, replica) as (stored, path):
+        found, which = stored.sample(replica), replica_drawn(stored, replica)
         if found.is_packing:
-            return write_problem(found.solution.scene[0], form, path)
+            return write_problem(found.solution.scene[0], form, path) | which
         torque = found.settings.torque
         if torque is not None:
             raise InputError(f"the run has a torque of {torque} on its top; only imposed spins can be exported")
-        return write_problem(lattice_as_packing(found.solution.scene), form, path)
+        return write_problem(lattice_as_packing(found.solution.scene), form, path) | which
 
 
 def write_problem(packing: Packing, form: str, path: Path) -> dict[str, Any]:

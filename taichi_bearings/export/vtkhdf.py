@@ -17,7 +17,7 @@ import numpy as np
 from taichi_bearings.files.whole_file import Finding, put, put_attributes, refuse_ending, write_hdf5
 from taichi_bearings.packing import Packing
 from taichi_bearings.runs.points_and_lines import Moments, points_and_lines
-from taichi_bearings.runs.run_file import opened_to_draw
+from taichi_bearings.runs.run_file import opened_to_draw, replica_drawn
 from taichi_bearings.stages import stage
 
 VTK_NAME = "run.vtkhdf"
@@ -64,7 +64,7 @@ class Geometry:
 
 
 def export(
-    run: Path, out: Path | None = None, force: bool = False, replica: int = 0, analyse: bool = False
+    run: str | Path, out: str | Path | None = None, force: bool = False, replica: int = 0, analyse: bool = False
 ) -> dict[str, Any]:
     """Write one sample of a run directory or its run.h5 for ParaView, and say what the file holds.
 
@@ -72,8 +72,9 @@ def export(
     analyse : compute the structure; else the file has of it what that of the run holds.
     Raises InputError or FileError before anything is computed.
     """
+    out = None if out is None else Path(out)
     refuse_ending(out, ".vtkhdf")
-    with opened_to_draw(run, out, VTK_NAME, force) as (stored, path):
+    with opened_to_draw(run, out, VTK_NAME, force, replica) as (stored, path):
         found = stored.sample(replica)
         drawn = points_and_lines(stored, replica, analyse)
         geometry, moments = Geometry.of(drawn.packing), drawn.moments
@@ -87,6 +88,7 @@ def export(
     steps = 1 if moments is None else len(moments.time) + 1
     counts = {"analysed": drawn.drawn.is_known, "points": geometry.spheres, "lines": len(geometry.ends), "steps": steps}
     images = len(geometry.sphere) - geometry.spheres
+    counts |= replica_drawn(stored, replica)
     return {"file": str(path), "bytes": path.stat().st_size, **counts, **({"images": images} if images else {})}
 
 

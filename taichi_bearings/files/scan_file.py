@@ -56,15 +56,28 @@ def dense_histograms(bins: Sequence[Mapping[int, int]], contacts: Mapping[str, S
 
 
 def column(values: Sequence[Any], units: str, description: str) -> Finding:
-    """A column from Python values: texts, truth values, whole numbers or numbers; None where a sample has none."""
+    """A column from Python values: texts, truth values, whole numbers or numbers; None where a sample has none.
+
+    Truth values of which a sample has none stay as they are, in an object array, for :func:`write_scan`.
+    """
     present = [value for value in values if value is not None]
     if any(isinstance(value, str) for value in present):
         array = np.array(["" if value is None else printable(str(value)) for value in values], dtype=object)
+    elif present and len(present) < len(values) and all(isinstance(value, bool) for value in present):
+        array = np.array(values, dtype=object)
     elif len(present) < len(values) or not present:
         array = np.array([math.nan if value is None else float(value) for value in values])
     else:
         array = np.array(present)
     return Finding(array, units, description)
+
+
+TRUTHS_WITH_GAPS = "1 true, 0 false, not-a-number where a sample has none"
+
+
+def is_of_truths(values: np.ndarray) -> bool:
+    """Whether a column holds truth values of which some samples have none."""
+    return values.dtype == object and not any(isinstance(value, str) for value in values)
 
 
 def write_scan(
@@ -80,8 +93,11 @@ def write_scan(
         table = file.create_group("table")
         table.attrs["columns"] = list(columns)
         for name, item in columns.items():
-            kind = h5py.string_dtype() if item.values.dtype == object else item.values.dtype
-            put(table, name, item.values, item.units, item.description, dtype=kind)
+            values, text = item.values, item.description
+            if is_of_truths(values):
+                values, text = values.astype(float), f"{text} ({TRUTHS_WITH_GAPS})"
+            kind = h5py.string_dtype() if values.dtype == object else values.dtype
+            put(table, name, values, item.units, text, dtype=kind)
         group = file.create_group("histogram")
         sets = {
             "edges": (histograms.edges, "energy/time", "edges of the power bins, 20 a decade, the same in every scan"),
@@ -96,7 +112,7 @@ def write_scan(
     def cell(value: Any) -> str:
         if isinstance(value, bool):
             return str(value).lower()
-        return "" if value != value else str(value)
+        return "" if value is None or value != value else str(value)
 
     write_hdf5(folder / "scan.h5", fill, {**layout_of("scan"), "samples": len(histograms.count), **attributes})
     cells = (map(cell, item.values.tolist()) for item in columns.values())

@@ -182,15 +182,13 @@ def _spaced(unit: str) -> str:
 
 
 def describe(scene: Scene | Packing, sample: int | None = 0) -> str:
-    """Sizes, law and seed of a sample, or of all, in words for a title; of a packing sizes and law."""
+    """Sizes, law and source of a sample, or of all samples, in words for a title; of a packing sizes and law."""
     if isinstance(scene, Packing):
         what = "discs" if scene.dimension == 2 else "spheres"
         return f"{scene.spheres:,} {what}, {str(scene.law).replace('coulomb', 'Coulomb')}"
     shape = r"\times".join(map(str, scene.lattice.shape))
-    seed = f"seeds {scene.seeds[0]} to {scene.seeds[-1]}"
-    if sample is not None or scene.replicas == 1:
-        seed = f"seed {scene.seeds[sample or 0]}"
-    return f"${shape}$ {str(scene.law).replace('coulomb', 'Coulomb')}{scene.closed}, {seed}"
+    source = (scene if sample is None else scene.sample(sample)).source
+    return f"${shape}$ {str(scene.law).replace('coulomb', 'Coulomb')}{scene.closed}, {as_text(source)}"
 
 
 def mathematics(value: float, digits: int = 6) -> str:

@@ -22,7 +22,7 @@ from taichi_bearings.files.whole_file import refuse_ending, replace_file
 from taichi_bearings.plots.page import Page
 from taichi_bearings.plots.style import in_our_style
 from taichi_bearings.runs.figures import draw_snapshot
-from taichi_bearings.runs.run_file import opened_to_draw
+from taichi_bearings.runs.run_file import opened_to_draw, replica_drawn
 from taichi_bearings.stages import alike, each
 
 FILM_ENDINGS = (".mp4", ".gif")
@@ -30,8 +30,8 @@ MOST_FRAMES_PER_SECOND = 60
 
 
 def movie(
-    run: Path,
-    out: Path | None = None,
+    run: str | Path,
+    out: str | Path | None = None,
     force: bool = False,
     replica: int = 0,
     frames_per_second: float = 4.0,
@@ -40,9 +40,11 @@ def movie(
     """Draw each snapshot of one sample, as `bearings plot spins --time` does, and join them to a film.
 
     out : the file, MP4 or GIF by its ending; default: movie.mp4 in the run directory, or movie.gif without ffmpeg.
+        Of another replica than the first the name has its number, as in movie-replica-2.mp4.
     title : whether words stand above each picture.
     Raises InputError or FileError before anything is drawn.
     """
+    out = None if out is None else Path(out)
     refuse_ending(out, *FILM_ENDINGS)
     ending, encoder = out.suffix if out else "", shutil.which("ffmpeg")
     if ending == ".mp4" and encoder is None:
@@ -50,7 +52,7 @@ def movie(
     if not 0 < frames_per_second <= MOST_FRAMES_PER_SECOND:
         raise InputError(f"fps is {frames_per_second:g}; it must be above 0 and at most {MOST_FRAMES_PER_SECOND}")
     ending = ending or (".gif" if encoder is None else ".mp4")
-    with opened_to_draw(run, out, f"movie{ending}", force) as (stored, path):
+    with opened_to_draw(run, out, f"movie{ending}", force, replica) as (stored, path):
         solution, threshold = stored.sample(replica).solution, stored.settings.slip_threshold
         if solution.snapshots is None:
             raise InputError(f"{run} holds no snapshots to film; run a dynamics with --snapshots, such as 0,0.1,1")
@@ -61,7 +63,8 @@ def movie(
         frames = (_picture(draw(time), height) for time in moments)
         film = _mp4(str(encoder), frames, frames_per_second) if ending == ".mp4" else _gif(frames, frames_per_second)
         replace_file(path, film)
-    return {"file": str(path), "bytes": path.stat().st_size, "frames": len(times), "fps": frames_per_second}
+    told = {"frames": len(times), "fps": frames_per_second, **replica_drawn(stored, replica)}
+    return {"file": str(path), "bytes": path.stat().st_size, **told}
 
 
 @in_our_style

@@ -77,7 +77,7 @@ def build_scene(settings: RunSettings) -> Scene:
         raise InputError(f"replicas is {settings.replicas}, but {file} holds {held}; it must be {samples}")
     if "viscosity" in settings.drawn:
         given["viscosity"] = read_coefficients(file, "viscosity", len(shape))
-    return Scene(coefficients, **given)
+    return Scene(coefficients, **given).read_from(file.name)
 
 
 def method_row(settings: RunSettings, scene: Scene) -> type[MethodOptions]:
@@ -364,7 +364,7 @@ def _solve_with_checkpoints(
     found = replace(found, path=path, command=command())
 
     def complete() -> Run:
-        with completed(path, _drawn()) as folder:
+        with completed(path, _drawn(path)) as folder:
             write_run(folder, found)
         return found
 
@@ -374,12 +374,15 @@ def _solve_with_checkpoints(
 PICTURES = ("view.html", "run.vtkhdf", "movie.mp4", "movie.gif")
 
 
-def _drawn() -> list[str]:
-    """Files that `run` and what draws, analyses and exports it leave beside a run.h5: a new answer outdates them."""
+def _drawn(path: Path) -> list[str]:
+    """Names of files in a run directory that a new answer outdates: those of `run` itself, and of what draws, analyses
+    and exports it."""
     from taichi_bearings.runs.figures import FIGURE_KINDS
 
     pictures = [f"{name}.{ending}" for name in (*FIGURE_KINDS, "power_histogram") for ending in ("png", "pdf")]
-    return [*pictures, "power_histogram.csv", "power_histogram.h5", *PICTURES]
+    drawn = [*pictures, "power_histogram.csv", "power_histogram.h5", *PICTURES]
+    of_replicas = {f"{Path(name).stem}-replica-*{Path(name).suffix}" for name in drawn}
+    return drawn + [file.name for pattern in sorted(of_replicas) for file in path.glob(pattern)]
 
 
 def write_run(folder: Path, found: Run) -> None:

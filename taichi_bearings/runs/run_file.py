@@ -174,17 +174,28 @@ def read_run(run: Path) -> Run:
 
 
 @contextmanager
-def opened_to_draw(run: Path, out: Path | None, name: str, force: bool) -> Iterator[tuple[Run, Path]]:
-    """The run in a directory or a run.h5, and the file to write, which is ours meanwhile: `out`, or of this name in the
-    run directory.
+def opened_to_draw(
+    run: str | Path, out: str | Path | None, name: str, force: bool, replica: int = 0
+) -> Iterator[tuple[Run, Path]]:
+    """The run in a directory or a run.h5, and the file to write, which is ours meanwhile: `out`, or one in the run
+    directory, of this name, to which that of any but the first replica adds its number.
 
     Raises FileError if `out` exists, unless `force`; what is in the run directory is replaced.
     """
+    run, out = Path(run), None if out is None else Path(out)
     with stage("reading"):
         found = read_run(run)
+    kind = Path(name)
+    name = f"{kind.stem}-replica-{replica}{kind.suffix}" if replica else name
     path = file_of(run).parent / name if out is None else out
     with claimed(path, force or out is None):
         yield found, path
+
+
+def replica_drawn(found: Run, replica: int) -> dict[str, int]:
+    """Which replica of a run a picture or a file shows, and of how many; nothing where there is only one."""
+    replicas = len(found.solution.state)
+    return {"replica": replica, "replicas": replicas} if replicas > 1 else {}
 
 
 class _Sets:
@@ -317,6 +328,8 @@ def _lattice_in(path: Path, file: h5py.File, attributes: Mapping[str, Any], sett
     given = {key: getattr(settings, key) for key in ("law", *Scene.PARAMETERS)}
     scene = Scene(arrays.by_axis("coefficient/{}", lattice), viscosity=viscosity, seeds=seeds, **given)
     drawn = {key: getattr(settings, key) for key in scene.DRAWN} if settings.coefficients is None else {}
+    if settings.coefficients is not None:
+        scene.read_from(Path(str(attributes.get("coefficients", ""))).name)
     return scene.drawn_from(drawn), arrays, partial(arrays.of_contacts, lattice), shape, () if len(shape) == 2 else (3,)
 
 

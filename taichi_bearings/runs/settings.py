@@ -207,7 +207,13 @@ class RunSettings:
         rare=True,
     )
     arch: str = how("cpu", OneOf(*ARCHITECTURES), "Device.")
-    precision: str = how("f64", OneOf(*PRECISIONS), "Precision of the fields; bounds are always f64.", rare=True)
+    precision: str = how(
+        "f64",
+        OneOf(*PRECISIONS),
+        "Precision of the fields; bounds are always f64, and so are planar-cut, interior-point, "
+        "linear-solver and rigid-limit, whose runs say so.",
+        rare=True,
+    )
     threads: int = how(
         0, SEED, "CPU threads; 0 for all.", not_scanned="it changes no result, so set it for all samples", rare=True
     )

@@ -47,6 +47,7 @@ class Scene:
     seeds : seed of each sample, for the record and for random initial spins. Default: 0, 1, ...
     viscosity : like the coefficients, of a law that has both, else empty; force * time / length.
     drawn : distributions that the seeds were drawn from, by option of `bearings run`; empty for given coefficients.
+    file : name of the file that the coefficients were read from, if any.
     """
 
     coefficients: tuple[np.ndarray, ...]
@@ -62,6 +63,7 @@ class Scene:
     bottom: tuple[float, ...] | None = None
     periodic: tuple[str, ...] = ()
     drawn: Mapping[str, str] = field(init=False, default_factory=dict)
+    file: str = field(init=False, default="")
     DRAWN: ClassVar = ("distribution", "viscosity")
     BY_SPINS: ClassVar = ("spin_top", "spin_bottom", "direction")
     PARAMETERS: ClassVar = (*BY_SPINS, "top", "bottom", "periodic", "normal_force", "radius")  # settings of a run too
@@ -115,6 +117,18 @@ class Scene:
         """The scene, known to be drawn from its seeds. A scene that is made from it with changes is not."""
         object.__setattr__(self, "drawn", distributions)
         return self
+
+    def read_from(self, file: str) -> "Scene":
+        """The scene, known to have the coefficients of the file of this name."""
+        object.__setattr__(self, "file", file)
+        return self
+
+    @property
+    def source(self) -> str:
+        """Where the coefficients come from, in words for a title: a seed, a file, or neither is known."""
+        if self.drawn:
+            return f"seed {self.seeds[0]}" if self.replicas == 1 else f"seeds {self.seeds[0]} to {self.seeds[-1]}"
+        return f"coefficients of {self.file}" if self.file else "coefficients given"
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "law", law_named(self.law))
@@ -183,8 +197,8 @@ class Scene:
                 )
 
     def __repr__(self) -> str:
-        shape, seeds = "x".join(map(str, self.lattice.shape)), f"seed {self.seeds[0]}"
-        seeds = f"{self.replicas} samples" if self.replicas > 1 else seeds if self.drawn else "coefficients given"
+        shape = "x".join(map(str, self.lattice.shape))
+        seeds = f"{self.replicas} samples" if self.replicas > 1 else self.source
         top, bottom = (f"{spin:g}" for spin in self.imposed) if self.top is None else (self.top, self.bottom)
         return f"<Scene {shape} {self.law}, {seeds}, top {top}, bottom {bottom}{self.closed}>"
 

@@ -260,7 +260,11 @@ class Solution:
         return replace(self, **changes)
 
     def _history_of(self, number: int) -> dict[str, np.ndarray]:
-        """The rows of the history in which a replica went on."""
+        """(rows,) columns: the rows of the history up to the one at which a replica had ended.
+
+        number : of the replica. Rows of a block come at iterations of its slowest replica; the last one has as its
+        iteration the one at which this replica itself ended.
+        """
         found = {
             name: v if v.ndim == 1 else v[:, number] if name in OF_ALL else v[:, number : number + 1]
             for name, v in self.history.items()
@@ -269,7 +273,9 @@ class Solution:
             return {}
         lived = np.diff(found["iteration"], prepend=-1) > 0
         if "iterations" in self.own:
-            lived &= found["iteration"] <= self.own["iterations"][number]
+            last = self.own["iterations"][number]
+            lived &= np.append(-1, found["iteration"][:-1]) < last
+            found["iteration"] = np.minimum(found["iteration"], last)
         return {name: values[lived] for name, values in found.items()} if lived.any() else {}
 
     @classmethod

@@ -99,6 +99,8 @@ def solve(
             with stage("proving contact states"):
                 solution = course.answer(slip_threshold)
     running = runtime.current() if method.options.needs_taichi else runtime.HOST
+    if method.options.cpu_only:  # whose numbers are doubles, whatever those of fields are
+        running = replace(running, precision="f64")
     compiling = course.called - began
     return replace(solution, interrupted=interrupt.heard, running=running, seconds_compile=compiling)
 

@@ -53,7 +53,7 @@ class MethodOptions:
 
     name : for --method. implementation : "module:class", which is called with the options. of_packings : the same
     for lists of contacts, "" where there is none, or what finds minima. is_dynamics : it steps in time. cpu_only :
-    it works in the memory of the CPU.
+    it works in the memory of the CPU, in double precision whatever is asked.
     alike_in_a_block : spheres up to which it gives a seed the same bits alone and beside others, and gains by it.
     colour, marker : in every figure. solves : True for a law.
     """

@@ -119,9 +119,8 @@ def _of_lattice(drawn: PointsAndLines) -> tuple[dict[str, Any], float, str, str]
     lattice, unit = scene.lattice, scene.strength * scene.lattice.radius * abs(scene.imposed[0])
     natural = f" = {drawn.structure.power / unit:.6g} Fₙ R ω_T" if scene.law.is_rate_independent and unit > 0 else ""
     bound = f"{_minimised(scene.law)}proven within {gap:.1e}" if np.isfinite(gap) else "without a proven bound"
-    source = f"seed {scene.seeds[0]}" if scene.drawn else "coefficients given"
     own = {
-        "title": f"{'×'.join(map(str, lattice.shape))} {scene.law}{scene.closed}, {source}",
+        "title": f"{'×'.join(map(str, lattice.shape))} {scene.law}{scene.closed}, {scene.source}",
         "shape": list(lattice.shape),
         "origin": [0] * lattice.dimension,
         "steps": [side - 1 for side in lattice.shape],

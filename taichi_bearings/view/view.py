@@ -14,7 +14,7 @@ import numpy as np
 
 from taichi_bearings.files.whole_file import refuse_ending, write_text
 from taichi_bearings.runs.points_and_lines import points_and_lines
-from taichi_bearings.runs.run_file import opened_to_draw
+from taichi_bearings.runs.run_file import opened_to_draw, replica_drawn
 from taichi_bearings.stages import stage
 from taichi_bearings.version import VERSION
 from taichi_bearings.view.contents import arrays_of, facts_of
@@ -25,7 +25,7 @@ NUMBER_TYPES = {"float32": "f4", "int32": "i4", "uint8": "u1"}
 
 
 def view(
-    run: Path, out: Path | None = None, force: bool = False, replica: int = 0, analyse: bool = False
+    run: str | Path, out: str | Path | None = None, force: bool = False, replica: int = 0, analyse: bool = False
 ) -> dict[str, Any]:
     """Write the page of one sample of a run directory or its run.h5, and say where it is, how large, and whether it
     shows the structure of the sample.
@@ -34,14 +34,15 @@ def view(
     analyse : compute the structure; else the page has of it what the file of the run holds.
     Raises InputError or FileError before anything is computed.
     """
+    out = None if out is None else Path(out)
     refuse_ending(out, ".html", ".htm")
-    with opened_to_draw(run, out, PAGE_NAME, force) as (found, path):
+    with opened_to_draw(run, out, PAGE_NAME, force, replica) as (found, path):
         drawn = points_and_lines(found, replica, analyse)
         with stage("writing"):
             write_text(path, page_of(facts_of(drawn), arrays_of(drawn)))
     moments = drawn.moments
     shown = {"snapshots": 0 if moments is None else len(moments.time), "analysed": drawn.drawn.is_known}
-    return {"file": str(path), "bytes": path.stat().st_size, **shown}
+    return {"file": str(path), "bytes": path.stat().st_size, **shown, **replica_drawn(found, replica)}
 
 
 def page_of(facts: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> str:

@@ -11,6 +11,7 @@ from matplotlib.collections import EllipseCollection, LineCollection
 from matplotlib.colors import to_rgba
 from taichi_bearings_studies.paper.figure_3 import draw_plane_cuts
 
+import taichi_bearings as tb
 from taichi_bearings.analysis.network import SliplessNetwork
 from taichi_bearings.analysis.structure import LatticeStructure
 from taichi_bearings.lattice import Lattice
@@ -18,8 +19,10 @@ from taichi_bearings.packing import Packing
 from taichi_bearings.plots.bearing import SPIN_COLOURS, Sheet
 from taichi_bearings.plots.page import VIEW
 from taichi_bearings.plots.structure import REACHED_COLOURS, contact_colours, draw_domains, draw_network
-from taichi_bearings.plots.style import GREY
+from taichi_bearings.plots.style import GREY, describe
 from taichi_bearings.proof.contact_state import ContactState
+from taichi_bearings.runs.run import run
+from taichi_bearings.runs.settings import RunSettings
 from tests.scenes import make_scene
 
 BOTTOM, TOP = colormaps[SPIN_COLOURS](0.0), colormaps[SPIN_COLOURS](1.0)
@@ -190,3 +193,17 @@ def test_contacts_of_packings_are_drawn_as_those_of_lattices_are():
     middle = [sheet.lines(np.ones(len(sheet.contact), dtype=bool))[0].mean(axis=1) for sheet in (own, theirs)]
     apart = [np.ptp(places, axis=0) for places in middle]
     assert apart[0] / own.pitch == pytest.approx(apart[1])
+
+
+def test_titles_say_where_the_coefficients_come_from(tmp_path):
+    """A seed where they were drawn from it, the file that they were read from, whose name is no mathematics."""
+    drawn = tb.Scene.random((4, 5), seed=3)
+    assert describe(drawn).endswith("seed 3")
+    assert describe(tb.Scene.random((4, 5), seed=3, replicas=3), None).endswith("seeds 3 to 5")
+    assert describe(tb.Scene(drawn.coefficients)).endswith("coefficients given")
+    np.savez(tmp_path / "my$x.npz", **dict(zip("xy", drawn.coefficients, strict=True)))
+    settings = RunSettings(shape=(4, 5), coefficients=str(tmp_path / "my$x.npz"), figures="none", threads=1)
+    found = run(settings, tmp_path / "run")
+    for scene in (found.solution.scene, tb.load(tmp_path / "run").scene):
+        assert describe(scene).endswith(r"coefficients of my\$x.npz")
+        assert "seed" not in describe(scene)
