@@ -25,7 +25,7 @@ from scipy.sparse.linalg import spsolve
 from taichi_bearings.analysis.bottlenecks import Bottlenecks
 from taichi_bearings.analysis.domains import RigidDomains, rigid_domains
 from taichi_bearings.analysis.network import MOST_BODIES, SliplessNetwork
-from taichi_bearings.numerics.minimum_cut import WEIGHT_ROUNDING, minimum_cut
+from taichi_bearings.numerics.minimum_cut import WEIGHT_ROUNDING
 from taichi_bearings.packing import Packing
 from taichi_bearings.packing.interface import SAME_STATE, Interface, bearing_states
 from taichi_bearings.packing.structure import self_stress_of
@@ -33,7 +33,7 @@ from taichi_bearings.packing.system import acting, along_axes, odd_parts
 from taichi_bearings.proof.contact_state import ContactState, by_threshold, critical
 from taichi_bearings.quantities import STRUCTURE, Quantity, plain
 from taichi_bearings.scene import Scene, Solution
-from taichi_bearings.scene.initial_spins import cut_unit, cut_weights, minimum_cut_spin
+from taichi_bearings.scene.initial_spins import cut_of, cut_unit, cut_weights, minimum_cut_spin
 from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.stages import stage
 
@@ -401,13 +401,13 @@ def structure_of(answer: Solution, number: int = 0, threshold: float | None = No
 
 def find_interface(scene: Scene, replica: int = 0) -> Interface:
     """The cheapest interface of one sample: of the least power, or what else the stationary state minimises."""
-    weight = cut_weights(scene)[[replica]]
-    cut, unit = minimum_cut(scene.lattice.by_axis(weight)), cut_unit(scene)
+    scene = scene.sample(replica)
+    weight, cut, unit = cut_weights(scene), cut_of(scene), cut_unit(scene)
     low, high = cut.above[0].ravel()[scene.lattice.ends]
     power = unit * float(cut.weight[0])
     if scene.law.minimises != "power":
-        spin, axes = minimum_cut_spin(scene.sample(replica)), scene.minimum_spin_axes
-        power = float(scene.sample(replica).power(scene.staggered_spin(spin, axes), axes)[0])
+        spin, axes = minimum_cut_spin(scene), scene.minimum_spin_axes
+        power = float(scene.power(scene.staggered_spin(spin, axes), axes)[0])
     return Interface(
         power,
         (low != high) & (weight[0] > 0) & (scene.jump > 0),  # without a jump nothing slips

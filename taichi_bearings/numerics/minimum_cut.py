@@ -16,7 +16,6 @@ than some weight left is below every cut that is heavier by no more than this we
 and Queyranne, Math. Program. Study 13, 1980).
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,7 +23,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import breadth_first_order, maximum_flow
 
 from taichi_bearings.lattice import Lattice
-from taichi_bearings.numerics.planar import MinimumCuts, minimum_cuts
+from taichi_bearings.numerics.planar import minimum_cuts
 
 WEIGHT_ROUNDING = 2.0**-48  # of given weights: a dozen roundings of 2^-53 each
 ROUNDED_WEIGHT = 2.0**-6  # weight of a cut over that of one known before, below which its rounding matters
@@ -38,8 +37,8 @@ class MinimumCut:
 
     above : (R, *N), True on the top side; the contacts whose ends differ are the cut, the lowest one where some tie.
     between : (R, *N), True for the spheres that are not proven to lie on the same side of all cuts as light as this
-        one: what lies between cuts that tie, of weights as given in planar grids, else if weights may be rounded by
-        WEIGHT_ROUNDING. Spheres that no contact with weight joins to bottom or top change no cut, and are not there.
+        one: what lies between cuts that tie; in planar grids whose weights are not rounded exactly. Spheres that no
+        contact with weight joins to bottom or top change no cut, and are not there.
     weight : (R,), of this cut. lower_bound : (R,), no cut is lighter; proven, and good to about 1e-15 a contact.
     next_weight : (R,), of the lightest other cut that leaves either side in one piece, good to the same; NaN where it
         takes more than this cut to know (see :func:`next_cut`).
@@ -57,17 +56,18 @@ class MinimumCut:
         return np.asarray(~self.between.reshape(len(self.between), -1).any(axis=1))
 
 
-def minimum_cut(weight: tuple[np.ndarray, ...]) -> MinimumCut:
+def minimum_cut(weight: tuple[np.ndarray, ...], rounding: float = 0.0) -> MinimumCut:
     """A lightest cut between the bottom plane and the top plane of each lattice.
 
     weight : one array (R, *contacts) an axis, none negative, height last; lattices are 2 or more wide and 3 or more
-        high. Contacts between two spheres of the bottom or of the top take no part.
+        high. Contacts between two spheres of the bottom or of the top take no part. rounding : share of each weight by
+        which it may differ from the one that is meant; no cut that could then be as light is taken to be heavier.
     """
     *sideways, upward = weight
     idle = next((axis for axis, values in enumerate(sideways) if not values.any()), None)
     closed = set(Lattice.of(weight).periodic) - {idle}
     if closed or (len(sideways) == 2 and idle is None):
-        return flow_cut(weight)
+        return flow_cut(weight, rounding)
     if len(sideways) == 1:
         above, between, bound, following = _cut_planes(sideways[0][:, None], upward[:, None])
         above, between = above[:, 0], between[:, 0]
@@ -77,37 +77,21 @@ def minimum_cut(weight: tuple[np.ndarray, ...]) -> MinimumCut:
         above, between, bound, following = _cut_planes(*stacks)
         above, between = (np.moveaxis(spheres, 1, 1 + idle) for spheres in (above, between))
     found = weight_of_cut(above, weight)
+    close = np.flatnonzero(~(following > found * (1 + 4 * rounding)))
+    if rounding and len(close):
+        between[close] = flow_cut(tuple(values[close] for values in weight), rounding).between
     return MinimumCut(above, between, found, np.minimum(bound, found), following)
 
 
-def flow_cut(weight: tuple[np.ndarray, ...]) -> MinimumCut:
+def flow_cut(weight: tuple[np.ndarray, ...], rounding: float = 0.0) -> MinimumCut:
     """The same as :func:`minimum_cut` by a largest flow whatever the lattice, but for the next weight.
 
     For planar grids slower, but it shares no code with the shortest paths.
     """
-    cuts = [_cut_lattice(tuple(values[replica] for values in weight)) for replica in range(len(weight[-1]))]
+    cuts = [cut_lattice(tuple(values[replica] for values in weight), rounding) for replica in range(len(weight[-1]))]
     above, between, bound = (np.stack([getattr(cut, name) for cut in cuts]) for name in ("above", "between", "weight"))
     found = weight_of_cut(above, weight)
     return MinimumCut(above, between, found, np.minimum(bound, found), np.full(len(found), np.nan))
-
-
-def ring_cuts(sideways: np.ndarray, upward: np.ndarray) -> Iterator[tuple[slice, MinimumCuts]]:
-    """Cuts of least weight between the bottom row and the top row of grids whose rows close on themselves, as
-    :func:`minimum_cuts` gives those of others: the lightest rings around them.
-
-    sideways : weights (B, w, h), those at the end of the contacts of the last column with the first. upward : weights
-    (B, w, h - 1).
-    Contacts are tied if cuts that are heavier by 1e-12 at most differ in them; the next weight is not known (NaN).
-    """
-    for grid in range(len(upward)):
-        weight = sideways[grid], upward[grid]
-        cut, lattice = _cut_lattice(weight), Lattice.of(weight)
-        touched = [cut.between[low] | cut.between[high] for low, high in map(lattice.along, range(2))]
-        ring = np.zeros(sideways.shape[1:])
-        inner, rising = np.split(cut.flow * cut.unit, [ring[:, 1:-1].size])
-        ring[:, 1:-1] = inner.reshape(ring[:, 1:-1].shape)
-        found = cut.above, ring, rising.reshape(upward.shape[1:]), *touched, np.array(cut.weight), np.array(np.nan)
-        yield slice(grid, grid + 1), MinimumCuts(*(values[None] for values in found))
 
 
 def next_cut(weight: tuple[np.ndarray, ...], cut: MinimumCut) -> tuple[np.ndarray, np.ndarray]:
@@ -125,7 +109,7 @@ def next_cut(weight: tuple[np.ndarray, ...], cut: MinimumCut) -> tuple[np.ndarra
             for contact in np.argwhere(_parted(cut.above[replica], axis, lattice) & (values[0] > 0)):
                 spared = tuple(part[0].copy() for part in sample)
                 spared[axis][tuple(contact)] = np.inf
-                others.append(_cut_lattice(spared).above)
+                others.append(cut_lattice(spared).above)
         sides[replica] = min(others, key=lambda above: float(weight_of_cut(above[None], sample)[0]))
     return sides, weight_of_cut(sides, weight)
 
@@ -150,10 +134,10 @@ def _cut_planes(sideways: np.ndarray, upward: np.ndarray) -> tuple[np.ndarray, n
             cut = np.diff(cuts.above[grid], axis=0), np.diff(cuts.above[grid], axis=1)
             apart = cut[0] | cuts.sideways_tied[grid], cut[1] | cuts.upward_tied[grid]
             present = sideways[part][grid] > 0, upward[part][grid] > 0
-            node, ends = _network(Lattice.of(apart))
+            node, ends = graph_of_lattice(Lattice.of(apart))
             known, joined = (
                 np.logical_or(*(within_reach(ends, np.tile(edges, (2, 1)), start) for start in (0, node.max())))
-                for edges in (_edges(present) & ~_edges(apart), _edges(present))
+                for edges in (edges_of(present) & ~edges_of(apart), edges_of(present))
             )
             between[part][grid] = (joined & ~known)[node]
     stack = (replicas, planes, columns, gaps + 1)
@@ -179,23 +163,24 @@ class GraphCut:
         return self.units * self.unit
 
 
-def _cut_lattice(weight: tuple[np.ndarray, ...]) -> GraphCut:
-    """The cut of one lattice; weight : one array of contacts an axis."""
-    node, ends = _network(Lattice.of(weight))
+def cut_lattice(weight: tuple[np.ndarray, ...], rounding: float = 0.0) -> GraphCut:
+    """The cut of one lattice; weight : one array of contacts an axis. rounding : see :func:`minimum_cut`."""
+    node, ends = graph_of_lattice(Lattice.of(weight))
     lightest = weight[-1].reshape(-1, weight[-1].shape[-1]).sum(axis=0).argmin()
     above = np.zeros(node.max() + 1, dtype=bool)
     above[node[..., lightest + 1 :]] = True
-    cut = graph_cut(ends, _edges(weight), above)
+    cut = graph_cut(ends, edges_of(weight), above, rounding)
     return replace(cut, above=cut.above[node], between=cut.between[node])
 
 
 def graph_cut(
-    ends: np.ndarray, edges: np.ndarray, above: np.ndarray, rounding: float | np.ndarray = WEIGHT_ROUNDING
+    ends: np.ndarray, edges: np.ndarray, above: np.ndarray, rounding: float = 0.0, slack: float = 0.0
 ) -> GraphCut:
     """A lightest cut between the first and the last node of an undirected graph.
 
     ends : (2, edges) nodes. edges : (edges,) weights. above : (nodes,) True on the far side of a cut that is known.
-    rounding : share of each weight by which it may differ from the one that is meant.
+    rounding : share of each weight by which it may differ from the one that is meant. slack : weight by which all
+    together may differ from these beyond that.
     """
     cut, light = above[ends[0]] != above[ends[1]], False
     while not light:  # a cut that is much lighter than the one known before is found anew, in a finer unit
@@ -211,8 +196,8 @@ def graph_cut(
         light = bool(edges[cut].sum() >= at_most * ROUNDED_WEIGHT)
     units, last = int(capacity[cut].sum()), len(above) - 1
     # a cut that is heavier by more than that in whole units is heavier by the weights that are meant
-    share = float(np.max(rounding, initial=0.0))
-    tie = int(3 * share * (units + cut.sum())) + int(cut.sum())
+    tie = int(3 * rounding * (units + cut.sum())) + int(cut.sum())
+    tie += min(int(3 * slack / unit), PRESENT_CAPACITY**2 >> 20)  # beyond that no capacity is left
     from_bottom, from_top = (
         within_reach(ends, left, start, tie) for left, start in ((left_over, 0), (left_over[::-1], last))
     )
@@ -227,10 +212,10 @@ def _parted(above: np.ndarray, axis: int, lattice: Lattice) -> np.ndarray:
     return np.asarray(above[low] != above[high])
 
 
-def _network(lattice: Lattice) -> tuple[np.ndarray, np.ndarray]:
+def graph_of_lattice(lattice: Lattice) -> tuple[np.ndarray, np.ndarray]:
     """The graph of bodies of a lattice.
 
-    returns : node of each sphere, N; both nodes (2, edges) of each contact, in the order of :func:`_edges`.
+    returns : node of each sphere, N; both nodes (2, edges) of each contact, in the order of :func:`edges_of`.
     """
     node = number_bodies(lattice.driven)
     pairs = []
@@ -253,7 +238,7 @@ def number_bodies(driven: np.ndarray) -> np.ndarray:
     return node
 
 
-def _edges(values: tuple[np.ndarray, ...]) -> np.ndarray:
+def edges_of(values: tuple[np.ndarray, ...]) -> np.ndarray:
     """Values of the contacts that take part, axis by axis; values : one array of contacts an axis."""
     *sideways, upward = values
     return np.concatenate([*(part[..., 1:-1].ravel() for part in sideways), upward.ravel()])

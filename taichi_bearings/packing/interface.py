@@ -1,7 +1,8 @@
 """The lightest interface of two rigid domains, and how it is found in a packing, with the spins of its two sides.
 
 Where the network has no odd loops and two driven bodies, each in a bearing state s u = A + c x of its own, a contact on
-the interface slips with their jump across its normal.
+the interface slips with their jump across its normal. Where normals lie along the axes, components of spins that can be
+the same everywhere are not needed, and the jump has none of them: of a cubic lattice that along its height.
 """
 
 from dataclasses import dataclass
@@ -11,33 +12,51 @@ import numpy as np
 
 from taichi_bearings.numerics.minimum_cut import graph_cut, number_bodies
 from taichi_bearings.packing.packing import Packing
-from taichi_bearings.packing.system import acting, odd_parts
+from taichi_bearings.packing.system import acting, needed_components, odd_parts
 
 SAME_STATE = 1e-9  # of the largest R omega, by which spins may miss a bearing state
 ACROSS = 1e-12  # of the jump, what rounding leaves of it across a normal along it
+STATE_ROUNDING = 2.0**-48  # of R omega: a dozen roundings of 2^-53 each
 
 
 def bearing_states(packing: Packing) -> tuple[np.ndarray, np.ndarray] | None:
     """Signs (N,) by which neighbours differ, and s u (2, N, C) of all spheres if they turned with the first or with the
-    second of two driven bodies in bearing states; None where it has odd loops, or others."""
+    second of two driven bodies in bearing states; None where it has odd loops, or others, or where a state slips at a
+    contact, as across a periodic side."""
     odd, sign = odd_parts(packing.spheres, *packing.contact.T)
     bodies = np.unique(packing.driven[packing.driven >= 0])
     if odd.any() or len(bodies) != 2:
         return None
     turned = sign[:, None] * packing.imposed
     low, high = (_state(packing.center, turned, packing.driven == body) for body in bodies)
-    return None if low is None or high is None else (sign, np.stack([low, high]))
+    if low is None or high is None:
+        return None
+    for state in (low, high):
+        contact = acting(packing)
+        first, second = packing.contact[contact].T
+        missed = _across(packing, contact, state[second] - state[first])
+        if missed.max(initial=0.0) > SAME_STATE * np.abs(state).max(initial=0.0):
+            return None
+    return sign, np.stack([low, high])
 
 
 def _state(center: np.ndarray, turned: np.ndarray, own: np.ndarray) -> np.ndarray | None:
-    """A + c x, (N, C), of the bearing state that these spheres have; None if none."""
+    """A + c x, (N, C), of the bearing state that these spheres have, with c = 0 where that does; None if none."""
+    value = turned[own][0]
+    if (turned[own] == value).all():
+        return np.broadcast_to(value, turned.shape)
     if turned.shape[1] == 1:
-        value = turned[own][0]
-        return np.broadcast_to(value, turned.shape) if (turned[own] == value).all() else None
+        return None
     rows = np.concatenate([np.tile(np.eye(3), (own.sum(), 1)), center[own].reshape(-1, 1)], axis=1)
     found = np.linalg.lstsq(rows, turned[own].ravel(), rcond=None)[0]
     missed = np.abs(rows @ found - turned[own].ravel()).max()
     return found[:3] + found[3] * center if missed <= SAME_STATE * np.abs(turned).max(initial=0.0) else None
+
+
+def _across(packing: Packing, contact: np.ndarray, spin: np.ndarray) -> np.ndarray:
+    """(n,) sizes of vectors (n, C) across the normals of contacts (n,); of discs all of them."""
+    normal = np.asarray(packing.normal)[contact]
+    return np.linalg.norm(np.cross(spin, normal) if packing.dimension == 3 else spin, axis=1)
 
 
 @dataclass(frozen=True)
@@ -51,8 +70,8 @@ class Interface:
 
     power : energy/time, if the two domains are rigid. contacts : (E,) True for those that slip.
     above : N, True for the spheres that turn with the top or the second body.
-    between : N, True for the spheres that another cut, as light (but in the plane: to 1e-12), may put on the other
-        side; if there are none every other interface is proven to dissipate more.
+    between : N, True for the spheres that another cut that is as light, or to rounding, may put on the other side; if
+        there are none every other interface is proven to dissipate more.
     lower_bound : of a lattice: no two rigid domains dissipate less, or have less of what the stationary state minimises
         if that is not the power; proven.
     next_power : the same of the cheapest other interface that leaves either domain in one piece; NaN in 3D and of
@@ -80,8 +99,9 @@ class Interface:
         if states is None:
             return None
         sign, (low, high) = states
-        jump = (high - low)[packing.contact[:, 0]]
-        across = np.linalg.norm(np.cross(jump, np.asarray(packing.normal)) if packing.dimension == 3 else jump, axis=1)
+        known, needed = needed_components(packing)
+        jump = ((high - low) * needed)[packing.contact[:, 0]]
+        across = _across(packing, np.arange(packing.contacts), jump)
         across[across <= ACROSS * np.linalg.norm(jump, axis=1)] = 0.0
         weight = packing.kind.objective(packing.coefficients, across)
         node, taken = number_bodies(packing.driven), np.zeros(packing.contacts, dtype=bool)
@@ -93,11 +113,26 @@ class Interface:
             return None
         size = int(node.max()) + 1
         edges = np.append(ends, [[0], [size - 1]], axis=1)  # one of no weight, so that both ends are there
-        found = graph_cut(edges, np.append(weight, 0.0), np.arange(size) > 0)
-        above, between = found.above[node], found.between[node] & np.isin(node, ends)
+        slack = _slack(packing, np.flatnonzero(taken), across, states[1])
+        found = graph_cut(edges, np.append(weight, 0.0), np.arange(size) > 0, STATE_ROUNDING, slack)
+        above, between = found.above[node], found.between[node]
         cut = np.flatnonzero(taken)[found.above[ends[0]] != found.above[ends[1]]]
         contacts = np.zeros(packing.contacts, dtype=bool)
         contacts[cut] = True
         power = packing.kind.power(tuple(of[cut] for of in packing.coefficients), across[cut])
-        spins = sign[:, None] * np.where(above[:, None], high, low)
+        spins = np.where(needed, sign[:, None] * np.where(above[:, None], high, low), known)
         return cls(float(power.sum()), contacts, above, between, spins=spins)
+
+
+def _slack(packing: Packing, contact: np.ndarray, across: np.ndarray, states: np.ndarray) -> float:
+    """What the weights of contacts (n,) may differ in all from those of the bearing states that are meant: these
+    (2, N, C) are known from spins to rounding, or to what these miss a state by. across : (E,) of the jump."""
+    held = packing.driven >= 0
+    bodies = np.unique(packing.driven[held])
+    sign = odd_parts(packing.spheres, *packing.contact.T)[1]
+    turned, largest = sign[:, None] * packing.imposed, np.abs(states).max()
+    missed = [np.abs(turned - state)[packing.driven == body].max() for state, body in zip(states, bodies, strict=True)]
+    off = 4 * (sum(missed) + STATE_ROUNDING * largest)
+    of = tuple(values[contact] for values in packing.coefficients)
+    near, far = (packing.kind.objective(of, np.maximum(across[contact] + by, 0.0)) for by in (-off, off))
+    return float((far - near).sum())

@@ -143,6 +143,13 @@ def along_axes(packing: Packing, contact: np.ndarray) -> bool:
     return packing.dimension == 2 or bool(((normal != 0).sum(axis=1) == 1).all())
 
 
+def needed_components(packing: Packing) -> tuple[np.ndarray, np.ndarray]:
+    """Spins u (N, C) at which the components that are not needed slip nowhere; and (C,) True for those that are needed:
+    all but those that can turn without any slip where normals lie along the axes."""
+    known, wanted, _ = _without_slip(packing, acting(packing), packing.driven < 0)
+    return known, np.asarray(wanted.any(axis=0))
+
+
 def _numbered(wanted: np.ndarray) -> np.ndarray:
     """Number of each True one, -1 of the others."""
     return np.where(wanted, np.cumsum(wanted).reshape(wanted.shape) - 1, -1)

@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 
 from taichi_bearings.errors import InputError
-from taichi_bearings.numerics.minimum_cut import MinimumCut, minimum_cut
+from taichi_bearings.numerics.exact_cuts import decided
+from taichi_bearings.numerics.minimum_cut import WEIGHT_ROUNDING, MinimumCut, minimum_cut
 from taichi_bearings.scene.array_files import own_array, read_arrays
 from taichi_bearings.scene.scene import Scene, vector_length
 from taichi_bearings.words import meant
@@ -35,7 +36,22 @@ def zero_spin(scene: Scene) -> np.ndarray:
 
 def cut_of(scene: Scene) -> MinimumCut:
     """The lightest interface between spheres that turn with the bottom and spheres that turn with the top."""
-    return minimum_cut(scene.lattice.by_axis(cut_weights(scene)))
+    weight, rounding = scene.lattice.by_axis(cut_weights(scene)), cut_rounding(scene)
+    cut = minimum_cut(weight, rounding)
+    return decided(cut, weight, rounding) if rounding or scene.periodic else cut
+
+
+def cut_rounding(scene: Scene) -> float:
+    """Share by which the weights of :func:`cut_weights` may miss the exact ones; 0 of discs with one coefficient, which
+    is the weight."""
+    return 0.0 if scene.lattice.dimension == 2 and len(scene.law.quantities) == 1 else WEIGHT_ROUNDING
+
+
+def _cut_speed(scene: Scene) -> float:
+    """Unit of the jump, 1/time: of discs the jump itself, if there is one."""
+    if scene.lattice.dimension == 2 and scene.jump:
+        return scene.jump
+    return float(scene.driving.unit[0][0])
 
 
 def cut_weights(scene: Scene) -> np.ndarray:
@@ -44,21 +60,22 @@ def cut_weights(scene: Scene) -> np.ndarray:
     A contact of the interface slips by R |J x n|, J the jump of the imposed states at its place and n its axis. Of J
     only the components that a minimum needs count: the one along the height can change from bottom to top layer by
     layer, where no contact feels it. Viscous contacts weigh by the square of their slip, and viscosities beside a
-    friction by their share in it. Each weight is within
-    :data:`taichi_bearings.numerics.minimum_cut.WEIGHT_ROUNDING` of the exact one, relatively.
+    friction by their share in it. How far rounding takes them from the exact ones says :func:`cut_rounding`.
     """
-    unit = float(scene.driving.unit[0][0])
+    unit = _cut_speed(scene)
     units = (1.0, scene.lattice.radius * unit / scene.normal_force)
     coefficients = tuple(unit * values for unit, values in zip(units, scene.named_coefficients.values(), strict=False))
     axes = scene.minimum_spin_axes
     jump = scene.driving.top_in_units(axes)[0].reshape(len(axes), -1)[:, scene.lattice.column]
+    if scene.lattice.dimension == 2:
+        jump = np.where(jump != 0, 1.0, 0.0)
     across = vector_length(np.where(scene.lattice.felt(axes), jump, 0.0))
     return scene.law.objective(coefficients, across)
 
 
 def cut_unit(scene: Scene) -> float:
     """Objective of an interface over its weight: strength * R unit with friction, else (R unit)^2; energy/time."""
-    speed = scene.lattice.radius * float(scene.driving.unit[0][0])
+    speed = scene.lattice.radius * _cut_speed(scene)
     return scene.strength * (speed if scene.law.holds else speed**2)
 
 

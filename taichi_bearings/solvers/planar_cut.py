@@ -11,8 +11,8 @@ lightest ring around it, and a general largest flow finds it.
 
 import numpy as np
 
-from taichi_bearings.numerics.minimum_cut import ring_cuts
 from taichi_bearings.numerics.planar import minimum_cuts
+from taichi_bearings.numerics.rings import ring_cuts
 from taichi_bearings.proof.certificate import largest_unbalanced_torque, work_and_bound
 from taichi_bearings.proof.contact_state import ContactState, all_slipless
 from taichi_bearings.scene import Progress, Scene

@@ -9,7 +9,9 @@ import pytest
 from scipy.ndimage import label
 
 from taichi_bearings.numerics.planar import MinimumCuts, minimum_cuts
+from taichi_bearings.numerics.rings import ring_cuts
 from tests.cuts import all_cuts
+from tests.exact_interfaces import contacts, lightest, slipping_in_some_and_every
 from tests.scenes import some_of
 
 
@@ -221,3 +223,36 @@ def test_absent_contacts_leave_cuts_and_ties_exact(number):
     sides = [cut.above[0, 1:] != cut.above[0, :-1], cut.above[0, :, 1:] != cut.above[0, :, :-1]]
     assert sum(Fraction(v) for of, cuts in zip(weight, sides, strict=True) for v in of[cuts].tolist()) == least
     assert least * (1 - Fraction(1, 10**12)) <= Fraction(cut.weight[0]) <= least
+
+
+@pytest.mark.parametrize("number", some_of(150, 5))
+def test_ties_of_rings_are_those_that_networkx_finds_in_whole_numbers(number):
+    """Grids that close on themselves, with absent contacts and up to thirty decades: cut, bound and all ties."""
+    rng = np.random.default_rng([number, 17])
+    columns, rows = [(2, 4), (4, 5), (6, 6), (2, 7), (8, 5), (4, 9)][number % 6]
+    draw = [
+        lambda shape: rng.integers(1, 4, shape).astype(float),
+        lambda shape: 10.0 ** rng.integers(-15, 16, shape),
+        lambda shape: rng.choice([0.1, 0.2, 0.3], shape),
+        lambda shape: np.full(shape, 0.3),
+        lambda shape: rng.uniform(0.1, 1.0, shape),
+    ][number // 6 % 5]
+    weight, absent = [draw((columns, rows)), draw((columns, rows - 1))], rng.choice([0.0, 0.1, 0.3, 0.6])
+    for values in weight:
+        values[rng.random(values.shape) < absent] = 0.0
+    exact = {(a, place): Fraction(v) for a, of in enumerate(weight) for place, v in np.ndenumerate(of)}
+    unit = max(value.denominator for value in exact.values())
+    whole = {contact: int(value * unit) for contact, value in exact.items()}
+    least, expected = (
+        lightest((columns, rows), whole, (0,))[0],
+        slipping_in_some_and_every((columns, rows), whole, (0,)),
+    )
+    ((_, cut),) = ring_cuts(*(values[None] for values in weight))
+    tied = cut.sideways_tied[0], cut.upward_tied[0]
+    for (axis, place), (some, every) in expected.items():
+        assert tied[axis][place] == (some and not every)
+    assert cut.tied[0] == sum(some and not every for some, every in expected.values())
+    above = cut.above[0]
+    parted = [(a, place) for a, place, low, high in contacts((columns, rows), (0,)) if above[low] != above[high]]
+    assert least == sum(whole[contact] for contact in parted)
+    assert Fraction(cut.weight[0]) * unit <= least

@@ -1,0 +1,40 @@
+"""Lightest rings around grids whose rows close on themselves: minimum cuts between bottom and top, by flows."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from taichi_bearings.lattice import Lattice
+from taichi_bearings.numerics.exact_cuts import cuts_between
+from taichi_bearings.numerics.minimum_cut import cut_lattice, edges_of, graph_of_lattice
+from taichi_bearings.numerics.planar import MinimumCuts
+
+
+def ring_cuts(sideways: np.ndarray, upward: np.ndarray) -> Iterator[tuple[slice, MinimumCuts]]:
+    """Cuts of least weight between the bottom row and the top row of grids whose rows close on themselves, as
+    :func:`taichi_bearings.numerics.planar.minimum_cuts` gives those of others: the lightest rings around them.
+
+    sideways : weights (B, w, h), those at the end of the contacts of the last column with the first. upward : weights
+    (B, w, h - 1). The next weight is not known (NaN) but for ties.
+
+    A flow of rounded weights puts most spheres on one side of all lightest cuts. What lies between is cut again,
+    exactly.
+    """
+    for grid in range(len(upward)):
+        weight = sideways[grid], upward[grid]
+        cut, lattice = cut_lattice(weight), Lattice.of(weight)
+        node, ends = graph_of_lattice(lattice)
+        above, open_ = np.zeros((2, int(node.max()) + 1), dtype=bool)
+        above[node], open_[node] = cut.above, cut.between
+        tied = np.zeros(ends.shape[1], dtype=bool)
+        if open_.any():
+            exact, place = cuts_between(ends, edges_of(weight), above, open_)
+            tied, above = exact.some & ~exact.every, exact.above[place]
+        beside, rising = np.zeros(sideways.shape[1:], dtype=bool), np.zeros(upward.shape[1:], dtype=bool)
+        ring, risen = np.zeros(sideways.shape[1:]), np.zeros(upward.shape[1:])
+        for along, up, values in ((ring, risen, cut.flow * cut.unit), (beside, rising, tied)):
+            inner, rest = np.split(values, [along[:, 1:-1].size])
+            along[:, 1:-1], up[:] = inner.reshape(along[:, 1:-1].shape), rest.reshape(up.shape)
+        next_weight = np.array(cut.weight if tied.any() else np.nan)
+        found = above[node], ring, risen, beside, rising, np.array(cut.weight), next_weight
+        yield slice(grid, grid + 1), MinimumCuts(*(values[None] for values in found))
