@@ -190,7 +190,8 @@ def judged(scene: Scene, spin: np.ndarray, spin_rounding: np.ndarray, friction: 
 def above_noise(answer: Solution) -> np.ndarray:
     """Its contact states, where nothing is proven those undecided that seem to slip by less than the gap or what
     friction misses of its limit can resolve, or to rest while they bear all their friction; all of them where
-    coefficients are too uneven for anything but a cut."""
+    coefficients are too uneven for anything but a cut. With one component what is not proven beside proven contacts is
+    what cuts that (nearly) tie differ in: there contacts that seem to slip are undecided, too."""
     scene, slips = answer.scene, answer.state == ContactState.SLIPPING
     limit = scene.strength * scene.coefficient
     missing = limit - answer.force - ROUNDED_LIMIT * limit
@@ -199,6 +200,8 @@ def above_noise(answer: Solution) -> np.ndarray:
     doubtful |= (answer.state == ContactState.SLIPLESS) & (answer.force >= SATURATED * limit)
     if "cut_is_unique" not in answer.findings:  # cuts are exact, whatever the contrast
         doubtful |= too_uneven(answer)[:, None] & (answer.state != ContactState.DRIVEN)
+    if len(scene.minimum_spin_axes) == 1:
+        doubtful |= slips & (answer.proven < ContactState.UNDECIDED).any(axis=1, keepdims=True)
     doubtful &= answer.proven == ContactState.UNDECIDED
     return np.where(doubtful, ContactState.UNDECIDED, answer.state).astype(np.uint8)
 
@@ -244,8 +247,14 @@ def named(answer: Solution, found: list[States | None], as_proven: bool, at_mini
 
 
 def with_ties_counted(answer: Solution) -> Solution:
-    """The answer with contacts that slip at some minima alone counted, and undecided."""
-    tied = answer.state == ContactState.TIED
+    """The answer with contacts that slip at some minima alone counted, and undecided. With one component and absent
+    contacts only a cut knows their number."""
+    tied, scene = answer.state == ContactState.TIED, answer.scene
+    absent = len(scene.minimum_spin_axes) == 1 and bool((scene.coefficient == 0).any())
+    if absent and "cut_is_unique" not in answer.findings:
+        left_out = {name: values for name, values in answer.findings.items() if name != "tied_contacts"}
+        known = np.where(tied, ContactState.UNDECIDED, answer.state).astype(np.uint8)
+        return replace(answer, state=known, findings=left_out)
     state = np.where(tied, ContactState.UNDECIDED, answer.state).astype(np.uint8)
     looked = "tied_contacts" in answer.findings or tied.any()
     return replace(

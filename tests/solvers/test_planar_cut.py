@@ -12,7 +12,7 @@ from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.runs.solved import Run
 from taichi_bearings.scene import Scene, Status
 from taichi_bearings.scene.initial_spins import initial_spin
-from taichi_bearings.solvers import PlanarCut
+from taichi_bearings.solvers import InteriorPoint, PlanarCut
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
 from tests.exact_interfaces import slipping_in_some_and_every
@@ -195,3 +195,20 @@ def test_ties_beside_absent_contacts_are_all_found_and_nothing_else(number):
             assert states[axis][place] == expected
     assert solution.findings["tied_contacts"][0] == tied
     assert solution.minimum_is_unique[0] == (not tied)
+
+
+@pytest.mark.parametrize("number", some_of(24, 4))
+def test_other_methods_call_no_tied_contact_slipping_beside_absent_ones(number):
+    """Of a method that cuts nothing: what ties is undecided, and no number of ties is said that it does not know."""
+    rng, shape = np.random.default_rng([number, 51]), [(5, 6), (6, 5), (4, 7)][number % 3]
+    values = [rng.integers(1, 4, tuple(n - (a == axis) for a, n in enumerate(shape))) * 0.25 for axis in range(2)]
+    for of in values:
+        of[rng.random(of.shape) < 0.15] = 0.0
+    scene = Scene(tuple(values))
+    solution = solve(scene, InteriorPoint().build(), initial_spin(scene, "linear"), StopRule(1e-10))
+    states = [of[0] for of in scene.lattice.by_axis(solution.state)]
+    weights = {(a, place): int(4 * v) for a, of in enumerate(values) for place, v in np.ndenumerate(of)}
+    for (axis, place), (some, every) in slipping_in_some_and_every(shape, weights).items():
+        right = ContactState.SLIPPING if every else ContactState.UNDECIDED if some else ContactState.SLIPLESS
+        assert states[axis][place] in (right, ContactState.UNDECIDED)
+    assert "tied_contacts" not in solution.findings
