@@ -11,6 +11,7 @@ from taichi_bearings_cli.progress import Display, in_lines
 from taichi_bearings_cli.report import ends, rows_told, solved
 from taichi_bearings_cli.verify import describe as describe_verdict
 
+from taichi_bearings.progress import duration
 from taichi_bearings.quantities import COLUMNS
 from taichi_bearings.words import counted, listed, undecided_kinds
 
@@ -32,6 +33,7 @@ LAST_TOLD = (
 @click.option(
     "--verify", is_flag=True, help="Check the written file as `bearings verify` does; exit code 1 if it fails."
 )
+@click.option("--dry-run", is_flag=True, help="Only say the method, and the time and memory to expect; solve nothing.")
 @title_option
 @json_option
 @click.pass_context
@@ -61,9 +63,12 @@ def command(
       bearings run scene.toml --method cundall-strack --initial random --out outputs/relaxation
       bearings run --method cundall-strack --duration 10 --record log:1e-4,10,100 --checkpoint-every 60 --out outputs/a
       bearings run --resume outputs/a --duration 20
+      bearings run --shape 96,96,96 --tolerance 1e-3 --dry-run
     """
+    is_dry, verdict = options.pop("dry_run"), None
     given = {key: value for key, value in options.items() if value is not None}
-    verdict: dict[str, Any] | None = None
+    if is_dry:
+        return _tell_cost(scene, resume, given, as_json)
     with Display() as display:
         try:
             solve, place = _task(scene, out, force, resume, given)
@@ -93,6 +98,30 @@ def command(
     context.exit(0 if reached and is_there and (verdict is None or verdict["verified"]) else 1)
 
 
+def _tell_cost(scene: str | None, resumed: str | None, given: dict[str, Any], as_json: bool) -> None:
+    """Print what the run would take."""
+    from taichi_bearings.errors import InputError
+    from taichi_bearings.runs.run import cost
+
+    if resumed:
+        raise InputError(f"resume is {resumed!r}: how far that run has come is not known; leave out --dry-run")
+    report = cost(_settings(scene, given)[0]).report
+    answer(report, as_json, lambda: describe_cost(report))
+
+
+def describe_cost(report: dict[str, Any]) -> str:
+    """What a run would take, for people."""
+    step, steps, seconds = report["seconds_per_step"], report["steps"], report["seconds"]
+    words = (
+        "not known before: it ends where its tolerance is reached" if seconds is None else f"about {duration(seconds)}"
+    )
+    if step is not None:
+        known = "" if seconds is None else f", {words} in all for {steps:,} steps" if steps else f", {words} in all"
+        open_end = " until it is at rest or within its tolerance, which nobody knows before" if seconds is None else ""
+        words = f"about {step:.1g} s a step{known}{open_end}"
+    return f"method: {report['method']}\ntime: {words}\nmemory: about {report['bytes'] / 1e9:.2f} GB"
+
+
 def _idle_seed(settings: Any, given: dict[str, Any]) -> list[str]:
     """What is to be said of a --seed that draws nothing."""
     from taichi_bearings.runs.packing_run import idle_seed
@@ -107,14 +136,23 @@ def _task(
     be."""
     from taichi_bearings.errors import InputError
     from taichi_bearings.runs.run import resume, run
-    from taichi_bearings.runs.run_file import refuse_scan
-    from taichi_bearings.runs.settings import RunSettings, read_toml
-    from taichi_bearings.scene import Scene
 
     if resumed:
         if scene or out or force:
             raise InputError(f"resume is {resumed!r}: a resumed run keeps its scene and its directory; leave them out")
         return partial(resume, Path(resumed), given), resumed
+    settings, stored_out = _settings(scene, given)
+    out = out or stored_out
+    return partial(run, settings, Path(out) if out else None, force), out
+
+
+def _settings(scene: str | None, given: dict[str, Any]) -> tuple[Any, str | None]:
+    """The settings of a scene file with these options, and the directory that the file names."""
+    from taichi_bearings.errors import InputError
+    from taichi_bearings.runs.run_file import refuse_scan
+    from taichi_bearings.runs.settings import RunSettings, read_toml
+    from taichi_bearings.scene import Scene
+
     if scene is not None and not scene.endswith(".toml"):
         refuse_scan(Path(scene))
     values = read_toml(Path(scene)) if scene is not None else {}
@@ -127,9 +165,7 @@ def _task(
         raise InputError(f"force in {scene}: a file replaces nothing; give --force on the command line")
     if not isinstance(stored_out, str | None):
         raise InputError(f"out is {stored_out!r}; it must be a text")
-    out = out or stored_out
-    settings = RunSettings.from_mapping(values | given, scene or "the options")
-    return partial(run, settings, Path(out) if out else None, force), out
+    return RunSettings.from_mapping(values | given, scene or "the options"), stored_out
 
 
 def describe(summary: dict[str, Any], times: str) -> str:

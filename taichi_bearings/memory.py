@@ -10,11 +10,18 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import DTypeLike
 
+from taichi_bearings.errors import InputError
+
 CGROUP = Path("/sys/fs/cgroup")
 LITTLE_BYTES = 1e8  # bytes
 # options of mallopt of the GNU C library: bytes from which memory is taken for itself and given back at once, of free
 # memory at the end of the heap from which that is given back, and taken with each growth of the heap
 MALLOC_OPTIONS = {-3: 2**25, -1: 2**29, -2: 2**26}
+TOLD_WITHIN = 1.15  # factor by which what is told of large solves may be too low
+
+
+class NotEnoughMemory(InputError, MemoryError):
+    """What is asked for needs more memory than there is, as is known before it is begun."""
 
 
 def free_bytes() -> float:
@@ -54,6 +61,14 @@ def keep_freed() -> None:
         return
     for option, size in MALLOC_OPTIONS.items():
         mallopt(option, size)
+
+
+def refuse_before(needed: float, what: str) -> None:
+    """NotEnoughMemory if so many bytes, told before the work is begun, are not there; they may be told too low."""
+    room = free_bytes() if needed > LITTLE_BYTES else np.inf
+    if needed * TOLD_WITHIN > room:
+        words = f"needs some {needed / 1e9:.1f} GB of memory; {max(room, 0) / 1e9:.1f} GB are free"
+        raise NotEnoughMemory(f"{what} {words}")
 
 
 def aligned_zeros(count: int, block: int, dtype: DTypeLike = float) -> np.ndarray:

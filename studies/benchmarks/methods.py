@@ -60,8 +60,9 @@ def measure(settings: RunSettings, names: Sequence[str], with_peers: bool, round
     for name in names:
         options = METHODS[name]()
         reason = options.refusal(scene)
-        if not reason and options.bytes(sites) > SPARE * free_bytes():
-            reason = f"it needs {options.bytes(sites) / 1e9:.1f} GB"
+        needed = options.bytes(scene.lattice.shape, scene.lattice.periodic)
+        if not reason and needed > SPARE * free_bytes():
+            reason = f"it needs {needed / 1e9:.1f} GB"
         if reason:
             yield f"{label}: {name} is left out: {reason}"
         else:

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from decimal import Decimal
-from math import inf, nan, prod
+from math import inf, nan
 from typing import Any
 
 import numpy as np
@@ -63,8 +63,8 @@ def _solve(cell: Cell) -> dict[str, Any]:
 
 def bytes_of(cell: Cell) -> float:
     """Memory of a solve and of its proof, roughly."""
-    sites = prod(cell.case.scene.lattice.shape)
-    return 200e6 + 1500 * sites + ROWS[cell.row.method].bytes(sites)
+    lattice = cell.case.scene.lattice
+    return 200e6 + cell.case.scene.replicas * ROWS[cell.row.method].bytes(lattice.shape, lattice.periodic)
 
 
 @dataclass

@@ -53,14 +53,32 @@ def _candidates(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> list
     return found
 
 
-def certifying_forces(scene: Scene, force: Forces, spin_axes: tuple[int, ...], bound: np.ndarray) -> Forces:
+def can_prove_no_state(scene: Scene, excess: np.ndarray) -> bool:
+    """Whether so much is open of the power of every sample that it says nothing of any contact.
+
+    At any minimum a contact of friction w that bears |f| slips by no more than excess / (w - |f|). No spin of a
+    minimum leaves the box between the planes, so no contact slips faster than R times the jump across all components.
+    Where excess is at least the largest w times that, the first bound is no better for any contact, whatever f is.
+
+    excess : (R,), power less its proven lower bound, energy/time.
+    """
+    if scene.law.flows or not scene.law.holds:
+        return False
+    strongest = scene.strength * scene.acting_coefficient.max(axis=1, initial=0.0)
+    return bool((excess >= strongest * scene.lattice.radius * scene.jump).all() and scene.jump > 0)
+
+
+def certifying_forces(
+    scene: Scene, force: Forces, spin_axes: tuple[int, ...], bound: np.ndarray, excess: np.ndarray | None = None
+) -> Forces:
     """Forces (C, R, E) near the given ones that certify by themselves.
 
     They leave no torque on any free sphere but rounding, and with Coulomb friction none is longer than its disc: the
     bound is the work of the driven planes against them less the conjugates. Where such forces prove less than `bound`,
     those that pay for leftover torques are returned.
 
-    bound : (R,), lower bound on the objective that these forces should prove.
+    bound : (R,), lower bound on the objective that these forces should prove. excess : (R,), of the objective over it,
+    if known: where that can prove no contact state, forces that pay for leftover torques do, and are found at once.
 
     Forces are projected in turn on those in balance and, with an over-relaxation of 1.5, on the friction discs. Zero
     forces are in balance and inside all discs, so that converges linearly (Bauschke and Borwein, SIAM Review 38, 1996).
@@ -68,6 +86,8 @@ def certifying_forces(scene: Scene, force: Forces, spin_axes: tuple[int, ...], b
     MOST_PROJECTIONS.
     """
     given = force = _finite(scene, force)
+    if excess is not None and can_prove_no_state(scene, excess):
+        return _most_proving(scene, given, np.full(scene.replicas, -np.inf), given, spin_axes, bound)
     largest = np.abs(force).max(axis=(0, 2), initial=0.0)
     left_over = largest_unbalanced_torque(scene, force, spin_axes) / scene.lattice.radius
     in_balance = left_over <= ROUNDED_PULL * largest

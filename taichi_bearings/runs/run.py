@@ -10,6 +10,7 @@ import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
+from math import prod
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +21,10 @@ from taichi_bearings.errors import FileError, InputError, WriteError
 from taichi_bearings.files.whole_file import write_text
 from taichi_bearings.interrupts import awaited
 from taichi_bearings.lattice import Lattice
-from taichi_bearings.memory import refuse_beyond
+from taichi_bearings.memory import refuse_before
 from taichi_bearings.options import options_of
 from taichi_bearings.plain_files import real_path
+from taichi_bearings.runs.cost import Cost, cost_of, refuse_too_large
 from taichi_bearings.runs.run_directory import (
     RunDirectory,
     checkpoint_of,
@@ -108,9 +110,6 @@ def _row_of(settings: RunSettings) -> type[MethodOptions]:
     return row
 
 
-MEMORY_ERROR = 3  # up to which factor the memory of a method is known
-
-
 @dataclass(frozen=True)
 class Job:
     """A checked run that is ready to be solved. scene : as of a Solution. spin : as of Run."""
@@ -142,8 +141,17 @@ def prepare(settings: RunSettings, strict: bool = True) -> Job:
             settings = fitting(settings, strict)
             return Job(settings, *packings_to_solve(settings))
         compiler.name()  # refuses one that is unknown or absent
+        spheres = settings.replicas * prod(settings.shape)
+        refuse_before(MethodOptions.bytes(settings.shape) * settings.replicas, f"a run of {counted(spheres, 'sphere')}")
         scene = build_scene(settings)
         return job_of(settings, scene, initial_spin(scene, settings.initial), strict)
+
+
+def cost(settings: RunSettings) -> Cost:
+    """What the run of these settings would take; every input error is raised, and nothing is solved."""
+    job = prepare(settings)
+    row = row_of(job.settings) if settings.is_packing else type(job.method.options)
+    return cost_of(job.settings, row, job.scene)
 
 
 def job_of(settings: RunSettings, scene: Scene, spin: np.ndarray, strict: bool = True) -> Job:
@@ -154,8 +162,7 @@ def job_of(settings: RunSettings, scene: Scene, spin: np.ndarray, strict: bool =
     settings = settings.fitting(row, strict)
     if reason := row.refusal(scene):
         raise InputError(reason)
-    least = row.bytes(scene.lattice.sites) / MEMORY_ERROR
-    refuse_beyond(least, f"{row.name} of {scene.lattice.sites:,} spheres")
+    refuse_too_large(row, scene)
     given = {key: getattr(settings, key) for key in options_of(row)}
     method = row(**{key: value for key, value in given.items() if value is not None})
     return Job(settings, scene, spin, method.build())

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from taichi_bearings.runs.cost import JUDGED_SECONDS, OBLIQUE_BYTES, PROCESS_BYTES, bytes_of_lattice
 from taichi_bearings.runs.run import row_of
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scans.engine import Record, Unit
@@ -17,7 +18,6 @@ from taichi_bearings.scans.plan import Sample, groups_of, spheres_of
 
 WORKER_START = 1.0  # seconds to start a worker, its imports included
 OVERHEAD = 5e-4  # seconds to summarise a sample and write it down
-WORKER_BYTES = 200e6  # of a worker that has solved nothing yet
 UNIT_SECONDS = 1.0  # estimated work that is sent to a worker at a time
 BLOCK_SAMPLES = 24  # samples of which an interior point steps eight at once: where one is done, another takes its place
 MOST_IN_A_UNIT = 256
@@ -35,7 +35,8 @@ def seconds_of(settings: RunSettings, structure: bool = False) -> float:
     solve = None if settings.is_packing else row_of(settings).seconds(settings.shape, settings.tolerance)
     if solve is None:
         return math.inf
-    return seconds_beside(settings, structure) + min(solve, settings.time_limit or math.inf)
+    judged = JUDGED_SECONDS[len(settings.shape)] * spheres_of(settings)
+    return seconds_beside(settings, structure) + judged + min(solve, settings.time_limit or math.inf)
 
 
 def seconds_beside(settings: RunSettings, structure: bool = False) -> float:
@@ -46,7 +47,11 @@ def seconds_beside(settings: RunSettings, structure: bool = False) -> float:
 def bytes_of(settings: RunSettings) -> float:
     """Memory of a worker that solves such samples."""
     sites = spheres_of(settings)
-    return WORKER_BYTES + 1000 * max(sites, MOST_SITES_IN_A_UNIT) + row_of(settings).bytes(sites)
+    if settings.is_packing:
+        return PROCESS_BYTES + OBLIQUE_BYTES * sites
+    periodic = ["xyz".index(name) for name in settings.periodic]
+    together = max(1, min(MOST_IN_A_UNIT, MOST_SITES_IN_A_UNIT // sites))
+    return bytes_of_lattice(row_of(settings), settings.shape, periodic, together)
 
 
 def kind_of(settings: RunSettings) -> tuple[Any, ...]:

@@ -41,7 +41,7 @@ def answered(
         idle = scene.is_cut_off | (scene.jump == 0)
         forces = np.where(idle[:, None], 0.0, forces) if idle.any() else forces
     spin, spin_rounding = scene.laboratory_pair(final.staggered, final.rest, final.spin_axes)
-    proof = certifying_forces(scene, forces, final.spin_axes, bound)
+    proof = certifying_forces(scene, forces, final.spin_axes, bound, final.objective - bound)
     friction = laboratory_forces(proof, scene.lattice, final.spin_axes)
     judgement = judged(scene, spin, spin_rounding, friction)
     slip = scene.slips(final.staggered, final.spin_axes) if final.slip is None else final.slip

@@ -88,7 +88,7 @@ def solve(
         raise DeviceError(f"{method.options.name} works in the memory of the CPU; use --arch cpu")
     began = time.perf_counter()
     with Interrupt() as interrupt:
-        with stage("compiling" if method.options.needs_taichi else "preparing"), interrupt.at_once():
+        with stage("preparing"), interrupt.at_once():
             method.begin(scene, spin)
         if interrupt.heard:  # nothing is reached yet
             raise KeyboardInterrupt
@@ -96,7 +96,7 @@ def solve(
         with leaving.saving():  # what is reached from here on
             with stage("solving") as solving:
                 course.follow([solving.tell, *monitors])
-            with stage("proving contact states"):
+            with stage("proving"):
                 solution = course.answer(slip_threshold)
     running = runtime.current() if method.options.needs_taichi else runtime.HOST
     if method.options.cpu_only:  # whose numbers are doubles, whatever those of fields are

@@ -44,6 +44,25 @@ def _laws(condition: Callable[[Law], bool] = lambda law: True) -> "staticmethod[
     return staticmethod(lambda law: type(law) is Law and condition(law))
 
 
+# bytes a sphere of a lattice of 2 or 3 dimensions while its answer is judged: enclosures (16 or 24 bytes a number) of
+# the slips, forces and moments of 2 or 3 contacts a sphere, beside the answer; the peak that tracemalloc shows
+JUDGED_BYTES = {2: 1180.0, 3: 1750.0}
+# bytes a sphere of a method that factorises, beside the numbers of the factor: some 20 rows of the contacts along the
+# path, the pattern of the factor and its tables
+FACTORISING_BYTES = {2: 2800.0, 3: 5500.0}
+
+
+def _factorising_bytes(shape: Sequence[int], periodic: Sequence[int]) -> float:
+    """The most memory of a method that factorises a Laplacian of the free spins; infinite if that cannot be indexed."""
+    from taichi_bearings.lattice import Lattice
+    from taichi_bearings.numerics.cholesky.size import factor_numbers
+    from taichi_bearings.numerics.cholesky.tuning import MOST_FACTOR_NUMBERS
+
+    axes = (2,) if len(shape) == 2 else (0, 1)
+    numbers = factor_numbers(Lattice(tuple(shape), periodic=tuple(periodic)), axes)
+    return 8 * numbers + FACTORISING_BYTES[len(shape)] * prod(shape) if numbers < MOST_FACTOR_NUMBERS else inf
+
+
 material = partial(option, laws=attrgetter("holds"))  # of contacts that bear a force without slipping
 
 
@@ -105,9 +124,15 @@ class MethodOptions:
         return None
 
     @classmethod
-    def bytes(cls, sites: int) -> float:
-        """Memory beside the fields of the scene."""
-        return 0.0
+    def step_seconds(cls, shape: Sequence[int]) -> float | None:
+        """Time of a step of a dynamics or descent whose steps are alike, as :meth:`seconds`; None of other methods."""
+        return None
+
+    @classmethod
+    def bytes(cls, shape: Sequence[int], periodic: Sequence[int] = ()) -> float:
+        """The most memory that one sample takes until its answer is written, beside that of an interpreter: where the
+        method keeps no more itself, that in which the answer is judged. Good to a factor of 1.3."""
+        return JUDGED_BYTES[len(shape)] * prod(shape)
 
 
 METHODS: dict[str, type[MethodOptions]] = {}
@@ -176,11 +201,11 @@ class InteriorPoint(MethodOptions):
     @classmethod
     def seconds(cls, shape: Sequence[int], tolerance: float) -> float | None:
         sites = prod(shape)
-        return 3e-6 * sites**1.3 if len(shape) == 2 else 1.2e-5 * sites + 1.2e-8 * sites**2
+        return 3e-6 * sites**1.3 if len(shape) == 2 else 1.5e-4 * sites + 1e-8 * sites**2
 
     @classmethod
-    def bytes(cls, sites: int) -> float:
-        return 8000 * sites + 190 * sites ** (4 / 3)  # vectors of contacts; the factor with its updates
+    def bytes(cls, shape: Sequence[int], periodic: Sequence[int] = ()) -> float:
+        return max(_factorising_bytes(shape, periodic), super().bytes(shape))
 
 
 @register
@@ -226,6 +251,10 @@ class GradientDescent(MethodOptions):
     of_packings = "taichi_bearings.solvers.packings:GradientDescentOfPacking"
     colour, marker = "#E69F00", "P"
     solves = _laws()
+
+    @classmethod
+    def step_seconds(cls, shape: Sequence[int]) -> float | None:
+        return 5e-6 + 2e-8 * prod(shape)
 
     momentum: bool = how(
         True, TRUTH, "Accelerate, and regularise friction; without it the paper's plain method.", rare=True
@@ -277,6 +306,10 @@ class RigidLimit(Motion):
     colour, marker = "#56B4E9", "<"
     solves = _laws()
 
+    @classmethod
+    def bytes(cls, shape: Sequence[int], periodic: Sequence[int] = ()) -> float:
+        return max(_factorising_bytes(shape, periodic), super().bytes(shape))
+
     error_tolerance: float = _error_tolerance()
     rest_tolerance: float = _rest_tolerance(1e-12)
 
@@ -296,6 +329,10 @@ class CundallStrack(Motion):
     of_packings = "taichi_bearings.solvers.packings:CundallStrackOfPacking"
     colour, marker = "#8C6BB1", ">"
     solves = _laws()
+
+    @classmethod
+    def step_seconds(cls, shape: Sequence[int]) -> float | None:
+        return 5e-6 + 2.5e-8 * prod(shape)
 
     stiffness: float = material(1e5, POSITIVE, "Tangential stiffness K_t.", unit="force/length")
     damping: float = material(1e3, NOT_NEGATIVE, "Tangential damping A_t.", unit="force*time/length")

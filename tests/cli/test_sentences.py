@@ -210,7 +210,7 @@ if sys.platform != "win32":
     @pytest.mark.usefixtures("cold")
     def test_ctrl_c_before_the_first_result_of_a_run_with_checkpoints_names_the_command_that_goes_on(tmp_path):
         words = ("--method", "cundall-strack", "--shape", "4,4", "--duration", "1e-3", "--checkpoint-every", "60")
-        session = on_terminal("run", *words, "--out", tmp_path / "r", columns=300, stop="compiling")
+        session = on_terminal("run", *words, "--out", tmp_path / "r", columns=300, stop="preparing")
         assert session.returncode == 130
         assert f"`bearings run --resume {tmp_path / 'r'}` goes on from the last checkpoint" in session.frames[-1][1]
         assert bearings("run", "--resume", tmp_path / "r").returncode == 0

@@ -25,12 +25,11 @@ from taichi_bearings import progress
 HANGS = 60.0  # seconds
 MOMENTS = (0.0, 0.1, 0.4, 1.0, 3.0, 8.0)  # seconds after a stage has begun
 OF_RUNS = (
-    "reading", "starting Taichi", "compiling", "preparing", "solving", "settling contact states",
-    "proving contact states", "writing", "drawing",
+    "reading", "starting Taichi", "preparing", "solving", "settling contact states", "proving", "writing", "drawing",
 )  # fmt: skip
-STAGES = (*OF_RUNS, "analysing", "drawing figure", "proving")
+STAGES = (*OF_RUNS, "analysing", "drawing figure")
 SMALL = "8x8x8"  # at one moment only, and in the longer stages
-LONGER = ("compiling", "solving", "settling contact states", "proving contact states", "drawing")
+LONGER = ("preparing", "solving", "settling contact states", "proving", "drawing")
 COMMANDS = {
     SMALL: "run --shape 8,8,8",
     "16x16x16": "run --shape 16,16,16",

@@ -4,9 +4,17 @@ import numpy as np
 import pytest
 
 from taichi_bearings.lattice.grid import friction_by_axis, laboratory_forces, staggered_forces
-from taichi_bearings.proof.certificate import certifying_forces, dual_value, largest_unbalanced_torque, lower_bound
+from taichi_bearings.lattice.incidence import contact_differences
+from taichi_bearings.proof import certificate
+from taichi_bearings.proof.certificate import (
+    MOST_PROJECTIONS,
+    certifying_forces,
+    dual_value,
+    largest_unbalanced_torque,
+    lower_bound,
+)
 from taichi_bearings.scene.initial_spins import initial_spin
-from taichi_bearings.solvers import METHODS
+from taichi_bearings.solvers import METHODS, InteriorPoint
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
 from tests.scenes import make_scene
@@ -87,3 +95,32 @@ def test_any_forces_become_balanced_and_admissible_ones():
         one = make_scene((4, 3, 5), seeds=(seed,))
         alone = certifying_forces(one, force[:, [replica]], axes, bound[[replica]])
         assert (alone[:, 0] == certifying[:, replica]).all()
+
+
+@pytest.mark.usefixtures("taichi_runtime", "needs_f64")
+def test_forces_are_not_brought_into_balance_where_so_much_is_open_that_no_state_can_follow(monkeypatch):
+    """The bound that they prove is the same."""
+    scene = make_scene((6, 6, 5), seeds=(1,))
+    start = scene.staggered_spin(initial_spin(scene, "linear"), scene.minimum_spin_axes)
+    force = scene.strength * scene.acting_coefficient * np.sign(contact_differences(start, scene.lattice, (0, 1))) / 2
+    bound, made = lower_bound(scene, force, (0, 1)), []
+    monkeypatch.setattr(certificate, "balance", lambda *words, of=certificate.balance: made.append(1) or of(*words))
+    strongest = scene.strength * scene.acting_coefficient.max() * scene.lattice.radius * scene.jump
+    for share, most in ((1.01, 1), (0.99, MOST_PROJECTIONS + 2)):
+        made.clear()
+        found = certifying_forces(scene, force, (0, 1), bound, np.array([share * strongest]))
+        assert dual_value(scene, found, (0, 1))[0] >= bound[0] * (1 - 1e-12)
+        assert len(made) <= most
+        assert (len(made) > 1) == (share < 1)
+    exact = solve(scene, InteriorPoint().build(), initial_spin(scene, "linear"), StopRule(1e-9))
+    assert bound[0] <= exact.power[0]
+
+
+def test_what_is_open_proves_no_state_by_what_a_single_contact_can_dissipate():
+    """By exact fractions of one contact: with friction w it slips by excess / w at most when it bears nothing."""
+    scene = make_scene((4, 4, 4), seeds=(2,))
+    fastest = scene.lattice.radius * scene.jump
+    limit = (scene.strength * scene.acting_coefficient).max()
+    for excess in (0.5 * limit * fastest, 2 * limit * fastest):
+        assert certificate.can_prove_no_state(scene, np.array([excess])) == (excess / limit >= fastest)
+    assert not certificate.can_prove_no_state(make_scene((4, 4, 4), "viscous", seeds=(2,)), np.array([1e9]))

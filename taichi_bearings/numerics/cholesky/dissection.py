@@ -42,7 +42,7 @@ def dissect(lattice: Lattice, spin_axes: tuple[int, ...], leaf: int = LEAF_UNKNO
         return known[alike] + sphere[corner] * len(spin_axes)
 
     def divided(region: Region) -> np.ndarray:
-        division = _best_division(region, len(shape)) if _size(region) > leaf else None
+        division = divide(region, len(shape)) if _size(region) > leaf else None
         if division is None:
             return numbers(region)
         below, separator, above = division
@@ -57,7 +57,7 @@ def dissect(lattice: Lattice, spin_axes: tuple[int, ...], leaf: int = LEAF_UNKNO
     return np.concatenate([order, np.flatnonzero(last)])
 
 
-def _best_division(region: Region, dimension: int) -> tuple[Region, Region, Region] | None:
+def divide(region: Region, dimension: int) -> tuple[Region, Region, Region] | None:
     """Below, separator and above for the middle plane with the smallest separator; None if no plane divides."""
     best: tuple[Region, Region, Region] | None = None
     least = None

@@ -1,0 +1,74 @@
+"""How many numbers a factorisation of a lattice holds, told from its dissection before anything of it is made."""
+
+from functools import lru_cache
+
+import numpy as np
+
+from taichi_bearings.lattice import Lattice
+from taichi_bearings.numerics.cholesky.dissection import Region, divide
+from taichi_bearings.numerics.cholesky.tuning import GROVE_NUMBERS, LEAF_UNKNOWNS
+
+JOINED = 2.0  # updates of fronts that were joined to save calls over those of the planes of the dissection
+Tree = tuple[float, float, tuple[float, ...]]
+"""Of a region: numbers of its factor, the most that its updates hold at a time, and its updates by depth."""
+
+
+@lru_cache(maxsize=64)
+def factor_numbers(lattice: Lattice, spin_axes: tuple[int, ...]) -> float:
+    """Numbers of double precision in a factorisation of the free spins: its columns, and its updates at their most.
+
+    Good to some 15 percent, for periodic lattices to a factor of 1.6. spin_axes : components that turn.
+    """
+    shape, known = lattice.free_shape, dict[tuple, Tree]()
+
+    def neighbours(region: Region) -> float:
+        """Unknowns outside a region that a contact joins to it: its border once all inside is eliminated."""
+        total = 0
+        for component, (low, high) in region.items():
+            sides = [b - a for a, b in zip(low, high, strict=True)]
+            for axis in {*range(len(shape))} - {component}:
+                closed = axis in lattice.periodic
+                around = closed and sides[axis] == shape[axis] - 1  # one plane is next to both of its ends
+                ends = 1 if around else (low[axis] > 0 or closed) + (high[axis] < shape[axis] or closed)
+                total += ends * int(np.prod(sides)) // sides[axis]
+        return float(total)
+
+    def tree(region: Region) -> Tree:
+        corner = np.min([low for low, _ in region.values()], axis=0)
+        moved = [(c, *np.subtract(box, corner).ravel().tolist()) for c, box in region.items()]
+        border = neighbours(region)
+        alike = (*moved, border)
+        if alike not in known:
+            known[alike] = divided(region, border)
+        return known[alike]
+
+    def divided(region: Region, border: float) -> Tree:
+        inside, update = unknowns(region), border * (border + 1) / 2
+        division = divide(region, len(shape)) if inside > LEAF_UNKNOWNS else None
+        if division is None:
+            return inside * (inside + border), update, (update,)
+        below, separator, above = division
+        parts, own = [tree(side) for side in (below, above) if side], unknowns(separator)
+        if not own:  # what nothing couples falls apart
+            update = sum(part[2][0] for part in parts)
+        depths = max(len(part[2]) for part in parts)
+        levels = [update, *(sum(part[2][n] for part in parts if n < len(part[2])) for n in range(depths))]
+        if sum(levels) <= GROVE_NUMBERS:  # worked on depth by depth: two depths at a time
+            most = max(above + below for above, below in zip(levels, [*levels[1:], 0.0], strict=True))
+        else:  # one side after the other, whose updates wait
+            before = np.cumsum([0.0, *(part[2][0] for part in parts)])
+            most = max(*(wait + part[1] for wait, part in zip(before, parts, strict=False)), before[-1] + update)
+        return sum(part[0] for part in parts) + own * (own + border), most, tuple(levels)
+
+    low = {c: tuple(int(a in lattice.periodic and a != c) for a in range(len(shape))) for c in spin_axes}
+    whole = {
+        c: (first, tuple(shape)) for c, first in low.items() if all(a < b for a, b in zip(first, shape, strict=True))
+    }
+    last = len(spin_axes) * float(np.prod(shape)) - unknowns(whole)  # the planes where periodic axes are cut open
+    columns, updates, _ = tree(whole) if whole else (0.0, 0.0, ())
+    return columns + last**2 + JOINED * updates
+
+
+def unknowns(region: Region) -> float:
+    """Number of the unknowns in a region."""
+    return float(sum(np.prod([b - a for a, b in zip(*box, strict=True)]) for box in region.values()))

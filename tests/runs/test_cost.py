@@ -1,0 +1,110 @@
+"""What runs are told to take: memory against what is allocated, numbers of factors against those of their layouts."""
+
+import json
+import tracemalloc
+from math import prod
+
+import numpy as np
+import pytest
+
+from taichi_bearings import memory
+from taichi_bearings.conic.cones import isotropic
+from taichi_bearings.conic.contact_system import lattice_system
+from taichi_bearings.conic.newton_matrix import NewtonMatrix
+from taichi_bearings.lattice import Lattice
+from taichi_bearings.memory import NotEnoughMemory
+from taichi_bearings.numerics.cholesky import dissect, factor
+from taichi_bearings.numerics.cholesky.size import factor_numbers
+from taichi_bearings.runs.cost import PROCESS_BYTES
+from taichi_bearings.runs.run import cost, prepare, run
+from taichi_bearings.runs.settings import RunSettings
+from tests.cli.commands import bearings
+
+
+@pytest.mark.parametrize(
+    ("shape", "periodic", "within"),
+    [((20, 20, 20), (), 1.15), ((30, 30, 10), (), 1.15), ((12, 12, 40), (), 1.15), ((16, 16, 16), (0, 1), 1.6)],
+    ids=str,
+)
+@pytest.mark.usefixtures("taichi_runtime", "needs_f64")
+def test_numbers_of_a_factor_are_those_of_its_layout(shape, periodic, within, monkeypatch):
+    made = []
+
+    class Kept(factor.Layout):
+        def __init__(self, *words, **more):
+            super().__init__(*words, **more)
+            made.append(self.size)
+
+    monkeypatch.setattr(factor, "Layout", Kept)
+    lattice, axes = Lattice(shape, periodic=periodic), (0, 1)
+    system = lattice_system(lattice, axes, np.ones((2, *shape[:-1])))
+    NewtonMatrix(system, dissect(lattice, axes)).factorise(isotropic(system.offset, np.ones(len(system.contact))))
+    told = factor_numbers(lattice, axes)
+    assert max(told / max(made), max(made) / told) < within
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        {"shape": (24, 24, 24), "method": "operator-splitting", "tolerance": 1e-2},
+        {"shape": (24, 24, 24), "law": "viscous"},
+        {"shape": (24, 24, 24), "method": "cundall-strack", "iterations": 10},
+        {"shape": (24, 24, 24), "method": "gradient-descent", "iterations": 10},
+        {"shape": (150, 150)},
+        {"shape": (20, 20, 20)},
+    ],
+    ids=lambda words: f"{words.get('method', words.get('law', 'auto'))}-{len(words['shape'])}",
+)
+@pytest.mark.usefixtures("taichi_runtime", "needs_f64")
+def test_memory_is_told_within_a_factor_of_1_3_of_what_is_allocated(words, tmp_path):
+    settings = RunSettings(**words, threads=1, figures="none")
+    small = RunSettings(**{**words, "shape": (4,) * len(settings.shape)}, threads=1, figures="none")
+    run(small, tmp_path / "first")  # loads and compiles
+    told = cost(settings).bytes - PROCESS_BYTES
+    tracemalloc.start()
+    try:
+        run(settings, tmp_path / "run")
+        taken = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert max(told / taken, taken / told) < 1.3, (told / prod(settings.shape), taken / prod(settings.shape))
+
+
+@pytest.mark.parametrize(
+    ("shape", "method", "words"),
+    [
+        ((96, 96, 96), "interior-point", "interior-point of 884,736 spheres needs some"),
+        ((128, 128, 128), "interior-point", "interior-point of 2,097,152 spheres needs more numbers"),
+        ((2000, 2000), "auto", "a run of 4,000,000 spheres needs some"),
+        ((10_000, 10_000, 10), "auto", "a run of 1,000,000,000 spheres needs some"),
+    ],
+    ids=str,
+)
+@pytest.mark.usefixtures("taichi_runtime")
+def test_what_does_not_fit_is_refused_before_it_is_begun(shape, method, words, monkeypatch):
+    room = {"auto": 3e9}.get(method, 23e9)
+    monkeypatch.setattr(memory, "free_bytes", lambda: 23e9 if prod(shape) > 1e8 else room)
+    with pytest.raises(NotEnoughMemory, match=words):
+        prepare(RunSettings(shape=shape, method=method))
+
+
+def test_a_dry_run_says_method_time_and_memory_and_writes_nothing(tmp_path):
+    done = bearings("run", "--shape", "8,8,8", "--dry-run", "--out", tmp_path / "a", "--json")
+    assert done.returncode == 0, done.stderr
+    report = json.loads(done.stdout)
+    assert report["method"] == "interior-point"
+    assert report["seconds"] > 0
+    assert PROCESS_BYTES < report["bytes"] < 1e9
+    assert not (tmp_path / "a").exists()
+    words = ("--method", "cundall-strack", "--duration", "1", "--time-step", "1e-3")
+    told = bearings("run", "--shape", "8,8,8", *words, "--dry-run")
+    assert "s a step, about" in told.stdout
+    assert "for 1,000 steps" in told.stdout
+    told = bearings("run", "--shape", "8,8,8", "--method", "cundall-strack", "--dry-run")
+    assert "which nobody knows before" in told.stdout
+
+
+@pytest.mark.usefixtures("taichi_runtime")
+def test_steps_of_a_dynamics_are_told_as_they_are_made(tmp_path):
+    settings = RunSettings(shape=(4, 4, 5), method="cundall-strack", duration=0.01, threads=1, figures="none")
+    assert cost(settings).steps == run(settings, tmp_path / "a").solution.iterations
