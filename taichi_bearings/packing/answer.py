@@ -24,7 +24,8 @@ from taichi_bearings.words import shown
 
 SURE_MARGIN, SURE_SLIP = 1e-6, 1e-11  # at exact minima, slips in units of the largest imposed one
 MOST_TIES = 200  # whose motions are found; more of them leave every slipping contact undecided
-ENOUGH_FRICTION, MOST_CAPS = 1e3, 4  # of the power over the fastest driven surface; times that friction is cut off
+ENOUGH_FRICTION = 1e3  # of the power over the fastest driven surface
+MOST_CAPS, LESS_POWER = 12, 0.5  # times that friction is cut off; share of the power to which that has to bring it
 MOVED = 1e-7  # of a slip that a motion makes
 
 SLIPLESS, SLIPPING, UNDECIDED, DRIVEN = range(4)
@@ -69,10 +70,10 @@ def _without_contrast(system: System, found: Solution, tolerance: float) -> Solu
             break
         weaker = replace(system, coefficients=(np.minimum(held, most),))
         end = _found(weaker, "interior-point")
-        start = end.spins, np.zeros(system.unknowns) if end.rest is None else end.rest
-        spins, rest = rolled(system, start, capped)
-        other = judged(system, replace(end, spins=spins, rest=rest), tolerance)
-        if not other.gap[0] < found.gap[0]:
+        start = end.spins, np.zeros(system.unknowns) if end.rest is None else np.asarray(end.rest)
+        spins, rounding = rolled(system, start, capped)
+        other = judged(system, replace(end, spins=spins, rest=rounding), tolerance)
+        if not (other.gap[0] < found.gap[0] or other.power[0] < LESS_POWER * found.power[0]):
             break
         found = replace(other, iterations=found.iterations + other.iterations)
     return found
@@ -107,7 +108,8 @@ def _found(system: System, method: str) -> Found:
     if not system.unknowns or not system.offset.any():
         return Found(np.zeros(system.unknowns), np.zeros_like(system.offset), "linear-solver")
     if exact and method != "interior-point":
-        return Found(*planar.least_power(system), "planar-cut")
+        (high, low), force = planar.least_power(system)
+        return Found(high, force, "planar-cut", rest=low)
     from taichi_bearings.packing.path import followed, viscous_spins  # and with it Taichi's kernels
 
     held, viscosity = (

@@ -36,6 +36,7 @@ HOLDS = (1e6, 1e8, 1e10, 1e10)  # stiffnesses of the springs, over friction
 SETTLED_FORCE = 1e-11  # change of a force, of the mean friction, at which they are settled
 LEAST_SLIP = 1e-13  # of the largest imposed one, that is none of rounding
 WORSE = 10.0  # times the last change of the forces, by which springs are too stiff
+WORSE_POWER = 1e-10  # of what the path has reached, that settling may cost
 SMALL_SPINS = 1e-8  # of what is left to settle
 MOST_STEPS, SLACK = 80, 0.3  # of the path; of the bounds at its start, in mean slips
 
@@ -143,7 +144,17 @@ def _settled(
             open_ = open_ | creeps | (end.slips != slipping)
         if change < SETTLED_FORCE and not open_.any():
             break
+    powers = (_power(system, point, of) for of in (point.spins, spins))
+    if next(powers) * (1 + WORSE_POWER) < next(powers):  # where many minima tie, springs can lead away from all of them
+        return point.spins, point.whole_dual, None, None
     return spins, whole, slipping, open_
+
+
+def _power(system: System, point: Iterate, spins: np.ndarray) -> float:
+    """What spins (unknowns,) dissipate, or with viscosity the potential, to all digits of their slips."""
+    slip = length(_slips(system, point.system, spins))
+    damped = 0.0 if point.viscosity is None else float((point.viscosity * slip**2).sum()) / 2
+    return float((point.friction * slip).sum()) + damped
 
 
 def _slips(system: System, contacts: ContactSystem, spins: np.ndarray) -> np.ndarray:

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from taichi_bearings.numerics.double_double import Pair, subtract, two_product
 from taichi_bearings.numerics.exact_flow import exact_flow
 from taichi_bearings.numerics.minimum_cut import led_to
 from taichi_bearings.packing.packing import Packing
@@ -27,7 +28,8 @@ MANTISSA_BITS = 53
 @dataclass(frozen=True)
 class _Cover:
     """Edges (low, high) between nodes: the first `free` ones are to be found, each other one has one of the driven
-    `values`. weight : (edges,), whole numbers of Python, of units of force.
+    `values`, sums of two doubles: R omega is no double in general. opposite : number of the value that is the negative
+    of each one, if there is such a value. weight : (edges,), whole numbers of Python, of units of force.
 
     contact, sign : of each edge; the force of the contact is the sum of sign * flow, from low to high.
     mirror : (free,), the other copy of a node, -1 if it has none. rest : the highest level of such parts that is not
@@ -40,15 +42,16 @@ class _Cover:
     weight: np.ndarray
     contact: np.ndarray
     sign: np.ndarray
-    values: np.ndarray
+    values: Pair
+    opposite: np.ndarray
     unit: float
     mirror: np.ndarray
     rest: int
 
 
-def least_power(system: System) -> tuple[np.ndarray, np.ndarray]:
-    """Spins (unknowns,), and forces (d, A), balanced but for one rounding, of friction alone where no contact feels two
-    components."""
+def least_power(system: System) -> tuple[Pair, np.ndarray]:
+    """Spins (unknowns,) as sums of two doubles, and forces (d, A), balanced but for one rounding, of friction alone
+    where no contact feels two components."""
     component = system.felt.argmax(axis=1)  # (A,); any of contacts that feel none
     cover, sign = _covered(system, component)
     place = _nested(cover)
@@ -59,14 +62,18 @@ def least_power(system: System) -> tuple[np.ndarray, np.ndarray]:
 
 
 def least_spins(system: System) -> np.ndarray:
-    """The same spins alone, in about half the time."""
+    """The same spins alone, rounded to doubles, in about half the time."""
     cover, sign = _covered(system, system.felt.argmax(axis=1))
-    return _spins(cover, _nested(cover), sign)
+    return _spins(cover, _nested(cover), sign)[0]
 
 
-def _spins(cover: _Cover, place: np.ndarray, sign: np.ndarray) -> np.ndarray:
-    turned, own = cover.values[place] if len(cover.values) else np.zeros(cover.free), np.arange(len(sign))
-    return np.where(cover.mirror[own] >= 0, (turned[own] - turned[cover.mirror[own]]) / 2, sign * turned[own])
+def _spins(cover: _Cover, place: np.ndarray, sign: np.ndarray) -> Pair:
+    own, twin = np.arange(len(sign)), cover.mirror[: len(sign)]
+    high, low = (part[place] if len(part) else np.zeros(len(place)) for part in cover.values)
+    half = subtract((high[own] / 2, low[own] / 2), (high[twin] / 2, low[twin] / 2))
+    found = zip(half, (sign * high[own], sign * low[own]), strict=True)
+    spins, rest = (np.where(twin >= 0, odd, even) for odd, even in found)
+    return spins, rest
 
 
 def _covered(system: System, component: np.ndarray) -> tuple[_Cover, np.ndarray]:
@@ -83,9 +90,10 @@ def _covered(system: System, component: np.ndarray) -> tuple[_Cover, np.ndarray]
     units = np.minimum(units, units[rim].sum())  # no minimum cut holds more
     first, second = ends[inner].T
     own, held = ends[rim].max(axis=1), np.where(ends[rim, 0] < 0, spheres[rim, 0], spheres[rim, 1])
-    u, twice, pair = system.known[held, component[rim]], odd[first], odd[own]
-    values, level = np.unique(np.concatenate([np.where(pair, -u, -sign[own] * u), u[pair]]) + 0.0, return_inverse=True)
-    driven = count + int(odd.sum()) + level.ravel()
+    twice, pair, u = odd[first], odd[own], _imposed(system, held, component[rim])
+    single = tuple(np.where(pair, -part, -sign[own] * part) for part in u)
+    values, level, opposite = _ordered(*(np.append(part, of[pair]) + 0.0 for part, of in zip(single, u, strict=True)))
+    driven = count + int(odd.sum()) + level
     of_rim, of_pair = np.split(driven, [len(rim)])
     low = [first, second[twice], own, mirrored[own[pair]]]
     high = [np.where(twice, mirrored[second], second), mirrored[first[twice]], of_rim, of_pair]
@@ -95,8 +103,27 @@ def _covered(system: System, component: np.ndarray) -> tuple[_Cover, np.ndarray]
     signs += [np.where(pair, 1, sign[own]), -np.ones(pair.sum(), int)]
     edges = np.concatenate(low), np.concatenate(high), units[contact] * copies, contact, np.concatenate(signs)
     mirror = np.append(mirrored, np.flatnonzero(odd))
-    rest = int(np.searchsorted(values, -np.abs(u[pair]).min(initial=np.inf)))
-    return _Cover(len(mirror), *edges, values, unit / 2, mirror, rest), sign
+    of_twins = np.append(level[: len(rim)][pair], level[len(rim) :])
+    negative = of_twins[(values[0][of_twins] < 0) | (values[0][of_twins] == 0)]
+    rest = int(negative.max(initial=0))
+    return _Cover(len(mirror), *edges, values, opposite, unit / 2, mirror, rest), sign
+
+
+def _imposed(system: System, spheres: np.ndarray, component: np.ndarray) -> Pair:
+    """u = R omega of spheres (n,), exactly where they are driven; of the others it is chosen, a double."""
+    packing = system.packing
+    spin = packing.spin.reshape(system.known.shape)[spheres, component]
+    high, low = two_product(np.asarray(packing.radius)[spheres], spin)
+    held, known = packing.driven[spheres] >= 0, system.known[spheres, component]
+    return np.where(held, high, known), np.where(held, low, 0.0)
+
+
+def _ordered(high: np.ndarray, low: np.ndarray) -> tuple[Pair, np.ndarray, np.ndarray]:
+    """Different ones of sums of two doubles (n,) in order; number of each of the n, and of the negative of each."""
+    keys, number = np.unique(np.stack([high, low], axis=1), axis=0, return_inverse=True)
+    place = {tuple(key): k for k, key in enumerate(keys.tolist())}
+    opposite = np.array([place.get((-a, -b), 0) for a, b in keys.tolist()], dtype=np.int64)
+    return (keys[:, 0], keys[:, 1]), number.ravel(), opposite
 
 
 def _whole(packing: Packing, contact: np.ndarray) -> tuple[np.ndarray, float]:
@@ -124,12 +151,11 @@ def _nested(cover: _Cover) -> np.ndarray:
     """
     twin, rounds = cover.mirror >= 0, list[_Round]()
     lowest = _levels(cover, np.zeros_like(twin), rounds)
-    if not twin.any() or not len(cover.values):
+    if not twin.any() or not len(cover.opposite):
         return lowest
     highest = _levels(cover, twin, rounds)
     own, image = lowest[: cover.free][twin], highest[cover.mirror[twin]]
-    opposite = np.minimum(np.searchsorted(cover.values, -cover.values), len(cover.values) - 1)[image]
-    lowest[: cover.free][twin] = np.where((own > cover.rest) | (image <= cover.rest), own, opposite)
+    lowest[: cover.free][twin] = np.where((own > cover.rest) | (image <= cover.rest), own, cover.opposite[image])
     return lowest
 
 
@@ -143,7 +169,7 @@ def _levels(cover: _Cover, largest: np.ndarray, rounds: list[_Round]) -> np.ndar
 
     rounds : of a search before; as long as ranges are the same its flows serve again. Gets those of this one.
     """
-    levels, count = np.arange(len(cover.values)), 0
+    levels, count = np.arange(len(cover.opposite)), 0
     least = np.concatenate([np.where(cover.mirror >= 0, cover.rest, 0), levels])
     most = np.concatenate([np.full(cover.free, max(0, len(levels) - 1)), levels])
     largest = np.append(largest, np.zeros(len(levels), dtype=bool))

@@ -7,7 +7,7 @@ import pytest
 
 import taichi_bearings as tb
 from tests.packing.fraction_twin import least_power_of_discs
-from tests.packing.twins import random_packing
+from tests.packing.twins import clarabel_least, random_packing
 from tests.scenes import some_of
 
 
@@ -72,6 +72,44 @@ def test_discs_have_the_least_power_of_exact_cuts(seed):
     normal = draw.uniform(0.5, 2, packing.contacts) if draw.random() < 0.5 else 1.0
     packing = tb.Packing(**packing.arrays() | {"friction": friction, "normal_force": normal})
     check(tb.solve(packing), least_power_of_discs(packing), certified=False)
+
+
+@pytest.mark.parametrize("weak", [1e-6, 1e-12, 1e-15])
+def test_a_weak_layer_across_strong_spheres_is_clarabels_minimum_of_a_milder_contrast(weak):
+    """Above it the strong contacts hold whatever they can bear, so the power goes with the strength of the layer."""
+    pytest.importorskip("clarabel")
+    packing = tb.Packing.lattice("bcc", (3, 3, 5), seed=1)
+    heights = np.unique(packing.center[:, 2])
+    is_weak = np.searchsorted(heights, packing.center[:, 2])[packing.contact].min(axis=1) == 4
+    mild = tb.Packing(**packing.arrays() | {"normal_force": np.where(is_weak, 1.0, 50.0)})
+    least, _, status = clarabel_least(mild)
+    assert status == "Solved"
+    found = tb.solve(tb.Packing(**packing.arrays() | {"normal_force": np.where(is_weak, weak, 1.0)}))
+    assert found.status == "certified"
+    assert found.power == pytest.approx(least * weak, rel=1e-7)
+    assert found.gap == (found.power - found.lower_bound) / found.power
+
+
+def test_a_crooked_direction_of_equal_contacts_in_a_row_is_certified():
+    """All contacts of straight rows tie: any share of the jump on each is a minimum, and settling must not leave it."""
+    normal = np.array([3.0, -4.0, 12.0]) / 13
+    rows = [5.0 * side * np.eye(3)[0] + np.arange(5)[:, None] * normal for side in (0, 1, 2)]
+    contact = np.concatenate([5 * side + np.array([[0, 1], [1, 2], [2, 3], [3, 4]]) for side in (0, 1, 2)])
+    spin = np.zeros((15, 3))
+    spin[4::5] = (0.3, 1.0, -0.4)
+    driven = np.tile([0, -1, -1, -1, 1], 3)
+    packing = tb.Packing(
+        np.concatenate(rows),
+        contact,
+        driven,
+        spin,
+        normal=np.tile(normal, (12, 1)),
+        friction=np.ones(12),
+        normal_force=1.0,
+    )
+    found = tb.solve(packing)
+    assert found.status == "certified"
+    assert found.power == pytest.approx(3 * 0.5 * np.linalg.norm(np.cross(spin[4], normal)), rel=1e-10)
 
 
 STILL = {

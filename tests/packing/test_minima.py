@@ -300,7 +300,7 @@ def test_levels_of_mirror_images_are_those_of_all_cuts(seed, levels):
         own |= dict.fromkeys(smallest, value)
         cover.remove_nodes_from(["source", "sink"])
     middle = [(own[i, 1] - own[i, -1]) / 2 for i in range(packing.spheres)]
-    found = planar.least_power(system)[0]
+    found, _ = planar.least_power(system)[0]
     spins = spins_of(packing, exactly(system.all_spins(found)))[0]
     assert spins.tolist() == pytest.approx(middle, abs=1e-15)
     assert (planar.least_spins(system) == found).all()
