@@ -22,7 +22,7 @@ from taichi_bearings.words import counted
 @click.option("--workers", type=click.IntRange(1), default=None, help="Processes at most. [default: processors]")
 @click.option(
     "--scheduler", metavar="ADDRESS", default=None,
-    help="Solve on the workers of the Dask scheduler there, such as tcp://node:8786.",
+    help="Solve on the workers of the Dask scheduler there, such as tcp://node:8786, or of its scheduler file.",
 )  # fmt: skip
 @click.option("--part", metavar="I/N", default=None, help="Solve part I of N alone, as in a job array; then --merge.")
 @click.option("--merge", is_flag=True, help="Solve nothing: write scan.h5 and scan.csv of all parts in the folder.")

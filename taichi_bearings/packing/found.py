@@ -124,7 +124,7 @@ def _contacts(
     size, reach = np.linalg.norm(normal, axis=1), radius[first] + radius[second]
     if (deep := size < (1 - share) * reach).any():
         own = int(np.argmin(np.where(deep, size / reach, np.inf)))
-        like = "; radii look like diameters" if np.median(size / reach) < 0.6 else ""
+        like = "; radii look like diameters" if abs((size / reach).min() / 0.5 - 1) < 0.1 else ""
         words = f"are {size[own]:.6g} apart and their radii add up to {reach[own]:.6g}"
         over = f"they overlap by {1 - size[own] / reach[own]:.2g} of that, more than the tolerance {share:g}"
         raise InputError(f"spheres {first[own]} and {second[own]} {words}: {over}{like}")

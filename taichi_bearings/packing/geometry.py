@@ -26,6 +26,7 @@ SAME_PLACE = 0.5  # times the sum of the radii: spheres nearer than that are at 
 LEAST_SPREAD = 0.02  # of the sum of the radii: contacts are pressed unequally by so much at least
 MOST_TRIED_PERIODS = 64  # shifts that are tried as periods: each shortens them, or is one more
 ROUNDING = 1e-9  # of the length of a shift
+OTHER_UNIT = 1.5  # ratio of distances and radii, from which on they are of different units
 NEAR = 0.1  # relative distance of a ratio from the one that tells diameters from radii
 
 
@@ -99,7 +100,8 @@ class _Contacts:
             )
             words = "radii look like diameters" if abs(usual / 0.5 - 1) < NEAR else words
             words = "radii look like halves of radii" if abs(usual / 2.0 - 1) < NEAR else words
-            found.append((int((np.abs(ratio / usual - 1) < OVERLAP).sum()), words))
+            if abs(np.log(usual)) > np.log(OTHER_UNIT):
+                found.append((int((np.abs(ratio / usual - 1) < OVERLAP).sum()), words))
         explained, words = max(found)
         return f"; {words}" if explained > self.is_direct.sum() else ""
 

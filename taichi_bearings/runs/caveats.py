@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from taichi_bearings.packing.found import TOLERANCE, told
 from taichi_bearings.proof.contact_state import (
     SATURATED,
     ContactState,
@@ -35,7 +36,7 @@ UNFINISHED = {
 
 def caveats(solution: Solution, settings: RunSettings) -> list[str]:
     """All that is to be said of an answer, (R,) samples together."""
-    of_kind = CAVEATS if isinstance(solution.scene, Scene) else (_without_power, _too_wide, _not_proven)
+    of_kind = CAVEATS if isinstance(solution.scene, Scene) else (_without_power, _too_wide, _not_proven, _untouched)
     return [sentence for of in of_kind for sentence in of(solution, settings)]
 
 
@@ -45,6 +46,18 @@ def _not_proven(solution: Solution, settings: RunSettings) -> Iterator[str]:
     for seed, proof in zip(solution.scene.seeds, solution.findings["proof"], strict=True):
         if proof != "proven":
             yield f"what is proven of the least power{f' of seed {seed}' * several}: {proof}"
+
+
+def _untouched(solution: Solution, settings: RunSettings) -> Iterator[str]:
+    """Of packings, contacts that were found out of places, spheres that have none, and contacts that bear nothing."""
+    packing = solution.scene.sample(0)[0]
+    if settings.has_table and settings.contacts is None:
+        share = TOLERANCE if settings.touching is None else settings.touching
+        yield told(packing.contact, packing.spheres, share)
+    idle = int((packing.normal_force == 0).sum())
+    if idle:
+        do = "bears no normal force and does not act" if idle == 1 else "bear no normal force and do not act"
+        yield f"{idle:,} of {counted(packing.contacts, 'contact')} {do}"
 
 
 def _without_power(solution: Solution, settings: RunSettings) -> Iterator[str]:

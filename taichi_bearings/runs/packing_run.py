@@ -13,8 +13,9 @@ from taichi_bearings.errors import DeviceError, InputError
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.options import options_of
 from taichi_bearings.packing import Packing, Packings, solve_packing
+from taichi_bearings.packing.found import TOLERANCE, Sides, completed
 from taichi_bearings.proof.contact_state import all_proven, by_threshold
-from taichi_bearings.runs.settings import SIZES, RunSettings
+from taichi_bearings.runs.settings import OF_SIDES, SIZES, RunSettings
 from taichi_bearings.runs.solved import Run
 from taichi_bearings.runs.torque import refuse_driven, under_torque
 from taichi_bearings.scene import Solution, Status
@@ -24,6 +25,8 @@ from taichi_bearings.solvers.table import METHODS, InteriorPoint, MethodOptions,
 from taichi_bearings.stages import stage
 from taichi_bearings.words import counted, shown
 
+TWICE = {"distribution": "friction", "viscosity": "viscosity", **{name: name for name in SIZES}}
+"""Options that say what arrays of a file may say too."""
 COEFFICIENTS = ("friction", "viscosity")  # arrays of a packing
 AXES_OF_PACKINGS = {"center": 2, "contact": 2, "normal": 2}  # of arrays of one sample; others have one
 
@@ -92,7 +95,7 @@ def refuse_packing(settings: RunSettings, has_seeds: bool) -> None:
     packings_of(settings)
     if not has_seeds or settings.packing is None or settings.initial == "random":
         return
-    if set(COEFFICIENTS[: len(settings.drawn)]) <= Packing.read(settings.packing).keys():
+    if set(COEFFICIENTS[: len(settings.drawn)]) <= Packing.read(settings.packing, settings.contacts).keys():
         raise InputError(
             f"seed is scanned, but {settings.packing} holds all coefficients, so nothing is drawn; leave out seed, or "
             "friction from the file"
@@ -102,10 +105,14 @@ def refuse_packing(settings: RunSettings, has_seeds: bool) -> None:
 def packings_of(settings: RunSettings) -> Packings:
     """The packings that the settings describe, one a replica: the arrays of the file, and of the settings what that
     lacks, drawn from seeds; or lattices with other driven bodies than planes."""
-    given = settings.given
     if settings.packing is None:
         return Packings(_lattice(replace(settings, seed=seed)) for seed in settings.seeds)
-    found = Packing.read(settings.packing)
+    found = Packing.read(settings.packing, settings.contacts)
+    _refuse_twice(settings, found)
+    if settings.has_table:
+        sides = Sides(settings.spin_bottom, settings.spin_top, settings.direction)
+        share = TOLERANCE if settings.touching is None else settings.touching
+        found = completed({"radius": settings.radius, **found}, share, sides)
     axes = {name: np.ndim(values) - AXES_OF_PACKINGS.get(name, 1) for name, values in found.items()}
     axes["spin"] = np.ndim(found["spin"]) - (1 if np.shape(found["center"])[-1:] == (2,) else 2)
     samples = {len(values) for name, values in found.items() if axes[name] == 1} or {settings.replicas}
@@ -117,11 +124,6 @@ def packings_of(settings: RunSettings) -> Packings:
             f"replicas is {settings.replicas}, but {settings.packing} holds all coefficients, so nothing is drawn; "
             "leave out replicas, or friction from the file"
         )
-    for key, name in (("distribution", "friction"), ("viscosity", "viscosity"), *((n, n) for n in SIZES)):
-        if key in given and name in found:
-            raise InputError(
-                f"{key} is {shown(given[key])}, but {settings.packing} holds {name}; leave one of the two out"
-            )
     others = {key: getattr(settings, key) for key in ("law", *SIZES)} | settings.drawn
     return Packings(
         Packing(**{**others, "seed": seed, **{n: v[number] if axes[n] == 1 else v for n, v in found.items()}})
@@ -129,11 +131,21 @@ def packings_of(settings: RunSettings) -> Packings:
     )
 
 
+def _refuse_twice(settings: RunSettings, found: Mapping[str, Any]) -> None:
+    """InputError for an option that says again what the file holds."""
+    pairs = list(TWICE.items())
+    pairs += [(key, "spin") for key in OF_SIDES] if settings.has_table else []
+    for key, name in pairs:
+        if key in settings.given and name in found:
+            value = shown(settings.given[key])
+            raise InputError(f"{key} is {value}, but {settings.packing} holds {name}; leave one of the two out")
+
+
 def idle_seed(settings: RunSettings) -> list[str]:
     """A sentence if the seed of these settings draws nothing, as the file of a packing holds all coefficients."""
     if settings.packing is None or not Path(settings.packing).is_file():
         return []
-    if not _draws_nothing(settings, Packing.read(settings.packing)):
+    if not _draws_nothing(settings, Packing.read(settings.packing, settings.contacts)):
         return []
     return [f"seed is {settings.seed}, but {settings.packing} holds all coefficients, so nothing is drawn from it"]
 

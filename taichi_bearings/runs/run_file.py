@@ -27,7 +27,7 @@ from taichi_bearings.quantities import (
     found_in,
 )
 from taichi_bearings.runs.run_directory import CHECKPOINT_NAME, claimed, is_run
-from taichi_bearings.runs.settings import RunSettings, parse_toml, read_toml
+from taichi_bearings.runs.settings import RunSettings, parse_toml, read_toml, settings_table
 from taichi_bearings.runs.solved import Run
 from taichi_bearings.runtime import HOST, Runtime
 from taichi_bearings.scene import Scene, Snapshots, Solution, Status
@@ -334,11 +334,13 @@ def _lattice_in(path: Path, file: h5py.File, attributes: Mapping[str, Any], sett
 
 
 def _packings_in(path: Path, file: h5py.File, attributes: Mapping[str, Any], settings: RunSettings) -> _Found:
-    from taichi_bearings.runs.packing_run import packings_of  # and with it much of SciPy
+    from taichi_bearings.runs.packing_run import TWICE, packings_of  # and with it much of SciPy
 
     if lacking := [name for name in SAID_OF_PACKINGS if name not in attributes]:
         raise KeyError(f"it lacks {lacking[0]}")
-    scene = packings_of(replace(settings, packing=str(path)))
+    said = (*TWICE, "contacts", "touching")  # in the file now
+    usual = {key: settings_table()[key].default for key in said}
+    scene = packings_of(replace(settings, packing=str(path), **usual))
     first, arrays = scene[0], _Sets(path, file, (scene.replicas,) * (scene.replicas > 1))
 
     def of_contacts(name: str, *parts: int) -> np.ndarray:

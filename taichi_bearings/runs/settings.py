@@ -43,6 +43,7 @@ from taichi_bearings.scene.array_files import read_coefficients
 from taichi_bearings.scene.law import LAWS
 from taichi_bearings.scene.scene import periodic_axes
 from taichi_bearings.solvers.table import METHODS, MethodOptions, row_of_packing
+from taichi_bearings.text_lines import is_table
 from taichi_bearings.words import meant, shown
 
 
@@ -75,9 +76,12 @@ BETWEEN_PLANES = "planes"
 SIZES = ("radius", "normal_force")
 OF_DRIVEN = ("shape", "periodic", "spin_top", "spin_bottom", "direction", "top", "bottom", "driven", "coefficients")
 """Keys of a lattice, with planes or other driven bodies: a packing out of a file uses all but these."""
+OF_TABLES, OF_SIDES = ("contacts", "touching"), ("spin_top", "spin_bottom", "direction")
+"""Keys of a table of centres alone, and those of a lattice that such a table uses too."""
+MOST_TOUCHING = 0.05  # as of contacts that are given
 OF_COURSES = ("initial", "iterations", "time_limit")
 """Keys that say nothing of a packing whose minimum is found at once."""
-NAMED_FILES = ("coefficients", "packing", "initial")  # keys that name files
+NAMED_FILES = ("coefficients", "packing", "contacts", "initial")  # keys that name files
 DRIVING_KEYS = ("periodic", "top", "bottom", "driven")  # keys that summaries name where they are not the defaults
 
 motion = partial(option, methods=attrgetter("is_dynamics"))
@@ -150,7 +154,17 @@ class RunSettings:
         None,
         FILE,
         "Spheres and contacts of any kind instead of a lattice: an npz or HDF5 file with arrays center, contact, "
-        "driven and spin, or a run of a packing. docs/packings.md says more.",
+        "driven and spin, a run of a packing, or a table of centres (.csv with the columns x,y[,z][,radius][,driven]). "
+        "docs/packings.md says more.",
+    )
+    contacts: str | None = option(
+        None, FILE, "The contacts of a table of centres: .csv with the columns first,second. Default: they are found."
+    )
+    touching: float | None = option(
+        None,
+        Kind(bounded(real, 0, MOST_TOUCHING), f"from 0 to {MOST_TOUCHING:g}", "NUMBER"),
+        "Spheres of a table of centres touch where their distance differs from R_i + R_j by no more than this share. "
+        "Default: 0.001.",
     )
     distribution: str = option(
         "uniform:0.1,1.0",
@@ -251,7 +265,7 @@ class RunSettings:
         if settings.packing is not None:
             from taichi_bearings.packing import Packing  # and with it much of SciPy
 
-            viscous = "law" not in values and "viscosity" in Packing.read(settings.packing)
+            viscous = "law" not in values and "viscosity" in Packing.read(settings.packing, settings.contacts)
             return replace(settings, law="coulomb-viscous") if viscous else settings
         if "shape" in values or settings.coefficients is None:
             return settings
@@ -271,6 +285,11 @@ class RunSettings:
     def is_packing(self) -> bool:
         """True for a packing out of a file, and for a lattice with other driven bodies than planes."""
         return self.packing is not None or self.driven != BETWEEN_PLANES
+
+    @property
+    def has_table(self) -> bool:
+        """True for a packing out of a table of centres."""
+        return self.packing is not None and is_table(self.packing)
 
     @property
     def drawn(self) -> dict[str, str]:
@@ -303,8 +322,14 @@ class RunSettings:
             methods, laws = users_of(table[key])
             needs = [] if method.name in methods else [f"--method {' or '.join(methods)}"]
             needs += [] if law.name in laws else [f"--law {' or '.join(laws)}"]
+            if self.has_table and key in OF_SIDES:
+                continue
             if self.packing is not None and key in OF_DRIVEN:
                 why = "a packing does not use it"
+            elif key in OF_TABLES and not self.has_table:
+                why = "only a packing that is a table of centres (.csv) uses it"
+            elif key == "touching" and self.contacts is not None:
+                why = f"contacts are those of {self.contacts}; leave one of the two out"
             elif needs:
                 why = f"{method.name} with the law {law.name} does not use it; it needs {' and '.join(needs)}"
             elif minimises and key in OF_COURSES:

@@ -16,7 +16,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from taichi_bearings.errors import BearingsError, InputError
+from taichi_bearings.errors import BearingsError, FileError, InputError
+from taichi_bearings.plain_files import read_json
 from taichi_bearings.scans.engine import LocalEngine, Outcome, Unit, Work, end_solvers
 from taichi_bearings.scans.plan import files_of
 
@@ -30,9 +31,10 @@ LONELY = 10.0  # seconds without any worker after which that is said
 
 
 def connected(scheduler: str | None) -> "contextlib.AbstractContextManager[Client | None]":
-    """The client of the Dask cluster whose scheduler has this address, such as ``tcp://node:8786``; None for None.
+    """The client of the Dask cluster whose scheduler has this address, such as ``tcp://node:8786``, or which has
+    written this file (``dask scheduler --scheduler-file``); None for None.
 
-    Raises InputError if Dask is not installed, or if nobody answers at the address.
+    Raises InputError if Dask is not installed, if the file names no address, or if nobody answers there.
     """
     if scheduler is None:
         return contextlib.nullcontext()
@@ -46,6 +48,7 @@ def connected(scheduler: str | None) -> "contextlib.AbstractContextManager[Clien
     level = logger.level
     logger.setLevel(logging.CRITICAL)  # what goes wrong is said below
     try:
+        scheduler = _address(scheduler)
         resolve_address(scheduler)  # else a client complains again when it is deleted
         return distributed.Client(scheduler, timeout=CONNECT, set_as_default=False)
     except (OSError, ValueError, distributed.TimeoutError) as error:
@@ -53,6 +56,18 @@ def connected(scheduler: str | None) -> "contextlib.AbstractContextManager[Clien
         raise InputError(f"no Dask scheduler at {scheduler!r}: {reason}") from None
     finally:
         logger.setLevel(level)
+
+
+def _address(scheduler: str) -> str:
+    """An address as it is, or the one in a scheduler file; FileError for a file that cannot be read or has none."""
+    path = Path(scheduler)
+    if path.suffix != ".json" and not path.is_file():
+        return scheduler
+    found = read_json(path)
+    address = found.get("address") if isinstance(found, dict) else None
+    if not isinstance(address, str):
+        raise FileError(f"{path} has no address of a Dask scheduler; `dask scheduler --scheduler-file FILE` writes one")
+    return address
 
 
 class DaskEngine(LocalEngine):

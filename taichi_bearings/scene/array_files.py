@@ -86,6 +86,8 @@ def _member(path: Path, stored: zipfile.ZipFile, name: str, most: int) -> np.nda
         if read.read_magic(file) != (1, 0):  # only tables of many columns have longer headers
             raise ValueError
         shape, _, dtype = read.read_array_header_1_0(file)
+        if dtype.hasobject:
+            raise FileError(f"{name} in {path} holds objects of Python such as None; it must hold numbers alone")
         claimed = math.prod(shape) * dtype.itemsize
         if dtype.itemsize == 0 or claimed > found.file_size:
             raise ValueError
