@@ -83,12 +83,12 @@ def completed(found: Mapping[str, Any], tolerance: float, sides: Sides, periodic
     return {**found, "radius": radius, "driven": driven, "spin": spin}
 
 
-def told(contact: np.ndarray, spheres: int, tolerance: float) -> str:
-    """A sentence on the contacts (E, 2) that were found, and on spheres that have none."""
+def told(contact: np.ndarray, spheres: int, tolerance: float) -> tuple[str, int]:
+    """A sentence on the contacts (E, 2) that were found, and how many spheres have none."""
     alone = spheres - len(np.unique(contact))
     of = f"{counted(len(contact), 'contact')} of {counted(spheres, 'sphere')} found within {tolerance:g} of touching"
     none = f"{counted(alone, 'sphere')} touch{'es' if alone == 1 else ''} nothing" if alone else "each touches another"
-    return f"{of}; {none}"
+    return f"{of}; {none}", alone
 
 
 def _lengths(periodic: Any, dimension: int, largest: float) -> np.ndarray:

@@ -259,14 +259,13 @@ class Packing:
             and fields of this class.
 
         Raises InputError for two spheres that overlap by more than the tolerance. A log line tells how many contacts
-        were found, and how many spheres touch nothing.
+        were found and how many spheres touch nothing, a warning if there are such.
         """
         sides = Sides(**{name: others.pop(name) for name in SIDES_GIVEN if name in others})
         given = {name: values for name, values in (("driven", driven), ("spin", spin)) if values is not None}
         found = from_centers(center, radius, tolerance, given, sides, periodic)
-        logging.getLogger(__name__).info(
-            "bearings: %s", contacts_told(found["contact"], len(found["center"]), tolerance)
-        )
+        sentence, alone = contacts_told(found["contact"], len(found["center"]), tolerance)
+        logging.getLogger(__name__).log(logging.WARNING if alone else logging.INFO, "bearings: %s", sentence)
         return cls(**{**found, **others})
 
     @classmethod

@@ -53,7 +53,7 @@ def _untouched(solution: Solution, settings: RunSettings) -> Iterator[str]:
     packing = solution.scene.sample(0)[0]
     if settings.has_table and settings.contacts is None:
         share = TOLERANCE if settings.touching is None else settings.touching
-        yield told(packing.contact, packing.spheres, share)
+        yield told(packing.contact, packing.spheres, share)[0]
     idle = int((packing.normal_force == 0).sum())
     if idle:
         do = "bears no normal force and does not act" if idle == 1 else "bear no normal force and do not act"

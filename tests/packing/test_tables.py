@@ -165,3 +165,9 @@ def test_tables_are_solved_from_the_command_line(tmp_path):
     ]:
         assert sentence in " ".join(refused("run", "--packing", "spheres.csv", *others, cwd=tmp_path).split())
     assert "only a packing that is a table" in refused("run", "--shape", "3,3", "--touching", "0.01", cwd=tmp_path)
+
+
+def test_spheres_that_touch_nothing_are_told(caplog):
+    center = [[0.0, 0], [1, 0], [0, 1], [9, 0.5], [9, 3]]
+    tb.Packing.from_centers(center, driven=[0, -1, 1, -1, -1])
+    assert "2 contacts of 5 spheres found within 0.001 of touching; 2 spheres touch nothing" in caplog.text
