@@ -10,8 +10,10 @@ from taichi_bearings.lattice import Lattice
 from taichi_bearings.lattice.grid import axis_numbers
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.disorder import Distribution, draw_coefficients
-from taichi_bearings.scene.law import law_named
+from taichi_bearings.scene.law import LAWS, law_named
 
+KNOWN_LAWS = tuple(name for name, law in LAWS.items() if law.is_sum)
+"""Laws that every method and the proofs know; tests that loop over them take in a new one of friction and viscosity."""
 MINIMA = json.loads((Path(__file__).parent / "reference" / "minima.json").read_text())["scenes"]
 
 

@@ -59,4 +59,6 @@ def coulomb_viscous_force(spin_difference: ti.template(), coefficients: ti.templ
 
 
 FORCES = {"coulomb": coulomb_force, "viscous": viscous_force, "coulomb-viscous": coulomb_viscous_force}
-"""Law of scene/law.py -> its force along D, for coefficients in one unit, regularised where it jumps."""
+"""Law of scene/law.py -> its force along D, for coefficients in one unit, regularised where it jumps.
+
+The last argument is the sharpness of a law with friction, and the radius R of one without: the slip is R |D|."""

@@ -24,7 +24,7 @@ from taichi_bearings.packing.tables import read_contacts, read_spheres
 from taichi_bearings.plain_files import writing
 from taichi_bearings.scene.array_files import read_arrays
 from taichi_bearings.scene.disorder import Distribution, Draw
-from taichi_bearings.scene.law import Coefficients, Law, law_named
+from taichi_bearings.scene.law import LAWS, Coefficients, Law, law_named
 from taichi_bearings.scene.scene import bearing_state, imposed_direction
 from taichi_bearings.text_lines import is_table
 from taichi_bearings.words import html_table, meant, shown
@@ -86,6 +86,9 @@ class Packing:
         put("normal", self._checked_normals())
         checks.refuse_repeated(self)
         put("law", law_named(self.law or ("coulomb" if self.viscosity is None else "coulomb-viscous")))
+        if not self.kind.is_sum:
+            known = ", ".join(name for name, law in LAWS.items() if law.is_sum)
+            raise InputError(f"law is {self.kind.name!r}; packings have {known}, laws of one's own are for lattices")
         put("normal_force", checks.pressing(self.normal_force, self.contacts))
         self._take_coefficients(put)
 

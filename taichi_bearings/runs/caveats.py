@@ -95,6 +95,16 @@ def _in_samples(which: np.ndarray) -> str:
     return f" in {int(which.sum()):,} of {len(which):,} samples" if len(which) > 1 else ""
 
 
+def _law_of_ones_own(solution: Solution, settings: RunSettings) -> Iterator[str]:
+    """What a lower bound rests on where the law is not one of the program's."""
+    if not solution.scene.law.is_sum:
+        yield (
+            f"what is proven rests on the law {solution.scene.law.name!r} as it was given: that its potential is "
+            "convex and its conjugate is right was checked at some slips only, and the rounding of its functions is "
+            "not bounded"
+        )
+
+
 def _powerless(solution: Solution, settings: RunSettings) -> Iterator[str]:
     """Why no contact need slip."""
     scene = solution.scene
@@ -210,5 +220,5 @@ def _springs(solution: Solution, settings: RunSettings) -> Iterator[str]:
 
 
 CAVEATS: tuple[Callable[[Solution, RunSettings], Iterator[str]], ...] = (
-    _powerless, _unfinished, _undecided, _mingled, _tied, _step, _springs,
+    _law_of_ones_own, _powerless, _unfinished, _undecided, _mingled, _tied, _step, _springs,
 )  # fmt: skip

@@ -17,7 +17,7 @@ from taichi_bearings.options import COUNT, SEED, SHAPE, finite_number
 from taichi_bearings.scene.array_files import own_array
 from taichi_bearings.scene.disorder import Distribution, Draw, draw_coefficients
 from taichi_bearings.scene.driving import Driving
-from taichi_bearings.scene.law import COULOMB, LAWS, Coefficients, Law, law_named
+from taichi_bearings.scene.law import COULOMB, LAWS, Coefficients, Law, check_law, law_named
 from taichi_bearings.words import html_table, shown
 
 LEAST_DIRECTION = 1e-100  # least part of a direction that counts
@@ -168,6 +168,8 @@ class Scene:
                     f"along {name} a contact has friction without viscosity or viscosity without friction; "
                     "both must be positive, or both 0 for a contact that is absent"
                 )
+        if not self.law.is_sum:
+            check_law(self.law, self.contact, self.lattice.radius * (self.jump or 1.0))
 
     def _read_states(self) -> None:
         """The states as tuples of 1 or 4 numbers, both or none."""

@@ -18,7 +18,9 @@ import math
 import numpy as np
 
 from taichi_bearings import runtime
+from taichi_bearings.errors import InputError
 from taichi_bearings.fields import team_size
+from taichi_bearings.kernels.contact import FORCES
 from taichi_bearings.kernels.descent import DescentSweeps
 from taichi_bearings.kernels.team import Sweeps, Team, made_once
 from taichi_bearings.lattice.incidence import weights
@@ -72,6 +74,11 @@ class GradientDescentMethod(Method):
 
     def _kernels(self) -> tuple[Team, Sweeps]:
         team = Team(team_size(self.fields.layout, self.stencil.components))
+        if self.scene.law.name not in FORCES:
+            raise InputError(
+                f"law is {self.scene.law.name!r}; gradient-descent needs its force on the device, as a row of "
+                "FORCES in taichi_bearings.kernels.contact"
+            )
         return team, made_once(DescentSweeps, self.spec, self.stencil, self.scene.law.name)
 
     def _load_weights(self) -> None:
@@ -79,11 +86,19 @@ class GradientDescentMethod(Method):
         scene, lattice = self.scene, self.scene.lattice
         reach = self.width if self.momentum else 2 * self.step_length
         bounds = scene.acting_coefficient
+        if not scene.law.is_sum:
+            bounds = lattice.radius * scene.law.steepest((scene.strength * bounds,), self._largest_slip())
         if self.viscosity is not None:
             bounds = bounds + reach * self.viscosity
         weight = self.weights(bounds)
         weight[..., lattice.is_driven] = 0.0
         self.fields.load("inverse_weight", np.divide(1.0, weight, out=np.zeros_like(weight), where=weight > 0))
+
+    def _largest_slip(self) -> float:
+        """Slip speed that no contact exceeds: spins stay in their box, and momentum leads each out of it by less than
+        the box is wide."""
+        low, high = self.scene.box(self.spin_axes)
+        return 3 * self.scene.lattice.radius * float(np.linalg.norm(np.subtract(high, low)))
 
     def weights(self, bounds: np.ndarray) -> np.ndarray:
         """Sums (C, R, *N) of these numbers (R, E) of the contacts that act on each spin component."""
@@ -119,7 +134,7 @@ class GradientDescentMethod(Method):
 
     def _step_and_sharpness(self) -> tuple[float, float]:
         if not self.scene.law.holds:
-            return 0.5, 0.0
+            return 0.5, self.scene.lattice.radius
         return (self.width / 2 if self.momentum else self.step_length), 1.0 / self.width
 
     def progress(self) -> Progress:

@@ -65,9 +65,12 @@ class Method:
         return staggered + self.scene.driving.bottom_state(self.spin_axes)[0]
 
     def with_viscosity(self, force: np.ndarray, difference: np.ndarray) -> np.ndarray:
-        """The forces and what the viscosity of the contacts, if they have any, adds at these differences."""
-        scene = self.scene
-        return force if scene.viscosities is None else force + scene.lattice.radius * scene.viscosities * difference
+        """Forces (C, R, E) and what the contacts resist beyond them at these differences (C, R, E), 1/time: their
+        viscosity, or what a law of one's own says."""
+        law, radius = self.scene.law, self.scene.lattice.radius
+        slip = difference if law.is_sum else radius * vector_length(difference)
+        resistance = law.resistance(self.scene.contact, slip)
+        return force if resistance is None else force + radius * resistance * difference
 
     def forces_at(self, staggered: np.ndarray, width: float) -> np.ndarray:
         """Contact forces (C, R, E) of the law at these spins; friction grows up to a difference of `width`, 1/time."""

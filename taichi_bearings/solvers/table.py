@@ -40,8 +40,13 @@ SPLITTING_TOLERANCE = 3e-5  # tolerance that operator splitting reaches sooner t
 
 
 def _laws(condition: Callable[[Law], bool] = lambda law: True) -> "staticmethod[[Law], bool]":
-    """Laws with a holding force, a viscosity or both, and with this condition: what the methods here are made for."""
-    return staticmethod(lambda law: type(law) is Law and condition(law))
+    """Friction, viscosity or both, and with this condition: what most methods here are made for."""
+    return staticmethod(lambda law: law.is_sum and condition(law))
+
+
+def _descends(law: Law) -> bool:
+    """True for these laws, and for one of a user that flows, rests nowhere, and says how steep its force is."""
+    return law.is_sum or (law.flows and not law.holds and type(law).steepest is not Law.steepest)
 
 
 # bytes a sphere of a lattice of 2 or 3 dimensions while its answer is judged: enclosures (16 or 24 bytes a number) of
@@ -250,7 +255,7 @@ class GradientDescent(MethodOptions):
     implementation = "taichi_bearings.solvers.gradient_descent:GradientDescentMethod"
     of_packings = "taichi_bearings.solvers.packings:GradientDescentOfPacking"
     colour, marker = "#E69F00", "P"
-    solves = _laws()
+    solves = staticmethod(_descends)
 
     @classmethod
     def step_seconds(cls, shape: Sequence[int]) -> float | None:

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from taichi_bearings import runtime
@@ -75,9 +76,21 @@ def test_a_gpu_splits_friction_and_descends_where_that_flows_too():
 
 def test_no_method_takes_a_law_that_it_is_not_made_for():
     class Cubic(Law):
-        """Of a user: no method here knows its force."""
+        """A law of a user: no method here knows its force."""
 
-    cubic = Cubic("cubic", LAWS["viscous"].quantities)
+        def force(self, of, slip):
+            return of[0] * slip**3
+
+        def power(self, of, slip):
+            return of[0] * slip**4
+
+        def potential(self, of, slip):
+            return of[0] * slip**4 / 4
+
+        def conjugate(self, of, force):
+            return np.where(of[0] > 0, 0.75 * force * np.cbrt(force / np.where(of[0] > 0, of[0], 1.0)), 0.0)
+
+    cubic = Cubic("cubic", LAWS["viscous"].quantities, minimises="potential")
     assert [name for name, row in METHODS.items() if row.solves(cubic)] == []
     scene = replace(Scene.random((3, 4), law="viscous"), law=cubic)
     with pytest.raises(InputError, match="law is 'cubic'; no method that auto can take"):

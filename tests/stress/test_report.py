@@ -16,7 +16,6 @@ from taichi_bearings_studies.stress.truth import least
 
 from taichi_bearings.files.scan_journal import Journal, read_journal
 
-LAWS = ("coulomb", "viscous", "coulomb-viscous")
 CELL = Cell("friction-scale", 1.0, Row("planar-cut", "coulomb", 2), 0, True, 1.0)
 
 

@@ -1,0 +1,130 @@
+"""A law of one's own is certified by the methods that docs/extending.md names, given what the law says of itself."""
+
+import importlib.util
+import sys
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+
+from taichi_bearings.errors import FileError, InputError
+from taichi_bearings.kernels.contact import FORCES
+from taichi_bearings.packing import Packing
+from taichi_bearings.runs import run as runs
+from taichi_bearings.runs.settings import RunSettings
+from taichi_bearings.runs.verify import verify
+from taichi_bearings.scene import Scene, Status
+from taichi_bearings.scene.initial_spins import initial_spin
+from taichi_bearings.scene.law import LAWS, Law, Quantity
+from taichi_bearings.solvers.drive import solve
+from taichi_bearings.solvers.stopping import StopRule
+from taichi_bearings.solvers.table import METHODS, fastest
+from tests.handbook.pages import ROOT, steps
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory):
+    """The code of the page as a module on disk; the tables have what it adds meanwhile."""
+    path = tmp_path_factory.mktemp("page") / "page_extending.py"
+    code = "\n\n".join(step.code for step in steps(ROOT / "docs/extending.md") if step.code)
+    path.write_text(code[: code.index("scene = tb.Scene.random")], encoding="utf-8")
+    spec = importlib.util.spec_from_file_location("page_extending", path)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["page_extending"] = module
+    spec.loader.exec_module(module)
+    yield module
+    del LAWS["thickening"], METHODS["minimise"], FORCES["thickening"], sys.modules["page_extending"]
+
+
+def least_potential(scene):
+    """The least potential of discs in the laboratory frame, found by BFGS from the formula of the law alone."""
+    along_x, along_y = (values.reshape(values.shape[-2:]) for values in scene.coefficients)
+    spin = np.zeros(scene.lattice.shape)
+    spin[:, -1] = scene.spin_top * (1 - 2 * ((np.arange(len(spin)) + spin.shape[1] - 1) % 2))
+
+    def potential(free):
+        spin[:, 1:-1] = free.reshape(spin[:, 1:-1].shape)
+        parts = [(along_x[:, 1:-1], spin[:-1, 1:-1] + spin[1:, 1:-1]), (along_y, spin[:, :-1] + spin[:, 1:])]
+        slips = [(eta, np.abs(scene.lattice.radius * total)) for eta, total in parts]
+        return sum(float((eta * (v**2 / 2 + v**4 / 4)).sum()) for eta, v in slips)
+
+    return minimize(potential, np.zeros(spin[:, 1:-1].size), options={"gtol": 1e-9}).fun
+
+
+@pytest.mark.usefixtures("needs_f64")
+@pytest.mark.parametrize("method", ["minimise", "gradient-descent"])
+@pytest.mark.parametrize("shape", [(4, 5), (3, 4, 5)], ids=str)
+def test_the_methods_that_the_page_names_certify_it(page, method, shape):
+    scene = Scene.random(shape, seed=1, law="thickening", spin_top=3.0)
+    found = solve(scene, METHODS[method]().build(), initial_spin(scene, "linear"), StopRule(1e-6))
+    assert found.status is Status.CERTIFIED
+    assert found.lower_bound[0] <= found.objective[0] <= found.lower_bound[0] / (1 - 1.01e-6)
+    assert not found.states_proven.any()
+    if len(shape) == 2:
+        assert found.objective[0] == pytest.approx(least_potential(scene), rel=2e-6)
+        assert found.lower_bound[0] <= least_potential(scene) * (1 + 1e-9)
+
+
+@pytest.mark.usefixtures("needs_f64")
+def test_the_slip_of_the_law_is_that_of_the_laboratory(page):
+    """Two radii with the same surface speeds are one problem: the kernel's force depends on R |D| alone."""
+    thin, thick = (
+        Scene.random((4, 5), seed=1, law="thickening", spin_top=2 / radius, radius=radius) for radius in (0.5, 2.0)
+    )
+    rule = StopRule(1e-7)
+    power = [
+        solve(s, METHODS["gradient-descent"]().build(), initial_spin(s, "linear"), rule).power[0] for s in (thin, thick)
+    ]
+    assert power[0] == pytest.approx(power[1], rel=1e-6)
+
+
+def test_others_refuse_it_in_a_sentence_and_auto_descends(page):
+    scene = Scene.random((4, 5), law="thickening")
+    takes = {name for name, row in METHODS.items() if not row.refusal(scene)}
+    assert takes == {"minimise", "gradient-descent"}
+    assert fastest(scene, 1e-6, on_gpu=False).name in takes
+    for name in set(METHODS) - takes:
+        assert f"method {name!r} does not solve the law 'thickening'; it solves" in METHODS[name].refusal(scene)
+    with pytest.raises(InputError, match="law is 'thickening'; packings have coulomb, viscous, coulomb-viscous"):
+        Packing.lattice("square", (3, 4), law="thickening")
+
+
+@pytest.mark.usefixtures("needs_f64")
+def test_a_run_says_what_its_bound_rests_on(page, tmp_path):
+    settings = RunSettings(shape=(4, 4), law="thickening", method="minimise", tolerance=1e-5, figures="none")
+    found = runs.run(settings, tmp_path / "run")
+    assert found.summary["status"] == "certified"
+    assert found.summary["warnings"][0].startswith("what is proven rests on the law 'thickening' as it was given")
+    with pytest.raises(FileError, match="has the law 'thickening'; coulomb, viscous, coulomb-viscous can be verified"):
+        verify(tmp_path / "run")
+
+
+WRONG = {
+    "its force must not fall as the slip grows": {"force": lambda self, of, slip: of[0] * slip / (1 + slip**2)},
+    "its power must be force times slip": {"power": lambda self, of, slip: of[0] * slip},
+    "potential(v) + conjugate(force(v)) must be force(v) * v": {"conjugate": lambda self, of, force: 0 * force},
+    "must be finite numbers": {"conjugate": lambda self, of, force: force * np.nan},
+    "its potential and its power must be 0 without slip": {
+        "potential": lambda self, of, slip: of[0] * (1 + slip**2 / 2)
+    },
+    "its power must be `share` times its potential": {"share": 1.0},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("sentence", WRONG)
+def test_a_law_that_contradicts_itself_is_refused(sentence):
+    right = {
+        "force": lambda self, of, slip: of[0] * slip,
+        "power": lambda self, of, slip: of[0] * slip**2,
+        "potential": lambda self, of, slip: of[0] * slip**2 / 2,
+        "conjugate": lambda self, of, force: force**2 * np.divide(0.5, of[0], out=0 * of[0], where=of[0] > 0),
+    }
+    share = WRONG[sentence].get("share", 2.0)
+    more = {name: function for name, function in WRONG[sentence].items() if callable(function)}
+    quantity = (Quantity("damping", "force*time/length"),)
+    Scene.random((3, 4), law=type("Right", (Law,), right)("right", quantity, share=2.0))
+    law = type("Wrong", (Law,), right | more)("wrong", quantity, share=share)
+    with pytest.raises(InputError) as told:
+        Scene.random((3, 4), law=law)
+    assert sentence in str(told.value)
+    assert "law is 'wrong', which is wrong at a contact of coefficient" in str(told.value)
