@@ -160,7 +160,7 @@ def check_law(law: Law, of: Coefficients, fastest: float) -> None:
     phi(v) + phi*(f) = f v, while phi(v) + phi*(f) >= f v for all other pairs.
     """
     acting = np.flatnonzero(np.all([values.ravel() > 0 for values in of], axis=0))
-    some = acting[np.unique(np.linspace(0, len(acting) - 1, min(len(acting), CHECKED)).astype(int))]
+    some = acting[np.unique(np.linspace(0, len(acting) - 1, min(len(acting), CONTACTS_TRIED)).astype(int))]
     slip = np.append(0.0, fastest * np.logspace(-9, 3, 49))[:, None]
     at = tuple(np.broadcast_to(values.ravel()[some], (len(slip), len(some))) for values in of)
     speed = np.broadcast_to(slip, at[0].shape)
@@ -177,15 +177,16 @@ def check_law(law: Law, of: Coefficients, fastest: float) -> None:
                 force + power + potential + dual
             ),
             "its potential and its power must be 0 without slip": (speed == 0) & ((potential != 0) | (power != 0)),
-            "its force must not fall as the slip grows": np.diff(force, axis=0, prepend=0) < -ROUNDING * np.abs(force),
-            "its power must be force times slip": np.abs(power - work) > ROUNDING * np.abs(work),
-            "potential(v) + conjugate(force(v)) must be force(v) * v": np.abs(missed) > ROUNDING * size,
-            "potential(v) + conjugate(f) must be at least f * v": np.min(pairs, axis=0) < -ROUNDING * size,
+            "its force must not fall as the slip grows": np.diff(force, axis=0, prepend=0)
+            < -TERM_ROUNDING * np.abs(force),
+            "its power must be force times slip": np.abs(power - work) > TERM_ROUNDING * np.abs(work),
+            "potential(v) + conjugate(force(v)) must be force(v) * v": np.abs(missed) > TERM_ROUNDING * size,
+            "potential(v) + conjugate(f) must be at least f * v": np.min(pairs, axis=0) < -TERM_ROUNDING * size,
         }
         if law.minimises == "power":
             wrong["its power must be `share` times its potential"] = np.abs(
                 power - law.share * potential
-            ) > ROUNDING * np.abs(power)
+            ) > TERM_ROUNDING * np.abs(power)
     for sentence, places in wrong.items():
         if places.any():
             row, column = np.argwhere(places)[0]
@@ -196,8 +197,8 @@ def check_law(law: Law, of: Coefficients, fastest: float) -> None:
             )
 
 
-CHECKED = 32  # contacts at which a law is looked at
-ROUNDING = 1e-9  # of the terms of a statement, that rounding may leave
+CONTACTS_TRIED = 32  # contacts at which a law is looked at
+TERM_ROUNDING = 1e-9  # of the terms of a statement, that rounding may leave
 
 
 def law_named(law: "str | Law") -> Law:
