@@ -123,12 +123,12 @@ STILL = {
 def random_chain(free):
     """Spheres of any radii in a crooked row between two driven ones: more spins than slips."""
     draw = np.random.default_rng(7)
-    center = np.cumsum(draw.normal(size=(free + 2, 3)), axis=0)
+    radius, vector = draw.uniform(0.5, 2, free + 2), draw.normal(size=(free + 1, 3))
+    normal = vector / np.linalg.norm(vector, axis=1)[:, None]
+    center = np.cumsum(np.vstack([np.zeros(3), normal * (radius[1:] + radius[:-1])[:, None]]), axis=0)
     driven, spin = np.append(np.append(0, np.full(free, -1)), 1), np.zeros((free + 2, 3))
     spin[0], spin[-1] = draw.normal(size=(2, 3))
     contact = np.column_stack([np.arange(free + 1), np.arange(1, free + 2)])
-    radius, vector = draw.uniform(0.5, 2, free + 2), np.diff(center, axis=0)
-    normal = vector / np.linalg.norm(vector, axis=1)[:, None]
     return tb.Packing(center, contact, driven, spin, radius=radius, normal=normal, friction=np.ones(free + 1))
 
 
