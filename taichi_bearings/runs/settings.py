@@ -205,11 +205,12 @@ class RunSettings:
     snapshots: str | None = motion(
         None, TIME_LIST, "Simulated times at which the spins are kept.", unit="time", of_solving=True
     )
-    checkpoint_every: float | None = motion(
+    checkpoint_every: float | None = option(
         None,
         POSITIVE,
         "Time between checkpoints, from which `bearings run --resume RUN` goes on.",
         unit="s",
+        methods=attrgetter("keeps_checkpoints"),
         of_solving=True,
         not_scanned="a scan keeps whole samples, not checkpoints",
     )
@@ -318,6 +319,7 @@ class RunSettings:
         table, law, unused = settings_table(), LAWS[self.law], {}
         has_states = self.top is not None or self.bottom is not None
         minimises = self.is_packing and row_of_packing(self.method) is None
+        no_course = self.is_packing and not method.is_dynamics
         for key, value in self.given.items():
             methods, laws = users_of(table[key])
             needs = [] if method.name in methods else [f"--method {' or '.join(methods)}"]
@@ -332,7 +334,7 @@ class RunSettings:
                 why = f"contacts are those of {self.contacts}; leave one of the two out"
             elif needs:
                 why = f"{method.name} with the law {law.name} does not use it; it needs {' and '.join(needs)}"
-            elif minimises and key in OF_COURSES:
+            elif (minimises and key in OF_COURSES) or (key == "checkpoint_every" and no_course):
                 why = f"method {self.method} of a packing does not use it"
             elif len(self.shape) not in table[key].dimensions:
                 why = "spins of discs point along z; it needs three sides"

@@ -39,7 +39,7 @@ STALL_PATIENCE = 20_000  # iterations before a minimisation can count as stalled
 
 @dataclass(frozen=True)
 class Checkpoints:
-    """Where and how often a dynamics writes down all that it needs to go on from there with the same bits.
+    """Where and how often a method that `resumes` writes down all that it needs to go on from there.
 
     every : seconds of wall time. write : takes the arrays by name. resume : what an earlier call has written.
     """
@@ -77,7 +77,7 @@ def solve(
 
     scene : a Scene, or the `Network` of a packing, whose spins are u (C, 1, N), without a slip threshold.
     slip_threshold : length/time; contacts slipping less count as slipless. Default: what the method can resolve.
-    recording, checkpoints : for a dynamics.
+    recording : for a dynamics. checkpoints : for a method that `resumes`.
     Ctrl-C ends the run with status INTERRUPTED and everything reached so far, unless the answer is reached already;
     before the first step KeyboardInterrupt. It and the limit on time end the proof of the contact states too.
     Raises InputError for a scene that the method cannot solve.
@@ -147,7 +147,7 @@ class Course:
         if isinstance(method, Dynamics):
             method.end_at(self.stop.duration, checkpoints is not None)
         resume = checkpoints.resume if checkpoints else None
-        if resume is not None and isinstance(method, Dynamics):
+        if resume is not None and method.resumes:
             try:
                 _refuse_unlike(resume, method.state())
                 method.restore(resume)
@@ -158,8 +158,10 @@ class Course:
             except (KeyError, ValueError, IndexError, TypeError, OverflowError) as error:
                 raise FileError(f"the checkpoint is incomplete or of another scene: {error}") from None
             self.target = method.iteration
-            if not looked:
+            if isinstance(method, Dynamics) != looked:  # a minimisation goes on after a look, a dynamics looks again
                 self._aim(method.iteration)
+            elif not looked:
+                self.target = int(resume["target"])
 
     @property
     def elapsed(self) -> float:
@@ -172,11 +174,11 @@ class Course:
 
     def follow(self, monitors: Sequence[Monitor]) -> None:
         scene, method, stop, best = self.scene, self.method, self.stop, self.best
-        iteration = method.iteration if isinstance(method, Dynamics) else 0
+        iteration = method.iteration if method.resumes else 0
         while True:
             with suppress(GivenUp):
                 self._advance(self.target - iteration)
-            on_the_way = isinstance(method, Dynamics) and method.iteration < self.target
+            on_the_way = method.resumes and method.iteration < self.target
             if on_the_way:
                 self._write(looked=False)  # before anything is looked at that an undisturbed run would not look at
             progress = method.progress()
@@ -235,9 +237,9 @@ class Course:
 
     def _write(self, looked: bool) -> None:
         """Write a checkpoint. looked : this state has been recorded and judged."""
-        if self.checkpoints is None or not isinstance(self.method, Dynamics):
+        if self.checkpoints is None or not self.method.resumes:
             return
-        own = {"elapsed": np.array(self.elapsed), "looked": np.array(looked)}
+        own = {"elapsed": np.array(self.elapsed), "looked": np.array(looked), "target": np.array(self.target)}
         self.checkpoints.write(self.method.state() | self.recorder.state() | self.best.state() | own)
         self.written_at = time.perf_counter()
 
@@ -270,6 +272,13 @@ class Course:
             found = replace(found, state=above_noise(found))
         found = with_ties_counted(found)
         return replace(found, status=status, seconds=seconds, history=history, snapshots=snapshots)
+
+
+OF_BEST = (
+    "iteration", "staggered", "force", "objective", "lower_bound", "resolution", "largest_balance_residual", "rest",
+    "state", "slip", "settled", "states_proven", "ended",
+)  # fmt: skip
+"""What a checkpoint keeps of the best state of a minimisation."""
 
 
 class _Best:
@@ -306,7 +315,7 @@ class _Best:
         if new.states_proven is not None:  # forces that prove states are worth more than the last digit of the bound
             better |= new.states_proven & (new.lower_bound >= self.bound * (1 - 1e-11))
         self.proof, self.bound = np.where(better[:, None], proof, self.proof), np.maximum(self.bound, new.lower_bound)
-        if first or not self.keeps_best:
+        if "progress" not in vars(self) or not self.keeps_best:
             self.progress = new
             return
         better = new.objective <= self.objective  # False for NaN, so a failed step never counts
@@ -315,11 +324,34 @@ class _Best:
         self.progress = new.where(better, self.progress)
 
     def state(self) -> dict[str, np.ndarray]:
-        """The forces that prove the bound, for a checkpoint; the bound itself is not believed."""
-        return {"proof": self.proof}
+        """The forces that prove the bound, for a checkpoint; the bound itself is not believed. Of a minimisation the
+        best state too."""
+        found = {"proof": self.proof}
+        if self.keeps_best and "progress" in vars(self):
+            best = {n: np.asarray(v) for n in OF_BEST if (v := getattr(self.progress, n)) is not None}
+            found |= {f"best/{n}": v.astype(np.uint8) if v.dtype == bool else v for n, v in best.items()}
+            found |= {f"best/findings/{name}": values for name, values in self.progress.findings.items()}
+            found["course"] = np.array([self._gap, self._improved_at], dtype=float)
+        return found
 
     def restore(self, state: Mapping[str, np.ndarray], spin_axes: tuple[int, ...]) -> None:
         self.proof = np.array(state["proof"], dtype=float)
         still = np.zeros((len(spin_axes), self.scene.replicas, *self.scene.lattice.shape))
         if self.proof.shape != self.method.differences(still).shape or not np.isfinite(self.proof).all():
             raise ValueError("proof holds something else than the forces of its contacts")
+        if not self.keeps_best or "best/staggered" not in state:
+            return
+        best: dict[str, Any] = {name: np.array(state[f"best/{name}"]) for name in OF_BEST if f"best/{name}" in state}
+        begin = "best/findings/"
+        findings = {n[len(begin) :]: np.array(values) for n, values in state.items() if n.startswith(begin)}
+        each, whole = (self.scene.replicas,), ("objective", "lower_bound", "largest_balance_residual")
+        fits = best["staggered"].shape == still.shape and best["force"].shape == self.proof.shape
+        if not fits or any(best[name].shape != each or not np.isfinite(best[name]).all() for name in whole):
+            raise ValueError("best holds something else than a state of this scene")
+        if not (np.isfinite(best["staggered"]).all() and np.isfinite(best["force"]).all()):
+            raise ValueError("best holds numbers that are not finite")
+        best |= {name: best[name].astype(bool) for name in ("settled", "states_proven") if name in best}
+        best["iteration"] = int(best["iteration"])
+        self.progress = Progress(spin_axes=spin_axes, findings=findings, **best)
+        gap, improved_at = state["course"].tolist()
+        self._gap, self._improved_at = gap, int(improved_at)

@@ -102,6 +102,7 @@ class Dynamics(Method):
     if it has none. halted : it cannot make another step.
     """
 
+    resumes = True
     kept: ClassVar[tuple[str, ...]] = ()
     rest_gap: ClassVar = 1e-4
     aim = end = np.inf

@@ -14,6 +14,7 @@ power by 2 whatever the disorder. The rules (docs/how-methods-work.md has the pr
 """
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -41,6 +42,8 @@ CHECKS_AN_EPOCH = 8  # without momentum; the first half of them before the avera
 class GradientDescentMethod(Method):
     """See the module docstring. An iteration is one sweep over all contacts; sweeps are made in pairs."""
 
+    resumes = True
+    numbers_kept = ("iteration", "age", "width", "step_length", "epoch_start", "epoch_length", "averaged")
     points: tuple[str, ...] = ("point", "point_next")
     forces: tuple[str, ...] = ()
 
@@ -131,6 +134,22 @@ class GradientDescentMethod(Method):
             self.age += 2 * pairs
         if averaging:
             self.averaged += 2 * pairs
+
+    @property
+    def _changing(self) -> list[str]:
+        """Fields that sweeps and looks change."""
+        return [name for name in self.fields.names if name not in ("across", "coefficient", "viscosity")]
+
+    def state(self) -> dict[str, np.ndarray]:
+        numbers = {name: np.array(getattr(self, name)) for name in self.numbers_kept}
+        return {name: self.fields.read(name) for name in self._changing} | numbers | {"last_smooth": self.last_smooth}
+
+    def restore(self, state: Mapping[str, np.ndarray]) -> None:
+        for name in self._changing:
+            self.fields.load(name, state[name])
+        for name in self.numbers_kept:
+            setattr(self, name, type(getattr(self, name))(state[name]))
+        self.last_smooth = np.array(state["last_smooth"])
 
     def _step_and_sharpness(self) -> tuple[float, float]:
         if not self.scene.law.holds:

@@ -12,7 +12,9 @@ central path drives apart.
 """
 
 import threading
+from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -37,6 +39,7 @@ from taichi_bearings.scene import Progress, Scene
 from taichi_bearings.solvers.method import Method
 from taichi_bearings.solvers.table import InteriorPoint
 
+OF_A_POINT = ("spins", "bound", "difference", "dual")  # what of an iterate changes along the path
 BATCHED_SITES = InteriorPoint.alike_in_a_block  # spheres up to which samples are factorised side by side
 KEPT_SITES = 10_000  # spheres up to which what all samples of a lattice share is kept
 
@@ -75,6 +78,8 @@ def _made(thread: int, lattice: Lattice, spin_axes: tuple[int, ...], jump: bytes
 
 class InteriorPointMethod(Descent, Method):
     """See the module docstring. An iteration is one Newton step of every replica that is not yet done."""
+
+    resumes = True
 
     def __init__(self, options: InteriorPoint) -> None:
         self.options = options
@@ -118,6 +123,30 @@ class InteriorPointMethod(Descent, Method):
     @property
     def iteration(self) -> int:
         return max(sample.steps for sample in self.samples)
+
+    def state(self) -> dict[str, np.ndarray]:
+        """The points of the paths. States that are settled are not kept: they are settled again from there."""
+        found = {"iteration": np.array(self.iteration)}
+        for number, sample in enumerate(self.samples):
+            for place, point in (("now", sample.iterate), ("before", sample.before or sample.iterate)):
+                found |= {f"{number}/{place}/{name}": getattr(point, name) for name in OF_A_POINT}
+            again = sample.resolved is not None
+            told = (sample.steps, sample.gap, sample.done and not again, sample.at_end and not again)
+            tried = np.inf if again else sample.tried
+            found[f"{number}/path"] = np.array([*told, sample.before is not None, tried], dtype=float)
+        return found
+
+    def restore(self, state: Mapping[str, np.ndarray]) -> None:
+        for number, sample in enumerate(self.samples):
+            points: list[Any] = [
+                {name: np.array(state[f"{number}/{place}/{name}"]) for name in OF_A_POINT}
+                for place in ("now", "before")
+            ]
+            now, before = (replace(sample.iterate, **point) for point in points)
+            steps, gap, done, at_end, has_before, tried = state[f"{number}/path"].tolist()
+            sample.iterate, sample.before = now, before if has_before else None
+            sample.steps, sample.gap, sample.tried = int(steps), gap, tried
+            sample.done, sample.at_end = bool(done), bool(at_end)
 
     def next_check(self, iteration: int) -> int:
         """At iterations that do not depend on what is beside a sample. A look costs half a step at 10^3."""

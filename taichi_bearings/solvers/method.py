@@ -1,6 +1,6 @@
 """What every method offers to the common loop in drive.py."""
 
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -20,6 +20,8 @@ class Method:
     from. What it asks of its contacts is answered here for lattices, for packings in solvers/network.py.
     """
 
+    resumes: ClassVar[bool] = False
+    """Whether its `state()` holds all that the further course depends on, for `restore` to go on from."""
     scene: Scene
     spin_axes: tuple[int, ...]
     spec: Any

@@ -19,7 +19,7 @@ they are too hard (the forces are late). At each check rho is changed, replica b
 five times the first.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, nullcontext
 from itertools import repeat
@@ -74,6 +74,9 @@ class OperatorSplittingMethod(Method):
     springs of each sphere before the Poisson step.
     """
 
+    resumes = True
+    changing = ("trial", "spring", "potential", "pull")  # fields that iterations and looks change
+
     def begin(self, scene: Scene, spin: np.ndarray) -> None:
         super().begin(scene, spin)
         dimension, components = scene.lattice.dimension, len(self.spin_axes)
@@ -109,6 +112,15 @@ class OperatorSplittingMethod(Method):
 
     def _load_trial(self, trial: Forces) -> None:
         self.fields.load("trial", self.stencil.forces_at_lower_sphere(trial, self.layout))
+
+    def state(self) -> dict[str, np.ndarray]:
+        fields = {name: self.fields.read(name) for name in self.changing}
+        return fields | {"iteration": np.array(self.iteration), "stiffness": self.stiffness}
+
+    def restore(self, state: Mapping[str, np.ndarray]) -> None:
+        for name in self.changing:
+            self.fields.load(name, state[name])
+        self.iteration, self.stiffness = int(state["iteration"]), np.array(state["stiffness"])
 
     def _by_replica(self, values: np.ndarray) -> np.ndarray:
         return values.reshape(-1, *(1,) * self.scene.lattice.dimension)

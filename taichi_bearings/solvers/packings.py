@@ -157,6 +157,7 @@ class CundallStrackOfPacking(OnNetwork, CundallStrackMethod):
 class GradientDescentOfPacking(OnNetwork, GradientDescentMethod):
     """An iteration is one sweep over all contacts."""
 
+    resumes = False  # its network keeps forces and bounds of its own
     points, forces = ("point",), ("force",)
 
     def _kernels(self) -> Any:

@@ -76,8 +76,9 @@ class MethodOptions:
     """A method and its options. The facts of a method are class variables, its options the fields.
 
     name : for --method. implementation : "module:class", which is called with the options. of_packings : the same
-    for lists of contacts, "" where there is none, or what finds minima. is_dynamics : it steps in time. cpu_only :
-    it works in the memory of the CPU, in double precision whatever is asked.
+    for lists of contacts, "" where there is none, or what finds minima. is_dynamics : it steps in time.
+    keeps_checkpoints : of lattices it can go on from a checkpoint. cpu_only : it works in the memory of the CPU, in
+    double precision whatever is asked.
     alike_in_a_block : spheres up to which it gives a seed the same bits alone and beside others, and gains by it.
     colour, marker : in every figure. solves : True for a law.
     """
@@ -86,6 +87,7 @@ class MethodOptions:
     implementation: ClassVar[str]
     of_packings: ClassVar[str] = ""
     is_dynamics: ClassVar[bool] = False
+    keeps_checkpoints: ClassVar[bool] = False
     needs_taichi: ClassVar[bool] = True
     cpu_only: ClassVar[bool] = False
     alike_in_a_block: ClassVar[float] = 0
@@ -189,6 +191,7 @@ class InteriorPoint(MethodOptions):
     """Primal-dual central path: a proven minimum to round-off in about twenty Newton steps."""
 
     name = "interior-point"
+    keeps_checkpoints = True
     implementation = "taichi_bearings.solvers.interior_point:InteriorPointMethod"
     of_packings = MINIMISES
     cpu_only = True
@@ -219,6 +222,7 @@ class OperatorSplitting(MethodOptions):
     """Operator splitting with fast Poisson solves: rough answers of large scenes."""
 
     name = "operator-splitting"
+    keeps_checkpoints = True
     implementation = "taichi_bearings.solvers.operator_splitting:OperatorSplittingMethod"
     colour, marker = "#009E73", "D"
     solves = _laws(attrgetter("is_rate_independent"))
@@ -252,6 +256,7 @@ class GradientDescent(MethodOptions):
     """The paper's first method, with step lengths that provably converge."""
 
     name = "gradient-descent"
+    keeps_checkpoints = True
     implementation = "taichi_bearings.solvers.gradient_descent:GradientDescentMethod"
     of_packings = "taichi_bearings.solvers.packings:GradientDescentOfPacking"
     colour, marker = "#E69F00", "P"
@@ -279,7 +284,7 @@ def _error_tolerance() -> float:
 class Motion(MethodOptions):
     """What all dynamics have."""
 
-    is_dynamics = True
+    is_dynamics = keeps_checkpoints = True
 
     mass: float = option(1.0, POSITIVE, "Mass of a sphere.", unit="mass", rare=True)
     inertia: float | None = option(

@@ -1,0 +1,66 @@
+"""Minimisations that are stopped on their way and go on from their checkpoint: the answer of an undisturbed one."""
+
+import numpy as np
+import pytest
+
+from taichi_bearings.errors import FileError
+from taichi_bearings.scene import Status
+from taichi_bearings.scene.initial_spins import initial_spin
+from taichi_bearings.solvers.drive import Checkpoints, solve
+from taichi_bearings.solvers.stopping import StopRule
+from taichi_bearings.solvers.table import GradientDescent, InteriorPoint, OperatorSplitting
+from tests.scenes import make_scene
+
+CASES = [
+    (InteriorPoint(), "coulomb", (9, 8, 10), 1e-9, 3),
+    (InteriorPoint(settle=False), "coulomb", (18, 17, 18), 1e-7, 2),
+    (InteriorPoint(), "coulomb-viscous", (6, 7, 6), 1e-9, 2),
+    (OperatorSplitting(), "coulomb", (8, 7, 9), 1e-4, 4),
+    (GradientDescent(), "coulomb", (5, 4, 6), 1e-2, 5),
+    (GradientDescent(momentum=False), "coulomb", (5, 4, 6), 3e-2, 20),
+    (GradientDescent(), "viscous", (6, 7), 1e-8, 3),
+]
+
+
+def stopped(scene, row, stop, looks, resume=None):
+    """A solve that is unwanted after so many looks, and the last checkpoint of it."""
+    kept, heard = [], []
+
+    def unwanted(report):
+        heard.append(report.progress.iteration)
+        return len(heard) >= looks
+
+    checkpoints = Checkpoints(0.0, lambda arrays: kept.append({n: np.array(v) for n, v in arrays.items()}), resume)
+    spin = initial_spin(scene, "linear")
+    return solve(scene, row.build(), spin, stop, [unwanted], checkpoints=checkpoints), kept[-1]
+
+
+@pytest.mark.usefixtures("taichi_runtime", "needs_f64")
+@pytest.mark.parametrize("replicas", [1, 2])
+@pytest.mark.parametrize(("row", "law", "shape", "tolerance", "looks"), CASES, ids=lambda value: str(value)[:30])
+def test_a_minimisation_that_goes_on_comes_to_the_same_bits(row, law, shape, tolerance, looks, replicas):
+    scene, stop = make_scene(shape, law, seeds=tuple(range(5, 5 + replicas))), StopRule(tolerance)
+    whole = solve(scene, row.build(), initial_spin(scene, "linear"), stop)
+    assert whole.status is Status.CERTIFIED
+    part, arrays = stopped(scene, row, stop, looks)
+    if part.status is not Status.INTERRUPTED:  # done at its first looks
+        assert row.name == "interior-point"
+        return
+    again, _ = stopped(scene, row, stop, np.inf, arrays)
+    assert again.status is Status.CERTIFIED
+    assert again.iterations == whole.iterations
+    for name in ("spin", "friction", "state", "power", "lower_bound"):
+        assert np.array_equal(getattr(again, name), getattr(whole, name)), name
+    rows = again.history["iteration"]
+    assert rows.tolist() == whole.history["iteration"].tolist()
+
+
+@pytest.mark.usefixtures("taichi_runtime", "needs_f64")
+def test_a_checkpoint_of_another_scene_is_refused():
+    stop = StopRule(1e-4)
+    _, arrays = stopped(make_scene((8, 7, 9), seeds=(5,)), OperatorSplitting(), stop, 2)
+    with pytest.raises(FileError, match="of another scene"):
+        stopped(make_scene((8, 7, 8), seeds=(5,)), OperatorSplitting(), stop, 2, arrays)
+    arrays["best/objective"] = np.array([np.nan])
+    with pytest.raises(FileError, match="best holds something else"):
+        stopped(make_scene((8, 7, 9), seeds=(5,)), OperatorSplitting(), stop, 2, arrays)
