@@ -4,7 +4,6 @@ from collections.abc import Iterator
 from itertools import chain
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 SEARCHED_AT_ONCE = 50_000  # spheres whose neighbours are looked for together; each list of them takes memory
 
@@ -22,6 +21,8 @@ def near_pairs(
     """
     if not len(center):
         return
+    from scipy.spatial import cKDTree  # a tenth of a second that runs do not need
+
     octave = np.floor(np.log2(radius)).astype(int)
     for own in np.unique(octave):
         chosen = np.flatnonzero(octave == own)

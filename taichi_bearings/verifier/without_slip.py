@@ -45,7 +45,7 @@ def exists_without_slip(network: Network) -> np.ndarray:
 def _of_lattice(network: Network) -> np.ndarray:
     if not network.needed:
         return np.ones(network.count, dtype=bool)
-    absent = network.free[network.contact].any(axis=0) & ~network.acts
+    absent = network.graph.any_end(network.free) & ~network.acts
     if not absent.any():
         return np.zeros(network.count, dtype=bool)
     return ~network.joins

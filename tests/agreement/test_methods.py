@@ -43,7 +43,7 @@ DRIVINGS = {
     "spheres about x": {"shape": (3, 2, 4), "direction": (1, 0, 0), "spin_bottom": 0.3},
     "spheres about an odd axis": {"shape": (2, 3, 4), "direction": (1, -2, 3)},
 }
-LEAST_METHODS = {"coulomb": 6, "viscous": 4, "coulomb-viscous": 3}
+LEAST_METHODS = {"coulomb": 5, "viscous": 4, "coulomb-viscous": 3}
 
 
 @pytest.mark.usefixtures("needs_f64")

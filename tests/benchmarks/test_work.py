@@ -200,3 +200,13 @@ def test_freed_memory_is_kept_for_what_follows():
     )
     assert kept < 100
     assert given >= kept
+
+
+def test_a_run_loads_nothing_that_only_other_work_needs():
+    """Each takes a tenth of a second or more."""
+    loads = (
+        "import sys, taichi_bearings_cli.run, taichi_bearings.runs.run, taichi_bearings.solvers; print(*sys.modules)"
+    )
+    loaded = subprocess.run([sys.executable, "-c", loads], capture_output=True, check=True, text=True).stdout.split()
+    assert "taichi_bearings.runs.run" in loaded
+    assert not {"scipy.spatial", "scipy.optimize", "matplotlib", "networkx"} & set(loaded)
