@@ -9,12 +9,14 @@ import contextlib
 import importlib.util
 import inspect
 import linecache
+import logging
 import os
 import stat
 import tempfile
 import time
 import warnings
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -87,10 +89,22 @@ def _is_ours(folder: Path) -> bool:
         inside = folder / Path(KERNEL_CACHES[name()]).name
         if not all(_is_private(place.stat()) for place in (folder, inside) if place.exists()):
             return False
-        with tempfile.TemporaryFile(dir=folder):
-            return True
+        if os.path.lexists(inside) and not inside.is_dir():
+            _warn_of_cache(inside)
+            return False
+        for place in (folder, inside):
+            if place.exists():
+                tempfile.TemporaryFile(dir=place).close()
+        return True
     except OSError:
         return False
+
+
+@cache
+def _warn_of_cache(place: Path) -> None:
+    """Once in a process."""
+    words = "bearings: %s is no folder; compiled kernels are kept in a temporary folder instead"
+    logging.getLogger(__name__).warning(words, place)
 
 
 def _is_private(status: os.stat_result) -> bool:
@@ -133,6 +147,7 @@ def __getattr__(attribute: str) -> Any:
     if attribute != "ti":
         raise AttributeError(f"module {__name__!r} has no attribute {attribute!r}")
     with environment(), warnings.catch_warnings(), _lines_found_quickly():  # it adds filters of its own
+        warnings.simplefilter("ignore")  # what it uses of Python is not ours to mend, even where warnings are errors
         globals()["ti"] = importlib.import_module(name())
         with contextlib.suppress(ImportError):
             walker: Any = importlib.import_module(f"{name()}.lang.ast.ast_transformer_utils")
@@ -175,7 +190,9 @@ def _read_functions_once(reader: Any) -> None:
         return tree, context(**wishes, **origin)
 
     def walk_and_keep(tree: Any, used: Any) -> Any:
-        result = walk(tree, used)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DeprecationWarning)  # of the kinds of expressions that Python 3.12 knows
+            result = walk(tree, used)
         if not used.is_kernel and not used.is_real_function:
             origin = {"file": used.file, "src": used.src, "start_lineno": used.lineno_offset + 1}
             free.setdefault(used.func, []).append((tree, origin))

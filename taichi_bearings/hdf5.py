@@ -1,12 +1,13 @@
 """HDF5 files from anywhere, which are data and nothing else: what one claims to hold is looked at before it is read.
 
-Some damaged files the HDF5 library never finishes reading, deaf to everything. Nothing here prevents that: a file is
-opened and looked through with Ctrl-C and SIGTERM at their default action, so that a command can be left.
+Some damaged files the HDF5 library never finishes reading, deaf to everything. A file that may be one of them is opened
+and looked through with Ctrl-C and SIGTERM at their default action, so that a command can be left.
 """
 
 import contextlib
 import errno
 import math
+import mmap
 import os
 import re
 from collections.abc import Iterator
@@ -24,6 +25,7 @@ UNREADABLE = (OSError, KeyError, ValueError, TypeError, AttributeError, IndexErr
 """What HDF5 and NumPy raise at damaged files."""
 GZIP_FACTOR, UNPACKED_BYTES = 1032, 2**20  # bytes that gzip makes of one, at most; what may be claimed without any
 FILTERS = {1: "gzip", 2: "shuffle", 3: "fletcher32", 32000: "lzf"}
+HEAP = b"GCOL\1\0\0\0"  # how a heap of texts begins
 NO_LOCKS = {errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP}  # what a file system without locks says
 
 
@@ -38,7 +40,7 @@ def open_hdf5(path: Path, kind: str = "an HDF5 file") -> Iterator[h5py.File]:
     try:
         with opened(path) as file:  # a regular file
             size = os.fstat(file.fileno()).st_size
-        with by_default():
+        with contextlib.nullcontext() if _has_whole_heaps(path) else by_default():
             stored = file_at(path)
             reason = reason_against(stored, size)
         with stored:
@@ -48,6 +50,27 @@ def open_hdf5(path: Path, kind: str = "an HDF5 file") -> Iterator[h5py.File]:
     except UNREADABLE as error:
         words = " ".join(str(error).strip("'").split())
         raise FileError(f"{path} cannot be read as {kind}: {words}") from None
+
+
+def _has_whole_heaps(path: Path) -> bool:
+    """False if what is free in a heap of texts in the file has no length, or an object reaches beyond its heap: HDF5
+    2.0 may then read on for ever."""
+    with (
+        opened(path) as file,
+        contextlib.suppress(ValueError),  # an empty file cannot be mapped
+        mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content,
+    ):
+        heap = content.find(HEAP)
+        while heap >= 0:
+            place, end = heap + 16, heap + int.from_bytes(content[heap + 8 : heap + 16], "little")
+            while place + 16 <= min(end, len(content)):
+                size = int.from_bytes(content[place + 8 : place + 16], "little")
+                is_free = content[place : place + 2] == b"\0\0"
+                place += size if is_free else 16 + 8 * -(-size // 8)
+                if place > end or (is_free and size == 0):
+                    return False
+            heap = content.find(HEAP, heap + 1)
+    return True
 
 
 def file_at(path: Path) -> h5py.File:
@@ -64,6 +87,14 @@ def file_at(path: Path) -> h5py.File:
 
 def reason_against(file: h5py.File, size: int) -> str:
     """Say why the data of an open file must not be read, in words; empty if they can be. size : of the file, bytes."""
+    try:
+        return _strange(file, size)
+    except UNREADABLE as error:
+        return f"it is damaged: {' '.join(str(error).split())}"
+
+
+def _strange(file: h5py.File, size: int) -> str:
+    """Say what in a file of so many bytes leads out of it, is of a strange kind or claims too much; or nothing."""
     links: list[tuple[bytes, int]] = []
     file.id.links.visit(lambda name, link: links.append((name, link.type)), info=True)
     if leads_out := [name.decode() for name, kind in links if kind == h5py.h5l.TYPE_EXTERNAL]:

@@ -111,6 +111,8 @@ def again_soon(is_wanted: Callable[[], bool] = lambda: True) -> None:
 
     def ring() -> None:
         time.sleep(SOON)
+        while signal.getsignal(signal.SIGINT) is signal.SIG_DFL:  # which would end the process without a word
+            time.sleep(SOON)
         if not is_wanted():
             return
         if hasattr(signal, "pthread_kill"):  # which also ends a wait

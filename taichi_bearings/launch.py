@@ -43,8 +43,10 @@ def prepared(kernel: Any, *arguments: np.ndarray | int) -> Callable[[], None]:
         return lambda: kernel(*arguments)
 
     def started(keep: tuple = arguments) -> None:
+        refuse_changed()
         start(machine_code, context)
 
+    refuse_changed = runtime.refuse_changed
     return started
 
 

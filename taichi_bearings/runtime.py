@@ -9,7 +9,9 @@ import io
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 from taichi_bearings import compiler, devices
 from taichi_bearings.errors import DeviceError
@@ -40,6 +42,7 @@ class Runtime:
 
 _current: Runtime | None = None
 _owner: int | None = None
+_program: Any = None  # what the compiler has started for us
 
 
 def available_threads() -> int:
@@ -70,8 +73,37 @@ def automatic_arch(precision: str = "f64") -> str:
 
 
 def current() -> Runtime:
-    """The running runtime; starts the default one (cpu, f64, all threads) if there is none."""
-    return _current if _current is not None else start()
+    """The running runtime; starts the default one (cpu, f64, all threads) if there is none.
+
+    Raises DeviceError if other code has replaced ours."""
+    if _current is None:
+        return start()
+    refuse_changed()
+    return _current
+
+
+def running_program() -> Any:
+    """What the compiler runs in this process, be it ours or started by other code; None where nothing runs."""
+    state = vars(_language().get_runtime())
+    return state["_prog"] if "_prog" in state else state.get("prog")
+
+
+@cache
+def _language() -> Any:
+    from taichi_bearings.compiler import ti
+
+    return ti.lang.impl
+
+
+ALONE = "solve in a new process, or by taichi_bearings.solve_many, whose workers are processes of their own"
+
+
+def refuse_changed() -> None:
+    """DeviceError if other code has reset or restarted the compiler since we have started it: what our kernels and
+    arrays live in is gone then. To ask before each launch takes less than a microsecond."""
+    if _program is not None and running_program() is not _program:
+        begun = f"after taichi_bearings had started it with {_current}"
+        raise DeviceError(f"{compiler.name()} was reset or started anew by other code in this process {begun}; {ALONE}")
 
 
 def start(arch: str = "cpu", precision: str = "f64", threads: int = 0, debug: bool = False) -> Runtime:
@@ -84,7 +116,7 @@ def start(arch: str = "cpu", precision: str = "f64", threads: int = 0, debug: bo
 
     Raises DeviceError if the device is absent, or if the runtime already runs with another choice.
     """
-    global _current, _owner
+    global _current, _owner, _program
     if precision not in PRECISIONS:
         raise DeviceError(
             f"precision is {precision!r}; allowed are {', '.join(PRECISIONS)}{meant(precision, PRECISIONS)}"
@@ -99,13 +131,17 @@ def start(arch: str = "cpu", precision: str = "f64", threads: int = 0, debug: bo
     if _current is not None:
         if _owner != os.getpid():
             raise DeviceError("the Taichi runtime was started before this process was forked; start workers by spawn")
+        refuse_changed()
         if wanted != _current:
             raise DeviceError(
                 f"Taichi already runs in this process with {_current}, and a process starts it once; solve with "
                 f"{wanted} in a new one, or by taichi_bearings.solve_many, whose workers are processes of their own"
             )
         return _current
-    cache = compiler.cache_folder()
+    if running_program() is not None:
+        words = "started by other code, and starting it for taichi_bearings would destroy the fields of that"
+        raise DeviceError(f"{compiler.name()} already runs in this process, {words}; {ALONE}")
+    kept = compiler.cache_folder()
     with contextlib.redirect_stdout(io.StringIO()), compiler.environment(), _out_of_memory():
         ti.init(
             arch=getattr(ti, arch),
@@ -117,11 +153,11 @@ def start(arch: str = "cpu", precision: str = "f64", threads: int = 0, debug: bo
             real_matrix_scalarize=arch != "cpu",  # on a CPU, blocks of sites are read and written by SIMD instructions
             debug=debug,
             log_level=ti.CRITICAL,  # what goes wrong is an exception, too
-            offline_cache=cache is not None,
-            offline_cache_file_path=str(cache or Path(__file__).parent),  # at its end it makes sure that this is there
+            offline_cache=kept is not None,
+            offline_cache_file_path=str(kept or Path(__file__).parent),  # at its end it makes sure that this is there
         )
     ti.lang.impl.current_cfg().cpu_max_num_threads = MOST_THREADS  # a part of the name of every cached kernel
-    _current, _owner = wanted, os.getpid()
+    _current, _owner, _program = wanted, os.getpid(), running_program()
     return wanted
 
 

@@ -1,5 +1,6 @@
 """The runtime: one choice a process, honest errors, quiet start, same bits for any number of workers."""
 
+import importlib.util
 import inspect
 import os
 import subprocess
@@ -75,6 +76,62 @@ def test_one_and_two_workers_give_the_same_bits():
         assert workers == (str(threads),) * 6
         found.append(spins)
     assert found[0] == found[-1]
+
+
+THEIRS = """
+import {compiler} as ti
+from taichi_bearings.errors import DeviceError
+import taichi_bearings as tb
+scene = tb.Scene.random((4, 4, 4), seed=1)
+
+
+def words(call):
+    try:
+        return "P = %r" % call().power
+    except DeviceError as error:
+        return str(error)
+
+
+def theirs():
+    ti.init(arch=ti.cpu, default_fp=ti.f32)
+    field = ti.field(ti.f32, 3)
+    field.fill(7)
+    return field
+
+
+def run(method):
+    given = dict(start="random", duration=1e-3) if method == "cundall-strack" else dict(tolerance=1e-6)
+    return words(lambda: tb.solve(scene, method, **given))
+
+
+{script}
+"""
+METHODS = "('auto', 'cundall-strack', 'gradient-descent', 'operator-splitting')"
+SCRIPTS = {
+    "before": ("field = theirs()\nfor method in {}:\n    print(run(method))\nassert (field.to_numpy() == 7).all()",
+               4 * ["already runs in this process"]),
+    "after": ("print(run('auto'))\nfield = theirs()\nfor method in {}:\n    print(run(method))\n"
+              "assert (field.to_numpy() == 7).all()", ["P = ", *4 * ["was reset or started anew"]]),
+    "reset": ("print(run('auto'))\nti.reset()\nfor method in {}:\n    print(run(method))",
+              ["P = ", *4 * ["was reset or started anew"]]),
+    "meanwhile": ("def meddle(*_):\n    ti.init()\n"
+                  "print(words(lambda: tb.solve(scene, 'gradient-descent', tolerance=1e-12, callback=meddle)))",
+                  ["was reset or started anew"]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("compiler", ["taichi", "quadrants"])
+@pytest.mark.parametrize("when", SCRIPTS)
+def test_a_runtime_of_other_code_is_neither_reset_nor_computed_with(compiler, when):
+    if importlib.util.find_spec(compiler) is None:
+        pytest.skip(f"{compiler} is not installed")
+    script, expected = SCRIPTS[when]
+    code = THEIRS.format(compiler=compiler, script=script.format(METHODS))
+    done = python(code, TAICHI_BEARINGS_COMPILER=compiler, TI_LOG_LEVEL="error", QD_LOG_LEVEL="error")
+    said = [line for line in done.stdout.splitlines() if not line.startswith("[")]
+    assert done.returncode == 0, done.stderr
+    assert "Traceback" not in done.stderr
+    assert [words in line for words, line in zip(expected, said, strict=True)] == [True] * len(expected), said
 
 
 def test_an_unknown_or_absent_compiler_is_named():

@@ -54,6 +54,7 @@ class Team:
     def launch(self, kernel: Any, count: int, *arguments: Any, first: int = 0, together: int = 1) -> None:
         """Call ``kernel(arrived, workers, begin, end, *arguments)`` for `count` steps from `first` on, in one or more
         pieces, with as many workers as the machine has room for. A count of 0 compiles it."""
+        runtime.refuse_changed()
         if self.size == 0:
             for step in range(first, first + max(count, 1), together):
                 kernel(self.arrived, 0, step, min(step + together, first + count), *arguments)

@@ -10,7 +10,7 @@ import textwrap
 from pathlib import Path
 from typing import Any
 
-from matplotlib import colormaps, rc_context
+from matplotlib import colormaps, rc_context, rcParamsDefault
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
@@ -39,7 +39,13 @@ TALLER = 1.5  # height of a panel over several columns, of that of the others
 SCREEN_DPI = 100  # dots an inch of the figures in notebooks
 LETTERS_AN_INCH, TITLE_LINE = 16, 0.14  # of a title, and inches of a line of it
 IN_DOLLARS = re.compile(r"(?<!\\)\$.*?(?<!\\)\$")
-in_our_style = rc_context(RC)  # decorates what makes a figure
+OF_THE_PROCESS = (
+    "animation", "backend", "date", "docstring", "interactive", "keymap", "savefig.directory", "timezone", "tk",
+    "toolbar", "webagg",
+)  # fmt: skip
+"""How the settings begin that no figure depends on."""
+PLAIN_RC = {key: value for key, value in rcParamsDefault.items() if not key.startswith(OF_THE_PROCESS)}
+in_our_style = rc_context(PLAIN_RC | RC)  # decorates what makes a figure: nobody's matplotlibrc changes it
 
 
 class NotebookFigure(Figure):

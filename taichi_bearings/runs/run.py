@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from taichi_bearings import compiler, leaving, runtime
-from taichi_bearings.errors import FileError, InputError, WriteError
+from taichi_bearings.errors import FileError, InputError, WriteError, printable
 from taichi_bearings.files.whole_file import write_text
 from taichi_bearings.interrupts import awaited
 from taichi_bearings.lattice import Lattice
@@ -422,11 +422,23 @@ def _unless_full() -> Iterator[None]:
         logging.getLogger(__name__).warning("bearings: %s; the run is kept without it", error)
 
 
+@contextlib.contextmanager
+def _unless_undrawable() -> Iterator[None]:
+    """Figures that cannot be drawn inside, as where matplotlib cannot be loaded, cost no more than a sentence."""
+    try:
+        yield
+    except (FileError, MemoryError):
+        raise
+    except Exception as error:
+        words = "bearings: no figures, matplotlib says: %s: %s; the run is kept without them"
+        logging.getLogger(__name__).warning(words, type(error).__name__, printable(str(error)))
+
+
 def draw_figures(found: Run, title: bool = True) -> None:
     """Draw the figures that a run gets into its directory, unless it wants none; title: whether words stand above."""
     if found.settings.figures != "all":
         return
-    with _unless_full(), stage("drawing"):
+    with _unless_full(), _unless_undrawable(), stage("drawing"):
         from taichi_bearings.plots.curves import courses_of, draw_histogram, draw_history
         from taichi_bearings.plots.page import Page
         from taichi_bearings.plots.style import save

@@ -204,6 +204,7 @@ class Course:
 
     def _advance(self, steps: int) -> None:
         """So many iterations, in launches of about half a second; fewer where the time is over."""
+        runtime.refuse_changed()  # a monitor may have done so
         while steps > 0 and not self._is_ended():
             now = min(self.launch, steps)
             began = time.perf_counter()

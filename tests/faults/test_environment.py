@@ -4,6 +4,7 @@ import os
 import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import h5py
 import pytest
@@ -96,6 +97,64 @@ def test_no_home_no_cache_and_a_backend_of_no_meaning_cost_nothing(tmp_path):
     )
     assert (done.returncode, done.stderr) == (0, "")
     assert (tmp_path / "a" / "power_histogram.png").exists()
+
+
+def test_warnings_that_are_errors_cost_nothing(tmp_path):
+    """Those of Python, which what we import makes; in the command, and in a program that imports us."""
+    done = bearings("run", *SMALL, "--out", tmp_path / "a", env=os.environ | {"PYTHONWARNINGS": "error"})
+    assert (done.returncode, done.stderr) == (0, "")
+    code = "import taichi_bearings as tb; print(tb.solve(tb.Scene.random((3, 3, 3), seed=1), 'gradient-descent').power)"
+    alone = subprocess.run([sys.executable, "-W", "error", "-c", code], capture_output=True, text=True)
+    assert (alone.returncode, alone.stderr) == (0, "")
+
+
+HOSTILE = """text.usetex: True
+font.family: Comic Nothing
+savefig.format: svg
+axes.formatter.use_locale: True
+backend: TkAgg
+figure.dpi: 7
+axes.facecolor: red
+"""
+
+
+def test_figures_are_alike_whatever_the_matplotlibrc_says(tmp_path):
+    """LaTeX is asked for, which is not there."""
+    pictures = []
+    for name, text in (("ours", ""), ("hostile", HOSTILE)):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "matplotlibrc").write_text(text)
+        words = ("run", "--shape", "4,5", "--out", tmp_path / f"{name}-run")
+        done = bearings(*words, env=os.environ | {"MPLCONFIGDIR": str(tmp_path / name), "PATH": ""})
+        assert (done.returncode, done.stderr) == (0, "")
+        pictures.append((tmp_path / f"{name}-run" / "power_histogram.png").read_bytes())
+    assert pictures[0] == pictures[1]
+
+
+def test_where_matplotlib_cannot_be_loaded_the_run_is_kept(tmp_path):
+    (tmp_path / "matplotlibrc").write_bytes(b"font.family: \xff\xfe\n")
+    environment = os.environ | {"MPLCONFIGDIR": str(tmp_path)}
+    done = bearings("run", "--shape", "4,5", "--out", tmp_path / "a", env=environment)
+    assert done.returncode == 0, done.stderr
+    assert "Traceback" not in done.stderr
+    assert read_run(tmp_path / "a").solution.power > 0
+    assert (tmp_path / "a" / "power_histogram.png").exists() or "the run is kept without them" in done.stderr
+
+
+@pytest.mark.parametrize("place", ["ticache", ".", ".."], ids=["ticache", "taichi", "cache"])
+def test_a_file_where_the_cache_should_be_costs_one_sentence(tmp_path, place):
+    """And no crash at the end of the process."""
+    file = Path(os.path.normpath(tmp_path / ".cache" / "taichi" / place))
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text("mine")
+    ours = {"HOME": str(tmp_path), "TMPDIR": str(tmp_path), "TAICHI_BEARINGS_COMPILER": "taichi"}
+    environment = {key: value for key, value in os.environ.items() if key != "XDG_CACHE_HOME"} | ours
+    done = bearings("run", "--shape", "3,3", "--method", "gradient-descent", "--tolerance", "1e-2", "--figures", "none",
+                    "--out", tmp_path / "a", env=environment)  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    sentence = f"bearings: {file} is no folder; compiled kernels are kept in a temporary folder instead\n"
+    assert done.stderr == (sentence if place == "ticache" else "")
+    assert file.read_text() == "mine"
 
 
 @pytest.mark.parametrize("streams", [(1,), (0, 1, 2)], ids=str)
