@@ -95,7 +95,7 @@ def _language() -> Any:
     return ti.lang.impl
 
 
-ALONE = "solve in a new process, or by taichi_bearings.solve_many, whose workers are processes of their own"
+OWN_PROCESS = "solve in a new process, or by taichi_bearings.solve_many, whose workers are processes of their own"
 
 
 def refuse_changed() -> None:
@@ -103,7 +103,9 @@ def refuse_changed() -> None:
     arrays live in is gone then. To ask before each launch takes less than a microsecond."""
     if _program is not None and running_program() is not _program:
         begun = f"after taichi_bearings had started it with {_current}"
-        raise DeviceError(f"{compiler.name()} was reset or started anew by other code in this process {begun}; {ALONE}")
+        raise DeviceError(
+            f"{compiler.name()} was reset or started anew by other code in this process {begun}; {OWN_PROCESS}"
+        )
 
 
 def start(arch: str = "cpu", precision: str = "f64", threads: int = 0, debug: bool = False) -> Runtime:
@@ -140,7 +142,7 @@ def start(arch: str = "cpu", precision: str = "f64", threads: int = 0, debug: bo
         return _current
     if running_program() is not None:
         words = "started by other code, and starting it for taichi_bearings would destroy the fields of that"
-        raise DeviceError(f"{compiler.name()} already runs in this process, {words}; {ALONE}")
+        raise DeviceError(f"{compiler.name()} already runs in this process, {words}; {OWN_PROCESS}")
     kept = compiler.cache_folder()
     with contextlib.redirect_stdout(io.StringIO()), compiler.environment(), _out_of_memory():
         ti.init(
