@@ -21,6 +21,7 @@ from taichi_bearings.options import SEED, finite_number, options_of
 from taichi_bearings.packing import Packing, Packings
 from taichi_bearings.progress import displayed
 from taichi_bearings.quantities import CONTACTS, FINDINGS, SAMPLES, SPHERES, Quantity
+from taichi_bearings.read_only import read_only
 from taichi_bearings.runs import run as runs
 from taichi_bearings.runs.analysis import Analysis
 from taichi_bearings.runs.packing_run import fitting, minimises
@@ -146,7 +147,7 @@ class Result:
         (*contacts), its component along z x n. Of packings that on the second sphere, (E, 3), of discs (E,). The lower
         bound follows from it."""
         found = self._of_samples(self._run.solution.friction)
-        return found if self._run.is_packing else friction_by_axis(found, self.scene.lattice)
+        return found if self._run.is_packing else read_only(friction_by_axis(found, self.scene.lattice))
 
     @property
     def history(self) -> dict[str, np.ndarray]:

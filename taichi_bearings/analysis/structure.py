@@ -32,6 +32,7 @@ from taichi_bearings.packing.structure import self_stress_of
 from taichi_bearings.packing.system import acting, along_axes, odd_parts
 from taichi_bearings.proof.contact_state import ContactState, by_threshold, critical
 from taichi_bearings.quantities import STRUCTURE, Quantity, plain
+from taichi_bearings.read_only import cached_read_only
 from taichi_bearings.scene import Scene, Solution
 from taichi_bearings.scene.initial_spins import cut_of, cut_unit, cut_weights, minimum_cut_spin
 from taichi_bearings.scene.scene import vector_length
@@ -101,7 +102,7 @@ class Structure:
         """Contacts that can slip."""
         return len(self.state) - self.contacts_in(ContactState.DRIVEN)
 
-    @property
+    @cached_read_only
     def slipless(self) -> np.ndarray:
         """(E,) True for slipless contacts."""
         return self.state == ContactState.SLIPLESS
@@ -156,19 +157,19 @@ class Structure:
         with stage("finding the minimum cut"):
             return Interface.of(self.packing)
 
-    @cached_property
+    @cached_read_only
     def signs(self) -> tuple[np.ndarray, np.ndarray]:
         """(N,) True in parts with odd loops, and the signs by which neighbours differ in others."""
         return odd_parts(self.packing.spheres, *self.packing.contact.T)
 
-    @cached_property
+    @cached_read_only
     def states(self) -> np.ndarray | None:
         """s u (2, N, C) of all spheres if they turned with the first or with the second of two driven bodies,
         length/time; None where these are in no bearing states."""
         found = bearing_states(self.packing)
         return None if found is None else found[1]
 
-    @cached_property
+    @cached_read_only
     def turned(self) -> np.ndarray:
         """s R omega (N, C), length/time, with signs s by which neighbours differ; in parts with odd loops, where each
         sphere has neighbours of its own sign, that of its first component is taken away."""
@@ -201,7 +202,7 @@ class Structure:
         above = (u - low)[:, axes].T
         return RigidDomains.of(axes, labels, tied, above, None if states is None else jump, piece.shape, names)
 
-    @property
+    @cached_read_only
     def domain(self) -> np.ndarray:
         """N, label of the rigid domain of each sphere, the largest first."""
         return self.rigid_domains.domain
@@ -216,7 +217,7 @@ class Structure:
         slips = np.abs(both).max(axis=0, initial=0.0) > near
         return tuple(np.flatnonzero(slips | ~slips.any()).tolist())
 
-    @cached_property
+    @cached_read_only
     def height(self) -> np.ndarray:
         """(N,) 0 on the first body, 1 on the last one, and between the mean of that of the neighbours; 0 where these
         two do not reach."""
@@ -357,7 +358,7 @@ class LatticeStructure(Structure):
         with stage("finding the minimum cut"):
             return find_interface(self.scene)
 
-    @cached_property
+    @cached_read_only
     def states(self) -> np.ndarray:
         sign, imposed = self.signs[1], self.packing.imposed
         top = (sign[:, None] * imposed).reshape(*self.scene.lattice.shape, -1)[..., -1:, :]
@@ -370,7 +371,7 @@ class LatticeStructure(Structure):
         with stage("finding rigid domains"):
             return rigid_domains(self.network, self.scene.staggered_spin(self.spin[None], axes)[:, 0], axes)
 
-    @cached_property
+    @cached_read_only
     def height(self) -> np.ndarray:
         *_, layer = np.indices(self.scene.lattice.shape)
         return np.asarray(layer.ravel() / layer.max())

@@ -45,11 +45,20 @@ def places(values: Any) -> np.ndarray:
     return center
 
 
+def _array(name: str, values: Any) -> np.ndarray:
+    """The values as an array; InputError where lists of unequal lengths, or numbers too large, make none."""
+    try:
+        return np.asanyarray(values)
+    except (ValueError, OverflowError, TypeError):
+        raise InputError(f"{name} is {shown(values)}; it must be an array of whole numbers") from None
+
+
 def _integers(name: str, values: Any) -> np.ndarray:
-    array = np.asanyarray(values) if not isinstance(values, np.ma.MaskedArray) else np.asarray(0.5)
+    array = _array(name, values) if not isinstance(values, np.ma.MaskedArray) else np.asarray(0.5)
     if array.dtype.kind == "f":
         with np.errstate(invalid="ignore"):
-            whole = array.astype(np.int64) if (np.abs(array) <= MOST_INTEGER).all() else array[:0]
+            fits = array.ndim and (np.abs(array) <= MOST_INTEGER).all()
+            whole = array.astype(np.int64) if fits else array.ravel()[:0]
         if array.size and array.ndim and (whole.shape != array.shape or (whole != array).any()):
             flat = array.ravel()
             own = flat[~((np.abs(flat) <= MOST_INTEGER) & (flat == np.round(flat)))][0]
@@ -82,7 +91,7 @@ def pairs(values: Any, spheres: int) -> np.ndarray:
 
 def bodies(values: Any, spheres: int) -> np.ndarray:
     """(N,) the body of each sphere, -1 for free ones; truths drive body 0."""
-    array = np.asanyarray(values)
+    array = _array("driven", values)
     is_mask = array.dtype.kind == "b" and not np.ma.is_masked(array)
     driven = _integers("driven", np.where(array, 0, -1) if is_mask else values)
     if driven.shape != (spheres,):

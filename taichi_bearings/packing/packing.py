@@ -6,7 +6,6 @@ radii drop out, and a packing out of a simulation, a space-filling bearing and a
 
 import logging
 from dataclasses import dataclass, field, fields
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +21,7 @@ from taichi_bearings.packing.lammps import Asked, read_dumps
 from taichi_bearings.packing.lattices import KINDS, Built, built, driven_bodies
 from taichi_bearings.packing.tables import read_contacts, read_spheres
 from taichi_bearings.plain_files import writing
+from taichi_bearings.read_only import cached_read_only
 from taichi_bearings.scene.array_files import read_arrays
 from taichi_bearings.scene.disorder import Distribution, Draw
 from taichi_bearings.scene.law import LAWS, Coefficients, Law, law_named
@@ -85,7 +85,8 @@ class Packing:
         put("radius", checks.sizes("radius", self.radius, self.spheres, "sphere"))
         put("normal", self._checked_normals())
         checks.refuse_repeated(self)
-        put("law", law_named(self.law or ("coulomb" if self.viscosity is None else "coulomb-viscous")))
+        usual = "coulomb" if self.viscosity is None else "coulomb-viscous"
+        put("law", law_named(usual if self.law is None else self.law))
         if not self.kind.is_sum:
             known = ", ".join(name for name, law in LAWS.items() if law.is_sum)
             raise InputError(f"law is {self.kind.name!r}; packings have {known}, laws of one's own are for lattices")
@@ -139,7 +140,7 @@ class Packing:
     def dimension(self) -> int:
         return self.center.shape[1]
 
-    @cached_property
+    @cached_read_only
     def coefficients(self) -> Coefficients:
         """As laws want them, (E,) each: a friction times the normal force; force or force * time / length."""
         given = (self.friction, self.viscosity)
@@ -152,7 +153,7 @@ class Packing:
         both = u[self.contact].sum(axis=1)
         return np.linalg.norm(both if self.dimension == 2 else np.cross(both, np.asarray(self.normal)), axis=1)
 
-    @cached_property
+    @cached_read_only
     def imposed(self) -> np.ndarray:
         """u = R omega of driven spheres, (N, C) with C = 3, of discs 1; 0 on free ones; length/time."""
         u = self.spin.reshape(self.spheres, -1) * np.asarray(self.radius)[:, None]
@@ -186,7 +187,7 @@ class Packing:
             spheres within r diameters of the vertical axis through the middle, of discs of the middle; and fields of
             this class.
         """
-        if kind not in KINDS:
+        if not isinstance(kind, str) or kind not in KINDS:
             raise InputError(f"kind is {shown(kind)}; allowed are {', '.join(KINDS)}{meant(kind, KINDS)}")
         place, contact, normal, sign, closed = built(kind, SHAPE.named("cells", cells), periodic)
         body = driven_bodies(place, closed, others.pop("driven", "planes"))

@@ -36,8 +36,23 @@ UNFINISHED = {
 
 def caveats(solution: Solution, settings: RunSettings) -> list[str]:
     """All that is to be said of an answer, (R,) samples together."""
-    of_kind = CAVEATS if isinstance(solution.scene, Scene) else (_without_power, _too_wide, _not_proven, _untouched)
+    of_packings = (_without_power, _too_wide, _not_proven, _untouched)
+    of_kind = (_torque_between, *(CAVEATS if isinstance(solution.scene, Scene) else of_packings))
     return [sentence for of in of_kind for sentence in of(solution, settings)]
+
+
+def _torque_between(solution: Solution, settings: RunSettings) -> Iterator[str]:
+    """That a torque lies between what is proven to be held and what is proven not to be."""
+    found = solution.findings
+    if settings.torque is None or "yields" not in found:
+        return
+    low, high = found["yield_torque_lower_bound"], found["yield_torque"]
+    beside = np.isnan(found["amplitude"]) & (abs(settings.torque) <= high)
+    for number in np.flatnonzero(beside & (abs(settings.torque) > low)):
+        yield (
+            f"the torque {settings.torque:.17g} lies between {low[number]:.17g}, up to which friction is proven to "
+            f"hold it, and {high[number]:.17g}, beyond which it is proven not to; neither is proven of it"
+        )
 
 
 def _not_proven(solution: Solution, settings: RunSettings) -> Iterator[str]:

@@ -146,9 +146,10 @@ def file_of(run: Path) -> Path:
     return run / "run.h5" if run.is_dir() else run
 
 
-def read_run(run: Path) -> Run:
+def read_run(run: str | Path) -> Run:
     """A run of a lattice or a packing, by its directory or its run.h5; FileError if it is missing, damaged, changed or
     of an unknown version."""
+    run = Path(run)
     refuse_scan(run)
     path = file_of(run)
     if not path.is_file():
@@ -319,6 +320,9 @@ _Found = tuple[Any, _Sets, Callable[..., np.ndarray], tuple[int, ...], tuple[int
 spheres and of a vector."""
 
 
+OWN_COEFFICIENTS = ("run.h5", "coefficients.npz")  # files of a run directory itself, which are no source
+
+
 def _lattice_in(path: Path, file: h5py.File, attributes: Mapping[str, Any], settings: RunSettings) -> _Found:
     shape = tuple(int(side) for side in attributes["shape"])
     lattice, first = Lattice(shape, periodic=axis_numbers(settings.periodic)), file["coefficient/x"]
@@ -328,8 +332,9 @@ def _lattice_in(path: Path, file: h5py.File, attributes: Mapping[str, Any], sett
     given = {key: getattr(settings, key) for key in ("law", *Scene.PARAMETERS)}
     scene = Scene(arrays.by_axis("coefficient/{}", lattice), viscosity=viscosity, seeds=seeds, **given)
     drawn = {key: getattr(settings, key) for key in scene.DRAWN} if settings.coefficients is None else {}
-    if settings.coefficients is not None:
-        scene.read_from(Path(str(attributes.get("coefficients", ""))).name)
+    name = Path(str(attributes.get("coefficients", ""))).name
+    if settings.coefficients is not None and name not in OWN_COEFFICIENTS:
+        scene.read_from(name)
     return scene.drawn_from(drawn), arrays, partial(arrays.of_contacts, lattice), shape, () if len(shape) == 2 else (3,)
 
 

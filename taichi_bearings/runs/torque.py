@@ -30,7 +30,8 @@ from taichi_bearings.solvers.table import MethodOptions
 
 Solve = Callable[[Any], Solution]
 """Of a scene, or of a packing."""
-SURELY = 1 + 1e-12  # factor that makes up for the rounding of the power
+SURELY = 1 + 1e-13  # factor that makes up for the rounding of the power
+RESOLVED = 10.0  # times what is open of the yield torque, by which a torque exceeds it where an amplitude is sought
 ROUNDED_SUM = 1e-13  # relative, of the power of contacts between driven spheres
 HELD_TURN = 1e-4  # of the spin of the bottom, by which a top that counts as held may turn
 AMPLITUDE_ERROR = 1e-13  # relative, of an amplitude that is found by solving again
@@ -93,9 +94,10 @@ def _by_friction(solution: Solution, solve: Solve) -> Solution:
 def under_torque(solution: Solution, torque: float, solve: Solve) -> Solution:
     """The motion of strength 1, with what the torque does beside it. solve : the same for other scenes or packings.
 
-    yields : the torque is more than friction is proven to hold at most. yield_torque, yield_torque_lower_bound :
-    force*length, between which it starts to. amplitude : strength of the motion, 1 for that of the solution; 0 where
-    the torque is proven to be held, NaN where nothing limits the motion or it is not known.
+    yields : the torque exceeds `yield_torque`, which friction is proven not to hold. Up to `yield_torque_lower_bound`
+    it is proven to be held; between the two, force*length, neither is proven. amplitude : strength of the motion, 1 for
+    that of the solution; 0 where the torque is proven to be held, NaN, in files and `--json` null, where nothing limits
+    the motion or it is not known.
     """
     scene = solution.scene
     if not isinstance(scene, Scene):
@@ -115,13 +117,15 @@ def _found(solution: Solution, torque: float, solve: Solve) -> dict[str, np.ndar
     friction = _by_friction(solution, solve)
     low, high = np.zeros(scene.replicas), np.zeros(scene.replicas)
     if scene.law.holds:
-        low, high = friction.lower_bound, friction.power
-    yields, held = np.abs(torque) > high * SURELY, np.abs(torque) <= low
+        low, high = friction.lower_bound, friction.power * SURELY
+    yields, held = np.abs(torque) > high, np.abs(torque) <= low
     amplitude = np.where(held, 0.0, np.nan)
     limited = yields & (solution.power > 0) & scene.law.flows
     amplitude[limited] = np.abs(torque) / solution.power[limited]
     if scene.law.holds:
-        for number in np.flatnonzero(limited):
+        resolved = np.abs(torque) - high >= RESOLVED * (high - low)
+        amplitude[limited & ~resolved] = np.nan
+        for number in np.flatnonzero(limited & resolved):
             viscous = scene.law.power(scene.contact, friction.slip)[number].sum() - friction.power[number]
             least = (abs(torque) - high[number]) / (2 * viscous)
             amplitude[number] = _strength(scene.sample(int(number)), abs(torque), least, solve)
@@ -140,7 +144,7 @@ def _beside_driven(scene: Any, torque: float, solve: Solve) -> dict[str, np.ndar
     top, bottom = _imposed(scene)
     step = HELD_TURN * bottom / abs(top)
     still, moving = (solve(_scaled(scene, strength)) for strength in (0.0, step if torque >= 0 else -step))
-    high = (moving.objective * SURELY - still.lower_bound) / step
+    high = np.nextafter((moving.objective * SURELY - still.lower_bound) / step, np.inf)
     low = (moving.lower_bound - still.objective * SURELY) / step
     unknown = np.full(scene.replicas, np.nan)
     yields = abs(torque) > high
@@ -165,6 +169,8 @@ def _strength(scene: Any, torque: float, least: float, solve: Solve) -> float:
         return 0.0 if short else float(found.power[0]) / strength - torque
 
     most = 2 * least
+    if excess(least) >= 0:  # but for the rounding of the power it is too small
+        return float("nan")
     while excess(most) < 0:
         least, most = most, 2 * most
     found = brentq(excess, least, most, rtol=AMPLITUDE_ERROR, xtol=AMPLITUDE_ERROR * most)

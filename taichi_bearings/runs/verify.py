@@ -20,12 +20,12 @@ from taichi_bearings.verifier.stored_run import StoredRun, read_stored_run
 from taichi_bearings.verifier.verdict import report_of, together
 
 
-def verify(path: Path) -> dict[str, Any]:
+def verify(path: str | Path) -> dict[str, Any]:
     """Report on a run directory or its run.h5, as in `--json` of `verify`; "verified" is True without contradictions.
 
     Raises FileError if the file cannot be read.
     """
-    began = time.perf_counter()
+    began, path = time.perf_counter(), Path(path)
     size: dict[str, Any]
     with stage("reading"):
         refuse_scan(path)

@@ -18,7 +18,7 @@ def own_array(name: str, values: Any) -> np.ndarray:
     """A read-only copy in float64. name : in the plural, for the InputError about what is not real or is masked."""
     try:
         array = np.asanyarray(values)
-    except ValueError:
+    except (ValueError, OverflowError, TypeError):
         raise InputError(f"{name} are lists of unequal lengths; they must be an array of real numbers") from None
     if array.dtype.kind not in "fiu":
         raise InputError(f"{name} are of type {array.dtype}; they must be real numbers")

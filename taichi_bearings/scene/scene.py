@@ -14,6 +14,7 @@ from taichi_bearings.lattice.grid import AXIS_NAMES, MOST_SITES, axis_numbers
 from taichi_bearings.lattice.incidence import contact_differences
 from taichi_bearings.numerics.double_double import Pair, add
 from taichi_bearings.options import COUNT, SEED, SHAPE, finite_number
+from taichi_bearings.read_only import cached_read_only
 from taichi_bearings.scene.array_files import own_array
 from taichi_bearings.scene.disorder import Distribution, Draw, draw_coefficients
 from taichi_bearings.scene.driving import Driving
@@ -313,22 +314,22 @@ class Scene:
         """Factor that turns a friction coefficient into a contact force; 1 for the damping of the viscous law."""
         return self.normal_force if self.law.quantities[0].is_friction else 1.0
 
-    @cached_property
+    @cached_read_only
     def acting_coefficient(self) -> np.ndarray:
         """(R, E) the coefficients with 0 for contacts between two driven spheres, which take no part."""
         return self._acting(self.coefficient)
 
-    @cached_property
+    @cached_read_only
     def idle(self) -> np.ndarray:
         """(R, E) True for contacts that take no part: between two driven spheres, or absent."""
         return self.lattice.between_driven | (self.coefficient == 0)
 
-    @cached_property
+    @cached_read_only
     def inverse_limit(self) -> np.ndarray:
         """(R, E) 1 over the friction that contacts bear, 0 for contacts that take no part."""
         return inverse(self.strength * self.acting_coefficient)
 
-    @cached_property
+    @cached_read_only
     def is_cut_off(self) -> np.ndarray:
         """(R,), True where absent contacts leave the two driven planes unconnected: no contact need slip then."""
         if (self.coefficient > 0).all():
@@ -347,7 +348,7 @@ class Scene:
             joined[replica] |= label[0] == label[-1]
         return ~joined
 
-    @cached_property
+    @cached_read_only
     def positive_coefficient(self) -> np.ndarray:
         """(R, E) the coefficients, with ABSENT_COEFFICIENT for absent contacts: for methods whose arithmetic needs each
         sphere held. Answers are judged without them."""
@@ -357,7 +358,7 @@ class Scene:
     def _acting(self, values: np.ndarray) -> np.ndarray:
         return np.where(self.lattice.between_driven, 0.0, values)
 
-    @cached_property
+    @cached_read_only
     def contact(self) -> Coefficients:
         """What the functions of the law take for all contacts, (R, E) each; 0 between two driven spheres."""
         held, *beside = self.named_coefficients.values()
@@ -475,7 +476,8 @@ def bearing_state(name: str, given: Any, dimension: int) -> tuple[float, ...]:
 def periodic_axes(given: Any, allowed: tuple[str, ...] = AXIS_NAMES[:2]) -> tuple[str, ...]:
     """Names of axes in their order, of several in a list or in one text, x,y."""
     parts = (given.split(",") if given else ()) if isinstance(given, str) else given
-    parts = tuple(parts) if isinstance(parts, Iterable) else (parts,)
+    is_one = not isinstance(parts, Iterable) or (isinstance(parts, np.ndarray) and parts.ndim == 0)
+    parts = (parts,) if is_one else tuple(parts)
     if any(part not in allowed for part in parts) or len(set(parts)) < len(parts):
         names = f"names of axes that close on themselves, among {', '.join(allowed)}, each once"
         raise InputError(f"periodic is {shown(given)}; it must be {names}")
@@ -491,7 +493,8 @@ def _seeds(given: Any) -> tuple[int, ...]:
 
 def _arrays(kind: str, given: Any) -> tuple[np.ndarray, ...]:
     """Coefficients that users give, one array an axis, as read-only copies."""
-    if isinstance(given, str) or not isinstance(given, Iterable):
+    is_one = isinstance(given, str) or (isinstance(given, np.ndarray) and given.ndim == 0)
+    if is_one or not isinstance(given, Iterable):
         raise InputError(f"{kind} are {shown(given)}; they must be one array an axis, two or three")
     found = tuple(given)
     if len(found) > len(AXIS_NAMES):

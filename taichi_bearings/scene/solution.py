@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from taichi_bearings.errors import BearingsError
+from taichi_bearings.read_only import read_only
 from taichi_bearings.runtime import HOST, Runtime
 from taichi_bearings.scene.scene import Scene
 
@@ -208,6 +209,8 @@ class Solution:
     running: Runtime = HOST
 
     def __post_init__(self) -> None:
+        kept = () if self.snapshots is None else (self.snapshots.time, self.snapshots.spin)
+        read_only((*(getattr(self, item.name) for item in fields(self)), *kept))
         for value, bound, gap in zip(self.objective, self.lower_bound, self.gap, strict=True):
             if is_crossed(None, None, gap):
                 raise BearingsError(

@@ -18,6 +18,7 @@ ARITHMETIC = (
     "sums of two doubles with a bound on every error; bounds are rounded outwards; curvature by floating-point "
     "elimination with a bound on its error"
 )
+ROUNDED_UP = 1 + 1e-13  # factor of a power that is not below the exact one
 ROUNDED = 1e-12  # relative difference of numbers that the run has computed in doubles
 PROVING = ("lower_bound", "states_proven", "minimum_is_unique")  # words that say that something is proven
 OF_SAMPLES = ("power", "upper_bound", "lower_bound", "gap", "balanced", "inside_discs", "largest_balance_residual",
@@ -311,9 +312,10 @@ def _under_torque(run: StoredRun, judgement: Judgement, number: int) -> Iterator
     torque, power = run.setting("torque", np.nan), float(judgement.power[number]) + beside
     low = float(judgement.lower_bound[number])
     low = (low + beside) * (1 - 4 * EPS) if beside else low  # of sums that are rounded
-    high, low = (power, low) if samples.holds else (0.0, 0.0)
+    high, low = (power * ROUNDED_UP, low) if samples.holds else (0.0, 0.0)
+    most = run.claimed("yield_torque")[number]  # if that is true, a torque beyond it is not held
     said = run.claimed("yield_torque_lower_bound")[number]  # a little less may be said, and then less is held
-    moves, held = abs(torque) > high * (1 + ROUNDED), said is not None and abs(torque) <= said
+    moves, held = abs(torque) > (high if most is None else most), said is not None and abs(torque) <= said
     strength = np.array([torque / power if samples.flows and moves and power else np.nan])
     yield Claim("yields", bool(moves), needed=True)
     yield Claim("yield_torque", high, needed=True)

@@ -1,5 +1,6 @@
 """The Python front door: scenes and answers without files, saved and read back, many at a time; tables in notebooks."""
 
+import contextlib
 import pickle
 import re
 import threading
@@ -287,3 +288,63 @@ def test_what_is_shown_is_escaped_and_long_tables_end():
     assert not re.search("<(script|i|a)>", table)
     assert table.count("&lt;script&gt;") == MOST_ROWS
     assert table.endswith("and 7 more")
+
+
+@pytest.mark.parametrize(
+    "thing", [tb.Scene.random((3, 3, 4), seed=1, replicas=2), tb.Packing.lattice("bcc", (2, 2, 3))], ids=repr
+)
+def test_arrays_of_an_answer_cannot_be_written_into(thing, tmp_path):
+    """What is proven of them would be said of others."""
+    found = tb.solve(thing, threads=1)
+    found.save(tmp_path / "run")
+    for answer in (found, found[0], tb.load(tmp_path / "run")):
+        one = answer[0]
+        given = tb.analyse(one).structure
+        whole = [answer.spin, answer.slip, answer.force, answer.state, answer.friction, answer.power_per_contact,
+                 one.spin, one.slip, *answer.history.values(), given.domain, given.slipless, given.spin]  # fmt: skip
+        whole += [answer.packing.spin, answer.packing.friction] if answer.packing else [*answer.scene.coefficients]
+        parts = [part for values in whole for part in (values if isinstance(values, tuple) else (values,))]
+        for values in parts:
+            with pytest.raises(ValueError, match="read-only"):
+                values[...] = 0
+
+
+def test_paths_are_texts_or_paths(tmp_path):
+    from taichi_bearings.runs.verify import verify
+
+    found = tb.solve(tb.Scene.random((3, 4)), threads=1)
+    for number, kind in enumerate((str, type(tmp_path))):
+        path = kind(tmp_path / f"run {number}")
+        found.save(path)
+        assert tb.load(path).power == found.power
+        assert verify(path)["contradictions"] == []
+        assert tb.analyse(path).numbers["power"] == found.power
+
+
+LISTS = {
+    "center": [[0.0, 0], [1, 0], [2, 0]], "contact": [[0, 1], [1, 2]], "driven": [0, -1, 1], "spin": [0.0, 0, 1],
+    "friction": [0.5, 1.0], "radius": [0.5, 0.5, 0.5], "normal": [[1.0, 0], [1, 0]], "normal_force": [1, 2],
+}  # fmt: skip
+STRANGE = [
+    None, "a", [], [[]], [[1, 2], [3]], {}, {"a": 1}, 1j, [1j], [None], ["a"], object(), float("nan"), [float("inf")],
+    True, b"x", [[[1.0]]], 10**400, [10**400], -1, range(3), {1.0, 2.0}, lambda *_: None, np.array("a"),
+    np.zeros((0, 0)),
+]  # fmt: skip
+
+
+def test_lists_do_for_arrays_and_what_does_not_is_one_sentence():
+    """Of every argument of the constructors, whatever it is given."""
+    arrays = {name: np.array(values) for name, values in LISTS.items()}
+    one, other = tb.Packing(**LISTS), tb.Packing(**arrays)
+    assert all(np.array_equal(getattr(one, name), getattr(other, name)) for name in LISTS)
+    x, y = np.full((2, 4), 0.5), np.full((3, 3), 0.5)
+    assert np.array_equal(tb.Scene([x.tolist(), y.tolist()]).coefficients[0], x)
+    makers = [(tb.Packing, LISTS, ("law", "viscosity", "distribution", "seed")),
+              (tb.Scene, {"coefficients": (x, y)}, ("viscosity", "seeds", "law", *tb.Scene.PARAMETERS)),
+              (tb.Scene.random, {"shape": (3, 4)}, ("seed", "distribution", "law", "replicas", *tb.Scene.PARAMETERS)),
+              (tb.Packing.lattice, {"kind": "bcc", "cells": (2, 2, 2)}, ("periodic", "seed", "radius"))]  # fmt: skip
+    for make, good, others in makers:
+        for name in (*good, *others):
+            for strange in STRANGE:
+                with contextlib.suppress(tb.BearingsError):  # any other error fails
+                    make(**{**good, name: strange})

@@ -136,6 +136,33 @@ def test_a_top_that_turns_with_the_bottom_is_held_from_turning_on_by_the_jump_al
     assert along["yield_torque"] == pytest.approx(-limit, rel=1e-6)
 
 
+@pytest.mark.parametrize("law", ["coulomb", "coulomb-viscous", "viscous"])
+@pytest.mark.parametrize("shape", [(4, 5), (3, 3, 4)])
+def test_every_double_about_the_yield_torque_is_decided(law, shape, tmp_path):
+    """Held up to the lower bound, turning beyond the upper one, and between them neither, which is said."""
+    viscosity = {"viscosity": "uniform:10,100"} if law == "coulomb-viscous" else {}
+    scene = Scene.random(shape, seed=3, law=law, **viscosity)
+    found = solve(scene, torque=1.0).findings
+    low, high = found["yield_torque_lower_bound"], found["yield_torque"]
+    assert low == high == 0.0 if law == "viscous" else low < high < low * (1 + 1e-8)
+    near = (low, np.nextafter(low, np.inf), high, np.nextafter(high, np.inf), high * (1 + 1e-9))
+    for torque in (torque for torque in near if torque == 0 or torque >= 1e-15):  # smaller ones cannot be asked for
+        for way in (1.0, -1.0):
+            best = solve(scene, torque=way * float(torque))
+            found = best.findings
+            assert (found["yield_torque_lower_bound"], found["yield_torque"]) == (low, high)
+            assert found["yields"] == (torque > high)
+            if torque <= low:
+                assert found["amplitude"] == 0.0
+            elif law == "coulomb" or torque <= high:
+                assert np.isnan(found["amplitude"])
+            said = any("neither is proven" in sentence for sentence in best.warnings)
+            assert said == (low < torque <= high)
+    path = best.save(tmp_path / "run")
+    assert verify(path)["contradictions"] == []
+    assert b"NaN" not in (path / "summary.json").read_bytes()
+
+
 def scaled(scene, strength):
     if scene.top is None:
         return replace(scene, spin_top=strength)

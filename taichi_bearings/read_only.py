@@ -1,0 +1,32 @@
+"""Arrays that cannot be written into: what is said of an answer holds for its arrays as they are."""
+
+from collections.abc import Callable, Mapping
+from functools import cached_property, wraps
+from typing import Any, TypeVar
+
+import numpy as np
+
+Value = TypeVar("Value")
+
+
+def read_only(value: Value) -> Value:
+    """The same value, whose arrays, also those in tuples, lists and mappings, can no longer be written into."""
+    if isinstance(value, np.ndarray):
+        value.setflags(write=False)
+    elif isinstance(value, (tuple, list)):
+        for part in value:
+            read_only(part)
+    elif isinstance(value, Mapping):
+        for part in value.values():
+            read_only(part)
+    return value
+
+
+def cached_read_only(of: Callable[[Any], Value]) -> "cached_property[Value]":
+    """A property that is computed once, and whose arrays cannot be written into. of : the method that computes it."""
+
+    @wraps(of)
+    def found(owner: Any) -> Value:
+        return read_only(of(owner))
+
+    return cached_property(found)
