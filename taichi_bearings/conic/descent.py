@@ -23,7 +23,11 @@ DISTANT_GAP = 1e-4  # relative gap that is far from any tolerance of this method
 
 @dataclass
 class Sample:
-    """One replica: its iterate, and the power of two near the mean coefficient in which its friction is measured."""
+    """One replica: its iterate, and the power of two near the mean coefficient in which its friction is measured.
+
+    firm : (n,) mask of contacts that rest at every minimum, as they have more friction than the iterate counts; None of
+    none.
+    """
 
     iterate: Iterate
     unit: float
@@ -34,6 +38,7 @@ class Sample:
     before: Iterate | None = None  # where it then was a step before, if that is known
     tried: float = np.inf  # relative gap at the last trial to settle the states
     resolved: Resolved | None = None
+    firm: np.ndarray | None = None
 
 
 class Descent:

@@ -35,6 +35,7 @@ NEEDED, OPTIONAL = (
 )
 DISTRIBUTION = "uniform:0.1,1.0"
 SIDES_GIVEN = [item.name for item in fields(Sides)]
+SAME_DRIVING = 4  # units in the last place, up to which imposed speeds are one
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -43,7 +44,8 @@ class Packing:
 
     center : (N, D), length. contact : (E, 2) integers, the first and the second sphere of each contact.
     driven : (N,) integers, -1 for a free sphere, else the number of the driven body that it belongs to.
-    spin : (N, 3), of discs (N,), 1/time; laboratory frame; imposed on driven spheres, ignored on others.
+    spin : (N, 3), of discs (N,), 1/time; laboratory frame; imposed on driven spheres, ignored on others. Driven spheres
+        whose radius times spin differs by rounding alone have one surface speed, see ``imposed``.
     radius : (N,) or one for all, length. normal : (E, D), unit vectors from the first to the second sphere; from the
         centres if None. A contact across a periodic side needs it, and so do several contacts of the same two spheres.
     friction : (E,), the coefficient of the law: friction, a pure number, or of the law "viscous" damping,
@@ -155,9 +157,17 @@ class Packing:
 
     @cached_read_only
     def imposed(self) -> np.ndarray:
-        """u = R omega of driven spheres, (N, C) with C = 3, of discs 1; 0 on free ones; length/time."""
+        """u = R omega of driven spheres, (N, C) with C = 3, of discs 1; 0 on free ones; length/time. Sizes of a
+        component that differ by no more than 4 units in the last place are one driving, the least of them."""
         u = self.spin.reshape(self.spheres, -1) * np.asarray(self.radius)[:, None]
-        return np.where((self.driven >= 0)[:, None], u, 0.0)
+        u = np.where((self.driven >= 0)[:, None], u, 0.0)
+        for part in u.T:
+            size, place = np.unique(np.abs(part), return_inverse=True)
+            for number in range(1, len(size)):
+                if size[number] - size[number - 1] <= SAME_DRIVING * np.spacing(size[number]):
+                    size[number] = size[number - 1]
+            part[:] = np.copysign(size[place.reshape(-1)], part)
+        return u
 
     def __repr__(self) -> str:
         what = "discs" if self.dimension == 2 else "spheres"

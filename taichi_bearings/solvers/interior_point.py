@@ -23,16 +23,18 @@ import numpy as np
 from taichi_bearings.conic.central_path import flowing
 from taichi_bearings.conic.cones import length
 from taichi_bearings.conic.contact_system import ContactSystem, free_spins, lattice_system, place_free_spins
+from taichi_bearings.conic.contraction import Contraction
 from taichi_bearings.conic.descent import DISTANT_GAP, Descent, Sample
 from taichi_bearings.conic.iterate import LEAST_GAP, Iterate
 from taichi_bearings.conic.newton_matrix import MOST_NEWTON_STEPS, NewtonMatrix
 from taichi_bearings.conic.resolution import DECIDED_RATIO, Surroundings
 from taichi_bearings.conic.rows import compile_passes
+from taichi_bearings.conic.strong_contacts import weakened
 from taichi_bearings.kernels.elimination import LANES
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.numerics.cholesky import Engine, NotPositiveDefinite, dissect
-from taichi_bearings.numerics.double_double import Pair, multiply
+from taichi_bearings.numerics.double_double import Pair, exactly, multiply
 from taichi_bearings.proof.certificate import largest_unbalanced_torque, lower_bound, work_and_bound
 from taichi_bearings.proof.contact_state import ContactState, all_slipless
 from taichi_bearings.scene import Progress, Scene
@@ -111,6 +113,9 @@ class InteriorPointMethod(Descent, Method):
         if beside is not None:
             flow = scene.lattice.radius * self.unit / scene.normal_force * beside[replica, self.system.contact]
             strength = friction + flow
+        elif self.frustrated:
+            strength = weakened(self.system, friction)
+        firm, friction = (strength < friction) if beside is None else None, strength if beside is None else friction
         unit = float(np.exp2(np.round(np.log2(np.mean(strength)))))  # dividing by it rounds nothing
         if beside is not None and self.frustrated:
             viscosity = flow / unit
@@ -118,7 +123,7 @@ class InteriorPointMethod(Descent, Method):
                 spins = flowing(self.system, viscosity, self.shared.matrix, spins)
         slack = 1.0 / (scene.lattice.shape[-1] - 1)
         start = Iterate.start(self.system, spins, friction / unit, slack, viscosity)
-        return Sample(start, unit)
+        return Sample(start, unit, firm=firm if firm is not None and firm.any() else None)
 
     @property
     def iteration(self) -> int:
@@ -203,7 +208,10 @@ class InteriorPointMethod(Descent, Method):
         """Staggered spins (C, R, *N) in twice the precision, 1/time; zero in the driven planes."""
         high, low = np.zeros((2, len(self.samples), self.system.unknowns))
         for number, sample in enumerate(self.samples):
-            high[number] = (sample.resolved or sample.iterate).spins
+            high[number] = sample.iterate.spins if sample.resolved is None else sample.resolved.spins
+            if sample.resolved is None and sample.firm is not None:  # the least slip there costs all that was left out
+                tied = Contraction(self.system, self.shared.order, sample.firm)
+                high[number] = tied.expanded(tied.contracted(exactly(high[number])))[0]
             if sample.resolved is not None and sample.resolved.rest is not None:
                 low[number] = sample.resolved.rest
         found = np.zeros((2, len(self.spin_axes), len(high), *self.scene.lattice.shape))

@@ -25,6 +25,7 @@ from taichi_bearings.verifier.grid import Grid, nothing
 from taichi_bearings.verifier.samples import LAWS, LEAST_SCALE, MOST_SCALE, OfLaw, Samples, power_of_two
 
 LEAST_SPEED = 1e-100  # of the fastest surface that is imposed
+ONE_SPEED = 4  # units in the last place, up to which imposed speeds are one
 
 
 @dataclass(frozen=True)
@@ -181,6 +182,8 @@ class Network(OfLaw):
         zero = Enclosure.exact(np.zeros(contacts))
         moving = [Enclosure.exact(*part) for part in zip(spin.T, rounding.T, strict=True)]
         moving = moving if (radius == 1).all() else [part.times(radius) for part in moving]
+        for part in moving:
+            _drive_as_one(part, np.flatnonzero(~free))
         moment = moments([Enclosure.exact(np.where(acts, part, 0.0)) for part in friction.T], packing["normal"])
         return cls(
             law, 1, free, speed * unit, force, moving, moment,
@@ -388,6 +391,24 @@ class Network(OfLaw):
         if self.flows:
             flowing = row_sum((self.slope * slip * slip).where(slips).reshaped((self.count, -1)))
         return held, flowing
+
+
+def _drive_as_one(u: Enclosure, driven: np.ndarray) -> None:
+    """Give driven spheres (numbers) of which a component u, (N,), has sizes that differ by no more than 4 units in the
+    last place the least of these sizes, as a double; in place. A spin that is a speed over a radius, rounded, makes
+    several of one driving. What differs from nothing else stays as it is, with all its digits."""
+    own = driven[u.high[driven] != 0]
+    sign = np.sign(u.high[own])
+    (size, _), place = np.unique(np.stack([sign * u.high[own], sign * u.low[own]]), axis=1, return_inverse=True)
+    group = np.arange(len(size))
+    for number in range(1, len(size)):
+        least = size[group[number - 1]]
+        if size[number] - least <= ONE_SPEED * np.spacing(size[number]):
+            group[number] = group[number - 1]
+    several = np.bincount(group, minlength=len(size)) > 1
+    found = group[place.reshape(-1)]
+    some = several[found]
+    u.put(own[some], Enclosure.exact(sign[some] * size[found[some]]))
 
 
 def connected(first: np.ndarray, second: np.ndarray, size: int) -> np.ndarray:
