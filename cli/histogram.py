@@ -48,7 +48,7 @@ def command(runs: tuple[Path, ...], normalise: str, by: str | None, as_json: boo
     \b
     Examples:
       bearings histogram outputs/a outputs/b --bins-per-decade 10 --format pdf --width single
-      bearings histogram outputs/my-scan --by spin_bottom --normalise mean
+      bearings histogram outputs/my-scan --by distribution --normalise mean
     """
     from taichi_bearings.plots.page import Page, read_width
     from taichi_bearings.scans.histogram import histogram

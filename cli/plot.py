@@ -65,7 +65,7 @@ def command(kind: str, run: Path, replica: int, time: float | None, out: Path | 
     Examples:
       bearings plot spins outputs/my-run --out spins.png
       bearings plot power outputs/my-run --plane z=5 --plane x=0 --width single --out power.pdf
-      bearings plot scan outputs/my-scan --y power --x spin_bottom --by shape
+      bearings plot scan outputs/my-scan --y power --x L --by distribution
       bearings plot scan outputs/my-scan --y power --x L --log xy
       bearings plot scan outputs/my-scan --y power/power_minimum_cut --x L --where law=coulomb
     """

@@ -51,7 +51,7 @@ def command(context: click.Context, scan: Path, dry_run: bool, as_json: bool, **
       shape = [10, 10]
       [scan]
       seed = { start = 0, stop = 1000 }
-      spin_bottom = [0.0, 0.1]
+      distribution = ["uniform:0.1,1.0", "uniform:0.5,0.6"]
 
     \b
     Examples:
