@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from taichi_bearings.stages import Stage, listener
+from taichi_bearings.stages import Stage, Step, listener
 from taichi_bearings.words import counted
 
 BETWEEN = "loading"  # what the time outside all stages is called
@@ -159,7 +159,9 @@ def displayed(wanted: bool = True) -> AbstractContextManager[Any]:
 
 
 def standing(report: Any) -> str:
-    """Where a solve stands, by what it reports (solvers.drive.Report)."""
+    """Where a solve stands, by what it reports: a `Step` or a solvers.drive.Report."""
+    if isinstance(report, Step):
+        return f"{counted(report.iteration, 'iteration')}, P = {report.power:.8g}, gap {report.gap:.1e}"
     progress = report.progress
     words = [counted(progress.iteration, "iteration")]
     words += [f"t = {progress.time:.3g}"] if progress.time is not None else []
@@ -168,22 +170,34 @@ def standing(report: Any) -> str:
 
 def forecast(stage: Stage) -> tuple[float, str]:
     """Seconds that were left when a stage was last heard of, at the pace of the last two thirds of its time, infinite
-    where that is not known; and for a solve in words until what."""
+    where that is not known; and for a solve in words until what. Of work without a pace, what was expected of it."""
     seconds, report = (stage.done[-1][0] if stage.done else 0.0), stage.report
     left = seconds_left([point for point in stage.done if point[0] >= seconds / WINDOW])  # the first part may compile
     if report is None:
-        return left, ""
-    left, limit = (left if left <= FARTHEST * seconds else math.inf), report.stop.seconds - report.seconds
+        return (stage.expected if stage.expected and not stage.done else left), ""
+    left = left if left <= FARTHEST * seconds else math.inf
+    limit = math.inf if isinstance(report, Step) else report.stop.seconds - report.seconds
     return (left, f" to {share_of(report)[1]}") if left < limit else (limit, " to the time limit")
 
 
 def share_of(report: Any) -> tuple[float, str]:
     """How much of a solve is done, and what ends it; not-a-number where that says nothing of the time."""
-    progress, stop, gap = report.progress, report.stop, float(np.max(report.gap))
+    gap = float(np.max(report.gap))
+    if isinstance(report, Step):
+        return _by_decades(gap, report.aim), f"gap {report.aim:.0e}"
+    progress, stop = report.progress, report.stop
     if progress.time is not None:
         return progress.time / stop.duration, f"t = {stop.duration:g}"
+    if progress.falls_as:
+        share = (stop.tolerance / gap) ** (1 / progress.falls_as) if gap > stop.tolerance else math.nan
+        return share, f"gap {stop.tolerance:.0e}"
     aim = min(stop.tolerance, progress.falls_to)
-    return (math.log(gap) / math.log(aim) if 0 < aim < gap < 1 else math.nan), f"gap {aim:.0e}"
+    return _by_decades(gap, aim), f"gap {aim:.0e}"
+
+
+def _by_decades(gap: float, aim: float) -> float:
+    """How much is done where the gap falls by like factors in like times; not-a-number where that is not known."""
+    return math.log(gap) / math.log(aim) if 0 < aim < gap < 1 else math.nan
 
 
 def seconds_left(points: Sequence[tuple[float, float]]) -> float:

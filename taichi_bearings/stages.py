@@ -21,7 +21,8 @@ class Stage:
 
     number, total : which part of how many is under way; 0 where there are none.
     done : (seconds since it began, share of the work that was done then) at the start of each part, if that is known.
-    report : what the work itself tells of where it stands, if it does.
+    report : what the work itself tells of where it stands, if it does. expected : seconds that it takes as far as
+    anybody can tell beforehand; 0 where nobody can.
     """
 
     name: str
@@ -30,6 +31,7 @@ class Stage:
     began: float = field(default_factory=time.perf_counter)
     done: list[tuple[float, float]] = field(default_factory=list)
     report: Any = None
+    expected: float = 0.0
 
     def tell(self, report: Any) -> None:
         """Let whoever listens know where this stage stands."""
@@ -38,14 +40,28 @@ class Stage:
             who.hear(self)
 
 
+@dataclass(frozen=True)
+class Step:
+    """Where a descent stands that nothing but its gap ends.
+
+    iteration : steps so far. power, gap : reached by them. aim : gap at which it ends, to which the gap falls by like
+    factors in like times.
+    """
+
+    iteration: int
+    power: float
+    gap: float
+    aim: float
+
+
 listener: ContextVar[Any] = ContextVar("listener", default=None)
 """What hears of all stages, or None: `begin` and `end` of each, and `hear` whenever one tells where it stands."""
 
 
 @contextmanager
-def stage(name: str) -> Iterator[Stage]:
-    """The work inside is called `name`."""
-    new, who = Stage(name), listener.get()
+def stage(name: str, expected: float = 0.0) -> Iterator[Stage]:
+    """The work inside is called `name`. expected : see :class:`Stage`."""
+    new, who = Stage(name, expected=expected), listener.get()
     if who:
         who.begin(new)
     try:

@@ -296,6 +296,10 @@ class Path:
             return self.iterate(sample).gap
         return float(self._excess[sample] / self._power[sample])
 
+    def cost(self, sample: int) -> float:
+        """:attr:`Iterate.cost` after a step."""
+        return float(self._power[sample]) if self._viscosity is None else self.iterate(sample).cost
+
     def price_of_torques(self, sample: int) -> float:
         """:attr:`Iterate.price_of_torques` after a step."""
         if self._viscosity is not None:

@@ -1,6 +1,8 @@
 """Samples of one system on their way along the central path, until the states of their contacts are settled."""
 
+import time
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,6 +20,7 @@ from taichi_bearings.stages import stage
 SETTLING_GAP, RETRY_FACTOR = 1e-9, 100
 # in small samples the gap is SETTLING_GAP_FACTOR / spheres^2, at most FIRST_SETTLING_GAP: their slips are larger
 FIRST_SETTLING_GAP, SETTLING_GAP_FACTOR = 1e-8, 1e-4
+SETTLING_STEPS = 5.0  # of the path that settling takes as long as
 DISTANT_GAP = 1e-4  # relative gap that is far from any tolerance of this method
 
 
@@ -46,11 +49,20 @@ class Descent:
 
     samples: list[Sample]
 
-    def __init__(self, shared: Surroundings, spheres: int, small: bool, settles: bool, asked: bool = True) -> None:
+    def __init__(
+        self,
+        shared: Surroundings,
+        spheres: int,
+        small: bool,
+        settles: bool,
+        asked: bool = True,
+        told: Callable[[Sample, float], None] | None = None,
+    ) -> None:
         """shared : by all samples. small : samples are treated as small ones, several side by side. settles : slips of
         any size are met with the same force, so that there are contacts at rest to be found. asked : they are wanted,
-        and not a bound alone."""
+        and not a bound alone. told : hears of each sample after each step, and its cost then."""
         self.shared, self.spheres, self.small, self.settles, self.asked = shared, spheres, small, settles, asked
+        self.told, self.step_seconds = told, 0.0  # of the last step
 
     def advance(self, steps: int) -> None:
         """As many of every sample that is not done. Where one leaves, another takes its place beside the others.
@@ -72,7 +84,9 @@ class Descent:
                     for place in [place for place in range(path.samples) if place not in going][: len(waiting)]:
                         going[place] = waiting.popleft()
                         path.put(place, going[place][0].iterate)
+                    began = time.perf_counter()
                     taken = path.step()
+                    self.step_seconds = time.perf_counter() - began
                     for place, (sample, last) in list(going.items()):
                         self._judge(sample, path, place, bool(taken[place]))
                         if sample.done or sample.at_end or sample.steps == last:
@@ -99,6 +113,8 @@ class Descent:
         gap = self._gap(sample, path, place) if taken else np.nan
         sample.steps, accepted = sample.steps + 1, bool(np.isfinite(gap))
         sample.gap, sample.done = gap if accepted else sample.gap, not accepted or not gap > LEAST_GAP
+        if self.told is not None and accepted:
+            self.told(sample, path.cost(place))
         sample.at_end = sample.gap < max(self._near(sample), SETTLING_GAP if self.settles and sample.done else 0.0)
         if sample.done or sample.at_end:
             sample.iterate = path.iterate(place) if accepted else path.before(place)
@@ -132,7 +148,7 @@ class Descent:
         return balanced.gap
 
     def _settle(self, samples: list[Sample]) -> None:
-        with stage("settling contact states"):
+        with stage("settling contact states", SETTLING_STEPS * self.step_seconds):
             resolved = resolve([s.iterate for s in samples], [s.before for s in samples], self.shared, self.small)
         for sample, found in zip(samples, resolved, strict=True):
             sample.tried, sample.at_end, sample.before = sample.gap, False, None

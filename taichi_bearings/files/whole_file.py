@@ -104,7 +104,8 @@ def _new_hdf5(path: Path) -> Iterator[h5py.File]:
     whole = io.BytesIO()
     with h5py.File(whole, "w", libver=("v108", "v108")) as file:  # attributes beyond 64 KB: lists of many samples
         yield file
-    replace_file(path, whole.getvalue())
+    with whole.getbuffer() as content:  # no second copy
+        replace_file(path, content)
 
 
 def layout_of(kind: str) -> dict[str, Any]:
@@ -152,7 +153,8 @@ def write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
     """Write an npz file in full or not at all."""
     whole = io.BytesIO()
     np.savez(whole, **{name: np.asarray(values) for name, values in arrays.items()})  # type: ignore[arg-type]
-    replace_file(path, whole.getvalue())
+    with whole.getbuffer() as content:
+        replace_file(path, content)
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from taichi_bearings.packing.packing import Packing, Packings
 from taichi_bearings.packing.system import Found, System, acting
 from taichi_bearings.proof.contact_state import all_proven
 from taichi_bearings.scene import Solution, Status
+from taichi_bearings.stages import stage
 from taichi_bearings.verifier.judgement import Judgement
 from taichi_bearings.verifier.network import StoredPacking
 from taichi_bearings.verifier.samples import UNPROVEN
@@ -47,7 +48,9 @@ def solve_packing(packing: Packing, tolerance: float = 1e-8, method: str = "auto
     runtime.current()
     with one_thread():
         system = _system_of(packing)
-        found = judged(system, _found(system, method), tolerance)
+        end = _found(system, method)
+        with stage("proving"):
+            found = judged(system, end, tolerance)
         if found.method == "interior-point" and system.packing.kind.is_rate_independent:
             found = _without_contrast(system, found, tolerance)
     return replace(found, seconds=perf_counter() - begun)
@@ -123,7 +126,7 @@ def _found(system: System, method: str) -> Found:
     units = np.exp2(np.round(np.log2([fastest, largest])))  # dividing by them rounds nothing
     fastest, largest = units.tolist()
     scaled = replace(system, offset=system.offset / fastest, known=system.known / fastest)
-    end = followed(scaled, held / largest, viscosity * fastest / largest)
+    end = followed(scaled, held / largest, viscosity * fastest / largest, power_unit=fastest * largest)
     rest = None if end.rest is None else end.rest * fastest
     return replace(end, spins=end.spins * fastest, rest=rest, force=end.force * largest)
 

@@ -22,7 +22,7 @@ from taichi_bearings.conic.contact_system import ContactSystem, slipping_compone
 from taichi_bearings.conic.contraction import order_by_place
 from taichi_bearings.conic.descent import Descent, Sample
 from taichi_bearings.conic.friction_stage import Friction, FrictionStage
-from taichi_bearings.conic.iterate import Iterate
+from taichi_bearings.conic.iterate import LEAST_GAP, Iterate
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.conic.resolution import Surroundings
 from taichi_bearings.interrupts import look_up
@@ -30,6 +30,7 @@ from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.numerics.double_double import add, scaled, two_sum
 from taichi_bearings.packing.system import Found, System, along_axes, odd_parts
+from taichi_bearings.stages import Step, stage
 
 SMALL_SPHERES = 5_000  # up to which states are settled as those of small lattices
 HOLDS = (1e6, 1e8, 1e10, 1e10)  # stiffnesses of the springs, over friction
@@ -79,8 +80,9 @@ def viscous_spins(system: System, viscosity: np.ndarray) -> np.ndarray:
     return flowing(rows, np.tile(viscosity, len(system.offset)), matrix, np.zeros(system.unknowns))
 
 
-def followed(system: System, friction: np.ndarray, viscosity: np.ndarray) -> Found:
-    """Where the central path and the settling of states lead. friction, viscosity : (A,)."""
+def followed(system: System, friction: np.ndarray, viscosity: np.ndarray, power_unit: float = 1.0) -> Found:
+    """Where the central path and the settling of states lead. friction, viscosity : (A,). power_unit : of the power
+    that is told on the way."""
     along, flows = signed(system), bool(viscosity.any())
     contacts, sign = along or (oblique(system), None)
     order = order_by_place(contacts, system.place)
@@ -95,15 +97,22 @@ def followed(system: System, friction: np.ndarray, viscosity: np.ndarray) -> Fou
     start = start if (friction > 0).all() else replace(start, smooth=strength == 0)
     settles, spheres = along is not None, len(np.unique(system.sphere))
     small = settles and spheres < SMALL_SPHERES
-    descent = Descent(Surroundings(contacts, order, matrix, None), spheres, small, settles)
     sample = Sample(start, unit)
-    descent.samples = [sample]
-    while not sample.done and sample.steps < MOST_STEPS:
-        look_up()
-        descent.advance(MOST_STEPS - sample.steps if settles else 1)
+    with stage("following the central path") as under_way:
+
+        def told(of: Sample, cost: float) -> None:
+            aim = descent.settles_at if settles else LEAST_GAP
+            under_way.tell(Step(of.steps, cost * unit * power_unit, of.gap, aim))
+
+        descent = Descent(Surroundings(contacts, order, matrix, None), spheres, small, settles, told=told)
+        descent.samples = [sample]
+        while not sample.done and sample.steps < MOST_STEPS:
+            look_up()
+            descent.advance(MOST_STEPS - sample.steps if settles else 1)
     settled, ties, open_ = sample.resolved, None, None
     if settled is None:
-        spins, dual, slipping, open_ = _settled(system, sample.iterate, matrix)
+        with stage("settling contact states"):
+            spins, dual, slipping, open_ = _settled(system, sample.iterate, matrix)
     else:
         spins, dual, slipping = settled.spins, settled.whole_dual, settled.slipping
         ties = settled.ties | settled.critical

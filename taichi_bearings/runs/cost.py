@@ -13,15 +13,11 @@ import numpy as np
 
 from taichi_bearings.memory import NotEnoughMemory, refuse_before
 from taichi_bearings.runs.settings import RunSettings
-from taichi_bearings.solvers.table import InteriorPoint, MethodOptions
+from taichi_bearings.solvers.table import JUDGED_SECONDS, InteriorPoint, MethodOptions
 from taichi_bearings.words import counted
 
 PROCESS_BYTES = 190e6  # of an interpreter with this package, SciPy and Taichi started
 PROCESS_SECONDS = 2.0  # to start it, and to draw the figures of a run
-JUDGED_SECONDS = {
-    2: 5e-6,
-    3: 1.5e-5,
-}  # a sphere of a lattice: to judge its answer, write it, and seal it with checksums
 MOST_TOGETHER = 8  # samples whose factors an interior point holds at a time
 # of packings a sphere: bytes of a minimum with contacts along the axes and others, bytes and seconds of a dynamics
 ALONG_BYTES, OBLIQUE_BYTES, STEPPED_BYTES, STEP_SECONDS = 15.5e3, 31e3, 6e3, 8e-8

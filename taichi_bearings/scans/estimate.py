@@ -10,11 +10,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from taichi_bearings.runs.cost import JUDGED_SECONDS, OBLIQUE_BYTES, PROCESS_BYTES, bytes_of_lattice
+from taichi_bearings.runs.cost import OBLIQUE_BYTES, PROCESS_BYTES, bytes_of_lattice
 from taichi_bearings.runs.run import row_of
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scans.engine import Record, Unit
 from taichi_bearings.scans.plan import Sample, groups_of, spheres_of
+from taichi_bearings.solvers.table import JUDGED_SECONDS
 
 WORKER_START = 1.0  # seconds to start a worker, its imports included
 OVERHEAD = 5e-4  # seconds to summarise a sample and write it down

@@ -92,6 +92,7 @@ class Progress:
     settles_more : going on would settle more contact states, whatever the gap.
     findings : what else the method has found, by name, (R,) each. columns : the same of this check, for the history.
     falls_to : gap to which the gap falls by like factors in like times at least; 0 if it does not.
+    falls_as : power k if the gap falls about as iteration^-k; 0 if it does not.
     ended : (R,), iteration with which each replica was done, of a method that steps them apart.
     """
 
@@ -119,6 +120,7 @@ class Progress:
     findings: Mapping[str, np.ndarray] = field(default_factory=dict)
     columns: Mapping[str, np.ndarray] = field(default_factory=dict)
     falls_to: float = 0.0
+    falls_as: float = 0.0
     ended: np.ndarray | None = None
 
     def where(self, better: np.ndarray, other: "Progress") -> "Progress":

@@ -18,6 +18,7 @@ from taichi_bearings.solvers.dynamics import Dynamics
 from taichi_bearings.solvers.method import Method
 from taichi_bearings.solvers.recording import Recorder, Recording
 from taichi_bearings.solvers.stopping import StopRule
+from taichi_bearings.solvers.table import JUDGED_SECONDS
 from taichi_bearings.stages import stage
 
 
@@ -96,13 +97,22 @@ def solve(
         with leaving.saving():  # what is reached from here on
             with stage("solving") as solving:
                 course.follow([solving.tell, *monitors])
-            with stage("proving"):
+            with stage("proving", _seconds_to_prove(scene)):
                 solution = course.answer(slip_threshold)
     running = runtime.current() if method.options.needs_taichi else runtime.HOST
     if method.options.cpu_only:  # whose numbers are doubles, whatever those of fields are
         running = replace(running, precision="f64")
     compiling = course.called - began
     return replace(solution, interrupted=interrupt.heard, running=running, seconds_compile=compiling)
+
+
+def _seconds_to_prove(scene: Any) -> float:
+    """An estimate by the size of a lattice; 0 for other scenes, of which nobody knows."""
+    return (
+        JUDGED_SECONDS[scene.lattice.dimension] * scene.lattice.sites * scene.replicas
+        if isinstance(scene, Scene)
+        else 0.0
+    )
 
 
 def uninterrupted(solution: Solution) -> Solution:

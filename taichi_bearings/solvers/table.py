@@ -52,6 +52,8 @@ def _descends(law: Law) -> bool:
 # bytes a sphere of a lattice of 2 or 3 dimensions while its answer is judged: enclosures (16 or 24 bytes a number) of
 # the slips, forces and moments of 2 or 3 contacts a sphere, beside the answer; the peak that tracemalloc shows
 JUDGED_BYTES = {2: 1180.0, 3: 1750.0}
+# seconds a sphere of a lattice to judge its answer, write it, and seal it with checksums
+JUDGED_SECONDS = {2: 5e-6, 3: 1.5e-5}
 # bytes a sphere of a method that factorises, beside the numbers of the factor: some 20 rows of the contacts along the
 # path, the pattern of the factor and its tables
 FACTORISING_BYTES = {2: 2800.0, 3: 5500.0}

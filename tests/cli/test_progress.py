@@ -31,6 +31,20 @@ def test_a_run_names_its_phases_on_one_line_and_says_where_the_time_went(tmp_pat
     assert float(times[0]) > 0.8 * session.seconds - 0.3
 
 
+def test_a_packing_says_power_and_gap_on_the_way_and_nothing_in_a_pipe(tmp_path):
+    words = ("run", "--shape", "16,16,14", "--driven", "shaft:2", "--threads", "1", "--figures", "none")
+    session = on_terminal(*words, "--out", tmp_path / "a", columns=140)
+    assert session.returncode == 0
+    told = [
+        found for _, line in session.frames if (found := re.search(r"iterations?, P = ([\d.]+), gap [\d.]+e-", line))
+    ]
+    assert told
+    assert all(float(found[1]) > 0 for found in told)
+    assert any("following the central path" in line for _, line in session.frames)
+    piped = bearings(*words, "--out", tmp_path / "b")
+    assert (piped.returncode, piped.stderr) == (0, "")
+
+
 def test_nothing_but_the_answer_in_a_pipe(tmp_path):
     done = bearings("run", "--shape", "3,3,4", "--out", tmp_path / "a")
     assert (done.returncode, done.stderr) == (0, "")

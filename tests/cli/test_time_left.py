@@ -1,22 +1,32 @@
 """The time left is foretold from the share of the work that is done, and only where that is known."""
 
 import math
+import time
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from taichi_bearings.progress import forecast, share_of
-from taichi_bearings.stages import Stage
+from taichi_bearings.progress import Display, forecast, share_of, standing
+from taichi_bearings.scene.initial_spins import initial_spin
+from taichi_bearings.solvers.drive import solve
+from taichi_bearings.solvers.stopping import StopRule
+from taichi_bearings.solvers.table import OperatorSplitting
+from taichi_bearings.stages import Stage, Step
+from tests.scenes import make_scene
 
 
-def reports(seconds, gap=(), time=None, falls_to=0.0, duration=math.inf):
+def reports(seconds, gap=(), time=None, falls_to=0.0, duration=math.inf, falls_as=0.0):
     """What a monitor hears at each check."""
     stop = SimpleNamespace(tolerance=1e-8, duration=duration, seconds=math.inf)
     for number, now in enumerate(seconds):
         progress = SimpleNamespace(
-            iteration=number + 1, time=None if time is None else time[number], falls_to=falls_to
-        )  # fmt: skip
+            iteration=number + 1,
+            time=None if time is None else time[number],
+            falls_to=falls_to,
+            falls_as=falls_as,
+        )
         worst = np.array([gap[number] if len(gap) else 1.0])
         yield SimpleNamespace(seconds=now, progress=progress, stop=stop, gap=worst, objective=np.ones(1))
 
@@ -39,6 +49,51 @@ def test_a_gap_that_shrinks_by_a_factor_an_iteration():
     shown = [item for item in foretold(reports(seconds, gap, falls_to=math.inf)) if item[0] < end]
     assert len(shown) >= 8
     assert max(max(left / (end - now), (end - now) / left) for now, left in shown if now < 0.95 * end) < 1.5
+
+
+def test_a_gap_that_shrinks_by_a_power_of_the_iterations():
+    """Iterations of one second; the exponent is not quite the one that is believed."""
+    seconds = np.append(50.0 * np.arange(1, 7), 300 * (7 / 6) ** np.arange(1, 12))
+    for exponent in (1.8, 2.0, 2.3):
+        gap = 60.0 * seconds**-exponent
+        end = (60.0 / 1e-8) ** (1 / exponent)
+        nearly = [(end - now, left) for now, left in foretold(reports(seconds, gap, falls_as=2.0)) if now < end]
+        assert all(0.4 < left / truth < 2.5 for truth, left in nearly)
+    gap = 1e-8 * (2e3 / seconds) ** 2
+    shown = foretold(reports(seconds, gap, falls_as=2.0))
+    assert len(shown) >= 8
+    assert all(left == pytest.approx(2e3 - now) for now, left in shown if now < 2e3)
+
+
+@pytest.mark.usefixtures("taichi_runtime")
+def test_operator_splitting_foretells_its_end_by_the_fall_of_its_gap():
+    """Counted in iterations, which take about the same time: no clock of a shared machine can spoil it."""
+    heard, of = [], make_scene((20, 20, 20))
+    solve(of, OperatorSplitting().build(), initial_spin(of, "linear"), StopRule(1e-5), [heard.append])
+    counted = [replace(report, seconds=float(report.progress.iteration)) for report in heard]
+    end = counted[-1].seconds
+    shown = [item for item in foretold(counted) if end / 4 <= item[0] < 0.8 * end]  # looks are a sixth of it apart
+    assert len(shown) >= 3
+    assert all(1 / 2 < left / (end - now) < 2 for now, left in shown)
+
+
+def test_steps_of_a_packing_tell_power_and_gap_and_the_time_left():
+    stage = Stage("following the central path")
+    for number in range(6):
+        stage.report = Step(number, 12.5, 10.0**-number, 1e-8)
+        stage.done.append((float(number), share_of(stage.report)[0]))
+    assert standing(stage.report) == "5 iterations, P = 12.5, gap 1.0e-05"
+    assert forecast(stage) == (pytest.approx(3.0), " to gap 1e-08")
+
+
+def test_what_was_expected_of_work_counts_down_and_then_the_time_is_told():
+    display = Display()
+    display.begin(Stage("proving", expected=60.0, began=time.perf_counter() - 10))
+    assert display.line() in ("proving, 50 s left", "proving, 49 s left")
+    display.stages[0].began -= 60
+    assert display.line() in ("proving, 70 s so far", "proving, 71 s so far")
+    display.stages[0].expected = 0.0
+    assert "so far" in display.line()
 
 
 def test_a_gap_that_may_stand_still_foretells_nothing():
