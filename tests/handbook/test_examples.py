@@ -73,7 +73,7 @@ SCAN = """
 analyse = true
 [scan]
 shape = [[3, 4], [4, 5], [4, 6]]
-spin_bottom = [0.0, 0.5]
+distribution = ["uniform:0.1,1.0", "uniform:0.5,0.6"]
 seed = { start = 0, stop = 2 }
 """
 
