@@ -124,9 +124,11 @@ def describe_cost(report: dict[str, Any]) -> str:
 
 def _idle_seed(settings: Any, given: dict[str, Any]) -> list[str]:
     """What is to be said of a --seed that draws nothing."""
+    if "seed" not in given or not settings.is_packing:
+        return []
     from taichi_bearings.runs.packing_run import idle_seed
 
-    return idle_seed(settings) if "seed" in given else []
+    return idle_seed(settings)
 
 
 def _task(

@@ -1,7 +1,6 @@
 """Numbers and mistyped words in sentences for people."""
 
 import difflib
-import html
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -55,6 +54,7 @@ def html_table(title: str, rows: Iterable[Sequence[object]], head: Sequence[str]
     >>> html_table("<Scene>", [("law", "<b>")])
     '<p>Scene</p><table><tr><th>law</th><td>&lt;b&gt;</td></tr></table>'
     """
+    import html  # whose table of entities commands do not need
 
     def cell(value: object, kind: str = "td") -> str:
         text = format(value, ".10g") if isinstance(value, float) else str(value)

@@ -3,8 +3,30 @@
 Shapes: N spheres (of discs D = 2, else 3), E contacts, C = 3 components of a spin, of discs 1; u = R omega.
 """
 
-from taichi_bearings.packing.answer import solve_packing
-from taichi_bearings.packing.packing import Packing, Packings
-from taichi_bearings.packing.structure import Structure, structure_of
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from taichi_bearings.packing.answer import solve_packing
+    from taichi_bearings.packing.packing import Packing, Packings
+    from taichi_bearings.packing.structure import Structure, structure_of
 
 __all__ = ["Packing", "Packings", "Structure", "solve_packing", "structure_of"]
+MODULES = {
+    "Packing": "packing", "Packings": "packing", "Structure": "structure",
+    "solve_packing": "answer", "structure_of": "structure",
+}  # fmt: skip
+
+
+def __getattr__(name: str) -> Any:
+    """What packings are and what solves them, loaded when it is first used: runs of lattices need none of it."""
+    if name not in MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    import importlib
+
+    found = getattr(importlib.import_module(f"{__name__}.{MODULES[name]}"), name)
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return __all__

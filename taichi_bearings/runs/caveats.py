@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from taichi_bearings.packing.found import TOLERANCE, told
 from taichi_bearings.proof.contact_state import (
     SATURATED,
     ContactState,
@@ -67,6 +66,8 @@ def _untouched(solution: Solution, settings: RunSettings) -> Iterator[str]:
     """Of packings, contacts that were found out of places, spheres that have none, and contacts that bear nothing."""
     packing = solution.scene.sample(0)[0]
     if settings.has_table and settings.contacts is None:
+        from taichi_bearings.packing.found import TOLERANCE, told
+
         share = TOLERANCE if settings.touching is None else settings.touching
         yield told(packing.contact, packing.spheres, share)[0]
     idle = int((packing.normal_force == 0).sum())

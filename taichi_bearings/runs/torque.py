@@ -16,17 +16,19 @@ Phi(a), which is convex: beyond (Phi(h) - Phi(0)) / h it turns, and up to there 
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from taichi_bearings.errors import InputError
-from taichi_bearings.packing import Packing, Packings
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene import Scene, Solution, Status
 from taichi_bearings.scene.law import COULOMB, LAWS
 from taichi_bearings.solvers.table import MethodOptions
+
+if TYPE_CHECKING:
+    from taichi_bearings.packing import Packing, Packings
 
 Solve = Callable[[Any], Solution]
 """Of a scene, or of a packing."""
@@ -59,13 +61,15 @@ def _imposed(scene: Any) -> tuple[float, float]:
     return float(speed[top].max(initial=0.0)), float(speed[~top].max(initial=0.0))
 
 
-def _top(packing: Packing) -> np.ndarray:
+def _top(packing: "Packing") -> np.ndarray:
     """(N,) True for the spheres of the body of the largest number."""
     return np.asarray(packing.driven == max(packing.driven.max(), 0))
 
 
-def _changed(packings: Packings, **arrays: Any) -> Packings:
+def _changed(packings: "Packings", **arrays: Any) -> "Packings":
     """A packing with other arrays; those that are None are left out."""
+    from taichi_bearings.packing import Packing, Packings  # which lattices do not need
+
     given = {"law": packings.law, **packings[0].arrays(), **arrays}
     return Packings([Packing(**{name: values for name, values in given.items() if values is not None})])
 

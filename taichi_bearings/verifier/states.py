@@ -40,7 +40,6 @@ from taichi_bearings.verifier.curvature import Slipping, bearable, nearest_minim
 from taichi_bearings.verifier.elimination import EPS
 from taichi_bearings.verifier.enclosure import UP, Enclosure, joined
 from taichi_bearings.verifier.network import Motion, Network, connected, moments
-from taichi_bearings.verifier.oblique import enclosed_minimum
 from taichi_bearings.verifier.samples import DRIVEN_STATE, SLIPLESS, SLIPPING, UNPROVEN
 from taichi_bearings.verifier.springs import slip_rows, weighed
 from taichi_bearings.verifier.ties import MISSED_LIMIT, tied_states
@@ -83,9 +82,9 @@ def proven_states(bounds: Bounds, slip_bound: np.ndarray) -> list[States]:
         far = np.sqrt(2 * network.on_contacts(bounds.excess) / network.slope.least) * UP
         known = _apart(network, slip_bound, far)
         found = _samples(network, known, "slips are small, or nothing is known of what bears no viscosity", True)
-        near = enclosed_minimum(bounds) if network.mixes and network.holds else None
+        near = _enclosed_minimum(bounds) if network.mixes and network.holds else None
         found = _with_damping(bounds, slip_bound, found) if near is None else _enclosed(network, near, slip_bound)
-    elif network.mixes and (near := enclosed_minimum(bounds)) is not None:
+    elif network.mixes and (near := _enclosed_minimum(bounds)) is not None:
         found = _enclosed(network, near, slip_bound)
     elif network.mixes:
         known = _apart(network, slip_bound, _by_cones(bounds))
@@ -118,6 +117,13 @@ def proven_states(bounds: Bounds, slip_bound: np.ndarray) -> list[States]:
 def _samples(network: Network, states: np.ndarray, reason: str, unique: bool | None) -> list[States]:
     """States (m,) sample by sample."""
     return [States(own, unique, reason) for own in states.reshape(network.count, -1)]
+
+
+def _enclosed_minimum(bounds: Bounds) -> tuple[np.ndarray, np.ndarray] | None:
+    """As oblique.py has it, which is loaded for packings alone."""
+    from taichi_bearings.verifier.oblique import enclosed_minimum
+
+    return enclosed_minimum(bounds)
 
 
 def _enclosed(network: Network, near: tuple[np.ndarray, np.ndarray], bound: np.ndarray) -> list[States]:

@@ -19,7 +19,6 @@ from fractions import Fraction
 
 import numpy as np
 
-from taichi_bearings.verifier.exact_motions import ExactMotions
 from taichi_bearings.verifier.network import Network, connected
 from taichi_bearings.verifier.springs import rolling, turning_freely
 
@@ -60,6 +59,8 @@ def _is_exact(network: Network) -> bool:
 @np.errstate(all="ignore")  # what is not finite proves nothing
 def _rolls_exactly(network: Network) -> bool:
     """Case 3, where the given spins are nearly such a state."""
+    from taichi_bearings.verifier.exact_motions import ExactMotions  # which only packings need
+
     fastest = network.box.max(initial=0.0)
     if not (network.slip.most[network.counts] <= NEARLY_NONE * fastest).all():
         return False
