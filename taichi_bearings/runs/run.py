@@ -171,8 +171,8 @@ def job_of(settings: RunSettings, scene: Scene, spin: np.ndarray, strict: bool =
 # relative gap down to which splitting helps after the interior point: from 1e-13 it takes minutes and gains nothing
 SPLITTING_HELPS = 1e-12
 # iterations that it may take, some 15 s for small samples: 6,6,6 lognormal:1,6 seed 2 asks for 104 253; and those after
-# which it goes on only if the gap has become half: over 24 decades of friction it mostly has not, and would not
-MOST_SPLITTINGS, FIRST_SPLITTINGS = 20_000, 100
+# which it goes on, where friction spans more decades than a double has, only if the gap has become half: it hardly has
+MOST_SPLITTINGS, FIRST_SPLITTINGS, DOUBLE_DECADES = 20_000, 100, 2.0**53
 
 
 def solve_job(job: Job, monitors: Sequence[Any] = (), checkpoints: Any = None) -> Solution:
@@ -195,7 +195,9 @@ def solve_job(job: Job, monitors: Sequence[Any] = (), checkpoints: Any = None) -
         # each on its own, so that it has the same bits alone and beside others; not-a-number is no gap that is small
         for number in np.flatnonzero(~(solution.gap <= max(settings.tolerance, SPLITTING_HELPS))).tolist():
             one, seconds = solution.sample(number), max(stop.seconds - solution.seconds, 1e-3)
-            for most in (FIRST_SPLITTINGS, MOST_SPLITTINGS):
+            acting = one.scene.coefficient[one.scene.coefficient > 0]
+            wide = bool(acting.max(initial=0.0) > DOUBLE_DECADES * acting.min(initial=np.inf))
+            for most in (FIRST_SPLITTINGS, MOST_SPLITTINGS) if wide else (MOST_SPLITTINGS,):
                 left = StopRule(stop.tolerance, min(stop.iterations, most), seconds)
                 other = solve(one.scene, OperatorSplitting().build(), one.spin, left, monitors, settings.slip_threshold)
                 better = _better(one, other, settings.tolerance)

@@ -141,12 +141,21 @@ def test_friction_and_viscosity_together_bear_every_force():
 
 
 def test_auto_goes_on_with_operator_splitting_where_the_path_ends_early():
-    """Friction over six decades on a tall, narrow lattice is too much for float64 Newton steps."""
-    settings = RunSettings(shape=(2, 2, 50), distribution="bimodal:1e-3,1e3,0.5", seed=1, threads=1)
+    """Friction over many decades below a top that turns unevenly is too much for float64 Newton steps."""
+    top = (1.0, 1.0, 0.0, 0.05)
+    settings = RunSettings(shape=(4, 4, 8), distribution="lognormal:1,4", top=top, seed=1, threads=1)
     solution = solve_job(prepare(settings))
     assert solution.method == "operator-splitting"
     assert solution.status is Status.CERTIFIED
     assert solution.gap[0] <= 1e-8
+
+
+def test_six_decades_on_a_narrow_lattice_are_certified_by_the_path():
+    """Strong contacts count as weaker ones; without that the path ended at a gap of 1e-3."""
+    settings = RunSettings(shape=(2, 2, 50), distribution="bimodal:1e-3,1e3,0.5", seed=1, threads=1)
+    solution = solve_job(prepare(settings))
+    assert solution.method == "interior-point"
+    assert solution.gap[0] <= 1e-12
 
 
 def test_splitting_goes_on_with_those_samples_alone_whose_path_ends_early():

@@ -89,9 +89,7 @@ def contradiction(found):
     free, radius = packing.driven < 0, exact(packing.radius)
     u = ((exact(found.spin) + exact(found.spin_rounding)) * radius[:, None])[free].ravel()
     step, kernel = solved(rows[still], -(rows[still] @ u + fixed[still]))
-    u = u + step
-    if max(map(abs, step), default=Decimal(0)) > Decimal("1e-9"):
-        return "contacts at rest cannot rest near these spins"
+    u = u + step  # where a part rolls at every minimum without dissipating anything, its spins may be far from that
     for _ in range(8):
         slope, bends = np.full(len(u), Decimal(0)), np.full((len(u), len(u)), Decimal(0))
         for e in slipping:
