@@ -175,3 +175,26 @@ def test_a_reader_that_goes_away_is_no_fault(tmp_path):
     os.close(theirs)
     assert (done.returncode, done.stderr) == (0, b"")
     assert read_run(tmp_path / "a").solution.power > 0
+
+
+def test_a_file_system_without_locks_is_read_and_written(stored, tmp_path, monkeypatch):
+    """A library that has locked its files until now meets a folder that has no locks: HDF5 and the system say so."""
+    plain = h5py.File
+
+    def without_locks(name, mode="r", locking=None, **more):
+        if locking is not False and not hasattr(name, "read"):
+            raise OSError("unable to lock file, errno = 37, error message = 'No locks available'")
+        return plain(name, mode, locking=locking, **more)
+
+    def no_lock(*_):
+        raise OSError(37, "No locks available")
+
+    run = tmp_path / "run"
+    shutil.copytree(stored, run)
+    monkeypatch.setattr(h5py, "File", without_locks)
+    monkeypatch.setattr("fcntl.flock", no_lock)
+    power = tb.load(run).power
+    best = tb.solve(tb.Scene.random((4, 5), seed=2), "planar-cut", progress=False)
+    best.save(tmp_path / "saved")
+    assert tb.load(tmp_path / "saved").power == best.power
+    assert power > 0
