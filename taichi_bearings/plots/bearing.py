@@ -21,7 +21,6 @@ from taichi_bearings.plots.style import label_in_plain_text, larger_spin, new_fi
 SPIN_COLOURS = "coolwarm"
 MOST_DISCS = 2_500  # beyond, a plane is an image
 MOST_LINES = 5_000  # beyond, lines are dots in files of vectors too
-SHADE = 0.55  # of the colour of spheres that lie farthest behind
 BAR = 0.75  # inches of a colour bar with its label
 LEAST_HEIGHT = 0.6  # of a panel, of its width, beside which a colour bar has room for its labels
 PALE = np.array([0.93, 0.93, 0.93, 1.0])  # of discs that only carry contacts
@@ -78,9 +77,12 @@ class Sheet:
         radius, ends = np.asarray(packing.radius), packing.contact.T
         (place, depth), (normal, _) = _seen(packing.center, view), _seen(np.asarray(packing.normal), view)
         way = radius[ends][..., None] * np.stack([normal, -normal])
-        corners = np.stack([(place - radius[:, None]).min(axis=0), (place + radius[:, None]).max(axis=0)])
+        rim = np.where(packing.driven >= 0, 0.8, 0.1 if packing.dimension == 2 else 0.3)
+        margin = 0.05 * float(np.median(radius))  # rims are drawn half outside
+        low, high = (place - radius[:, None]).min(axis=0), (place + radius[:, None]).max(axis=0)
+        corners = np.stack([low - margin, high + margin])
         return cls(
-            np.arange(len(place)), place, radius, np.where(packing.driven >= 0, 0.6, 0.1), depth, ends=ends, way=way,
+            np.arange(len(place)), place, radius, rim, depth, ends=ends, way=way,
             wall=0.7 * radius[ends].min(axis=0), contact=np.arange(packing.contacts), corners=corners,
             pitch=2 * float(np.median(radius)),
         )  # fmt: skip
@@ -101,7 +103,8 @@ class Sheet:
             side.set_visible(False)
 
     def paint(self, axes: Any, colour: np.ndarray) -> None:
-        """The discs from the back to the front, those behind darker. colour : (N, 4), or (4,) of all."""
+        """Draw the discs from the back to the front, in colours of the scale. colour : (N, 4), or (4,) of all."""
+        edge = "0.75" if not self.is_flat and colour.shape == (4,) else "black"  # pale ones only carry contacts
         colour = np.broadcast_to(colour, (len(self.place), 4))
         self.frame(axes)
         if self.grid and len(colour) > MOST_DISCS:
@@ -109,13 +112,10 @@ class Sheet:
             self.frame(axes)
         else:
             order = np.argsort(self.depth, kind="stable")
-            colour, size = colour[order].copy(), 2 * self.radius[order]
-            if not self.is_flat:
-                near = (self.depth[order] - self.depth.min()) / np.ptp(self.depth)
-                colour[:, :3] *= (SHADE + (1 - SHADE) * near)[:, None]
+            colour, size = colour[order], 2 * self.radius[order]
             discs = EllipseCollection(
                 size, size, np.zeros(len(size)), units="xy", offsets=self.place[order], transOffset=axes.transData,
-                facecolors=colour, edgecolors="black", linewidths=self.rim[order], rasterized=len(size) > MOST_LINES,
+                facecolors=colour, edgecolors=edge, linewidths=self.rim[order], rasterized=len(size) > MOST_LINES,
             )  # fmt: skip
             axes.add_collection(discs)
 

@@ -126,10 +126,11 @@ def _norm(power: np.ndarray) -> LogNorm:
 
 
 def _draw_lines(axes: Any, sheet: Sheet, power: np.ndarray, site: float) -> LogNorm:
-    """Slipping contacts as lines across them, where the two surfaces slip past each other, coloured by their power."""
+    """Draw slipping contacts, coloured by their power: as lines across them, where the two surfaces slip past each
+    other, or, where spheres lie behind each other, as lines between the centres."""
     norm = _norm(power)
     look: dict[str, Any] = {"array": power, "cmap": POWER_COLOURS, "norm": norm}
-    sheet.draw(axes, power > 0, across=True, lw=bearing.line_on_site(site, 0.3, 0.8, 3.0), **look)
+    sheet.draw(axes, power > 0, across=sheet.is_flat, lw=bearing.line_on_site(site, 0.3, 0.8, 3.0), **look)
     return norm
 
 
