@@ -44,7 +44,7 @@ def text_of(page: Path) -> str:
 
 def files(page: Path) -> dict[str, str]:
     """Text files that the page shows: `name.toml`, a colon, and a block of TOML; or the same of csv."""
-    return dict(re.findall(r"`(\S+\.(?:toml|csv))`:\s*```(?:toml|csv)\n(.*?)```", text_of(page), re.DOTALL))
+    return dict(re.findall(r"`(\S+\.(?:toml|csv))`:\s*```(?:toml|text)\n(.*?)```", text_of(page), re.DOTALL))
 
 
 def blocks(text: str) -> list[tuple[str, str]]:
