@@ -178,7 +178,7 @@ SAMPLES = _named(
         Quantity("seconds", "s", "wall time of the solve, compilation apart; of seeds solved together a share",
                  lambda a: a.solution.seconds, r"t_\mathrm{solve}"),
         Quantity("seconds_compile", "s", "wall time to load and compile", lambda a: a.solution.seconds_compile),
-        Quantity("contacts", "1", "contacts that take part",
+        Quantity("contacts", "1", "contacts that are not between driven spheres, of packings without absent ones",
                  _of_lattice(lambda a: a.scene.lattice.contacts,
                              lambda a: len(a.solution.state[0]) - int(a.contacts_in[0, ContactState.DRIVEN])),
                  r"N_\mathrm{contacts}"),
@@ -202,7 +202,8 @@ SAMPLES = _named(
                  _of_lattice(lambda a: a.decades)),
         Quantity("slip_threshold", "length/time", "slip up to which a contact counts as slipless",
                  lambda a: a.solution.slip_threshold, r"v_\mathrm{slip}"),
-        Quantity("largest_balance_residual", "force*length", "largest torque left over on a free sphere",
+        Quantity("largest_balance_residual", "force*length", "largest component of the torque left over on a free"
+                 " sphere, of packings over its radius",
                  lambda a: a.solution.largest_balance_residual),
         Quantity("spin_top", "1/time", "spin of the top plane", _of_lattice(lambda a: a.scene.imposed[0]), r"\omega_T"),
         Quantity("spin_bottom", "1/time", "spin of the bottom plane",
@@ -210,7 +211,7 @@ SAMPLES = _named(
         Quantity("normal_force", "force", "force at every contact", _of_lattice(lambda a: a.scene.normal_force), "F_n"),
         Quantity("radius", "length", "radius of the spheres", _of_lattice(lambda a: a.scene.lattice.radius), "R"),
         Quantity("version", "1", "version of the program that solved it", lambda a: VERSION),
-        Quantity("power_normalised", "1", "power / (normal_force radius spin_top)",
+        Quantity("power_normalised", "1", "power / (normal_force radius |spin_top|)",
                  _of_lattice(lambda a: a.power_normalised), r"P\,/\,(F_n R\,\omega_T)"),
         Quantity("minimum_is_unique", "1", "no other slips have the least power, proven either way",
                  _of_lattice(lambda a: a.solution.minimum_is_unique)),
@@ -228,7 +229,8 @@ FINDINGS = _named(
     [
         Quantity("proof", "1", "what is proven of the least power of a packing, in words"),
         Quantity("driven_power", "energy/time", "power of the contacts between driven spheres of a packing"),
-        Quantity("slipless_motions", "1", "motions of a packing at which nothing slips, its driven spheres at rest"),
+        Quantity("slipless_motions", "1", "motions of the free spheres that driven ones reach in a packing, at which"
+                 " nothing slips while driven spheres rest"),
         Quantity("tied_contacts", "1", "contacts that slip at some minima and not at others"),
         Quantity("cut_is_unique", "1", "whether every other cut is heavier"),
         Quantity("next_cut_over_minimum", "1", "weight of the lightest other cut over that of the minimum cut"),

@@ -34,7 +34,7 @@ from taichi_bearings.proof.contact_state import ContactState, by_threshold, crit
 from taichi_bearings.quantities import STRUCTURE, Quantity, plain
 from taichi_bearings.read_only import cached_read_only
 from taichi_bearings.scene import Scene, Solution
-from taichi_bearings.scene.initial_spins import cut_of, cut_unit, cut_weights, minimum_cut_spin
+from taichi_bearings.scene.initial_spins import cut_of, cut_unit, cut_weights
 from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.stages import stage
 
@@ -99,7 +99,7 @@ class Structure:
 
     @property
     def movable(self) -> int:
-        """Contacts that can slip."""
+        """Contacts that can slip: all but absent ones and those between driven spheres."""
         return len(self.state) - self.contacts_in(ContactState.DRIVEN)
 
     @cached_read_only
@@ -327,10 +327,6 @@ class LatticeStructure(Structure):
         return self.scene.slips(self.scene.staggered_spin(spin[None], axes), axes)[0]
 
     @property
-    def movable(self) -> int:
-        return self.scene.lattice.contacts
-
-    @property
     def tied_contacts(self) -> int:
         """How many of the undecided contacts are known to tie."""
         return 0 if self.threshold is not None else int(self.answer.findings.get("tied_contacts", [0])[0])
@@ -405,18 +401,26 @@ def find_interface(scene: Scene, replica: int = 0) -> Interface:
     scene = scene.sample(replica)
     weight, cut, unit = cut_weights(scene), cut_of(scene), cut_unit(scene)
     low, high = cut.above[0].ravel()[scene.lattice.ends]
+    contacts = (low != high) & (weight[0] > 0) & (scene.jump > 0)  # without a jump nothing slips
     power = unit * float(cut.weight[0])
     if scene.law.minimises != "power":
-        spin, axes = minimum_cut_spin(scene), scene.minimum_spin_axes
-        power = float(scene.power(scene.staggered_spin(spin, axes), axes)[0])
+        power = float(scene.law.power(scene.contact, _interface_slips(scene)[None])[0, contacts].sum())
     return Interface(
         power,
-        (low != high) & (weight[0] > 0) & (scene.jump > 0),  # without a jump nothing slips
+        contacts,
         cut.above[0],
         cut.between[0],
         unit * float(cut.lower_bound[0]) * (1 - WEIGHT_ROUNDING),
         unit * float(cut.next_weight[0]),
     )
+
+
+def _interface_slips(scene: Scene) -> np.ndarray:
+    """(E,) slips of contacts on an interface of two rigid domains, length/time; of the jump itself, as spins in the
+    laboratory lose the digits of a jump that is small beside them."""
+    axes = scene.minimum_spin_axes
+    jump = scene.top_spin(axes).reshape(len(axes), -1)[:, scene.lattice.column]
+    return scene.lattice.radius * vector_length(np.where(scene.lattice.felt(axes), jump, 0.0))
 
 
 def lattice_as_packing(scene: Scene) -> Packing:
