@@ -313,7 +313,7 @@ STRUCTURE = {
                  lambda s: _if_spans(s, s.bottlenecks.share.max(initial=0.0))),
         Quantity("backbone_links", "1", "contacts on some path from bottom to top",
                  lambda s: s.bottlenecks.backbone.sum()),
-        Quantity("parting_links", "1", "contacts whose removal alone parts bottom and top",
+        Quantity("parting_links", "1", "contacts whose removal alone parts bottom and top, or two of more bodies",
                  lambda s: s.bottlenecks.parting.sum()),
         Quantity("effective_links", "1", "as many contacts as would carry the shortest paths if all carried the same",
                  lambda s: s.bottlenecks.effective_links),

@@ -489,12 +489,13 @@ class Laboratory:
 
     @cached_property
     def parting(self):
-        found = []
+        """Contacts whose removal alone parts two bodies that are joined."""
+        joined, found = [(a, b) for a in self.held for b in self.held if a < b and b in self.piece[a]], []
         for a, b, e in list(self.graph.edges(keys=True)):
             if e in self.backbone:
                 without = self.graph.copy()
                 without.remove_edge(a, b, key=e)
-                if not any(nx.has_path(without, s, t) for s in self.held for t in self.held if s < t):
+                if not all(nx.has_path(without, *pair) for pair in joined):
                     found.append(e)
         return found
 
