@@ -80,6 +80,11 @@ def is_of_truths(values: np.ndarray) -> bool:
     return values.dtype == object and not any(isinstance(value, str) for value in values)
 
 
+def as_stored(values: np.ndarray) -> np.ndarray:
+    """A column (samples,) as scan.h5 holds it: truth values with gaps as 1, 0 and NaN, all others as they are."""
+    return values.astype(float) if is_of_truths(values) else values
+
+
 def write_scan(
     folder: Path, columns: Mapping[str, Finding], histograms: SampleCounts, attributes: Mapping[str, Any]
 ) -> None:
@@ -93,9 +98,9 @@ def write_scan(
         table = file.create_group("table")
         table.attrs["columns"] = list(columns)
         for name, item in columns.items():
-            values, text = item.values, item.description
-            if is_of_truths(values):
-                values, text = values.astype(float), f"{text} ({TRUTHS_WITH_GAPS})"
+            values, text = as_stored(item.values), item.description
+            if is_of_truths(item.values):
+                text = f"{text} ({TRUTHS_WITH_GAPS})"
             kind = h5py.string_dtype() if values.dtype == object else values.dtype
             put(table, name, values, item.units, text, dtype=kind)
         group = file.create_group("histogram")

@@ -14,6 +14,7 @@ from taichi_bearings.files.scan_file import (
     CONTACT_SETS,
     MISSING,
     StoredScan,
+    as_stored,
     column,
     dense_histograms,
     read_scan,
@@ -82,7 +83,7 @@ def open_scan(path: Path) -> StoredScan:
         logging.getLogger(__name__).warning("bearings: %s %s, which cannot be used: %s", file, why, error)
         return stored
     attributes = attributes_of(plan, journals)
-    table = {name: item.values for name, item in columns_of(plan, records).items()}
+    table = {name: as_stored(item.values) for name, item in columns_of(plan, records).items()}
     return StoredScan(file, attributes, plan.scanned, table, histograms_of(plan, records))
 
 
