@@ -115,6 +115,7 @@ def again_soon(is_wanted: Callable[[], bool] = lambda: True) -> None:
             time.sleep(SOON)
         if not is_wanted():
             return
+        leaving.disregard_next()
         if hasattr(signal, "pthread_kill"):  # which also ends a wait
             signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
         else:
@@ -203,16 +204,23 @@ class Interrupt:
 
     def _end(self) -> None:
         self._too_late = True
+        leaving.disregard_next()
         _thread.interrupt_main()
 
     def _hear(self, _: int, frame: FrameType | None) -> None:
-        if self._too_late:
-            self._too_late = False
+        late, self._too_late = self._too_late, False
+        if late:
+            pass
         elif not self.heard:
             self.heard, self._first = True, time.monotonic()
         elif time.monotonic() - self._first > IMPATIENCE:
             raise KeyboardInterrupt
+
+        def is_wanted() -> bool:
+            self._too_late = late and self._at_once
+            return self._at_once
+
         if self._at_once and is_loading(frame):
-            again_soon(lambda: self._at_once)
+            again_soon(is_wanted)
         elif self._at_once:
             raise GivenUp

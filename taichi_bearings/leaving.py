@@ -26,6 +26,7 @@ _temporary = set[str]()
 _sentences = [NOTHING_KEPT]
 _saving = 0
 _heard = threading.Event()
+_own_signals = 0  # that this process has sent itself and that nobody else has meant
 _watched = False
 _last_word = threading.Lock()  # whoever holds it ends the process
 
@@ -66,6 +67,22 @@ def heard() -> bool:
     return _heard.is_set()
 
 
+def disregard_next() -> None:
+    """Do not take the next signal for the wish of a person: this process is about to send it to itself."""
+    global _own_signals
+    if _watched:
+        _own_signals += 1
+
+
+def _is_own() -> bool:
+    """Return whether a signal that has come is one that this process has sent itself."""
+    global _own_signals
+    if _own_signals == 0:
+        return False
+    _own_signals -= 1
+    return True
+
+
 @contextlib.contextmanager
 def by_default() -> Iterator[None]:
     """Have a signal end the command's process inside as the system does by default, even in a call of a library that
@@ -95,7 +112,7 @@ def watch() -> None:
 
 def _end_the_deaf(reading: int) -> None:
     """Wait for a signal, then for the end of the process, and bring that about if it does not come."""
-    while os.read(reading, 1)[0] not in SIGNALS:
+    while os.read(reading, 1)[0] not in SIGNALS or _is_own():
         pass
     _heard.set()
     left = GRACE

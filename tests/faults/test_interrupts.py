@@ -166,3 +166,26 @@ def test_an_interrupt_while_files_are_written_waits_for_them_and_spares_the_figu
     assert found.interrupted
     assert read_run(tmp_path / "a").solution.power == found.solution.power
     assert not list((tmp_path / "a").glob("*.png"))
+
+
+@pytest.mark.parametrize("loads", [False, True])
+def test_a_limit_of_time_is_not_taken_for_a_wish_to_end(tmp_path, loads):
+    """What ends by its limit goes on to its answer, however long that takes, also where a module was being loaded."""
+    (tmp_path / "slowly.py").write_text("import time\ntime.sleep(0.6)\n")
+    first = "import slowly" if loads else "pass"
+    program = f"""
+import time
+from contextlib import suppress
+from taichi_bearings import interrupts
+interrupts.always_heard()
+with interrupts.Interrupt() as interrupt:
+    with suppress(interrupts.GivenUp), interrupt.at_once(0.3):
+        {first}
+        while True:
+            time.sleep(0.01)
+    assert not interrupt.heard
+    time.sleep(1.6)
+print("answered")
+"""
+    done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "answered\n", "")
