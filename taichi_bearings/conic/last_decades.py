@@ -42,7 +42,7 @@ class LastDecades:
         self._large, self._matrix = spins[0], matrix
         bound = iterate.bound - length(iterate.difference) + length(difference)
         self.point = replace(iterate, spins=spins[1], bound=bound, difference=difference)
-        self.sticking = self.critical = np.zeros(len(iterate.friction), dtype=bool)
+        self.sticking = self.at_limit = np.zeros(len(iterate.friction), dtype=bool)
         self._ratios, self._product = np.zeros(len(iterate.friction)), np.inf
 
     @classmethod
@@ -74,7 +74,7 @@ class LastDecades:
         that fails.
 
         Contacts that surely stick then are the `sticking` ones, (n,) mask; where the path ends, contacts whose
-        slip and margin both vanish, like the root of the product, are the `critical` ones, and do not slip. The next
+        slip and margin both vanish, like the root of the product, are the `at_limit` ones, and do not slip. The next
         time it goes on from there by at least one step.
         """
         before, last, stalled, fell = self._ratios, self._product, 0, np.ones(len(self.point.friction), dtype=bool)
@@ -97,9 +97,9 @@ class LastDecades:
                 fall = abs(np.log(product / late[1]))  # of the product, with which steady ratios have not changed
                 steady = np.abs(np.log(ratios / late[0])) < DECIDED_EXPONENT * fall
                 margin, rests = self.point.margin, ratios < 1
-                at_limit = (steady & (margin < LEAST_MARGIN_AT_LIMIT)) | (rests & (margin < LOST_MARGIN))
-                self.critical = ~self._smooth & at_limit
-                return (ratios > 1) & ~self.critical
+                full = (steady & (margin < LEAST_MARGIN_AT_LIMIT)) | (rests & (margin < LOST_MARGIN))
+                self.at_limit = ~self._smooth & full
+                return (ratios > 1) & ~self.at_limit
             if late is None and product < VANISHING_PRODUCT:
                 late = ratios, product
             # beyond this slip the distance from the cone is lost in rounding; never near the slips in doubt

@@ -51,7 +51,7 @@ TINY = np.finfo(np.float64).tiny
 
 @dataclass(frozen=True)
 class Resolved:
-    """spins (unknowns,), difference and dual (d, n), minus the forces of friction; masks (n,): slipping, critical,
+    """spins (unknowns,), difference and dual (d, n), minus the forces of friction; masks (n,): slipping, at_limit,
     contacts that bear all their friction and yet do not slip, and tied, those that slip at some minima and rest at
     others. viscosity : as of iterates.
 
@@ -65,7 +65,7 @@ class Resolved:
     difference: np.ndarray
     dual: np.ndarray
     slipping: np.ndarray
-    critical: np.ndarray
+    at_limit: np.ndarray
     heads: np.ndarray
     rest: np.ndarray | None = None
     borne: bool = False
@@ -75,7 +75,7 @@ class Resolved:
     @property
     def ties(self) -> np.ndarray:
         """Mask (n,), contacts that are known to be tied."""
-        return np.zeros_like(self.critical) if self.tied is None else self.tied
+        return np.zeros_like(self.at_limit) if self.tied is None else self.tied
 
     @property
     def sure(self) -> bool:
@@ -135,7 +135,7 @@ def _least(iterate: Iterate, settled: Resolved, lattice: Surroundings) -> Resolv
         return None
     if not settled.sure or iterate.viscosity is not None:  # with viscosity all minima have the same slips
         return settled
-    of_minimum = settled.difference, settled.dual, settled.slipping, settled.critical
+    of_minimum = settled.difference, settled.dual, settled.slipping, settled.at_limit
     return replace(settled, tied=tied_contacts(lattice.system, lattice.order, iterate.friction, *of_minimum))
 
 
@@ -179,15 +179,15 @@ def _over_tied(
     left = None if tied and tied.contradicts.any() else rest.decide(to_the_end=to_the_end)
     if left is None:
         return None, none
-    slipping, critical, sticking, kept = none.copy(), none.copy(), none.copy(), tied.kept if tied else slice(None)
-    slipping[kept], critical[kept], sticking[kept] = left, rest.critical, rest.sticking
+    slipping, at_limit, sticking, kept = none.copy(), none.copy(), none.copy(), tied.kept if tied else slice(None)
+    slipping[kept], at_limit[kept], sticking[kept] = left, rest.at_limit, rest.sticking
     later[:, kept] = rest.point.dual
     (found,) = _minima([iterate], [tied.expanded(rest.spins) if tied else rest.spins], [slipping], lattice)
-    if found is not None and critical.any():  # as are those that Newton's method has brought to rest
-        found = replace(found, critical=(critical | slipping) & ~found.slipping)
-    earlier = np.where(critical | (path.point.slip_over_margin > 1), later, path.point.dual)
+    if found is not None and at_limit.any():  # as are those that Newton's method has brought to rest
+        found = replace(found, at_limit=(at_limit | slipping) & ~found.slipping)
+    earlier = np.where(at_limit | (path.point.slip_over_margin > 1), later, path.point.dual)
     (settled,) = _borne([iterate], [found], [later], lattice)
-    if settled is None and may_tie(iterate.friction, critical):
+    if settled is None and may_tie(iterate.friction, at_limit):
         (settled,) = _borne([iterate], [found], [earlier], lattice)
     return settled, sticking
 
@@ -199,13 +199,13 @@ def _borne(
     settled: list[Resolved | None] = [None] * len(minima)
     some = [(number, found) for number, found in enumerate(minima) if found is not None]
     if some:
-        slipping, critical = (
-            np.concatenate([getattr(found, of) for _, found in some]) for of in ("slipping", "critical")
+        slipping, at_limit = (
+            np.concatenate([getattr(found, of) for _, found in some]) for of in ("slipping", "at_limit")
         )
         dual = np.concatenate([np.where(found.slipping, found.whole_dual, near[n]) for n, found in some], axis=1)
         friction = np.concatenate([iterates[number].friction for number, _ in some])
         heads = [found.heads for _, found in some]
-        duals, fine = nearly_borne(lattice.system, lattice.matrix, friction, dual, slipping, critical, heads)
+        duals, fine = nearly_borne(lattice.system, lattice.matrix, friction, dual, slipping, at_limit, heads)
         for (number, found), whole, inside in zip(some, np.split(duals, len(some), axis=1), fine, strict=True):
             dual = np.where(found.slipping, found.dual, whole)
             settled[number] = replace(found, dual=dual, borne=True) if inside else None
@@ -316,9 +316,9 @@ class _Slipping:
         self, spins: np.ndarray, rests: Sequence[np.ndarray | None], difference: np.ndarray, dual: np.ndarray
     ) -> list[Resolved]:
         of_samples = np.split(spins, self.samples), self.everywhere(difference), self.everywhere(dual)
-        critical = [np.zeros_like(mask) for mask in self.slipping]
+        at_limit = [np.zeros_like(mask) for mask in self.slipping]
         heads = np.split(self.tied.heads, self.samples)
-        found = map(Resolved, *of_samples, self.slipping, critical, heads, rests)
+        found = map(Resolved, *of_samples, self.slipping, at_limit, heads, rests)
         return [replace(of, viscosity=iterate.viscosity) for of, iterate in zip(found, self.iterates, strict=True)]
 
     def everywhere(self, values: np.ndarray) -> list[np.ndarray]:

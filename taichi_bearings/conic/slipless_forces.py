@@ -35,7 +35,7 @@ def nearly_borne(
     friction: np.ndarray,
     dual: np.ndarray,
     slipping: np.ndarray,
-    critical: np.ndarray,
+    at_limit: np.ndarray,
     heads: Sequence[np.ndarray],
 ) -> tuple[np.ndarray, np.ndarray]:
     """The dual of all contacts, the more of a slipless one changed the more room it has, so that it is in balance; and
@@ -45,29 +45,29 @@ def nearly_borne(
 
     system, matrix : of a sample. heads : of each sample, mask (unknowns,) of one spin of each domain that is tied to no
     driven plane. Of all samples, one after the other: friction (n,), dual (d, n), minus the forces, of slipless
-    contacts nearly in balance and inside their friction discs, and masks (n,), the slipping contacts and the critical
-    ones, which may bear all their friction.
+    contacts nearly in balance and inside their friction discs, and masks (n,), those that slip and those that may rest
+    at their limit, bearing all their friction.
     """
     samples, side = len(heads), _side_by_side(dual, len(heads))
-    limit = _side_by_side(np.where(critical, friction, np.inf), samples)
+    limit = _side_by_side(np.where(at_limit, friction, np.inf), samples)
     side = _without_noise(side, limit)
     still = np.stack(heads, axis=1).astype(float)  # a spring for each domain, that nothing stretches
     found, going = np.zeros(samples, dtype=bool), np.ones(samples, dtype=bool)
-    held = critical.reshape(samples, -1).any(axis=1)
+    held = at_limit.reshape(samples, -1).any(axis=1)
     for _ in range(MOST_BALANCES):
         here = _one_by_one(side)
-        least = np.where(critical, ROOM_AT_LIMIT * friction, 0.0)
+        least = np.where(at_limit, ROOM_AT_LIMIT * friction, 0.0)
         room = np.where(slipping, 0.0, np.maximum(friction - length(here), least))
         springs = _side_by_side(room**2, samples)
         going = going & matrix.factorise_each(isotropic(side, springs), inertia=still)
         balanced = side
         for _ in range(REFINEMENTS):  # as in NewtonMatrix.balanced
             balanced = _balanced(system, matrix, _cut(balanced, limit), springs, going)[0]
-        reach = _reach(friction, here, _one_by_one(balanced), slipping | critical, samples)
+        reach = _reach(friction, here, _one_by_one(balanced), slipping | at_limit, samples)
         ended = going & (reach > 1)
         going = going & (reach > LEAST_REACH)
         if (going & ~ended).any():
-            of_each = zip(np.split(friction, samples), np.split(critical, samples), strict=True)
+            of_each = zip(np.split(friction, samples), np.split(at_limit, samples), strict=True)
             going = going & (ended | [may_tie(*of) for of in of_each])
         if (cut := ended & held).any():
             balanced = _cut_and_balanced(system, matrix, balanced, springs, limit, cut)
@@ -77,12 +77,12 @@ def nearly_borne(
         if not going.any():
             break
     whole = _one_by_one(side)
-    return whole, found & _inside(friction, whole, slipping | critical, system.torques(side))
+    return whole, found & _inside(friction, whole, slipping | at_limit, system.torques(side))
 
 
-def may_tie(friction: np.ndarray, critical: np.ndarray) -> bool:
-    """True where contacts are critical, or most have the friction of others: sums of these can be equal by chance."""
-    return bool(critical.any()) or len(np.unique(friction)) < len(friction) / 2
+def may_tie(friction: np.ndarray, at_limit: np.ndarray) -> bool:
+    """True where contacts rest at their limit, or most share their friction: sums of these can be equal by chance."""
+    return bool(at_limit.any()) or len(np.unique(friction)) < len(friction) / 2
 
 
 def _towards(here: np.ndarray, there: np.ndarray, share: np.ndarray) -> np.ndarray:

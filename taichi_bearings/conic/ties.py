@@ -31,17 +31,17 @@ def tied_contacts(
     difference: np.ndarray,
     dual: np.ndarray,
     slipping: np.ndarray,
-    critical: np.ndarray,
+    at_limit: np.ndarray,
 ) -> np.ndarray:
     """Mask (n,) of contacts that slip at some minima and rest at others.
 
-    order : of elimination of the unknowns of `system`. friction, slipping, critical (n,), difference, dual (d, n) : of
+    order : of elimination of the unknowns of `system`. friction, slipping, at_limit (n,), difference, dual (d, n) : of
     a minimum. Only contacts with the same friction can tie.
     """
     ties = np.zeros(len(friction), dtype=bool)
     if len(np.unique(friction)) == len(friction):
         return ties
-    tied = Contraction(system, order, ~(slipping | critical))
+    tied = Contraction(system, order, ~(slipping | at_limit))
     slipping, difference, dual = slipping[tied.kept], difference[:, tied.kept], dual[:, tied.kept]
     one_way = np.where(np.abs(dual) > NOISE_SHARE * np.abs(dual).max(axis=0), -dual, 0.0)
     towards = np.where(slipping, difference, one_way)  # contacts at their limit can slip in one way alone

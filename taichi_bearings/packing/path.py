@@ -115,7 +115,7 @@ def followed(system: System, friction: np.ndarray, viscosity: np.ndarray, power_
             spins, dual, slipping, open_ = _settled(system, sample.iterate, matrix)
     else:
         spins, dual, slipping = settled.spins, settled.whole_dual, settled.slipping
-        ties = settled.ties | settled.critical
+        ties = settled.ties | settled.at_limit
     force = _across(system, contacts, sign, -unit * dual)
     rest = None if settled is None else settled.rest
     if sign is not None:

@@ -88,7 +88,8 @@ class Progress:
     exhausted : going on brings it no closer in its precision. halted : a dynamics cannot make another step.
     state : contact states (R, E) that the method itself has established, else None.
     slip : slip speeds (R, E) where they are more precise than those of the spins, else None.
-    settled : (R,), True where the states are final. states_proven : (R,), where they are those of a minimum, proven.
+    settled : (R,), True where the states are final. states_believed : (R,), where the method takes them for those of
+        every minimum; whether they are is for the judgement to prove.
     settles_more : going on would settle more contact states, whatever the gap.
     findings : what else the method has found, by name, (R,) each. columns : the same of this check, for the history.
     falls_to : gap to which the gap falls by like factors in like times at least; 0 if it does not.
@@ -115,7 +116,7 @@ class Progress:
     state: np.ndarray | None = None
     slip: np.ndarray | None = None
     settled: np.ndarray | None = None
-    states_proven: np.ndarray | None = None
+    states_believed: np.ndarray | None = None
     settles_more: bool = False
     findings: Mapping[str, np.ndarray] = field(default_factory=dict)
     columns: Mapping[str, np.ndarray] = field(default_factory=dict)
@@ -134,7 +135,7 @@ class Progress:
 
 
 OF_REPLICAS = (
-    ("objective", 0), ("largest_balance_residual", 0), ("states_proven", 0), ("state", 0), ("slip", 0),
+    ("objective", 0), ("largest_balance_residual", 0), ("states_believed", 0), ("state", 0), ("slip", 0),
     ("staggered", 1), ("rest", 1), ("force", 1),
 )  # fmt: skip
 """What belongs to a replica in the state of a method, and the axis that counts the replicas."""

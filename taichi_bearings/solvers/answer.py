@@ -215,7 +215,9 @@ def proven(scene: Scene, final: Progress, judgement: Judgement | None, at_minimu
     one_component = scene.law.is_rate_independent and len(scene.minimum_spin_axes) == 1
     together = one_component or scene.law.flows or at_minimum
     asked = (
-        np.full(scene.replicas, together) if final.states_proven is None or together else np.array(final.states_proven)
+        np.full(scene.replicas, together)
+        if final.states_believed is None or together
+        else np.array(final.states_believed)
     )
     if judgement is None or not asked.any():
         return [None] * scene.replicas

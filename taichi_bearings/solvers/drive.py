@@ -287,7 +287,7 @@ class Course:
 
 OF_BEST = (
     "iteration", "staggered", "force", "objective", "lower_bound", "resolution", "largest_balance_residual", "rest",
-    "state", "slip", "settled", "states_proven", "ended",
+    "state", "slip", "settled", "states_believed", "ended",
 )  # fmt: skip
 """What a checkpoint keeps of the best state of a minimisation."""
 
@@ -323,8 +323,8 @@ class _Best:
         elif first:
             self.proof, self.bound = proof, new.lower_bound
         better = new.lower_bound >= self.bound
-        if new.states_proven is not None:  # forces that prove states are worth more than the last digit of the bound
-            better |= new.states_proven & (new.lower_bound >= self.bound * (1 - 1e-11))
+        if new.states_believed is not None:  # forces that prove states are worth more than the last digit of the bound
+            better |= new.states_believed & (new.lower_bound >= self.bound * (1 - 1e-11))
         self.proof, self.bound = np.where(better[:, None], proof, self.proof), np.maximum(self.bound, new.lower_bound)
         if "progress" not in vars(self) or not self.keeps_best:
             self.progress = new
@@ -361,7 +361,7 @@ class _Best:
             raise ValueError("best holds something else than a state of this scene")
         if not (np.isfinite(best["staggered"]).all() and np.isfinite(best["force"]).all()):
             raise ValueError("best holds numbers that are not finite")
-        best |= {name: best[name].astype(bool) for name in ("settled", "states_proven") if name in best}
+        best |= {name: best[name].astype(bool) for name in ("settled", "states_believed") if name in best}
         best["iteration"] = int(best["iteration"])
         self.progress = Progress(spin_axes=spin_axes, findings=findings, **best)
         gap, improved_at = state["course"].tolist()

@@ -50,7 +50,7 @@ def _states(sample: Sample) -> np.ndarray:
     """Contact states (n,)."""
     slipping, slipless, undecided = ContactState.SLIPPING, ContactState.SLIPLESS, ContactState.UNDECIDED
     if (of := sample.resolved) is not None:
-        return np.select([of.ties, of.critical, of.slipping], [ContactState.TIED, undecided, slipping], slipless)
+        return np.select([of.ties, of.at_limit, of.slipping], [ContactState.TIED, undecided, slipping], slipless)
     point, slip, margin = sample.iterate, length(sample.iterate.difference), sample.iterate.margin
     if point.viscosity is not None:  # slips at which viscous forces match the friction are no small ones
         slip = slip * (1 + point.viscosity / point.friction)
@@ -198,7 +198,9 @@ class InteriorPointMethod(Descent, Method):
             slip=slip if self.frustrated else None,
             settled=settled,
             findings=findings,
-            states_proven=np.array([sample.resolved is not None and sample.resolved.borne for sample in self.samples]),
+            states_believed=np.array(
+                [sample.resolved is not None and sample.resolved.borne for sample in self.samples]
+            ),
             settles_more=settles_more,
             falls_to=self.settles_at if settles_more else np.inf,
             ended=np.array([sample.steps for sample in self.samples]),

@@ -89,6 +89,6 @@ class PlanarCutMethod(Method):
             exhausted=cut,
             state=self.state.copy() if cut else None,
             settled=np.full(scene.replicas, cut),  # also where the start has the least power, less a rounding
-            states_proven=unique if cut else None,
+            states_believed=unique if cut else None,
             findings=findings if cut and self.top.any() else {},
         )

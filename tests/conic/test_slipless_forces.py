@@ -25,10 +25,10 @@ def chain(*contacts, unknowns=1):
     return ContactSystem(unknowns, slip[None], np.ones_like(slip[None], bool), ends), np.arange(unknowns)
 
 
-def borne(system, order, friction, dual, slipping, critical=None):
+def borne(system, order, friction, dual, slipping, at_limit=None):
     """The dual of :func:`nearly_borne` and whether it will do, of one sample with one component."""
     never = np.zeros(len(friction), dtype=bool)
-    values = (np.array(of) for of in (friction, [dual], slipping, never if critical is None else critical))
+    values = (np.array(of) for of in (friction, [dual], slipping, never if at_limit is None else at_limit))
     heads = [np.zeros(system.unknowns, dtype=bool)]
     found, (inside,) = nearly_borne(system, NewtonMatrix(system, order), *values, heads)
     return found[0], inside
@@ -55,7 +55,7 @@ def test_two_contacts_too_weak_for_it_or_at_their_limit_are_no_proof(excess):
 
 
 @pytest.mark.parametrize("beyond", [False, True])
-def test_a_critical_contact_bears_its_friction_and_no_more(beyond):
+def test_a_contact_at_its_limit_bears_its_friction_and_no_more(beyond):
     system = chain((BOTTOM, 0, 0.0), (BOTTOM, 0, 0.0), (BOTTOM, 0, 0.0), (0, TOP, 1.0))
     weak = 0.05 if beyond else 0.2
     friction, dual = (0.2, 0.3, weak, 0.5), [-0.2, -0.2, -0.05, -0.5]

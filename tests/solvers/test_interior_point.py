@@ -232,7 +232,7 @@ def test_contacts_that_only_rounding_lets_slip_are_looked_at_again():
 
 
 @pytest.mark.parametrize("seed", [110, 350])
-def test_contacts_first_thought_critical_slip_where_they_would_have_to_bear_more(seed):
+def test_contacts_first_taken_to_rest_at_their_limit_slip_where_they_would_have_to_bear_more(seed):
     """They were left at rest with 1.07 times their friction, which proves nothing of any contact."""
     solution = minimum_of(make_scene((12, 12, 12), seeds=(seed,)))
     assert solution.states_proven[0]
