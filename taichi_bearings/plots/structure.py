@@ -137,8 +137,8 @@ def _draw_values(axes: Any, domains: RigidDomains) -> None:
     axes.set(xlim=(-margin, 1 + margin), ylim=(low, high), box_aspect=1)
     if not plane:
         label_in_plain_text(axes.yaxis)
-    look: dict[str, Any] = {"ncols": 2, "labelspacing": 0.8, "title": "locked to"}
-    legend = axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), **look)
+    look: dict[str, Any] = {"ncols": 4, "title": "locked to", "loc": "outside lower center"}
+    legend = axes.figure.legend(*axes.get_legend_handles_labels(), **look)
     for handle in legend.legend_handles:  # of one size, however small the domains are
         handle.set_sizes([40.0])
         handle.set_alpha(1.0)

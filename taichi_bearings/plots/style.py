@@ -243,7 +243,7 @@ def over(symbol: str, unit: str, without: str) -> str:
 
 
 SYMBOLS = {name: (row.symbol, _spaced(row.unit)) for name, row in COLUMNS.items() if row.symbol}
-"""Symbol and unit of the columns of a scan; the others are called by their names."""
+"""Symbol and unit of the columns of a scan; the others are called by their names in words."""
 
 
 def as_text(words: object) -> str:
@@ -255,7 +255,9 @@ def column_label(name: str) -> str:
     """A column of a scan, or the means of one over another, on an axis."""
     parts = name.split("/")
     if not all(part in SYMBOLS for part in parts):
-        return as_text(name)
+        unit = _spaced(COLUMNS[name].unit) if name in COLUMNS else ""
+        words = " / ".join(part.replace("_", " ") for part in parts)
+        return as_text(words + (f" ({unit})" if unit else ""))
     symbols, units = zip(*(SYMBOLS[part] for part in parts), strict=True)
     if len(parts) == 1:
         unit = f" ({units[0]})" if units[0] else ""

@@ -93,7 +93,7 @@ def draw_snapshot(
         title += "" if unit == 1 else rf", ${symbol}\,t = {mathematics(unit * at)}$"
         fastest = moment.fastest
         share = rf" = {mathematics(threshold / fastest, 1)}\,R\,|\Delta\omega|" if fastest else ""
-        note = f"black: contacts that slip faster than ${mathematics(threshold, 2)}{share}$"
+        note = f"black: slip above ${mathematics(threshold, 2)}{share}$"
     return draw_spins(moment, page, title, note)
 
 
