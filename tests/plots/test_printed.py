@@ -123,7 +123,8 @@ def test_power_is_in_units_on_its_axis(solved):
     unit = 50.0 * 0.5 * 1.0
     assert np.concatenate(lines).max() <= solved.power_per_contact.max() / unit * (1 + 1e-12)
     assert column_label("power/power_minimum_cut") == r"$\langle P \rangle\,/\,\langle P_\mathrm{cut} \rangle$"
-    assert column_label("largest_spread") == "largest_spread"
+    assert column_label("largest_spread") == "largest spread"
+    assert column_label("largest_balance_residual") == "largest balance residual (force · length)"
 
 
 def test_small_numbers_are_powers_of_ten_within_mathematics():
