@@ -15,6 +15,7 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components, dijk
 
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.numerics.minimum_cut import number_bodies
+from taichi_bearings.scene.network import Network
 
 MOST_BODIES = 50  # between which paths are looked for
 
@@ -23,23 +24,29 @@ MOST_BODIES = 50  # between which paths are looked for
 class SliplessNetwork:
     """Spheres of one sample and the slipless contacts that join them.
 
-    lattice : a Lattice or a Packing. slipless : (contacts,) bool, of all contacts, False between two driven spheres.
-    Spheres have their shape N, of packings (sites,); as indices they are in C order.
+    whole : all spheres and contacts. slipless : (contacts,) bool, of all contacts, False between two driven spheres.
+    Spheres have their shape N, where there is no lattice (sites,); as indices they are in C order.
     """
 
-    lattice: Any
+    whole: Network
     slipless: np.ndarray
+
+    @property
+    def lattice(self) -> Lattice:
+        """The lattice whose contacts these are, where there is one."""
+        assert self.whole.lattice is not None
+        return self.whole.lattice
 
     @cached_property
     def body(self) -> np.ndarray:
         """Node (sites,) of each sphere in the graph of bodies: 0 the first driven body, then the free spheres, then the
         other driven bodies, of a lattice the top plane."""
-        return number_bodies(self.lattice.driven.ravel())
+        return number_bodies(self.whole.body)
 
     @cached_property
     def ends(self) -> np.ndarray:
         """First and second, of a lattice lower and upper, sphere (2, E) of each edge, as indices."""
-        return np.asarray(self.lattice.ends[:, self.slipless])
+        return np.asarray(self.whole.contact[:, self.slipless])
 
     @cached_property
     def axis(self) -> np.ndarray:
@@ -54,9 +61,9 @@ class SliplessNetwork:
     @property
     def names(self) -> dict[str, np.ndarray]:
         """What tells people which edges these are, (E, ...)."""
-        if isinstance(self.lattice, Lattice):
-            return {"contact": self.contact, "axis": self.axis}
-        return {"contact": np.flatnonzero(self.slipless), "spheres": self.ends.T}
+        if self.whole.lattice is None:
+            return {"contact": np.flatnonzero(self.slipless), "spheres": self.ends.T}
+        return {"contact": self.contact, "axis": self.axis}
 
     def places(self, spheres: np.ndarray) -> np.ndarray:
         """Of a lattice: positions (n, dimension) of spheres (n,)."""
@@ -65,12 +72,12 @@ class SliplessNetwork:
     @property
     def shape(self) -> tuple[int, ...]:
         """N."""
-        return tuple(self.lattice.driven.shape)
+        return self.whole.shape
 
     @property
     def free(self) -> np.ndarray:
         """True for free spheres, shape N."""
-        return np.asarray(self.lattice.driven < 0)
+        return self.whole.free.reshape(self.shape)
 
     @cached_property
     def touched(self) -> np.ndarray:
@@ -192,7 +199,7 @@ class SliplessNetwork:
     @property
     def path_planes(self) -> Any:
         """Number of lattice planes across each sideways axis that this path visits; None of a packing."""
-        if not isinstance(self.lattice, Lattice):
+        if self.whole.lattice is None:
             return None
         return [len(np.unique(places)) for places in self.shortest_path.T[:-1]]
 
@@ -205,7 +212,7 @@ class SliplessNetwork:
     def winds_around(self, axis: int, spanning: bool = False) -> bool | None:
         """Whether slipless contacts, or those of the piece that joins the planes, go around this axis; None where it is
         not a periodic one of a lattice."""
-        if not isinstance(self.lattice, Lattice) or axis not in self.lattice.periodic:
+        if self.whole.lattice is None or axis not in self.whole.lattice.periodic:
             return None
         return bool((self.winding(axis) & (self.spanning if spanning else True)).any())
 

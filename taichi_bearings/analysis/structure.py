@@ -29,7 +29,6 @@ from taichi_bearings.numerics.minimum_cut import WEIGHT_ROUNDING
 from taichi_bearings.packing import Packing
 from taichi_bearings.packing.interface import SAME_STATE, Interface, bearing_states
 from taichi_bearings.packing.structure import self_stress_of
-from taichi_bearings.packing.system import acting, along_axes, odd_parts
 from taichi_bearings.proof.contact_state import ContactState, by_threshold, critical
 from taichi_bearings.quantities import STRUCTURE, Quantity, plain
 from taichi_bearings.read_only import cached_read_only
@@ -144,7 +143,7 @@ class Structure:
 
     @cached_property
     def network(self) -> SliplessNetwork:
-        return SliplessNetwork(self.packing, self.slipless)
+        return SliplessNetwork(self.packing.network, self.slipless)
 
     @cached_property
     def bottlenecks(self) -> Any:
@@ -160,7 +159,7 @@ class Structure:
     @cached_read_only
     def signs(self) -> tuple[np.ndarray, np.ndarray]:
         """(N,) True in parts with odd loops, and the signs by which neighbours differ in others."""
-        return odd_parts(self.packing.spheres, *self.packing.contact.T)
+        return self.packing.network.sublattices
 
     @cached_read_only
     def states(self) -> np.ndarray | None:
@@ -222,7 +221,7 @@ class Structure:
         """(N,) 0 on the first body, 1 on the last one, and between the mean of that of the neighbours; 0 where these
         two do not reach."""
         node = self.network.body
-        ends, size = node[self.packing.contact[acting(self.packing)]].T, int(node.max()) + 1
+        ends, size = node[self.packing.network.contact[:, self.packing.acting]], int(node.max()) + 1
         ones = np.ones(ends.shape[1])
         graph = csr_array((np.tile(ones, 2), np.append(ends, ends[::-1], axis=1)), shape=(size, size))
         label = connected_components(graph, directed=False)[1]
@@ -267,8 +266,8 @@ class Structure:
     def self_stress(self) -> int | None:
         """States of self-stress: how far the forces of slipless contacts are left open; None if rounding hides it."""
         chosen, every = np.flatnonzero(self.slipless), range(self.packing.imposed.shape[1])
-        axes = self.rigid_domains.spin_axes if along_axes(self.packing, chosen) else every
-        return self_stress_of(self.packing, chosen, axes)
+        axes = self.rigid_domains.spin_axes if self.packing.network.along_axes(chosen) else every
+        return self_stress_of(self.packing.network, chosen, axes)
 
     @cached_property
     def numbers(self) -> dict[str, Any]:
@@ -347,7 +346,7 @@ class LatticeStructure(Structure):
 
     @cached_property
     def network(self) -> SliplessNetwork:
-        return SliplessNetwork(self.scene.lattice, self.slipless)
+        return SliplessNetwork(self.scene.network, self.slipless)
 
     @cached_property
     def interface(self) -> Interface:

@@ -11,9 +11,8 @@ from taichi_bearings.errors import InputError
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.numerics.double_double import Pair, divide, exactly
 from taichi_bearings.packing import planar
-from taichi_bearings.packing.motions import order_of, slipless_motions
 from taichi_bearings.packing.packing import Packing, Packings
-from taichi_bearings.packing.system import Found, System, acting
+from taichi_bearings.packing.system import Found, System
 from taichi_bearings.proof.contact_state import all_proven
 from taichi_bearings.scene import Solution, Status
 from taichi_bearings.stages import stage
@@ -99,7 +98,7 @@ def _system_of(packing: Packing) -> System:
 
 def _alike(one: Packing, other: Packing) -> bool:
     same = all(np.array_equal(getattr(one, name), getattr(other, name)) for name in OF_A_NETWORK)
-    return same and np.array_equal(acting(one), acting(other))
+    return same and np.array_equal(one.acting, other.acting)
 
 
 def _found(system: System, method: str) -> Found:
@@ -252,8 +251,8 @@ def tied(system: System, force: np.ndarray, state: np.ndarray) -> np.ndarray:
         parts = (sparse.diags_array(across[t, slipping]) @ system.matrix[t * count + slipping] for t in range(d))
         rows.append(sum(parts))
     found = np.zeros(count, dtype=bool)
-    order = order_of(system.packing, system.contact, np.any(system.moved >= 0, axis=1))
-    motions = slipless_motions(sparse.csr_array(sparse.vstack(rows)), system.sphere, order)
+    slips, moves = sparse.csr_array(sparse.vstack(rows)), np.any(system.moved >= 0, axis=1)
+    motions = system.network.motions(slips, system.sphere, system.contact, moves)
     if not motions.number:
         return found
     if motions.number > MOST_TIES:

@@ -12,7 +12,7 @@ import numpy as np
 
 from taichi_bearings.numerics.minimum_cut import graph_cut, number_bodies
 from taichi_bearings.packing.packing import Packing
-from taichi_bearings.packing.system import acting, needed_components, odd_parts
+from taichi_bearings.packing.system import needed_components
 
 SAME_STATE = 1e-9  # of the largest R omega, by which spins may miss a bearing state
 ACROSS = 1e-12  # of the jump, what rounding leaves of it across a normal along it
@@ -23,8 +23,7 @@ def bearing_states(packing: Packing) -> tuple[np.ndarray, np.ndarray] | None:
     """Signs (N,) by which neighbours differ, and s u (2, N, C) of all spheres if they turned with the first or with the
     second of two driven bodies in bearing states; None where it has odd loops, or others, or where a state slips at a
     contact, as across a periodic side."""
-    odd, sign = odd_parts(packing.spheres, *packing.contact.T)
-    bodies = np.unique(packing.driven[packing.driven >= 0])
+    (odd, sign), bodies = packing.network.sublattices, packing.network.bodies
     if odd.any() or len(bodies) != 2:
         return None
     turned = sign[:, None] * packing.imposed
@@ -32,9 +31,9 @@ def bearing_states(packing: Packing) -> tuple[np.ndarray, np.ndarray] | None:
     if low is None or high is None:
         return None
     for state in (low, high):
-        contact = acting(packing)
-        first, second = packing.contact[contact].T
-        missed = _across(packing, contact, state[second] - state[first])
+        contact = packing.acting
+        first, second = packing.network.contact[:, contact]
+        missed = packing.network.across(state[second] - state[first], contact)
         if missed.max(initial=0.0) > SAME_STATE * np.abs(state).max(initial=0.0):
             return None
     return sign, np.stack([low, high])
@@ -51,12 +50,6 @@ def _state(center: np.ndarray, turned: np.ndarray, own: np.ndarray) -> np.ndarra
     found = np.linalg.lstsq(rows, turned[own].ravel(), rcond=None)[0]
     missed = np.abs(rows @ found - turned[own].ravel()).max()
     return found[:3] + found[3] * center if missed <= SAME_STATE * np.abs(turned).max(initial=0.0) else None
-
-
-def _across(packing: Packing, contact: np.ndarray, spin: np.ndarray) -> np.ndarray:
-    """(n,) sizes of vectors (n, C) across the normals of contacts (n,); of discs all of them."""
-    normal = np.asarray(packing.normal)[contact]
-    return np.linalg.norm(np.cross(spin, normal) if packing.dimension == 3 else spin, axis=1)
 
 
 @dataclass(frozen=True)
@@ -101,12 +94,12 @@ class Interface:
         sign, (low, high) = states
         known, needed = needed_components(packing)
         jump = ((high - low) * needed)[packing.contact[:, 0]]
-        across = _across(packing, np.arange(packing.contacts), jump)
+        across = packing.network.across(jump)
         across[across <= ACROSS * np.linalg.norm(jump, axis=1)] = 0.0
         weight = packing.kind.objective(packing.coefficients, across)
         node, taken = number_bodies(packing.driven), np.zeros(packing.contacts, dtype=bool)
         ends = node[packing.contact].T
-        taken[acting(packing)] = True
+        taken[packing.acting] = True
         taken &= (ends[0] != ends[1]) & (weight > 0)
         ends, weight = ends[:, taken], weight[taken]
         if not weight.sum() > 0:
@@ -127,9 +120,7 @@ class Interface:
 def _slack(packing: Packing, contact: np.ndarray, across: np.ndarray, states: np.ndarray) -> float:
     """What the weights of contacts (n,) may differ in all from those of the bearing states that are meant: these
     (2, N, C) are known from spins to rounding, or to what these miss a state by. across : (E,) of the jump."""
-    held = packing.driven >= 0
-    bodies = np.unique(packing.driven[held])
-    sign = odd_parts(packing.spheres, *packing.contact.T)[1]
+    bodies, sign = packing.network.bodies, packing.network.sublattices[1]
     turned, largest = sign[:, None] * packing.imposed, np.abs(states).max()
     missed = [np.abs(turned - state)[packing.driven == body].max() for state, body in zip(states, bodies, strict=True)]
     off = 4 * (sum(missed) + STATE_ROUNDING * largest)

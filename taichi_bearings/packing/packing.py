@@ -6,6 +6,7 @@ radii drop out, and a packing out of a simulation, a space-filling bearing and a
 
 import logging
 from dataclasses import dataclass, field, fields
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,7 @@ from taichi_bearings.read_only import cached_read_only
 from taichi_bearings.scene.array_files import read_arrays
 from taichi_bearings.scene.disorder import Distribution, Draw
 from taichi_bearings.scene.law import LAWS, Coefficients, Law, law_named
+from taichi_bearings.scene.network import Network
 from taichi_bearings.scene.scene import bearing_state, imposed_direction
 from taichi_bearings.text_lines import is_table
 from taichi_bearings.words import html_table, meant, shown
@@ -133,14 +135,21 @@ class Packing:
     def contacts(self) -> int:
         return len(self.contact)
 
-    @property
-    def ends(self) -> np.ndarray:
-        """(2, E) first and second sphere of each contact, as of a lattice."""
-        return self.contact.T
+    @cached_property
+    def network(self) -> Network:
+        """Who touches whom."""
+        assert self.normal is not None
+        return Network(self.center, np.asarray(self.radius), self.contact.T, self.normal, self.driven)
 
     @property
     def dimension(self) -> int:
         return self.center.shape[1]
+
+    @cached_read_only
+    def acting(self) -> np.ndarray:
+        """Numbers of the contacts with a coefficient that have a free end."""
+        some = np.any([values > 0 for values in self.coefficients], axis=0)
+        return np.flatnonzero(some & self.network.has_free_end)
 
     @cached_read_only
     def coefficients(self) -> Coefficients:
@@ -151,9 +160,7 @@ class Packing:
 
     def slips(self, spin: np.ndarray) -> np.ndarray:
         """Slip speeds (E,) of spins (N, 3), of discs (N,); length/time."""
-        u = spin.reshape(self.spheres, -1) * np.asarray(self.radius)[:, None]
-        both = u[self.contact].sum(axis=1)
-        return np.linalg.norm(both if self.dimension == 2 else np.cross(both, np.asarray(self.normal)), axis=1)
+        return self.network.slips(spin.reshape(self.spheres, -1) * self.network.radius[:, None])
 
     @cached_read_only
     def imposed(self) -> np.ndarray:

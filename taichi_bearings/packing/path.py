@@ -29,7 +29,8 @@ from taichi_bearings.interrupts import look_up
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.numerics.double_double import add, scaled, two_sum
-from taichi_bearings.packing.system import Found, System, along_axes, odd_parts
+from taichi_bearings.numerics.graphs import odd_pieces
+from taichi_bearings.packing.system import Found, System
 from taichi_bearings.stages import Step, stage
 
 SMALL_SPHERES = 5_000  # up to which states are settled as those of small lattices
@@ -53,19 +54,19 @@ def signed(system: System) -> tuple[ContactSystem, np.ndarray] | None:
 
     The difference U_j - U_i of a contact is s_j (u_i + u_j).
     """
-    packing, needed = system.packing, np.flatnonzero((system.moved >= 0).any(axis=0))
-    if not along_axes(packing, system.contact):
+    network, needed = system.network, np.flatnonzero((system.moved >= 0).any(axis=0))
+    if not network.along_axes(system.contact):
         return None
-    felt, contact = system.felt, packing.contact[system.contact]
+    felt, contact = system.felt, network.contact[:, system.contact]
     sign = np.ones(system.known.shape)
     for k in needed:
-        ends = contact[felt[:, k]]
-        odd, sign[:, k] = odd_parts(packing.spheres, *ends.T)
+        ends = contact[:, felt[:, k]]
+        odd, sign[:, k] = odd_pieces(network.spheres, *ends)
         if odd[ends].any():
             return None
     known = sign * system.known
     own, slot, felt = slipping_components(felt[:, needed].T)
-    slot, pair = needed[slot], contact[own].T
+    slot, pair = needed[slot], contact[:, own]
     ends, (first, second) = system.moved[pair[:, None], slot], known[pair[:, None], slot]
     offset, ends = np.where(felt, second - first, 0.0), np.where(felt, ends, -1)
     return ContactSystem(system.unknowns, offset, felt, ends, None, own, slot, system.place), sign
@@ -170,8 +171,8 @@ def _slips(system: System, contacts: ContactSystem, spins: np.ndarray) -> np.nda
     """Of spins (unknowns,), (d, n), to all digits."""
     if contacts.ends is not None:
         return contacts.differences(spins)
-    ends = system.all_spins(spins)[system.packing.contact[system.contact]]
-    high, low = two_sum(ends[:, 0], ends[:, 1])
+    first, second = system.all_spins(spins)[system.network.contact[:, system.contact]]
+    high, low = two_sum(first, second)
     parts = [scaled(system.across[..., k], (high[:, k], low[:, k])) for k in range(high.shape[1])]
     return reduce(add, parts)[0]
 
@@ -180,7 +181,7 @@ def _across(system: System, contacts: ContactSystem, sign: np.ndarray | None, ve
     """(d, A), along the tangents."""
     if sign is None:
         return vectors
-    second = sign[system.packing.contact[system.contact, 1]]
+    second = sign[system.network.contact[1, system.contact]]
     whole = np.zeros((second.shape[1], 1, len(second)))
     contacts.scatter_vectors(vectors, whole, 0)
     return np.einsum("tek,ek,ke->te", system.across, second, whole[:, 0])

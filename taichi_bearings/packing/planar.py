@@ -18,9 +18,10 @@ import numpy as np
 
 from taichi_bearings.numerics.double_double import Pair, subtract, two_product
 from taichi_bearings.numerics.exact_flow import exact_flow
+from taichi_bearings.numerics.graphs import odd_pieces, pieces
 from taichi_bearings.numerics.minimum_cut import led_to
 from taichi_bearings.packing.packing import Packing
-from taichi_bearings.packing.system import System, components_of, odd_parts
+from taichi_bearings.packing.system import System
 
 MANTISSA_BITS = 53
 
@@ -83,7 +84,7 @@ def _covered(system: System, component: np.ndarray) -> tuple[_Cover, np.ndarray]
     feels = np.any(system.felt, axis=1)
     ends = np.where(feels[:, None], system.moved[spheres, component[:, None]], -1)  # (A, 2)
     within, some = np.all(ends >= 0, axis=1), np.any(ends >= 0, axis=1)
-    odd, sign = odd_parts(count, *ends[within].T)
+    odd, sign = odd_pieces(count, *ends[within].T)
     mirrored = np.where(odd, count + np.cumsum(odd) - 1, -1)
     inner, rim = np.flatnonzero(within), np.flatnonzero(some & ~within)
     units, unit = _whole(system.packing, system.contact)
@@ -213,7 +214,7 @@ def _filling(cover: _Cover, place: np.ndarray) -> np.ndarray:
     np.add.at(need, cover.high, flow)
     low, high = cover.low[flat], cover.high[flat]
     within = high < cover.free
-    part = components_of(cover.free, low[within], high[within])
+    part = pieces(cover.free, low[within], high[within])
     ground = cover.free + part  # the driven spheres that touch a part, as a node of its own
     need, own = np.append(need[: cover.free], np.zeros(part.max(initial=-1) + 1, dtype=object)), need[: cover.free]
     np.subtract.at(need, ground, own)

@@ -44,8 +44,8 @@ def rolled(system: System, spins: Pair, rolls: np.ndarray) -> Pair:
 
 def slips_in_pairs(system: System, spins: Pair) -> np.ndarray:
     """(d, A), slips of the contacts along their tangents, to all digits. spins : (unknowns,)."""
-    packing, first = system.packing, system.packing.contact[system.contact]
-    assert packing.normal is not None
+    packing, network = system.packing, system.network
+    first, second = network.contact[:, system.contact]
     shape = system.known.shape
     held = (packing.driven >= 0)[:, None]
     imposed = two_product(packing.spin.reshape(shape), np.broadcast_to(packing.radius[:, None], shape))
@@ -54,10 +54,10 @@ def slips_in_pairs(system: System, spins: Pair) -> np.ndarray:
         np.where(moving, np.append(part, 0.0)[system.moved], np.where(held, fixed, known))
         for part, fixed, known in zip(spins, imposed, (system.known, 0.0 * system.known), strict=True)
     ]
-    high, low = add((u[0][first[:, 0]], u[1][first[:, 0]]), (u[0][first[:, 1]], u[1][first[:, 1]]))
+    high, low = add((u[0][first], u[1][first]), (u[0][second], u[1][second]))
     if high.shape[1] == 1:
         return high.T + low.T
-    n, parts = packing.normal[system.contact], [(high[:, k], low[:, k]) for k in range(3)]
+    n, parts = network.normal[system.contact], [(high[:, k], low[:, k]) for k in range(3)]
     slip = [  # (u_i + u_j) x n
         subtract(scaled(n[:, b], parts[a]), scaled(n[:, a], parts[b])) for a, b in ((1, 2), (2, 0), (0, 1))
     ]

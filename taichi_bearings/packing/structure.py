@@ -5,11 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.csgraph import breadth_first_order, connected_components, dijkstra
+from scipy.sparse.csgraph import breadth_first_order, dijkstra
 
-from taichi_bearings.packing.motions import MOST_UNKNOWNS, order_of, slipless_motions
+from taichi_bearings.numerics.graphs import pieces
+from taichi_bearings.numerics.motions import MOST_UNKNOWNS
 from taichi_bearings.packing.packing import Packing
-from taichi_bearings.packing.system import odd_parts, slips_of
+from taichi_bearings.scene.network import Network
 
 MOST_LOOPS = 20_000  # spheres in parts with odd loops up to which the smallest one is looked for
 CHUNK = 256
@@ -45,34 +46,29 @@ class Structure:
 
 def structure_of(packing: Packing) -> Structure:
     """Look through a packing; its coefficients play no part."""
-    count, held = packing.spheres, packing.driven >= 0
-    parts, label = connected_components(_graph(packing), directed=False)
+    network = packing.network
+    count, held = network.spheres, ~network.free
+    label = pieces(count, *network.contact)
+    sizes = np.bincount(label)
+    parts = len(sizes)
     touched = np.zeros(parts, dtype=bool)
     touched[label[held]] = True
-    degree = np.bincount(packing.contact.ravel(), minlength=count)
-    sizes = np.bincount(label, minlength=parts)
-    odd = odd_parts(count, *packing.contact.T)[0]
-    free, by = slipless_number(packing, ~held)
-    whole, _ = slipless_number(packing, np.ones(count, dtype=bool))
+    degree = np.bincount(network.contact.ravel(), minlength=count)
+    free, by = slipless_number(network, ~held)
+    whole, _ = slipless_number(network, np.ones(count, dtype=bool))
     return Structure(
-        count, packing.contacts, int(held.sum()), len(np.unique(packing.driven[held])), int(parts),
+        count, network.contacts, int(held.sum()), len(network.bodies), parts,
         int((~touched & (sizes > 1)).sum()), int(((degree == 0) & ~held).sum()), int(((degree == 1) & ~held).sum()),
-        not odd.any(), smallest_odd_loop(packing), free, whole, by,
+        not network.sublattices[0].any(), smallest_odd_loop(network), free, whole, by,
     )  # fmt: skip
 
 
-def _graph(packing: Packing) -> sparse.csr_array:
-    ones = np.ones(packing.contacts, dtype=np.int8)
-    return sparse.csr_array((ones, tuple(packing.contact.T)), shape=(packing.spheres,) * 2)
-
-
-def smallest_odd_loop(packing: Packing) -> int | None:
+def smallest_odd_loop(network: Network) -> int | None:
     """Contacts of the smallest odd loop: the shortest way in the double cover from a sphere to its other copy."""
-    count = packing.spheres
-    inside = odd_parts(count, *packing.contact.T)[0]
+    count, inside = network.spheres, network.sublattices[0]
     if not inside.any():
         return None
-    one = _graph(packing)
+    one = sparse.csr_array((np.ones(network.contacts, dtype=np.int8), tuple(network.contact)), shape=(count, count))
     both = ((one + one.T) > 0).astype(np.int64)
     if (both @ both).multiply(both).nnz:
         return 3
@@ -92,40 +88,38 @@ def smallest_odd_loop(packing: Packing) -> int | None:
     return int(best)
 
 
-def slipless_number(packing: Packing, free: np.ndarray) -> tuple[int | None, str]:
+def slipless_number(network: Network, free: np.ndarray) -> tuple[int | None, str]:
     """Number of slipless motions of the spheres that are `free`, (N,), the others at rest; and how it was found."""
-    components = 1 if packing.dimension == 2 else 3
-    contact = np.flatnonzero(free[packing.contact].any(axis=1))
-    return _motions(packing, free, contact, range(components))[1:]
+    contact = np.flatnonzero(free[network.contact].any(axis=0))
+    return _motions(network, free, contact, range(network.components))[1:]
 
 
-def self_stress_of(packing: Packing, contact: np.ndarray, components: Sequence[int]) -> int | None:
+def self_stress_of(network: Network, contact: np.ndarray, components: Sequence[int]) -> int | None:
     """How many independent forces of these contacts, (n,) numbers, are in balance on all free spheres, in these
     components of the spins; None where rounding leaves it open."""
-    free = np.zeros(packing.spheres, dtype=bool)
-    free[packing.contact[contact]] = True
-    free &= packing.driven < 0
-    slips, motions, _ = _motions(packing, free, contact, components)
+    free = np.zeros(network.spheres, dtype=bool)
+    free[network.contact[:, contact]] = True
+    free &= network.free
+    slips, motions, _ = _motions(network, free, contact, components)
     forces = int((abs(slips).sum(axis=1) > 0).sum())
     return None if motions is None else forces - (slips.shape[1] - motions)
 
 
 def _motions(
-    packing: Packing, free: np.ndarray, contact: np.ndarray, components: Sequence[int]
+    network: Network, free: np.ndarray, contact: np.ndarray, components: Sequence[int]
 ) -> tuple[sparse.csr_array, int | None, str]:
     """Slips of contacts by spins of `free` spheres, (N,), in these components, the slipless motions, how they were
     found."""
-    moved = np.full((packing.spheres, 1 if packing.dimension == 2 else 3), -1)
+    moved = np.full((network.spheres, network.components), -1)
     unknowns = int(free.sum()) * len(components)
     moved[np.ix_(free, np.array(components))] = np.arange(unknowns).reshape(-1, len(components))
-    slips = slips_of(packing, contact, moved)
+    slips = network.operator(contact, moved)
     if unknowns <= DENSE_UNKNOWNS:
         sizes = np.linalg.svd(slips.toarray(), compute_uv=False) if min(slips.shape) else np.zeros(0)
         return slips, unknowns - int((sizes > RANK * sizes.max(initial=0.0)).sum()), "singular values"
     if unknowns > MOST_UNKNOWNS:
         return slips, None, f"not decided: more than {MOST_UNKNOWNS:,} unknowns"
-    sphere, parts = np.repeat(np.flatnonzero(free), len(components)), order_of(packing, contact, free)
-    motions = slipless_motions(slips, sphere, parts)
+    motions = network.motions(slips, np.repeat(np.flatnonzero(free), len(components)), contact, free)
     if not motions.counted:
         return slips, None, "not decided: some motions slip by little more than rounding"
     return slips, motions.number, "elimination"

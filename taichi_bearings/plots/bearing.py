@@ -14,9 +14,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from taichi_bearings.lattice import Lattice
-from taichi_bearings.packing import Packing
 from taichi_bearings.plots.page import AXES, BELOW, VIEW, Page, View
 from taichi_bearings.plots.style import label_in_plain_text, larger_spin, new_figure
+from taichi_bearings.scene.network import Network
 
 SPIN_COLOURS = "coolwarm"
 MOST_DISCS = 2_500  # beyond, a plane is an image
@@ -72,18 +72,18 @@ class Sheet:
         )  # fmt: skip
 
     @classmethod
-    def of_packing(cls, packing: Packing, view: View = VIEW) -> "Sheet":
-        """All of it, as it is seen; driven spheres have a rim."""
-        radius, ends = np.asarray(packing.radius), packing.contact.T
-        (place, depth), (normal, _) = _seen(packing.center, view), _seen(np.asarray(packing.normal), view)
+    def of_network(cls, network: Network, view: View = VIEW) -> "Sheet":
+        """All spheres and contacts, as they are seen; driven spheres have a rim."""
+        radius, ends = network.radius, network.contact
+        (place, depth), (normal, _) = _seen(network.center, view), _seen(network.normal, view)
         way = radius[ends][..., None] * np.stack([normal, -normal])
-        rim = np.where(packing.driven >= 0, 0.8, 0.1 if packing.dimension == 2 else 0.3)
+        rim = np.where(network.free, 0.1 if network.dimension == 2 else 0.3, 0.8)
         margin = 0.05 * float(np.median(radius))  # rims are drawn half outside
         low, high = (place - radius[:, None]).min(axis=0), (place + radius[:, None]).max(axis=0)
         corners = np.stack([low - margin, high + margin])
         return cls(
             np.arange(len(place)), place, radius, rim, depth, ends=ends, way=way,
-            wall=0.7 * radius[ends].min(axis=0), contact=np.arange(packing.contacts), corners=corners,
+            wall=0.7 * radius[ends].min(axis=0), contact=np.arange(network.contacts), corners=corners,
             pitch=2 * float(np.median(radius)),
         )  # fmt: skip
 
@@ -162,11 +162,11 @@ def _seen(points: np.ndarray, view: View) -> tuple[np.ndarray, np.ndarray]:
     return seen[..., :2], seen[..., 2]
 
 
-def one_panel(bearing: Lattice | Packing, page: Page) -> tuple[Figure, Any, Sheet, float, dict[str, Any]]:
+def one_panel(network: Network, page: Page) -> tuple[Figure, Any, Sheet, float, dict[str, Any]]:
     """A figure of a flat lattice or a packing: its axes, what lies on them, points of a site, and where a colour bar
     has room."""
-    is_packing = isinstance(bearing, Packing)
-    sheet = Sheet.of_packing(bearing, page.view or VIEW) if is_packing else Sheet.of_lattice(bearing)  # type: ignore[arg-type]
+    lattice = network.lattice
+    sheet = Sheet.of_network(network, page.view or VIEW) if lattice is None else Sheet.of_lattice(lattice)
     wide, tall = np.diff(sheet.corners, axis=0)[0]
     below = tall < LEAST_HEIGHT * wide
     width = page.inches("single")

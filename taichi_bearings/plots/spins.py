@@ -44,7 +44,7 @@ def draw_spins(structure: Structure, page: Page = PAGE, title: str = "", note: s
     slips, movable = structure.state == ContactState.SLIPPING, int((structure.state != ContactState.DRIVEN).sum())
     counted = f"{int(slips.sum()):,} of {movable:,} contacts slip"
     drawn = slips & (slips.sum() <= max(MOST_SLIPS * movable, FEW_SLIPS))
-    system, place, spin = structure.system, structure.network.lattice, structure.shown_spin(structure.spin)
+    system, place, spin = structure.system, structure.network.whole, structure.shown_spin(structure.spin)
     if isinstance(system, Packing):
         surface = spin.reshape(system.spheres, -1) * np.asarray(system.radius)[:, None]
         speed, label = (
@@ -56,7 +56,7 @@ def draw_spins(structure: Structure, page: Page = PAGE, title: str = "", note: s
         label = rf"$|\omega|\,/\,{larger_spin(*system.imposed)}$"
     colour = colormaps[SPIN_COLOURS](speed)
     if speed.ndim == 3:
-        figure = _draw_block(place, colour, drawn, page)
+        figure = _draw_block(structure.network.lattice, colour, drawn, page)
         look = BELOW if columns_on(page, len(figure.axes), NARROW) < 3 else {}
     else:
         figure, axes, sheet, site, look = bearing.one_panel(place, page)
@@ -97,11 +97,11 @@ def draw_power(structure: Structure, page: Page = PAGE) -> Figure:
 
     Where more contacts slip than lines can show, each disc has the colour of the power of its contacts, half of each.
     """
-    system, place = structure.system, structure.network.lattice
+    system, place = structure.system, structure.network.whole
     unit, symbol = power_unit(system)
     power = np.where(structure.state == ContactState.SLIPPING, structure.power_per_contact / unit, 0.0)
-    if isinstance(place, Lattice) and place.dimension == 3:
-        figure = _draw_cuts(place, power, page, symbol)
+    if place.lattice is not None and place.dimension == 3:
+        figure = _draw_cuts(place.lattice, power, page, symbol)
     else:
         figure, axes, sheet, site, look = bearing.one_panel(place, page)
         lines = (power > 0).sum() <= bearing.MOST_LINES or not sheet.is_flat

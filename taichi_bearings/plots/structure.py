@@ -19,7 +19,6 @@ from taichi_bearings.analysis.domains import LOCKS, RigidDomains
 from taichi_bearings.analysis.network import SliplessNetwork
 from taichi_bearings.analysis.structure import LatticeStructure, Structure
 from taichi_bearings.lattice import Lattice
-from taichi_bearings.packing import Packing
 from taichi_bearings.plots import bearing
 from taichi_bearings.plots.bearing import SPIN_COLOURS, Sheet
 from taichi_bearings.plots.page import AXES, BELOW, PAGE, VIEW, Page, View, columns_on, middle_planes
@@ -41,9 +40,10 @@ def draw_domains(structure: Structure, page: Page = PAGE) -> Figure:
 
     Black lines are boundaries of rigid domains. Black dots mark spheres that are locked in some components only.
     """
-    of, domains = structure.network.lattice, structure.rigid_domains
-    if isinstance(of, Packing):
-        return _draw_domains_of_packing(of, domains, page)
+    domains = structure.rigid_domains
+    if structure.network.whole.lattice is None:
+        return _draw_domains_of_packing(structure, page)
+    of = structure.network.lattice
     shape, colour = of.shape, colour_of_turn(domains.turn)[domains.domain]
     planes = () if len(shape) == 2 else page.planes or middle_planes(shape)
     tall = float(np.clip(shape[-1] / max(shape[:-1]), 0.8, 1.5))
@@ -51,33 +51,34 @@ def draw_domains(structure: Structure, page: Page = PAGE) -> Figure:
     if planes:
         bearing.paint_block(block, colour, page.view or VIEW)
     else:
-        _paint(block, of, Sheet.of_lattice(of), colour, domains, 0.85 * width)
+        _paint(block, Sheet.of_lattice(of), colour, structure, 0.85 * width)
     block.set_title("(a) rigid domains" + ("" if planes else ", their boundaries in black"))
     for letter, axes, plane in zip(DOMAIN_LETTERS, cuts, planes, strict=False):
-        _paint(axes, of, Sheet.of_lattice(of, plane), colour, domains, 0.85 * width)
+        _paint(axes, Sheet.of_lattice(of, plane), colour, structure, 0.85 * width)
         bearing.name_cut(axes, *plane, f"({letter}) ")
     _draw_values(values, domains)
     values.set_title(f"({DOMAIN_LETTERS[len(planes)]}) turn: the key to the colours")
     return figure
 
 
-def _draw_domains_of_packing(packing: Packing, domains: RigidDomains, page: Page) -> Figure:
+def _draw_domains_of_packing(structure: Structure, page: Page) -> Figure:
     """With two bodies in bearing states as they turn between them, blue as the first and red as the second, else each
     of the largest in a colour of its own."""
-    figure, axes, sheet, _, look = bearing.one_panel(packing, page)
+    domains = structure.rigid_domains
+    figure, axes, sheet, _, look = bearing.one_panel(structure.network.whole, page)
     moving = np.flatnonzero(domains.jump.any(axis=0))
     if len(moving):
         colour = colour_of_turn(domains.turn[:, moving])
     else:
         own = colormaps["tab20"](np.minimum(np.arange(domains.number), 19))
         colour = np.where((domains.spheres > 1)[:, None], own, bearing.PALE)
-    _paint(axes, packing, sheet, colour[domains.domain], domains, page.inches("single"))
+    _paint(axes, sheet, colour[domains.domain], structure, page.inches("single"))
     if len(moving):
         label = "turn, from the first body to the second"
         label += "\nyellow, green: one component is ahead" if len(moving) > 1 else ""
         bearing.colour_bar(figure, axes, label, Normalize(0, 1), SPIN_COLOURS, **look)
     kinds = ", ".join(f"{count:,} {kind}" for kind, count in domains.domains_of_kind().items() if count)
-    put_title(figure, f"{describe(packing)}\n{domains.number:,} rigid domains, locked to: {kinds}", page)
+    put_title(figure, f"{describe(structure.system)}\n{domains.number:,} rigid domains, locked to: {kinds}", page)
     return figure
 
 
@@ -93,11 +94,10 @@ def colour_of_turn(turn: np.ndarray) -> np.ndarray:
     return colour
 
 
-def _paint(
-    axes: Any, of: Lattice | Packing, sheet: Sheet, colour: np.ndarray, domains: RigidDomains, width: float
-) -> None:
+def _paint(axes: Any, sheet: Sheet, colour: np.ndarray, structure: Structure, width: float) -> None:
     """The spheres of a sheet by domain, on so many inches; of discs walls between domains. colour : (N, 4)."""
-    site, (first, second) = sheet.site(width), domains.domain.ravel()[of.ends]
+    domains = structure.rigid_domains
+    site, (first, second) = sheet.site(width), domains.domain.ravel()[structure.network.whole.contact]
     sheet.paint(axes, colour.reshape(-1, 4)[sheet.sphere])
     sheet.box_driven(axes)
     if not sheet.is_flat:
@@ -155,7 +155,7 @@ def draw_network(structure: Structure, page: Page = PAGE) -> Figure:
     """
     network, spin = structure.network, structure.shown_spin(structure.spin)
     if not isinstance(structure, LatticeStructure):
-        return _draw_network_of_packing(network, structure.movable, page)
+        return _draw_network_of_packing(structure, page)
     (spin_top, spin_bottom), path = structure.scene.imposed, network.shortest_path
     speed = bearing.speed_of(spin, spin_top, spin_bottom)
     flat, some = spin.ndim == 2, len(network.ends.T) > 0
@@ -183,13 +183,14 @@ def draw_network(structure: Structure, page: Page = PAGE) -> Figure:
     return figure
 
 
-def _draw_network_of_packing(network: SliplessNetwork, movable: int, page: Page) -> Figure:
-    """The slipless contacts of a packing, of so many that can slip, over its spheres."""
-    figure, axes, sheet, site, _ = bearing.one_panel(network.lattice, page)
+def _draw_network_of_packing(structure: Structure, page: Page) -> Figure:
+    """The slipless contacts of a packing over its spheres."""
+    network = structure.network
+    figure, axes, sheet, site, _ = bearing.one_panel(network.whole, page)
     sheet.paint(axes, bearing.PALE if sheet.is_flat else bearing.PALE * [1, 1, 1, 0.25])
     sheet.draw(axes, network.slipless, colors=GREY, lw=bearing.line_on_site(site, 0.12, 0.3))
-    words = f"{network.ends.shape[1]:,} of {movable:,} contacts do not slip"
-    put_title(figure, f"{describe(network.lattice)}\n{words}", page)
+    words = f"{network.ends.shape[1]:,} of {structure.movable:,} contacts do not slip"
+    put_title(figure, f"{describe(structure.system)}\n{words}", page)
     return figure
 
 

@@ -19,6 +19,7 @@ from taichi_bearings.scene.array_files import own_array
 from taichi_bearings.scene.disorder import Distribution, Draw, draw_coefficients
 from taichi_bearings.scene.driving import Driving
 from taichi_bearings.scene.law import COULOMB, LAWS, Coefficients, Law, check_law, law_named
+from taichi_bearings.scene.network import Network
 from taichi_bearings.words import html_table, shown
 
 LEAST_DIRECTION = 1e-100  # least part of a direction that counts
@@ -222,6 +223,11 @@ class Scene:
     def lattice(self) -> Lattice:
         along_x, closed = self.coefficients[0].shape[-len(self.coefficients) :], axis_numbers(self.periodic)
         return Lattice((along_x[0] + (0 not in closed), *along_x[1:]), self.radius, closed)
+
+    @cached_property
+    def network(self) -> Network:
+        """Who touches whom; it makes arrays of the spheres and contacts when it is asked for them."""
+        return Network.of(self.lattice)
 
     @cached_property
     def coefficient(self) -> np.ndarray:

@@ -21,13 +21,14 @@ from taichi_bearings.fields.lists import Lists
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.numerics.double_double import exactly
+from taichi_bearings.numerics.graphs import odd_pieces
 from taichi_bearings.packing.answer import forces_of, judgement_of, spins_of
 from taichi_bearings.packing.checks import sizes
 from taichi_bearings.packing.interface import Interface
 from taichi_bearings.packing.packing import Packing
 from taichi_bearings.packing.path import oblique
 from taichi_bearings.packing.rolling import rolled
-from taichi_bearings.packing.system import Found, System, acting, along_axes, odd_parts, slips_of, tangents
+from taichi_bearings.packing.system import Found, System
 from taichi_bearings.scene.array_files import own_array
 from taichi_bearings.scene.initial_spins import STARTS
 from taichi_bearings.scene.scene import inverse, vector_length
@@ -51,9 +52,8 @@ class Network:
     replicas, strength, normal_force, imposed = 1, 1.0, 1.0, (0.0,)
 
     def __init__(self, packing: Packing, density: Any = None) -> None:
-        self.packing, self.law, self.acting, self.density = packing, packing.kind, acting(packing), density
-        assert packing.normal is not None
-        self.across = tangents(packing.normal[self.acting])
+        self.packing, self.law, self.acting, self.density = packing, packing.kind, packing.acting, density
+        self.across = packing.network.tangents[:, self.acting]
         self.contact = tuple(values[None, self.acting] for values in packing.coefficients)
         self.acting_coefficient, self.viscosities = self.contact[0], self.law.viscosity(self.contact)
         self.coefficient = self.positive_coefficient = self.acting_coefficient
@@ -64,7 +64,7 @@ class Network:
         self.minimum_spin_axes = tuple(range(self.components))
         self.lattice = SimpleNamespace(radius=1.0, is_driven=held, shape=held.shape, dimension=packing.dimension)
         numbers = np.arange(packing.spheres * self.components).reshape(-1, self.components)
-        self.matrix = slips_of(packing, self.acting, numbers)
+        self.matrix = packing.network.operator(self.acting, numbers)
         self.transposed = self.matrix.T.tocsr()
         self.jump = self._largest_jump(held)
         # the best bound so far, spins that it is proven with, and the iteration of the last whole look
@@ -83,7 +83,7 @@ class Network:
         """Diagonal of the box of the imposed u, with the signs of a sublattice where there are two, else of both."""
         if not held.any():
             return 0.0
-        odd, sign = odd_parts(self.packing.spheres, *self.packing.contact[self.acting].T)
+        odd, sign = odd_pieces(self.packing.spheres, *self.packing.network.contact[:, self.acting])
         turned = (sign[:, None] * self.packing.imposed)[held]
         both = np.concatenate([turned, -turned[odd[held]]])
         return float(np.linalg.norm(both.max(axis=0) - both.min(axis=0)))
@@ -217,7 +217,7 @@ class Network:
         if not system.offset.any() or not np.isfinite(force).all() or not np.isfinite(spins).all():
             return 0.0, force
         own = force[:, 0, self.of_system]
-        candidates = [own] if along_axes(self.packing, system.contact) else []
+        candidates = [own] if system.network.along_axes(system.contact) else []
         candidates += [self._balanced(own)] if whole else []
         best, found = 0.0, own
         for candidate in candidates:

@@ -8,6 +8,7 @@ import numpy as np
 from taichi_bearings.analysis.network import SliplessNetwork
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.proof.contact_state import ContactState
+from taichi_bearings.scene.network import Network
 
 
 def drawn(shape, *paths, periodic=()):
@@ -23,18 +24,18 @@ def drawn(shape, *paths, periodic=()):
             ring = shape[axis] if axis in periodic else 0
             assert np.abs(step).sum() in {1, ring - 1}, f"{here} and {there} do not touch"
             of_axis[axis][tuple((np.maximum if np.abs(step).sum() > 1 else np.minimum)(here, there))] = True
-    return SliplessNetwork(lattice, slipless)
+    return SliplessNetwork(Network.of(lattice), slipless)
 
 
 def random_network(shape, share, seed, periodic=()):
     """Every contact that can slip is a link with probability `share`."""
     lattice, random = Lattice(shape, periodic=periodic), np.random.default_rng(seed)
-    return SliplessNetwork(lattice, (random.random(lattice.all_contacts) < share) & ~lattice.between_driven)
+    return SliplessNetwork(Network.of(lattice), (random.random(lattice.all_contacts) < share) & ~lattice.between_driven)
 
 
 def network_of(lattice, state):
     """The network of the contacts in state SLIPLESS."""
-    return SliplessNetwork(lattice, state == ContactState.SLIPLESS)
+    return SliplessNetwork(Network.of(lattice), state == ContactState.SLIPLESS)
 
 
 def numbered(network, values):

@@ -122,13 +122,13 @@ def random_packing(number):
         packing = replace(packing, driven=driven)
     held = packing.driven[packing.contact] >= 0
     slipless = (rng.random(packing.contacts) < rng.uniform(0.3, 0.9)) & ~held.all(axis=1)
-    return SliplessNetwork(packing, slipless)
+    return SliplessNetwork(packing.network, slipless)
 
 
 def by_networkx(network):
     """(link, sphere, pairs, mean distance) by networkx, body after body. A node amid each link tells links between the
     same two spheres apart; arcs leave the spheres of one body, enter those of the later ones, and join free spheres."""
-    driven, loads = network.lattice.driven.ravel(), np.zeros(network.ends.shape[1])
+    driven, loads = network.whole.body, np.zeros(network.ends.shape[1])
     spheres, pairs, far = np.zeros(len(driven)), 0, 0
     bodies = np.unique(driven[driven >= 0])
     for body in bodies[:-1]:
@@ -157,7 +157,7 @@ def test_betweenness_of_packings_is_that_of_networkx(number):
     assert found.betweenness.mean_distance == pytest.approx(far)
     np.testing.assert_allclose(found.betweenness.link, loads, atol=1e-9)
     np.testing.assert_allclose(found.share, loads / max(1, pairs), atol=1e-9)
-    free = network.lattice.driven < 0
+    free = network.free
     np.testing.assert_allclose(found.betweenness.sphere[free], spheres[free], atol=1e-9)
 
 

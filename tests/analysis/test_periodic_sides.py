@@ -12,6 +12,7 @@ from taichi_bearings.analysis.structure import LatticeStructure, self_stress
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.runs.structure_report import columns_of
+from taichi_bearings.scene.network import Network
 from tests.analysis.networks import drawn
 from tests.scenes import make_scene
 
@@ -43,7 +44,7 @@ def test_the_two_contacts_of_a_ring_of_two_are_two_links():
     slipless = np.zeros(lattice.all_contacts, dtype=bool)
     along_x, upwards = lattice.by_axis(slipless)
     upwards[0, 0] = upwards[1, 1] = upwards[1, 2] = along_x[0, 1] = along_x[1, 1] = True
-    network = SliplessNetwork(lattice, slipless)
+    network = SliplessNetwork(Network.of(lattice), slipless)
     found = Bottlenecks(network)
     assert network.axis.tolist() == [0, 0, 1, 1, 1]
     assert found.share.tolist() == [0.5, 0.5, 1, 1, 1]
@@ -52,7 +53,7 @@ def test_the_two_contacts_of_a_ring_of_two_are_two_links():
     assert self_stress(network, (2,)).tolist() == [1]
     assert network.on_path[slipless].tolist() == [True, False, True, True, True]  # by the first of the two
     along_x[0, 1] = False
-    assert SliplessNetwork(lattice, slipless).on_path[slipless].all()
+    assert SliplessNetwork(Network.of(lattice), slipless).on_path[slipless].all()
 
 
 def rolled(values, lattice, axis):

@@ -122,7 +122,7 @@ def test_bottlenecks_between_three_bodies_are_those_of_networkx(seed):
     packing = in_three_bodies(tb.Packing.lattice("bcc", (2, 2, 3), seed=1))
     free = (packing.driven[packing.contact] < 0).any(axis=1)
     slipless = free & (np.random.default_rng(seed).random(packing.contacts) < 0.45)
-    network = SliplessNetwork(packing, slipless)
+    network = SliplessNetwork(packing.network, slipless)
     found, graph = Bottlenecks(network), networkx.Graph(list(network.ends.T))
     expected, pairs = dict.fromkeys(map(frozenset, graph.edges), 0.0), 0
     for sides in combinations([set(np.flatnonzero(packing.driven == body)) & set(graph) for body in range(3)], 2):

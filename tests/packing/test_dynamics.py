@@ -6,8 +6,8 @@ import pytest
 import taichi_bearings as tb
 from taichi_bearings.errors import InputError
 from taichi_bearings.fields.lists import Lists
+from taichi_bearings.numerics.graphs import odd_pieces
 from taichi_bearings.packing.structure import structure_of
-from taichi_bearings.packing.system import odd_parts
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import drive
 from taichi_bearings.solvers.network import Network
@@ -138,7 +138,7 @@ def test_a_free_bearing_ends_where_its_invariants_say(number, needs_f64):
         assert structure_of(packing).all_motions == 4
         count, density = packing.spheres, 10 ** rng.uniform(-0.5, 0.5, packing.spheres)
         start, radii = rng.standard_normal((count, 3)), packing.radius[:, None]
-        sign = odd_parts(count, *contact.T)[1][:, None]
+        sign = odd_pieces(count, *contact.T)[1][:, None]
         motions = np.stack([*(sign * axis * np.ones((count, 1)) for axis in np.eye(3)), sign * center], axis=2)
         weight = 0.4 * density * 4 / 3 * np.pi * packing.radius**3  # I / R^2
         products = np.einsum("ikm,i,ikn->mn", motions, weight, motions)

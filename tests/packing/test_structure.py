@@ -33,7 +33,7 @@ TABLE = [
 def test_the_number_of_slipless_motions_is_that_of_the_table(kind, cells, periodic, number, dense, monkeypatch):
     monkeypatch.setattr("taichi_bearings.packing.structure.DENSE_UNKNOWNS", dense)
     packing = tb.Packing.lattice(kind, cells, periodic)
-    assert slipless_number(packing, np.ones(packing.spheres, dtype=bool))[0] == number
+    assert slipless_number(packing.network, np.ones(packing.spheres, dtype=bool))[0] == number
     assert DENSE_UNKNOWNS > 0
 
 
@@ -72,21 +72,21 @@ def test_loose_parts_are_counted():
 
 def test_large_networks_are_decided_by_elimination():
     packing = tb.Packing.lattice("cubic", (8, 9, 10))
-    assert slipless_number(packing, np.ones(packing.spheres, dtype=bool)) == (27, "elimination")
-    assert slipless_number(packing, packing.driven < 0) == (8, "elimination")
+    assert slipless_number(packing.network, np.ones(packing.spheres, dtype=bool)) == (27, "elimination")
+    assert slipless_number(packing.network, packing.driven < 0) == (8, "elimination")
 
 
 def test_paths_of_a_packing_that_share_no_contact_are_the_largest_flow():
     """Several contacts of a free sphere with one body are several ways; all against networkx."""
     place = [[0, 0], [-0.6, -0.8], [0.6, -0.8], [-0.6, 0.8], [0.6, 0.8]]
     cross = tb.Packing(place, [[0, 1], [0, 2], [0, 3], [0, 4]], [-1, 0, 0, 1, 1], np.zeros(5))
-    assert SliplessNetwork(cross, np.array([True] * 4)).disjoint_paths == 2
-    assert SliplessNetwork(cross, np.array([True, True, True, False])).disjoint_paths == 1
+    assert SliplessNetwork(cross.network, np.array([True] * 4)).disjoint_paths == 2
+    assert SliplessNetwork(cross.network, np.array([True, True, True, False])).disjoint_paths == 1
     packing = tb.Packing.lattice("bcc", (3, 3, 3), seed=1)
     free = (packing.driven[packing.contact] < 0).any(axis=1)
     for seed in range(4):
         slipless = free & (np.random.default_rng(seed).random(packing.contacts) < 0.6)
-        network, graph = SliplessNetwork(packing, slipless), networkx.DiGraph()
+        network, graph = SliplessNetwork(packing.network, slipless), networkx.DiGraph()
         for one, other in network.body[network.ends].T:
             for ends in ((one, other), (other, one)):
                 graph.add_edge(*ends, capacity=graph.get_edge_data(*ends, {"capacity": 0})["capacity"] + 1)

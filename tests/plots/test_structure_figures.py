@@ -23,6 +23,7 @@ from taichi_bearings.plots.style import GREY, describe
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.runs.run import run
 from taichi_bearings.runs.settings import RunSettings
+from taichi_bearings.scene.network import Network
 from tests.scenes import make_scene
 
 BOTTOM, TOP = colormaps[SPIN_COLOURS](0.0), colormaps[SPIN_COLOURS](1.0)
@@ -45,7 +46,7 @@ class Case:
         self.staggered = scene.impose_driving(top * place, axes)
         slips, free = scene.slips(self.staggered, axes)[0] > 1e-12, ~scene.lattice.between_driven
         self.slips = scene.lattice.by_axis(slips & free)
-        self.network = SliplessNetwork(scene.lattice, ~slips & free)
+        self.network = SliplessNetwork(Network.of(scene.lattice), ~slips & free)
         self.spin = scene.laboratory_spin(self.staggered, axes)[0]
         nothing = np.zeros(len(self.network.slipless))
         state = np.where(free, np.where(slips, ContactState.SLIPPING, ContactState.SLIPLESS), ContactState.DRIVEN)
@@ -183,13 +184,15 @@ def along(path, shape, periodic=()):
     lattice = Lattice(shape, periodic=periodic)
     spheres = np.ravel_multi_index(path.T, shape)
     steps = {frozenset(pair) for pair in itertools.pairwise(spheres.tolist())}
-    return SliplessNetwork(lattice, np.array([frozenset(pair) in steps for pair in lattice.ends.T.tolist()]))
+    return SliplessNetwork(
+        Network.of(lattice), np.array([frozenset(pair) in steps for pair in lattice.ends.T.tolist()])
+    )
 
 
 def test_contacts_of_packings_are_drawn_as_those_of_lattices_are():
     """Along and across, over a periodic side too, in diameters."""
     packing, lattice = Packing.lattice("square", (4, 5), periodic=("x",), seed=1), Lattice((4, 5), periodic=(0,))
-    own, theirs = Sheet.of_packing(packing), Sheet.of_lattice(lattice)
+    own, theirs = Sheet.of_network(packing.network), Sheet.of_lattice(lattice)
     middle = [sheet.lines(np.ones(len(sheet.contact), dtype=bool))[0].mean(axis=1) for sheet in (own, theirs)]
     apart = [np.ptp(places, axis=0) for places in middle]
     assert apart[0] / own.pitch == pytest.approx(apart[1])

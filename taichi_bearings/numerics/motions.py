@@ -13,11 +13,8 @@ from scipy import sparse
 from scipy.linalg.blas import dtrsm
 from scipy.linalg.lapack import dpstrf
 
-from taichi_bearings.dissection import dissected
 from taichi_bearings.numerics.blas import one_thread
-from taichi_bearings.packing.packing import Packing
 
-LEAF_SPHERES = 8
 NO_PIVOT, SURELY_ONE = 1e-10, 1e-9  # squares of slips over spins: what is eliminated, and what is surely not rounding
 SLIPLESS_SLIP, SOME_SLIP = 1e-13, 1e-11  # slips of a motion over its spins: up to which there is none, and surely one
 PROBES, MOST_PROBED = 4, 4000  # sums of motions that are looked at first; motions that are looked at one by one
@@ -75,15 +72,6 @@ class Motions:
 
 Parts = list[tuple[np.ndarray, list[int]]]
 """Of a graph of spheres: numbers of the spheres and of the children of each."""
-
-
-def order_of(packing: Packing, contact: np.ndarray, free: np.ndarray) -> Parts:
-    """An order of elimination of all spheres from their centres, by contacts (A,) between those that are free, (N,)."""
-    first, second = np.sort(packing.contact[contact[free[packing.contact[contact]].all(axis=1)]], axis=1).T
-    size = (packing.spheres,) * 2
-    once = sparse.csr_array((np.ones(len(first), dtype=np.int8), (first, second)), shape=size)
-    graph = sparse.csr_array(once + once.T)
-    return [(part.nodes, part.children) for part in dissected(graph, packing.center.T, LEAF_SPHERES)]
 
 
 def slipless_motions(slips: sparse.csr_array, sphere: np.ndarray, parts: Parts) -> Motions:
