@@ -14,7 +14,6 @@ layer: so some u* lies within, and the least that r can do there counts. On othe
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
@@ -32,13 +31,14 @@ PROVEN, WITHIN = "proven", f"proven of all spins up to {FASTEST_COMPARED:.0e} ti
 @dataclass(frozen=True)
 class Bounds:
     """upper, lower : (R,), of the least potential, in units of power; of the spins, and of the friction. proof :
-    PROVEN, or what `lower` is restricted to. friction : F in balance, where components mix. worst : (R,),
-    1 / s. size : (m,), s |F|. largest_torque, price : (R,), of the friction as it is stored; what its torques may cost
-    at spins within the box."""
+    PROVEN, or what `lower` is restricted to. excess : (R,), of the spins over what the friction proves. friction : F in
+    balance, where components mix. worst : (R,), 1 / s. size : (m,), s |F|. largest_torque, price : (R,), of the
+    friction as it is stored; what its torques may cost at spins within the box."""
 
     network: Network
     upper: np.ndarray
     lower: np.ndarray
+    excess: np.ndarray
     size: Enclosure
     worst: np.ndarray
     proof: str
@@ -49,7 +49,8 @@ class Bounds:
 
     @classmethod
     def of(cls, network: Network) -> Bounds:
-        upper, own = network.dissipated(0.5).upper(), network.samples
+        potential, own = network.dissipated(0.5), network.samples
+        upper = potential.upper()
         if own is not None:
             upper = np.where(network.motion.torn, np.inf, upper)
         if network.mixes and upper > 0:
@@ -83,14 +84,11 @@ class Bounds:
         if network.holds:  # no less than what is beyond the friction
             beyond = Enclosure.exact(np.maximum((beyond - network.holding.at(soft)).upper(), 0.0))
         cost = network.by_sample((beyond * beyond / network.slope.at(soft)).signed(0.5), soft)
-        lower = (work / Enclosure.exact(worst) - cost).lower()
-        return cls(network, upper, lower, size, worst, proof, left.max(axis=0), price.upper(), springs,
-                   friction if network.mixes else [])  # fmt: skip
-
-    @cached_property
-    def excess(self) -> np.ndarray:
-        """(R,), of the spins over what the friction proves, rounded up; in units of power."""
-        return np.maximum((self.upper - self.lower) * UP, 0.0)
+        least = work / Enclosure.exact(worst) - cost
+        lower = least.lower()
+        apart = (potential - least).upper() if own is None else (upper - lower) * UP
+        return cls(network, upper, lower, np.maximum(apart, 0.0), size, worst, proof, left.max(axis=0), price.upper(),
+                   springs, friction if network.mixes else [])  # fmt: skip
 
 
 def _largest(network: Network, torque: Enclosure) -> np.ndarray:

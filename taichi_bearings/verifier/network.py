@@ -353,9 +353,7 @@ class Network(OfLaw):
     def signs(self, k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Parts that contacts join in component k: label (n,), mask of those with odd loops, and signs s by which
         neighbours differ in the others."""
-        count, (first, second) = len(self.free), self.contact[:, self.feels[k]]
-        copy = connected(np.append(first, second), np.append(second, first) + count, 2 * count).reshape(2, -1)
-        return copy.min(axis=0), copy[0] == copy[1], np.where(copy[0] > copy[1], -1.0, 1.0)
+        return signs(self.contact[:, self.feels[k]], len(self.free))
 
     @cached_property
     def sign(self) -> list[np.ndarray]:
@@ -429,6 +427,14 @@ def across(vectors: list[Enclosure], normal: np.ndarray) -> list[Enclosure]:
 def moments(friction: list[Enclosure], normal: np.ndarray) -> list[Enclosure]:
     """n x F by component, (m,) each."""
     return friction if len(friction) == 1 else [-part for part in across(friction, normal)]
+
+
+def signs(ends: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Parts that edges (2, n) make of nodes: label (size,), mask of those with odd loops, and signs s by which
+    neighbours differ in the others."""
+    first, second = ends
+    copy = connected(np.append(first, second), np.append(second, first) + size, 2 * size).reshape(2, -1)
+    return copy.min(axis=0), copy[0] == copy[1], np.where(copy[0] > copy[1], -1.0, 1.0)
 
 
 @dataclass(frozen=True)

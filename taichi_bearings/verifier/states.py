@@ -40,6 +40,7 @@ from taichi_bearings.verifier.curvature import Slipping, bearable, nearest_minim
 from taichi_bearings.verifier.elimination import EPS
 from taichi_bearings.verifier.enclosure import UP, Enclosure, joined
 from taichi_bearings.verifier.network import Motion, Network, connected, moments
+from taichi_bearings.verifier.resting import at_rest
 from taichi_bearings.verifier.samples import DRIVEN_STATE, SLIPLESS, SLIPPING, UNPROVEN
 from taichi_bearings.verifier.springs import slip_rows, weighed
 from taichi_bearings.verifier.ties import MISSED_LIMIT, tied_states
@@ -84,6 +85,7 @@ def proven_states(bounds: Bounds, slip_bound: np.ndarray) -> list[States]:
         found = _samples(network, known, "slips are small, or nothing is known of what bears no viscosity", True)
         near = _enclosed_minimum(bounds) if network.mixes and network.holds else None
         found = _with_damping(bounds, slip_bound, found) if near is None else _enclosed(network, near, slip_bound)
+        found = found if lattice else [_with_parts_at_rest(bounds, far, *found)]
     elif network.mixes and (near := _enclosed_minimum(bounds)) is not None:
         found = _enclosed(network, near, slip_bound)
     elif network.mixes:
@@ -271,6 +273,15 @@ def _with_damping(bounds: Bounds, bound: np.ndarray, known: list[States]) -> lis
             found = _by_domains(Network.of_lattice(network.samples.one(number)), own, np.full(len(own), np.inf))
         told.append(states if isinstance(found, str) else States(found, True))
     return told
+
+
+def _with_parts_at_rest(bounds: Bounds, far: np.ndarray, known: States) -> States:
+    """What is known of a packing, and the contacts that resting.py proves to rest. far : (E,), how far slips of minima
+    are from the given ones at most."""
+    network = bounds.network
+    if not network.holds or network.mixes or not (network.counts & (known.proven == UNPROVEN)).any():
+        return known
+    return replace(known, proven=np.where(at_rest(bounds, far), SLIPLESS, known.proven))
 
 
 def _by_domains(network: Network, rests: np.ndarray, bound: np.ndarray) -> np.ndarray | str:

@@ -35,7 +35,7 @@ def exists_without_slip(network: Network) -> np.ndarray:
         return _of_lattice(network)
     if not network.counts.any():
         return np.ones(1, dtype=bool)
-    if not _is_exact(network):
+    if not imposed_exactly(network):
         return np.zeros(1, dtype=bool)
     found = _rolls_exactly(network) if network.mixes else not network.needed
     return np.array([found])
@@ -50,7 +50,7 @@ def _of_lattice(network: Network) -> np.ndarray:
     return ~network.joins
 
 
-def _is_exact(network: Network) -> bool:
+def imposed_exactly(network: Network) -> bool:
     """True where all imposed R omega are exact sums of two doubles."""
     sizes = [np.abs(part.high[part.high != 0]) for part in network.imposed]
     return all((size > LEAST_IMPOSED).all() for size in sizes)
