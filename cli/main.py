@@ -18,7 +18,7 @@ from taichi_bearings.words import meant
 COMMANDS = {  # name -> (module, one line for --help)
     "run": "Solve one scene, or a block of seeds, and write a run directory.",
     "scan": "A parameter scan over many scenes, resumable, on all processors.",
-    "verify": "What is rigorously true of a run, checked independently from its file.",
+    "verify": "What is rigorously true of a run, judged anew from its file.",
     "analyse": "Minimum cut, slipless network, rigid domains, bottlenecks and forces of a run.",
     "histogram": "Distribution of the power per contact of runs and scans.",
     "plot": "One figure from a run or a scan.",

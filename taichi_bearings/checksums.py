@@ -60,7 +60,7 @@ def seal(group: h5py.Group) -> None:
     group.attrs[ATTRIBUTE] = json.dumps({name: _digest(*part) for name, *part in _parts(group)})
 
 
-def changed(path: Path, group: h5py.Group) -> Iterator[str]:
+def changed_in(path: Path, group: h5py.Group) -> Iterator[str]:
     """Names of what is not what it was when it was written, in the open file `path` or a group of it; FileError where
     its checksums are none. What is missing altogether is for those to notice who need it."""
     digests = parse_json(str(group.attrs.get(ATTRIBUTE, "{}")))
@@ -72,14 +72,16 @@ def changed(path: Path, group: h5py.Group) -> Iterator[str]:
 
 
 @contextlib.contextmanager
-def open_checked(path: Path, kind: str = "an HDF5 file") -> Iterator[h5py.File]:
-    """As open_hdf5; FileError, too, for a layout of another version, and if something is not what it was when it was
-    written."""
+def open_checked(path: Path, kind: str = "an HDF5 file", changed: list[str] | None = None) -> Iterator[h5py.File]:
+    """Yield a file open for reading, as open_hdf5 does. Raises FileError, too, for a layout of another version, and if
+    something is not what it was when it was written, unless `changed` is a list: then its name is put there."""
     with open_hdf5(path, kind) as file:
         found = file.attrs.get("schema_version", LAYOUT)
         if found != LAYOUT:
             raise FileError(f"{path} has layout version {found}; this program reads version {LAYOUT}")
         for group in [file, *(item for item in file.values() if isinstance(item, h5py.Group))]:
-            for name in changed(path, group):
-                raise FileError(f"{path} is damaged or was changed: the checksum of {name} does not match")
+            for name in changed_in(path, group):
+                if changed is None:
+                    raise FileError(f"{path} is damaged or was changed: the checksum of {name} does not match")
+                changed.append(name)
         yield file

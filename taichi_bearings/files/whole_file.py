@@ -114,14 +114,14 @@ def layout_of(kind: str) -> dict[str, Any]:
 
 
 @contextlib.contextmanager
-def read_hdf5(path: Path, kind: str) -> Iterator[h5py.File]:
+def read_hdf5(path: Path, kind: str, changed: list[str] | None = None) -> Iterator[h5py.File]:
     """The open file, its checksums checked; FileError if it cannot be read, is of another kind or version, or changed,
     and for an InputError inside: what it holds cannot be.
 
-    kind : as of :func:`layout_of`.
+    kind : as of :func:`layout_of`. changed : as of :func:`open_checked`.
     """
     try:
-        with open_checked(path, f"a {kind}") as file:
+        with open_checked(path, f"a {kind}", changed) as file:
             stored, schema = file.attrs.get("schema"), layout_of(kind)["schema"]
             if stored != schema:
                 raise FileError(f"{path} is not a {kind}: its schema is {shown(stored)}, not {schema!r}")

@@ -149,6 +149,27 @@ def file_of(run: Path) -> Path:
 def read_run(run: str | Path) -> Run:
     """A run of a lattice or a packing, by its directory or its run.h5; FileError if it is missing, damaged, changed or
     of an unknown version."""
+    with _opened(run) as (path, file, attributes):
+        told = (np.atleast_1d(attributes.get(name, np.nan)) for name in ("power", "lower_bound", "gap"))
+        numbers = [v if v.dtype.kind in "iuf" else np.full(v.shape, np.nan) for v in told]  # no number says nothing
+        if any(map(is_crossed, *np.broadcast_arrays(*numbers))):
+            raise FileError(f"{path} has a lower bound above its power; it is damaged or was changed")
+        return _run_in(path, file, attributes)
+
+
+def read_claims(run: str | Path) -> tuple[Run, list[str]]:
+    """A run as its file has it, whatever that says of power and bound, and what in the file is not as it was written:
+    names of data sets and attributes. `Run.attributes` has what the file says; the gap of the solution is left open.
+    FileError if it is missing, of an unknown version or so damaged that it is no run."""
+    changed: list[str] = []
+    with _opened(run, changed) as (path, file, attributes):
+        found = _run_in(path, file, attributes | {"gap": np.nan})
+    return replace(found, attributes=attributes), changed
+
+
+@contextmanager
+def _opened(run: str | Path, changed: list[str] | None = None) -> Iterator[tuple[Path, h5py.File, dict[str, Any]]]:
+    """The run.h5 of a run, open, and its attributes. changed : as of :func:`read_hdf5`."""
     run = Path(run)
     refuse_scan(run)
     path = file_of(run)
@@ -157,19 +178,18 @@ def read_run(run: str | Path) -> Run:
         hint = f"; it is unfinished, `bearings run --resume {run}` goes on with it" if unfinished else ""
         lacking = f"{path} is not a file" if path.exists() else f"there is no {path}"
         raise FileError(f"{run} is not a run: {lacking}{hint}")
-    with read_hdf5(path, "run") as file:
-        attributes = attributes_of(file)
-        told = (np.atleast_1d(attributes.get(name, np.nan)) for name in ("power", "lower_bound", "gap"))
-        numbers = [v if v.dtype.kind in "iuf" else np.full(v.shape, np.nan) for v in told]  # no number says nothing
-        if any(map(is_crossed, *np.broadcast_arrays(*numbers))):
-            raise FileError(f"{path} has a lower bound above its power; it is damaged or was changed")
-        if "scene" not in attributes:
-            raise FileError(f"{path} lacks the attribute 'scene'; it is damaged or was changed")
-        try:
-            settings = RunSettings.from_mapping(parse_toml(str(attributes["scene"])), "its scene")
-        except FileError as error:
-            raise InputError(str(error)) from None
-        solution = _read(path, file, attributes, settings)
+    with read_hdf5(path, "run", changed) as file:
+        yield path, file, attributes_of(file)
+
+
+def _run_in(path: Path, file: h5py.File, attributes: Mapping[str, Any]) -> Run:
+    if "scene" not in attributes:
+        raise FileError(f"{path} lacks the attribute 'scene'; it is damaged or was changed")
+    try:
+        settings = RunSettings.from_mapping(parse_toml(str(attributes["scene"])), "its scene")
+    except FileError as error:
+        raise InputError(str(error)) from None
+    solution = _read(path, file, attributes, settings)
     place = path.parent if path.name == "run.h5" else path
     return Run(settings, solution, None, place, str(attributes.get("command", "")), attributes=attributes)
 

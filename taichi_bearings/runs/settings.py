@@ -477,7 +477,8 @@ def parse_toml(text: str, path: Path | None = None) -> dict[str, Any]:
         values = tomllib.loads(text)
         _refuse_unwritable(values)
     except (ValueError, RecursionError) as error:  # too many digits or brackets too
-        raise FileError(f"scene file {path} is not valid TOML: {error}") from None
+        where = "the scene" if path is None else f"scene file {path}"
+        raise FileError(f"{where} is not valid TOML: {error}") from None
     if path is None:
         return values
     folder = path if path.is_dir() else path.parent

@@ -1,81 +1,318 @@
-"""Independent verification of a run from its file alone."""
+"""Is a run file as it was written, and does it prove what it says?
+
+What a run reports is what its judgement proves of its spins and its friction (docs/proofs.md). The file holds both, so
+the same judgement can be made anew at any time, on any machine, and what the file says is held against it:
+
+* checksums: what is not as it was written;
+* power, bounds, gap, status, counts: the table of quantities of the new judgement, against the attributes;
+* slips, powers and proven states of the contacts, spins of what is driven, and coefficients that are drawn from seeds.
+
+This finds damage and edits. Whether the proofs themselves are right is what the tests ask, with oracles that share no
+code with them.
+"""
 
 import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from taichi_bearings.checksums import ATTRIBUTE, changed
-from taichi_bearings.errors import InputError
-from taichi_bearings.hdf5 import open_hdf5
-from taichi_bearings.lattice import Lattice
+from taichi_bearings.errors import FileError
 from taichi_bearings.numerics.blas import one_thread
-from taichi_bearings.runs.run_file import file_of, refuse_scan
+from taichi_bearings.proof.contact_state import ContactState, all_proven
+from taichi_bearings.quantities import CONTACTS, Answered, found_in, numbers_of, plain
+from taichi_bearings.runs.run_file import file_of, read_claims
+from taichi_bearings.runs.solved import Run
+from taichi_bearings.runs.torque import under_torque
+from taichi_bearings.scene import Scene, Solution, Status
 from taichi_bearings.scene.disorder import Distribution, draw_coefficients
+from taichi_bearings.scene.law import LAWS
+from taichi_bearings.solvers.answer import judged
 from taichi_bearings.stages import stage
-from taichi_bearings.verifier.claims import is_drawn
-from taichi_bearings.verifier.samples import Samples
-from taichi_bearings.verifier.stored_run import StoredRun, read_stored_run
-from taichi_bearings.verifier.verdict import report_of, together
+from taichi_bearings.verifier.judgement import EPS, Judgement
+from taichi_bearings.verifier.network import StoredPacking
+from taichi_bearings.verifier.samples import CRITICAL, SLIPLESS, SLIPPING, TIED, UNPROVEN
+from taichi_bearings.words import shown
+
+ARITHMETIC = (
+    "sums of two doubles with a bound on every error; bounds are rounded outwards; curvature by floating-point "
+    "elimination with a bound on its error"
+)
+ROUNDED = 1e-12  # relative difference of numbers that were computed twice, on other machines
+OUTWARDS = {
+    "power": 1, "potential": 1, "gap": 1, "lower_bound": -1, "yield_torque": 1, "yield_torque_lower_bound": -1,
+}  # fmt: skip
+"""Numbers that are bounds, or follow from them: on which side of the true ones rounding may have put them."""
+OF_FILE = {"version"}  # numbers that are those of the program, not of the answer
+TORQUE_COST = 1e-12  # of the power, that torques left over may cost where friction counts as balanced
+STATES = {"slipless": (SLIPLESS, CRITICAL), "slipping": (SLIPPING,), "tied": (TIED,), "unproven": (UNPROVEN,)}
+UNJUDGED = "a number is not finite, or the scales of the scene are too far from one for any arithmetic"
 
 
 def verify(path: str | Path) -> dict[str, Any]:
-    """Report on a run directory or its run.h5, as in `--json` of `verify`; "verified" is True without contradictions.
+    """Report on a run, as `--json` of `verify` has it.
 
-    Raises FileError if the file cannot be read.
+    path : a run directory or its run.h5. Returns what is proven of it, sample by sample where there are several:
+    `power`, `lower_bound` and `upper_bound` of what is least at rest, `gap`, `states_proven`, ...; `contradictions`,
+    sentences on what the file says otherwise; and `verified`, True if there are none.
+    Raises FileError if the file cannot be read, or for a law that the proofs do not know.
     """
     began, path = time.perf_counter(), Path(path)
-    size: dict[str, Any]
     with stage("reading"):
-        refuse_scan(path)
-        unlike = None
-        if (file_of(path)).is_file():
-            with open_hdf5(file_of(path), "a run") as file:  # what is not as it was written, where it has checksums
-                unlike = [*changed(path, file)] if ATTRIBUTE in file.attrs else None
-        run, *others = read_stored_run(path)
-    samples, seeds, drawn = run.samples, np.asarray(run.attributes.get("seed", -1)).tolist(), False
+        run, changed = read_claims(path)
+    scene = run.solution.scene
+    if not scene.law.is_sum:
+        raise FileError(f"{file_of(path)} has the law {scene.law.name!r}; {', '.join(LAWS)} can be verified")
     with stage("proving"), one_thread():
-        report = report_of(run)
-        if others:
-            report = together([report, *map(report_of, others)])
-            seeds = [int(one.claimed("seed")[0]) for one in (run, *others)]
-    if isinstance(samples, Samples):
-        size, drawn = {"shape": list(samples.shape)}, is_drawn(run)
-        with stage("drawing the coefficients again"):
-            lattice = Lattice(samples.shape, periodic=samples.periodic)
-            sets = [("coefficients", "distribution", samples.coefficient)]
-            sets += [("viscosities", "viscosity", samples.viscosity)] if samples.viscosity else []
-            report["contradictions"] += [said for one in sets * drawn for said in _redrawn(run, lattice, *one)]
-    else:
-        size = {"shape": None, "spheres": len(samples.spin), "contacts": len(samples.arrays["contact"])}
-    status = [word for one in (run, *others) for word in one.claimed("status")]
-    report["contradictions"] += [f"{name} was changed after it was written" for name in unlike or ()]
+        anew = Anew(run)
+        report, found = anew.report, [*anew.contradictions()]
+    with stage("drawing the coefficients again"):
+        found += _not_of_their_seeds(run)
+    found += [f"{name} was changed after it was written" for name in changed]
+    said = {name: run.attributes.get(name) for name in ("status", "seed")}
     return {
-        "verified": not report["contradictions"],
+        "verified": not found,
         **report,
-        "unchanged": None if unlike is None else not unlike,
-        "status": status if len(status) > 1 else status[0],
-        "law": samples.law,
-        **size,
-        "seed": seeds,
-        "coefficients": "drawn" if drawn else "given",
+        "contradictions": found,
+        "arithmetic": ARITHMETIC,
+        "unchanged": not changed if "sha256" in run.attributes else None,
+        **{name: np.asarray(value).tolist() for name, value in said.items()},
+        "law": scene.law.name,
+        **_size_of(scene),
+        "coefficients": "drawn" if isinstance(scene, Scene) and scene.drawn else "given",
         "run": str(path),
         "seconds": time.perf_counter() - began,
     }
 
 
-def _redrawn(run: StoredRun, lattice: Lattice, kind: str, key: str, values: tuple[np.ndarray, ...]) -> list[str]:
-    """Sentences on the arrays of a kind of coefficient that are not those of their seeds."""
-    try:
-        distribution, seeds = Distribution.parse(str(run.settings[key])), map(int, run.claimed("seed"))
-        samples = [draw_coefficients(lattice, distribution, seed, key == "viscosity") for seed in seeds]
-    except (KeyError, InputError, TypeError, ValueError):
-        return ["the scene names no distribution and seed that coefficients can be drawn from"]
-    found = []
-    for number, (seed, sample) in enumerate(zip(run.claimed("seed"), samples, strict=True)):
-        for axis, drawn in enumerate(sample):
-            stored = values[axis][number]
-            if not np.array_equal(stored, drawn):
-                found.append(f"{kind} along {'xyz'[axis]} are not those of seed {seed}, to the bit")
+def _size_of(scene: Any) -> dict[str, Any]:
+    if isinstance(scene, Scene):
+        return {"shape": list(scene.lattice.shape)}
+    return {"shape": None, "spheres": scene[0].spheres, "contacts": scene[0].contacts}
+
+
+def _judgements(solution: Solution) -> list[Judgement]:
+    """Of all samples of a lattice side by side, or of each packing; none where no arithmetic can judge the numbers."""
+    given = (solution.spin, solution.spin_rounding, solution.friction)
+    if isinstance(solution.scene, Scene):
+        found = judged(solution.scene, *given)
+        return [] if found is None else [found]
+    parts = zip(solution.scene, *given, strict=True)
+    each = [Judgement(StoredPacking(of.kind.name, of.arrays(), *arrays)) for of, *arrays in parts]
+    return each if all(one.can_be_judged for one in each) else []
+
+
+@dataclass(frozen=True)
+class Anew:
+    """The judgement of a run, made anew from the spins and the friction in its file."""
+
+    run: Run
+
+    @cached_property
+    def judgements(self) -> list[Judgement]:
+        return _judgements(self.run.solution)
+
+    def of(self, name: str) -> np.ndarray:
+        """A property of the judgements, sample by sample."""
+        return np.concatenate([getattr(one, name) for one in self.judgements])
+
+    @cached_property
+    def proven(self) -> np.ndarray:
+        """(R, E), what is proven of each contact; ContactState.DRIVEN where it takes no part."""
+        states = np.stack([states.proven for one in self.judgements for states in one.states])
+        return np.where(self.of("acts"), np.where(states == CRITICAL, SLIPLESS, states), ContactState.DRIVEN)
+
+    @cached_property
+    def solution(self) -> Solution:
+        """The answer with all numbers that follow from the judgement."""
+        stored, scene, slip = self.run.solution, self.run.solution.scene, self.of("slip")
+        ended = np.array(stored.own["status"])
+        ended[ended == Status.CERTIFIED] = Status.STALLED  # unless the gap is within the tolerance
+        agrees = all_proven(stored.state, stored.proven) & (stored.proven == self.proven).all(axis=1)
+        said = {
+            "proof": [one.proof for one in self.judgements],
+            "driven_power": [o.driven_power for o in self.judgements],
+        }
+        follows_motion = isinstance(scene, Scene) and "time" in stored.history
+        found = replace(
+            stored,
+            slip=slip,
+            power_per_contact=scene.law.power(scene.contact, slip),
+            power=self.of("power"),
+            objective=self.of("objective"),
+            lower_bound=self.of("lower_bound"),
+            gap=self.of("gap"),
+            states_proven=agrees,
+            largest_balance_residual=stored.largest_balance_residual if follows_motion else self.of("largest_torque"),
+            findings={**stored.findings, **{name: np.array(v) for name, v in said.items() if name in stored.findings}},
+            own={**stored.own, "status": ended},
+        )
+        with_torque = self.run.settings.torque
+        try:
+            return found if with_torque is None else under_torque(found, with_torque, _no_other)
+        except _NeedsAnother:
+            return found
+
+    @cached_property
+    def report(self) -> dict[str, Any]:
+        """What is proven: lists where there are several samples."""
+        several = self.run.solution.scene.replicas > 1
+        told = self._of_samples if self.judgements else self._nothing
+        proof = " ".join(dict.fromkeys(one.proof for one in self.judgements)) or None
+        return {name: list(v) if several else v[0] for name, v in told.items()} | {"proof": proof}
+
+    @property
+    def _of_samples(self) -> dict[str, Any]:
+        states = [states for one in self.judgements for states in one.states]
+        most = 1 + ROUNDED * (not isinstance(self.run.solution.scene, Scene))  # of the friction that contacts bear
+        numbers = {
+            name: [plain(v) for v in self.of(of)]
+            for name, of in {"power": "power", "upper_bound": "upper_bound", "lower_bound": "lower_bound",
+                             "gap": "gap", "largest_balance_residual": "largest_torque"}.items()
+        }  # fmt: skip
+        return numbers | {
+            "balanced": (self.of("price") <= TORQUE_COST).tolist(),
+            "inside_discs": np.concatenate([one.bounds.worst <= most for one in self.judgements]).tolist(),
+            "states_proven": [
+                {name: int((np.isin(s.proven, kinds) & acts).sum()) for name, kinds in STATES.items()}
+                for s, acts in zip(states, self.of("acts"), strict=True)
+            ],
+            "minimum_is_unique": [s.unique for s in states],
+            "unproven_because": [s.reason for s in states],
+        }
+
+    @property
+    def _nothing(self) -> dict[str, Any]:
+        acts = (self.run.solution.state != ContactState.DRIVEN).sum(axis=1).tolist()
+        open_ = dict.fromkeys(("power", "upper_bound", "lower_bound", "gap", "largest_balance_residual"))
+        return {name: [None] * len(acts) for name in (*open_, "minimum_is_unique")} | {
+            "balanced": [False] * len(acts),
+            "inside_discs": [False] * len(acts),
+            "states_proven": [dict.fromkeys(STATES, 0) | {"unproven": number} for number in acts],
+            "unproven_because": [UNJUDGED] * len(acts),
+        }
+
+    def contradictions(self) -> Iterator[str]:
+        """Sentences on what the file says and does not prove."""
+        stored, attributes = self.run.solution, self.run.attributes
+        if not self.judgements:
+            certain = stored.states_proven.any() or (stored.lower_bound > 0).any()
+            if certain or Status.CERTIFIED in stored.own["status"]:
+                yield f"{UNJUDGED}: what is said of it is not proven"
+            return
+        yield from self._contacts()
+        yield from _not_driven_so(stored)
+        answered = Answered(self.solution, self.run.settings.tolerance, self.run.settings.duration)
+        yield from _said_otherwise(attributes, numbers_of(answered), stored.scene.replicas)
+
+    def _contacts(self) -> Iterator[str]:
+        """Arrays over the contacts that do not follow, or say more than is proven."""
+        stored, new = self.run.solution, dict(found_in(self.solution, HELD))
+        wrong = {f"another {row.text} than spins and coefficients give": _differ(row.of(stored), value)
+                 for row, value in new.items()}  # fmt: skip
+        driven = self.proven == ContactState.DRIVEN
+        wrong["states that do not name those between driven spheres and those absent"] = driven != (
+            stored.state == ContactState.DRIVEN
+        )
+        claims = (stored.proven != ContactState.UNDECIDED) & (stored.proven != self.proven)
+        wrong["a state that is said to be proven and is not"] = claims
+        for what, mask in wrong.items():
+            if mask.any():
+                yield f"{int(mask.sum()):,} contacts have {what}"
+
+
+HELD = {name: CONTACTS[name] for name in ("slip", "power")}
+"""Rows of the contacts that follow from spins and coefficients."""
+
+
+class _NeedsAnother(Exception):
+    """What a torque does is found by another solve."""
+
+
+def _no_other(_: Any) -> Solution:
+    raise _NeedsAnother
+
+
+def _differ(said: np.ndarray, true: np.ndarray, beside: float = 0.0) -> np.ndarray:
+    """Mask of the numbers that differ by more than rounding; not-a-number is like itself alone."""
+    with np.errstate(invalid="ignore"):
+        close = np.abs(said - true) <= ROUNDED * np.abs(true) + beside
+    return ~(close | (said == true) | (np.isnan(said) & np.isnan(true)))
+
+
+def _not_driven_so(stored: Solution) -> Iterator[str]:
+    """A sentence if driven spheres do not turn as the scene imposes, to the last bit."""
+    scene = stored.scene
+    if isinstance(scene, Scene):
+        lattice = scene.lattice
+        every, driven = lattice.all_spin_axes, lattice.is_driven
+        staggered = np.zeros((len(every), scene.replicas, *lattice.shape))
+        expected = scene.laboratory_pair(scene.impose_driving(staggered, every), None, every)
+        differs = [
+            (of != said)[:, driven] for of, said in zip(expected, (stored.spin, stored.spin_rounding), strict=True)
+        ]
+    else:
+        pairs = zip(scene, stored.spin, stored.spin_rounding, strict=True)
+        differs = [((spin != of.spin) | (rest != 0))[of.driven >= 0] for of, spin, rest in pairs]
+    if any(of.any() for of in differs):
+        yield "the spins of driven spheres are not those that the scene imposes"
+
+
+def _not_of_their_seeds(run: Run) -> list[str]:
+    """Sentences where the scene has another shape or other seeds than the file, and on coefficients that it says are
+    drawn, and that are not those of their seeds, to the bit."""
+    scene, found = run.solution.scene, list[str]()
+    pairs = {"seed": (scene.seeds, run.settings.seeds)}
+    if isinstance(scene, Scene):
+        pairs["shape"] = scene.lattice.shape, run.settings.shape
+    for name, (said, asked) in pairs.items():
+        if tuple(said) != tuple(asked):
+            found.append(f"the {name} is said to be {list(said)}; the scene has {list(asked)}")
+    if not isinstance(scene, Scene):
+        return found
+    for second, (name, stored) in enumerate(scene.named_coefficients.items()):
+        if (words := scene.drawn.get(Scene.DRAWN[second])) is None:
+            continue
+        source = Distribution.parse(words)
+        for seed, values in zip(scene.seeds, stored, strict=True):
+            drawn = scene.lattice.flat(draw_coefficients(scene.lattice, source, seed, bool(second)))
+            if not np.array_equal(values, np.ravel(drawn)):
+                found.append(f"the {name} is not that of seed {seed}, to the bit")
     return found
+
+
+def _said_otherwise(said: Mapping[str, Any], numbers: Mapping[str, Any], count: int) -> Iterator[str]:
+    """Sentences on attributes that are not the numbers which the file proves. count : of the samples."""
+    for name, value in numbers.items():
+        if name not in said or name in OF_FILE:
+            continue
+        several = count > 1 and isinstance(value, list) and name != "shape"
+        true = value if several else [value]
+        given = list(said[name]) if several and np.ndim(said[name]) == 1 else [said[name]]
+        if len(given) != len(true):
+            yield f"{name} is said to be {shown(said[name])}; there are {count} samples"
+            continue
+        for number, pair in enumerate(zip(given, true, strict=True)):
+            if not _allowed(name, *pair):
+                which = f" of sample {number}" if several else ""
+                yield f"the {name.replace('_', ' ')}{which} is said to be {shown(pair[0])}; it is {pair[1]!r}"
+
+
+def _allowed(name: str, said: Any, true: Any) -> bool:
+    """Whether an attribute may say this, where that is true: of its type, and for numbers equal but for rounding."""
+    said = said.item() if isinstance(said, np.generic) else said
+    if isinstance(said, np.ndarray) and not isinstance(true, list):
+        return False
+    if true is None:  # "", and not-a-number within lists
+        return bool(said == "" or (isinstance(said, float) and np.isnan(said)))
+    if isinstance(true, (list, str)):
+        return bool(np.array_equal(np.asarray(said), np.asarray(true)))
+    is_number = isinstance(said, (int, float)) and (type(said) is type(true) or type(said) is float)
+    if not is_number:
+        return False
+    beside = 4 * EPS if name == "gap" else 0.0
+    off = (said - true) * OUTWARDS.get(name, 0)
+    return off >= 0 and not _differ(np.float64(said), np.float64(true), beside)
