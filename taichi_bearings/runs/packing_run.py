@@ -102,12 +102,13 @@ def refuse_packing(settings: RunSettings, has_seeds: bool) -> None:
         )
 
 
-def packings_of(settings: RunSettings) -> Packings:
+def packings_of(settings: RunSettings, found: Mapping[str, Any] | None = None) -> Packings:
     """The packings that the settings describe, one a replica: the arrays of the file, and of the settings what that
-    lacks, drawn from seeds; or lattices with other driven bodies than planes."""
+    lacks, drawn from seeds; or lattices with other driven bodies than planes. found : the arrays of the file by name,
+    where they are read already."""
     if settings.packing is None:
         return Packings(_lattice(replace(settings, seed=seed)) for seed in settings.seeds)
-    found = Packing.read(settings.packing, settings.contacts)
+    found = Packing.read(settings.packing, settings.contacts) if found is None else found
     _refuse_twice(settings, found)
     if settings.has_table:
         sides = Sides(settings.spin_bottom, settings.spin_top, settings.direction)

@@ -359,13 +359,18 @@ def _lattice_in(path: Path, file: h5py.File, attributes: Mapping[str, Any], sett
 
 
 def _packings_in(path: Path, file: h5py.File, attributes: Mapping[str, Any], settings: RunSettings) -> _Found:
-    from taichi_bearings.runs.packing_run import TWICE, packings_of  # and with it much of SciPy
+    from taichi_bearings.packing.packing import NEEDED  # and with it much of SciPy
+    from taichi_bearings.runs.packing_run import TWICE, packings_of
 
     if lacking := [name for name in SAID_OF_PACKINGS if name not in attributes]:
         raise KeyError(f"it lacks {lacking[0]}")
     said = (*TWICE, "contacts", "touching")  # in the file now
     usual = {key: settings_table()[key].default for key in said}
-    scene = packings_of(replace(settings, packing=str(path), **usual))
+    stored = file["packing"]
+    if lacking := [name for name in NEEDED if name not in stored]:
+        raise KeyError(f"it lacks packing/{lacking[0]}")
+    found = {name: np.asarray(stored[name][()]) for name in PACKING_ARRAYS if name in stored}
+    scene = packings_of(replace(settings, packing=str(path), **usual), found)
     first, arrays = scene[0], _Sets(path, file, (scene.replicas,) * (scene.replicas > 1))
 
     def of_contacts(name: str, *parts: int) -> np.ndarray:

@@ -12,7 +12,7 @@ code with them.
 """
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -48,7 +48,7 @@ OUTWARDS = {
 """Numbers that are bounds, or follow from them: on which side of the true ones rounding may have put them."""
 OF_FILE = {"version"}  # numbers that are those of the program, not of the answer
 TORQUE_COST = 1e-12  # of the power, that torques left over may cost where friction counts as balanced
-STATES = {"slipless": (SLIPLESS, CRITICAL), "slipping": (SLIPPING,), "tied": (TIED,), "unproven": (UNPROVEN,)}
+PROVEN_STATES = {"slipless": (SLIPLESS, CRITICAL), "slipping": (SLIPPING,), "tied": (TIED,), "unproven": (UNPROVEN,)}
 UNJUDGED = "a number is not finite, or the scales of the scene are too far from one for any arithmetic"
 
 
@@ -65,7 +65,8 @@ def verify(path: str | Path) -> dict[str, Any]:
         run, changed = read_claims(path)
     scene = run.solution.scene
     if not scene.law.is_sum:
-        raise FileError(f"{file_of(path)} has the law {scene.law.name!r}; {', '.join(LAWS)} can be verified")
+        known = ", ".join(name for name, law in LAWS.items() if law.is_sum)
+        raise FileError(f"{file_of(path)} has the law {scene.law.name!r}; {known} can be verified")
     with stage("proving"), one_thread():
         anew = Anew(run)
         report, found = anew.report, [*anew.contradictions()]
@@ -177,7 +178,7 @@ class Anew:
             "balanced": (self.of("price") <= TORQUE_COST).tolist(),
             "inside_discs": np.concatenate([one.bounds.worst <= most for one in self.judgements]).tolist(),
             "states_proven": [
-                {name: int((np.isin(s.proven, kinds) & acts).sum()) for name, kinds in STATES.items()}
+                {name: int((np.isin(s.proven, kinds) & acts).sum()) for name, kinds in PROVEN_STATES.items()}
                 for s, acts in zip(states, self.of("acts"), strict=True)
             ],
             "minimum_is_unique": [s.unique for s in states],
@@ -191,7 +192,7 @@ class Anew:
         return {name: [None] * len(acts) for name in (*open_, "minimum_is_unique")} | {
             "balanced": [False] * len(acts),
             "inside_discs": [False] * len(acts),
-            "states_proven": [dict.fromkeys(STATES, 0) | {"unproven": number} for number in acts],
+            "states_proven": [dict.fromkeys(PROVEN_STATES, 0) | {"unproven": number} for number in acts],
             "unproven_because": [UNJUDGED] * len(acts),
         }
 
@@ -265,7 +266,7 @@ def _not_of_their_seeds(run: Run) -> list[str]:
     """Sentences where the scene has another shape or other seeds than the file, and on coefficients that it says are
     drawn, and that are not those of their seeds, to the bit."""
     scene, found = run.solution.scene, list[str]()
-    pairs = {"seed": (scene.seeds, run.settings.seeds)}
+    pairs: dict[str, tuple[Sequence[int], Sequence[int]]] = {"seed": (scene.seeds, run.settings.seeds)}
     if isinstance(scene, Scene):
         pairs["shape"] = scene.lattice.shape, run.settings.shape
     for name, (said, asked) in pairs.items():
