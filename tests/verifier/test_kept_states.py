@@ -24,7 +24,7 @@ SCANS = {
     "methods": 'shape = [3, 3, 4]\niterations = 200\n[scan]\nmethod = ["gradient-descent", "operator-splitting"]\n',
     "packings": 'packing = "bcc.npz"\n[scan]\nlaw = ["coulomb", "viscous"]\nseed = [1, 2]\n',
     "dynamics of packings": 'packing = "bcc.npz"\nmethod = "cundall-strack"\nduration = 0.05\n[scan]\nseed = [1, 2]\n',
-    "descent of packings": 'packing = "bcc.npz"\nmethod = "gradient-descent"\niterations = 300\n[scan]\nseed = [1, 2]\n',
+    "descent of packings": 'packing = "bcc.npz"\nmethod = "gradient-descent"\niterations = 99\n[scan]\nseed = [1, 2]\n',
     "torques on packings": 'packing = "bcc.npz"\n[scan]\ntorque = [1.0, 1e4]\n',
     "walls": 'shape = [3, 3, 4]\ndriven = "walls"\n[scan]\nseed = [1, 2]\n',
 }
