@@ -22,8 +22,8 @@ from taichi_bearings import interrupts, leaving  # noqa: E402
 
 def main() -> None:
     """Run the command line."""
-    interrupts.always_heard()
     try:
+        interrupts.always_heard()
         from taichi_bearings_cli.main import main as bearings
 
         from taichi_bearings.memory import keep_freed
