@@ -12,7 +12,7 @@ FLOOR = {
     "leaving": 0, "dissection": 0,
     "interrupts": 1, "memory": 1, "plain_files": 1, "progress": 1, "text_lines": 2,
     "compiler": 2, "hdf5": 2, "options": 2, "lattice": 2, "runtime": 3,
-    "checksums": 3, "verifier": 3, "fields": 4, "launch": 4,
+    "checksums": 3, "fields": 4, "launch": 4,
     "kernels": 5, "numerics": 6, "scene": 7, "proof": 8, "conic": 8, "packing": 9, "quantities": 9,
     "solvers": 10, "analysis": 11, "files": 12, "plots": 13, "runs": 14, "export": 15, "view": 15, "scans": 15,
     "api": 16,
@@ -74,21 +74,12 @@ def test_taichi_is_imported_in_one_place():
         assert not {"taichi", "quadrants"} & {module.split(".")[0] for module in imported_modules(path)}, path
 
 
-LENT = {"errors", "dissection"}  # what the verifier takes from the package: an order of elimination proves nothing
-ASKED = {  # parts by which others ask for a verdict
-    "judgement", "network", "samples", "states",
-}  # fmt: skip
-ASKING = {
-    "solvers/answer.py": ASKED, "packing/answer.py": ASKED, "solvers/network.py": ASKED, "runs/verify.py": ASKED,
-    "studies/paper/supplement.py": ASKED | {"curvature"},
-}  # fmt: skip
+ORACLES = ("proof/laboratory.py", "cuts.py", "exact_interfaces.py", "clarabel_twin.py")
 
 
-def test_the_verifier_borrows_nothing_and_lends_nothing():
-    for path, module in imports_of(FILES + STUDIES):
-        here = path.relative_to(ROOT).as_posix().removeprefix("taichi_bearings/")
-        package, *parts = module.split(".")
-        if here.startswith("verifier/"):
-            assert package != "taichi_bearings" or parts[0] in {"verifier", *LENT}, f"{here} must not import {module}"
-        elif package == "taichi_bearings" and parts[:1] == ["verifier"]:
-            assert set(parts[1:]) <= ASKING.get(here, set()), f"{here} must not import {module}"
+@pytest.mark.parametrize("name", ORACLES)
+def test_oracles_of_proofs_share_no_code_with_them(name):
+    shared = {
+        module for module in imported_modules(ROOT / "tests" / name) if module.startswith("taichi_bearings.proof")
+    }
+    assert not shared

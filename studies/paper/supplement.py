@@ -3,7 +3,7 @@
 At the minimum a contact slips or rests, and which does is proven. A descent that has not ended lets all of them slip a
 little, so its histogram has decades that are not there at the minimum. Here the states of the minimum tell how many of
 the contacts in each decade of the descent really slip. The range of the minimum itself is proven, too: every slip is
-enclosed (verifier/curvature.py), so the smallest and the largest power are.
+enclosed (proof/curvature.py), so the smallest and the largest power are.
 """
 
 import zlib
@@ -18,11 +18,11 @@ from matplotlib.figure import Figure
 
 from taichi_bearings.plots.style import BLUE, GREY, ORANGE, in_our_style, label_in_plain_text, new_figure, shades
 from taichi_bearings.proof.contact_state import ContactState
+from taichi_bearings.proof.curvature import Slipping, nearest_minimum
 from taichi_bearings.scene import Scene, Solution
 from taichi_bearings.solvers import GradientDescent, InteriorPoint
 from taichi_bearings.solvers.answer import judged
 from taichi_bearings.solvers.stopping import StopRule
-from taichi_bearings.verifier.curvature import Slipping, nearest_minimum
 
 from .claims import Effort
 from .samples import Found, Part, Table, computed, joined, solved

@@ -14,12 +14,12 @@ from taichi_bearings.packing import planar
 from taichi_bearings.packing.packing import Packing, Packings
 from taichi_bearings.packing.system import Found, System
 from taichi_bearings.proof.contact_state import all_proven
+from taichi_bearings.proof.judgement import Judgement
+from taichi_bearings.proof.network import StoredPacking
+from taichi_bearings.proof.samples import UNPROVEN
+from taichi_bearings.proof.states import AT_REST
 from taichi_bearings.scene import Solution, Status
 from taichi_bearings.stages import stage
-from taichi_bearings.verifier.judgement import Judgement
-from taichi_bearings.verifier.network import StoredPacking
-from taichi_bearings.verifier.samples import UNPROVEN
-from taichi_bearings.verifier.states import AT_REST
 from taichi_bearings.words import shown
 
 SURE_MARGIN, SURE_SLIP = 1e-6, 1e-11  # at exact minima, slips in units of the largest imposed one

@@ -23,6 +23,9 @@ import numpy as np
 from taichi_bearings.errors import FileError
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.proof.contact_state import ContactState, all_proven
+from taichi_bearings.proof.judgement import EPS, Judgement
+from taichi_bearings.proof.network import StoredPacking
+from taichi_bearings.proof.samples import CRITICAL, SLIPLESS, SLIPPING, TIED, UNPROVEN
 from taichi_bearings.quantities import CONTACTS, Answered, found_in, numbers_of, plain
 from taichi_bearings.runs.run_file import file_of, read_claims
 from taichi_bearings.runs.solved import Run
@@ -32,9 +35,6 @@ from taichi_bearings.scene.disorder import Distribution, draw_coefficients
 from taichi_bearings.scene.law import LAWS
 from taichi_bearings.solvers.answer import judged
 from taichi_bearings.stages import stage
-from taichi_bearings.verifier.judgement import EPS, Judgement
-from taichi_bearings.verifier.network import StoredPacking
-from taichi_bearings.verifier.samples import CRITICAL, SLIPLESS, SLIPPING, TIED, UNPROVEN
 from taichi_bearings.words import shown
 
 ARITHMETIC = (

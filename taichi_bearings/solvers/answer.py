@@ -16,13 +16,13 @@ from taichi_bearings.proof.contact_state import (
     too_uneven,
     unresolved,
 )
+from taichi_bearings.proof.judgement import Judgement
+from taichi_bearings.proof.samples import CRITICAL, LAWS, SLIPLESS, SLIPPING, UNPROVEN, Samples
+from taichi_bearings.proof.states import States
 from taichi_bearings.scene import Progress, Scene, Solution, Status
 from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.solvers.method import Method
 from taichi_bearings.solvers.without_slip import without_slip
-from taichi_bearings.verifier.judgement import Judgement
-from taichi_bearings.verifier.samples import CRITICAL, LAWS, SLIPLESS, SLIPPING, UNPROVEN, Samples
-from taichi_bearings.verifier.states import States
 
 ROUNDED_LIMIT = 1e-11  # share of its friction by which rounding leaves a slipping contact off its limit
 MISSING_SLIP = 1e2  # of the jump, that a contact must slip for each share of its friction that it does not bear

@@ -29,11 +29,11 @@ from taichi_bearings.packing.packing import Packing
 from taichi_bearings.packing.path import oblique
 from taichi_bearings.packing.rolling import rolled
 from taichi_bearings.packing.system import Found, System
+from taichi_bearings.proof.judgement import Judgement
+from taichi_bearings.proof.network import StoredPacking
 from taichi_bearings.scene.array_files import own_array
 from taichi_bearings.scene.initial_spins import STARTS
 from taichi_bearings.scene.scene import inverse, vector_length
-from taichi_bearings.verifier.judgement import Judgement
-from taichi_bearings.verifier.network import StoredPacking
 from taichi_bearings.words import meant, shown
 
 START_RESIDUAL = 1e-12  # of the torques at the start, relative

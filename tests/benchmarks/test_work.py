@@ -15,10 +15,10 @@ from taichi_bearings.compiler import ti
 from taichi_bearings.conic import central_path
 from taichi_bearings.kernels.elimination import LANES
 from taichi_bearings.numerics.cholesky.factor import CalledFactor, DenseFactor, LaunchedFactor
+from taichi_bearings.proof import network
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import METHODS, linear_solver, operator_splitting, planar_cut
 from taichi_bearings.solvers.answer import judged
-from taichi_bearings.verifier import network
 from tests.scenes import make_scene
 
 
@@ -213,9 +213,9 @@ from taichi_bearings_cli.main import main
 main()
 """
     loaded = subprocess.run([sys.executable, "-c", told], capture_output=True, check=True, text=True).stderr.split()
-    assert {"taichi_bearings.runs.run", "taichi_bearings.verifier.states"} <= set(loaded)
+    assert {"taichi_bearings.runs.run", "taichi_bearings.proof.states"} <= set(loaded)
     assert not {
         "scipy.spatial", "scipy.optimize", "matplotlib", "networkx", "taichi", "quadrants", "html",
-        "taichi_bearings.packing.packing", "taichi_bearings.packing.structure", "taichi_bearings.verifier.oblique",
-        "taichi_bearings.verifier.exact_motions",
+        "taichi_bearings.packing.packing", "taichi_bearings.packing.structure", "taichi_bearings.proof.oblique",
+        "taichi_bearings.proof.exact_motions",
     } & set(loaded)  # fmt: skip

@@ -8,8 +8,8 @@ import pytest
 
 from taichi_bearings.conic.contraction import Contraction
 from taichi_bearings.numerics.double_double import add, divide, exactly, multiply, scaled, square, square_root, subtract
-from tests.verifier.laboratory import Laboratory, dot
-from tests.verifier.test_bounds import samples_of, solved
+from tests.proof.laboratory import Laboratory, dot
+from tests.proof.test_bounds import samples_of, solved
 
 
 def exact(pair, i):

@@ -151,7 +151,7 @@ def test_a_bound_above_the_power_is_an_error_everywhere(path, tmp_path):
 
 
 def test_a_solver_that_proves_too_much_has_no_result(monkeypatch):
-    from taichi_bearings.verifier.judgement import Judgement
+    from taichi_bearings.proof.judgement import Judgement
 
     monkeypatch.setattr(Judgement, "lower_bound", property(lambda self: self.power * 1.01))
     with pytest.raises(BearingsError, match="lies above the power"):

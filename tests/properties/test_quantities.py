@@ -34,7 +34,7 @@ from tests.properties.scenes import DISCS, cases, decades, scenes, seeds
 from tests.properties.scenes import SPHERES as SHAPES
 
 PROOF, TEXT, CLOCK, COURSE, SETTING = (
-    "a proof: judged in exact numbers by tests/verifier and tests/proof",
+    "a proof: judged in exact numbers by tests/proof and tests/proof",
     "a text or a version",
     "seconds, or the number of steps, of this machine",
     "of the course to the answer, which is not stored: tests/solvers",

@@ -8,17 +8,17 @@ import pytest
 from taichi_bearings_studies.stress import truth
 
 from taichi_bearings.proof.contact_state import ContactState
+from taichi_bearings.proof.judgement import Judgement
+from taichi_bearings.proof.samples import SLIPLESS, SLIPPING, UNPROVEN, Samples
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import METHODS
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
-from taichi_bearings.verifier.judgement import Judgement
-from taichi_bearings.verifier.samples import SLIPLESS, SLIPPING, UNPROVEN, Samples
+from tests.proof.laboratory import by_axis
+from tests.proof.test_bounds import samples_of
 from tests.scenes import make_scene
 from tests.stress.minima import DRIVEN, least_of_all
-from tests.verifier.laboratory import by_axis
-from tests.verifier.test_bounds import samples_of
 
 pytestmark = pytest.mark.usefixtures("needs_f64", "taichi_runtime")
 

@@ -21,10 +21,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
-from taichi_bearings.verifier.curvature import Form, proven_floor
-from taichi_bearings.verifier.elimination import EPS, Elimination
-from taichi_bearings.verifier.enclosure import UP, Enclosure
-from taichi_bearings.verifier.network import Network, connected, moments
+from taichi_bearings.proof.curvature import Form, proven_floor
+from taichi_bearings.proof.elimination import EPS, Elimination
+from taichi_bearings.proof.enclosure import UP, Enclosure
+from taichi_bearings.proof.network import Network, connected, moments
 
 ROUNDS, SHIFT = 2, -1e-13  # of the springs, and what keeps slipless motions from being divided by 0
 UNSTRESSED = 1e-6  # of its friction, or of the largest force, below which a contact may bear nothing

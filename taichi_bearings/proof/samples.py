@@ -20,7 +20,7 @@ from functools import cached_property
 
 import numpy as np
 
-from taichi_bearings.verifier.enclosure import Enclosure
+from taichi_bearings.proof.enclosure import Enclosure
 
 DIGITS = 300
 LEAST_SCALE, MOST_SCALE = 1e-60, 1e60  # scales of a sample

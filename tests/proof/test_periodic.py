@@ -11,18 +11,18 @@ import numpy as np
 import pytest
 
 from taichi_bearings.errors import FileError
+from taichi_bearings.proof.judgement import Judgement
+from taichi_bearings.proof.samples import CRITICAL, SLIPLESS, SLIPPING, TIED, UNPROVEN
 from taichi_bearings.runs.verify import verify
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import METHODS
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
-from taichi_bearings.verifier.judgement import Judgement
-from taichi_bearings.verifier.samples import CRITICAL, SLIPLESS, SLIPPING, TIED, UNPROVEN
 from tests.agreement.laboratory import laboratory_minimum
-from tests.verifier.honest import contradictions
-from tests.verifier.laboratory import Laboratory, by_axis
-from tests.verifier.test_bounds import samples_of
+from tests.proof.honest import contradictions
+from tests.proof.laboratory import Laboratory, by_axis
+from tests.proof.test_bounds import samples_of
 
 pytestmark = pytest.mark.usefixtures("needs_f64", "taichi_runtime")
 BEARING = {"top": (1.0, 0.5, 0.0, 0.2), "bottom": (0.0, 0.3, 0.0, -0.1)}

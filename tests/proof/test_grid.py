@@ -5,9 +5,9 @@ import itertools
 import numpy as np
 import pytest
 
-from taichi_bearings.verifier.enclosure import IN_CACHE, Enclosure, in_cache
-from taichi_bearings.verifier.grid import Grid
-from taichi_bearings.verifier.samples import Samples
+from taichi_bearings.proof.enclosure import IN_CACHE, Enclosure, in_cache
+from taichi_bearings.proof.grid import Grid
+from taichi_bearings.proof.samples import Samples
 
 REPLICAS = 3
 LATTICES = [((3, 4, 5), ()), ((3, 4, 5), (0,)), ((2, 3, 4), (0, 1)), ((4, 5), ()), ((3, 5), (0,))]

@@ -4,13 +4,13 @@ import tracemalloc
 
 import pytest
 
+from taichi_bearings.proof.judgement import Judgement
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import InteriorPoint
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
-from taichi_bearings.verifier.judgement import Judgement
+from tests.proof.test_bounds import samples_of
 from tests.scenes import make_scene
-from tests.verifier.test_bounds import samples_of
 
 
 def solved(shape: tuple[int, ...]):

@@ -14,7 +14,7 @@ from scipy.linalg.blas import dsyrk, dtrsm
 from scipy.linalg.lapack import dpotrf, dpstrf
 
 from taichi_bearings.dissection import dissected
-from taichi_bearings.verifier.enclosure import UP
+from taichi_bearings.proof.enclosure import UP
 
 EPS = np.finfo(np.float64).eps
 REGION_UNKNOWNS = 150  # unknowns of a region that is not divided

@@ -13,7 +13,7 @@ import numpy as np
 from taichi_bearings.errors import FileError
 from taichi_bearings.runs.verify import verify
 from taichi_bearings.scene import Status
-from tests.verifier.honest import LAWS, METHODS, contradictions
+from tests.proof.honest import LAWS, METHODS, contradictions
 
 RUNS = {
     "discs": {"shape": (4, 5)},

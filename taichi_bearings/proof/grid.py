@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from taichi_bearings.verifier.enclosure import Enclosure, in_cache, length
-from taichi_bearings.verifier.samples import Samples
+from taichi_bearings.proof.enclosure import Enclosure, in_cache, length
+from taichi_bearings.proof.samples import Samples
 
 Place = tuple[slice, ...]
 

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from taichi_bearings.proof.contact_state import ContactState
+from taichi_bearings.proof.judgement import Judgement
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import InteriorPoint
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
-from taichi_bearings.verifier.judgement import Judgement
+from tests.proof.laboratory import Laboratory, by_axis, dot
+from tests.proof.test_bounds import samples_of
 from tests.scenes import make_scene, minima, name_of, scene_of
-from tests.verifier.laboratory import Laboratory, by_axis, dot
-from tests.verifier.test_bounds import samples_of
 
 pytestmark = pytest.mark.usefixtures("needs_f64", "taichi_runtime")
 MIXED = {"law": "coulomb-viscous", "viscosity": "uniform:5,60", "spin_bottom": 0.1}

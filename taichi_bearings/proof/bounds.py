@@ -17,9 +17,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from taichi_bearings.verifier.enclosure import UP, Enclosure, in_cache, row_sum
-from taichi_bearings.verifier.network import Network
-from taichi_bearings.verifier.springs import Springs, natural, rolling
+from taichi_bearings.proof.enclosure import UP, Enclosure, in_cache, row_sum
+from taichi_bearings.proof.network import Network
+from taichi_bearings.proof.springs import Springs, natural, rolling
 
 FASTEST_COMPARED = 1e6  # times the fastest imposed surface, up to which spins are compared
 PAID = 1e-10  # of the potential, that a proof for all spins may cost

@@ -32,13 +32,13 @@ from functools import cached_property
 import numpy as np
 from scipy import sparse
 
-from taichi_bearings.verifier.bounds import Bounds
-from taichi_bearings.verifier.curvature import Form
-from taichi_bearings.verifier.elimination import EPS, Elimination
-from taichi_bearings.verifier.enclosure import UP, Enclosure, length
-from taichi_bearings.verifier.exact_motions import ExactMotions, numbered
-from taichi_bearings.verifier.network import Network, moments
-from taichi_bearings.verifier.springs import floor_of_slips, slip_rows
+from taichi_bearings.proof.bounds import Bounds
+from taichi_bearings.proof.curvature import Form
+from taichi_bearings.proof.elimination import EPS, Elimination
+from taichi_bearings.proof.enclosure import UP, Enclosure, length
+from taichi_bearings.proof.exact_motions import ExactMotions, numbered
+from taichi_bearings.proof.network import Network, moments
+from taichi_bearings.proof.springs import floor_of_slips, slip_rows
 
 MOVING = 1e-10  # of the fastest imposed component, above which a contact is taken to slip
 MOST_TURN = 0.25  # of a slip, over its size

@@ -20,9 +20,9 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from taichi_bearings.verifier.enclosure import Enclosure, grouped_sum, joined, length, row_sum
-from taichi_bearings.verifier.grid import Grid, nothing
-from taichi_bearings.verifier.samples import LAWS, LEAST_SCALE, MOST_SCALE, OfLaw, Samples, power_of_two
+from taichi_bearings.proof.enclosure import Enclosure, grouped_sum, joined, length, row_sum
+from taichi_bearings.proof.grid import Grid, nothing
+from taichi_bearings.proof.samples import LAWS, LEAST_SCALE, MOST_SCALE, OfLaw, Samples, power_of_two
 
 LEAST_SPEED = 1e-100  # of the fastest surface that is imposed
 ONE_SPEED = 4  # units in the last place, up to which imposed speeds are one

@@ -33,10 +33,10 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components, dijkstra
 
-from taichi_bearings.verifier.curvature import Slipping, bearable, nearest_minimum, rises
-from taichi_bearings.verifier.enclosure import UP, Enclosure
-from taichi_bearings.verifier.network import Motion, Network
-from taichi_bearings.verifier.samples import CRITICAL, SLIPLESS, SLIPPING, TIED, UNPROVEN
+from taichi_bearings.proof.curvature import Slipping, bearable, nearest_minimum, rises
+from taichi_bearings.proof.enclosure import UP, Enclosure
+from taichi_bearings.proof.network import Motion, Network
+from taichi_bearings.proof.samples import CRITICAL, SLIPLESS, SLIPPING, TIED, UNPROVEN
 
 MISSED_LIMIT = 1e-6  # share of the friction by which a contact at its limit may miss it
 # share of the friction across a component that may be none, where a limit is missed by that much

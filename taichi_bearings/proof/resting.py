@@ -21,10 +21,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from taichi_bearings.verifier.bounds import Bounds
-from taichi_bearings.verifier.enclosure import UP, length
-from taichi_bearings.verifier.network import Network, signs
-from taichi_bearings.verifier.without_slip import imposed_exactly
+from taichi_bearings.proof.bounds import Bounds
+from taichi_bearings.proof.enclosure import UP, length
+from taichi_bearings.proof.network import Network, signs
+from taichi_bearings.proof.without_slip import imposed_exactly
 
 SHARE_AROUND = 1.5  # of what a part leaves over, that a force of it may change by
 

@@ -8,8 +8,8 @@ from scipy import sparse
 
 from taichi_bearings import dissection
 from taichi_bearings.dissection import dissected
-from taichi_bearings.verifier import elimination
-from taichi_bearings.verifier.elimination import Elimination
+from taichi_bearings.proof import elimination
+from taichi_bearings.proof.elimination import Elimination
 
 
 def neighbours(shape: tuple[int, ...]) -> tuple[sparse.csc_array, np.ndarray]:

@@ -6,7 +6,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from taichi_bearings.verifier.enclosure import Enclosure, grouped_sum, length
+from taichi_bearings.proof.enclosure import Enclosure, grouped_sum, length
 
 CASES = 400
 

@@ -20,11 +20,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
-from taichi_bearings.verifier.curvature import proven_floor
-from taichi_bearings.verifier.elimination import Elimination, Factor
-from taichi_bearings.verifier.enclosure import UP, Enclosure, grouped_sum, joined
-from taichi_bearings.verifier.network import Network, connected
-from taichi_bearings.verifier.springs import rounding_of, slip_rows
+from taichi_bearings.proof.curvature import proven_floor
+from taichi_bearings.proof.elimination import Elimination, Factor
+from taichi_bearings.proof.enclosure import UP, Enclosure, grouped_sum, joined
+from taichi_bearings.proof.network import Network, connected
+from taichi_bearings.proof.springs import rounding_of, slip_rows
 
 FAINT = 1e-100  # size of factors from which nothing of a product is lost
 NULL_PIVOT = 1e-8  # up to which an unknown may follow from no condition

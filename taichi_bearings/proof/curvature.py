@@ -21,9 +21,9 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
 
-from taichi_bearings.verifier.elimination import EPS, Elimination
-from taichi_bearings.verifier.enclosure import UP, Enclosure, grouped_sum, joined, length
-from taichi_bearings.verifier.network import Motion, Network, connected
+from taichi_bearings.proof.elimination import EPS, Elimination
+from taichi_bearings.proof.enclosure import UP, Enclosure, grouped_sum, joined, length
+from taichi_bearings.proof.network import Motion, Network, connected
 
 MOST_SLIP_TURN = 0.25  # largest share by which a slip may change
 CURVATURE_TRIALS = 4  # each from spins that Newton's method has improved

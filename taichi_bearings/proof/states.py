@@ -35,15 +35,15 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import breadth_first_order, connected_components
 
-from taichi_bearings.verifier.bounds import PROVEN, Bounds
-from taichi_bearings.verifier.curvature import Slipping, bearable, nearest_minimum
-from taichi_bearings.verifier.elimination import EPS
-from taichi_bearings.verifier.enclosure import UP, Enclosure, joined
-from taichi_bearings.verifier.network import Motion, Network, connected, moments
-from taichi_bearings.verifier.resting import at_rest
-from taichi_bearings.verifier.samples import DRIVEN_STATE, SLIPLESS, SLIPPING, UNPROVEN
-from taichi_bearings.verifier.springs import slip_rows, weighed
-from taichi_bearings.verifier.ties import MISSED_LIMIT, tied_states
+from taichi_bearings.proof.bounds import PROVEN, Bounds
+from taichi_bearings.proof.curvature import Slipping, bearable, nearest_minimum
+from taichi_bearings.proof.elimination import EPS
+from taichi_bearings.proof.enclosure import UP, Enclosure, joined
+from taichi_bearings.proof.network import Motion, Network, connected, moments
+from taichi_bearings.proof.resting import at_rest
+from taichi_bearings.proof.samples import DRIVEN_STATE, SLIPLESS, SLIPPING, UNPROVEN
+from taichi_bearings.proof.springs import slip_rows, weighed
+from taichi_bearings.proof.ties import MISSED_LIMIT, tied_states
 
 PROVEN_AT_ONCE = 200_000  # spheres of the samples that are proven at once, at most
 MOST_LEVELS = 100  # steps of imposed values of a part that are looked at, the largest
@@ -123,7 +123,7 @@ def _samples(network: Network, states: np.ndarray, reason: str, unique: bool | N
 
 def _enclosed_minimum(bounds: Bounds) -> tuple[np.ndarray, np.ndarray] | None:
     """As oblique.py has it, which is loaded for packings alone."""
-    from taichi_bearings.verifier.oblique import enclosed_minimum
+    from taichi_bearings.proof.oblique import enclosed_minimum
 
     return enclosed_minimum(bounds)
 

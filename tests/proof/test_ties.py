@@ -8,16 +8,16 @@ from scipy.optimize import linprog
 from taichi_bearings_studies.stress import truth
 
 from taichi_bearings.proof.contact_state import SATURATED, ContactState, critical, unresolved
+from taichi_bearings.proof.judgement import Judgement
+from taichi_bearings.proof.samples import CRITICAL, SLIPLESS, SLIPPING, TIED, UNPROVEN
+from taichi_bearings.proof.ties import Line
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import METHODS
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
-from taichi_bearings.verifier.judgement import Judgement
-from taichi_bearings.verifier.samples import CRITICAL, SLIPLESS, SLIPPING, TIED, UNPROVEN
-from taichi_bearings.verifier.ties import Line
+from tests.proof.test_bounds import samples_of
 from tests.scenes import make_scene
 from tests.stress.minima import DRIVEN, EITHER, least_of_all
-from tests.verifier.test_bounds import samples_of
 
 pytestmark = pytest.mark.usefixtures("needs_f64", "taichi_runtime")
 BIMODAL = "bimodal:0.1,1.0,0.5"

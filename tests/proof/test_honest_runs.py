@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from taichi_bearings.errors import InputError
 from taichi_bearings.proof.contact_state import ContactState
+from taichi_bearings.proof.samples import UNPROVEN
 from taichi_bearings.runs.run import run, write_state
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.runs.verify import verify
@@ -19,11 +20,10 @@ from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import METHODS, PlanarCut
 from taichi_bearings.solvers.answer import judged, with_forces_of
 from taichi_bearings.solvers.drive import solve
-from taichi_bearings.verifier.samples import UNPROVEN
+from tests.proof.forgeries import RUNS, fields_of, forged, honest_file, outcome
+from tests.proof.honest import contradictions, drawn
 from tests.properties.scenes import cases
 from tests.scenes import make_scene
-from tests.verifier.forgeries import RUNS, fields_of, forged, honest_file, outcome
-from tests.verifier.honest import contradictions, drawn
 
 pytestmark = pytest.mark.usefixtures("taichi_runtime")
 MIXED = {"law": "coulomb-viscous"}

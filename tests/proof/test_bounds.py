@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from taichi_bearings.lattice.grid import friction_by_axis
+from taichi_bearings.proof.judgement import Judgement
+from taichi_bearings.proof.samples import Samples
 from taichi_bearings.solvers import METHODS
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
-from taichi_bearings.verifier.judgement import Judgement
-from taichi_bearings.verifier.samples import Samples
 from tests.scenes import make_scene
 
 pytestmark = pytest.mark.usefixtures("needs_f64", "taichi_runtime")

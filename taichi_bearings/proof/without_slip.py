@@ -19,8 +19,8 @@ from fractions import Fraction
 
 import numpy as np
 
-from taichi_bearings.verifier.network import Network, connected
-from taichi_bearings.verifier.springs import rolling, turning_freely
+from taichi_bearings.proof.network import Network, connected
+from taichi_bearings.proof.springs import rolling, turning_freely
 
 LEAST_IMPOSED = 1e-200  # of the fastest imposed spin, below which products with radii are not exact
 NEARLY_NONE = 1e-10  # of the fastest imposed component: slips of packings below which the proof is tried
@@ -59,7 +59,7 @@ def imposed_exactly(network: Network) -> bool:
 @np.errstate(all="ignore")  # what is not finite proves nothing
 def _rolls_exactly(network: Network) -> bool:
     """Case 3, where the given spins are nearly such a state."""
-    from taichi_bearings.verifier.exact_motions import ExactMotions  # which only packings need
+    from taichi_bearings.proof.exact_motions import ExactMotions  # which only packings need
 
     fastest = network.box.max(initial=0.0)
     if not (network.slip.most[network.counts] <= NEARLY_NONE * fastest).all():

@@ -7,13 +7,13 @@ from functools import cached_property
 
 import numpy as np
 
-from taichi_bearings.verifier.bounds import PROVEN, Bounds, slip_bound
-from taichi_bearings.verifier.enclosure import UP
-from taichi_bearings.verifier.grid import Grid
-from taichi_bearings.verifier.network import Network, StoredPacking
-from taichi_bearings.verifier.samples import SLIPLESS, OfLaw, Samples
-from taichi_bearings.verifier.states import STILL, States, proven_states
-from taichi_bearings.verifier.without_slip import exists_without_slip
+from taichi_bearings.proof.bounds import PROVEN, Bounds, slip_bound
+from taichi_bearings.proof.enclosure import UP
+from taichi_bearings.proof.grid import Grid
+from taichi_bearings.proof.network import Network, StoredPacking
+from taichi_bearings.proof.samples import SLIPLESS, OfLaw, Samples
+from taichi_bearings.proof.states import STILL, States, proven_states
+from taichi_bearings.proof.without_slip import exists_without_slip
 
 EPS = np.finfo(np.float64).eps
 NORMAL_ROUNDING = 1e-12  # of the friction, along a normal of a packing

@@ -12,9 +12,9 @@ import pytest
 import taichi_bearings as tb
 from taichi_bearings.errors import FileError
 from taichi_bearings.packing import structure_of
+from taichi_bearings.proof.judgement import Judgement
+from taichi_bearings.proof.network import StoredPacking
 from taichi_bearings.runs.verify import verify
-from taichi_bearings.verifier.judgement import Judgement
-from taichi_bearings.verifier.network import StoredPacking
 from tests.packing.twins import clarabel_least, random_packing
 from tests.scenes import some_of
 
