@@ -14,6 +14,7 @@ from taichi_bearings.kernels.memory import (
     in_range,
     load,
     load_each,
+    load_neighbour,
     load_neighbours,
     minus,
     places,
@@ -118,11 +119,12 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
         # rows of the first component that a step writes; those of the others follow
         moved = [*(f"gear_{n}" for n in range(self.order)), "predicted", "integral"]
         self.moved = tuple(slot[name] for name in moved if name in slot)
-        # for each component the axes whose contacts it feels, and the row of their forces
-        self.felt = tuple(
-            tuple((a, (self.force[a][stencil.kept[a].index(c)],)) for a in axes if c in stencil.kept[a])
+        # the two axes whose contacts each component feels, and the rows of their forces: first ones, then second ones
+        felt = [
+            [(a, self.force[a][kept.index(c)]) for a, kept in enumerate(stencil.kept) if c in kept]
             for c in range(stencil.components)
-        )
+        ]
+        self.felt = tuple(zip(*felt, strict=True))
 
     @ti.func
     def difference(self, values: ti.template(), rows: ti.template(), row, first, side: ti.template()):
@@ -171,15 +173,16 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
 
     @ti.func
     def sphere_pass(self, values: ti.template(), blocks: ti.template(), row, first, strides: ti.template(), response):
-        """Spins of one block."""
+        """Spins of one block. A loop over the components at run time is compiled and read once."""
         is_free = load(values, in_range(self.slot["is_free"] * row + first), self.block)
-        for c in ti.static(range(self.stencil.components)):
+        for c in range(self.stencil.components):
             pull = zero(self.block)
-            for axis, rows in ti.static(self.felt[c]):
-                above = load_each(values, places(rows, row, first), self.block)
-                below = load_neighbours(values, rows, row, first, strides[axis::3], -1, self.block)
-                pull += above[0] - below[0]
-            at = places([slot + c for slot in ti.static(self.moved)], row, first)
+            for of_components in ti.static(self.felt):
+                place = in_range(chosen([force for _, force in ti.static(of_components)], c) * row + first)
+                sides = [strides[axis::3] for axis, _ in ti.static(of_components)]
+                side = [chosen([of[n] for of in sides], c) for n in ti.static(range(len(sides[0])))]
+                pull += load(values, place, self.block) - load_neighbour(values, place, side, -1, self.block)
+            at = places(self.moved, row, first + c * row)
             new = self.motion(load_each(values, at[: self.order], self.block), pull, is_free, response)
             store_each(values, blocks, at, self.block, new)
             if ti.static(self.tally):  # of driven spheres, which do not move
@@ -196,3 +199,12 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
             self.contact_pass(values, blocks, row, first, strides, numbers)
         else:
             self.sphere_pass(values, blocks, row, first, strides, numbers[7])
+
+
+@ti.func
+def chosen(options: ti.template(), number):
+    """options[number], for a number that is known at run time."""
+    result = options[0]
+    for other in ti.static(range(1, len(options))):
+        result = ti.select(number == other, options[other], result)
+    return result

@@ -99,6 +99,14 @@ def load_neighbours(
 
 
 @ti.func
+def load_neighbour(values: ti.template(), place, side: ti.template(), way: ti.template(), block: ti.template()):
+    """The same of one number, of which that of the block itself is at `place`."""
+    if ti.static(len(side) == 1):
+        return load(values, in_range(place + way * side[0]), block)
+    return load_around(values, place, way * side[0], side[1], side[2], block)
+
+
+@ti.func
 def load_around(values: ti.template(), place, step, ring, position, block: ti.template()):
     """The numbers `step` further on in rings, for a block of sites from `place` on that begins at this position."""
     if ti.static(block == 1):
