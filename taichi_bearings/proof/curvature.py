@@ -21,9 +21,10 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
 
+from taichi_bearings.numerics.graphs import pieces
 from taichi_bearings.proof.elimination import EPS, Elimination
 from taichi_bearings.proof.enclosure import UP, Enclosure, grouped_sum, joined, length
-from taichi_bearings.proof.network import Motion, Network, connected
+from taichi_bearings.proof.network import Motion, Network
 
 MOST_SLIP_TURN = 0.25  # largest share by which a slip may change
 CURVATURE_TRIALS = 4  # each from spins that Newton's method has improved
@@ -145,7 +146,7 @@ class Slipping:
         some = ends.max(axis=0)  # an unknown if there is any
         pairs = [(end[end >= 0], some[end >= 0]) for end in ends]
         first, second = (np.concatenate([pair[i] for pair in pairs]) for i in range(2))
-        return connected(first, second, self.unknowns)
+        return pieces(self.unknowns, first, second)
 
 
 def _slots(network: Network, some: np.ndarray) -> np.ndarray:

@@ -18,12 +18,13 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from taichi_bearings.numerics.double_double import two_product, two_sum
+
 LEAST_LENGTH = 2.0**-400  # length below which squares lose digits
 LEAST_ROUNDING = 2.0**-1072  # twice what scaling back into the smallest doubles can round
 PAIR_ROUNDING = 2.0**-100  # relative error of one operation on pairs
 UP = 1 + 2.0**-30  # factor that makes up for the rounding of a bound itself, of up to some million operations
 SLIGHTLY_UP = 1 + 2.0**-51  # the same for two operations
-SPLIT = 2.0**27 + 1
 # size of a product from which parts of it may underflow, and more than they can be
 UNDERFLOWING_PRODUCT, UNDERFLOW_ERROR = 1e-250, 1e-290
 IN_CACHE = 8192  # numbers of which some twenty arrays fit the second cache of a processor
@@ -78,7 +79,7 @@ class Enclosure:
         high = np.asarray(high, dtype=np.float64)
         if np.isscalar(low) and low == 0:
             return cls(high, np.zeros_like(high), np.zeros_like(high))
-        total, rest = _two_sum(high, np.broadcast_to(np.asarray(low, dtype=np.float64), high.shape))
+        total, rest = two_sum(high, np.broadcast_to(np.asarray(low, dtype=np.float64), high.shape))
         return cls(total, rest, np.zeros_like(total))
 
     @classmethod
@@ -94,8 +95,8 @@ class Enclosure:
 
     @in_cache
     def __add__(self, other: Enclosure) -> Enclosure:
-        high, rest = _two_sum(self.high, other.high)
-        low, more = _two_sum(self.low, other.low)
+        high, rest = two_sum(self.high, other.high)
+        low, more = two_sum(self.low, other.low)
         high, rest = _fast_two_sum(high, rest + low)
         high, rest = _fast_two_sum(high, rest + more)
         return Enclosure(high, rest, (self.error + other.error + PAIR_ROUNDING * np.abs(high)) * UP)
@@ -106,13 +107,13 @@ class Enclosure:
     @in_cache
     def plus(self, other: np.ndarray) -> Enclosure:
         """Sum with doubles that are exact."""
-        high, rest = _two_sum(self.high, other)
+        high, rest = two_sum(self.high, other)
         high, rest = _fast_two_sum(high, rest + self.low)
         return Enclosure(high, rest, (self.error + PAIR_ROUNDING * np.abs(high)) * UP)
 
     @in_cache
     def __mul__(self, other: Enclosure) -> Enclosure:
-        product, rest = _two_product(self.high, other.high)
+        product, rest = two_product(self.high, other.high)
         rest += self.high * other.low + self.low * other.high
         most, others = self.most, other.most
         return _rounded(product, rest, self.error * others + other.error * most, lambda: (most > 0) & (others > 0))
@@ -120,7 +121,7 @@ class Enclosure:
     @in_cache
     def times(self, other: np.ndarray) -> Enclosure:
         """Product with doubles that are exact."""
-        product, rest = _two_product(self.high, other)
+        product, rest = two_product(self.high, other)
         rest += self.low * other
         error = self.error * (np.abs(other) * SLIGHTLY_UP)
         return _rounded(product, rest, error, lambda: (self.most > 0) & (other != 0))
@@ -280,36 +281,8 @@ def _rounded(product: np.ndarray, rest: np.ndarray, error: np.ndarray, counts: C
     return Enclosure(high, low, error)
 
 
-def _two_sum(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rounded sum, and exactly what the rounding left out (Knuth)."""
-    total = a + b
-    part = total - a
-    rest = total - part
-    rest = np.subtract(a, rest, out=rest)
-    rest += np.subtract(b, part, out=part)
-    return total, rest
-
-
 def _fast_two_sum(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The same for |a| >= |b| (Dekker)."""
+    """Rounded sum of |a| >= |b|, and exactly what the rounding left out (Dekker)."""
     total = a + b
     part = total - a
     return total, np.subtract(b, part, out=part)
-
-
-def _halves(a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    head = SPLIT * a
-    head -= head - a
-    return head, a - head
-
-
-def _two_product(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rounded product, and exactly what the rounding left out (Veltkamp and Dekker)."""
-    product = a * b
-    (a1, a2), (b1, b2) = _halves(a), _halves(b)
-    rest = a1 * b1
-    rest -= product
-    rest += a1 * b2
-    rest += a2 * b1
-    rest += a2 * b2
-    return product, rest

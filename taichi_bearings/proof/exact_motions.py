@@ -20,10 +20,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
+from taichi_bearings.numerics.graphs import pieces
 from taichi_bearings.proof.curvature import proven_floor
 from taichi_bearings.proof.elimination import Elimination, Factor
 from taichi_bearings.proof.enclosure import UP, Enclosure, grouped_sum, joined
-from taichi_bearings.proof.network import Network, connected
+from taichi_bearings.proof.network import Network
 from taichi_bearings.proof.springs import rounding_of, slip_rows
 
 FAINT = 1e-100  # size of factors from which nothing of a product is lost
@@ -94,7 +95,7 @@ class _Parts:
         rows = sparse.csr_array(slip_rows(network, numbered(free))[np.flatnonzero(np.tile(contacts, 3))])
         rows.eliminate_zeros()
         first, second = ends[:, network.free[ends].all(axis=0)]
-        label = connected(first, second, len(free))
+        label = pieces(len(free), first, second)
         parts, of_unknown = np.unique(label[np.nonzero(free)[0]], return_inverse=True)
         of_contact = np.searchsorted(parts, label[np.where(network.free[ends[0]], *ends)])
         return cls(network, free, ends, network.normal[contacts], rows, of_unknown, of_contact, len(parts))

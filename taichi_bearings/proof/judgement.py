@@ -15,7 +15,6 @@ from taichi_bearings.proof.samples import SLIPLESS, OfLaw, Samples
 from taichi_bearings.proof.states import STILL, States, proven_states
 from taichi_bearings.proof.without_slip import exists_without_slip
 
-EPS = np.finfo(np.float64).eps
 NORMAL_ROUNDING = 1e-12  # of the friction, along a normal of a packing
 
 

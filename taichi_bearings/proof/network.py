@@ -17,9 +17,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse.csgraph import connected_components
 
+from taichi_bearings.numerics.graphs import pieces
 from taichi_bearings.proof.enclosure import Enclosure, grouped_sum, joined, length, row_sum
 from taichi_bearings.proof.grid import Grid, nothing
 from taichi_bearings.proof.samples import LAWS, LEAST_SCALE, MOST_SCALE, OfLaw, Samples, power_of_two
@@ -218,7 +217,7 @@ class Network(OfLaw):
             return self.free
         first, second = self.contact[:, self._holding]
         inner, count = self.free[first] & self.free[second], len(self.free)
-        label = connected(first[inner], second[inner], count)
+        label = pieces(count, first[inner], second[inner])
         touched = np.zeros(count, dtype=bool)
         for end, other in ((first, second), (second, first)):
             touched[label[end[self.free[end] & ~self.free[other]]]] = True
@@ -409,12 +408,6 @@ def _drive_as_one(u: Enclosure, driven: np.ndarray) -> None:
     u.put(own[some], Enclosure.exact(sign[some] * size[found[some]]))
 
 
-def connected(first: np.ndarray, second: np.ndarray, size: int) -> np.ndarray:
-    """(size,), number of the connected part of each node."""
-    graph = sparse.csr_array((np.ones(len(first), dtype=np.int8), (first, second)), shape=(size, size))
-    return connected_components(graph, directed=False)[1]
-
-
 def across(vectors: list[Enclosure], normal: np.ndarray) -> list[Enclosure]:
     """Vectors (m,) x n; those of discs as they are."""
     if len(vectors) == 1:
@@ -433,7 +426,7 @@ def signs(ends: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray, np.ndarr
     """Parts that edges (2, n) make of nodes: label (size,), mask of those with odd loops, and signs s by which
     neighbours differ in the others."""
     first, second = ends
-    copy = connected(np.append(first, second), np.append(second, first) + size, 2 * size).reshape(2, -1)
+    copy = pieces(2 * size, np.append(first, second), np.append(second, first) + size).reshape(2, -1)
     return copy.min(axis=0), copy[0] == copy[1], np.where(copy[0] > copy[1], -1.0, 1.0)
 
 
@@ -468,7 +461,7 @@ class Motion:
             return own
         first, second = network.contact[:, self.rests & network.slips_with[k]]
         held = np.flatnonzero(own != np.arange(size))
-        return connected(np.append(first, held), np.append(second, own[held]), size)
+        return pieces(size, np.append(first, held), np.append(second, own[held]))
 
     def _models(self, k: int) -> np.ndarray:
         """(n,), the sphere as which each turns: of those of its domain a driven one if there is any, else the first."""

@@ -21,10 +21,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
+from taichi_bearings.numerics.graphs import pieces
 from taichi_bearings.proof.curvature import Form, proven_floor
 from taichi_bearings.proof.elimination import EPS, Elimination
 from taichi_bearings.proof.enclosure import UP, Enclosure
-from taichi_bearings.proof.network import Network, connected, moments
+from taichi_bearings.proof.network import Network, moments
 
 ROUNDS, SHIFT = 2, -1e-13  # of the springs, and what keeps slipless motions from being divided by 0
 UNSTRESSED = 1e-6  # of its friction, or of the largest force, below which a contact may bear nothing
@@ -110,7 +111,7 @@ def rolling(network: Network) -> np.ndarray:
     some[ends.ravel()] = False
     first, second = network.contact[:, network.counts]
     inner = some[first] & some[second]
-    label = connected(first[inner], second[inner], len(some))
+    label = pieces(len(some), first[inner], second[inner])
     if _independent(network, some):
         return some
     for part in np.unique(label[some]):

@@ -35,11 +35,12 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import breadth_first_order, connected_components
 
+from taichi_bearings.numerics.graphs import pieces
 from taichi_bearings.proof.bounds import PROVEN, Bounds
 from taichi_bearings.proof.curvature import Slipping, bearable, nearest_minimum
 from taichi_bearings.proof.elimination import EPS
 from taichi_bearings.proof.enclosure import UP, Enclosure, joined
-from taichi_bearings.proof.network import Motion, Network, connected, moments
+from taichi_bearings.proof.network import Motion, Network, moments
 from taichi_bearings.proof.resting import at_rest
 from taichi_bearings.proof.samples import DRIVEN_STATE, SLIPLESS, SLIPPING, UNPROVEN
 from taichi_bearings.proof.springs import slip_rows, weighed
@@ -167,7 +168,7 @@ def _by_cuts(bounds: Bounds, k: int, bound: np.ndarray) -> list[States]:
     if is_double:  # u_i + u_j is high less low, in either copy
         low, high = np.append(second + count, first + count), np.append(first, second)
         pull, strength = joined([pull, pull]), joined([strength, strength])
-        label = connected(low, high, 2 * count)
+        label = pieces(2 * count, low, high)
         node, value = np.append(held, held + count), joined([network.imposed[k].at(held), -network.imposed[k].at(held)])
     else:
         low, high, pull = first, second, pull.signed(sign[second])

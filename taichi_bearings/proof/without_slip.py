@@ -19,7 +19,8 @@ from fractions import Fraction
 
 import numpy as np
 
-from taichi_bearings.proof.network import Network, connected
+from taichi_bearings.numerics.graphs import pieces
+from taichi_bearings.proof.network import Network
 from taichi_bearings.proof.springs import rolling, turning_freely
 
 LEAST_IMPOSED = 1e-200  # of the fastest imposed spin, below which products with radii are not exact
@@ -73,7 +74,7 @@ def _rolls_exactly(network: Network) -> bool:
     open_ = left.counts & ~ExactMotions.of(left, number, left.counts).contacts
     first, second = left.contact[:, left.counts]
     inner = left.free[first] & left.free[second]
-    part = connected(first[inner], second[inner], len(left.free))[np.where(left.free[left.contact[0]], *left.contact)]
+    part = pieces(len(left.free), first[inner], second[inner])[np.where(left.free[left.contact[0]], *left.contact)]
     return all(_is_consistent(left, left.counts & (part == own)) for own in np.unique(part[open_]))
 
 

@@ -23,7 +23,8 @@ import numpy as np
 from taichi_bearings.errors import FileError
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.proof.contact_state import ContactState, all_proven
-from taichi_bearings.proof.judgement import EPS, Judgement
+from taichi_bearings.proof.elimination import EPS
+from taichi_bearings.proof.judgement import Judgement
 from taichi_bearings.proof.network import StoredPacking
 from taichi_bearings.proof.samples import CRITICAL, SLIPLESS, SLIPPING, TIED, UNPROVEN
 from taichi_bearings.quantities import CONTACTS, Answered, found_in, numbers_of, plain
