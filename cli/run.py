@@ -13,9 +13,9 @@ from taichi_bearings_cli.verify import describe as describe_verdict
 
 from taichi_bearings.progress import duration
 from taichi_bearings.quantities import COLUMNS
-from taichi_bearings.words import counted, listed, undecided_kinds
+from taichi_bearings.words import counted, listed, other_contacts
 
-OF_A_SAMPLE = ("power", "gap", "proof", "slipping", "slipless", "undecided", "critical", "tied_contacts", "unproven")
+OF_A_SAMPLE = ("power", "gap", "proof", "slipping", "slipless", "tied", "undecided", "unproven", "contacts")
 LAST_TOLD = (
     "driven_power", "slipless_motions", "largest_slipless_slip", "smallest_slipping_slip",
     "power_normalised", "yields", "yield_torque_lower_bound", "yield_torque", "amplitude",
@@ -203,13 +203,12 @@ def _of_a_sample(
     summary : of the run. The other arguments are the sample's columns in the order of OF_A_SAMPLE; None where a number
     is not finite or not known.
     """
-    *doubtful, unproven = (number or 0 for number in others)
-    contacts = summary["contacts"]
+    *doubtful, unproven, contacts = (number or 0 for number in others)
     proven = "its potential proven" if "potential" in summary else "proven"
     within = "exactly" if power == gap == 0 else f"within {'not finite' if gap is None else format(gap, '.1e')}"
     if proof not in (None, "proven"):
         proven, within = f"{within},", proof
-    named = undecided_kinds(*doubtful)
+    named = other_contacts(*doubtful)
     kinds = "".join(f", {words.replace(' ', ' is ' if words.startswith('1 ') else ' are ')}" for words in named)
     states = "all proven" if not unproven else "none proven" if unproven == contacts else f"{unproven:,} not proven"
     return (

@@ -104,7 +104,8 @@ class Result:
     slipping: OfSamples
     slipless: OfSamples
     undecided: OfSamples
-    critical: OfSamples
+    tied: OfSamples
+    unproven: OfSamples
     states_proven: OfSamples
     slip_threshold: float
     largest_balance_residual: OfSamples
@@ -117,7 +118,6 @@ class Result:
     power_per_contact: OfContacts
     force: OfContacts
     state: OfContacts
-    slip_bound: OfContacts
     proof: OfSamples
     driven_power: OfSamples
     slipless_motions: OfSamples

@@ -18,7 +18,7 @@ import h5py
 import numpy as np
 
 from taichi_bearings.errors import FileError
-from taichi_bearings.hdf5 import LAYOUT, open_hdf5
+from taichi_bearings.hdf5 import LAYOUT, READ_LAYOUTS, open_hdf5
 from taichi_bearings.plain_files import parse_json
 
 ATTRIBUTE = "sha256"
@@ -77,8 +77,9 @@ def open_checked(path: Path, kind: str = "an HDF5 file", changed: list[str] | No
     something is not what it was when it was written, unless `changed` is a list: then its name is put there."""
     with open_hdf5(path, kind) as file:
         found = file.attrs.get("schema_version", LAYOUT)
-        if found != LAYOUT:
-            raise FileError(f"{path} has layout version {found}; this program reads version {LAYOUT}")
+        if found not in READ_LAYOUTS:
+            known = " and ".join(map(str, READ_LAYOUTS))
+            raise FileError(f"{path} has layout version {found}; this program reads versions {known}")
         for group in [file, *(item for item in file.values() if isinstance(item, h5py.Group))]:
             for name in changed_in(path, group):
                 if changed is None:

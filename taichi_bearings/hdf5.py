@@ -20,7 +20,8 @@ from taichi_bearings.errors import FileError
 from taichi_bearings.leaving import by_default
 from taichi_bearings.plain_files import CLAIMED_BYTES, CLAIMED_FACTOR, opened
 
-LAYOUT = 1  # version of all files of the package
+LAYOUT = 2  # version of all files of the package
+READ_LAYOUTS = (1, LAYOUT)  # versions that are read
 UNREADABLE = (OSError, KeyError, ValueError, TypeError, AttributeError, IndexError, RuntimeError)
 """What HDF5 and NumPy raise at damaged files."""
 GZIP_FACTOR, UNPACKED_BYTES = 1032, 2**20  # bytes that gzip makes of one, at most; what may be claimed without any

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from taichi_bearings.proof.contact_state import ContactState, Separation, counts, critical, separate
+from taichi_bearings.proof.contact_state import ContactState, Separation, counts, separate
 from taichi_bearings.scene import Scene, Solution, Status
 from taichi_bearings.version import VERSION
 
@@ -47,6 +47,12 @@ class Answered:
     def contacts_in(self) -> np.ndarray:
         """Contacts in each state, (R, states)."""
         return counts(self.solution.state)
+
+    @property
+    def contacts(self) -> Any:
+        """Contacts that take part: one number if all samples have as many, else (R,)."""
+        found = self.contacts_in.sum(axis=1) - self.contacts_in[:, ContactState.DRIVEN]
+        return int(found[0]) if (found == found[0]).all() else found
 
     @cached_property
     def separation(self) -> Separation:
@@ -100,8 +106,11 @@ def _named(rows: Iterable[Quantity]) -> dict[str, Quantity]:
     return {row.name: row for row in rows}
 
 
-STATE_CODES = "0 slipless, 1 slipping, 2 undecided, critical or tied, 3 between driven spheres or absent"
-PROVEN_CODES = "proven: it slips 0 at no minimum, 1 at every one, 4 at some; 2 not proven, 3 as in state"
+STATE_CODES = (
+    "0 slipless: slips at no minimum, 1 slipping: at every one, 4 tied: at some, 2 undecided, 3 between driven spheres "
+    "or absent"
+)
+PROVEN_CODES = "1 where the state is proven, else 0; contacts of state 3 count as proven"
 FRICTION_QUANTITIES = {
     2: "friction on the upper disc, component along z x n: upwards at x-contacts, to the left at y-contacts",
     3: "friction on the upper sphere, laboratory frame",
@@ -125,8 +134,6 @@ CONTACTS = _named(
         Quantity("force", "force", "magnitude of the tangential contact force", lambda s: s.force),
         Quantity("state", "1", STATE_CODES, lambda s: s.state),
         Quantity("proven", "1", PROVEN_CODES, lambda s: s.proven),
-        Quantity("slip_bound", "length/time", "proven: no minimum slips faster at this contact",
-                 lambda s: s.slip_bound),
     ]
 )
 """Of a Solution: (R, E)."""
@@ -178,18 +185,17 @@ SAMPLES = _named(
         Quantity("seconds", "s", "wall time of the solve, compilation apart; of seeds solved together a share",
                  lambda a: a.solution.seconds, r"t_\mathrm{solve}"),
         Quantity("seconds_compile", "s", "wall time to load and compile", lambda a: a.solution.seconds_compile),
-        Quantity("contacts", "1", "contacts that are not between driven spheres, of packings without absent ones",
-                 _of_lattice(lambda a: a.scene.lattice.contacts,
-                             lambda a: len(a.solution.state[0]) - int(a.contacts_in[0, ContactState.DRIVEN])),
-                 r"N_\mathrm{contacts}"),
-        Quantity("slipping", "1", "number of contacts that slip",
+        Quantity("contacts", "1", "contacts that take part: all but those between driven spheres and absent ones; their"
+                 " sum is that of slipping, slipless, tied and undecided ones",
+                 lambda a: a.contacts, r"N_\mathrm{contacts}"),
+        Quantity("slipping", "1", "contacts that slip at every minimum; of a dynamics, that slip now",
                  lambda a: a.contacts_in[:, ContactState.SLIPPING], r"N_\mathrm{slipping}"),
-        Quantity("slipless", "1", "number of contacts that do not slip",
+        Quantity("slipless", "1", "contacts that slip at no minimum; of a dynamics, that do not slip now",
                  lambda a: a.contacts_in[:, ContactState.SLIPLESS], r"N_\mathrm{slipless}"),
-        Quantity("undecided", "1", "contacts that are neither: critical, tied, or not known",
+        Quantity("tied", "1", "contacts that slip at some minima and not at others, proven",
+                 lambda a: a.contacts_in[:, ContactState.TIED]),
+        Quantity("undecided", "1", "contacts of which slip and friction say different things, and nothing is proven",
                  lambda a: a.contacts_in[:, ContactState.UNDECIDED]),
-        Quantity("critical", "1", "undecided contacts at their friction limit, slips below what the gap resolves",
-                 lambda a: critical(a.solution)),
         Quantity("states_proven", "1", "whether the state of every contact is proven",
                  lambda a: a.solution.states_proven),
         Quantity("unproven", "1", "contacts whose state is not proven",
@@ -231,7 +237,6 @@ FINDINGS = _named(
         Quantity("driven_power", "energy/time", "power of the contacts between driven spheres of a packing"),
         Quantity("slipless_motions", "1", "motions of the free spheres that driven ones reach in a packing, at which"
                  " nothing slips while driven spheres rest"),
-        Quantity("tied_contacts", "1", "contacts that slip at some minima and not at others"),
         Quantity("cut_is_unique", "1", "whether every other cut is heavier"),
         Quantity("next_cut_over_minimum", "1", "weight of the lightest other cut over that of the minimum cut"),
         Quantity("step_error", "1", "error of the spins by the length of the time step, over the largest spin"),

@@ -73,11 +73,13 @@ def _folded(word: object) -> str:
     return str(word).lower().replace("_", "-")
 
 
-def undecided_kinds(undecided: int, critical: int, tied: int) -> list[str]:
-    """Words for undecided contacts by what is known of them: "5 critical", "56 tied", "2 undecided"; none if there are
-    none."""
-    kinds = ((critical, "critical"), (tied, "tied"), (undecided - critical - tied, "undecided"))
-    return [f"{number:,} {kind}" for number, kind in kinds if number]
+def other_contacts(tied: int, undecided: int) -> list[str]:
+    """Words for the contacts that neither slip nor rest at every minimum; none if there are none.
+
+    >>> other_contacts(56, 1), other_contacts(0, 0)
+    (['56 tied', '1 undecided'], [])
+    """
+    return [f"{number:,} {kind}" for number, kind in ((tied, "tied"), (undecided, "undecided")) if number]
 
 
 def driving_words(values: Mapping[str, Any]) -> str:

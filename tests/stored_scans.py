@@ -42,7 +42,7 @@ def stored_scan(
         (side, top, bottom, seed) for side in sides for top in tops for bottom in bottoms for seed in range(seeds)
     ]
     table: dict[str, list] = {name: [] for name in ("shape", "spin_top", "spin_bottom", "seed")}
-    powers, states, bins, contacts = [], [], [], {name: [] for name in ("slipping", "slipless", "undecided")}
+    powers, states, bins, contacts = [], [], [], {name: [] for name in ("slipping", "slipless", "tied", "undecided")}
     totals: list[float | None] = []
     for number, (side, top, bottom, seed) in enumerate(points):
         rng = np.random.default_rng([side, seed, int(100 * bottom)])

@@ -10,6 +10,7 @@ from taichi_bearings.errors import InputError
 from taichi_bearings.proof.contact_state import ContactState, counts
 
 ENERGY_PER_TIME = "energy/time"
+COUNTED_STATES = (ContactState.SLIPLESS, ContactState.SLIPPING, ContactState.UNDECIDED, ContactState.TIED)
 
 
 @dataclass(frozen=True)
@@ -17,7 +18,7 @@ class SampleCounts:
     """Slipping contacts of S samples in B bins.
 
     first, bins_per_decade : bin b is [10^((first + b) / bins_per_decade), that of the next).
-    count : (S, B). contacts : (S, 3) slipless, slipping and undecided ones, as ContactState numbers them.
+    count : (S, B). contacts : (S, 4), those in each of COUNTED_STATES.
     """
 
     first: int
@@ -42,8 +43,8 @@ class PowerHistogram:
 
     edges : (B + 1,) power in `units`, evenly spaced in the logarithm. count : (B,) slipping contacts in each bin.
     standard_error : (B,) of the count. density, density_error : (B,) share of the slipping contacts per decade of
-    power, and its standard error. slipless, undecided : contacts left out of the bins. slip_threshold : length/time, of
-    the coarsest run. samples : pooled. left_out : why other samples are not in it -> how many.
+    power, and its standard error. slipless, tied, undecided : contacts left out of the bins. slip_threshold :
+    length/time, of the coarsest run. samples : pooled. left_out : why other samples are not in it -> how many.
 
     With several samples the errors are those of sums and of ratios of sums over independent samples, so contacts of one
     sample may depend on each other, and samples of one disorder count as one. With one they are those of contacts that
@@ -56,6 +57,7 @@ class PowerHistogram:
     density: np.ndarray
     density_error: np.ndarray
     slipless: int
+    tied: int
     undecided: int
     slip_threshold: float
     samples: int
@@ -86,7 +88,7 @@ def count_powers(
     number = np.floor(bins_per_decade * np.log10(power[replica, contact] / scale[replica])).astype(int)
     first, bins = (int(number.min()), int(np.ptp(number)) + 1) if len(number) else (0, 0)
     count = np.bincount(replica * bins + number - first, minlength=len(power) * bins).reshape(len(power), bins)
-    return SampleCounts(first, bins_per_decade, count, counts(state)[:, : ContactState.DRIVEN])
+    return SampleCounts(first, bins_per_decade, count, counts(state)[:, COUNTED_STATES])
 
 
 MOST_POWER_BINS = 100_000  # more than numbers of any size need
@@ -142,6 +144,7 @@ def pool(
     samples, count = len(own), of.count.sum(axis=0)
     total = max(int(count.sum()), 1)
     share = count / total
+    slipless, _, undecided, tied = of.contacts.sum(axis=0).tolist()
     if samples > 1:
         spread = samples / (samples - 1)
         error = np.sqrt(spread * ((own - count / samples) ** 2).sum(axis=0))
@@ -155,8 +158,9 @@ def pool(
         standard_error=error,
         density=share * of.bins_per_decade,
         density_error=share_error * of.bins_per_decade,
-        slipless=int(of.contacts[:, ContactState.SLIPLESS].sum()),
-        undecided=int(of.contacts[:, ContactState.UNDECIDED].sum()),
+        slipless=slipless,
+        tied=tied,
+        undecided=undecided,
         slip_threshold=slip_threshold,
         samples=len(of.count),
         units=units,

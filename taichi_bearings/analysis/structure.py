@@ -29,7 +29,7 @@ from taichi_bearings.numerics.minimum_cut import WEIGHT_ROUNDING
 from taichi_bearings.packing import Packing
 from taichi_bearings.packing.interface import SAME_STATE, Interface, bearing_states
 from taichi_bearings.packing.structure import self_stress_of
-from taichi_bearings.proof.contact_state import ContactState, by_threshold, critical
+from taichi_bearings.proof.contact_state import ContactState, by_threshold
 from taichi_bearings.quantities import STRUCTURE, Quantity, plain
 from taichi_bearings.read_only import cached_read_only
 from taichi_bearings.scene import Scene, Solution
@@ -37,8 +37,8 @@ from taichi_bearings.scene.initial_spins import cut_of, cut_unit, cut_weights
 from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.stages import stage
 
-OF_EVERY_SAMPLE = ("power", "lower_bound", "slipping", "slipless", "undecided", "critical")
-OF_TIES = ("tied_contacts", "minimum_is_unique")
+OF_EVERY_SAMPLE = ("power", "lower_bound", "slipping", "slipless", "tied", "undecided")
+OF_MINIMA = ("minimum_is_unique",)
 MAY_BE_ABSENT = ("planes_crossed", "winds_x", "winds_y", "spanning_winds_x", "spanning_winds_y", "mean_saturation")
 """Numbers that are left out where they make no sense."""
 Kind = TypeVar("Kind", bound="Structure")
@@ -105,11 +105,6 @@ class Structure:
     def slipless(self) -> np.ndarray:
         """(E,) True for slipless contacts."""
         return self.state == ContactState.SLIPLESS
-
-    @property
-    def critical(self) -> int:
-        """Undecided contacts at their friction limit."""
-        return 0 if self.threshold is not None else int(critical(self.answer)[0])
 
     @property
     def packing(self) -> Packing:
@@ -273,7 +268,7 @@ class Structure:
     def numbers(self) -> dict[str, Any]:
         """As `bearings analyse --json` has them, for JSON. Those that are not finite, or of which there are none,
         are None."""
-        states = {which.name.lower(): self.contacts_in(which) for which in list(ContactState)[:3]}
+        states = {which.name.lower(): self.contacts_in(which) for which in ContactState}
         told = {name: states[name] if name in states else getattr(self, name) for name in self.told}
         found = {row.name: row.of(self) for row in self._rows()}
         return told | {n: plain(v) for n, v in found.items() if v is not None or n not in MAY_BE_ABSENT}
@@ -287,7 +282,7 @@ class Structure:
 class LatticeStructure(Structure):
     """That of one sample of a lattice; R = 1."""
 
-    told = (*OF_EVERY_SAMPLE, *OF_TIES)
+    told = (*OF_EVERY_SAMPLE, *OF_MINIMA)
 
     @property
     def scene(self) -> Scene:
@@ -324,11 +319,6 @@ class LatticeStructure(Structure):
     def slips_of(self, spin: np.ndarray) -> np.ndarray:
         axes = self.scene.lattice.all_spin_axes
         return self.scene.slips(self.scene.staggered_spin(spin[None], axes), axes)[0]
-
-    @property
-    def tied_contacts(self) -> int:
-        """How many of the undecided contacts are known to tie."""
-        return 0 if self.threshold is not None else int(self.answer.findings.get("tied_contacts", [0])[0])
 
     @property
     def states_proven(self) -> bool:

@@ -30,7 +30,8 @@ def write_table(path: Path, histograms: Histograms, by: str | None = None) -> No
     notes = []
     for value, found in histograms.items():
         part = "" if by is None else f"{by} {value}: "
-        notes.append(f"{part}slipping {found.slipping}, slipless {found.slipless}, undecided {found.undecided}")
+        others = f"slipless {found.slipless}, tied {found.tied}, undecided {found.undecided}"
+        notes.append(f"{part}slipping {found.slipping}, {others}")
         why = f" ({found.census.reasons})" if found.left_out else ""
         samples = f"samples {found.samples} of {found.census.asked}{why}"
         notes.append(f"{part}slip_threshold {found.slip_threshold!r}, {samples}")
@@ -60,7 +61,7 @@ def write_arrays(path: Path, histograms: Histograms, by: str | None = None) -> N
         for name, text in OF_BINS.items():
             put(file, name, stacked(name), "1", text)
         put(file, "edges", parts[0].edges, parts[0].units, "edges of the power bins")
-        for name in ("slipping", "slipless", "undecided", "slip_threshold", "samples"):
+        for name in ("slipping", "slipless", "tied", "undecided", "slip_threshold", "samples"):
             file.attrs[name] = stacked(name)
         file.attrs["asked"] = [part.census.asked for part in parts] if by else parts[0].census.asked
         file.attrs["left_out"] = [part.census.reasons for part in parts] if by else parts[0].census.reasons

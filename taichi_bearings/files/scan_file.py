@@ -6,8 +6,8 @@ Readable with plain h5py and pandas:
   length. The attribute `columns` of ``/table`` has the names in the order of scan.csv. A number that a sample lacks is
   not-a-number, a text that it lacks is empty; so a column of whole numbers is stored as float64 if one is missing.
 * ``/histogram/edges`` (B + 1,): edges of the bins of power, 10^(i/20) energy/time, i whole. ``/histogram/count``
-  (samples, B): slipping contacts in each bin. ``/histogram/slipping``, ``slipless``, ``undecided``: contacts of each
-  sample. A failed sample has none.
+  (samples, B): slipping contacts in each bin. ``/histogram/slipping``, ``slipless``, ``tied``, ``undecided``: contacts
+  of each sample. A failed sample has none.
 * Attributes on the root: `schema`, `schema_version`, `scan` (TOML text), `scanned` (names of the columns that were
   varied), `samples`, `asked` (samples of the scan, those not computed yet too), `journals` (bytes of the journals that
   it was made from), and versions.
@@ -32,10 +32,11 @@ from taichi_bearings.scene.solution import is_crossed
 BINS_PER_DECADE = 20
 FAILED = "failed"  # the status of a sample without a result
 MISSING = "missing"  # the status of a sample that is not computed yet
-CONTACT_SETS = {  # name -> description, as ContactState numbers them
+CONTACT_SETS = {  # name -> description, in the order of COUNTED_STATES
     "slipless": "contacts of each sample that do not slip",
     "slipping": "contacts of each sample that slip",
     "undecided": "contacts of each sample that are undecided",
+    "tied": "contacts of each sample that slip at some minima and not at others",
 }
 
 
@@ -191,7 +192,10 @@ def read_scan(scan: Path) -> StoredScan:
         group = file["table"]
         sets = {str(name): group[str(name)] for name in group.attrs["columns"]}
         table = {name: (s.asstr() if h5py.check_string_dtype(s.dtype) else s)[()] for name, s in sets.items()}
-        edges, count, *of_states = (file[f"histogram/{name}"][()] for name in ("edges", "count", *CONTACT_SETS))
+        edges, count = (file[f"histogram/{name}"][()] for name in ("edges", "count"))
+        none = np.zeros(len(count), dtype=np.int64)  # in layout 1 tied contacts counted as undecided
+        lacks = {"tied"} if file.attrs["schema_version"] == 1 else set()
+        of_states = [none if name in lacks else file[f"histogram/{name}"][()] for name in CONTACT_SETS]
         is_real = edges.dtype.kind == "f" and edges.ndim == 1 and ((edges > 0) & (edges < np.inf)).all()
         place = BINS_PER_DECADE * np.log10(edges) if is_real else np.full(1, np.nan)  # whole numbers
         first = round(float(place[0])) if is_real and len(edges) else 0

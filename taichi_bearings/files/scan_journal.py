@@ -62,7 +62,7 @@ def is_sample(sample: Any) -> bool:
         len(scalars) <= MOST_SCALARS
         and all(isinstance(text, str) and b"\0" not in text.encode() for text in texts.values())
         and all(isinstance(v, bool | int | float | None) and _names_a_column(name) for name, v in numbers.items())
-        and all(isinstance(numbers.get(name), int | None) for name in ("slipping", "slipless", "undecided"))
+        and all(isinstance(numbers.get(name), int | None) for name in ("slipping", "slipless", "tied", "undecided"))
         and all(abs(value) < 2**62 for value in numbers.values() if type(value) is int)
         and not is_crossed(get("potential" if "potential" in numbers else "power"), get("lower_bound"), get("gap"))
         and all(abs(int(n)) < MOST_JOURNAL_BINS and type(v) is int and 0 <= v < 2**31 for n, v in bins.items())

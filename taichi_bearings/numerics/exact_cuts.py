@@ -52,17 +52,22 @@ def whole_numbers(values: np.ndarray) -> np.ndarray:
     return found
 
 
+def _whole(weight: np.ndarray) -> np.ndarray:
+    return weight if weight.dtype == object else whole_numbers(weight)
+
+
 def lightest_cuts(ends: np.ndarray, weight: np.ndarray, nodes: int, rounding: float = 0.0) -> LightestCuts:
     """The lightest cuts of an undirected graph between its first and its last node.
 
-    ends : (2, edges) nodes. weight : (edges,) floats, none negative, taken as they are. nodes : number of them.
-    rounding : the slack is three times this share of the lightest weight, edges from the first to the last node apart.
+    ends : (2, edges) nodes. weight : (edges,) floats or whole numbers of Python (dtype object), none negative, taken as
+    they are. nodes : number of them. rounding : the slack is three times this share of the lightest weight, edges from
+    the first to the last node apart.
     """
     last, taken = nodes - 1, (weight > 0) & (ends[0] != ends[1])
     always = taken & (np.minimum(*ends) == 0) & (np.maximum(*ends) == last)
     taken &= ~always
     # an edge without capacity from the first to the last node, so that both are there
-    pairs, size = np.append(ends[:, taken], [[0], [last]], axis=1), np.append(whole_numbers(weight[taken]), [0])
+    pairs, size = np.append(ends[:, taken], [[0], [last]], axis=1), np.append(_whole(weight[taken]), [0])
     at_most = min(int(size[(pairs == end).any(axis=0)].sum()) for end in (0, last))
     source, sink = np.zeros((2, nodes), dtype=object)
     source[0] = sink[last] = at_most

@@ -13,11 +13,9 @@ from taichi_bearings.numerics.double_double import Pair, divide, exactly
 from taichi_bearings.packing import planar
 from taichi_bearings.packing.packing import Packing, Packings
 from taichi_bearings.packing.system import Found, System
-from taichi_bearings.proof.contact_state import all_proven
+from taichi_bearings.proof.contact_state import SATURATED, decided
 from taichi_bearings.proof.judgement import Judgement
 from taichi_bearings.proof.network import StoredPacking
-from taichi_bearings.proof.samples import UNPROVEN
-from taichi_bearings.proof.states import AT_REST
 from taichi_bearings.scene import Solution, Status
 from taichi_bearings.stages import stage
 from taichi_bearings.words import shown
@@ -26,6 +24,7 @@ SURE_MARGIN, SURE_SLIP = 1e-6, 1e-11  # at exact minima, slips in units of the l
 MOST_TIES = 200  # whose motions are found; more of them leave every slipping contact undecided
 ENOUGH_FRICTION = 1e3  # of the power over the fastest driven surface
 MOST_CAPS, LESS_POWER = 12, 0.5  # times that friction is cut off; share of the power to which that has to bring it
+AT_REST = 1e-9  # of the fastest imposed surface, up to which a slip may well be none
 MOVED = 1e-7  # of a slip that a motion makes
 
 SLIPLESS, SLIPPING, UNDECIDED, DRIVEN = range(4)
@@ -151,9 +150,8 @@ def judged(system: System, found: Found, tolerance: float, moves: bool = False) 
         )
     spin, rounding = judgement.samples.spin, judgement.samples.spin_rounding
     force, friction = forces_of(system, np.nan_to_num(found.force, posinf=0.0, neginf=0.0))
-    known, acts, slip = judgement.states[0].proven, judgement.acts, judgement.slip
-    state = np.where(acts, np.where(known == UNPROVEN, _states(system, found, judgement), known), DRIVEN)
-    state, proven = state.astype(np.uint8), np.where(acts, known, DRIVEN).astype(np.uint8)
+    slip, told = judgement.slip, np.where(judgement.acts, _states(system, found, judgement), DRIVEN)
+    state, proven = decided(told, judgement.states[0].proven[None])
     return Solution(
         scene=Packings((packing,)),
         method=found.method,
@@ -166,9 +164,7 @@ def judged(system: System, found: Found, tolerance: float, moves: bool = False) 
         force=force[None],
         friction=friction[None],
         state=state,
-        slip_bound=judgement.slip_bound,
         proven=proven,
-        states_proven=all_proven(state, proven),
         power=judgement.power,
         objective=judgement.objective,
         lower_bound=judgement.lower_bound,
@@ -217,9 +213,11 @@ def _states(system: System, found: Found, judgement: Judgement) -> np.ndarray:
     packing, law = system.packing, system.packing.kind
     fastest = float(np.abs(packing.imposed).max(initial=0.0))
     held, slip = law.holding_force(system.coefficients), judgement.slip[0]
-    state = np.where(np.array(judgement.slip_bound)[0] <= AT_REST * fastest, SLIPLESS, UNDECIDED)
     if held is None or not held.any():
         return np.where(slip > 1e-12 * fastest, SLIPPING, SLIPLESS)
+    limit = np.asarray(law.holding_force(packing.coefficients))
+    fast, full = slip > AT_REST * fastest, forces_of(system, found.force)[0] >= SATURATED * limit
+    state = np.where(fast & full, SLIPPING, np.where(fast | (full & (limit > 0)), UNDECIDED, SLIPLESS))
     if found.slips is None:
         return state
     margin = 1 - np.linalg.norm(found.force, axis=0) / np.where(held > 0, held, 1.0)
@@ -227,7 +225,7 @@ def _states(system: System, found: Found, judgement: Judgement) -> np.ndarray:
     own = np.where(~found.slips & (margin > SURE_MARGIN), SLIPLESS, np.where(slips, SLIPPING, UNDECIDED))
     if found.open is not None:
         own[found.open] = UNDECIDED
-    unproven = judgement.states[0].proven[system.contact] == UNPROVEN
+    unproven = judgement.states[0].proven[system.contact] == UNDECIDED
     if not law.flows and (unproven & (own == SLIPPING)).any():
         own[tied(system, found.force, own) if found.ties is None else found.ties] = UNDECIDED
     state[system.contact] = own

@@ -15,7 +15,7 @@ from taichi_bearings.plots import style
 from taichi_bearings.plots.page import PAGE, Page
 from taichi_bearings.plots.style import as_text, describe, driving, energy_unit, over, power_unit, time_label
 from taichi_bearings.scene import Scene, Solution
-from taichi_bearings.words import counted
+from taichi_bearings.words import counted, other_contacts
 
 ACCOUNTS = {
     "injected": (style.BLUE, "-"),
@@ -187,7 +187,7 @@ def _label(histogram: PowerHistogram) -> str:
 
 
 def _outside(histogram: PowerHistogram) -> str:
-    return f"{histogram.slipless:,} slipless" + (f", {histogram.undecided:,} undecided" if histogram.undecided else "")
+    return ", ".join([f"{histogram.slipless:,} slipless", *other_contacts(histogram.tied, histogram.undecided)])
 
 
 MARKERS = "osD^vP*X"

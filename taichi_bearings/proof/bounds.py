@@ -129,19 +129,3 @@ def _worst(network: Network, size: Enclosure, hard: np.ndarray) -> np.ndarray:
     large = hard[about[hard] >= network.on_contacts(most * (1 - DOUBLE_ERROR))[hard]]
     np.maximum.at(found, network.sample_of(large), (size.at(large) / network.holding.at(large)).most)
     return found
-
-
-@np.errstate(divide="ignore", invalid="ignore", over="ignore")
-@in_cache
-def slip_bound(room: np.ndarray, slope: np.ndarray, excess: np.ndarray) -> np.ndarray:
-    """No contact slips faster at any minimum; nearly rounded up, or no number. room : m = mu F_n - |F|, rounded down.
-
-    Let E, the excess, be the potential of any spins less what the friction F proves. At a minimum no contact has
-    phi(v) + phi*(F) - |F| v below 0, and all together have no more than E. With room in its disc a contact of Coulomb's
-    has m v <= E, one with viscosity eta as well eta v^2 / 2 + m v <= E, and where F exceeds the disc
-    eta (v + m / eta)^2 / 2 <= E.
-    """
-    inside = np.maximum(room, 0.0)
-    root = np.sqrt(inside**2 + 2 * slope * excess)
-    beyond = np.where(room < 0, -room / slope, 0.0)  # infinite without viscosity
-    return np.where((excess > 0) | (slope == 0), 2 * excess / (inside + root), 0.0) + beyond

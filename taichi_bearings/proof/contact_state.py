@@ -1,32 +1,44 @@
-"""Which contacts slip: judged by slip speed and by friction together."""
+"""One word for each contact: does it slip at every minimum, at some or at none, and is that proven?
+
+What slip speed and friction say of a contact (:func:`classify`) and what is proven of it meet in one place,
+:func:`decided`.
+"""
 
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import Any
 
 import numpy as np
 
 from taichi_bearings.proof.certificate import saturation
-from taichi_bearings.scene.scene import Scene
+from taichi_bearings.scene.solution import ContactState as ContactState
 from taichi_bearings.scene.solution import Solution
 
 
-class ContactState(IntEnum):
-    """Values of ``/contact/<axis>/state``, and of ``/contact/<axis>/proven``: the state at every minimum."""
+def decided(
+    told: np.ndarray, known: np.ndarray, is_present: bool = False, has_ended: bool = False
+) -> tuple[np.ndarray, np.ndarray]:
+    """The state of every contact, (R, E) uint8, and whether it is proven, (R, E).
 
-    SLIPLESS = 0
-    SLIPPING = 1
-    UNDECIDED = 2  # critical, tied, or not known; not proven
-    DRIVEN = 3  # between two driven spheres, or absent: it takes no part
-    TIED = 4  # slips at some minima and rests at others: undecided in ``state``
+    told : (R, E), what slip and friction say; where it is DRIVEN a contact takes no part, and counts as proven.
+    known : (R, E), the states at all minima that are proven, UNDECIDED of the others. is_present : the states are those
+    of a motion on its way, or by a threshold of slip that was asked for, and not of the minima: they stay what slip and
+    friction say. has_ended : such a motion is proven to have come to a minimum, where no contact slips that rests at
+    every minimum, nor the other way round: what still does so is undecided.
+    """
+    told = np.where(told == ContactState.TIED, ContactState.UNDECIDED, told)
+    acts, is_known = told != ContactState.DRIVEN, known != ContactState.UNDECIDED
+    state = told if is_present else np.where(acts & is_known, known, told)
+    if has_ended:
+        is_plain = (known == ContactState.SLIPLESS) | (known == ContactState.SLIPPING)
+        state = np.where(acts & is_plain & (state != known), ContactState.UNDECIDED, state)
+    return state.astype(np.uint8), ~acts | (is_known & (state == known))
 
 
-def all_slipless(scene: Scene) -> np.ndarray:
+def all_slipless(scene: Any) -> np.ndarray:
     """States (R, E) uint8 of contacts that all rest, for a method to fill in."""
     return np.where(scene.idle, ContactState.DRIVEN, ContactState.SLIPLESS).astype(np.uint8)
 
 
-SLIP_AT_LIMIT = 1e-2  # of the jump, that the gap must resolve at a critical contact
 LOST_POWER = 1e-8  # of the power, that a contact must dissipate when it slips by the smallest component of the jump
 LOST_CONTACTS = 0.05  # share of contacts that may dissipate less than that
 SATURATED = 1 - 1e-6  # share of the friction disc from which a Coulomb contact counts as saturated
@@ -60,7 +72,7 @@ class Separation:
     decades: np.ndarray
 
 
-def separate(scene: Scene, slip: np.ndarray, state: np.ndarray) -> Separation:
+def separate(scene: Any, slip: np.ndarray, state: np.ndarray) -> Separation:
     """Observed gap between the slips of slipless and of slipping contacts; slip, state : (R, E)."""
     still, moving = state == ContactState.SLIPLESS, state == ContactState.SLIPPING
     largest = np.where(still.any(axis=1), np.where(still, slip, 0.0).max(axis=1), np.nan)
@@ -82,40 +94,17 @@ def too_uneven(solution: Solution) -> np.ndarray:
     """(R,) True where too many contacts are so weak beside the rest that the gap, or doubles, lose what they dissipate:
     they bend the others, whose slips are then whatever rounding makes them."""
     scene, acting = solution.scene, ~solution.scene.idle
-    at_jump, left = _at_smallest_jump(solution), solution.objective - solution.lower_bound
+    at_jump = scene.strength * scene.coefficient * scene.lattice.radius * scene.smallest_jump  # dissipated at it
+    left = solution.objective - solution.lower_bound
     share = scene.smallest_jump / scene.jump if scene.jump else np.nan  # of it, added to a slip by the other component
     lost = acting & ((share * at_jump <= left[:, None]) | (at_jump <= LOST_POWER * solution.power[:, None]))
     lost &= scene.smallest_jump > 0
     return lost.sum(axis=1) > LOST_CONTACTS * acting.sum(axis=1)
 
 
-def _at_smallest_jump(solution: Solution) -> np.ndarray:
-    """Power (R, E) that contacts dissipate by friction when they slip by the component of the jump that differs
-    least."""
-    scene = solution.scene
-    return scene.strength * scene.coefficient * scene.lattice.radius * scene.smallest_jump
-
-
-def critical(solution: Solution) -> np.ndarray:
-    """Number (R,) of undecided contacts that bear all their friction, with a slip that the gap does not resolve; but
-    for those that are known to slip at other minima. On lattices those that are not proven to rest count where the gap
-    would resolve a hundredth of the jump, and coefficients are not too uneven."""
-    scene, undecided = solution.scene, solution.state == ContactState.UNDECIDED
-    others = undecided.sum(axis=1) - solution.findings.get("tied_contacts", 0)
-    if not scene.law.holds:
-        return np.zeros(scene.replicas, dtype=np.int64)
-    full = solution.force >= SATURATED * scene.strength * scene.coefficient
-    left = (solution.objective - solution.lower_bound)[:, None]
-    found = undecided & full & unresolved(solution) & (solution.proven != ContactState.TIED)
-    if isinstance(scene, Scene):
-        clear = (left <= SLIP_AT_LIMIT * _at_smallest_jump(solution)) & ~too_uneven(solution)[:, None]
-        found &= clear | (solution.proven == ContactState.SLIPLESS)
-    return np.minimum(found.sum(axis=1), others)
-
-
-def nothing_proven(state: np.ndarray) -> np.ndarray:
-    """`Solution.proven` of contacts in these states, (R, E), where no proof is known."""
-    return np.where(state == ContactState.DRIVEN, ContactState.DRIVEN, ContactState.UNDECIDED).astype(np.uint8)
+def what_is_proven(state: np.ndarray, proven: np.ndarray) -> np.ndarray:
+    """The states (R, E) that are proven, and UNDECIDED of the other contacts: `known` of :func:`decided`."""
+    return np.where(proven, state, ContactState.UNDECIDED)
 
 
 def by_threshold(slip: np.ndarray, state: np.ndarray, threshold: float) -> np.ndarray:
@@ -123,11 +112,6 @@ def by_threshold(slip: np.ndarray, state: np.ndarray, threshold: float) -> np.nd
     those that take no part. slip, threshold : length/time. slip, state : (..., E)."""
     told = np.where(slip > threshold, ContactState.SLIPPING, ContactState.SLIPLESS)
     return np.where(state == ContactState.DRIVEN, state, told).astype(np.uint8)
-
-
-def all_proven(state: np.ndarray, proven: np.ndarray) -> np.ndarray:
-    """(R,) True where every contact has the state that is proven of it; state, proven : (R, E)."""
-    return np.asarray(((proven == state) & (proven != ContactState.UNDECIDED)).all(axis=1))
 
 
 def counts(state: np.ndarray) -> np.ndarray:

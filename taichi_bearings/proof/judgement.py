@@ -7,9 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from taichi_bearings.proof.bounds import PROVEN, Bounds, slip_bound
-from taichi_bearings.proof.enclosure import UP
-from taichi_bearings.proof.grid import Grid
+from taichi_bearings.proof.bounds import PROVEN, Bounds
 from taichi_bearings.proof.network import Network, StoredPacking
 from taichi_bearings.proof.samples import SLIPLESS, OfLaw, Samples
 from taichi_bearings.proof.states import STILL, States, proven_states
@@ -110,45 +108,13 @@ class Judgement(OfLaw):
         return np.where(self.at_rest[:, None] & self.acts, 0.0, slip) if self.at_rest.any() else slip
 
     @cached_property
-    def slip_bound(self) -> np.ndarray | None:
-        """(R, E), speeds that no slip of any minimum exceeds, infinite where unknown; of lattices with friction."""
-        lattice = self.samples.is_lattice
-        if lattice and not self.holds:
-            return None
-        bound = self._slip_bounds if lattice else self._proven[1]
-        return self._by_sample(bound * self.network.speed_unit * (1 + 2.0**-50 * lattice))
-
-    @cached_property
-    @np.errstate(all="ignore")
-    def _slip_bounds(self) -> np.ndarray:
-        """(m,), by the room that friction leaves; on lattices by the spins between those of the planes, on packings by
-        all that there is to dissipate. In units of speed."""
-        network, bounds = self.network, self.bounds
-        slope = network.slope.least if self.flows else np.zeros(1)
-        bound = slip_bound((network.holding - bounds.size).lower(), slope, network.on_contacts(bounds.excess))
-        if not isinstance(network.graph, Grid):
-            most = np.fmin(bounds.upper / network.holding.least, np.sqrt(2 * bounds.upper / network.slope.least)) * UP
-            bound = np.where(network.counts & (bounds.proof == PROVEN), np.fmin(bound * UP, most), most)
-            return np.where(network.acts, bound, np.inf)
-        return np.where(network.counts, np.fmin(bound, network.graph.widths) * UP, 0.0)
-
-    @cached_property
-    def _proven(self) -> tuple[list[States], np.ndarray]:
-        """States, and bounds of slips (m,) that come of the same proof. Where a state without slip exists, every
-        minimum is one."""
-        bound, slipless = self._slip_bounds.copy(), self.slipless
-        network, none = self.network, [States(np.full(self.acts.shape[1], SLIPLESS), self.samples.is_lattice or None)]
-        if slipless.any():
-            bound[np.repeat(slipless, self.acts.shape[1]) & network.acts] = 0.0
-        if slipless.all():
-            return none * network.count, bound
-        found = proven_states(self.bounds, bound)
-        return [none[0] if at_rest else states for at_rest, states in zip(slipless, found, strict=True)], bound
-
-    @property
     def states(self) -> list[States]:
-        """Contact states at every minimum, sample by sample."""
-        return self._proven[0]
+        """Contact states at every minimum, sample by sample; where a state without slip exists, each is one."""
+        none, slipless = States(np.full(self.acts.shape[1], SLIPLESS), self.samples.is_lattice or None), self.slipless
+        if slipless.all():
+            return [none] * self.network.count
+        found = proven_states(self.bounds)
+        return [none if at_rest else states for at_rest, states in zip(slipless, found, strict=True)]
 
     def _reported(self, values: np.ndarray, towards: float) -> np.ndarray:
         """Bounds of the potential, as what is least at rest in energy/time, rounded that way."""

@@ -81,7 +81,7 @@ class Network(OfLaw):
     enclosures (m,), 0 where nothing acts. holding : mu F_n; slope : eta, (m,) enclosures, 0 where there is none.
     imposed : u of driven spheres by component, 0 for free ones, and on lattices measured from the bottom.
     graph : where its contacts are, and what they bear. rolling : (n,) mask of free spheres whose contacts can all roll,
-    whatever the others do.
+    whatever the others do. factors : (m,) numbers each, whose products are in the proportions of mu F_n, exactly.
     """
 
     law: str
@@ -96,6 +96,7 @@ class Network(OfLaw):
     imposed: list[Enclosure]
     graph: Grid | Listed
     rolling: np.ndarray | None = None
+    factors: tuple[np.ndarray, ...] = ()
 
     @property
     def samples(self) -> Samples | None:
@@ -144,7 +145,7 @@ class Network(OfLaw):
             samples.law, samples.count, free, samples.radius * samples.spin_unit, force,
             list(samples.signed_spin.values()), grid.moment(acts), holding if samples.holds else zero,
             Enclosure.exact(viscosity).times(np.array([speed])) if samples.flows else zero,
-            [grid.imposed(k) for k in samples.components], grid,
+            [grid.imposed(k) for k in samples.components], grid, factors=(coefficient,),
         )  # fmt: skip
 
     @classmethod
@@ -190,6 +191,7 @@ class Network(OfLaw):
             Enclosure.exact(slope * (speed / force)).times(np.array([unit])) if flows else zero,
             [part.where(~free) for part in moving],
             Listed(packing["center"], packing["contact"].T, packing["normal"], friction),
+            factors=(packing["friction"], packing["normal_force"]),
         )  # fmt: skip
 
     @property

@@ -25,7 +25,7 @@ from taichi_bearings.proof.enclosure import Enclosure
 DIGITS = 300
 LEAST_SCALE, MOST_SCALE = 1e-60, 1e60  # scales of a sample
 LEAST_JUMP = 1e-140  # component of the jump, of the whole
-SLIPLESS, SLIPPING, UNPROVEN, TIED, CRITICAL = 0, 1, 2, 4, 5  # what can be proven of a contact (states.py)
+SLIPLESS, SLIPPING, UNPROVEN, TIED = 0, 1, 2, 4  # what can be proven of a contact (states.py)
 DRIVEN_STATE = 3  # of a contact that takes no part, in files
 LAWS = {"coulomb": (True, False), "viscous": (False, True), "coulomb-viscous": (True, True)}
 """Law -> does a contact bear a force without slipping, and does its force grow with the slip."""

@@ -15,7 +15,8 @@ Let T be the contacts without any slip and S the others. Spheres joined by T are
 With one component (all of 2D, and cubic lattices driven about x or y) step 1 has no curvature. There minima are
 mixtures of lightest cuts, and friction in balance leaves room on them for no more than the gap G between the bounds: a
 cut that crosses from u to v has mu F_n - f <= G there. Spheres from which and to which one can go with more room than G
-are on one side of every lightest cut. That decides contacts one by one, ties or not.
+are on one side of every lightest cut. That decides contacts one by one. What it leaves open, where cuts tie, is counted
+in whole numbers: which contacts are in all lightest cuts, in some, in none (numerics/exact_cuts.py).
 
 Any network. At any minimum all contacts together have sum phi(y) + phi*(F) - F . y <= E, the excess of the potential of
 the given spins over what the friction proves. So with damping eta no slip is further than (2 E / eta)^1/2 from the
@@ -30,11 +31,13 @@ form of y* that is at most E, and of the given slips as well. Its floor, by an e
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from math import prod
 
 import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import breadth_first_order, connected_components
 
+from taichi_bearings.numerics.exact_cuts import cuts_between, whole_numbers
 from taichi_bearings.numerics.graphs import pieces
 from taichi_bearings.proof.bounds import PROVEN, Bounds
 from taichi_bearings.proof.curvature import Slipping, bearable, nearest_minimum
@@ -42,15 +45,16 @@ from taichi_bearings.proof.elimination import EPS
 from taichi_bearings.proof.enclosure import UP, Enclosure, joined
 from taichi_bearings.proof.network import Motion, Network, moments
 from taichi_bearings.proof.resting import at_rest
-from taichi_bearings.proof.samples import DRIVEN_STATE, SLIPLESS, SLIPPING, UNPROVEN
+from taichi_bearings.proof.samples import DRIVEN_STATE, SLIPLESS, SLIPPING, TIED, UNPROVEN
 from taichi_bearings.proof.springs import slip_rows, weighed
 from taichi_bearings.proof.ties import MISSED_LIMIT, tied_states
 
 PROVEN_AT_ONCE = 200_000  # spheres of the samples that are proven at once, at most
+NEARLY_LEAST = 1e-9  # of the power, that the bounds leave open, up to which cuts are counted in whole numbers
+MOST_COUNTED = 40_000  # contacts of spheres that lie between cuts that (nearly) tie, up to which that is done
 MOST_LEVELS = 100  # steps of imposed values of a part that are looked at, the largest
 STILL, STILL_IN_PAIRS = 1e-12, 1e-28  # of the fastest imposed component, below which slips of packings may be none
 CLEAR_RATIO = 10  # of slips over the jump to rooms over the friction, from which damping leaves the state clear
-AT_REST = 1e-9  # of the fastest imposed component, up to which a slip may well be none
 CLEAR_ROOM = 1e-3  # of its friction, from which a contact may well rest
 STIFFEST = 1e4  # stiffness of what rests, over that of what slips
 PASSES = 2
@@ -58,9 +62,9 @@ PASSES = 2
 
 @dataclass(frozen=True)
 class States:
-    """Of one sample. proven : (E,) of UNPROVEN, SLIPLESS, SLIPPING, CRITICAL (slips at no minimum, at the limit of this
-    friction) or TIED (slips at some minima, rests at others). unique : is there only one minimum? None if that is not
-    known. reason : why not all is proven, or "".
+    """Of one sample. proven : (E,) of UNPROVEN, SLIPLESS (slips at no minimum), SLIPPING (slips at every one) or TIED
+    (slips at some, rests at others). unique : is there only one minimum? None if that is not known. reason : why not
+    all is proven, or "".
     """
 
     proven: np.ndarray
@@ -68,52 +72,38 @@ class States:
     reason: str = ""
 
     def agree(self, claimed: np.ndarray) -> bool:
-        """True if each contact is proven to slip at every minimum or at none, as claimed: (E,), 0 slipless, 1 slipping,
-        3 takes no part."""
-        return bool((((self.proven == claimed) & (self.proven <= SLIPPING)) | (claimed == DRIVEN_STATE)).all())
+        """True if the state of each contact is proven, as claimed: (E,), 3 takes no part."""
+        return bool((((self.proven == claimed) & (self.proven != UNPROVEN)) | (claimed == DRIVEN_STATE)).all())
 
 
 @np.errstate(all="ignore")  # what is not finite proves nothing
-def proven_states(bounds: Bounds, slip_bound: np.ndarray) -> list[States]:
-    """slip_bound : (m,), that no slip of any minimum exceeds, in units of speed; of packings improved in place."""
+def proven_states(bounds: Bounds) -> list[States]:
+    """States at every minimum, sample by sample."""
     network, lattice = bounds.network, bounds.network.samples is not None
     rests = ~network.counts | network.on_contacts(bounds.upper == 0)
     if bounds.proof != PROVEN:
         found = _nothing(network, "the bound is proven of some spins alone")
     elif network.flows:
         far = np.sqrt(2 * network.on_contacts(bounds.excess) / network.slope.least) * UP
-        known = _apart(network, slip_bound, far)
+        known = _apart(network, far)
         found = _samples(network, known, "slips are small, or nothing is known of what bears no viscosity", True)
         near = _enclosed_minimum(bounds) if network.mixes and network.holds else None
-        found = _with_damping(bounds, slip_bound, found) if near is None else _enclosed(network, near, slip_bound)
+        found = _with_damping(bounds, found) if near is None else _enclosed(network, near)
         found = found if lattice else [_with_parts_at_rest(bounds, far, *found)]
     elif network.mixes and (near := _enclosed_minimum(bounds)) is not None:
-        found = _enclosed(network, near, slip_bound)
+        found = _enclosed(network, near)
     elif network.mixes:
-        known = _apart(network, slip_bound, _by_cones(bounds))
+        known = _apart(network, _by_cones(bounds))
         found = _samples(network, known, "minima are not known closely enough", None)
     elif not network.needed:
-        slip_bound[network.counts] = 0.0
         found = _samples(network, np.full(len(rests), SLIPLESS), "", True)
     else:
-        found = (
-            _by_cuts(bounds, network.needed[0], slip_bound)
-            if len(network.needed) == 1
-            else _by_curvature(network, slip_bound)
-        )
+        found = _by_cuts(bounds, network.needed[0]) if len(network.needed) == 1 else _by_curvature(network)
     told = []
-    for states, rest, acts, bound in zip(
-        found, *(v.reshape(network.count, -1) for v in (rests, network.acts, slip_bound)), strict=True
-    ):
-        proven, reason = states.proven, states.reason
-        if not lattice:
-            proven = np.where(rest, SLIPLESS, proven)
-            bound[acts & (proven == SLIPLESS)] = 0.0
-            bound[:] = np.where(np.isnan(bound) | ~acts, np.inf, bound) * UP
-            slow = int((bound[acts & (proven == UNPROVEN)] <= AT_REST * network.box.max(initial=0.0)).sum())
-            reason += f"; {slow:,} of these slip by no more than {AT_REST:.0e} of the fastest imposed" if slow else ""
+    for states, rest, acts in zip(found, *(v.reshape(network.count, -1) for v in (rests, network.acts)), strict=True):
+        proven = states.proven if lattice else np.where(rest, SLIPLESS, states.proven)
         open_ = bool((acts & (proven == UNPROVEN)).any())
-        told.append(States(proven, states.unique if lattice else None, reason if open_ else ""))
+        told.append(States(proven, states.unique if lattice else None, states.reason if open_ else ""))
     return told
 
 
@@ -129,11 +119,9 @@ def _enclosed_minimum(bounds: Bounds) -> tuple[np.ndarray, np.ndarray] | None:
     return enclosed_minimum(bounds)
 
 
-def _enclosed(network: Network, near: tuple[np.ndarray, np.ndarray], bound: np.ndarray) -> list[States]:
-    """States by the mask S and the distances of :func:`enclosed_minimum`. bound : of slips, improved in place."""
+def _enclosed(network: Network, near: tuple[np.ndarray, np.ndarray]) -> list[States]:
+    """States by the mask S and the distances of :func:`enclosed_minimum`."""
     slides, far = near
-    most = np.where(slides, network.slip.most + far, 0.0)
-    bound[network.counts] = np.fmin(bound, most)[network.counts]
     known = (network.holding.high > 0) | (network.slip.least > far)
     slips = np.where(known, SLIPPING, UNPROVEN)
     return _samples(network, np.where(slides & network.counts, slips, SLIPLESS), "slips are small", None)
@@ -143,15 +131,14 @@ def _nothing(network: Network, reason: str) -> list[States]:
     return _samples(network, np.full(len(network.acts), UNPROVEN), reason, None)
 
 
-def _apart(network: Network, bound: np.ndarray, far: np.ndarray) -> np.ndarray:
-    """far : (m,), that slips of minima differ by at most from the given ones."""
-    if network.samples is None:
-        bound[network.counts] = np.fmin(bound, network.slip.most + far)[network.counts]
+def _apart(network: Network, far: np.ndarray) -> np.ndarray:
+    """States (m,), SLIPPING of what slips further than `far` (m,), by which slips of minima differ at most from the
+    given ones."""
     slips = network.counts & (network.slip.least > far)
     return np.where(slips, SLIPPING, np.where(network.acts, UNPROVEN, SLIPLESS))
 
 
-def _by_cuts(bounds: Bounds, k: int, bound: np.ndarray) -> list[States]:
+def _by_cuts(bounds: Bounds, k: int) -> list[States]:
     """One component: what is on one side of the lightest cuts of all steps, or on two of those of one; part by part,
     sample by sample."""
     network, count = bounds.network, len(bounds.network.free)
@@ -183,6 +170,7 @@ def _by_cuts(bounds: Bounds, k: int, bound: np.ndarray) -> list[States]:
     steps = steps[np.lexsort((-step.high[steps], part[steps]))]
     rank = np.arange(len(steps)) - np.searchsorted(part[steps], part[steps])  # by size, in each part
     open_ = np.bincount(part[steps], np.where(rank < MOST_LEVELS, 0.0, step.most[steps]), size)[label[low]]
+    tied, once = np.zeros(len(low), dtype=bool), (np.bincount(part[steps], minlength=size) == 1)[label[low]]
     for number in range(min(int(rank.max(initial=-1)) + 1, MOST_LEVELS)):
         mine = steps[rank == number]
         begin, most, least = np.full(size, len(node)), np.zeros(size), np.zeros(size)
@@ -197,17 +185,44 @@ def _by_cuts(bounds: Bounds, k: int, bound: np.ndarray) -> list[States]:
         above = reached(follows, node[known & (place > begin[part])])
         below = reached(follows.T.tocsr(), node[known & (place <= begin[part])])
         alike = (together[low] == together[high]) | (above[low] & above[high]) | (below[low] & below[high])
-        slips |= (above[low] & below[high]) | (below[low] & above[high])
+        apart = (above[low] & below[high]) | (below[low] & above[high])
+        if not (is_double or (alike | apart).all()):
+            near, some, every = _in_whole_numbers(bounds, own, np.stack([low, high]), above, below)
+            alike[near], apart[near] = ~some, every
+            tied[near] |= some & ~every & once[near]
+        slips |= apart
         open_ = open_ + np.where(alike, 0.0, most[label[low]])
-    slips, open_ = slips[: len(own)], open_[: len(own)]
+    slips, tied, open_ = slips[: len(own)], tied[: len(own)], open_[: len(own)]
     states = np.where(network.acts & network.counts & network.feels[k], UNPROVEN, SLIPLESS)
-    states[own] = np.where(slips, SLIPPING, np.where(open_ == 0, SLIPLESS, UNPROVEN))
-    if network.samples is None:
-        whole = np.zeros(len(states))
-        whole[own] = open_ * UP
-        bound[network.counts] = np.fmin(bound, whole)[network.counts]
-    found = _samples(network, states, "cuts (nearly) tie", True)
-    return [s if (s.proven != UNPROVEN).all() else replace(s, unique=None) for s in found]
+    states[own] = np.select([slips, tied, open_ == 0], [SLIPPING, TIED, SLIPLESS], UNPROVEN)
+    return [States(of, _is_one(of), "cuts (nearly) tie") for of in states.reshape(network.count, -1)]
+
+
+def _is_one(states: np.ndarray) -> bool | None:
+    """Is there only one minimum, by the states (E,) of all contacts? None if that is not known."""
+    return False if (states == TIED).any() else None if (states == UNPROVEN).any() else True
+
+
+def _in_whole_numbers(
+    bounds: Bounds, own: np.ndarray, ends: np.ndarray, above: np.ndarray, below: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Numbers, among the m contacts, of those that touch a sphere between cuts that (nearly) tie; masks of these that
+    are in some lightest cut, and in all.
+
+    own : (m,), the contacts by their numbers in the network. ends : (2, m), their spheres. above, below : masks of the
+    spheres on either side of every lightest cut. Samples far from their minimum, or with more contacts than can be
+    counted, have none.
+    """
+    network, between = bounds.network, ~(above | below)
+    near = np.flatnonzero(between[ends].any(axis=0))
+    sample = network.sample_of(own[near])
+    counts = (bounds.excess <= NEARLY_LEAST * bounds.upper) & (
+        np.bincount(sample, minlength=network.count) <= MOST_COUNTED
+    )
+    near = near[counts[sample]]
+    weight = prod((whole_numbers(of[own[near]]) for of in network.factors), start=np.ones(len(near), dtype=object))
+    cuts = cuts_between(ends[:, near], weight, above, between)[0]
+    return near, cuts.some, cuts.every
 
 
 def reached(follows: sparse.csr_array, starts: np.ndarray) -> np.ndarray:
@@ -221,16 +236,16 @@ def reached(follows: sparse.csr_array, starts: np.ndarray) -> np.ndarray:
     return reached[:-1]
 
 
-def _by_curvature(network: Network, bound: np.ndarray) -> list[States]:
+def _by_curvature(network: Network) -> list[States]:
     """Two components, or more along the axes: steps 1 to 3 of the module docstring, of all samples at once, or else of
     each half of them; of each alone where friction is repeated, so that there may be ties."""
     samples, count = network.samples, network.count
     if samples is None:
         slip, fastest = network.slip.value, network.box.max()
         still, nearly = (network.counts & (slip <= most * fastest) for most in (STILL_IN_PAIRS, STILL))
-        known = _by_domains(network, still, bound)  # spins can be known in twice the precision
+        known = _by_domains(network, still)  # spins can be known in twice the precision
         if isinstance(known, str) and (nearly != still).any():
-            known = _by_domains(network, nearly, bound)
+            known = _by_domains(network, nearly)
         return _nothing(network, known) if isinstance(known, str) else _samples(network, known, "", None)
     if count == 1:
         return [_of_lattice(network)]
@@ -242,7 +257,7 @@ def _by_curvature(network: Network, bound: np.ndarray) -> list[States]:
         ):
             return _samples(network, _as_stored(network.motion), "", True)
         parts = [samples.some(slice(None, count // 2)), samples.some(slice(count // 2, None))]
-    return [states for part in parts for states in _by_curvature(Network.of_lattice(part), bound)]
+    return [states for part in parts for states in _by_curvature(Network.of_lattice(part))]
 
 
 def _of_lattice(network: Network) -> States:
@@ -257,7 +272,7 @@ def _of_lattice(network: Network) -> States:
     return States(*tied, "minima tie in ways that are not known closely enough")
 
 
-def _with_damping(bounds: Bounds, bound: np.ndarray, known: list[States]) -> list[States]:
+def _with_damping(bounds: Bounds, known: list[States]) -> list[States]:
     """Of friction with damping: contacts that have more room in their discs than they slip are tried as domains."""
     network, count = bounds.network, bounds.network.count
     if not network.holds or network.mixes or not network.needed:
@@ -269,9 +284,9 @@ def _with_damping(bounds: Bounds, bound: np.ndarray, known: list[States]) -> lis
     for number, (own, states) in enumerate(zip(rests.reshape(count, -1), known, strict=True)):
         found: np.ndarray | str = ""
         if count == 1 and not unclear.any():
-            found = _by_domains(network, own, bound)
+            found = _by_domains(network, own)
         elif network.samples is not None and not unclear.reshape(count, -1)[number].any():
-            found = _by_domains(Network.of_lattice(network.samples.one(number)), own, np.full(len(own), np.inf))
+            found = _by_domains(Network.of_lattice(network.samples.one(number)), own)
         told.append(states if isinstance(found, str) else States(found, True))
     return told
 
@@ -285,9 +300,9 @@ def _with_parts_at_rest(bounds: Bounds, far: np.ndarray, known: States) -> State
     return replace(known, proven=np.where(at_rest(bounds, far), SLIPLESS, known.proven))
 
 
-def _by_domains(network: Network, rests: np.ndarray, bound: np.ndarray) -> np.ndarray | str:
+def _by_domains(network: Network, rests: np.ndarray) -> np.ndarray | str:
     """(m,) states if nothing slips at the minimum but contacts between domains of those that rest; or what is missing
-    in the proof. bound : of slips, improved in place."""
+    in the proof."""
     if network.samples is None and any(
         network.signs(k)[1][network.contact[:, network.counts]].any() for k in network.needed
     ):
@@ -297,12 +312,7 @@ def _by_domains(network: Network, rests: np.ndarray, bound: np.ndarray) -> np.nd
     within = [(motion.domain[k][first] == motion.domain[k][second]) | ~network.feels[k] for k in network.needed]
     motion = Motion(network, network.counts & np.all(within, axis=0))
     near = _near(motion, Slipping.of(motion))
-    if isinstance(near, str):
-        return near
-    contacts, turn = near
-    size = contacts.size.most * (1 + turn)
-    bound[contacts.own] = np.fmin(bound[contacts.own], size * UP)
-    return _as_stored(motion)
+    return near if isinstance(near, str) else _as_stored(motion)
 
 
 def _as_stored(motion: Motion) -> np.ndarray:

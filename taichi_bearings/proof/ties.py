@@ -36,7 +36,7 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 from taichi_bearings.proof.curvature import Slipping, bearable, nearest_minimum, rises
 from taichi_bearings.proof.enclosure import UP, Enclosure
 from taichi_bearings.proof.network import Motion, Network
-from taichi_bearings.proof.samples import CRITICAL, SLIPLESS, SLIPPING, TIED, UNPROVEN
+from taichi_bearings.proof.samples import SLIPLESS, SLIPPING, TIED, UNPROVEN
 
 MISSED_LIMIT = 1e-6  # share of the friction by which a contact at its limit may miss it
 # share of the friction across a component that may be none, where a limit is missed by that much
@@ -393,11 +393,11 @@ def _named(
     rest = len(pulls.slips) - len(turn)
     least = np.append(contacts.size.least * (1 - turn) / PATH_ROUNDING, np.zeros(rest))
     most = np.append(contacts.size.most * (1 + turn) * PATH_ROUNDING, np.zeros(rest))
-    state = np.where(pulls.slips, SLIPPING, CRITICAL)
+    state = np.where(pulls.slips, SLIPPING, SLIPLESS)
     state[between.unclear] = UNPROVEN
     for line in _lines(pulls):
         rests, always, some = line.limits(least[line.own], most[line.own])
-        known = np.where(rests & some, TIED, np.where(always, SLIPPING, np.where(rests, CRITICAL, UNPROVEN)))
+        known = np.where(rests & some, TIED, np.where(always, SLIPPING, np.where(rests, SLIPLESS, UNPROVEN)))
         unclear = line.with_others(between.unclear[line.own])
         state[line.own] = np.where(unclear & (known != TIED), UNPROVEN, known)
     found = np.full(count, SLIPLESS)

@@ -11,7 +11,6 @@ from taichi_bearings.proof.contact_state import (
     SATURATED,
     ContactState,
     count,
-    critical,
     separate,
     too_uneven,
     unresolved,
@@ -21,7 +20,6 @@ from taichi_bearings.scene import Scene, Solution, Status
 from taichi_bearings.solvers.gear import ACCURATE_ERROR
 from taichi_bearings.words import counted
 
-SLIPLESS, SLIPPING, UNPROVEN = ContactState.SLIPLESS, ContactState.SLIPPING, ContactState.UNDECIDED
 DECADE = 10.0  # slips closer than that to what is resolved, or to those of the other kind, are named
 STRETCHED_SHARE = 1e-2  # of the distance that the planes have slid past each other, that springs may take up
 ROUNDED_SLIP = 1e-10  # of the fastest imposed surface, up to which a slip may be none but for rounding
@@ -35,7 +33,7 @@ UNFINISHED = {
 
 def caveats(solution: Solution, settings: RunSettings) -> list[str]:
     """All that is to be said of an answer, (R,) samples together."""
-    of_packings = (_without_power, _too_wide, _not_proven, _untouched)
+    of_packings = (_without_power, _too_wide, _not_proven, _untouched, _tied)
     of_kind = (_torque_between, *(CAVEATS if isinstance(solution.scene, Scene) else of_packings))
     return [sentence for of in of_kind for sentence in of(solution, settings)]
 
@@ -163,10 +161,9 @@ def _unfinished(solution: Solution, settings: RunSettings) -> Iterator[str]:
 
 
 def _undecided(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Contacts whose slip and friction disagree; critical and tied ones are known for what they are."""
-    known = critical(solution) + solution.findings.get("tied_contacts", 0)
-    number = int((count(solution.state, ContactState.UNDECIDED) - known).sum())
-    named = (solution.proven == UNPROVEN) & (solution.state != UNPROVEN)
+    """Contacts whose slip and friction disagree."""
+    number = int(count(solution.state, ContactState.UNDECIDED).sum())
+    named = ~solution.proven & (solution.state != ContactState.UNDECIDED)
     uneven = too_uneven(solution) & ~named.any(axis=1)
     if uneven.any():
         of = _in_samples(uneven)
@@ -177,12 +174,12 @@ def _undecided(solution: Solution, settings: RunSettings) -> Iterator[str]:
         fast = undecided & (solution.slip > solution.slip_threshold)
         bears_all = solution.force >= full * scene.coefficient
         held = int((fast & ~bears_all).sum())
-        passing = int((fast & bears_all & (solution.proven == SLIPLESS) & ~unresolved(solution)).sum())
-        all_contacts = scene.lattice.contacts * scene.replicas
+        passing = int((fast & bears_all & ~unresolved(solution)).sum())
+        all_contacts = int((solution.state != ContactState.DRIVEN).sum())
         kinds = {
             f"creep faster than {solution.slip_threshold:.1e} while their friction is below its limit": held,
             "are at their friction limit, and move too slowly to be told from rest": number - held - passing,
-            "slip now, and are proven to slip at no minimum": passing,
+            "slip now, and are not known to slip at every minimum": passing,
         }
         told = "; ".join(f"{count:,} {words}" for words, count in kinds.items() if count)
         yield f"{number:,} of {counted(all_contacts, 'contact')} undecided: {told}"
@@ -193,7 +190,7 @@ def _mingled(solution: Solution, settings: RunSettings) -> Iterator[str]:
     near = (solution.gap <= settings.tolerance) & ~solution.states_proven
     if not solution.scene.law.holds or not near.any():
         return
-    doubtful = near[:, None] & (solution.state == SLIPPING) & (solution.proven == UNPROVEN)
+    doubtful = near[:, None] & (solution.state == ContactState.SLIPPING) & ~solution.proven
     faint = int((doubtful & unresolved(solution, DECADE)).sum())
     if faint:
         dissipate = "dissipates" if faint == 1 else "dissipate"
@@ -209,7 +206,7 @@ def _mingled(solution: Solution, settings: RunSettings) -> Iterator[str]:
 
 
 def _tied(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    tied = int(np.sum(solution.findings.get("tied_contacts", 0)))
+    tied = int(count(solution.state, ContactState.TIED).sum())
     if tied:
         yield f"minima tie exactly: {counted(tied, 'contact')} slip at some of them and not at others"
 

@@ -14,7 +14,7 @@ from taichi_bearings.lattice import Lattice
 from taichi_bearings.options import options_of
 from taichi_bearings.packing import Packing, Packings, solve_packing
 from taichi_bearings.packing.found import TOLERANCE, Sides, completed
-from taichi_bearings.proof.contact_state import all_proven, by_threshold
+from taichi_bearings.proof.contact_state import by_threshold, decided, what_is_proven
 from taichi_bearings.runs.settings import OF_SIDES, SIZES, RunSettings
 from taichi_bearings.runs.solved import Run
 from taichi_bearings.runs.torque import refuse_driven, under_torque
@@ -202,5 +202,6 @@ def solved_packing(settings: RunSettings, packing: Packing, start: Any = None, *
         found = under_torque(found, settings.torque, lambda packings: solved_packing(free, packings[0], **others))
     if (threshold := settings.slip_threshold) is None:
         return found
-    state = by_threshold(found.slip, found.state, threshold)
-    return replace(found, state=state, slip_threshold=threshold, states_proven=all_proven(state, found.proven))
+    told, known = by_threshold(found.slip, found.state, threshold), what_is_proven(found.state, found.proven)
+    state, proven = decided(told, known, is_present=True)
+    return replace(found, state=state, proven=proven, slip_threshold=threshold)

@@ -16,7 +16,7 @@ from taichi_bearings.files.scan_journal import JOURNAL_NAME
 from taichi_bearings.files.whole_file import attributes_of, layout_of, put, read_hdf5, write_hdf5
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.lattice.grid import axis_numbers, friction_by_axis
-from taichi_bearings.proof.contact_state import ContactState, nothing_proven
+from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.quantities import (
     CHECK_ROWS,
     CONTACTS,
@@ -54,7 +54,6 @@ FRICTION_OF_SECOND = {
     3: "friction on the second sphere, laboratory frame",
 }
 """By dimension. It is in balance and within the friction limits, so the lower bound follows from it."""
-NOT_IN_ALL = ("slip_bound", "proven")  # data sets of contacts that a run file may lack
 WHOLE_SETS = re.compile("/state$|/proven$|^history/")  # data sets that may hold whole numbers
 OF_VECTORS = 5  # axes of friction on cubic lattices, of which a component is 0: replicas, lattice, components
 
@@ -68,6 +67,7 @@ def write_run_file(path: Path, solution: Solution, attributes: Mapping[str, Any]
 
     def fill(file: h5py.File) -> None:
         for name, values, unit, text in _rows(solution):
+            values = values.astype(np.uint8) if values.dtype == bool else values
             sparse = values.dtype == np.uint8 or (name.endswith("/friction") and values.ndim == OF_VECTORS)
             packed = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if sparse and values.size else {}
             put(file, name, values[0] if one else values, unit, text, **packed)
@@ -274,7 +274,7 @@ class _Sets:
             words = "finite numbers"
         elif name in CONTACTS and (values < 0).any():
             words = "no negative numbers"
-        elif name == "state" and (values.dtype.kind not in "ui" or (values > known).any()):
+        elif name in ("state", "proven") and (values.dtype.kind not in "ui" or (values > known).any()):
             words = f"whole numbers from 0 to {known}"
         if words:
             raise FileError(f"{name} in {self.path} is damaged: it must hold {words}")
@@ -301,37 +301,55 @@ def _read(path: Path, file: h5py.File, attributes: Mapping[str, Any], settings: 
     ended = [Status(name) for name in np.atleast_1d(attributes["status"]).tolist()]
     status = next((one for one in ended if one is not Status.CERTIFIED), Status.CERTIFIED)
     first = "contact/x" if is_lattice else "contact"
-    there = [name for name in CONTACTS if name not in NOT_IN_ALL or f"{first}/{name}" in file]
-    sets = {name: of_contacts(name) for name in there}
+    there = [name for name in CONTACTS if name != "proven" or f"{first}/{name}" in file]  # early files lack it
+    sets: dict[str, Any] = {name: of_contacts(name) for name in there}
     sets |= {"friction": of_contacts("friction", *vector), "spin": arrays.get("spin", *sites, *vector)}
     is_stored = "spin_rounding" in file
     sets["spin_rounding"] = arrays.get("spin_rounding", *sites, *vector) if is_stored else np.zeros_like(sets["spin"])
     for name, values in sets.items():
-        is_fine = (lambda of: ~np.isnan(of)) if name == "slip_bound" else np.isfinite
-        arrays.check(name, values, is_fine if status is not Status.NOT_FINITE else np.isreal)
+        arrays.check(name, values, np.isfinite if status is not Status.NOT_FINITE else np.isreal)
     own: dict[str, np.ndarray] = {"status": np.broadcast_to(np.array(ended, dtype=object), replicas)}
     if apart:
         own["iterations"] = number("iterations").astype(np.int64)
     numbers: dict[str, Any] = {key: number(key) for key in ("power", "lower_bound", "gap", "largest_balance_residual")}
     numbers |= {key: float(attributes[key]) for key in ("slip_threshold", "seconds", "seconds_compile")}
-    more: dict[str, Any] = {"slip_bound": None, "proven": nothing_proven(sets["state"]), **sets}
+    history = arrays.history(apart, is_needed=is_lattice)
+    if attributes["schema_version"] == 1:
+        all_proven = number("states_proven") == 1
+        sets["state"], sets["proven"] = _of_layout_1(sets["state"], sets.get("proven"), all_proven, "time" in history)
+    sets["proven"] = sets["proven"] == 1
     told = dict.fromkeys([*attributes.get("findings", FINDINGS), *(() if is_lattice else SAID_OF_PACKINGS)])
+    told.pop("tied_contacts", None)  # of layout 1
     return Solution(
         scene=scene,
         method=str(attributes["method"]),
         status=status,
         iterations=int(np.max(attributes["iterations"])),
-        power_per_contact=more.pop("power"),
-        states_proven=number("states_proven") == 1,
+        power_per_contact=sets.pop("power"),
         objective=number("potential" if scene.law.minimises == "potential" else "power"),
-        history=arrays.history(apart, is_needed=is_lattice),
+        history=history,
         findings={name: number(name) for name in told if name in attributes},
         own=own,
         running=Runtime(**{key: attributes.get(key, value) for key, value in vars(HOST).items()}),
         snapshots=arrays.snapshots(apart, *sites, *vector) if "snapshots" in file else None,
         **numbers,
-        **more,
+        **sets,
     )
+
+
+def _of_layout_1(
+    state: np.ndarray, proven: np.ndarray | None, all_proven: np.ndarray, is_dynamics: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """States (R, E), and which of them are proven, of files in which `proven` was what is proven of all minima: 0, 1
+    and 4 as states are now, 2 nothing, 3 of contacts that take no part; and in which contacts at their limit that slip
+    at no minimum, and tied ones, had the state 2. all_proven : (R,), what files say that have no `proven`."""
+    acts = state != ContactState.DRIVEN
+    if proven is None:
+        return state, ~acts | (all_proven[:, None] & (state != ContactState.UNDECIDED))
+    known, is_named = proven != ContactState.UNDECIDED, state != ContactState.UNDECIDED
+    if not is_dynamics:  # which has states of its own motion
+        state = np.where(acts & ~is_named & known, proven, state)
+    return state, ~acts | (known & (state == proven))
 
 
 ENERGIES = {"time", "kinetic_energy", "spring_energy", "injected_energy", "dissipated_energy"}

@@ -22,11 +22,11 @@ import numpy as np
 
 from taichi_bearings.errors import FileError
 from taichi_bearings.numerics.blas import one_thread
-from taichi_bearings.proof.contact_state import ContactState, all_proven
+from taichi_bearings.proof.contact_state import ContactState, decided
 from taichi_bearings.proof.elimination import EPS
 from taichi_bearings.proof.judgement import Judgement
 from taichi_bearings.proof.network import StoredPacking
-from taichi_bearings.proof.samples import CRITICAL, SLIPLESS, SLIPPING, TIED, UNPROVEN
+from taichi_bearings.proof.samples import SLIPLESS, SLIPPING, TIED, UNPROVEN
 from taichi_bearings.quantities import CONTACTS, Answered, found_in, numbers_of, plain
 from taichi_bearings.runs.run_file import file_of, read_claims
 from taichi_bearings.runs.solved import Run
@@ -49,7 +49,9 @@ OUTWARDS = {
 """Numbers that are bounds, or follow from them: on which side of the true ones rounding may have put them."""
 OF_FILE = {"version"}  # numbers that are those of the program, not of the answer
 TORQUE_COST = 1e-12  # of the power, that torques left over may cost where friction counts as balanced
-PROVEN_STATES = {"slipless": (SLIPLESS, CRITICAL), "slipping": (SLIPPING,), "tied": (TIED,), "unproven": (UNPROVEN,)}
+PROVEN_STATES = {"slipless": SLIPLESS, "slipping": SLIPPING, "tied": TIED, "unproven": UNPROVEN}
+OF_STATES = {"contacts", "slipping", "slipless", "undecided", "unproven", "states_proven", "minimum_is_unique"}
+"""Numbers that say something else in files of layout 1, whose codes are translated when they are read."""
 UNJUDGED = "a number is not finite, or the scales of the scene are too far from one for any arithmetic"
 
 
@@ -122,10 +124,10 @@ class Anew:
         return np.concatenate([getattr(one, name) for one in self.judgements])
 
     @cached_property
-    def proven(self) -> np.ndarray:
-        """(R, E), what is proven of each contact; ContactState.DRIVEN where it takes no part."""
+    def known(self) -> np.ndarray:
+        """(R, E), the states that are proven of all minima; ContactState.DRIVEN where a contact takes no part."""
         states = np.stack([states.proven for one in self.judgements for states in one.states])
-        return np.where(self.of("acts"), np.where(states == CRITICAL, SLIPLESS, states), ContactState.DRIVEN)
+        return np.where(self.of("acts"), states, ContactState.DRIVEN)
 
     @cached_property
     def solution(self) -> Solution:
@@ -133,7 +135,7 @@ class Anew:
         stored, scene, slip = self.run.solution, self.run.solution.scene, self.of("slip")
         ended = np.array(stored.own["status"])
         ended[ended == Status.CERTIFIED] = Status.STALLED  # unless the gap is within the tolerance
-        agrees = all_proven(stored.state, stored.proven) & (stored.proven == self.proven).all(axis=1)
+        proven = stored.proven & decided(stored.state, self.known, is_present=True)[1]
         said = {
             "proof": [one.proof for one in self.judgements],
             "driven_power": [o.driven_power for o in self.judgements],
@@ -147,7 +149,7 @@ class Anew:
             objective=self.of("objective"),
             lower_bound=self.of("lower_bound"),
             gap=self.of("gap"),
-            states_proven=agrees,
+            proven=proven,
             largest_balance_residual=stored.largest_balance_residual if follows_motion else self.of("largest_torque"),
             findings={**stored.findings, **{name: np.array(v) for name, v in said.items() if name in stored.findings}},
             own={**stored.own, "status": ended},
@@ -179,7 +181,7 @@ class Anew:
             "balanced": (self.of("price") <= TORQUE_COST).tolist(),
             "inside_discs": np.concatenate([one.bounds.worst <= most for one in self.judgements]).tolist(),
             "states_proven": [
-                {name: int((np.isin(s.proven, kinds) & acts).sum()) for name, kinds in PROVEN_STATES.items()}
+                {name: int(((s.proven == kind) & acts).sum()) for name, kind in PROVEN_STATES.items()}
                 for s, acts in zip(states, self.of("acts"), strict=True)
             ],
             "minimum_is_unique": [s.unique for s in states],
@@ -208,19 +210,20 @@ class Anew:
         yield from self._contacts()
         yield from _not_driven_so(stored)
         answered = Answered(self.solution, self.run.settings.tolerance, self.run.settings.duration)
-        yield from _said_otherwise(attributes, numbers_of(answered), stored.scene.replicas)
+        left_out = OF_STATES if attributes["schema_version"] == 1 else set()
+        held = {name: value for name, value in numbers_of(answered).items() if name not in left_out}
+        yield from _said_otherwise(attributes, held, stored.scene.replicas)
 
     def _contacts(self) -> Iterator[str]:
         """Arrays over the contacts that do not follow, or say more than is proven."""
         stored, new = self.run.solution, dict(found_in(self.solution, HELD))
         wrong = {f"another {row.text} than spins and coefficients give": _differ(row.of(stored), value)
                  for row, value in new.items()}  # fmt: skip
-        driven = self.proven == ContactState.DRIVEN
+        driven = self.known == ContactState.DRIVEN
         wrong["states that do not name those between driven spheres and those absent"] = driven != (
             stored.state == ContactState.DRIVEN
         )
-        claims = (stored.proven != ContactState.UNDECIDED) & (stored.proven != self.proven)
-        wrong["a state that is said to be proven and is not"] = claims
+        wrong["a state that is said to be proven and is not"] = stored.proven & (stored.state != self.known)
         for what, mask in wrong.items():
             if mask.any():
                 yield f"{int(mask.sum()):,} contacts have {what}"

@@ -236,7 +236,7 @@ def _report(histograms: Histograms, by: str | None) -> dict[str, Any]:
 def _numbers_of(parts: Sequence[PowerHistogram]) -> dict[str, Any]:
     """Contacts and samples; `asked`, samples that were asked for; `left_out`, why some are not pooled -> how many;
     `census`, in words."""
-    names = ("slipping", "slipless", "undecided", "samples")
+    names = ("slipping", "slipless", "tied", "undecided", "samples")
     counted = {name: sum(getattr(part, name) for part in parts) for name in names}
     census = Census(counted["samples"], sum((Counter(part.left_out) for part in parts), Counter()))
     return counted | {"asked": census.asked, "left_out": dict(census.left_out), "census": str(census)}

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from enum import Enum
+from enum import Enum, IntEnum
 from typing import Any
 
 import numpy as np
@@ -37,6 +37,16 @@ class Status(Enum):
     def reached(self) -> bool:
         """True if the run did what was asked for."""
         return self in (Status.CERTIFIED, Status.STATIONARY, Status.FINISHED)
+
+
+class ContactState(IntEnum):
+    """One word for a contact, as in ``/contact/<axis>/state``; whether it is proven stands beside it."""
+
+    SLIPLESS = 0  # it slips at no minimum
+    SLIPPING = 1  # it slips at every minimum
+    UNDECIDED = 2  # slip and friction disagree, and nothing is proven
+    DRIVEN = 3  # between two driven spheres, or absent: it takes no part
+    TIED = 4  # it slips at some minima and rests at others; only what is proven is called so
 
 
 @dataclass(frozen=True)
@@ -166,11 +176,10 @@ class Solution:
     friction : on the upper sphere of each contact, laboratory frame, (R, E, 3); in 2D (R, E),
         the component along z x n (lattice.grid.laboratory_forces). The lower bound follows from it: within the friction
         discs, and in balance where such forces prove as much as others (certificate.certifying_forces).
-    states_proven : (R,), True where the contact states are proven to be those of every minimum.
-    slip_bound : (R, E): no minimiser slips faster there; proven. None for viscous lattices.
+    state : values of `ContactState`. proven : (R, E), True where the state is proven, and where a contact
+        takes no part.
     power : (R,). objective : (R,), what the stationary state minimises: the power, or the potential where no multiple
         of it is the power. lower_bound, gap : (R,), of the objective; BearingsError where a bound lies above it.
-    proven : (R, E), a contact slips 0 at no minimum, 1 at every one, 4 at some; 2 not proven, 3 driven.
     findings : what else the method has found, by name, (R,) each.
     own : of `iterations`, `slip_threshold`, `status` and `seconds` what they are of each replica alone, (R,), where
         that can be told.
@@ -193,9 +202,7 @@ class Solution:
     force: np.ndarray
     friction: np.ndarray
     state: np.ndarray
-    slip_bound: np.ndarray | None
     proven: np.ndarray
-    states_proven: np.ndarray
     power: np.ndarray
     objective: np.ndarray
     lower_bound: np.ndarray
@@ -227,20 +234,22 @@ class Solution:
         return self.scene if isinstance(self.scene, Scene) else self.scene[0]
 
     @property
-    def minimum_is_unique(self) -> list[bool | None]:
-        """(R,), True where it is proven that no other slips have the least power, False that others do, else None.
-
-        Ties are exact where cuts are counted in whole numbers, with one component.
-        """
-        said = self.findings.get("tied_contacts", np.zeros(len(self.states_proven)))
-        exact = len(self.scene.minimum_spin_axes) == 1
-        tied = (self.proven == 4).any(axis=1) | (exact & (said > 0))
-        return [False if ties else True if none else None for ties, none in zip(tied, self.unproven == 0, strict=True)]
+    def unproven(self) -> np.ndarray:
+        """(R,), contacts whose state is not proven."""
+        return np.asarray((~self.proven).sum(axis=1))
 
     @property
-    def unproven(self) -> np.ndarray:
-        """(R,), contacts of which it is not proven whether they slip at every minimum, at none or at some."""
-        return np.asarray((self.proven == 2).sum(axis=1))
+    def states_proven(self) -> np.ndarray:
+        """(R,), True where the state of every contact is proven."""
+        return np.asarray(self.proven.all(axis=1))
+
+    @property
+    def minimum_is_unique(self) -> list[bool | None]:
+        """(R,), True where it is proven that no other slips have the least power, False that others do, else None."""
+        tied = (self.state == ContactState.TIED).any(axis=1)
+        return [
+            False if ties else True if known else None for ties, known in zip(tied, self.states_proven, strict=True)
+        ]
 
     def sample(self, number: int) -> "Solution":
         """One replica of it as if it had been solved alone; its seconds are its share where its own are not known."""

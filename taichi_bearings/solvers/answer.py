@@ -11,14 +11,13 @@ from taichi_bearings.proof.contact_state import (
     SATURATED,
     ContactState,
     classify,
-    nothing_proven,
+    decided,
     separate,
     too_uneven,
     unresolved,
 )
 from taichi_bearings.proof.judgement import Judgement
-from taichi_bearings.proof.samples import CRITICAL, LAWS, SLIPLESS, SLIPPING, UNPROVEN, Samples
-from taichi_bearings.proof.states import States
+from taichi_bearings.proof.samples import LAWS, Samples
 from taichi_bearings.scene import Progress, Scene, Solution, Status
 from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.solvers.method import Method
@@ -47,7 +46,7 @@ def answered(
     slip = scene.slips(final.staggered, final.spin_axes) if final.slip is None else final.slip
     slip = slip if judgement is None else judgement.slip
     state, resolves, of_all = _told_apart(
-        scene, slip, final, threshold, _decided(scene, judgement, method.options.is_dynamics), proof
+        scene, slip, final, threshold, _known_at_once(judgement, method.options.is_dynamics), proof
     )
     own = {"slip_threshold": resolves} | ({} if final.ended is None else {"iterations": final.ended})
     per_contact = scene.law.power(scene.contact, slip)
@@ -71,9 +70,7 @@ def answered(
         force=_acting(scene, method, final, slip) if method.options.is_dynamics else vector_length(proof),
         friction=friction,
         state=state,
-        slip_bound=None if judgement is None else judgement.slip_bound,
-        proven=nothing_proven(state),
-        states_proven=np.zeros(scene.replicas, dtype=bool),
+        proven=state == ContactState.DRIVEN,
         power=power,
         objective=objective,
         lower_bound=bound,
@@ -97,9 +94,7 @@ def with_forces_of(answer: Solution, other: Solution) -> Solution:
         answer,
         friction=other.friction,
         force=other.force,
-        states_proven=np.zeros(1, dtype=bool),
-        proven=nothing_proven(answer.state),
-        slip_bound=judgement.slip_bound,
+        proven=answer.state == ContactState.DRIVEN,
         largest_balance_residual=judgement.largest_torque,
         lower_bound=judgement.lower_bound,
         gap=judgement.gap,
@@ -111,14 +106,14 @@ def _told_apart(
     slip: np.ndarray,
     final: Progress,
     threshold: float | None,
-    decided: np.ndarray | None,
+    known: np.ndarray | None,
     proof: Forces,
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """Contact states, and slips up to which contacts count as slipless, (R,) and of all: as asked for, or else what can
     be resolved. Where more than the slip tells them apart, that is the largest slip of a slipless contact: others may
     slip slower.
 
-    decided : states that are proven contact by contact; of the others none slips by Coulomb's law whose friction in
+    known : states that are proven contact by contact; of the others none slips by Coulomb's law whose friction in
     `proof` is off its limit.
     """
     if threshold is not None:
@@ -127,10 +122,10 @@ def _told_apart(
     rounding = 1e-12 * scene.lattice.radius * scene.jump if final.slip is None else 0.0
     resolves = np.maximum(final.resolution, rounding) * np.ones(scene.replicas)
     state = _states(scene, slip, final, float(resolves.max()), asked=False)
-    if decided is not None:
+    if known is not None:
         off = (state == ContactState.SLIPPING) & (saturation(scene, proof) < SATURATED) & (not scene.law.flows)
         state = np.where(off, ContactState.UNDECIDED, state)
-        state = np.where((state == ContactState.DRIVEN) | (decided == UNPROVEN), state, decided).astype(np.uint8)
+        state = decided(state, known)[0]
     found = separate(scene, slip, state)
     largest, smallest = np.fmax(found.largest_slipless, 0.0), np.fmin(found.smallest_slipping, np.inf)
     each = np.where(smallest <= resolves, largest, np.maximum(resolves, largest))
@@ -138,7 +133,7 @@ def _told_apart(
     return state, each, of_all
 
 
-def _decided(scene: Scene, judgement: Judgement | None, is_dynamics: bool) -> np.ndarray | None:
+def _known_at_once(judgement: Judgement | None, is_dynamics: bool) -> np.ndarray | None:
     """What is proven of the states at every minimum, (R, E), where it is contact by contact.
 
     A dynamics has the states of its own motion; where the force grows with the slip these are the same, if proven.
@@ -187,11 +182,26 @@ def judged(scene: Scene, spin: np.ndarray, spin_rounding: np.ndarray, friction: 
     return judgement if judgement.can_be_judged else None
 
 
-def above_noise(answer: Solution) -> np.ndarray:
-    """Its contact states, where nothing is proven those undecided that seem to slip by less than the gap or what
-    friction misses of its limit can resolve, or to rest while they bear all their friction; all of them where
-    coefficients are too uneven for anything but a cut. With one component what is not proven beside proven contacts is
-    what cuts that (nearly) tie differ in: there contacts that seem to slip are undecided, too."""
+def named(
+    answer: Solution, final: Progress, known: np.ndarray | None, has_ended: bool = False, is_present: bool = False
+) -> Solution:
+    """The answer with the states of its contacts, and which of them are proven.
+
+    known : (R, E), the states that are proven of all minima, UNDECIDED where nothing is; None if nobody has asked.
+    has_ended, is_present : as of :func:`taichi_bearings.proof.contact_state.decided`.
+    """
+    open_ = np.full(answer.state.shape, ContactState.UNDECIDED)
+    known = open_ if known is None else known
+    is_of_method = final.state is not None and answer.scene.law.is_rate_independent
+    told = above_noise(answer, known) if is_of_method else answer.state
+    state, proven = decided(told, known, is_present, has_ended)
+    return replace(answer, state=state, proven=proven)
+
+
+def above_noise(answer: Solution, known: np.ndarray) -> np.ndarray:
+    """What slip and friction say of the contacts (R, E): those of which nothing is `known` are undecided where they
+    seem to slip by less than the gap or what friction misses of its limit can resolve, or to rest while they bear all
+    their friction; all of them where coefficients are too uneven for anything but a cut."""
     scene, slips = answer.scene, answer.state == ContactState.SLIPPING
     limit = scene.strength * scene.coefficient
     missing = limit - answer.force - ROUNDED_LIMIT * limit
@@ -200,65 +210,27 @@ def above_noise(answer: Solution) -> np.ndarray:
     doubtful |= (answer.state == ContactState.SLIPLESS) & (answer.force >= SATURATED * limit)
     if "cut_is_unique" not in answer.findings:  # cuts are exact, whatever the contrast
         doubtful |= too_uneven(answer)[:, None] & (answer.state != ContactState.DRIVEN)
-    if len(scene.minimum_spin_axes) == 1:
-        doubtful |= slips & (answer.proven < ContactState.UNDECIDED).any(axis=1, keepdims=True)
-    doubtful &= answer.proven == ContactState.UNDECIDED
+    doubtful &= known == ContactState.UNDECIDED
     return np.where(doubtful, ContactState.UNDECIDED, answer.state).astype(np.uint8)
 
 
-def proven(scene: Scene, final: Progress, judgement: Judgement | None, at_minimum: bool) -> list[States | None]:
-    """What the verifier proves of the states at every minimum, sample by sample; None where it is not asked.
+def known_states(scene: Scene, final: Progress, judgement: Judgement | None, has_ended: bool) -> np.ndarray | None:
+    """The states (R, E) that are proven of all minima; None where that is not asked.
 
-    It is asked where the method believes that it has found them, where that is cheap, and, at_minimum, of a motion that
+    It is asked where the method believes that it has found them, where that is cheap, and, has_ended, of a motion that
     is proven to have come there.
     """
     one_component = scene.law.is_rate_independent and len(scene.minimum_spin_axes) == 1
-    together = one_component or scene.law.flows or at_minimum
+    together = one_component or scene.law.flows or has_ended
     asked = (
         np.full(scene.replicas, together)
         if final.states_believed is None or together
         else np.array(final.states_believed)
     )
     if judgement is None or not asked.any():
-        return [None] * scene.replicas
+        return None
     with one_thread():
         if asked.all():
-            return list(judgement.states)
-        return [judgement.one(number).states[0] if asks else None for number, asks in enumerate(asked)]
-
-
-def named(answer: Solution, found: list[States | None], as_proven: bool, at_minimum: bool) -> Solution:
-    """The answer with what is proven of its contacts. as_proven : that is what they are called; a dynamics has states
-    of its own motion, and so has an answer for which a threshold was asked for. at_minimum : a motion that is proven
-    to have come there leaves those contacts undecided that are proven to be something else than what they do now."""
-    state = answer.state
-    open_ = np.full(state.shape[1], UNPROVEN)
-    what = np.stack([open_ if states is None else states.proven for states in found])
-    driven = state == ContactState.DRIVEN
-    if as_proven:
-        name = np.where(what == CRITICAL, ContactState.UNDECIDED, np.where(what == UNPROVEN, state, what))
-        state = np.where(driven, state, name).astype(np.uint8)
-    elif at_minimum:
-        passing = np.isin(what, (SLIPLESS, CRITICAL)) & (state == ContactState.SLIPPING)
-        passing |= (what == SLIPPING) & (state == ContactState.SLIPLESS)
-        state = np.where(passing & ~driven, ContactState.UNDECIDED, state).astype(np.uint8)
-    known = np.where(driven, state, np.where(what == CRITICAL, ContactState.SLIPLESS, what)).astype(np.uint8)
-    pairs = zip(found, state, strict=True)
-    agree = [of is not None and of.agree(said) for of, said in pairs]
-    return replace(answer, state=state, proven=known, states_proven=np.array(agree))
-
-
-def with_ties_counted(answer: Solution) -> Solution:
-    """The answer with contacts that slip at some minima alone counted, and undecided. With one component and absent
-    contacts only a cut knows their number."""
-    tied, scene = answer.state == ContactState.TIED, answer.scene
-    absent = len(scene.minimum_spin_axes) == 1 and bool((scene.coefficient == 0).any())
-    if absent and "cut_is_unique" not in answer.findings:
-        left_out = {name: values for name, values in answer.findings.items() if name != "tied_contacts"}
-        known = np.where(tied, ContactState.UNDECIDED, answer.state).astype(np.uint8)
-        return replace(answer, state=known, findings=left_out)
-    state = np.where(tied, ContactState.UNDECIDED, answer.state).astype(np.uint8)
-    looked = "tied_contacts" in answer.findings or tied.any()
-    return replace(
-        answer, state=state, findings={**answer.findings, **({"tied_contacts": tied.sum(axis=1)} if looked else {})}
-    )
+            return np.stack([found.proven for found in judgement.states])
+        open_ = np.full(scene.coefficient.shape[1], ContactState.UNDECIDED)
+        return np.stack([judgement.one(n).states[0].proven if asks else open_ for n, asks in enumerate(asked)])

@@ -13,7 +13,7 @@ from taichi_bearings.errors import DeviceError, FileError, InputError
 from taichi_bearings.interrupts import GivenUp, Interrupt, while_wanted
 from taichi_bearings.proof.certificate import Forces, relative_gap
 from taichi_bearings.scene import Progress, Scene, Solution, Status
-from taichi_bearings.solvers.answer import above_noise, answered, named, proven, with_ties_counted
+from taichi_bearings.solvers.answer import answered, known_states, named
 from taichi_bearings.solvers.dynamics import Dynamics
 from taichi_bearings.solvers.method import Method
 from taichi_bearings.solvers.recording import Recorder, Recording
@@ -275,13 +275,11 @@ class Course:
         if status in (Status.CERTIFIED, Status.STALLED):
             certified = (found.gap <= self.stop.tolerance).all()
             status = Status.CERTIFIED if certified else self.ended_as(found)
+        moves = isinstance(self.method, Dynamics) and not scene.law.flows
+        has_ended, known = moves and threshold is None and status is Status.CERTIFIED, None
         with suppress(GivenUp), self.interrupt.at_once(self.stop.seconds - self._seconds_of_this_call):
-            as_proven = threshold is None and (scene.law.flows or not isinstance(self.method, Dynamics))
-            at_minimum = threshold is None and not as_proven and status is Status.CERTIFIED
-            found = named(found, proven(scene, final, judgement, at_minimum), as_proven, at_minimum)
-        if final.state is not None and scene.law.is_rate_independent:
-            found = replace(found, state=above_noise(found))
-        found = with_ties_counted(found)
+            known = known_states(scene, final, judgement, has_ended)
+        found = named(found, final, known, has_ended, is_present=moves or threshold is not None)
         return replace(found, status=status, seconds=seconds, history=history, snapshots=snapshots)
 
 

@@ -178,9 +178,6 @@ class InteriorPointMethod(Descent, Method):
         self.system.scatter_vectors(forces, force, slice(None))
         objective = scene.objective(scene.impose_driving(staggered, self.spin_axes), self.spin_axes)
         settled = np.array([sample.resolved is not None for sample in self.samples])
-        tied = [None if sample.resolved is None else sample.resolved.tied for sample in self.samples]
-        counts = [0 if of is None else int(of.sum()) for of in tied]  # where that was looked for
-        findings = {} if all(of is None for of in tied) else {"tied_contacts": np.array(counts)}
         creep = slips.max(axis=1, initial=0.0, where=states == ContactState.SLIPLESS)
         settles_more = self.options.settle and self.frustrated and not all(sample.done for sample in self.samples)
         return Progress(
@@ -197,7 +194,6 @@ class InteriorPointMethod(Descent, Method):
             state=state if self.frustrated else None,
             slip=slip if self.frustrated else None,
             settled=settled,
-            findings=findings,
             states_believed=np.array(
                 [sample.resolved is not None and sample.resolved.borne for sample in self.samples]
             ),

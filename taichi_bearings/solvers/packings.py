@@ -15,7 +15,7 @@ from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.packing.answer import SLIPLESS, SLIPPING, UNDECIDED, judged
 from taichi_bearings.packing.packing import Packing
 from taichi_bearings.packing.system import Found
-from taichi_bearings.proof.contact_state import all_proven, classify
+from taichi_bearings.proof.contact_state import classify, decided, what_is_proven
 from taichi_bearings.scene import Progress, Solution, Status
 from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.solvers.cundall_strack import CundallStrackMethod, largest_step
@@ -110,21 +110,23 @@ class OnNetwork(Method):
             np.zeros(system.unknowns), proof[:, 0, network.of_system], row.name, everywhere=last.staggered[:, 0].T
         )
         result = judged(system, found, stop.tolerance, row.is_dynamics)
-        force, state, slip = result.force.copy(), result.state.copy(), result.slip[0]
+        force, told, slip = result.force.copy(), result.state.copy(), result.slip[0]
         force[:, network.acting] = vector_length(last.force)
         loose = np.setdiff1d(network.acting, system.contact)
-        state[0, loose] = np.where(slip[loose] > last.resolution, SLIPPING, SLIPLESS)
-        if network.law.holds and row.is_dynamics:
-            state[:, network.acting] = _moving(network, result, last)
+        told[0, loose] = np.where(slip[loose] > last.resolution, SLIPPING, SLIPLESS)
+        if network.law.holds:
+            now = result.slip[:, network.acting], last.force, float(np.max(last.resolution))
+            told[:, network.acting] = classify(network, *now)
         if not network.law.holds:  # sum eta |slip - that of the minimum|^2 is no more than what is open of the power
             left = max(result.objective[0] - result.lower_bound[0], 0.0)
             apart = np.sqrt(left / network.acting_coefficient[0])
-            state[0, network.acting[slip[network.acting] <= apart]] = UNDECIDED
+            told[0, network.acting[slip[network.acting] <= apart]] = UNDECIDED
         cut_short = np.isfinite(stop.duration) and course.status in (Status.STEP_LIMIT, Status.TIME_LIMIT)
         status = result.status if result.status is Status.CERTIFIED and not cut_short else course.ended_as(result)
-        proven = all_proven(state, result.proven)
+        moves, known = row.is_dynamics and not network.law.flows, what_is_proven(result.state, result.proven)
+        state, proven = decided(told, known, moves, has_ended=moves and result.status is Status.CERTIFIED)
         iterations = course.last.iteration
-        return replace(result, status=status, iterations=iterations, force=force, state=state, states_proven=proven)
+        return replace(result, status=status, iterations=iterations, force=force, state=state, proven=proven)
 
 
 class CundallStrackOfPacking(OnNetwork, CundallStrackMethod):
@@ -192,16 +194,3 @@ def follow_packing(
     network, built = Network(packing, density), method.build_for_packing()
     with one_thread():
         return solve(network, built, network.start(start), stop, monitors, None, recording, checkpoints)
-
-
-def _moving(network: Network, result: Solution, last: Progress) -> np.ndarray:
-    """States (1, A) of the contacts that act in the motion of now, as of lattices: where the force grows with the slip
-    those of the minimum, if proven; undecided where a motion that is proven to have come there does something else
-    still."""
-    state = classify(network, result.slip[:, network.acting], last.force, float(np.max(last.resolution)))
-    at_minimum = result.proven[:, network.acting]
-    known = np.isin(at_minimum, (SLIPLESS, SLIPPING))
-    if network.law.flows:
-        return np.where(known, at_minimum, state)
-    passing = known & (state != at_minimum) & (result.status is Status.CERTIFIED)
-    return np.where(passing, UNDECIDED, state)

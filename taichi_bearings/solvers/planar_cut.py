@@ -70,12 +70,10 @@ class PlanarCutMethod(Method):
 
     def progress(self) -> Progress:
         scene, axes, cut = self.scene, self.spin_axes, self.iteration > 0
-        tied = self.tied.sum(axis=1)
-        unique = tied == 0
+        unique = self.tied.sum(axis=1) == 0
         findings = {
             "cut_is_unique": unique,
             "next_cut_over_minimum": self.next_over_minimum.min(axis=1),
-            "tied_contacts": tied,
         }
         return Progress(
             iteration=self.iteration,

@@ -12,7 +12,7 @@ from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.runs.points_and_lines import Moments, PointsAndLines
 from taichi_bearings.scene.law import Law
 from taichi_bearings.version import VERSION
-from taichi_bearings.words import undecided_kinds
+from taichi_bearings.words import other_contacts
 
 MOST_BYTES = 64e6  # of snapshots in a page: beyond, only some are shown
 BOTTLENECKS = 200  # busiest contacts that are shown as such
@@ -92,7 +92,7 @@ def facts_of(drawn: PointsAndLines) -> dict[str, Any]:
     proven = bool(drawn.contacts["proven"].values[states != ContactState.DRIVEN].all())
     decided = "proven" if proven else f"decided by {'slip and friction' if law.holds else 'slip'}, not proven"
     told = f"{drawn.answer.method}: {drawn.answer.status.value}; P = {structure.power:.6g}{natural}, {bound}"
-    undecided, tied = structure.contacts_in(ContactState.UNDECIDED), getattr(structure, "tied_contacts", 0)
+    tied, undecided = (structure.contacts_in(kind) for kind in (ContactState.TIED, ContactState.UNDECIDED))
     keys = ("coefficient", "viscosity")[: len(law.quantities)]
     return {
         **own,
@@ -100,7 +100,7 @@ def facts_of(drawn: PointsAndLines) -> dict[str, Any]:
         **_snapshots(drawn.moments),
         "version": VERSION,
         "subtitle": f"{told}; contact states {decided}",
-        "open": ", ".join(undecided_kinds(undecided, structure.critical, tied)),
+        "open": ", ".join(other_contacts(tied, undecided)),
         "proven": proven,
         "analysed": drawn.drawn.is_known,
         "decided": decided,

@@ -11,7 +11,7 @@ def contacts(seed, replicas=6, number=500, spread=4.0):
     """Powers and states, some contacts of every state."""
     rng = np.random.default_rng(seed)
     power = rng.lognormal(0, spread, (replicas, 2 * number))
-    return power, rng.integers(0, 4, power.shape)
+    return power, rng.integers(0, 5, power.shape)
 
 
 def slipping(power, state):
@@ -29,6 +29,7 @@ def test_every_slipping_contact_is_in_its_bin_and_the_others_are_counted(bins_pe
     assert np.allclose(np.diff(np.log10(found.edges)), 1 / bins_per_decade)
     assert found.slipless == (state == ContactState.SLIPLESS).sum()
     assert found.undecided == (state == ContactState.UNDECIDED).sum()
+    assert found.tied == (state == ContactState.TIED).sum()
     assert found.samples == 6
     assert found.density.sum() / bins_per_decade == pytest.approx(1)
 
@@ -44,14 +45,14 @@ def test_nothing_that_slips_makes_no_bins():
 
 def test_errors_by_hand():
     """Two samples with 4 and 0 contacts in the first bin, 2 and 6 in the second."""
-    counts = SampleCounts(0, 1, np.array([[4, 2], [0, 6]]), np.array([[1, 6, 0], [2, 6, 3]]))
+    counts = SampleCounts(0, 1, np.array([[4, 2], [0, 6]]), np.array([[1, 6, 0, 4], [2, 6, 3, 5]]))
     found = pool(counts, 1e-9)
     assert found.count.tolist() == [4, 8]
     assert found.standard_error == pytest.approx(2 * [np.sqrt(2 * 8)])  # 2 samples of variance ((4-2)^2 + (0-2)^2)/1
     assert found.density == pytest.approx([1 / 3, 2 / 3])
     # residuals n_sb - p_b N_s are +-2 and -+2 with N_s = 6, 6
     assert found.density_error == pytest.approx(2 * [np.sqrt(2 * 8) / 12])
-    assert (found.slipless, found.undecided, found.samples) == (3, 3, 2)
+    assert (found.slipless, found.undecided, found.tied, found.samples) == (3, 3, 9, 2)
     one = pool(counts.of(np.array([0])), 1e-9)
     assert one.standard_error == pytest.approx([2, np.sqrt(2)])
     assert one.density_error == pytest.approx([2 / 6, np.sqrt(2) / 6])

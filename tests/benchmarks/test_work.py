@@ -165,7 +165,6 @@ def test_a_whole_lattice_is_judged_by_slices_without_lists_of_contacts_or_search
         before = tracemalloc.get_traced_memory()[0]
         assert (judgement.power > 0).all()
         assert (judgement.lower_bound == 0).all()
-        assert np.isfinite(judgement.slip_bound).all()
         assert (judgement.gap >= 1).all()
         taken = tracemalloc.get_traced_memory()[1] - before
     finally:

@@ -136,7 +136,8 @@ def test_a_bound_above_the_power_is_an_error_everywhere(path, tmp_path):
         file.attrs["lower_bound"] = 1.001 * file.attrs["power"]
     with pytest.raises(FileError, match="a lower bound above its power"):
         read_run(path)
-    scan, empty = tmp_path / "scan.h5", dense_histograms([{}], {"slipping": [0], "slipless": [0], "undecided": [0]})
+    contacts = {name: [0] for name in ("slipping", "slipless", "undecided", "tied")}
+    scan, empty = tmp_path / "scan.h5", dense_histograms([{}], contacts)
     columns = {"status": column(["certified"], "", "end"), "gap": column([1e-9], "1", "gap")}
     write_scan(tmp_path, columns, empty, {"scan": "", "scanned": []})
     read_scan(scan)

@@ -22,7 +22,7 @@ COLUMNS = {
     "iterations": column([1, None, 3], "1", "whole numbers of which one is missing"),
     "error": column([None, "größer, \"als\"\nerlaubt", None], "1", "texts"),
 }  # fmt: skip
-CONTACTS = {"slipping": [3, 0, 2], "slipless": [5, 0, 6], "undecided": [0, 0, 1]}
+CONTACTS = {"slipping": [3, 0, 2], "slipless": [5, 0, 6], "undecided": [0, 0, 1], "tied": [1, 0, 0]}
 
 
 @pytest.fixture

@@ -113,7 +113,7 @@ def test_a_lattice_given_as_packing_has_the_same_minimum(shape, options):
     known = (state != 2) & (found.state != 2)
     assert (state == 2).sum() >= (found.state == 2).sum()
     assert np.array_equal(found.state[known], state[known])
-    if not (state == 2).any():
+    if not np.isin(state, (2, 4)).any():
         assert np.abs(found.slip - slip).max() < 1e-7  # with viscosity the square root of the gap
 
 
@@ -143,7 +143,7 @@ def test_networks_along_the_axes_have_the_minimum_of_any_other(seed, unsettled, 
     assert own.power == pytest.approx(other.power, rel=1e-12)
     known = (own.state != 2) & (other.state != 2)
     assert np.array_equal(own.state[known], other.state[known])
-    assert (own.proven == 2).sum() <= (other.proven == 2).sum()
+    assert own.proven.sum() >= other.proven.sum()
     assert own.slipless_motions == other.slipless_motions
 
 

@@ -110,8 +110,8 @@ def contradiction(found):
         return "Newton's method does not come to an end"
     for e in slipping:
         slip = size(rows[p * e : p * e + p] @ u + fixed[p * e : p * e + p])
-        if not NOTHING < slip <= exact(found.slip_bound[e]) * (1 + Decimal("1e-15")):
-            return f"contact {e} slips by {slip}, of at most {found.slip_bound[e]}"
+        if not slip > NOTHING:
+            return f"contact {e} slips by {slip}"
     force = exact(found.friction[resting]).ravel()  # on the second sphere, along (u_i + u_j) x n where it slips
     left = slope + rows[still].T @ force
     more = rows[still] @ solved(rows[still].T @ rows[still], left)[0]
@@ -138,7 +138,7 @@ def drawn(seed):
 @pytest.mark.parametrize("seed", some_of(120, 9))
 def test_proven_states_are_those_of_the_minimum(seed):
     found = tb.solve(drawn(seed))
-    if (found.proven == 2).any():
+    if not found.states_proven:
         pytest.skip("not all states are proven")
     assert contradiction(found) == ""
 
@@ -174,7 +174,7 @@ def test_wrong_states_contradict_the_minimum(seed):
     found = tb.solve(drawn(seed))
     for state in (0, 1):
         contact = int(np.flatnonzero(found.state == state)[0])
-        names = ("packing", "spin", "spin_rounding", "friction", "slip_bound")
+        names = ("packing", "spin", "spin_rounding", "friction")
         forged = SimpleNamespace(**{name: getattr(found, name) for name in names}, state=found.state.copy())
         forged.state[contact] = 1 - state
         with suppress(ArithmeticError):  # of a rest that cannot be, or where there is no minimum

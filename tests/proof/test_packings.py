@@ -88,27 +88,24 @@ def test_states_of_discs_are_those_of_all_minima(seed):
     assert found.power == pytest.approx(power, rel=1e-14)
     least, most = slips.min(axis=0), slips.max(axis=0)
     rests, always = (least == 0) & (most == 0), (least > 0) | (most < 0)
-    truth = np.where(found.state == 3, 3, np.where(rests, 0, np.where(always, 1, 2)))
-    assert ((found.proven == truth) | (found.proven == 2)).all()
+    truth = np.where(found.state == 3, 3, np.where(rests, 0, np.where(always, 1, 4)))
+    assert ((found.state == truth) | ~found.proven).all()
     if structure_of(packing).bipartite:  # with odd loops the cover may tie where the network does not
-        assert (found.proven == truth).all()
-    acts = found.state != 3
-    assert (found.slip_bound >= np.maximum(-least, most))[acts].all()
+        assert (found.proven | (truth == 4)).all()
+    if structure_of(packing).bipartite and len(np.unique(np.abs(packing.spin[packing.driven >= 0]))) < 2:
+        assert found.proven.all()  # one step between what is imposed, whose cuts are counted
 
 
 @pytest.mark.parametrize("seed", some_of(24, 3))
-def test_bounds_of_slips_and_power_hold_at_another_minimum(seed):
+def test_bounds_of_power_hold_at_another_minimum(seed):
     pytest.importorskip("clarabel")
     packing = drawn(3 * seed + 120)
-    found, (power, slip, status) = tb.solve(packing), clarabel_least(packing)
+    found, (power, _, status) = tb.solve(packing), clarabel_least(packing)
     if status != "Solved":
         pytest.skip("Clarabel has no minimum of its own")
     unit = sum(values.sum() for values in packing.coefficients) * max(np.abs(packing.imposed).max(), 0.01)
     off = 1e-7 * abs(power) + 1e-9 * unit  # what Clarabel reaches
     assert found.lower_bound <= (2 if packing.law.name == "viscous" else 1) * power + off
-    acts = (found.state != 3) & (packing.coefficients[0] > 1e-3 * packing.coefficients[0].max())
-    lost = np.sqrt(off / unit) * max(np.abs(packing.imposed).max(), 0.01)
-    assert (slip <= found.slip_bound + lost)[acts].all()
 
 
 def with_diagonals(cells, seed):
@@ -174,7 +171,7 @@ def surplus_and_rest(packing, rests):
 @pytest.mark.parametrize("kind", ["walls", "diamond", "diagonals"])
 def test_contacts_that_are_proven_to_rest_can_do_so_exactly(kind):
     found = tb.solve(OBLIQUE[kind])
-    surplus, can = surplus_and_rest(found.packing, found.proven == 0)
+    surplus, can = surplus_and_rest(found.packing, (found.state == 0) & found.proven)
     assert surplus > 0
     assert can
 
@@ -182,7 +179,7 @@ def test_contacts_that_are_proven_to_rest_can_do_so_exactly(kind):
 @pytest.mark.parametrize("kind", ["contrasts", "diamond"])
 def test_rest_is_not_proven_where_a_normal_is_off_by_its_last_digit(kind):
     found = tb.solve(OBLIQUE[kind])
-    rests, proofs = np.flatnonzero(found.proven == 0), 0
+    rests, proofs = np.flatnonzero((found.state == 0) & found.proven), 0
     for contact in rests[:: len(rests) // 4]:
         normal = found.packing.normal.copy()
         normal[contact] = np.nextafter(normal[contact], [1, -1, 1])
@@ -214,9 +211,7 @@ def test_all_states_of_oblique_contacts_are_proven_and_no_false_ones(kind):
     """Of the minimum; and of spins and friction beside it no other states, and none if a contact bears too much."""
     packing, rng = OBLIQUE[kind], np.random.default_rng(3)
     found = tb.solve(packing)
-    assert not (found.proven == 2).any()
-    assert (found.proven == found.state).all()
-    assert (found.slip_bound[found.proven == 0] == 0).all()
+    assert found.proven.all()
     free = packing.driven < 0
     proofs = 0
     sizes = 10.0 ** np.arange(-13, 0, 3)
@@ -229,7 +224,7 @@ def test_all_states_of_oblique_contacts_are_proven_and_no_false_ones(kind):
             .proven
         )
         acts = found.state != 3
-        assert ((proven == found.proven) | (proven == 2))[acts].all()
+        assert ((proven == found.state) | (proven == 2))[acts].all()
         proofs += not (proven[acts] == 2).any()
     assert proofs < len(sizes)
     rests = np.flatnonzero((found.state == 0) & (found.force > 0.1))
@@ -251,7 +246,8 @@ def test_a_network_in_which_nothing_has_to_slip_is_at_rest_everywhere(kind):
     arrays = {name: values[kept] if len(values) == len(kept) else values for name, values in packing.arrays().items()}
     found = tb.solve(tb.Packing(**arrays))
     assert found.power < 1e-15
-    assert (found.proven[found.state != 3] == 0).all()
+    assert found.proven.all()
+    assert np.isin(found.state, (0, 3)).all()
 
 
 def test_spheres_that_can_only_roll_prove_that_they_do():
@@ -265,7 +261,8 @@ def test_spheres_that_can_only_roll_prove_that_they_do():
     of = {"normal": normal, "friction": np.ones(6), "schematic": True}
     found = tb.solve(tb.Packing(center, pair, [0, 1, -1, -1, -1, -1], spin, **of))
     assert found.proof == "proven"
-    assert found.proven[2:].tolist() == [0] * 4
+    assert found.state[2:].tolist() == [0] * 4
+    assert found.proven[2:].all()
     assert found.power > 0
 
 
@@ -302,13 +299,13 @@ def shifted(values):
 FORGERIES = {
     **{f"@{name}": lambda value: value * (1 + 1e-9) for name in ("power", "lower_bound", "driven_power")},
     **{f"@{name}": lambda value: value + 1 for name in (
-        "slipping", "slipless", "undecided", "critical", "contacts", "spheres", "driven_spheres")},
+        "slipping", "slipless", "undecided", "tied", "contacts", "spheres", "driven_spheres")},
     "@gap": lambda value: value + 1e-9, "@largest_balance_residual": lambda value: value * 2 + 1,
     "@status": lambda _: "stalled", "@proof": lambda _: "proven beyond doubt",
     "@law": lambda _: "viscous", "@scene": lambda text: text + "tolerance = 1e-30\n",
     "spin": shifted, "contact/friction": shifted, "contact/slip": shifted, "contact/power": shifted,
     "contact/state": lambda state: 1 - np.minimum(state, 1),
-    "contact/proven": shifted, 
+    "contact/proven": lambda proven: 1 - proven,
     "packing/friction": shifted, "packing/normal_force": lambda values: values * (1 + 1e-9),
     "packing/radius": lambda values: values * 1.5, "packing/normal": lambda values: values * 1.1,
     "packing/contact": shifted, "packing/driven": lambda values: np.where(values >= 0, -1, values),
@@ -407,8 +404,7 @@ def test_what_poor_answers_prove_is_true_of_a_good_one(seed):
     assert judged.lower_bound <= found.potential * (1 + 1e-12)
     assert judged.upper_bound >= found.lower_bound
     acts, known = found.state != 3, judged.states[0].proven
-    assert (found.slip <= judged.slip_bound[0] + 1e-12 * unit)[acts].all()
     assert (found.slip[acts & (known == 0)] <= 1e-12 * unit).all()
     assert (found.slip[acts & (known == 1)] > 0).all()
-    assert not ((known == 1) & (found.proven == 0)).any()
-    assert not ((known == 0) & (found.proven == 1)).any()
+    assert not ((known == 1) & (found.state == 0) & found.proven).any()
+    assert not ((known == 0) & (found.state == 1) & found.proven).any()

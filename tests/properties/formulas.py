@@ -560,15 +560,6 @@ def separation(lab):
     return Number(np.log10(moving.min() / least) if least else np.inf, 1e-12)
 
 
-def critical(lab):
-    held, left = lab.coefficients[0], float(lab.answer.objective[0] - lab.answer.lower_bound[0])
-    if lab.law == "viscous":
-        return 0
-    at_limit = np.asarray(lab.answer.force[0]) >= (1 - 1e-6) * held
-    small = held * np.asarray(lab.answer.slip[0]) <= left * (1 + 16 * EPS)
-    return Range(0, int(((lab.state == UNDECIDED) & at_limit & small).sum()))
-
-
 def torque_left_over(lab):
     if lab.is_dynamics:
         return UNKNOWN  # of the forces that act, which are not stored as vectors
@@ -621,13 +612,13 @@ SAMPLES = {
     "shape": of_lattice(lambda lab: list(lab.shape)),
     "spheres": of_packing(lambda lab: len(lab.scene.center)),
     "driven_spheres": of_packing(lambda lab: int((lab.driven >= 0).sum())),
-    "contacts": lambda lab: int((~lab.between_driven if lab.is_lattice else lab.acts).sum()),
+    "contacts": lambda lab: int(lab.acts.sum()),
     "slipping": lambda lab: lab.count(SLIPPING),
     "slipless": lambda lab: lab.count(SLIPLESS),
     "undecided": lambda lab: lab.count(UNDECIDED),
-    "critical": critical,
-    "states_proven": lambda lab: bool(((lab.proven == lab.state) & (lab.proven != UNDECIDED)).all()),
-    "unproven": lambda lab: int((lab.proven == UNDECIDED).sum()),
+    "tied": lambda lab: int((lab.acts & (lab.state == TIED)).sum()),
+    "states_proven": lambda lab: bool(lab.proven[lab.acts].all()),
+    "unproven": lambda lab: int((lab.acts & ~lab.proven).sum()),
     "largest_slipless_slip": of_lattice(lambda lab: lab.slips_in(SLIPLESS).max() if lab.count(SLIPLESS) else np.nan),
     "smallest_slipping_slip": of_lattice(lambda lab: lab.slips_in(SLIPPING).min() if lab.count(SLIPPING) else np.nan),
     "separation_decades": of_lattice(separation),
@@ -646,12 +637,12 @@ SAMPLES = {
 
 def state(lab):
     """Only where it is 3 is told by a formula."""
-    return np.where(lab.acts, np.minimum(lab.state, UNDECIDED), IDLE)
+    return np.where(lab.acts, np.where(lab.state == IDLE, UNDECIDED, lab.state), IDLE)
 
 
 def proven(lab):
-    known = lab.proven
-    return np.where(lab.acts, np.where(known == IDLE, UNDECIDED, known), IDLE)
+    """What takes no part counts as proven, and what is undecided does not."""
+    return ~lab.acts | (lab.proven & (lab.state != UNDECIDED))
 
 
 CONTACTS = {

@@ -45,10 +45,9 @@ NOT_RECOMPUTED = {
         "lower_bound": PROOF, "minimum_is_unique": PROOF, "method": TEXT, "version": TEXT, "seed": SETTING,
         "iterations": CLOCK, "seconds": CLOCK, "seconds_compile": CLOCK,
     },
-    "CONTACTS": {"slip_bound": PROOF},
     "SPHERES": {"spin": "what all else follows from"},
     "FINDINGS": {
-        "proof": TEXT, "tied_contacts": PROOF, "cut_is_unique": PROOF, "next_cut_over_minimum": PROOF,
+        "proof": TEXT, "cut_is_unique": PROOF, "next_cut_over_minimum": PROOF,
         "step_error": COURSE, "accurate_time_step": COURSE, "elastic_share": COURSE, "rest_time": COURSE,
         "yields": PROOF, "yield_torque": PROOF, "yield_torque_lower_bound": PROOF, "amplitude": COURSE,
         "newton_steps": CLOCK,

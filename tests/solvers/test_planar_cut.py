@@ -104,21 +104,20 @@ def test_contacts_along_the_spin_neither_slip_nor_push():
     assert (solution.spin[..., [0, 2]] == 0).all()
 
 
-def test_without_disorder_other_cuts_are_undecided():
+def test_without_disorder_all_upward_contacts_are_tied_and_that_is_proven():
     solution = solved(make_scene((5, 7), distribution="constant:0.3"))
-    assert not solution.states_proven[0]
+    assert solution.states_proven[0]
     assert not solution.findings["cut_is_unique"][0]
     assert solution.findings["next_cut_over_minimum"][0] == 1
-    assert solution.findings["tied_contacts"][0] == 5 * 6
     sideways, upward = solution.scene.lattice.by_axis(solution.state)
-    assert (upward == ContactState.UNDECIDED).all()
-    assert not np.isin(sideways, [ContactState.SLIPPING, ContactState.UNDECIDED]).any()
+    assert (upward == ContactState.TIED).all()
+    assert np.isin(sideways, [ContactState.SLIPLESS, ContactState.DRIVEN]).all()
 
 
 @pytest.mark.parametrize("shape", [(3, 4), (4, 4), (5, 7)], ids=str)
 def test_ties_are_known_where_the_start_has_the_least_power_less_a_rounding(shape):
     solution = solved(make_scene(shape, distribution="constant:1"))
-    assert solution.findings["tied_contacts"][0] == shape[0] * (shape[1] - 1)
+    assert (solution.state == ContactState.TIED).sum() == shape[0] * (shape[1] - 1)
     assert solution.minimum_is_unique == [False]
 
 
@@ -132,12 +131,12 @@ def test_what_slips_at_every_minimum_is_told_from_what_slips_at_some():
     scene = Scene((sideways, upward))
     solution = solved(scene)
     assert solution.power[0] == 4 * 50 * 0.5
-    assert not solution.states_proven[0]
-    assert solution.findings["tied_contacts"][0] == 3
+    assert solution.states_proven[0]
+    assert solution.minimum_is_unique == [False]
     state = scene.lattice.by_axis(solution.state[0])
-    slipping, undecided = ([np.argwhere(s == which).tolist() for s in state] for which in (1, 2))
+    slipping, tied = ([np.argwhere(s == which).tolist() for s in state] for which in (1, 4))
     assert slipping == [[], [[0, 1], [1, 1]]]
-    assert undecided == [[[1, 1]], [[2, 0], [2, 1]]]
+    assert tied == [[[1, 1]], [[2, 0], [2, 1]]]
 
 
 def test_ties_of_one_plane_leave_the_states_of_the_others_proven():
@@ -147,10 +146,11 @@ def test_ties_of_one_plane_leave_the_states_of_the_others_proven():
         coefficients[axis][1, 1] = 0.3
     scene = replace(scene, coefficients=tuple(coefficients))
     solution = solved(scene)
-    assert solution.states_proven.tolist() == [True, False]
-    assert solution.findings["tied_contacts"].tolist() == [0, 4 * 4]
-    undecided = np.argwhere(scene.lattice.by_axis(solution.state)[2] == ContactState.UNDECIDED)
-    assert (undecided[:, :2] == (1, 1)).all()
+    assert solution.states_proven.tolist() == [True, True]
+    assert solution.minimum_is_unique == [True, False]
+    tied = np.argwhere(scene.lattice.by_axis(solution.state)[2] == ContactState.TIED)
+    assert len(tied) == 4 * 4
+    assert (tied[:, :2] == (1, 1)).all()
 
 
 def test_a_cubic_lattice_is_as_unique_as_its_least_unique_plane():
@@ -167,7 +167,7 @@ def _plane(scene, x):
 def test_findings_are_in_the_summary():
     summary = Run(RunSettings(tolerance=1e-9), solved(make_scene((5, 6), seeds=(1, 2)))).numbers
     assert summary["cut_is_unique"] == [True, True]
-    assert summary["tied_contacts"] == [0, 0]
+    assert summary["tied"] == [0, 0]
     assert min(summary["next_cut_over_minimum"]) > 1
 
 
@@ -191,24 +191,25 @@ def test_ties_beside_absent_contacts_are_all_found_and_nothing_else(number):
         states = [of[0][plane] for of in scene.lattice.by_axis(solution.state)[-2:]]
         for (axis, place), (some, every) in slipping_in_some_and_every(shape[-2:], weights).items():
             tied += some and not every
-            expected = ContactState.SLIPPING if every else ContactState.UNDECIDED if some else ContactState.SLIPLESS
+            expected = ContactState.SLIPPING if every else ContactState.TIED if some else ContactState.SLIPLESS
             assert states[axis][place] == expected
-    assert solution.findings["tied_contacts"][0] == tied
+    assert (solution.state == ContactState.TIED).sum() == tied
+    assert solution.states_proven[0]
     assert solution.minimum_is_unique[0] == (not tied)
 
 
 @pytest.mark.parametrize("number", some_of(24, 4))
 def test_other_methods_call_no_tied_contact_slipping_beside_absent_ones(number):
-    """Of a method that cuts nothing: what ties is undecided, and no number of ties is said that it does not know."""
+    """Of a method that cuts nothing: what is proven of its contacts is right, and what ties slips at none of them."""
     rng, shape = np.random.default_rng([number, 51]), [(5, 6), (6, 5), (4, 7)][number % 3]
     values = [rng.integers(1, 4, tuple(n - (a == axis) for a, n in enumerate(shape))) * 0.25 for axis in range(2)]
     for of in values:
         of[rng.random(of.shape) < 0.15] = 0.0
     scene = Scene(tuple(values))
     solution = solve(scene, InteriorPoint().build(), initial_spin(scene, "linear"), StopRule(1e-10))
-    states = [of[0] for of in scene.lattice.by_axis(solution.state)]
+    states, proven = ([of[0] for of in scene.lattice.by_axis(v)] for v in (solution.state, solution.proven))
     weights = {(a, place): int(4 * v) for a, of in enumerate(values) for place, v in np.ndenumerate(of)}
     for (axis, place), (some, every) in slipping_in_some_and_every(shape, weights).items():
-        right = ContactState.SLIPPING if every else ContactState.UNDECIDED if some else ContactState.SLIPLESS
+        right = ContactState.SLIPPING if every else ContactState.TIED if some else ContactState.SLIPLESS
         assert states[axis][place] in (right, ContactState.UNDECIDED)
-    assert "tied_contacts" not in solution.findings
+        assert states[axis][place] == right or not proven[axis][place]

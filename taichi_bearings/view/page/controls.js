@@ -27,7 +27,7 @@ class Controls {
     const { sample, choices } = this, flags = (bit) => sample.flags.reduce((sum, f) => sum + ((f & bit) > 0), 0);
     const walls = sample.first.reduce((sum, s, c) => sum + (sample.domain[s] !== sample.domain[sample.second[c]]), 0);
     const bottlenecks = sample.betweenness.reduce((sum, b) => sum + (b > 0 && b >= sample.facts.bottleneck_share), 0);
-    this.available = { spheres: sample.spheres, network: 1, slipping: 1, undecided: sample.state.reduce((sum, is) => sum + (is === UNDECIDED), 0), cut: flags(CUT), walls, path: flags(PATH), bottlenecks, domains: Number(sample.has("domain")) };
+    this.available = { spheres: sample.spheres, network: 1, slipping: 1, undecided: sample.state.reduce((sum, is) => sum + (is === UNDECIDED || is === TIED), 0), cut: flags(CUT), walls, path: flags(PATH), bottlenecks, domains: Number(sample.has("domain")) };
     PRESETS.forEach(([name], n) => {
       const button = document.createElement("button");
       Object.assign(button, { type: "button", textContent: name, disabled: !this.available[PRESETS[n][5]] });

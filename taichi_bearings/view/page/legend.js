@@ -40,7 +40,7 @@ function drawLegend(sample, choices) {
     const least = weakest(choices), most = choices.range[1], middle = Math.sqrt(least * most), digits = (value) => value.toExponential(1);
     bar(sample.isEnd ? "slipping contacts: power P, energy/time" : "slipping contacts: slip |v|, length/time", sample.map_power, [digits(least), digits(middle), digits(most)]);
   }
-  if (layers.undecided && sample.counts.undecided) list([["undecided contacts", LOOK.undecided]]);
+  if (layers.undecided && sample.counts.undecided) list([["tied and undecided contacts", LOOK.undecided]]);
   if (layers.cut) list([["minimum cut", LOOK.cut]]);
   if (layers.walls) list([["boundaries of rigid domains", LOOK.walls]]);
   if (layers.path) list([[sample.dimension === 3 ? "a shortest path; arrows: its spins" : "a shortest path", LOOK.path]]);

@@ -113,7 +113,7 @@ class Picture {
     this.fill("network", thin, (c) => judged[c] === SLIPLESS ? plain.network : null);
     this.fill("slipping", 1.5 * thin, (c) => judged[c] !== SLIPPING || values[c] < faint ? null
       : shade(sample.map_power, Math.log10(Math.max(values[c], least) / least) / decades));
-    this.fill("undecided", 1.5 * thin, (c) => judged[c] === UNDECIDED ? plain.undecided : null);
+    this.fill("undecided", 1.5 * thin, (c) => judged[c] === UNDECIDED || judged[c] === TIED ? plain.undecided : null);
     this.fill("cut", 0.94, (c) => flags[c] & CUT ? plain.cut : null);
     this.fill("walls", 0.94, (c) => domain[first[c]] !== domain[second[c]] && this.bounds(c) ? plain.walls : null);
     this.fill("path", 2.2 * bold * thin, (c) => flags[c] & PATH ? plain.path : null);

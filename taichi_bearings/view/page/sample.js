@@ -60,7 +60,7 @@ class Sample {
       const was = this.state[c];
       const is = was === DRIVEN || limit === null ? was : this.slipNow[c] > limit ? SLIPPING : SLIPLESS;
       this.judged[c] = is;
-      if (is !== DRIVEN) this.counts[["slipless", "slipping", "undecided"][is]]++;
+      if (is !== DRIVEN) this.counts[["slipless", "slipping"][is] ?? "undecided"]++;
     }
     this.join();
   }
@@ -107,7 +107,7 @@ function numbersOf(sample, found) {
       [facts.spin_name, six(sample.size[s] * Math.hypot(...spin) / facts.spin_max)], ["slipless network", facts.pieces[sample.piece[s]]], ...(sample.isEnd ? atEnd : [])] };
   }
   const c = found.contact, is = sample.judged[c], was = sample.state[c];
-  const words = ["slipless", "slipping", "undecided", "between driven spheres or absent"];
+  const words = ["slipless", "slipping", "undecided", "between driven spheres or absent", "tied"];
   const byRun = sample.isEnd && is === was && facts.by_run;
   const how = is === DRIVEN ? "" : byRun ? `, ${facts.decided}` : ", by slip alone";
   const rows = [["state", words[is] + how], ["slip |v|", `${six(sample.slipNow[c])} length/time`]];

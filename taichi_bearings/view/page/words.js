@@ -1,7 +1,7 @@
 "use strict";
 // What the parts of the page of `bearings view` share: names, colours, and how numbers are written.
 
-const SLIPLESS = 0, SLIPPING = 1, UNDECIDED = 2, DRIVEN = 3;
+const SLIPLESS = 0, SLIPPING = 1, UNDECIDED = 2, DRIVEN = 3, TIED = 4;
 const CUT = 1, PATH = 2;
 const KINDS = [["bottom", "#0072b2"], ["top", "#d55e00"], ["both", "#cc79a7"], ["bottom and top, by component", "#e69f00"],
   ["one component only", "#56b4e9"], ["neither", "#a5abb3"]];
@@ -12,7 +12,7 @@ const LOOK = { network: "#4b5a6b", cut: "#e69f00", walls: "#3c4653", path: "#009
 const ACROSS = ["cut", "walls"], FLAT = { cut: 0.13, walls: 0.08, slipping: 0.13 };  // radii of lines across contacts in 2D
 const SLIDERS = ["size", "power", "threshold", "time"];
 const LAYERS = [["spheres", "spheres"], ["network", "slipless contacts"], ["slipping", "slipping contacts"],
-  ["undecided", "undecided contacts"], ["cut", "minimum cut"], ["walls", "domain boundaries"], ["path", "shortest path, its spins"],
+  ["undecided", "tied and undecided contacts"], ["cut", "minimum cut"], ["walls", "domain boundaries"], ["path", "shortest path, its spins"],
   ["bottlenecks", "bottlenecks"]];
 const COLOURS = [  // key, text, and the array that it needs
   ["spin", "spin", "spin"], ["turn", "how its domain turns", "turn"], ["domain", "rigid domain", "domain"],
