@@ -38,6 +38,7 @@ DECIDED_RATIO = 1e2  # ratio of slip and margin, either way, beyond which a cont
 STICKING_TREND = 0.6  # a contact sticks if its slip fell by more than this factor in a step, and its margin by less
 DOUBTFUL_SHARE = 1e-2  # share of the contacts that may be in doubt when those are tied that surely stick
 LEAST_DOUBTFUL, MOST_DOUBTFUL = 30, 300  # and their number, at least and at most
+FEW_DOUBTFUL = 3  # contacts that may be in doubt when the states are tried where no minima may tie
 # torques, of the mean friction, that end Newton's method; and that will do if double precision ends before
 NEWTON_TORQUE, ROUNDED_TORQUE = 1e-12, 1e-4
 NEWTON_TRIALS = 2  # of Newton's method, with contacts tied that come to rest
@@ -147,21 +148,38 @@ def _sticking(iterate: Iterate, before: Iterate) -> np.ndarray:
 
 
 def _followed(iterate: Iterate, before: Iterate | None, lattice: Surroundings) -> Resolved | None:
-    """The same by the last decades of the path, from where few contacts are in doubt: with nothing tied, and where that
-    settles nothing with those tied that surely stick. Where minima may tie, with these tied first, then up to twice to
-    the end with those, too, that surely stick at the end of the one before, whose stiffness blurs the forces of the
-    others; at last with nothing tied."""
+    """The same by the last decades of the path, from where few contacts are in doubt: with nothing tied, first until
+    hardly any is in doubt, then until none is, and where that settles nothing with those tied that surely stick. Where
+    minima may tie, with these tied first, then up to twice to the end with those, too, that surely stick at the end of
+    the one before, whose stiffness blurs the forces of the others; at last with nothing tied."""
     path, settled = LastDecades.after(iterate, before, lattice.matrix), None
     if path.decide(int(min(max(DOUBTFUL_SHARE * iterate.in_cones, LEAST_DOUBTFUL), MOST_DOUBTFUL))) is None:
         return None
     none, sticking = np.zeros_like(path.sticking), path.sticking
+    if not (ties_possible := may_tie(iterate.friction, none)):
+        with suppress(NotPositiveDefinite):
+            early = _tried_early(iterate, copy(path), lattice)
+            if early is not None and early.sure:
+                return early
     first, second, free = (True, False), (True, True), (False, False)  # are some tied, and does it go to the end
-    for ties, to_the_end in (first, second, second, free) if may_tie(iterate.friction, none) else (free, first):
+    for ties, to_the_end in (first, second, second, free) if ties_possible else (free, first):
         with suppress(NotPositiveDefinite):
             found, more = _over_tied(iterate, path, sticking if ties else none, lattice, to_the_end)
             settled, sticking = found or settled, sticking | more if ties else sticking
         if settled is not None and settled.sure:
             break
+    return settled
+
+
+def _tried_early(iterate: Iterate, path: LastDecades, lattice: Surroundings) -> Resolved | None:
+    """The minimum, with balanced forces, where all contacts but a few are decided; None where it is none. How the
+    ratios of the few change tells nearly always what becomes of them: the last steps, each with the matrix of the whole
+    lattice, would only make it certain, and balanced forces are certain enough."""
+    slipping = path.decide(FEW_DOUBTFUL)
+    if slipping is None:
+        return None
+    (found,) = _minima([iterate], [path.spins], [slipping], lattice)
+    (settled,) = _borne([iterate], [found], [path.point.dual], lattice)
     return settled
 
 

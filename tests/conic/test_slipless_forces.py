@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from taichi_bearings.conic import resolution
 from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.conic.slipless_forces import nearly_borne
@@ -86,6 +87,15 @@ def test_states_with_tiny_slips_are_proven_and_the_same_from_any_start(shape, se
     assert slips.min() < smallest * scene.lattice.radius
     assert (one.state == other.state).all()
     assert one.slip == pytest.approx(other.slip, rel=1e-3, abs=1e-14)
+
+
+def test_states_are_proven_before_the_last_steps_of_the_path(monkeypatch):
+    """Those cost as much as all that settling takes, and where no minima tie nothing is left for them to decide."""
+    late = []
+    monkeypatch.setattr(resolution, "_over_tied", lambda *given: late.append(given))
+    solution = minimum_of(make_scene((12, 12, 12), seeds=(29,)))
+    assert solution.states_proven[0]
+    assert not late
 
 
 def test_a_threshold_that_changes_states_leaves_none_proven():
