@@ -249,8 +249,9 @@ class Scene:
         """One of the samples alone."""
         if self.replicas == 1:
             return self
-        one = object.__new__(Scene)  # nothing is to be checked again
-        vars(one).update({item.name: getattr(self, item.name) for item in fields(self)})
+        one = object.__new__(Scene)  # nothing is to be checked again, nor found again what the driving alone decides
+        alike = [*(item.name for item in fields(self)), "driving", "minimum_spin_axes", "smallest_jump"]
+        vars(one).update({name: getattr(self, name) for name in alike})
         vars(one).update(
             coefficients=tuple(values[number] for values in self.coefficients),
             viscosity=tuple(values[number] for values in self.viscosity),
