@@ -119,6 +119,13 @@ def _enclosed_minimum(bounds: Bounds) -> tuple[np.ndarray, np.ndarray] | None:
     return enclosed_minimum(bounds)
 
 
+def _beside_loops(bounds: Bounds, far: np.ndarray) -> np.ndarray:
+    """As borne.py has it, which is loaded for packings alone."""
+    from taichi_bearings.proof.borne import at_rest_beside_loops
+
+    return at_rest_beside_loops(bounds, far)
+
+
 def _enclosed(network: Network, near: tuple[np.ndarray, np.ndarray]) -> list[States]:
     """States by the mask S and the distances of :func:`enclosed_minimum`."""
     slides, far = near
@@ -295,9 +302,10 @@ def _with_parts_at_rest(bounds: Bounds, far: np.ndarray, known: States) -> State
     """What is known of a packing, and the contacts that resting.py proves to rest. far : (E,), how far slips of minima
     are from the given ones at most."""
     network = bounds.network
-    if not network.holds or network.mixes or not (network.counts & (known.proven == UNPROVEN)).any():
+    if not network.holds or not (network.counts & (known.proven == UNPROVEN)).any():
         return known
-    return replace(known, proven=np.where(at_rest(bounds, far), SLIPLESS, known.proven))
+    rests = _beside_loops(bounds, far) if network.mixes else at_rest(bounds, far)
+    return replace(known, proven=np.where(rests, SLIPLESS, known.proven))
 
 
 def _by_domains(network: Network, rests: np.ndarray) -> np.ndarray | str:

@@ -1,0 +1,90 @@
+"""Rest that is proven although loops beside it cannot roll as their normals are rounded, and none that is not so."""
+
+import numpy as np
+import pytest
+
+import taichi_bearings as tb
+from taichi_bearings.proof.judgement import Judgement
+from taichi_bearings.proof.network import StoredPacking
+from tests.packing.twins import random_packing
+from tests.proof.smoothed import states
+from tests.scenes import some_of
+
+LAW = "coulomb-viscous"
+VISCOSITIES = ("power-law:1,100,-1", "power-law:0.1,10,-1", "power-law:10,1000,-1")
+
+
+def random_spheres(count, seed):
+    """Viscosities over two decades."""
+    return tb.Packing.random(count, seed=seed, law=LAW, viscosity=VISCOSITIES[seed % 3], spin_bottom=-0.5)
+
+
+def cut_out(found, contact, count, rng):
+    """A small packing: spheres of a solved one about a contact, what touches them being driven as it turned there."""
+    arrays, pairs = found.packing.arrays(), found.packing.contact
+    free, kept = found.packing.driven < 0, [int(i) for i in pairs[contact] if found.packing.driven[i] < 0]
+    while len(kept) < count:
+        inside = np.isin(pairs, kept) & (found.state == 0)[:, None]
+        beside = pairs[inside.any(axis=1) & ~inside.all(axis=1)].ravel()
+        beside = beside[free[beside] & ~np.isin(beside, kept)]
+        if not len(beside):
+            break
+        times = np.bincount(beside)
+        kept.append(int(np.argmax(times + rng.random(len(times)) * (times > 0))))
+    own = np.isin(pairs, kept).any(axis=1)
+    spheres = np.unique(pairs[own])
+    spin = np.where(np.abs(found.spin) < 1e-11 * np.abs(found.spin).max(), 0.0, found.spin)
+    if rng.random() < 0.5:  # spins that a simple driving has
+        spin = np.round(8 * spin) / 8
+    spin[kept] = 0.0
+    of_contacts = {name: arrays[name][own] for name in ("normal", "friction", "viscosity")}
+    of_spheres = {name: arrays[name][spheres] for name in ("center", "radius")}
+    return tb.Packing(
+        **of_contacts, **of_spheres, contact=np.searchsorted(spheres, pairs[own]), normal_force=1.0, schematic=True,
+        driven=np.where(np.isin(spheres, kept), -1, 0), spin=spin[spheres],
+    )  # fmt: skip
+
+
+def proven_of(found, spin, rounding, friction):
+    stored = StoredPacking(LAW, found.packing.arrays(), spin, rounding, friction)
+    return Judgement(stored).states[0].proven
+
+
+@pytest.mark.parametrize(("count", "seed"), [(100, 1), (300, 3), pytest.param(300, 10, marks=pytest.mark.thorough)])
+def test_most_contacts_of_random_spheres_are_proven(count, seed):
+    found = tb.solve(random_spheres(count, seed))
+    assert found.proven[found.state != 3].mean() > 0.98
+
+
+@pytest.mark.parametrize("seed", some_of(60, 12))
+def test_what_is_proven_beside_such_loops_is_true(seed):
+    """As solved, and of spins and friction beside the minimum."""
+    rng = np.random.default_rng([41, seed])
+    large = tb.solve(random_spheres(*((100, int(rng.integers(20))) if seed % 24 else (300, 3))))
+    rests = np.flatnonzero(large.state == 0)
+    open_ = rests if large.proven[rests].all() else rests[~large.proven[rests]]
+    packing = cut_out(large, rng.choice(open_), int(rng.integers(3, 6)), rng)
+    found, truth = tb.solve(packing), states(packing)
+    answers = [(found.spin, found.spin_rounding, found.friction)]
+    for size in 10.0 ** rng.uniform(-15, -2, 4):
+        moved = found.spin + size * rng.standard_normal(found.spin.shape) * (packing.driven < 0)[:, None]
+        pulled = found.friction * (1 + size * rng.standard_normal(len(truth)))[:, None]
+        answers += [(moved, np.zeros_like(moved), found.friction), (found.spin, found.spin_rounding, pulled)]
+    for answer in answers:
+        proven = proven_of(found, *answer)
+        assert ((proven == truth) | (proven == 2) | (truth >= 2)).all()
+    assert (found.proven & (found.state == truth)).any()
+
+
+@pytest.mark.parametrize("seed", some_of(60, 12))
+def test_states_of_small_networks_are_those_of_the_smoothed_minimum(seed):
+    rng = np.random.default_rng([43, seed])
+    while True:
+        packing = random_packing(rng, 2 + seed % 2, LAW, spheres=int(rng.integers(5, 12)))
+        if 2 <= (packing.driven < 0).sum() <= (5 if seed % 2 else 9):
+            break
+    packing = tb.Packing(
+        **packing.arrays() | {"radius": 1.0, "spin": packing.imposed.reshape(packing.spin.shape), "schematic": True}
+    )
+    found, truth = tb.solve(packing), states(packing)
+    assert ((found.state == truth) | ~found.proven | (truth >= 2)).all()
