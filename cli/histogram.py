@@ -42,8 +42,8 @@ from taichi_bearings_cli.progress import Display
 def command(runs: tuple[Path, ...], normalise: str, by: str | None, as_json: bool, **asked: Any) -> None:
     """Distribution of the power per contact, pooled over all samples of runs and scans: CSV, HDF5 and a figure.
 
-    Only slipping contacts are binned; slipless and undecided ones are counted in the header. Errors are standard errors
-    over the samples, or the roots of the counts where there is but one sample. docs/histograms.md says more.
+    Only slipping contacts are binned; slipless, tied and undecided ones are counted in the header. Errors are standard
+    errors over the samples, or the roots of the counts where there is but one sample. docs/histograms.md says more.
 
     \b
     Examples:
@@ -52,6 +52,7 @@ def command(runs: tuple[Path, ...], normalise: str, by: str | None, as_json: boo
     """
     from taichi_bearings.plots.page import Page, read_width
     from taichi_bearings.scans.histogram import histogram
+    from taichi_bearings.words import other_contacts
 
     width, dpi, title = (asked.pop(name) for name in ("width", "dpi", "title"))
     page = Page(None if width is None else read_width(width), dpi, title=title)
@@ -60,10 +61,8 @@ def command(runs: tuple[Path, ...], normalise: str, by: str | None, as_json: boo
     lines = []
     for part in report.get("groups", [report]):
         name = f"{by} {part[by]}: " if by else ""
-        undecided = f", {part['undecided']:,} undecided" if part["undecided"] else ""
-        lines.append(
-            f"{name}{part['slipping']:,} slipping contacts, {part['slipless']:,} slipless{undecided}, {part['census']}"
-        )
+        kinds = ", ".join([f"{part['slipless']:,} slipless", *other_contacts(part["tied"], part["undecided"])])
+        lines.append(f"{name}{part['slipping']:,} slipping contacts, {kinds}, {part['census']}")
     if report["slipping"]:
         units = "" if normalise == "none" else f" in units of {report['units']}"
         lines.append(f"power from {report['smallest_power']:.2e} to {report['largest_power']:.2e}{units}")

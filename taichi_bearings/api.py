@@ -101,11 +101,13 @@ class Result:
     power: OfSamples
     lower_bound: OfSamples
     gap: OfSamples
+    contacts: OfSamples
     slipping: OfSamples
     slipless: OfSamples
-    undecided: OfSamples
     tied: OfSamples
+    undecided: OfSamples
     unproven: OfSamples
+    minimum_is_unique: OfSamples
     states_proven: OfSamples
     slip_threshold: float
     largest_balance_residual: OfSamples

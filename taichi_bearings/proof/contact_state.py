@@ -31,7 +31,13 @@ def decided(
     if has_ended:
         is_plain = (known == ContactState.SLIPLESS) | (known == ContactState.SLIPPING)
         state = np.where(acts & is_plain & (state != known), ContactState.UNDECIDED, state)
-    return state.astype(np.uint8), ~acts | (is_known & (state == known))
+    return state.astype(np.uint8), are_proven(state, known)
+
+
+def are_proven(state: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """(R, E) True for contacts whose state is the one that is known to be that of all minima, and for those that take
+    no part. state, known : (R, E)."""
+    return (state == ContactState.DRIVEN) | ((state == known) & (known != ContactState.UNDECIDED))
 
 
 def all_slipless(scene: Any) -> np.ndarray:

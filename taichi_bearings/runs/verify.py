@@ -22,7 +22,7 @@ import numpy as np
 
 from taichi_bearings.errors import FileError
 from taichi_bearings.numerics.blas import one_thread
-from taichi_bearings.proof.contact_state import ContactState, decided
+from taichi_bearings.proof.contact_state import ContactState, are_proven
 from taichi_bearings.proof.elimination import EPS
 from taichi_bearings.proof.judgement import Judgement
 from taichi_bearings.proof.network import StoredPacking
@@ -135,7 +135,7 @@ class Anew:
         stored, scene, slip = self.run.solution, self.run.solution.scene, self.of("slip")
         ended = np.array(stored.own["status"])
         ended[ended == Status.CERTIFIED] = Status.STALLED  # unless the gap is within the tolerance
-        proven = stored.proven & decided(stored.state, self.known, is_present=True)[1]
+        proven = stored.proven & are_proven(stored.state, self.known)
         said = {
             "proof": [one.proof for one in self.judgements],
             "driven_power": [o.driven_power for o in self.judgements],
