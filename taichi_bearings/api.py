@@ -18,7 +18,7 @@ import numpy as np
 from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.lattice.grid import friction_by_axis
 from taichi_bearings.options import SEED, finite_number, options_of
-from taichi_bearings.packing import Packing, Packings
+from taichi_bearings.packing import Packing
 from taichi_bearings.progress import displayed
 from taichi_bearings.quantities import CONTACTS, FINDINGS, SAMPLES, SPHERES, Quantity
 from taichi_bearings.read_only import read_only
@@ -85,10 +85,11 @@ class Result:
         self._run = run
 
     scene = property(
-        lambda self: self._run.solution.scene, doc="The :class:`Scene` that was solved, or the packings of all samples."
+        lambda self: self._run.solution.scene,
+        doc="The :class:`Scene` or :class:`Packing` that was solved, with all samples.",
     )
     packing = property(
-        lambda self: self._run.solution.scene[0] if self._run.is_packing else None,
+        lambda self: self._run.solution.scene.sample(0) if self._run.is_packing else None,
         doc="The :class:`Packing` that was solved, of several samples the first; None of lattices.",
     )
     settings = property(
@@ -372,7 +373,7 @@ def _job(
         if strict and "initial" in settings.given and minimises(settings):
             raise InputError(f"start is given, but method {settings.method} of a packing does not use it")
         settings = fitting(settings, strict)
-        return runs.Job(settings, Packings((scene,)), None if isinstance(start, str) else start)
+        return runs.Job(settings, scene, None if isinstance(start, str) else start)
     if not isinstance(scene, Scene):
         raise InputError(f"the scene is a {type(scene).__name__}; it must be a taichi_bearings.Scene or a Packing")
     values: dict[str, Any] = {name: getattr(scene, name) for name in Scene.PARAMETERS}

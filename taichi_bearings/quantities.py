@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from taichi_bearings.proof.contact_state import ContactState, Separation, counts, separate
-from taichi_bearings.scene import Scene, Solution, Status
+from taichi_bearings.scene import Solution, Status
+from taichi_bearings.scene.network import Network
 from taichi_bearings.version import VERSION
 
 
@@ -93,13 +94,13 @@ class Quantity:
 
 
 def _of_lattice(of: Callable[[Any], Any], otherwise: Callable[[Any], Any] = lambda _: None) -> Callable[[Any], Any]:
-    """What is asked of an Answered with a scene, and what of one with packings."""
-    return lambda answered: (of if isinstance(answered.scene, Scene) else otherwise)(answered)
+    """What is asked of an Answered with a lattice, and what of one without."""
+    return lambda answered: (otherwise if answered.scene.network.lattice is None else of)(answered)
 
 
-def _of_packing(of: Callable[[Any], Any]) -> Callable[[Any], Any]:
-    """What is the same for all packings of an Answered; None of lattices."""
-    return _of_lattice(lambda _: None, lambda answered: of(answered.scene[0]))
+def _of_packing(of: Callable[[Network], Any]) -> Callable[[Any], Any]:
+    """What is asked of the network of an Answered; None of lattices."""
+    return _of_lattice(lambda _: None, lambda answered: of(answered.scene.network))
 
 
 def _named(rows: Iterable[Quantity]) -> dict[str, Quantity]:
@@ -175,9 +176,9 @@ SAMPLES = _named(
         Quantity("law", "1", "contact law", lambda a: a.scene.law.name),
         Quantity("shape", "1", "spheres along each axis, height last",
                  _of_lattice(lambda a: Whole(a.scene.lattice.shape))),
-        Quantity("spheres", "1", "spheres of a packing", _of_packing(lambda packing: packing.spheres)),
+        Quantity("spheres", "1", "spheres of a packing", _of_packing(lambda network: network.spheres)),
         Quantity("driven_spheres", "1", "driven spheres of a packing",
-                 _of_packing(lambda packing: int((packing.driven >= 0).sum()))),
+                 _of_packing(lambda network: int((~network.free).sum()))),
         Quantity("seed", "1", "seed of the disorder", lambda a: list(a.scene.seeds)),
         Quantity("iterations", "1", "iterations of the method",
                  _of_lattice(lambda a: a.solution.iterations,

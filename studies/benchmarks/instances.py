@@ -13,7 +13,6 @@ import time
 from pathlib import Path
 from typing import Any
 
-from taichi_bearings.analysis.structure import lattice_as_packing
 from taichi_bearings.api import solve
 from taichi_bearings.export.problems import write_problem
 from taichi_bearings.files.whole_file import make_folder, write_csv
@@ -45,9 +44,8 @@ def instances() -> dict[str, Scene]:
 
 def made(name: str, scene: Scene, folder: Path, peers: int) -> dict[str, Any]:
     """Write the files of an instance; its row. peers : largest side that they are asked for."""
-    packing = lattice_as_packing(scene)
-    write_problem(packing, "fclib", folder / f"{name}.hdf5")
-    told = write_problem(packing, "cbf", folder / f"{name}.cbf")
+    write_problem(scene, "fclib", folder / f"{name}.hdf5")
+    told = write_problem(scene, "cbf", folder / f"{name}.cbf")
     began, used = time.perf_counter(), time.process_time()
     found = solve(scene, method="interior-point", tolerance=CLOSEST, threads=1)  # at 64^3 it takes an hour
     row = {

@@ -32,7 +32,6 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-from taichi_bearings.analysis.structure import lattice_as_packing
 from taichi_bearings.errors import InputError
 from taichi_bearings.lattice.grid import staggered_forces
 from taichi_bearings.packing.answer import forces_of
@@ -98,7 +97,7 @@ def conic_programme(scene: Scene) -> ConicProgramme:
         raise InputError(f"the scene has {scene.replicas} replicas; a conic programme describes one")
     if scene.law.holds and scene.law.flows:
         raise InputError(f"law is {scene.law}; only one coefficient a contact can be written as a conic programme")
-    system = System.of(lattice_as_packing(scene))
+    system = System.of(scene)
     system.matrix.eliminate_zeros()
     d, count = system.offset.shape
     live = ((np.diff(system.matrix.indptr) > 0) | (system.offset.ravel() != 0)).reshape(d, count)

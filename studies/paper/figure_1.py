@@ -28,6 +28,7 @@ from taichi_bearings.plots.style import BLUE, DOUBLE, GREY, ORANGE, in_our_style
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene import Scene, Solution
 from taichi_bearings.scene.initial_spins import cut_of, cut_unit, cut_weights
+from taichi_bearings.scene.scene import of_lattice
 from taichi_bearings.solvers import GradientDescent, InteriorPoint, LinearSolver, PlanarCut
 from taichi_bearings.solvers.stopping import StopRule
 from taichi_bearings.stages import each, stage
@@ -74,7 +75,7 @@ def study(folder: Path, effort: Effort) -> Found:
     )  # the first sample whose cut is not level, else the first one
     spins = {law: spins_of(of, shown) for law, of in (("viscous", viscous), ("coulomb", minimum))}
     named = {
-        "sizes": {"x".join(map(str, of.scene.lattice.shape)): viscous_numbers(of) for of in (viscous, cubes)},
+        "sizes": {"x".join(map(str, of.scene.network.shape)): viscous_numbers(of) for of in (viscous, cubes)},
         "exact": exact, "settled": settled, "others": others, "driven": driven, "apart": apart,
         "few_samples": len(few().seeds), "boundaries": boundaries, "iterations": DESCENT, "visible_slip": VISIBLE,
         "paper_others": PAPER_OTHERS, "above": cut.above[shown],
@@ -95,7 +96,7 @@ def cuts_of(minimum: Solution, cut: MinimumCut, by_flow: MinimumCut) -> Table:
     distance : weight of the second cut over that of the minimum cut, less 1. spread : largest relative difference of
     the power, its bound by friction forces and those of the flow. same_cut : path and flow cut the same contacts.
     """
-    scene, power = minimum.scene, minimum.power
+    scene, power = of_lattice(minimum.scene), minimum.power
     unit, contacts = cut_unit(scene), contacts_between(scene, cut.above)
     bounds = (minimum.lower_bound, unit * by_flow.weight, unit * by_flow.lower_bound)
     return Table(
@@ -122,7 +123,7 @@ def visible(scene: Scene, ended: Solution) -> np.ndarray:
 def beside_descent(exact: Table, cut: MinimumCut, ended: Solution) -> Table:
     """With the excess of the power where a descent has ended, relative, and whether other contacts slip visibly there
     than those of the cut."""
-    scene = ended.scene
+    scene = of_lattice(ended.scene)
     differs = (visible(scene, ended) != contacts_between(scene, cut.above)).any(axis=1)
     return exact | {"excess": ended.power / exact.power - 1, "differs": differs}
 
@@ -154,7 +155,7 @@ def spins_of(solution: Solution, shown: int) -> Table:
 
 def viscous_numbers(solution: Solution) -> dict[str, Any]:
     """Least and largest slip of the contacts of all samples that can slip, over R times the jump; least rise."""
-    scene = solution.scene
+    scene = of_lattice(solution.scene)
     slips = solution.slip[:, ~scene.lattice.between_driven] / (scene.lattice.radius * scene.jump)
     numbers = {"least_slip": float(slips.min()), "largest_slip": float(slips.max())}
     return {"samples": scene.replicas, **numbers, "least_rise": least_rise(scene, solution.spin)}
@@ -173,7 +174,7 @@ def least_rise(scene: Scene, spin: np.ndarray) -> float:
 def two_boundaries(exact: Table, cut: MinimumCut, ended: Solution) -> Table:
     """Of the samples whose descent differs: whether what slips visibly is within the lightest two cuts, whether some of
     the second cut alone does, and whether flows that spare a contact of the cut find the second as heavy."""
-    scene, chosen = ended.scene, np.flatnonzero(exact.differs)
+    scene, chosen = of_lattice(ended.scene), np.flatnonzero(exact.differs)
     weight = scene.lattice.by_axis(cut_weights(scene)[chosen])
     pick = MinimumCut(*(getattr(cut, name)[chosen] for name in MinimumCut.__dataclass_fields__))
     second, second_weight = next_cut(weight, pick)

@@ -20,6 +20,7 @@ from taichi_bearings.plots.style import BLUE, GREY, ORANGE, in_our_style, label_
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.proof.curvature import Slipping, nearest_minimum
 from taichi_bearings.scene import Scene, Solution
+from taichi_bearings.scene.scene import of_lattice
 from taichi_bearings.solvers import GradientDescent, InteriorPoint
 from taichi_bearings.solvers.answer import judged
 from taichi_bearings.solvers.stopping import StopRule
@@ -111,7 +112,7 @@ def _ending(
     solution: Solution, slips: Callable[[np.ndarray, np.ndarray], np.ndarray], slip_error: float | None
 ) -> dict[str, Any]:
     """An Ending as plain numbers."""
-    scene = solution.scene
+    scene = of_lattice(solution.scene)
     free = ~scene.lattice.between_driven
     power, state = solution.power_per_contact[0, free], solution.state[0, free]
     unit = scene.normal_force * scene.lattice.radius * abs(scene.spin_top)
@@ -133,7 +134,7 @@ def largest_slip_error(solution: Solution) -> float | None:
     """Share by which any slip differs from that of every minimum at most; None where the states are not proven."""
     if not solution.states_proven.all():
         return None
-    judgement = judged(solution.scene, solution.spin, solution.spin_rounding, solution.friction)
+    judgement = judged(of_lattice(solution.scene), solution.spin, solution.spin_rounding, solution.friction)
     contacts = None if judgement is None else Slipping.of(judgement.network.motion)
     if contacts is None or (near := nearest_minimum(contacts)) is None:
         return None

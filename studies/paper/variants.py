@@ -85,7 +85,7 @@ def samples_of(
 def spread_numbers(structure: LatticeStructure) -> dict[str, Any]:
     """decades : of power of the contacts that slip, None where that is not proven."""
     scene = structure.scene
-    power = scene.law.power(scene.contact, structure.slip[None])[0][structure.state == ContactState.SLIPPING]
+    power = scene.law.power(scene.material, structure.slip[None])[0][structure.state == ContactState.SLIPPING]
     power = power[power > 0]
     decades = float(np.log10(power.max() / power.min())) if structure.states_proven else None
     return told(structure) | {"decades": decades}

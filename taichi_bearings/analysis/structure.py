@@ -26,15 +26,15 @@ from taichi_bearings.analysis.bottlenecks import Bottlenecks
 from taichi_bearings.analysis.domains import RigidDomains, rigid_domains
 from taichi_bearings.analysis.network import MOST_BODIES, SliplessNetwork
 from taichi_bearings.numerics.minimum_cut import WEIGHT_ROUNDING
-from taichi_bearings.packing import Packing
 from taichi_bearings.packing.interface import SAME_STATE, Interface, bearing_states
 from taichi_bearings.packing.structure import self_stress_of
 from taichi_bearings.proof.contact_state import ContactState, by_threshold
 from taichi_bearings.quantities import STRUCTURE, Quantity, plain
 from taichi_bearings.read_only import cached_read_only
-from taichi_bearings.scene import Scene, Solution
+from taichi_bearings.scene import Bearing, Scene, Solution
 from taichi_bearings.scene.initial_spins import cut_of, cut_unit, cut_weights
-from taichi_bearings.scene.scene import vector_length
+from taichi_bearings.scene.network import Network
+from taichi_bearings.scene.scene import of_lattice, vector_length
 from taichi_bearings.stages import stage
 
 OF_EVERY_SAMPLE = ("power", "lower_bound", "slipping", "slipless", "tied", "undecided")
@@ -107,20 +107,20 @@ class Structure:
         return self.state == ContactState.SLIPLESS
 
     @property
-    def packing(self) -> Packing:
-        """The spheres and contacts."""
-        found: Packing = self.answer.scene[0]
-        return found
+    def bearing(self) -> Bearing:
+        """What was solved."""
+        return self.answer.scene
+
 
     @property
-    def system(self) -> Scene | Packing:
-        """What was solved."""
-        return self.packing
+    def whole(self) -> Network:
+        """All spheres and contacts."""
+        return self.bearing.network
 
     @property
     def fastest(self) -> float:
         """The largest imposed R omega, of a lattice R times the largest jump; length/time."""
-        return float(np.linalg.norm(self.packing.imposed, axis=1).max(initial=0.0))
+        return float(np.linalg.norm(self.bearing.driven_speed, axis=1).max(initial=0.0))
 
     def shown_spin(self, spin: np.ndarray) -> np.ndarray:
         """Spins of this sample, in the shape they have, less what no contact feels; the same of a packing."""
@@ -134,11 +134,15 @@ class Structure:
 
     def slips_of(self, spin: np.ndarray) -> np.ndarray:
         """Slip speeds (E,) with other spins."""
-        return self.packing.slips(spin)
+        return self.whole.slips(self.speeds(spin))
+
+    def speeds(self, spin: np.ndarray) -> np.ndarray:
+        """R omega (N, C) of spins in the shape that they have; length/time."""
+        return spin.reshape(self.whole.spheres, -1) * self.whole.radius[:, None]
 
     @cached_property
     def network(self) -> SliplessNetwork:
-        return SliplessNetwork(self.packing.network, self.slipless)
+        return SliplessNetwork(self.whole, self.slipless)
 
     @cached_property
     def bottlenecks(self) -> Any:
@@ -149,26 +153,26 @@ class Structure:
     def interface(self) -> Interface | None:
         """The lightest interface of two rigid domains; None where there are no two bearing states."""
         with stage("finding the minimum cut"):
-            return Interface.of(self.packing)
+            return Interface.of(self.bearing)
 
     @cached_read_only
     def signs(self) -> tuple[np.ndarray, np.ndarray]:
         """(N,) True in parts with odd loops, and the signs by which neighbours differ in others."""
-        return self.packing.network.sublattices
+        return self.whole.sublattices
 
     @cached_read_only
     def states(self) -> np.ndarray | None:
         """s u (2, N, C) of all spheres if they turned with the first or with the second of two driven bodies,
         length/time; None where these are in no bearing states."""
-        found = bearing_states(self.packing)
+        found = bearing_states(self.bearing)
         return None if found is None else found[1]
 
     @cached_read_only
     def turned(self) -> np.ndarray:
         """s R omega (N, C), length/time, with signs s by which neighbours differ; in parts with odd loops, where each
         sphere has neighbours of its own sign, that of its first component is taken away."""
-        (odd, sign), packing = self.signs, self.packing
-        u = sign[:, None] * self.spin.reshape(packing.spheres, -1) * np.asarray(packing.radius)[:, None]
+        odd, sign = self.signs
+        u = sign[:, None] * self.speeds(self.spin)
         first = np.argmax(np.abs(u) > SAME_STATE * np.abs(u).max(initial=0.0), axis=1)
         return np.where(odd[:, None] & (u[np.arange(len(u)), first] < 0)[:, None], -u, u)
 
@@ -176,7 +180,7 @@ class Structure:
     def rigid_domains(self) -> RigidDomains:
         """Spheres of one connected piece of slipless contacts that turn as fast, but for their signs. Components that
         all have alike are left out; those of one piece with a body that turn as it does are locked to it."""
-        packing, u, piece = self.packing, self.turned, self.network.component
+        u, piece = self.turned, self.network.component
         largest, states = np.abs(u).max(initial=0.0), self.states
         near = max(SAME_STATE * largest, 2 * self.slip[self.slipless].max(initial=0.0))
         low, high = np.zeros((2, *u.shape)) if states is None else states
@@ -184,8 +188,8 @@ class Structure:
         values = np.where(np.abs(u - low) <= near, -apart, np.where(np.abs(u - high) <= near, apart, u))
         axes = self._slipping_components(near)
         labels = np.stack([_alike(piece, (u if states is None else values)[:, k], near) for k in axes])
-        held = np.flatnonzero(packing.driven >= 0)
-        bodies, body = np.unique(packing.driven[held], return_inverse=True)
+        held = np.flatnonzero(~self.whole.free)
+        bodies, body = np.unique(self.whole.body[held], return_inverse=True)
         tied = np.zeros((len(axes), len(u)), dtype=np.int64)
         for lock, label in zip(tied, labels, strict=True):
             np.bitwise_or.at(lock, label[held], 1 << np.minimum(body, MOST_BODIES))
@@ -203,10 +207,9 @@ class Structure:
 
     def _slipping_components(self, near: float) -> tuple[int, ...]:
         """Components in which some contact slips; all where none does."""
-        packing, acts = self.packing, self.state != ContactState.DRIVEN
-        u = self.spin.reshape(packing.spheres, -1) * np.asarray(packing.radius)[:, None]
-        both, normal = u[packing.contact[acts]].sum(axis=1), np.asarray(packing.normal)[acts]
-        if packing.dimension == 3:
+        acts = self.state != ContactState.DRIVEN
+        both, normal = self.speeds(self.spin)[self.whole.contact[:, acts]].sum(axis=0), self.whole.normal[acts]
+        if self.whole.dimension == 3:
             both = both - normal * (both * normal).sum(axis=1)[:, None]
         slips = np.abs(both).max(axis=0, initial=0.0) > near
         return tuple(np.flatnonzero(slips | ~slips.any()).tolist())
@@ -216,7 +219,7 @@ class Structure:
         """(N,) 0 on the first body, 1 on the last one, and between the mean of that of the neighbours; 0 where these
         two do not reach."""
         node = self.network.body
-        ends, size = node[self.packing.network.contact[:, self.packing.acting]], int(node.max()) + 1
+        ends, size = node[self.whole.contact[:, self.bearing.acting]], int(node.max()) + 1
         ones = np.ones(ends.shape[1])
         graph = csr_array((np.tile(ones, 2), np.append(ends, ends[::-1], axis=1)), shape=(size, size))
         label = connected_components(graph, directed=False)[1]
@@ -230,16 +233,17 @@ class Structure:
     @cached_property
     def torque_flow(self) -> TorqueFlow:
         """What drives the bodies, and how it goes through the network: layers are those of `height`."""
-        packing, (odd, sign), (first, second) = self.packing, self.signs, self.packing.contact.T
+        whole, imposed, (odd, sign) = self.whole, self.bearing.driven_speed, self.signs
+        first, second = whole.contact
         friction, sign = self.friction, np.where(odd, 1, sign)
-        pull = friction[:, None] if packing.dimension == 2 else np.cross(np.asarray(packing.normal), friction)
+        pull = friction[:, None] if whole.dimension == 2 else np.cross(whole.normal, friction)
         pull = np.where((self.state != ContactState.DRIVEN)[:, None], pull, 0.0)
-        drive, held = np.zeros(packing.imposed.shape), np.flatnonzero(packing.driven >= 0)
+        drive, held = np.zeros(imposed.shape), np.flatnonzero(~whole.free)
         for end in (first, second):
             np.add.at(drive, end, pull)
-        bodies, body = np.unique(packing.driven[held], return_inverse=True)
-        total, spent = np.zeros((len(bodies), pull.shape[1])), (drive * packing.imposed).sum(axis=1)
-        np.add.at(total, body, (sign * packing.radius)[held, None] * drive[held])
+        bodies, body = np.unique(whole.body[held], return_inverse=True)
+        total, spent = np.zeros((len(bodies), pull.shape[1])), (drive * imposed).sum(axis=1)
+        np.add.at(total, body, (sign * whole.radius)[held, None] * drive[held])
         power, share = np.bincount(body, spent[held], len(bodies)), None
         if self.states is not None:
             drop = sign[first] * (self.height[first] - self.height[second])
@@ -251,18 +255,18 @@ class Structure:
     def mean_saturation(self) -> float | None:
         """Mean share of their friction limit that slipless contacts bear: not-a-number where there are none, None
         without a limit of friction."""
-        if not self.packing.kind.is_rate_independent:
+        if not self.bearing.law.is_rate_independent:
             return None
-        limit, size = self.packing.coefficients[0], vector_length(np.atleast_2d(self.friction.T))
+        limit, size = self.bearing.material[0][0], vector_length(np.atleast_2d(self.friction.T))
         loaded = self.slipless & (limit > 0)
         return float((size[loaded] / limit[loaded]).mean()) if loaded.any() else np.nan
 
     @cached_property
     def self_stress(self) -> int | None:
         """States of self-stress: how far the forces of slipless contacts are left open; None if rounding hides it."""
-        chosen, every = np.flatnonzero(self.slipless), range(self.packing.imposed.shape[1])
-        axes = self.rigid_domains.spin_axes if self.packing.network.along_axes(chosen) else every
-        return self_stress_of(self.packing.network, chosen, axes)
+        chosen, every = np.flatnonzero(self.slipless), range(self.whole.components)
+        axes = self.rigid_domains.spin_axes if self.whole.along_axes(chosen) else every
+        return self_stress_of(self.whole, chosen, axes)
 
     @cached_property
     def numbers(self) -> dict[str, Any]:
@@ -286,12 +290,7 @@ class LatticeStructure(Structure):
 
     @property
     def scene(self) -> Scene:
-        found: Scene = self.answer.scene
-        return found
-
-    @property
-    def system(self) -> Scene:
-        return self.scene
+        return of_lattice(self.answer.scene)
 
     @property
     def fastest(self) -> float:
@@ -331,21 +330,13 @@ class LatticeStructure(Structure):
         return self.answer.minimum_is_unique[0] if self.threshold is None else None
 
     @cached_property
-    def packing(self) -> Packing:
-        return lattice_as_packing(self.scene)
-
-    @cached_property
-    def network(self) -> SliplessNetwork:
-        return SliplessNetwork(self.scene.network, self.slipless)
-
-    @cached_property
     def interface(self) -> Interface:
         with stage("finding the minimum cut"):
             return find_interface(self.scene)
 
     @cached_read_only
     def states(self) -> np.ndarray:
-        sign, imposed = self.signs[1], self.packing.imposed
+        sign, imposed = self.signs[1], self.scene.driven_speed
         top = (sign[:, None] * imposed).reshape(*self.scene.lattice.shape, -1)[..., -1:, :]
         high = np.broadcast_to(top, (*self.scene.lattice.shape, imposed.shape[1])).reshape(imposed.shape)
         return np.stack([np.zeros_like(high), high])
@@ -379,7 +370,7 @@ def structure_of(answer: Solution, number: int = 0, threshold: float | None = No
     number : of the sample. threshold : as of these.
     """
     one = answer.sample(number)
-    kind: type[Structure] = LatticeStructure if isinstance(one.scene, Scene) else Structure
+    kind: type[Structure] = Structure if one.scene.network.lattice is None else LatticeStructure
     power, lower_bound = float(one.power[0]), float(one.lower_bound[0])
     of_contacts = (one.slip[0], one.state[0], one.friction[0], one.power_per_contact[0])
     return kind(one, one.spin[0], *of_contacts, power, lower_bound, threshold)
@@ -393,7 +384,7 @@ def find_interface(scene: Scene, replica: int = 0) -> Interface:
     contacts = (low != high) & (weight[0] > 0) & (scene.jump > 0)  # without a jump nothing slips
     power = unit * float(cut.weight[0])
     if scene.law.minimises != "power":
-        power = float(scene.law.power(scene.contact, _interface_slips(scene)[None])[0, contacts].sum())
+        power = float(scene.law.power(scene.material, _interface_slips(scene)[None])[0, contacts].sum())
     return Interface(
         power,
         contacts,
@@ -410,21 +401,6 @@ def _interface_slips(scene: Scene) -> np.ndarray:
     axes = scene.minimum_spin_axes
     jump = scene.top_spin(axes).reshape(len(axes), -1)[:, scene.lattice.column]
     return scene.lattice.radius * vector_length(np.where(scene.lattice.felt(axes), jump, 0.0))
-
-
-def lattice_as_packing(scene: Scene) -> Packing:
-    """One sample, measured from its bottom: driven are body 0, the bottom, at rest, and body 1, the top."""
-    lattice, axes = scene.lattice, list(scene.minimum_spin_axes)
-    spin = np.zeros((*lattice.shape, 3))
-    spin[..., -1, axes] = lattice.parity[..., -1, None] * np.moveaxis(scene.top_spin(tuple(axes)), 0, -1)
-    of = [values[0] for values in scene.named_coefficients.values()]
-    return Packing(
-        center=2 * lattice.radius * np.argwhere(np.ones(lattice.shape, dtype=bool)),
-        contact=lattice.ends.T, driven=lattice.driven.ravel(),
-        spin=spin.reshape(-1, 3) if lattice.dimension == 3 else spin[..., 2].ravel(),
-        radius=lattice.radius, normal=np.eye(lattice.dimension)[lattice.axis], friction=of[0],
-        viscosity=of[1] if len(of) > 1 else None, normal_force=scene.normal_force, law=scene.law,
-    )  # fmt: skip
 
 
 def self_stress(network: SliplessNetwork, spin_axes: tuple[int, ...]) -> np.ndarray:

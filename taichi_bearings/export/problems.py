@@ -18,12 +18,11 @@ import h5py
 import numpy as np
 from scipy import sparse
 
-from taichi_bearings.analysis.structure import lattice_as_packing
 from taichi_bearings.errors import InputError
 from taichi_bearings.files.whole_file import write_hdf5, write_text
-from taichi_bearings.packing import Packing
 from taichi_bearings.packing.system import System
 from taichi_bearings.runs.run_file import opened_to_draw, replica_drawn
+from taichi_bearings.scene import Bearing
 from taichi_bearings.stages import stage
 from taichi_bearings.version import VERSION
 
@@ -39,27 +38,25 @@ def export_problem(
     """
     with opened_to_draw(run, out, PROBLEM_NAMES[form], force, replica) as (stored, path):
         found, which = stored.sample(replica), replica_drawn(stored, replica)
-        if found.is_packing:
-            return write_problem(found.solution.scene[0], form, path) | which
         torque = found.settings.torque
-        if torque is not None:
+        if torque is not None and not found.is_packing:
             raise InputError(f"the run has a torque of {torque} on its top; only imposed spins can be exported")
-        return write_problem(lattice_as_packing(found.solution.scene), form, path) | which
+        return write_problem(found.solution.scene, form, path) | which
 
 
-def write_problem(packing: Packing, form: str, path: Path) -> dict[str, Any]:
+def write_problem(bearing: Bearing, form: str, path: Path) -> dict[str, Any]:
     """Into a file, replacing it; returns what it holds."""
     with stage("writing"):
-        system = System.of(packing)
+        system = System.of(bearing)
         system.matrix.eliminate_zeros()
         if not len(system.contact):
-            raise InputError(f"{packing!r} has no contact of a free sphere that can slip; there is nothing to minimise")
+            raise InputError(f"{bearing!r} has no contact of a free sphere that can slip; there is nothing to minimise")
         if form == "cbf":
             write_text(path, cbf(system))
-        elif packing.kind.is_rate_independent:
+        elif bearing.law.is_rate_independent:
             write_hdf5(path, lambda file: write_fclib(file, system))
         else:
-            raise InputError(f"law is {packing.law}; fclib has friction alone, and cbf all laws")
+            raise InputError(f"law is {bearing.law}; fclib has friction alone, and cbf all laws")
     return {"file": str(path), "unknowns": system.unknowns, "contacts": len(system.contact)}
 
 
@@ -68,7 +65,7 @@ def cbf(system: System) -> str:
 
     Components of a slip that are 0 whatever the spins are left out, and contacts that have no others.
     """
-    law, (d, count), unknowns = system.packing.kind, system.offset.shape, system.unknowns
+    law, (d, count), unknowns = system.bearing.law, system.offset.shape, system.unknowns
     live = (np.diff(system.matrix.indptr) > 0).reshape(d, count) | (system.offset != 0)
     forces = (law.holding_force(system.coefficients), law.viscosity(system.coefficients))
     held, viscosity = (np.zeros(count) if some is None else np.where(live.any(axis=0), some, 0.0) for some in forces)
@@ -91,7 +88,7 @@ def cbf(system: System) -> str:
         columns = parts if isinstance(parts, tuple) else (np.flatnonzero(parts), parts[parts != 0])
         lines = zip(*(column.tolist() for column in columns), strict=True)
         items[name] = [len(columns[0]), *(" ".join(map(repr, line)) for line in lines)]
-    notes = f"# taichi_bearings {VERSION}: {system.packing!r}\n# the optimum is the least {law.minimises}\n"
+    notes = f"# taichi_bearings {VERSION}: {system.bearing!r}\n# the optimum is the least {law.minimises}\n"
     return notes + "".join("\n".join(["", name, *map(str, lines), ""]) for name, lines in items.items())
 
 
@@ -107,8 +104,8 @@ def write_fclib(file: h5py.File, system: System) -> None:
         for key, values in {**sizes, "p": matrix.indptr, "i": matrix.indices}.items():
             file[f"fclib_local/{name}/{key}"] = np.asarray(values, dtype=np.int32)
         file[f"fclib_local/{name}/x"] = matrix.data
-    normal_force = np.broadcast_to(system.packing.normal_force, system.packing.contacts)[system.contact]
+    normal_force = np.broadcast_to(system.bearing.normal_force, system.network.contacts)[system.contact]
     file["fclib_local/vectors/q"] = np.concatenate([np.zeros(count), system.offset.ravel()])[turn]
     file["fclib_local/vectors/s"] = np.concatenate([np.zeros(system.unknowns), -normal_force])
     file["fclib_local/vectors/mu"] = system.coefficients[0] / normal_force
-    file["fclib_local/info/title"] = np.bytes_(f"taichi_bearings {VERSION}: {system.packing!r}")
+    file["fclib_local/info/title"] = np.bytes_(f"taichi_bearings {VERSION}: {system.bearing!r}")

@@ -15,9 +15,9 @@ import h5py
 import numpy as np
 
 from taichi_bearings.files.whole_file import Finding, put, put_attributes, refuse_ending, write_hdf5
-from taichi_bearings.packing import Packing
 from taichi_bearings.runs.points_and_lines import Moments, points_and_lines
 from taichi_bearings.runs.run_file import opened_to_draw, replica_drawn
+from taichi_bearings.scene.network import Network
 from taichi_bearings.stages import stage
 
 VTK_NAME = "run.vtkhdf"
@@ -41,11 +41,11 @@ class Geometry:
     spheres: int
 
     @classmethod
-    def of(cls, packing: Packing) -> "Geometry":
+    def of(cls, network: Network) -> "Geometry":
         """Lines across periodic sides lead on to images of their second spheres."""
-        place, ends = packing.center, packing.contact.copy()
-        reach = packing.radius[ends].sum(axis=1)
-        step = np.asarray(packing.normal) * reach[:, None]
+        place, ends = network.center, network.contact.T.copy()
+        reach = network.radius[ends].sum(axis=1)
+        step = network.normal * reach[:, None]
         far = np.linalg.norm(place[ends[:, 1]] - place[ends[:, 0]] - step, axis=1)
         over = np.flatnonzero(far > reach / 2)
         sphere, beyond = np.append(np.arange(len(place)), ends[over, 1]), place[ends[over, 0]] + step[over]
@@ -77,7 +77,7 @@ def export(
     with opened_to_draw(run, out, VTK_NAME, force, replica) as (stored, path):
         found = stored.sample(replica)
         drawn = points_and_lines(stored, replica, analyse)
-        geometry, moments = Geometry.of(drawn.packing), drawn.moments
+        geometry, moments = Geometry.of(drawn.structure.whole), drawn.moments
         of_file = {key: found.attributes[key] for key in OF_THE_FILE if key in found.attributes}
         known = found.summary | of_file | {"replica": replica}
         told = {key: known[key] for key in TOLD if key in known}

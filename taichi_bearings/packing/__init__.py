@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from taichi_bearings.packing.answer import solve_packing
-    from taichi_bearings.packing.packing import Packing, Packings
+    from taichi_bearings.packing.packing import Packing
     from taichi_bearings.packing.structure import Structure, structure_of
 
-__all__ = ["Packing", "Packings", "Structure", "solve_packing", "structure_of"]
+__all__ = ["Packing", "Structure", "solve_packing", "structure_of"]
 MODULES = {
-    "Packing": "packing", "Packings": "packing", "Structure": "structure",
+    "Packing": "packing", "Structure": "structure",
     "solve_packing": "answer", "structure_of": "structure",
 }  # fmt: skip
 

@@ -11,12 +11,12 @@ from taichi_bearings.errors import InputError
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.numerics.double_double import Pair, divide, exactly
 from taichi_bearings.packing import planar
-from taichi_bearings.packing.packing import Packing, Packings
+from taichi_bearings.packing.packing import Packing
 from taichi_bearings.packing.system import Found, System
 from taichi_bearings.proof.contact_state import SATURATED, decided
 from taichi_bearings.proof.judgement import Judgement
 from taichi_bearings.proof.network import StoredPacking
-from taichi_bearings.scene import Solution, Status
+from taichi_bearings.scene import Bearing, Solution, Status
 from taichi_bearings.stages import stage
 from taichi_bearings.words import shown
 
@@ -30,7 +30,7 @@ MOVED = 1e-7  # of a slip that a motion makes
 SLIPLESS, SLIPPING, UNDECIDED, DRIVEN = range(4)
 
 
-def solve_packing(packing: Packing, tolerance: float = 1e-8, method: str = "auto") -> Solution:
+def solve_packing(packing: Bearing, tolerance: float = 1e-8, method: str = "auto") -> Solution:
     """The state of least dissipation; slipless motions that nothing decides are left at rest.
 
     tolerance : proven relative gap at which it counts as certified. method : one of those below by its name.
@@ -49,7 +49,7 @@ def solve_packing(packing: Packing, tolerance: float = 1e-8, method: str = "auto
         end = _found(system, method)
         with stage("proving"):
             found = judged(system, end, tolerance)
-        if found.method == "interior-point" and system.packing.kind.is_rate_independent:
+        if found.method == "interior-point" and system.packing.law.is_rate_independent:
             found = _without_contrast(system, found, tolerance)
     return replace(found, seconds=perf_counter() - begun)
 
@@ -91,8 +91,8 @@ def _system_of(packing: Packing) -> System:
     if known is None or not _alike(known.packing, packing):
         known = _last = None  # its memory is free before another one is found
         known = _last = System.of(packing)
-    of = tuple(values[known.contact] for values in packing.coefficients)
-    return replace(known, packing=packing, coefficients=of)
+    of = tuple(values[0, known.contact] for values in packing.material)
+    return replace(known, bearing=packing, coefficients=of)
 
 
 def _alike(one: Packing, other: Packing) -> bool:
@@ -101,7 +101,7 @@ def _alike(one: Packing, other: Packing) -> bool:
 
 
 def _found(system: System, method: str) -> Found:
-    law, of = system.packing.kind, system.coefficients
+    law, of = system.packing.law, system.coefficients
     exact = law.is_rate_independent and not (system.felt.sum(axis=1) > 1).any()
     able = ["planar-cut"] * exact + ["interior-point" if law.holds else "linear-solver"]
     if method not in ("auto", *able):
@@ -140,7 +140,7 @@ def spins_of(packing: Packing, u: Pair) -> Pair:
 def judged(system: System, found: Found, tolerance: float, moves: bool = False) -> Solution:
     """What was found, with all that is proven of it. moves : it is a motion on its way, so that its spins are kept;
     else, where a state without any slip is proven to exist, they become that state."""
-    packing, law, judgement = system.packing, system.packing.kind, judgement_of(system, found)
+    packing, law, judgement = system.packing, system.packing.law, judgement_of(system, found)
     if judgement.can_be_judged and judgement.slipless[0] and not moves and (judgement.network.slip.most > 0).any():
         found = _without_slip(system, found)
         judgement = judgement_of(system, found)
@@ -153,14 +153,14 @@ def judged(system: System, found: Found, tolerance: float, moves: bool = False) 
     slip, told = judgement.slip, np.where(judgement.acts, _states(system, found, judgement), DRIVEN)
     state, proven = decided(told, judgement.states[0].proven[None])
     return Solution(
-        scene=Packings((packing,)),
+        scene=packing,
         method=found.method,
         status=Status.CERTIFIED if judgement.gap[0] <= tolerance else Status.STALLED,
         iterations=found.steps,
         spin=spin[None],
         spin_rounding=rounding[None],
         slip=slip,
-        power_per_contact=law.power(packing.coefficients, slip),
+        power_per_contact=law.power(packing.material, slip),
         force=force[None],
         friction=friction[None],
         state=state,
@@ -184,7 +184,7 @@ def judgement_of(system: System, found: Found) -> Judgement:
     rest = np.append(np.zeros(system.unknowns) if found.rest is None else found.rest, 0.0)[system.moved]
     spin, rounding = spins_of(system.packing, (np.nan_to_num(u, posinf=0.0, neginf=0.0), rest))
     friction = forces_of(system, np.nan_to_num(found.force, posinf=0.0, neginf=0.0))[1]
-    return Judgement(StoredPacking(system.packing.kind.name, system.packing.arrays(), spin, rounding, friction))
+    return Judgement(StoredPacking(system.packing.law.name, system.packing.arrays(), spin, rounding, friction))
 
 
 def _without_slip(system: System, found: Found) -> Found:
@@ -198,20 +198,17 @@ def _without_slip(system: System, found: Found) -> Found:
 
 def forces_of(system: System, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Sizes (E,) and friction on the second sphere, (E, 3), of discs (E,), along z x n."""
-    packing = system.packing
-    size, vectors = np.zeros(packing.contacts), np.zeros((packing.contacts, system.across.shape[2]))
+    network = system.network
+    size, vectors = np.zeros(network.contacts), np.zeros((network.contacts, network.components))
     size[system.contact] = np.linalg.norm(force, axis=0)
     vectors[system.contact] = np.einsum("te,tek->ek", force, system.across)
-    if packing.dimension == 2:
-        return size, vectors[:, 0]
-    assert packing.normal is not None
-    return size, np.cross(vectors, packing.normal)
+    return size, vectors[:, 0] if network.dimension == 2 else np.cross(vectors, network.normal)
 
 
 def _states(system: System, found: Found, judgement: Judgement) -> np.ndarray:
     """States (E,), as slips and margins tell them, of contacts of which nothing is proven."""
-    packing, law = system.packing, system.packing.kind
-    fastest = float(np.abs(packing.imposed).max(initial=0.0))
+    packing, law = system.packing, system.packing.law
+    fastest = float(np.abs(packing.driven_speed).max(initial=0.0))
     held, slip = law.holding_force(system.coefficients), judgement.slip[0]
     if held is None or not held.any():
         return np.where(slip > 1e-12 * fastest, SLIPPING, SLIPLESS)

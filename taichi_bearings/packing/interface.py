@@ -11,29 +11,29 @@ from typing import Any
 import numpy as np
 
 from taichi_bearings.numerics.minimum_cut import graph_cut, number_bodies
-from taichi_bearings.packing.packing import Packing
 from taichi_bearings.packing.system import needed_components
+from taichi_bearings.scene import Bearing
 
 SAME_STATE = 1e-9  # of the largest R omega, by which spins may miss a bearing state
 ACROSS = 1e-12  # of the jump, what rounding leaves of it across a normal along it
 STATE_ROUNDING = 2.0**-48  # of R omega: a dozen roundings of 2^-53 each
 
 
-def bearing_states(packing: Packing) -> tuple[np.ndarray, np.ndarray] | None:
+def bearing_states(bearing: Bearing) -> tuple[np.ndarray, np.ndarray] | None:
     """Signs (N,) by which neighbours differ, and s u (2, N, C) of all spheres if they turned with the first or with the
     second of two driven bodies in bearing states; None where it has odd loops, or others, or where a state slips at a
     contact, as across a periodic side."""
-    (odd, sign), bodies = packing.network.sublattices, packing.network.bodies
+    (odd, sign), bodies = bearing.network.sublattices, bearing.network.bodies
     if odd.any() or len(bodies) != 2:
         return None
-    turned = sign[:, None] * packing.imposed
-    low, high = (_state(packing.center, turned, packing.driven == body) for body in bodies)
+    turned = sign[:, None] * bearing.driven_speed
+    low, high = (_state(bearing.network.center, turned, bearing.network.body == body) for body in bodies)
     if low is None or high is None:
         return None
     for state in (low, high):
-        contact = packing.acting
-        first, second = packing.network.contact[:, contact]
-        missed = packing.network.across(state[second] - state[first], contact)
+        contact = bearing.acting
+        first, second = bearing.network.contact[:, contact]
+        missed = bearing.network.across(state[second] - state[first], contact)
         if missed.max(initial=0.0) > SAME_STATE * np.abs(state).max(initial=0.0):
             return None
     return sign, np.stack([low, high])
@@ -86,44 +86,47 @@ class Interface:
         return self.power > 0 and not self.between.any()
 
     @classmethod
-    def of(cls, packing: Packing) -> "Interface | None":
+    def of(cls, bearing: Bearing) -> "Interface | None":
         """Of the least power, or what else the stationary state minimises; None without two bearing states."""
-        states = bearing_states(packing)
+        states = bearing_states(bearing)
         if states is None:
             return None
         sign, (low, high) = states
-        known, needed = needed_components(packing)
-        jump = ((high - low) * needed)[packing.contact[:, 0]]
-        across = packing.network.across(jump)
+        known, needed = needed_components(bearing)
+        jump = ((high - low) * needed)[bearing.network.contact[0]]
+        across = bearing.network.across(jump)
         across[across <= ACROSS * np.linalg.norm(jump, axis=1)] = 0.0
-        weight = packing.kind.objective(packing.coefficients, across)
-        node, taken = number_bodies(packing.driven), np.zeros(packing.contacts, dtype=bool)
-        ends = node[packing.contact].T
-        taken[packing.acting] = True
+        material = tuple(values[0] for values in bearing.material)
+        weight = bearing.law.objective(material, across)
+        node, taken = number_bodies(bearing.network.body), np.zeros(bearing.network.contacts, dtype=bool)
+        ends = node[bearing.network.contact]
+        taken[bearing.acting] = True
         taken &= (ends[0] != ends[1]) & (weight > 0)
         ends, weight = ends[:, taken], weight[taken]
         if not weight.sum() > 0:
             return None
         size = int(node.max()) + 1
         edges = np.append(ends, [[0], [size - 1]], axis=1)  # one of no weight, so that both ends are there
-        slack = _slack(packing, np.flatnonzero(taken), across, states[1])
+        slack = _slack(bearing, np.flatnonzero(taken), across, states[1])
         found = graph_cut(edges, np.append(weight, 0.0), np.arange(size) > 0, STATE_ROUNDING, slack)
         above, between = found.above[node], found.between[node]
         cut = np.flatnonzero(taken)[found.above[ends[0]] != found.above[ends[1]]]
-        contacts = np.zeros(packing.contacts, dtype=bool)
+        contacts = np.zeros(bearing.network.contacts, dtype=bool)
         contacts[cut] = True
-        power = packing.kind.power(tuple(of[cut] for of in packing.coefficients), across[cut])
+        power = bearing.law.power(tuple(of[cut] for of in material), across[cut])
         spins = np.where(needed, sign[:, None] * np.where(above[:, None], high, low), known)
         return cls(float(power.sum()), contacts, above, between, spins=spins)
 
 
-def _slack(packing: Packing, contact: np.ndarray, across: np.ndarray, states: np.ndarray) -> float:
+def _slack(bearing: Bearing, contact: np.ndarray, across: np.ndarray, states: np.ndarray) -> float:
     """What the weights of contacts (n,) may differ in all from those of the bearing states that are meant: these
     (2, N, C) are known from spins to rounding, or to what these miss a state by. across : (E,) of the jump."""
-    bodies, sign = packing.network.bodies, packing.network.sublattices[1]
-    turned, largest = sign[:, None] * packing.imposed, np.abs(states).max()
-    missed = [np.abs(turned - state)[packing.driven == body].max() for state, body in zip(states, bodies, strict=True)]
+    bodies, sign = bearing.network.bodies, bearing.network.sublattices[1]
+    turned, largest = sign[:, None] * bearing.driven_speed, np.abs(states).max()
+    missed = [
+        np.abs(turned - state)[bearing.network.body == body].max() for state, body in zip(states, bodies, strict=True)
+    ]
     off = 4 * (sum(missed) + STATE_ROUNDING * largest)
-    of = tuple(values[contact] for values in packing.coefficients)
-    near, far = (packing.kind.objective(of, np.maximum(across[contact] + by, 0.0)) for by in (-off, off))
+    of = tuple(values[0, contact] for values in bearing.material)
+    near, far = (bearing.law.objective(of, np.maximum(across[contact] + by, 0.0)) for by in (-off, off))
     return float((far - near).sum())

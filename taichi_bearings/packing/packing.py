@@ -5,7 +5,8 @@ radii drop out, and a packing out of a simulation, a space-filling bearing and a
 """
 
 import logging
-from dataclasses import dataclass, field, fields
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ import h5py
 import numpy as np
 
 from taichi_bearings.errors import FileError, InputError, WriteError
+from taichi_bearings.numerics.graphs import odd_pieces
 from taichi_bearings.options import SEED, SHAPE, finite_number
 from taichi_bearings.packing import checks, geometry, random_packing, space_filling
 from taichi_bearings.packing.found import TOLERANCE, Sides, completed, from_centers
@@ -22,10 +24,11 @@ from taichi_bearings.packing.lammps import Asked, read_dumps
 from taichi_bearings.packing.lattices import KINDS, Built, built, driven_bodies
 from taichi_bearings.packing.tables import read_contacts, read_spheres
 from taichi_bearings.plain_files import writing
-from taichi_bearings.read_only import cached_read_only
+from taichi_bearings.read_only import cached_read_only, read_only
 from taichi_bearings.scene.array_files import read_arrays
+from taichi_bearings.scene.bearing import Bearing, as_one_driving
 from taichi_bearings.scene.disorder import Distribution, Draw
-from taichi_bearings.scene.law import LAWS, Coefficients, Law, law_named
+from taichi_bearings.scene.law import COULOMB, LAWS, Coefficients, Law, law_named
 from taichi_bearings.scene.network import Network
 from taichi_bearings.scene.scene import bearing_state, imposed_direction
 from taichi_bearings.text_lines import is_table
@@ -36,18 +39,19 @@ NEEDED, OPTIONAL = (
     ("radius", "normal", "friction", "viscosity", "normal_force", "schematic"),
 )
 DISTRIBUTION = "uniform:0.1,1.0"
+OF_ALL_SAMPLES = ("center", "contact", "driven", "spin", "radius", "normal", "law", "schematic")
+OF_SAMPLES = ("friction", "viscosity", "normal_force")
 SIDES_GIVEN = [item.name for item in fields(Sides)]
-SAME_DRIVING = 4  # units in the last place, up to which imposed speeds are one
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Packing:
+class Packing(Bearing):
     """Spheres (D = 3) or discs (D = 2) that touch; N of them, with E contacts. Arrays are copied and read-only.
 
     center : (N, D), length. contact : (E, 2) integers, the first and the second sphere of each contact.
     driven : (N,) integers, -1 for a free sphere, else the number of the driven body that it belongs to.
     spin : (N, 3), of discs (N,), 1/time; laboratory frame; imposed on driven spheres, ignored on others. Driven spheres
-        whose radius times spin differs by rounding alone have one surface speed, see ``imposed``.
+        whose radius times spin differs by rounding alone have one surface speed, see ``driven_speed``.
     radius : (N,) or one for all, length. normal : (E, D), unit vectors from the first to the second sphere; from the
         centres if None. A contact across a periodic side needs it, and so do several contacts of the same two spheres.
     friction : (E,), the coefficient of the law: friction, a pure number, or of the law "viscous" damping,
@@ -72,11 +76,12 @@ class Packing:
     friction: np.ndarray | None = None
     viscosity: Any = None
     normal_force: Any = 50.0
-    law: Law | str | None = None
+    law: Law = None  # type: ignore[assignment]  # the usual one
     distribution: str | Draw = DISTRIBUTION
     seed: int = 0
     schematic: bool = False
     normals_given: bool = field(init=False)
+    seeds: tuple[int, ...] = field(init=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "normals_given", self.normal is not None)
@@ -91,9 +96,9 @@ class Packing:
         checks.refuse_repeated(self)
         usual = "coulomb" if self.viscosity is None else "coulomb-viscous"
         put("law", law_named(usual if self.law is None else self.law))
-        if not self.kind.is_sum:
+        if not self.law.is_sum:
             known = ", ".join(name for name, law in LAWS.items() if law.is_sum)
-            raise InputError(f"law is {self.kind.name!r}; packings have {known}, laws of one's own are for lattices")
+            raise InputError(f"law is {self.law.name!r}; packings have {known}, laws of one's own are for lattices")
         put("normal_force", checks.pressing(self.normal_force, self.contacts))
         self._take_coefficients(put)
 
@@ -108,10 +113,11 @@ class Packing:
         return normal
 
     def _take_coefficients(self, put: Any) -> None:
-        two = len(self.kind.quantities) > 1
+        two = len(self.law.quantities) > 1
         if self.viscosity is not None and not two:
             raise InputError(f"viscosity is given, but the law {self.law} does not use it; it needs coulomb-viscous")
         seed = SEED.named("seed", self.seed)
+        put("seeds", (seed,))
         usual: list[Any] = [("friction", seed, self.distribution), ("viscosity", [seed, 2], DISTRIBUTION)]
         for name, state, values in usual[: 1 + two]:
             given: Any = getattr(self, name)
@@ -120,12 +126,6 @@ class Packing:
                 draw = Distribution.parse(values) if isinstance(values, str) else values
                 values = draw(np.random.default_rng(state), (self.contacts,))
             put(name, checks.sizes(name, values, self.contacts, "contact", may_vanish=True))
-
-    @property
-    def kind(self) -> Law:
-        """The law itself."""
-        assert isinstance(self.law, Law)
-        return self.law
 
     @property
     def spheres(self) -> int:
@@ -146,35 +146,100 @@ class Packing:
         return self.center.shape[1]
 
     @cached_read_only
-    def acting(self) -> np.ndarray:
-        """Numbers of the contacts with a coefficient that have a free end."""
-        some = np.any([values > 0 for values in self.coefficients], axis=0)
-        return np.flatnonzero(some & self.network.has_free_end)
+    def material(self) -> Coefficients:
+        """As laws want them, (R, E) each: a friction times the normal force; force or force * time / length."""
+        pairs = zip(self.law.quantities, (self.friction, self.viscosity), strict=False)
+        of = (np.asarray(v) * (self.normal_force if quantity.is_friction else 1.0) for quantity, v in pairs)
+        return tuple(values.reshape(self.replicas, -1) for values in of)
 
-    @cached_read_only
-    def coefficients(self) -> Coefficients:
-        """As laws want them, (E,) each: a friction times the normal force; force or force * time / length."""
-        given = (self.friction, self.viscosity)
-        pairs = zip(self.kind.quantities, given, strict=False)
-        return tuple(np.asarray(v) * (self.normal_force if quantity.is_friction else 1.0) for quantity, v in pairs)
+    @property
+    def named_coefficients(self) -> dict[str, np.ndarray]:
+        given = {"coefficient": self.friction, "viscosity": self.viscosity}
+        return {name: np.reshape(v, (self.replicas, -1)) for name, v in given.items() if v is not None}
+
+    @property
+    def coefficient(self) -> np.ndarray:
+        """(R, E), forces, or with the law "viscous" damping."""
+        return self.material[0]
 
     def slips(self, spin: np.ndarray) -> np.ndarray:
         """Slip speeds (E,) of spins (N, 3), of discs (N,); length/time."""
         return self.network.slips(spin.reshape(self.spheres, -1) * self.network.radius[:, None])
 
     @cached_read_only
-    def imposed(self) -> np.ndarray:
+    def driven_speed(self) -> np.ndarray:
         """u = R omega of driven spheres, (N, C) with C = 3, of discs 1; 0 on free ones; length/time. Sizes of a
         component that differ by no more than 4 units in the last place are one driving, the least of them."""
         u = self.spin.reshape(self.spheres, -1) * np.asarray(self.radius)[:, None]
-        u = np.where((self.driven >= 0)[:, None], u, 0.0)
-        for part in u.T:
-            size, place = np.unique(np.abs(part), return_inverse=True)
-            for number in range(1, len(size)):
-                if size[number] - size[number - 1] <= SAME_DRIVING * np.spacing(size[number]):
-                    size[number] = size[number - 1]
-            part[:] = np.copysign(size[place.reshape(-1)], part)
-        return u
+        return as_one_driving(np.where((self.driven >= 0)[:, None], u, 0.0))
+
+    @property
+    def minimum_spin_axes(self) -> tuple[int, ...]:
+        """All of them."""
+        return tuple(range(self.network.components))
+
+    @cached_property
+    def jump(self) -> float:
+        """Diagonal of the box of the imposed u, with the signs of a sublattice where there are two, else of both."""
+        held = ~self.network.free
+        if not held.any():
+            return 0.0
+        odd, sign = odd_pieces(self.spheres, *self.network.contact[:, self.acting])
+        turned = (sign[:, None] * self.driven_speed)[held]
+        both = np.concatenate([turned, -turned[odd[held]]])
+        return float(np.linalg.norm(both.max(axis=0) - both.min(axis=0)))
+
+    @property
+    def is_top(self) -> np.ndarray:
+        """(N,) True for the spheres of the body of the largest number."""
+        return np.asarray(self.driven == max(self.driven.max(), 0))
+
+    @property
+    def sides(self) -> tuple[float, float]:
+        """The largest R omega of the last body, the top, and of all others, length/time."""
+        speed, top = np.linalg.norm(self.driven_speed, axis=1), self.is_top
+        return float(speed[top].max(initial=0.0)), float(speed[~top].max(initial=0.0))
+
+    def with_top(self, strength: float) -> "Packing":
+        top = self.is_top.reshape(-1, *(1,) * (self.spin.ndim - 1))
+        return replace(self, spin=np.where(top, strength, 1.0) * self.spin)
+
+    def with_friction_alone(self) -> "Packing":
+        return replace(self, law=COULOMB, viscosity=None)
+
+    @cached_property
+    def fastest(self) -> float:
+        """The largest imposed R omega, length/time."""
+        return float(np.linalg.norm(self.driven_speed, axis=1).max(initial=0.0))
+
+    @classmethod
+    def together(cls, samples: Sequence["Packing"]) -> "Packing":
+        """Packings that differ in their coefficients alone as the samples of one, whose arrays of the contacts then
+        have a leading axis R. InputError where they differ in anything else."""
+        first = samples[0]
+        if len(samples) == 1:
+            return first
+        for name in OF_ALL_SAMPLES:
+            if not all(np.array_equal(getattr(first, name), getattr(one, name)) for one in samples):
+                raise InputError(f"{name} differs between samples; samples of one run differ in coefficients alone")
+        changes = {name: [getattr(one, name) for one in samples] for name in OF_SAMPLES}
+        stacked = {name: None if of[0] is None else read_only(np.stack(of)) for name, of in changes.items()}
+        return first._with(**stacked, seeds=tuple(one.seed for one in samples))
+
+    def sample(self, number: int) -> "Packing":
+        """One of the samples alone."""
+        if self.replicas == 1:
+            return self
+        given = {name: getattr(self, name) for name in OF_SAMPLES}
+        one = {name: None if values is None else values[number] for name, values in given.items()}
+        return self._with(**one, seed=self.seeds[number], seeds=(self.seeds[number],))
+
+    def _with(self, **changes: Any) -> "Packing":
+        """The same with other values of fields, which are not checked."""
+        other = object.__new__(type(self))
+        vars(other).update({item.name: getattr(self, item.name) for item in fields(self)} | changes)
+        vars(other)["network"] = self.network
+        return other
 
     def __repr__(self) -> str:
         what = "discs" if self.dimension == 2 else "spheres"
@@ -345,36 +410,6 @@ class Packing:
             else:
                 raise WriteError(f"{path} must end in .npz, .h5 or .hdf5")
         return path
-
-
-class Packings(tuple[Packing, ...]):
-    """Packings of as many spheres and contacts each, the samples of a run: what an answer asks of a `Scene`."""
-
-    strength = 1.0  # by which coefficients are multiplied to be forces
-
-    @property
-    def replicas(self) -> int:
-        return len(self)
-
-    def sample(self, number: int) -> "Packings":
-        return Packings(self[number : number + 1])
-
-    @property
-    def law(self) -> Law:
-        return self[0].kind
-
-    @property
-    def seeds(self) -> tuple[int, ...]:
-        return tuple(packing.seed for packing in self)
-
-    @property
-    def contact(self) -> Coefficients:
-        """As laws want them, (R, E) each."""
-        return tuple(map(np.stack, zip(*(packing.coefficients for packing in self), strict=True)))
-
-    @property
-    def coefficient(self) -> np.ndarray:
-        return self.contact[0]
 
 
 def _states(given: dict[str, Any], dimension: int) -> np.ndarray:

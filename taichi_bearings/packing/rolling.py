@@ -29,7 +29,7 @@ def rolled(system: System, spins: Pair, rolls: np.ndarray) -> Pair:
         matrix.factorise(isotropic(contacts.offset, np.where(rolls, 1.0, LOOSE)))
     except NotPositiveDefinite:
         return spins
-    best, least, fastest = spins, np.inf, float(np.abs(system.packing.imposed).max(initial=0.0))
+    best, least, fastest = spins, np.inf, float(np.abs(system.packing.driven_speed).max(initial=0.0))
     for _ in range(MOST_CORRECTIONS):
         slips = np.where(rolls, slips_in_pairs(system, spins), 0.0)
         size = float(np.abs(slips).max(initial=0.0))

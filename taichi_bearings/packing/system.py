@@ -7,6 +7,7 @@ import numpy as np
 from scipy import sparse
 
 from taichi_bearings.packing.packing import Packing
+from taichi_bearings.scene import Bearing
 from taichi_bearings.scene.network import Network
 
 
@@ -14,14 +15,15 @@ from taichi_bearings.scene.network import Network
 class System:
     """The contacts that act, (A,), and the unknowns: spins of free spheres, by component, that have to be found.
 
-    packing. contact : (A,) numbers of contacts with a coefficient and a free end, in parts that touch a driven sphere.
+    bearing : what is solved, of one sample. contact : (A,) numbers of contacts with a coefficient and a free end, in
+    parts that touch a driven sphere.
     moved : (N, C) number of each unknown, -1 where the spin is imposed, or held at 0. motions : number of slipless ones
     before some were held; None if undecided. sphere : (unknowns,).
     known : (N, C), u of spheres and components that are no unknowns. matrix : K. offset : b, (d, A), of the known
     spins. coefficients : (A,) each.
     """
 
-    packing: Packing
+    bearing: Bearing
     contact: np.ndarray
     moved: np.ndarray
     motions: int | None
@@ -32,11 +34,11 @@ class System:
     coefficients: tuple[np.ndarray, ...]
 
     @classmethod
-    def of(cls, packing: Packing) -> "System":
-        network, contact = packing.network, packing.acting
+    def of(cls, bearing: Bearing) -> "System":
+        network, contact = bearing.network, bearing.acting
         moves = network.reached(contact)
         contact = contact[moves[network.contact[:, contact]].any(axis=0)]
-        known, wanted, number = network.needed(packing.imposed, contact, moves)
+        known, wanted, number = network.needed(bearing.driven_speed, contact, moves)
         moved = _numbered(wanted)
         if number is None:
             found = network.motions(network.operator(contact, moved), np.nonzero(wanted)[0], contact, moves)
@@ -45,13 +47,19 @@ class System:
             moved = _numbered(wanted)
         spins = known[network.contact[:, contact]].sum(axis=0)  # (A, C)
         offset = np.einsum("tek,ek->te", network.tangents[:, contact], spins)
-        of = tuple(values[contact] for values in packing.coefficients)
+        of = tuple(values[0, contact] for values in bearing.material)
         matrix = network.operator(contact, moved)
-        return cls(packing, contact, moved, number, np.nonzero(wanted)[0], known, matrix, offset, of)
+        return cls(bearing, contact, moved, number, np.nonzero(wanted)[0], known, matrix, offset, of)
+
+    @property
+    def packing(self) -> Packing:
+        """The same, where packings alone are spoken of."""
+        assert isinstance(self.bearing, Packing)
+        return self.bearing
 
     @property
     def network(self) -> Network:
-        return self.packing.network
+        return self.bearing.network
 
     @property
     def unknowns(self) -> int:
@@ -60,7 +68,7 @@ class System:
     @property
     def place(self) -> np.ndarray:
         """(D, unknowns), the centres of their spheres."""
-        return np.asarray(self.packing.center[self.sphere].T)
+        return np.asarray(self.network.center[self.sphere].T)
 
     @cached_property
     def across(self) -> np.ndarray:
@@ -102,10 +110,10 @@ class Found:
     rest: np.ndarray | None = None
 
 
-def needed_components(packing: Packing) -> tuple[np.ndarray, np.ndarray]:
+def needed_components(bearing: Bearing) -> tuple[np.ndarray, np.ndarray]:
     """Spins u (N, C) at which the components that are not needed slip nowhere; and (C,) True for those that are needed:
     all but those that can turn without any slip where normals lie along the axes."""
-    known, wanted, _ = packing.network.needed(packing.imposed, packing.acting, packing.network.free)
+    known, wanted, _ = bearing.network.needed(bearing.driven_speed, bearing.acting, bearing.network.free)
     return known, np.asarray(wanted.any(axis=0))
 
 

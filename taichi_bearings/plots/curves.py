@@ -14,7 +14,7 @@ from taichi_bearings.errors import InputError
 from taichi_bearings.plots import style
 from taichi_bearings.plots.page import PAGE, Page
 from taichi_bearings.plots.style import as_text, describe, driving, energy_unit, over, power_unit, time_label
-from taichi_bearings.scene import Scene, Solution
+from taichi_bearings.scene import Solution
 from taichi_bearings.words import counted, other_contacts
 
 ACCOUNTS = {
@@ -36,7 +36,7 @@ def draw_history(answer: Solution, page: Page = PAGE) -> Figure:
     if not courses:
         steps = counted(_steps(answer.sample(0)), "step")
         raise InputError(f"the run kept {steps} of {answer.method}; a history is drawn of 2 or more")
-    course, scene = courses[0], courses[0].system
+    course, scene = courses[0], courses[0].scene
     width = page.inches("single")
     figure = style.plain_figure(width, 0.85 * width, page.dpi)
     top, bottom = figure.subplots(2, 1, sharex=True)
@@ -65,8 +65,8 @@ def draw_history(answer: Solution, page: Page = PAGE) -> Figure:
 
 def courses_of(solution: Solution) -> list[Solution]:
     """The answers, or of packings each replica's, where there is more to show than a start and an answer."""
-    replicas = 1 if isinstance(solution.scene, Scene) else solution.scene.replicas
-    each = [solution] if replicas == 1 else [solution.sample(number) for number in range(replicas)]
+    whole, replicas = solution.scene.network.lattice is not None, solution.scene.replicas
+    each = [solution] if whole or replicas == 1 else [solution.sample(number) for number in range(replicas)]
     return [one for one in each if _steps(one) > 1]
 
 
@@ -82,7 +82,7 @@ def draw_energy(solution: Solution, page: Page = PAGE) -> Figure:
     An account that is negative at times is drawn as such: the axis is then linear around 0 and logarithmic beyond.
     InputError if the run keeps no energy balance.
     """
-    history, scene = solution.history, solution.system
+    history, scene = solution.history, solution.scene
     if "energy_residual" not in history:
         raise InputError("the run keeps no energy balance; run a dynamics with --energy")
     width = page.inches("single")

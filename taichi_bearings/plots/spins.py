@@ -9,7 +9,6 @@ from matplotlib.figure import Figure
 
 from taichi_bearings.analysis.structure import Structure
 from taichi_bearings.lattice import Lattice
-from taichi_bearings.packing import Packing
 from taichi_bearings.plots import bearing
 from taichi_bearings.plots.bearing import SPIN_COLOURS, Sheet
 from taichi_bearings.plots.page import BELOW, NARROW, PAGE, VIEW, Page, columns_on, middle_planes
@@ -25,6 +24,7 @@ from taichi_bearings.plots.style import (
     put_title,
 )
 from taichi_bearings.proof.contact_state import ContactState
+from taichi_bearings.scene.scene import of_lattice
 
 # share of more contacts than a few: lines at nearly all would hide the spins and say nothing
 MOST_SLIPS, FEW_SLIPS = 0.9, 1_000
@@ -44,16 +44,17 @@ def draw_spins(structure: Structure, page: Page = PAGE, title: str = "", note: s
     slips, movable = structure.state == ContactState.SLIPPING, int((structure.state != ContactState.DRIVEN).sum())
     counted = f"{int(slips.sum()):,} of {movable:,} contacts slip"
     drawn = slips & (slips.sum() <= max(MOST_SLIPS * movable, FEW_SLIPS))
-    system, place, spin = structure.system, structure.network.whole, structure.shown_spin(structure.spin)
-    if isinstance(system, Packing):
-        surface = spin.reshape(system.spheres, -1) * np.asarray(system.radius)[:, None]
+    system, place, spin = structure.bearing, structure.network.whole, structure.shown_spin(structure.spin)
+    if place.lattice is None:
+        surface = spin.reshape(place.spheres, -1) * place.radius[:, None]
         speed, label = (
             np.linalg.norm(surface, axis=1) / (structure.fastest or 1.0),
             r"$R\,|\omega|$ over the largest imposed",
         )
     else:
-        speed = bearing.speed_of(spin, *system.imposed)
-        label = rf"$|\omega|\,/\,{larger_spin(*system.imposed)}$"
+        imposed = of_lattice(system).imposed
+        speed = bearing.speed_of(spin, *imposed)
+        label = rf"$|\omega|\,/\,{larger_spin(*imposed)}$"
     colour = colormaps[SPIN_COLOURS](speed)
     if speed.ndim == 3:
         figure = _draw_block(structure.network.lattice, colour, drawn, page)
@@ -97,7 +98,7 @@ def draw_power(structure: Structure, page: Page = PAGE) -> Figure:
 
     Where more contacts slip than lines can show, each disc has the colour of the power of its contacts, half of each.
     """
-    system, place = structure.system, structure.network.whole
+    system, place = structure.bearing, structure.network.whole
     unit, symbol = power_unit(system)
     power = np.where(structure.state == ContactState.SLIPPING, structure.power_per_contact / unit, 0.0)
     if place.lattice is not None and place.dimension == 3:

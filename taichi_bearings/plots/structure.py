@@ -78,7 +78,7 @@ def _draw_domains_of_packing(structure: Structure, page: Page) -> Figure:
         label += "\nyellow, green: one component is ahead" if len(moving) > 1 else ""
         bearing.colour_bar(figure, axes, label, Normalize(0, 1), SPIN_COLOURS, **look)
     kinds = ", ".join(f"{count:,} {kind}" for kind, count in domains.domains_of_kind().items() if count)
-    put_title(figure, f"{describe(structure.system)}\n{domains.number:,} rigid domains, locked to: {kinds}", page)
+    put_title(figure, f"{describe(structure.bearing)}\n{domains.number:,} rigid domains, locked to: {kinds}", page)
     return figure
 
 
@@ -190,7 +190,7 @@ def _draw_network_of_packing(structure: Structure, page: Page) -> Figure:
     sheet.paint(axes, bearing.PALE if sheet.is_flat else bearing.PALE * [1, 1, 1, 0.25])
     sheet.draw(axes, network.slipless, colors=GREY, lw=bearing.line_on_site(site, 0.12, 0.3))
     words = f"{network.ends.shape[1]:,} of {structure.movable:,} contacts do not slip"
-    put_title(figure, f"{describe(structure.system)}\n{words}", page)
+    put_title(figure, f"{describe(structure.bearing)}\n{words}", page)
     return figure
 
 

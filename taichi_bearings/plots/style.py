@@ -16,10 +16,10 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
 
 from taichi_bearings.files.whole_file import replace_file
-from taichi_bearings.packing import Packing
 from taichi_bearings.plots.page import BROAD, PAGE, Page, columns_on
 from taichi_bearings.quantities import COLUMNS
-from taichi_bearings.scene import Scene
+from taichi_bearings.scene import Bearing
+from taichi_bearings.scene.scene import of_lattice
 
 RC: dict[Any, Any] = {
     # points on paper; nothing is smaller than 7 but indices
@@ -187,11 +187,13 @@ def _spaced(unit: str) -> str:
     return "" if unit == "1" else unit.replace("/", " / ").replace("*", " · ")
 
 
-def describe(scene: Scene | Packing, sample: int | None = 0) -> str:
+def describe(scene: Bearing, sample: int | None = 0) -> str:
     """Sizes, law and source of a sample, or of all samples, in words for a title; of a packing sizes and law."""
-    if isinstance(scene, Packing):
-        what = "discs" if scene.dimension == 2 else "spheres"
-        return f"{scene.spheres:,} {what}, {str(scene.law).replace('coulomb', 'Coulomb')}"
+    network = scene.network
+    if network.lattice is None:
+        what = "discs" if network.dimension == 2 else "spheres"
+        return f"{network.spheres:,} {what}, {str(scene.law).replace('coulomb', 'Coulomb')}"
+    scene = of_lattice(scene)
     shape = r"\times".join(map(str, scene.lattice.shape))
     source = (scene if sample is None else scene.sample(sample)).source
     return f"${shape}$ {str(scene.law).replace('coulomb', 'Coulomb')}{scene.closed}, {as_text(source)}"
@@ -208,31 +210,31 @@ def larger_spin(spin_top: float, spin_bottom: float) -> str:
     return SPEED_OF[abs(spin_top) >= abs(spin_bottom)]
 
 
-def driving(scene: Scene | Packing) -> tuple[float, str]:
+def driving(scene: Bearing) -> tuple[float, str]:
     """The imposed spin that times and powers are counted in, 1/time, and its symbol; of packings 1 and an empty one."""
-    if isinstance(scene, Packing):
+    if scene.network.lattice is None:
         return 1.0, ""
-    top, bottom = scene.imposed
+    top, bottom = of_lattice(scene).imposed
     return (abs(top), SPEED_OF[True]) if top else (abs(bottom) or 1.0, SPEED_OF[False])
 
 
-def power_unit(scene: Scene | Packing) -> tuple[float, str]:
+def power_unit(scene: Bearing) -> tuple[float, str]:
     """What powers are counted in, energy/time, and its symbol; 1 and an empty one without friction, or of packings."""
     spin, symbol = driving(scene)
-    if isinstance(scene, Packing) or not scene.law.holds:
+    if scene.network.lattice is None or not scene.law.holds:
         return 1.0, ""
-    return scene.normal_force * scene.lattice.radius * spin, rf"F_n R\,{symbol}"
+    return scene.strength * scene.slip_radius * spin, rf"F_n R\,{symbol}"
 
 
 def time_label(symbol: str) -> str:
     return rf"time, ${symbol}\,t$" if symbol else "time"
 
 
-def energy_unit(scene: Scene | Packing) -> tuple[float, str]:
+def energy_unit(scene: Bearing) -> tuple[float, str]:
     """What energies are counted in, and its symbol; 1 and an empty one without friction, or of packings."""
-    if isinstance(scene, Packing):
+    if scene.network.lattice is None or not scene.law.holds:
         return 1.0, ""
-    return (scene.normal_force * scene.lattice.radius, r"F_n R") if scene.law.holds else (1.0, "")
+    return scene.strength * scene.slip_radius, r"F_n R"
 
 
 def over(symbol: str, unit: str, without: str) -> str:

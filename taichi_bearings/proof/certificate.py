@@ -22,7 +22,8 @@ import numpy as np
 from taichi_bearings.lattice.grid import tangential
 from taichi_bearings.lattice.incidence import contact_differences, torques
 from taichi_bearings.numerics.poisson import solve_poisson
-from taichi_bearings.scene.scene import Scene, inverse, vector_length
+from taichi_bearings.scene.bearing import inverse
+from taichi_bearings.scene.scene import Scene, vector_length
 
 Forces = np.ndarray  # (C, R, E), along the spin difference of each contact
 SUM_ROUNDING = 32 * np.finfo(np.float64).eps
@@ -190,7 +191,7 @@ def relative_gap(scene: Scene, objective: np.ndarray, bound: np.ndarray) -> np.n
     unit, idle = objective, scene.is_cut_off | (scene.jump == 0)
     if idle.any():
         speed = np.full((), scene.lattice.radius * (scene.jump or abs(scene.imposed[0])))
-        unit = np.where(idle, np.maximum(objective, scene.law.objective(scene.contact, speed).sum(axis=1)), objective)
+        unit = np.where(idle, np.maximum(objective, scene.law.objective(scene.material, speed).sum(axis=1)), objective)
     with np.errstate(invalid="ignore", over="ignore"):
         gap = np.divide(objective - bound, unit, out=np.full(np.shape(objective), np.nan), where=unit > 0)
     return np.where((objective == 0) & (bound == 0), 0.0, gap)
@@ -216,7 +217,7 @@ def dual_value(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> np.nd
     allowance += SUM_ROUNDING**2 * total * scene.jump
     work, allowance = work * scene.lattice.radius, allowance * scene.lattice.radius
     if scene.law.flows:  # else the conjugate of admissible forces is 0
-        cost = scene.law.conjugate(scene.contact, vector_length(force)).sum(axis=1)
+        cost = scene.law.conjugate(scene.material, vector_length(force)).sum(axis=1)
         work, allowance = work - cost, allowance + SUM_ROUNDING * cost
     return scene.law.share * (work - allowance)
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from taichi_bearings.proof.certificate import saturation
+from taichi_bearings.scene.bearing import Bearing
 from taichi_bearings.scene.solution import ContactState as ContactState
 from taichi_bearings.scene.solution import Solution
 
@@ -40,7 +41,7 @@ def are_proven(state: np.ndarray, known: np.ndarray) -> np.ndarray:
     return (state == ContactState.DRIVEN) | ((state == known) & (known != ContactState.UNDECIDED))
 
 
-def all_slipless(scene: Any) -> np.ndarray:
+def all_slipless(scene: Bearing) -> np.ndarray:
     """States (R, E) uint8 of contacts that all rest, for a method to fill in."""
     return np.where(scene.idle, ContactState.DRIVEN, ContactState.SLIPLESS).astype(np.uint8)
 
@@ -78,12 +79,12 @@ class Separation:
     decades: np.ndarray
 
 
-def separate(scene: Any, slip: np.ndarray, state: np.ndarray) -> Separation:
+def separate(scene: Bearing, slip: np.ndarray, state: np.ndarray) -> Separation:
     """Observed gap between the slips of slipless and of slipping contacts; slip, state : (R, E)."""
     still, moving = state == ContactState.SLIPLESS, state == ContactState.SLIPPING
     largest = np.where(still.any(axis=1), np.where(still, slip, 0.0).max(axis=1), np.nan)
     smallest = np.where(moving.any(axis=1), np.where(moving, slip, np.inf).min(axis=1), np.nan)
-    rounding = np.finfo(np.float64).eps * scene.lattice.radius * scene.fastest
+    rounding = np.finfo(np.float64).eps * scene.slip_radius * scene.fastest
     with np.errstate(divide="ignore", invalid="ignore"):
         decades = np.log10(smallest / np.maximum(largest, rounding))
     return Separation(largest, smallest, decades)

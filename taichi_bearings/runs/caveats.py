@@ -16,7 +16,8 @@ from taichi_bearings.proof.contact_state import (
     unresolved,
 )
 from taichi_bearings.runs.settings import RunSettings
-from taichi_bearings.scene import Scene, Solution, Status
+from taichi_bearings.scene import Solution, Status
+from taichi_bearings.scene.scene import of_lattice
 from taichi_bearings.solvers.gear import ACCURATE_ERROR
 from taichi_bearings.words import counted
 
@@ -34,7 +35,8 @@ UNFINISHED = {
 def caveats(solution: Solution, settings: RunSettings) -> list[str]:
     """All that is to be said of an answer, (R,) samples together."""
     of_packings = (_without_power, _too_wide, _not_proven, _untouched, _tied)
-    of_kind = (_torque_between, *(CAVEATS if isinstance(solution.scene, Scene) else of_packings))
+    is_lattice = solution.scene.network.lattice is not None
+    of_kind = (_torque_between, *(CAVEATS if is_lattice else of_packings))
     return [sentence for of in of_kind for sentence in of(solution, settings)]
 
 
@@ -62,22 +64,21 @@ def _not_proven(solution: Solution, settings: RunSettings) -> Iterator[str]:
 
 def _untouched(solution: Solution, settings: RunSettings) -> Iterator[str]:
     """Of packings, contacts that were found out of places, spheres that have none, and contacts that bear nothing."""
-    packing = solution.scene.sample(0)[0]
+    network, pressing = solution.scene.network, solution.scene.sample(0).normal_force
     if settings.has_table and settings.contacts is None:
         from taichi_bearings.packing.found import TOLERANCE, told
 
         share = TOLERANCE if settings.touching is None else settings.touching
-        yield told(packing.contact, packing.spheres, share)[0]
-    idle = int((packing.normal_force == 0).sum())
+        yield told(network.contact.T, network.spheres, share)[0]
+    idle = int((np.asarray(pressing) == 0).sum())
     if idle:
         do = "bears no normal force and does not act" if idle == 1 else "bear no normal force and do not act"
-        yield f"{idle:,} of {counted(packing.contacts, 'contact')} {do}"
+        yield f"{idle:,} of {counted(network.contacts, 'contact')} {do}"
 
 
 def _without_power(solution: Solution, settings: RunSettings) -> Iterator[str]:
     """Why no contact of a packing need slip."""
-    packings = solution.scene
-    idle = np.array([not (packing.driven >= 0).any() for packing in packings])
+    idle = np.full(solution.scene.replicas, not len(solution.scene.network.bodies))
     still = (solution.objective == 0) & (solution.gap == 0) & ~idle
     if idle.any():
         yield f"the least power is 0{_in_samples(idle)}: no sphere is driven"
@@ -90,7 +91,7 @@ def _too_wide(solution: Solution, settings: RunSettings) -> Iterator[str]:
     short = ~(solution.gap <= settings.tolerance)
     if not short.any() or solution.status is not Status.STALLED:
         return
-    fastest = np.array([float(np.abs(packing.imposed).max(initial=0.0)) for packing in solution.scene])
+    fastest = float(np.abs(solution.scene.driven_speed).max(initial=0.0))
     slip = np.where(solution.state == ContactState.DRIVEN, 0.0, solution.slip).max(axis=1, initial=0.0)
     if (faint := short & (slip <= ROUNDED_SLIP * fastest)).any():
         largest = float(solution.power[faint].max())
@@ -121,7 +122,7 @@ def _law_of_ones_own(solution: Solution, settings: RunSettings) -> Iterator[str]
 
 def _powerless(solution: Solution, settings: RunSettings) -> Iterator[str]:
     """Why no contact need slip."""
-    scene = solution.scene
+    scene = of_lattice(solution.scene)
     if scene.jump == 0:
         yield "the least power is 0: top and bottom are driven alike, so that all spheres turn in one bearing state"
     elif not scene.top_spin(scene.minimum_spin_axes).any():

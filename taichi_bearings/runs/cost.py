@@ -13,6 +13,7 @@ import numpy as np
 
 from taichi_bearings.memory import NotEnoughMemory, refuse_before
 from taichi_bearings.runs.settings import RunSettings
+from taichi_bearings.scene import Bearing
 from taichi_bearings.solvers.table import JUDGED_SECONDS, InteriorPoint, MethodOptions
 from taichi_bearings.words import counted
 
@@ -113,10 +114,10 @@ def _steps(settings: RunSettings, row: type[MethodOptions], scene: Any) -> int |
     return steps if limit is None else min(steps, limit)
 
 
-def _of_packings(settings: RunSettings, row: type[MethodOptions], packings: Any) -> Cost:
+def _of_packings(settings: RunSettings, row: type[MethodOptions], scene: Bearing) -> Cost:
     """Of packings, solved one after the other."""
-    packing, count = packings[0], len(packings)
-    spheres = packing.spheres
+    network, count = scene.network, scene.replicas
+    spheres = network.spheres
     if row.step_seconds((spheres, 1, 1)) is not None and settings.method != "auto":
         steps = settings.iterations
         if row.is_dynamics and settings.duration is not None and (length := settings.values["time_step"]):
@@ -124,7 +125,7 @@ def _of_packings(settings: RunSettings, row: type[MethodOptions], packings: Any)
         step = STEP_SECONDS * spheres
         seconds = _limited(settings, PROCESS_SECONDS, None if steps is None else steps * step * count)
         return Cost(row.name, seconds, step, steps, PROCESS_BYTES + STEPPED_BYTES * spheres)
-    along = bool((np.count_nonzero(np.asarray(packing.normal), axis=1) == 1).all())
+    along = bool((np.count_nonzero(network.normal, axis=1) == 1).all())
     alike = InteriorPoint.seconds((spheres, 1, 1), settings.tolerance) or 0.0
     seconds = PROCESS_SECONDS + count * alike * (ALONG_FACTOR if along else OBLIQUE_FACTOR)
     room = PROCESS_BYTES + (ALONG_BYTES if along else OBLIQUE_BYTES) * spheres

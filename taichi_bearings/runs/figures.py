@@ -15,7 +15,7 @@ from taichi_bearings.plots.page import PAGE, Page, check_planes
 from taichi_bearings.plots.spins import draw_power, draw_spins
 from taichi_bearings.plots.structure import draw_domains, draw_network
 from taichi_bearings.plots.style import describe, driving, mathematics
-from taichi_bearings.scene import Scene, Solution
+from taichi_bearings.scene import Solution
 
 FIGURES: dict[str, Callable[[Any, Page], Figure]] = {"domains": draw_domains, "network": draw_network}
 """How each figure of `bearings analyse` is drawn, of the structure of a sample."""
@@ -49,8 +49,8 @@ def draw_figure(
         raise InputError(f"time is {time}, but {kind} does not depend on it; only spins have snapshots")
     if not 0 <= sample < len(solution.state):
         raise InputError(f"replica is {sample}; the run has {len(solution.state)}, counted from 0")
-    if isinstance(solution.scene, Scene):
-        _check_page(kind, solution.scene.lattice.shape, page)
+    if (lattice := solution.scene.network.lattice) is not None:
+        _check_page(kind, lattice.shape, page)
     elif page.planes:
         raise InputError("plane is given, but a packing has no lattice planes to cut along; --view turns it")
     if time is not None:
@@ -87,9 +87,9 @@ def draw_snapshot(
     at, nearest = _nearest(structure.answer, time)
     moment = moment_of(structure, structure.snapshots[nearest], slip_threshold)
     threshold = moment.threshold or 0.0
-    title, note = f"{describe(moment.system)}, $t = {mathematics(at)}$", ""
-    if isinstance(scene := moment.system, Scene):
-        unit, symbol = driving(scene)
+    title, note = f"{describe(moment.bearing)}, $t = {mathematics(at)}$", ""
+    if moment.bearing.network.lattice is not None:
+        unit, symbol = driving(moment.bearing)
         title += "" if unit == 1 else rf", ${symbol}\,t = {mathematics(unit * at)}$"
         fastest = moment.fastest
         share = rf" = {mathematics(threshold / fastest, 1)}\,R\,|\Delta\omega|" if fastest else ""

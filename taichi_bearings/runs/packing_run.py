@@ -12,13 +12,13 @@ from taichi_bearings import leaving, runtime
 from taichi_bearings.errors import DeviceError, InputError
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.options import options_of
-from taichi_bearings.packing import Packing, Packings, solve_packing
+from taichi_bearings.packing import Packing, solve_packing
 from taichi_bearings.packing.found import TOLERANCE, Sides, completed
 from taichi_bearings.proof.contact_state import by_threshold, decided, what_is_proven
 from taichi_bearings.runs.settings import OF_SIDES, SIZES, RunSettings
 from taichi_bearings.runs.solved import Run
 from taichi_bearings.runs.torque import refuse_driven, under_torque
-from taichi_bearings.scene import Solution, Status
+from taichi_bearings.scene import Bearing, Solution, Status
 from taichi_bearings.scene.array_files import read_arrays, read_coefficients
 from taichi_bearings.scene.initial_spins import STARTS
 from taichi_bearings.solvers.table import METHODS, InteriorPoint, MethodOptions, row_of_packing
@@ -31,21 +31,21 @@ COEFFICIENTS = ("friction", "viscosity")  # arrays of a packing
 AXES_OF_PACKINGS = {"center": 2, "contact": 2, "normal": 2}  # of arrays of one sample; others have one
 
 
-def packings_to_solve(settings: RunSettings) -> tuple[Packings, np.ndarray | None]:
+def packings_to_solve(settings: RunSettings) -> tuple[Packing, np.ndarray | None]:
     """The packings of all replicas, and the spins that they start from if those lie in a file. Raises InputError or
     FileError."""
-    packings, named = packings_of(settings), settings.initial
+    packing, named = packing_of(settings), settings.initial
     if named in STARTS or not Path(named).exists():
-        return packings, None
-    start, one = read_arrays(Path(named), ["spin"])["spin"], packings[0].spin.shape
-    if start.shape not in (one, (len(packings), *one)):
+        return packing, None
+    start, one = read_arrays(Path(named), ["spin"])["spin"], packing.spin.shape
+    if start.shape not in (one, (packing.replicas, *one)):
         raise InputError(f"spin in {named} has shape {start.shape}; this packing needs {one}")
-    return packings, start
+    return packing, start
 
 
 def solve_packings(
     settings: RunSettings,
-    packings: Packings,
+    packing: Packing,
     start: Any,
     monitors: Sequence[Any] = (),
     checkpoints: Any = None,
@@ -53,15 +53,15 @@ def solve_packings(
 ) -> Run:
     """The replicas one after another, each as alone. Ctrl-C leaves those that were begun; with checkpoints, from which
     the others can go on, it is a KeyboardInterrupt unless all were."""
-    count, found = len(packings), list[Solution]()
-    several, is_interrupted = np.ndim(start) > packings[0].spin.ndim, False
+    count, found = packing.replicas, list[Solution]()
+    several, is_interrupted = np.ndim(start) > packing.spin.ndim, False
     written = [None] * count if checkpoints is None else checkpoints.of_each(count)
-    for number, (packing, own) in enumerate(zip(packings, written, strict=True)):
+    for number, own in enumerate(written):
         told = {} if minimises(settings) else {"monitors": monitors, "checkpoints": own}
         try:
             with stage("solving"), leaving.saving() if found else nullcontext():
                 first = start[number] if several else start
-                found.append(solved_packing(settings, packing, start=first, **told, **others))
+                found.append(solved_packing(settings, packing.sample(number), start=first, **told, **others))
         except KeyboardInterrupt:
             if not found:
                 raise
@@ -70,7 +70,7 @@ def solve_packings(
                 raise KeyboardInterrupt
             settings, start = replace(settings, replicas=len(found)), start[: len(found)] if several else start
             break
-    solution = Solution.joined(found, Packings(packings[: len(found)]))
+    solution = Solution.joined(found, Packing.together([packing.sample(number) for number in range(len(found))]))
     return Run(settings, solution, start, interrupted=is_interrupted)
 
 
@@ -92,7 +92,7 @@ def fitting(settings: RunSettings, strict: bool = True) -> RunSettings:
 def refuse_packing(settings: RunSettings, has_seeds: bool) -> None:
     """InputError for what cannot be solved. has_seeds : several are asked for, which must not be all the same."""
     settings = fitting(settings, strict=False)
-    packings_of(settings)
+    packing_of(settings)
     if not has_seeds or settings.packing is None or settings.initial == "random":
         return
     if set(COEFFICIENTS[: len(settings.drawn)]) <= Packing.read(settings.packing, settings.contacts).keys():
@@ -102,12 +102,12 @@ def refuse_packing(settings: RunSettings, has_seeds: bool) -> None:
         )
 
 
-def packings_of(settings: RunSettings, found: Mapping[str, Any] | None = None) -> Packings:
-    """The packings that the settings describe, one a replica: the arrays of the file, and of the settings what that
+def packing_of(settings: RunSettings, found: Mapping[str, Any] | None = None) -> Packing:
+    """The packing that the settings describe, a sample a replica: the arrays of the file, and of the settings what that
     lacks, drawn from seeds; or lattices with other driven bodies than planes. found : the arrays of the file by name,
     where they are read already."""
     if settings.packing is None:
-        return Packings(_lattice(replace(settings, seed=seed)) for seed in settings.seeds)
+        return Packing.together([_lattice(replace(settings, seed=seed)) for seed in settings.seeds])
     found = Packing.read(settings.packing, settings.contacts) if found is None else found
     _refuse_twice(settings, found)
     if settings.has_table:
@@ -126,9 +126,11 @@ def packings_of(settings: RunSettings, found: Mapping[str, Any] | None = None) -
             "leave out replicas, or friction from the file"
         )
     others = {key: getattr(settings, key) for key in ("law", *SIZES)} | settings.drawn
-    return Packings(
-        Packing(**{**others, "seed": seed, **{n: v[number] if axes[n] == 1 else v for n, v in found.items()}})
-        for number, seed in enumerate(settings.seeds)
+    return Packing.together(
+        [
+            Packing(**{**others, "seed": seed, **{n: v[number] if axes[n] == 1 else v for n, v in found.items()}})
+            for number, seed in enumerate(settings.seeds)
+        ]
     )
 
 
@@ -176,7 +178,7 @@ def _lattice(settings: RunSettings) -> Packing:
 ON_DEVICE = ("arch", "precision", "threads")
 
 
-def solved_packing(settings: RunSettings, packing: Packing, start: Any = None, **others: Any) -> Solution:
+def solved_packing(settings: RunSettings, packing: Bearing, start: Any = None, **others: Any) -> Solution:
     """The answer of the method that the settings name. start : instead of the one that they name. others : density,
     monitors and checkpoints of :func:`follow_packing`."""
     row, given = row_of_packing(settings.method), settings.given
@@ -199,7 +201,7 @@ def solved_packing(settings: RunSettings, packing: Packing, start: Any = None, *
         found = follow_packing(packing, method, first, stop, Recording.of(settings), **others)
     if settings.torque is not None and found.status is not Status.INTERRUPTED:
         free = replace(settings, torque=None, slip_threshold=None)
-        found = under_torque(found, settings.torque, lambda packings: solved_packing(free, packings[0], **others))
+        found = under_torque(found, settings.torque, lambda other: solved_packing(free, other, **others))
     if (threshold := settings.slip_threshold) is None:
         return found
     told, known = by_threshold(found.slip, found.state, threshold), what_is_proven(found.state, found.proven)

@@ -11,13 +11,13 @@ import numpy as np
 from taichi_bearings.analysis.structure import LatticeStructure, Structure, structure_of
 from taichi_bearings.errors import InputError
 from taichi_bearings.files.whole_file import Finding
-from taichi_bearings.packing import Packing
 from taichi_bearings.quantities import CONTACTS, SPHERES, found_in
 from taichi_bearings.runs.figures import moment_of
 from taichi_bearings.runs.run_file import PACKING_ARRAYS, file_of
 from taichi_bearings.runs.solved import Run
 from taichi_bearings.runs.stored_structure import Drawn
 from taichi_bearings.scene import Solution
+from taichi_bearings.scene.network import Network
 from taichi_bearings.stages import stage
 
 DOMAIN_KINDS = "0 bottom, 1 top, 2 both, 3 mixed, 4 partly, 5 neither"
@@ -59,9 +59,9 @@ class PointsAndLines:
         return self.structure.answer
 
     @property
-    def packing(self) -> Packing:
+    def network(self) -> Network:
         """Where the spheres are, and what touches what; of a lattice its bottom is body 0, and its top body 1."""
-        return self.structure.packing
+        return self.structure.whole
 
     @property
     def is_lattice(self) -> bool:
@@ -92,14 +92,12 @@ def points_and_lines(run: Run, replica: int = 0, analyse: bool = False) -> Point
 def _collected(structure: Structure, drawn: Drawn, time: float | None, slip_threshold: float | None) -> PointsAndLines:
     """Everything that is known of the spheres and contacts of a sample. time : of the end of a dynamics."""
     answer, moments = structure.answer, _moments(structure, time, slip_threshold)
-    spheres, contacts, packing, row = dict(drawn.spheres), dict(drawn.contacts), structure.packing, SPHERES["spin"]
-    spheres["spin"] = Finding(_in_space(structure.spin[None], packing.dimension)[0], row.unit, row.text)
+    spheres, contacts, network, row = dict(drawn.spheres), dict(drawn.contacts), structure.whole, SPHERES["spin"]
+    spheres["spin"] = Finding(_in_space(structure.spin[None], network.dimension)[0], row.unit, row.text)
     contacts |= _of_contacts(answer)
-    coefficients = zip(
-        ("coefficient", "viscosity"), packing.kind.quantities, (packing.friction, packing.viscosity), strict=False
-    )
-    for name, quantity, values in coefficients:
-        contacts[name] = Finding(values, quantity.unit, f"{quantity.name} coefficient")
+    bearing = structure.bearing
+    for quantity, (name, values) in zip(bearing.law.quantities, bearing.named_coefficients.items(), strict=True):
+        contacts[name] = Finding(values[0], quantity.unit, f"{quantity.name} coefficient")
     if isinstance(structure, LatticeStructure):
         lattice = structure.scene.lattice
         if (domains := drawn.domains) is not None:
@@ -108,8 +106,9 @@ def _collected(structure: Structure, drawn: Drawn, time: float | None, slip_thre
         spheres["driven"] = Finding(lattice.is_driven.ravel(), "1", "spin is imposed")
         contacts["axis"] = Finding(lattice.axis.astype(np.uint8), "1", "0 along x, 1 along y, 2 along z")
     else:
-        spheres |= {name: Finding(getattr(packing, name), *PACKING_ARRAYS[name]) for name in ("radius", "driven")}
-        contacts["normal_force"] = Finding(packing.normal_force, *PACKING_ARRAYS["normal_force"])
+        spheres["radius"] = Finding(network.radius, *PACKING_ARRAYS["radius"])
+        spheres["driven"] = Finding(network.body, *PACKING_ARRAYS["driven"])
+        contacts["normal_force"] = Finding(np.asarray(bearing.normal_force), *PACKING_ARRAYS["normal_force"])
     return PointsAndLines(structure, spheres, contacts, drawn, time, moments)
 
 
@@ -136,4 +135,4 @@ def _moments(structure: Structure, end: float | None, slip_threshold: float | No
     found = [moment_of(structure, spin, slip_threshold) for spin in spins]
     slip, state = np.stack([one.slip for one in found]), np.stack([one.state for one in found])
     threshold = float(found[0].threshold or 0.0)
-    return Moments(kept.time[early], _in_space(spins, structure.packing.dimension), slip, state, threshold)
+    return Moments(kept.time[early], _in_space(spins, structure.whole.dimension), slip, state, threshold)

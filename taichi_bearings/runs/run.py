@@ -39,10 +39,11 @@ from taichi_bearings.runs.run_file import refuse_scan, write_run_file
 from taichi_bearings.runs.settings import DRIVING_KEYS, RunSettings, parse_toml
 from taichi_bearings.runs.solved import Run, self_contained
 from taichi_bearings.runs.torque import refuse_driven, under_torque
-from taichi_bearings.scene import Scene, Solution, Status
+from taichi_bearings.scene import Bearing, Scene, Solution, Status
 from taichi_bearings.scene.array_files import read_coefficients
 from taichi_bearings.scene.disorder import Distribution
 from taichi_bearings.scene.initial_spins import initial_spin
+from taichi_bearings.scene.scene import of_lattice
 from taichi_bearings.solvers.recording import SAME_TIME
 from taichi_bearings.solvers.table import (
     METHODS,
@@ -121,7 +122,7 @@ class Job:
 
     def solve(self, monitors: Sequence[Any] = (), checkpoints: Any = None, **others: Any) -> Run:
         """On the device that the settings name. checkpoints : a solvers.drive.Checkpoints, for a dynamics."""
-        if isinstance(self.scene, Scene):
+        if self.scene.network.lattice is not None:
             solution = solve_job(self, monitors, checkpoints)
             return Run(self.settings, solution, self.spin, interrupted=solution.interrupted)
         from taichi_bearings.runs.packing_run import solve_packings
@@ -215,7 +216,8 @@ def solve_job(job: Job, monitors: Sequence[Any] = (), checkpoints: Any = None) -
         return solution
     free = replace(settings, torque=None)
 
-    def again(scene: Scene) -> Solution:
+    def again(bearing: Bearing) -> Solution:
+        scene = of_lattice(bearing)
         return solve_job(Job(free, scene, initial_spin(scene, "linear"), job.method.options.build()))
 
     return under_torque(solution, settings.torque, again)

@@ -31,6 +31,7 @@ from taichi_bearings.runs.settings import RunSettings, parse_toml, read_toml, se
 from taichi_bearings.runs.solved import Run
 from taichi_bearings.runtime import HOST, Runtime
 from taichi_bearings.scene import Scene, Snapshots, Solution, Status
+from taichi_bearings.scene.scene import of_lattice
 from taichi_bearings.scene.solution import OF_ALL, is_crossed, stacked
 from taichi_bearings.stages import stage
 
@@ -77,7 +78,7 @@ def write_run_file(path: Path, solution: Solution, attributes: Mapping[str, Any]
 
 def _rows(solution: Solution) -> Iterator[Row]:
     scene, replicas = solution.scene, solution.scene.replicas
-    yield from (_rows_of_lattice if isinstance(scene, Scene) else _rows_of_packings)(solution)
+    yield from (_rows_of_packings if scene.network.lattice is None else _rows_of_lattice)(solution)
     for row, found in found_in(solution, SPHERES):
         yield row.name, found, row.unit, row.text
 
@@ -94,7 +95,8 @@ def _rows(solution: Solution) -> Iterator[Row]:
 
 
 def _rows_of_lattice(solution: Solution) -> Iterator[Row]:
-    scene, lattice = solution.scene, solution.scene.lattice
+    scene = of_lattice(solution.scene)
+    lattice = scene.lattice
     friction = friction_by_axis(solution.friction, lattice)
     named = zip(scene.law.quantities, scene.named_coefficients.items(), strict=True)
     of_contacts = [
@@ -110,12 +112,12 @@ def _rows_of_lattice(solution: Solution) -> Iterator[Row]:
 
 
 def _rows_of_packings(solution: Solution) -> Iterator[Row]:
-    packings = solution.scene
-    for name, values in stacked([packing.arrays() for packing in packings]).items():
+    scene = solution.scene
+    for name, values in stacked([scene.sample(number).arrays() for number in range(scene.replicas)]).items():
         yield f"packing/{name}", values, *PACKING_ARRAYS[name]
     for row, found in found_in(solution, CONTACTS):
         yield f"contact/{row.name}", found, row.unit, row.text
-    yield "contact/friction", solution.friction, "force", FRICTION_OF_SECOND[packings[0].dimension]
+    yield "contact/friction", solution.friction, "force", FRICTION_OF_SECOND[scene.network.dimension]
 
 
 def refuse_scan(path: Path) -> None:
@@ -378,7 +380,7 @@ def _lattice_in(path: Path, file: h5py.File, attributes: Mapping[str, Any], sett
 
 def _packings_in(path: Path, file: h5py.File, attributes: Mapping[str, Any], settings: RunSettings) -> _Found:
     from taichi_bearings.packing.packing import NEEDED  # and with it much of SciPy
-    from taichi_bearings.runs.packing_run import TWICE, packings_of
+    from taichi_bearings.runs.packing_run import TWICE, packing_of
 
     if lacking := [name for name in SAID_OF_PACKINGS if name not in attributes]:
         raise KeyError(f"it lacks {lacking[0]}")
@@ -388,10 +390,10 @@ def _packings_in(path: Path, file: h5py.File, attributes: Mapping[str, Any], set
     if lacking := [name for name in NEEDED if name not in stored]:
         raise KeyError(f"it lacks packing/{lacking[0]}")
     found = {name: np.asarray(stored[name][()]) for name in PACKING_ARRAYS if name in stored}
-    scene = packings_of(replace(settings, packing=str(path), **usual), found)
-    first, arrays = scene[0], _Sets(path, file, (scene.replicas,) * (scene.replicas > 1))
+    scene = packing_of(replace(settings, packing=str(path), **usual), found)
+    arrays = _Sets(path, file, (scene.replicas,) * (scene.replicas > 1))
 
     def of_contacts(name: str, *parts: int) -> np.ndarray:
-        return arrays.get(f"contact/{name}", first.contacts, *parts)
+        return arrays.get(f"contact/{name}", scene.contacts, *parts)
 
-    return scene, arrays, of_contacts, (first.spheres,), () if first.dimension == 2 else (3,)
+    return scene, arrays, of_contacts, (scene.spheres,), () if scene.dimension == 2 else (3,)

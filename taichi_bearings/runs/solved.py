@@ -12,9 +12,10 @@ from taichi_bearings.errors import InputError
 from taichi_bearings.files.whole_file import write_arrays
 from taichi_bearings.quantities import Answered, numbers_of
 from taichi_bearings.runs.settings import OF_DRIVEN, SIZES, RunSettings
-from taichi_bearings.scene import Scene, Solution, Status
+from taichi_bearings.scene import Bearing, Solution, Status
 from taichi_bearings.scene.array_files import short_name
 from taichi_bearings.scene.initial_spins import STARTS, initial_spin
+from taichi_bearings.scene.scene import of_lattice
 from taichi_bearings.scene.solution import stacked
 
 if TYPE_CHECKING:
@@ -43,7 +44,7 @@ class Run:
 
     @property
     def is_packing(self) -> bool:
-        return not isinstance(self.solution.scene, Scene)
+        return self.solution.scene.network.lattice is None
 
     def sample(self, replica: int) -> "Run":
         """The run of one replica; InputError if there is none of this number."""
@@ -61,7 +62,7 @@ class Run:
         if self.spin is not None or self.is_packing:
             return self.spin
         beside = named if named in STARTS or path is None else str((path if path.is_dir() else path.parent) / named)
-        return initial_spin(self.solution.scene, beside)
+        return initial_spin(of_lattice(self.solution.scene), beside)
 
     @cached_property
     def answered(self) -> Answered:
@@ -102,13 +103,14 @@ class Run:
         return self_contained(self.settings, self.solution.scene, self.start, folder, name)
 
 
-def self_contained(settings: RunSettings, scene: Any, spin: Any, folder: Path, name: str = "run.h5") -> RunSettings:
+def self_contained(settings: RunSettings, scene: Bearing, spin: Any, folder: Path, name: str = "run.h5") -> RunSettings:
     """Settings whose files lie in the run directory itself, so that it can be moved and run again.
 
     With checkpoints that must be possible while there is no run.h5 yet. name : of what is that otherwise.
     """
     with_file = settings.checkpoint_every is not None
-    if isinstance(scene, Scene):
+    if scene.network.lattice is not None:
+        scene = of_lattice(scene)
         one = scene.replicas == 1
         if settings.coefficients is not None:
             name = "coefficients.npz" if with_file else name
@@ -122,7 +124,7 @@ def self_contained(settings: RunSettings, scene: Any, spin: Any, folder: Path, n
         kept = {key: value for key, value in settings.given.items() if key not in LED_TO_ARRAYS}
         name = "packing.npz" if with_file else name
         if with_file:
-            found = stacked([packing.arrays() for packing in scene])
+            found = stacked([scene.sample(number).arrays() for number in range(scene.replicas)])
             write_arrays(folder / name, {n: v[0] if scene.replicas == 1 else v for n, v in found.items()})
         settings = RunSettings(**{**kept, "packing": name})
     if spin is not None:

@@ -73,7 +73,7 @@ class _Stored:
     def drawn(self) -> Drawn:
         spheres, contacts = self._columns()
         domain = spheres["domain"].values
-        count = self.structure.packing.spheres
+        count = self.structure.whole.spheres
         if not (domain.dtype.kind in "iu" and domain.min() >= 0 and domain.max() < count):
             raise ValueError("domain holds no labels")
         domains = self._domains(domain) if isinstance(self.structure, LatticeStructure) else None
@@ -91,11 +91,10 @@ class _Stored:
     def _columns(self) -> tuple[dict[str, Finding], dict[str, Finding]]:
         """Columns of the spheres and of the contacts, as structure_report.findings_of has written them."""
         structure, both = self.structure, {row.name for row in ON_SPHERES} & {row.name for row in ON_CONTACTS}
-        packing = structure.packing
         if not isinstance(structure, LatticeStructure):
             names = {row: f"sphere_{row.name}" if row.name in both else row.name for row in ON_SPHERES}
-            spheres = {row: self.get(n, packing.spheres) for row, n in names.items() if n in self.group}
-            contacts = {r: self.get(r.name, len(packing.contact)) for r in ON_CONTACTS if r.name in self.group}
+            spheres = {row: self.get(n, structure.whole.spheres) for row, n in names.items() if n in self.group}
+            contacts = {r: self.get(r.name, structure.whole.contacts) for r in ON_CONTACTS if r.name in self.group}
             return _findings(spheres), _findings(contacts)
         lattice = structure.scene.lattice
         names = {
@@ -131,7 +130,7 @@ class _Stored:
 
     def _path(self) -> np.ndarray:
         """Spheres along the stored path, by number."""
-        structure, count = self.structure, self.structure.packing.spheres
+        structure, count = self.structure, self.structure.whole.spheres
         if "path" not in self.group:
             return np.empty(0, dtype=int)
         if not isinstance(structure, LatticeStructure):

@@ -16,22 +16,17 @@ Phi(a), which is convex: beyond (Phi(h) - Phi(0)) / h it turns, and up to there 
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from taichi_bearings.errors import InputError
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.runs.settings import RunSettings
-from taichi_bearings.scene import Scene, Solution, Status
-from taichi_bearings.scene.law import COULOMB, LAWS
+from taichi_bearings.scene import Bearing, Solution, Status
+from taichi_bearings.scene.law import LAWS
 from taichi_bearings.solvers.table import MethodOptions
 
-if TYPE_CHECKING:
-    from taichi_bearings.packing import Packing, Packings
-
-Solve = Callable[[Any], Solution]
-"""Of a scene, or of a packing."""
+Solve = Callable[[Bearing], Solution]
 SURELY = 1 + 1e-13  # factor that makes up for the rounding of the power
 RESOLVED = 10.0  # times what is open of the yield torque, by which a torque exceeds it where an amplitude is sought
 ROUNDED_SUM = 1e-13  # relative, of the power of contacts between driven spheres
@@ -52,47 +47,19 @@ def refuse_driven(settings: RunSettings, method: type[MethodOptions]) -> None:
         raise InputError(f"the bottom has the spin {driven}; under a torque the law viscous needs it at rest")
 
 
-def _imposed(scene: Any) -> tuple[float, float]:
-    """Sizes of what drives the top and the bottom: their spins, or of a packing the largest R omega of its last body
-    and of all others, length/time."""
-    if isinstance(scene, Scene):
-        return scene.imposed
-    speed, top = np.linalg.norm(scene[0].imposed, axis=1), _top(scene[0])
-    return float(speed[top].max(initial=0.0)), float(speed[~top].max(initial=0.0))
-
-
-def _top(packing: "Packing") -> np.ndarray:
-    """(N,) True for the spheres of the body of the largest number."""
-    return np.asarray(packing.driven == max(packing.driven.max(), 0))
-
-
-def _changed(packings: "Packings", **arrays: Any) -> "Packings":
-    """A packing with other arrays; those that are None are left out."""
-    from taichi_bearings.packing import Packing, Packings  # which lattices do not need
-
-    given = {"law": packings.law, **packings[0].arrays(), **arrays}
-    return Packings([Packing(**{name: values for name, values in given.items() if values is not None})])
-
-
 def _with_driven(found: Solution) -> Solution:
-    """Of a packing with what contacts between driven spheres take beside."""
-    if isinstance(found.scene, Scene):
-        return found
+    """With what contacts between driven spheres take beside, as on packings they can."""
     scene, among, low = found.scene, found.state == ContactState.DRIVEN, found.lower_bound
-    beside = float(scene.law.objective(scene.contact, found.slip)[among].sum())
+    beside = float(scene.law.objective(scene.material, found.slip)[among].sum())
     low = (low + beside) * (1 - ROUNDED_SUM) if beside else low
-    power, objective = found.power + found.findings["driven_power"], found.objective + beside
-    return replace(found, power=power, objective=objective, lower_bound=low)
+    power = found.power + found.findings.get("driven_power", 0.0)
+    return replace(found, power=power, objective=found.objective + beside, lower_bound=low)
 
 
 def _by_friction(solution: Solution, solve: Solve) -> Solution:
     """The motion of strength 1 with friction alone, or the same where there is no friction or nothing else."""
     scene = solution.scene
-    if not (scene.law.holds and scene.law.flows):
-        return solution
-    if not isinstance(scene, Scene):
-        return solve(_changed(scene, law=COULOMB, viscosity=None))
-    return solve(replace(scene, law=COULOMB, viscosity=()))
+    return solve(scene.with_friction_alone()) if scene.law.holds and scene.law.flows else solution
 
 
 def under_torque(solution: Solution, torque: float, solve: Solve) -> Solution:
@@ -103,20 +70,18 @@ def under_torque(solution: Solution, torque: float, solve: Solve) -> Solution:
     that of the solution; 0 where the torque is proven to be held, NaN, in files and `--json` null, where nothing limits
     the motion or it is not known.
     """
-    scene = solution.scene
-    if not isinstance(scene, Scene):
-        top, others = _imposed(scene)
-        if not top:
-            raise InputError(f"torque is {torque:g}, but no body turns, along whose spins it would act")
-        if others and not scene.law.holds:
-            raise InputError(f"torque is {torque:g}; with the law viscous all bodies but the last must be at rest")
+    top, others = solution.scene.sides
+    if not top:
+        raise InputError(f"torque is {torque:g}, but no body turns, along whose spins it would act")
+    if others and not solution.scene.law.holds:
+        raise InputError(f"torque is {torque:g}; with the law viscous all bodies but the last must be at rest")
     found = _found(_with_driven(solution), torque, lambda other: _with_driven(solve(other)))
     return replace(solution, findings={**solution.findings, **found})
 
 
 def _found(solution: Solution, torque: float, solve: Solve) -> dict[str, np.ndarray]:
     scene = solution.scene
-    if _imposed(scene)[1]:
+    if scene.sides[1]:
         return _beside_driven(scene, torque, solve)
     friction = _by_friction(solution, solve)
     low, high = np.zeros(scene.replicas), np.zeros(scene.replicas)
@@ -130,7 +95,7 @@ def _found(solution: Solution, torque: float, solve: Solve) -> dict[str, np.ndar
         resolved = np.abs(torque) - high >= RESOLVED * (high - low)
         amplitude[limited & ~resolved] = np.nan
         for number in np.flatnonzero(limited & resolved):
-            viscous = scene.law.power(scene.contact, friction.slip)[number].sum() - friction.power[number]
+            viscous = scene.law.power(scene.material, friction.slip)[number].sum() - friction.power[number]
             least = (abs(torque) - high[number]) / (2 * viscous)
             amplitude[number] = _strength(scene.sample(int(number)), abs(torque), least, solve)
     return {
@@ -141,13 +106,13 @@ def _found(solution: Solution, torque: float, solve: Solve) -> dict[str, np.ndar
     }
 
 
-def _beside_driven(scene: Any, torque: float, solve: Solve) -> dict[str, np.ndarray]:
+def _beside_driven(scene: Bearing, torque: float, solve: Solve) -> dict[str, np.ndarray]:
     """The same findings of a top beside a bottom that turns. yield_torque, in the direction of the torque, of either
     sign: beyond it the top turns; yield_torque_lower_bound : up to it by no more than HELD_TURN of the bottom's spin.
     """
-    top, bottom = _imposed(scene)
+    top, bottom = scene.sides
     step = HELD_TURN * bottom / abs(top)
-    still, moving = (solve(_scaled(scene, strength)) for strength in (0.0, step if torque >= 0 else -step))
+    still, moving = (solve(scene.with_top(strength)) for strength in (0.0, step if torque >= 0 else -step))
     high = np.nextafter((moving.objective * SURELY - still.lower_bound) / step, np.inf)
     low = (moving.lower_bound - still.objective * SURELY) / step
     unknown = np.full(scene.replicas, np.nan)
@@ -155,7 +120,7 @@ def _beside_driven(scene: Any, torque: float, solve: Solve) -> dict[str, np.ndar
     return {"yields": yields, "yield_torque": high, "yield_torque_lower_bound": low, "amplitude": unknown}
 
 
-def _strength(scene: Any, torque: float, least: float, solve: Solve) -> float:
+def _strength(scene: Bearing, torque: float, least: float, solve: Solve) -> float:
     """Strength a of the motion of one sample that the torque keeps up, above what friction holds; NaN if a solve falls
     short of its tolerance.
 
@@ -168,7 +133,7 @@ def _strength(scene: Any, torque: float, least: float, solve: Solve) -> float:
 
     def excess(strength: float) -> float:
         nonlocal short
-        found = solve(_scaled(scene, strength))
+        found = solve(scene.with_top(strength))
         short |= found.status is not Status.CERTIFIED
         return 0.0 if short else float(found.power[0]) / strength - torque
 
@@ -179,12 +144,3 @@ def _strength(scene: Any, torque: float, least: float, solve: Solve) -> float:
         least, most = most, 2 * most
     found = brentq(excess, least, most, rtol=AMPLITUDE_ERROR, xtol=AMPLITUDE_ERROR * most)
     return float("nan") if short else float(found)
-
-
-def _scaled(scene: Any, strength: float) -> Any:
-    if not isinstance(scene, Scene):
-        top = _top(scene[0]).reshape(-1, *(1,) * (scene[0].spin.ndim - 1))
-        return _changed(scene, spin=np.where(top, strength, 1.0) * scene[0].spin)
-    if scene.top is None:
-        return replace(scene, spin_top=strength * scene.spin_top)
-    return replace(scene, top=tuple(strength * part for part in scene.top))

@@ -110,7 +110,8 @@ def _of_run(run: Run) -> Source:
     settings, path, given = run.settings, file_of(run.path), list[tuple[np.ndarray, ...]]()
     attributes, power, state = run.attributes, run.solution.power_per_contact, run.solution.state
     if run.is_packing:
-        given = [(packing.contact, *packing.coefficients) for packing in run.solution.scene]
+        scene = run.solution.scene
+        given = [(scene.network.contact, *values) for values in zip(*scene.material, strict=True)]
     elif attributes.get("coefficients"):
         given = [(values,) for values in run.solution.scene.coefficient]
     replicas = len(state)

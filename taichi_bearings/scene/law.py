@@ -7,8 +7,8 @@ dual phi*(f) = max_v (f v - phi(v)) of the forces gives lower bounds: for any fo
 
     least potential >= work of the driven planes - sum_e phi*(|f_e|).
 
-A law works on the coefficients of the contacts of one axis, arrays in units of force or of force * time / length as
-`Scene.contact` has them; slips are speeds, length/time, and forces are sizes. Its device twin is in kernels/contact.py.
+A law works on arrays of coefficients, in units of force or of force * time / length as `Bearing.material` has them;
+slips are speeds, length/time, and forces are sizes. Its device twin is in kernels/contact.py.
 """
 
 from dataclasses import dataclass

@@ -1,7 +1,7 @@
 """What is solved: a lattice, a contact law, a coefficient for every contact, and the imposed bearing states."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from itertools import product
 from typing import Any, ClassVar
@@ -16,6 +16,7 @@ from taichi_bearings.numerics.double_double import Pair, add
 from taichi_bearings.options import COUNT, SEED, SHAPE, finite_number
 from taichi_bearings.read_only import cached_read_only
 from taichi_bearings.scene.array_files import own_array
+from taichi_bearings.scene.bearing import Bearing, as_one_driving
 from taichi_bearings.scene.disorder import Distribution, Draw, draw_coefficients
 from taichi_bearings.scene.driving import Driving
 from taichi_bearings.scene.law import COULOMB, LAWS, Coefficients, Law, check_law, law_named
@@ -30,7 +31,7 @@ LENGTHS_IN_CACHE = 16_384  # vectors of which the second cache of a processor ho
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Scene:
+class Scene(Bearing):
     """What is solved: a frustrated bearing, or several samples of it (replicas) on one lattice with one driving.
 
     coefficients : one array an axis, x, y(, z): (nx-1, ny, nz), (nx, ny-1, nz), (nx, ny, nz-1), in 2D (nx-1, ny),
@@ -171,7 +172,7 @@ class Scene:
                     "both must be positive, or both 0 for a contact that is absent"
                 )
         if not self.law.is_sum:
-            check_law(self.law, self.contact, self.lattice.radius * (self.jump or 1.0))
+            check_law(self.law, self.material, self.lattice.radius * (self.jump or 1.0))
 
     def _read_states(self) -> None:
         """The states as tuples of 1 or 4 numbers, both or none."""
@@ -260,10 +261,6 @@ class Scene:
         )
         return one
 
-    @property
-    def replicas(self) -> int:
-        return len(self.seeds)
-
     @cached_property
     def driving(self) -> Driving:
         """What is imposed on the two planes."""
@@ -275,6 +272,18 @@ class Scene:
     def imposed(self) -> tuple[float, float]:
         """Spins of top and bottom, 1/time; where states are imposed, their largest sizes on the planes."""
         return (self.spin_top, self.spin_bottom) if self.top is None else self.driving.largest_spins
+
+    @property
+    def sides(self) -> tuple[float, float]:
+        return self.imposed
+
+    def with_top(self, strength: float) -> "Scene":
+        if self.top is None:
+            return replace(self, spin_top=strength * self.spin_top)
+        return replace(self, top=tuple(strength * part for part in self.top))
+
+    def with_friction_alone(self) -> "Scene":
+        return replace(self, law=COULOMB, viscosity=())
 
     @property
     def fastest(self) -> float:
@@ -331,10 +340,9 @@ class Scene:
         """(R, E) True for contacts that take no part: between two driven spheres, or absent."""
         return self.lattice.between_driven | (self.coefficient == 0)
 
-    @cached_read_only
-    def inverse_limit(self) -> np.ndarray:
-        """(R, E) 1 over the friction that contacts bear, 0 for contacts that take no part."""
-        return inverse(self.strength * self.acting_coefficient)
+    @property
+    def slip_radius(self) -> float:
+        return self.lattice.radius
 
     @cached_read_only
     def is_cut_off(self) -> np.ndarray:
@@ -366,20 +374,19 @@ class Scene:
         return np.where(self.lattice.between_driven, 0.0, values)
 
     @cached_read_only
-    def contact(self) -> Coefficients:
+    def driven_speed(self) -> np.ndarray:
+        """u = R omega (N, C) of the components that a minimum needs, measured from the bottom: 0 but on the top."""
+        axes = self.minimum_spin_axes
+        u = np.zeros((*self.lattice.shape, 3))
+        top = self.lattice.parity[..., -1, None] * np.moveaxis(self.top_spin(axes), 0, -1)
+        u[..., -1, list(axes)] = self.lattice.radius * top
+        return as_one_driving(u.reshape(-1, 3) if self.lattice.dimension == 3 else u[..., 2].reshape(-1, 1))
+
+    @cached_read_only
+    def material(self) -> Coefficients:
         """What the functions of the law take for all contacts, (R, E) each; 0 between two driven spheres."""
         held, *beside = self.named_coefficients.values()
         return (self.strength * self._acting(held), *map(self._acting, beside))
-
-    @property
-    def viscosities(self) -> np.ndarray | None:
-        """(R, E) slope of the force over the slip of every contact; 0 between driven spheres, None for laws without."""
-        return self.law.viscosity(self.contact)
-
-    @property
-    def viscosity_beside_friction(self) -> np.ndarray | None:
-        """(R, E) the same of laws that have both, else None."""
-        return self.viscosities if self.law.holds else None
 
     def slips(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
         """Slip speed |v| of every contact (paper Eq. 2), (R, E), length/time."""
@@ -387,12 +394,12 @@ class Scene:
 
     def power(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
         """Dissipated power (R,), energy/time (paper Eq. 4, each contact once)."""
-        return self.law.power(self.contact, self.slips(staggered, spin_axes)).sum(axis=1)
+        return self.law.power(self.material, self.slips(staggered, spin_axes)).sum(axis=1)
 
     def objective(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
         """What the stationary state minimises (R,), energy/time: the power, or for a law of which no multiple of the
         power is least there its potential. An upper bound on the least value whatever the spins are."""
-        return self.law.objective(self.contact, self.slips(staggered, spin_axes)).sum(axis=1)
+        return self.law.objective(self.material, self.slips(staggered, spin_axes)).sum(axis=1)
 
     def laboratory_spin(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
         """Spins as one sees them: (R, *N) in 2D, (R, *N, 3) in 3D, 1/time.
@@ -509,11 +516,6 @@ def _arrays(kind: str, given: Any) -> tuple[np.ndarray, ...]:
     return tuple(own_array(f"{kind} along {name}", values) for name, values in zip(AXIS_NAMES, found, strict=False))
 
 
-def inverse(values: np.ndarray) -> np.ndarray:
-    """1 / values, and 0 where values is 0."""
-    return np.divide(1.0, values, out=np.zeros_like(values), where=values != 0)
-
-
 def vector_length(components: np.ndarray) -> np.ndarray:
     """Euclidean length over the first axis; (0, ...) gives zeros, one component gives |component| exactly."""
     if len(components) == 0:
@@ -533,3 +535,9 @@ def _length(components: np.ndarray) -> np.ndarray:
     size, *others = [part for part in components if part.any()] or components[:1]
     size = np.hypot(size, others[0]) if others else np.abs(size)
     return size if len(others) < 2 else np.hypot(size, others[1])
+
+
+def of_lattice(bearing: Bearing) -> Scene:
+    """The same, where lattices alone are spoken of."""
+    assert isinstance(bearing, Scene)
+    return bearing

@@ -10,7 +10,7 @@ import numpy as np
 from taichi_bearings.errors import BearingsError
 from taichi_bearings.read_only import read_only
 from taichi_bearings.runtime import HOST, Runtime
-from taichi_bearings.scene.scene import Scene
+from taichi_bearings.scene.bearing import Bearing
 
 CROSSED_BOUND = 1e-11  # relative amount by which a lower bound may seem to lie above the power
 
@@ -166,7 +166,7 @@ OF_ALL = ("iteration", "seconds", "time")
 class Solution:
     """The answer of a run, one entry a replica where an axis R is named.
 
-    scene : the `Scene`, or the `Packings` of all replicas. Of packings N is the number of spheres, `friction` is that
+    scene : what was solved, of all replicas. Of packings N is the number of spheres, `friction` is that
         on the second sphere of each contact, and `findings` has what is said of them alone: `proof`, "proven", or of
         which spins the bound is, where some motions slip by no more than the rounding of the normals, or why there is
         none; `driven_power`, energy/time, what contacts between driven spheres dissipate; `slipless_motions` of the
@@ -191,7 +191,7 @@ class Solution:
     running : device, precision and threads that it was computed with.
     """
 
-    scene: Any
+    scene: Bearing
     method: str
     status: Status
     iterations: int
@@ -227,11 +227,6 @@ class Solution:
                     f"the lower bound {bound:.17g} lies above the {self.scene.law.minimises} {value:.17g}: one of them "
                     "is wrong, and this is no result; please report it with the command"
                 )
-
-    @property
-    def system(self) -> Any:
-        """The scene, or of packings the first one."""
-        return self.scene if isinstance(self.scene, Scene) else self.scene[0]
 
     @property
     def unproven(self) -> np.ndarray:
@@ -294,7 +289,7 @@ class Solution:
         return {name: values[lived] for name, values in found.items()} if lived.any() else {}
 
     @classmethod
-    def joined(cls, ones: Sequence["Solution"], scene: Any) -> "Solution":
+    def joined(cls, ones: Sequence["Solution"], scene: Bearing) -> "Solution":
         """The answers to each sample of a scene, solved one after another, as one."""
         if len(ones) == 1:
             return ones[0]

@@ -19,7 +19,7 @@ from taichi_bearings.proof.contact_state import (
 from taichi_bearings.proof.judgement import Judgement
 from taichi_bearings.proof.samples import LAWS, Samples
 from taichi_bearings.scene import Progress, Scene, Solution, Status
-from taichi_bearings.scene.scene import vector_length
+from taichi_bearings.scene.scene import of_lattice, vector_length
 from taichi_bearings.solvers.method import Method
 from taichi_bearings.solvers.without_slip import without_slip
 
@@ -49,7 +49,7 @@ def answered(
         scene, slip, final, threshold, _known_at_once(judgement, method.options.is_dynamics), proof
     )
     own = {"slip_threshold": resolves} | ({} if final.ended is None else {"iterations": final.ended})
-    per_contact = scene.law.power(scene.contact, slip)
+    per_contact = scene.law.power(scene.material, slip)
     objective, residual = final.objective, final.largest_balance_residual
     power = objective if scene.law.minimises == "power" else per_contact.sum(axis=1)
     if judgement is None:  # the bounds of a law that is not known to the verifier are the method's word
@@ -87,7 +87,7 @@ def with_forces_of(answer: Solution, other: Solution) -> Solution:
     """An answer to one sample with the friction of another one to it, if that proves more of it."""
     if not other.lower_bound[0] > answer.lower_bound[0]:
         return answer
-    judgement = judged(answer.scene, answer.spin, answer.spin_rounding, other.friction)
+    judgement = judged(of_lattice(answer.scene), answer.spin, answer.spin_rounding, other.friction)
     if judgement is None:
         return answer
     return replace(
@@ -160,7 +160,7 @@ def _acting(scene: Scene, method: Method, final: Progress, slip: np.ndarray) -> 
     """Sizes (R, E) of the forces in a dynamics at this moment: where contacts hold its own, else those of the law.
     Friction alone is at its limit where the rounding of far stronger contacts says more."""
     if not scene.law.holds:
-        return scene.law.force(scene.contact, slip)
+        return scene.law.force(scene.material, slip)
     most = np.inf if scene.law.flows else scene.strength * max(getattr(method.options, "static_ratio", 1.0), 1.0)
     absent = scene.coefficient == 0
     return np.where(
@@ -205,7 +205,7 @@ def above_noise(answer: Solution, known: np.ndarray) -> np.ndarray:
     scene, slips = answer.scene, answer.state == ContactState.SLIPPING
     limit = scene.strength * scene.coefficient
     missing = limit - answer.force - ROUNDED_LIMIT * limit
-    faint = MISSING_SLIP * missing * scene.lattice.radius * scene.jump > answer.slip * limit
+    faint = MISSING_SLIP * missing * scene.slip_radius * scene.jump > answer.slip * limit
     doubtful = slips & (unresolved(answer) | faint)
     doubtful |= (answer.state == ContactState.SLIPLESS) & (answer.force >= SATURATED * limit)
     if "cut_is_unique" not in answer.findings:  # cuts are exact, whatever the contrast

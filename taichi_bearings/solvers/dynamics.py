@@ -38,7 +38,7 @@ def saturated(scene: Scene, force: np.ndarray, slip: np.ndarray, tolerance: floa
 
     force : (C, R, E). slip : (R, E).
     """
-    limit, coarsest = scene.law.holding_force(scene.contact), REST_SLIP * scene.lattice.radius * scene.jump
+    limit, coarsest = scene.law.holding_force(scene.material), REST_SLIP * scene.lattice.radius * scene.jump
     if limit is None:
         return np.zeros(scene.replicas, dtype=np.int64), 0.0
     slips = vector_length(force) >= (1 - tolerance) * limit

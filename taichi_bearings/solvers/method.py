@@ -71,13 +71,13 @@ class Method:
         viscosity, or what a law of one's own says."""
         law, radius = self.scene.law, self.scene.lattice.radius
         slip = difference if law.is_sum else radius * vector_length(difference)
-        resistance = law.resistance(self.scene.contact, slip)
+        resistance = law.resistance(self.scene.material, slip)
         return force if resistance is None else force + radius * resistance * difference
 
     def forces_at(self, staggered: np.ndarray, width: float) -> np.ndarray:
         """Contact forces (C, R, E) of the law at these spins; friction grows up to a difference of `width`, 1/time."""
         difference = self.differences(staggered)
-        held = self.scene.law.holding_force(self.scene.contact)
+        held = self.scene.law.holding_force(self.scene.material)
         force = 0 * difference if held is None else held / np.maximum(vector_length(difference), width) * difference
         return self.with_viscosity(force, difference)
 

@@ -21,7 +21,6 @@ from taichi_bearings.fields.lists import Lists
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.numerics.double_double import exactly
-from taichi_bearings.numerics.graphs import odd_pieces
 from taichi_bearings.packing.answer import forces_of, judgement_of, spins_of
 from taichi_bearings.packing.checks import sizes
 from taichi_bearings.packing.interface import Interface
@@ -32,8 +31,9 @@ from taichi_bearings.packing.system import Found, System
 from taichi_bearings.proof.judgement import Judgement
 from taichi_bearings.proof.network import StoredPacking
 from taichi_bearings.scene.array_files import own_array
+from taichi_bearings.scene.bearing import inverse
 from taichi_bearings.scene.initial_spins import STARTS
-from taichi_bearings.scene.scene import inverse, vector_length
+from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.words import meant, shown
 
 START_RESIDUAL = 1e-12  # of the torques at the start, relative
@@ -52,21 +52,21 @@ class Network:
     replicas, strength, normal_force, imposed = 1, 1.0, 1.0, (0.0,)
 
     def __init__(self, packing: Packing, density: Any = None) -> None:
-        self.packing, self.law, self.acting, self.density = packing, packing.kind, packing.acting, density
+        self.packing, self.law, self.acting, self.density = packing, packing.law, packing.acting, density
         self.across = packing.network.tangents[:, self.acting]
-        self.contact = tuple(values[None, self.acting] for values in packing.coefficients)
-        self.acting_coefficient, self.viscosities = self.contact[0], self.law.viscosity(self.contact)
+        self.material = tuple(values[:, self.acting] for values in packing.material)
+        self.acting_coefficient, self.viscosities = self.material[0], self.law.viscosity(self.material)
         self.coefficient = self.positive_coefficient = self.acting_coefficient
         self.inverse_limit = inverse(self.strength * self.acting_coefficient)
         self.idle = np.zeros(self.coefficient.shape, dtype=bool)
         self.viscosity_beside_friction = self.viscosities if self.law.holds else None
-        self.components, held = packing.imposed.shape[1], packing.driven >= 0
+        self.components, held = packing.driven_speed.shape[1], packing.driven >= 0
         self.minimum_spin_axes = tuple(range(self.components))
         self.lattice = SimpleNamespace(radius=1.0, is_driven=held, shape=held.shape, dimension=packing.dimension)
         numbers = np.arange(packing.spheres * self.components).reshape(-1, self.components)
         self.matrix = packing.network.operator(self.acting, numbers)
         self.transposed = self.matrix.T.tocsr()
-        self.jump = self._largest_jump(held)
+        self.jump = packing.jump
         # the best bound so far, spins that it is proven with, and the iteration of the last whole look
         self.proven, self.witness, self.looked = 0.0, np.zeros((self.components, 1, packing.spheres)), 0
 
@@ -78,15 +78,6 @@ class Network:
         still = Found(spins, np.zeros_like(system.offset), "", rest=rest)
         judgement = judgement_of(system, still)
         return judgement.slipless if judgement.can_be_judged else np.zeros(1, dtype=bool)
-
-    def _largest_jump(self, held: np.ndarray) -> float:
-        """Diagonal of the box of the imposed u, with the signs of a sublattice where there are two, else of both."""
-        if not held.any():
-            return 0.0
-        odd, sign = odd_pieces(self.packing.spheres, *self.packing.network.contact[:, self.acting])
-        turned = (sign[:, None] * self.packing.imposed)[held]
-        both = np.concatenate([turned, -turned[odd[held]]])
-        return float(np.linalg.norm(both.max(axis=0) - both.min(axis=0)))
 
     @cached_property
     def lists(self) -> Lists:
@@ -117,7 +108,7 @@ class Network:
         return vector_length(self.differences(spins))
 
     def power(self, spins: np.ndarray, spin_axes: object = None) -> np.ndarray:
-        return self.law.power(self.contact, self.slips(spins)).sum(axis=1)
+        return self.law.power(self.material, self.slips(spins)).sum(axis=1)
 
     def staggered_spin(self, spins: np.ndarray, spin_axes: object = None) -> np.ndarray:
         """They are given as u."""
@@ -129,7 +120,7 @@ class Network:
         return 0.0
 
     def impose_driving(self, spins: np.ndarray, spin_axes: object = None) -> np.ndarray:
-        spins[:, 0, self.lattice.is_driven] = self.packing.imposed[self.lattice.is_driven].T
+        spins[:, 0, self.lattice.is_driven] = self.packing.driven_speed[self.lattice.is_driven].T
         return spins
 
     def laboratory_spin(self, spins: np.ndarray, spin_axes: object = None) -> np.ndarray:
@@ -171,7 +162,7 @@ class Network:
         """Spins (C, 1, N) of least power with the same viscosity in all contacts, by conjugate gradients: no factor of
         a matrix, which a GPU has not, and which is large."""
         moved = np.repeat(self.packing.driven < 0, self.components)
-        matrix, given = self.matrix[:, moved], np.where(moved, 0.0, self.packing.imposed.ravel())
+        matrix, given = self.matrix[:, moved], np.where(moved, 0.0, self.packing.driven_speed.ravel())
         found = given.copy()
         with one_thread():  # sums do not depend on the number of threads
             found[moved], _ = cg(matrix.T @ matrix, -(matrix.T @ (self.matrix @ given)), rtol=START_RESIDUAL)

@@ -151,7 +151,7 @@ class OperatorSplittingMethod(Method):
         trial = self.stencil.forces_of_contacts(self.fields.read("trial"), self.layout)
         friction = capped(trial, saturation(scene, trial))
         slips = scene.slips(staggered, axes)
-        power = scene.law.power(scene.contact, slips).sum(axis=1)
+        power = scene.law.power(scene.material, slips).sum(axis=1)
         balanced = self._spring_force(potential, trial, friction)
         work, bound = work_and_bound(scene, balanced, axes)
         change = self._steered(power, work, bound)

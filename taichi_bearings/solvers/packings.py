@@ -16,7 +16,7 @@ from taichi_bearings.packing.answer import SLIPLESS, SLIPPING, UNDECIDED, judged
 from taichi_bearings.packing.packing import Packing
 from taichi_bearings.packing.system import Found
 from taichi_bearings.proof.contact_state import classify, decided, what_is_proven
-from taichi_bearings.scene import Progress, Solution, Status
+from taichi_bearings.scene import Bearing, Progress, Solution, Status
 from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.solvers.cundall_strack import CundallStrackMethod, largest_step
 from taichi_bearings.solvers.drive import Checkpoints, Monitor, solve
@@ -86,7 +86,7 @@ class OnNetwork(Method):
         self, staggered: np.ndarray, force: np.ndarray, proof: np.ndarray | None = None, **more: Any
     ) -> Progress:
         scene: Network = self.scene
-        objective = scene.law.objective(scene.contact, scene.slips(staggered)).sum(axis=1)
+        objective = scene.law.objective(scene.material, scene.slips(staggered)).sum(axis=1)
         whole = not scene.looked < more["iteration"] < LOOK_AGAIN * scene.looked
         scene.looked = more["iteration"] if whole else scene.looked
         bound, proof = scene.bound(force if proof is None else proof, staggered, whole)
@@ -179,7 +179,7 @@ class GradientDescentOfPacking(OnNetwork, GradientDescentMethod):
 
 
 def follow_packing(
-    packing: Packing,
+    packing: Bearing,
     method: MethodOptions,
     start: str | np.ndarray,
     stop: StopRule,
@@ -191,6 +191,7 @@ def follow_packing(
     """A dynamics or descent of a packing. start, density : see :class:`Network`. Others : as of drive.solve."""
     if density is not None and not method.is_dynamics:
         raise InputError(f"density is given, but {method.name} has no use for it; dynamics have")
+    assert isinstance(packing, Packing)
     network, built = Network(packing, density), method.build_for_packing()
     with one_thread():
         return solve(network, built, network.start(start), stop, monitors, None, recording, checkpoints)

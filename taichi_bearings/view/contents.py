@@ -11,6 +11,7 @@ from taichi_bearings.plots.structure import colour_of_turn
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.runs.points_and_lines import Moments, PointsAndLines
 from taichi_bearings.scene.law import Law
+from taichi_bearings.scene.scene import of_lattice
 from taichi_bearings.version import VERSION
 from taichi_bearings.words import other_contacts
 
@@ -29,8 +30,8 @@ KEPT |= {"betweenness": "f4", "state": "u1"}
 def arrays_of(drawn: PointsAndLines) -> dict[str, np.ndarray]:
     """What is drawn, by name: float32 has the six digits that the page shows. What a lattice repeats packs well:
     vectors are written one axis after the other, ends as differences. The distance of two sites of a lattice is 1."""
-    packing, ends = drawn.packing, drawn.packing.contact
-    center, radius = packing.center - packing.center[0], packing.radius
+    network = drawn.network
+    center, radius, ends = network.center - network.center[0], network.radius, network.contact.T
     if drawn.is_lattice:
         center, radius = center / (2 * radius[0]), np.full(len(radius), 0.5)
     spheres, contacts = ({k: v.values for k, v in of.items()} for of in (drawn.spheres, drawn.contacts))
@@ -38,10 +39,10 @@ def arrays_of(drawn: PointsAndLines) -> dict[str, np.ndarray]:
     found |= {
         "center": center.T.astype(np.float32),
         "radius": radius.astype(np.float32),
-        "body": packing.driven.astype(np.int32),
+        "body": network.body.astype(np.int32),
         "first": np.diff(ends[:, 0], prepend=0).astype(np.int32),
         "second": (ends[:, 1] - ends[:, 0]).astype(np.int32),
-        "normal": np.asarray(packing.normal).T.astype(np.float32),
+        "normal": network.normal.T.astype(np.float32),
         "spin": _shown_spins(drawn, spheres["spin"][None])[0].astype(np.float32),
         "map_spin": _colours(SPIN_COLOURS, 0.0, 1.0),
         "map_power": _colours(POWER_COLOURS, *COLOUR_RANGE),
@@ -68,7 +69,7 @@ def arrays_of(drawn: PointsAndLines) -> dict[str, np.ndarray]:
 
 def _shown_spins(drawn: PointsAndLines, spins: np.ndarray) -> np.ndarray:
     """Spins (S, N, 3) of the sample less what no contact feels, as :meth:`Structure.shown_spin` says."""
-    if not drawn.is_lattice or drawn.packing.dimension == 2:
+    if not drawn.is_lattice or drawn.network.dimension == 2:
         return spins
     shape = drawn.structure.spin.shape
     return drawn.structure.shown_spin(spins.reshape(len(spins), *shape)).reshape(spins.shape)
@@ -87,7 +88,7 @@ def _shown(moments: Moments) -> np.ndarray:
 
 def facts_of(drawn: PointsAndLines) -> dict[str, Any]:
     """Numbers and words of the page, as JSON has them."""
-    structure, states, law = drawn.structure, drawn.contacts["state"].values, drawn.packing.kind
+    structure, states, law = drawn.structure, drawn.contacts["state"].values, drawn.structure.bearing.law
     own, fastest, natural, bound = (_of_lattice if drawn.is_lattice else _of_packing)(drawn)
     proven = bool(drawn.contacts["proven"].values[states != ContactState.DRIVEN].all())
     decided = "proven" if proven else f"decided by {'slip and friction' if law.holds else 'slip'}, not proven"
@@ -115,7 +116,7 @@ def facts_of(drawn: PointsAndLines) -> dict[str, Any]:
 
 def _of_lattice(drawn: PointsAndLines) -> tuple[dict[str, Any], float, str, str]:
     """What the page says of lattices alone, the largest imposed spin, the power in its natural unit, and its bound."""
-    scene, gap = drawn.answer.scene, float(drawn.answer.gap[0])
+    scene, gap = of_lattice(drawn.answer.scene), float(drawn.answer.gap[0])
     lattice, unit = scene.lattice, scene.strength * scene.lattice.radius * abs(scene.imposed[0])
     natural = f" = {drawn.structure.power / unit:.6g} Fₙ R ω_T" if scene.law.is_rate_independent and unit > 0 else ""
     bound = f"{_minimised(scene.law)}proven within {gap:.1e}" if np.isfinite(gap) else "without a proven bound"
@@ -138,17 +139,17 @@ def _of_lattice(drawn: PointsAndLines) -> tuple[dict[str, Any], float, str, str]
 
 def _of_packing(drawn: PointsAndLines) -> tuple[dict[str, Any], float, str, str]:
     """The same of a packing; for the spin the largest imposed R omega over the median of R."""
-    packing, within, proof = drawn.packing, f"within {drawn.answer.gap[0]:.1e}", drawn.answer.findings["proof"][0]
-    fastest = float(np.linalg.norm(packing.imposed, axis=1).max(initial=0.0))
-    bodies = np.unique(packing.driven[packing.driven >= 0])
+    network, law = drawn.network, drawn.structure.bearing.law
+    within, proof = f"within {drawn.answer.gap[0]:.1e}", drawn.answer.findings["proof"][0]
+    fastest, bodies = drawn.structure.fastest, network.bodies
     named = [f"driven body {number}" for number in bodies] if len(bodies) == 2 else ["one driven body"] * 2
-    bound = _minimised(packing.kind) + (f"proven {within}" if proof == "proven" else f"{within}, {proof}")
-    what = "discs" if packing.dimension == 2 else "spheres"
+    bound = _minimised(law) + (f"proven {within}" if proof == "proven" else f"{within}, {proof}")
+    what = "discs" if network.dimension == 2 else "spheres"
     own = {
-        "title": f"{packing.spheres:,} {what}, {drawn.structure.movable:,} contacts, {packing.kind}",
+        "title": f"{network.spheres:,} {what}, {drawn.structure.movable:,} contacts, {law}",
         "shape": None,
-        "origin": packing.center[0].tolist(),  # float32 has the digits of what lies around the first
-        "steps": [SLICES] * packing.dimension,
+        "origin": network.center[0].tolist(),  # float32 has the digits of what lies around the first
+        "steps": [SLICES] * network.dimension,
         "enclosing": 0,
         "joined": "driven bodies",
         "pieces": ["joined to several driven bodies", *(f"joined to {name}" for name in named), *ALONE],
@@ -158,7 +159,7 @@ def _of_packing(drawn: PointsAndLines) -> tuple[dict[str, Any], float, str, str]
         "jump_speed": fastest,
         "normal_force": None,
     }
-    return own, fastest / _median(packing.radius), "", bound
+    return own, fastest / _median(network.radius), "", bound
 
 
 def _minimised(law: Law) -> str:
@@ -173,7 +174,7 @@ def _ends_of_scales(drawn: PointsAndLines, fastest: float) -> dict[str, Any]:
     """fastest : the largest imposed spin, of a sphere of median size."""
     moments, end = drawn.moments, drawn.spheres["spin"].values[None]
     spins = _shown_spins(drawn, end if moments is None else moments.spin[_shown(moments)])
-    speed = np.linalg.norm(spins, axis=-1) * (drawn.packing.radius / _median(drawn.packing.radius))
+    speed = np.linalg.norm(spins, axis=-1) * (drawn.network.radius / _median(drawn.network.radius))
     shares = drawn.contacts["betweenness"].values if "betweenness" in drawn.contacts else np.zeros(1)
     return {
         "spin_max": fastest or 1.0,

@@ -73,7 +73,7 @@ def test_of_other_driven_bodies(kind, cells, bodies, method):
         return tb.solve(packing, method, close, **start, **options)
 
     best, first, second = answer(alike, rest, state), answer(plain, some), answer(more, some, state)
-    unit = alike.coefficients[0].sum() * np.abs(alike.imposed).max()
+    unit = alike.material[0].sum() * np.abs(alike.driven_speed).max()
     assert best.power + best.driven_power <= ROUNDING * unit
     assert second.power == pytest.approx(first.power, rel=2 * close)
     assert second.driven_power == pytest.approx(first.driven_power, rel=1e-12, abs=ROUNDING * unit)

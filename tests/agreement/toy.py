@@ -65,7 +65,7 @@ class Minimiser(Method):
         scene = self.scene
         difference = self.differences(self.spins)
         length = vector_length(difference)
-        size = scene.law.force(scene.contact, scene.lattice.radius * length)
+        size = scene.law.force(scene.material, scene.lattice.radius * length)
         return difference * np.divide(size, length, out=np.zeros_like(size), where=length > 0)
 
     def advance(self, steps):
@@ -74,7 +74,7 @@ class Minimiser(Method):
 
             def potential(x, free=free, scene=scene):
                 free[...] = x.reshape(free.shape)
-                total = float(scene.law.potential(scene.contact, scene.slips(self.spins, self.spin_axes)).sum())
+                total = float(scene.law.potential(scene.material, scene.slips(self.spins, self.spin_axes)).sum())
                 pull = self.pulls(self.forces())[..., 1:-1]
                 return total, -scene.lattice.radius * pull.ravel()
 

@@ -14,7 +14,7 @@ from taichi_bearings.analysis.bottlenecks import Bottlenecks
 from taichi_bearings.analysis.network import SliplessNetwork
 from taichi_bearings.checksums import ATTRIBUTE
 from taichi_bearings.errors import DeviceError, FileError, InputError
-from taichi_bearings.packing import Packings
+from taichi_bearings.packing import Packing
 from taichi_bearings.quantities import STRUCTURE
 from taichi_bearings.runs.figures import draw_figure
 from taichi_bearings.runs.verify import verify
@@ -239,7 +239,7 @@ def test_what_cannot_be_is_one_sentence(call, sentence):
 def test_the_history_shows_every_replica():
     packings = [tb.Packing.lattice("bcc", (2, 2, 3), seed=seed) for seed in range(2)]
     found = [solve(p, "gradient-descent", iterations=100 * (n + 1)) for n, p in enumerate(packings)]
-    together = Solution.joined([one._run.solution for one in found], Packings(tuple(packings)))
+    together = Solution.joined([one._run.solution for one in found], Packing.together(packings))
     lines = draw_figure("history", together).axes[0].lines
     assert [line.get_xdata()[-1] for line in lines] == [100, 100, 200, 200]
 

@@ -68,10 +68,10 @@ def test_walls_that_meet_planes_in_states_of_any_size(cells, rate):
     assert found.status == "certified"
     assert found.power == pytest.approx(power, rel=1e-8)
     assert found.lower_bound <= power * (1 + 1e-9)
-    (first, second), u = packing.contact.T, packing.imposed
+    (first, second), u = packing.contact.T, packing.driven_speed
     slip = np.cross(u[first] + u[second], packing.normal) if not flat else u[first] + u[second]
     between = (packing.driven[packing.contact] >= 0).all(axis=1)
-    lost = (packing.coefficients[0] * np.linalg.norm(slip, axis=1))[between].sum()
+    lost = (packing.material[0][0] * np.linalg.norm(slip, axis=1))[between].sum()
     assert found.driven_power == pytest.approx(lost, rel=1e-12)
     assert lost > 0
 

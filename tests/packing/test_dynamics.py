@@ -72,7 +72,7 @@ def test_random_networks_end_at_the_proven_minimum(method, seed, needs_f64):
     options = tb.CundallStrack(stiffness=1e3, damping=30.0) if method == "cundall-strack" else method
     weights = {} if method == "gradient-descent" else {"density": 1 / packing.radius**dimension}
     found = tb.solve(packing, options, start="random", iterations=200_000, tolerance=1e-6, **weights)
-    natural = sum(values.sum() for values in packing.coefficients) * (np.abs(packing.imposed).max() or 1.0)
+    natural = sum(values.sum() for values in packing.material) * (np.abs(packing.driven_speed).max() or 1.0)
     assert found.status == "certified"
     assert found.gap <= 1e-6
     assert found.potential == pytest.approx(least.potential, rel=2e-6, abs=1e-9 * natural)

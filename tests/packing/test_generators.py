@@ -61,7 +61,7 @@ def test_random_packings_touch_overlap_nowhere_and_are_isostatic(spheres, dimens
     found = tb.solve(packing)
     assert found.status == "certified"
     assert found.proof == "proven"
-    assert 0 < found.power < found.packing.coefficients[0].sum() * np.abs(packing.imposed).max() * 4
+    assert 0 < found.power < found.packing.material[0][0].sum() * np.abs(packing.driven_speed).max() * 4
 
 
 def test_a_deep_random_packing_has_the_isostatic_number_of_contacts_inside():

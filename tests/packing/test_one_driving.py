@@ -23,7 +23,7 @@ def test_speeds_that_differ_by_four_units_in_the_last_place_are_one(units):
     least = 1.5
     speed = least + units * np.spacing(least)
     found = tb.solve(pair([least, speed], [1.0, 1.0, 2.0]))
-    imposed = found.packing.imposed[[0, 2], 0]
+    imposed = found.packing.driven_speed[[0, 2], 0]
     assert (imposed[0] == imposed[1]) == (abs(units) <= 4)
     assert (found.state[:2] == 0).all() == (abs(units) <= 4)
     assert found.state[2] == 1
@@ -40,7 +40,7 @@ def test_space_filling_discs_are_proven_and_their_files_say_the_same(law, least,
         for r, s in zip(packing.radius[held], packing.spin[held], strict=True)
     }
     assert len(exact) > 2  # of two lines
-    assert len(np.unique(np.abs(packing.imposed[held]))) == 2
+    assert len(np.unique(np.abs(packing.driven_speed[held]))) == 2
     found = tb.solve(packing)
     assert found.proven.all()
     path = found.save(tmp_path / "run") / "run.h5"
@@ -49,4 +49,4 @@ def test_space_filling_discs_are_proven_and_their_files_say_the_same(law, least,
     assert report["states_proven"]["unproven"] == 0
     with h5py.File(path) as file:
         again = tb.Packing(**{name: values[()] for name, values in file["packing"].items()} | {"law": law})
-    assert (again.imposed == packing.imposed).all()
+    assert (again.driven_speed == packing.driven_speed).all()

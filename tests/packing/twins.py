@@ -47,7 +47,7 @@ def clarabel_least(packing):
     """Least potential, slips (E,), and Clarabel's word."""
     matrix, constant = laboratory_slips(packing)
     acts, law = (packing.driven[packing.contact] < 0).any(axis=1), packing.law.name
-    of = [values[acts] for values in packing.coefficients]
+    of = [values[0, acts] for values in packing.material]
     nothing = np.zeros(acts.sum())
     found = least(
         matrix[np.repeat(acts, constant.shape[1])], constant[acts], nothing if law == "viscous" else of[0],

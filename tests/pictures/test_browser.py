@@ -195,7 +195,7 @@ def test_contacts_across_periodic_sides_are_halves_at_both_sides_and_can_be_poin
 
 def test_a_packing_is_shown_as_it_is(packed, opened):
     page, solution = opened(packed), read_run(packed).solution
-    packing, structure = solution.scene[0], structure_of(solution)
+    packing, structure = solution.scene, structure_of(solution)
     flat, radius, (first, second) = packing.dimension == 2, np.asarray(packing.radius), packing.contact.T
     place, way = (np.array(page.ask(f"Array.from(bearings.sample.{name})")).reshape(-1, 3) for name in ("place", "way"))
     unit, axes = 2 * np.sort(radius)[len(radius) // 2], [0, 2] if flat else [0, 1, 2]

@@ -64,7 +64,7 @@ def slips_of(packing):
             if int(i) in number:
                 rows[p * e : p * e + p, number[int(i)] : number[int(i)] + p] += cross
             else:
-                fixed[p * e : p * e + p] += cross @ np.atleast_1d(exact(packing.imposed[i]))
+                fixed[p * e : p * e + p] += cross @ np.atleast_1d(exact(packing.driven_speed[i]))
     return rows, fixed
 
 
@@ -88,7 +88,7 @@ def contradiction(found):
     """What is wrong with states of which all are proven; "" if nothing is."""
     getcontext().prec = DIGITS
     packing, state, p = found.packing, found.state, numbers(found.packing)
-    held, damping = (exact(values) for values in packing.coefficients)
+    held, damping = (exact(values[0]) for values in packing.material)
     rows, fixed = slips_of(packing)
     slipping, resting = np.flatnonzero(state == 1), np.flatnonzero(state == 0)
     still = (p * resting[:, None] + np.arange(p)).ravel()

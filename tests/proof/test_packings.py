@@ -103,7 +103,7 @@ def test_bounds_of_power_hold_at_another_minimum(seed):
     found, (power, _, status) = tb.solve(packing), clarabel_least(packing)
     if status != "Solved":
         pytest.skip("Clarabel has no minimum of its own")
-    unit = sum(values.sum() for values in packing.coefficients) * max(np.abs(packing.imposed).max(), 0.01)
+    unit = sum(values.sum() for values in packing.material) * max(np.abs(packing.driven_speed).max(), 0.01)
     off = 1e-7 * abs(power) + 1e-9 * unit  # what Clarabel reaches
     assert found.lower_bound <= (2 if packing.law.name == "viscous" else 1) * power + off
 
@@ -400,7 +400,7 @@ def test_what_poor_answers_prove_is_true_of_a_good_one(seed):
     packing = drawn(seed + 200)
     found = tb.solve(packing)
     judged = poorer(found, np.random.default_rng(seed))
-    unit = np.abs(packing.imposed).max()
+    unit = np.abs(packing.driven_speed).max()
     assert judged.lower_bound <= found.potential * (1 + 1e-12)
     assert judged.upper_bound >= found.lower_bound
     acts, known = found.state != 3, judged.states[0].proven

@@ -63,11 +63,11 @@ class Laboratory:
 
     @cached_property
     def scene(self):
-        return self.answer.scene if self.is_lattice else self.answer.scene[0]
+        return self.answer.scene
 
     @property
     def is_lattice(self):
-        return hasattr(self.answer.scene, "lattice")
+        return self.answer.scene.network.lattice is not None
 
     @property
     def is_dynamics(self):

@@ -86,7 +86,7 @@ def test_a_run_that_is_saved_and_loaded_is_the_same_twice(scene, method):
         assert set(one) == set(two)
         for name in one:
             np.testing.assert_array_equal(one[name], two[name], err_msg=name)
-        assert same(once.scene.contact, scene.contact)
+        assert same(once.scene.material, scene.material)
         for name in Scene.PARAMETERS:
             assert getattr(once.scene, name) == getattr(scene, name)
 
