@@ -15,6 +15,7 @@ import h5py
 import numpy as np
 
 from taichi_bearings.errors import FileError, InputError, WriteError
+from taichi_bearings.numerics.double_double import Pair
 from taichi_bearings.numerics.graphs import odd_pieces
 from taichi_bearings.options import SEED, SHAPE, finite_number
 from taichi_bearings.packing import checks, geometry, random_packing, space_filling
@@ -188,6 +189,9 @@ class Packing(Bearing):
         turned = (sign[:, None] * self.driven_speed)[held]
         both = np.concatenate([turned, -turned[odd[held]]])
         return float(np.linalg.norm(both.max(axis=0) - both.min(axis=0)))
+
+    def imposed_spins(self) -> Pair:
+        return self.spin, np.zeros_like(self.spin)
 
     @property
     def is_top(self) -> np.ndarray:

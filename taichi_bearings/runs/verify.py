@@ -31,9 +31,10 @@ from taichi_bearings.quantities import CONTACTS, Answered, found_in, numbers_of,
 from taichi_bearings.runs.run_file import file_of, read_claims
 from taichi_bearings.runs.solved import Run
 from taichi_bearings.runs.torque import under_torque
-from taichi_bearings.scene import Scene, Solution, Status
+from taichi_bearings.scene import Bearing, Scene, Solution, Status
 from taichi_bearings.scene.disorder import Distribution, draw_coefficients
 from taichi_bearings.scene.law import LAWS
+from taichi_bearings.scene.scene import of_lattice
 from taichi_bearings.solvers.answer import judged
 from taichi_bearings.stages import stage
 from taichi_bearings.words import shown
@@ -86,26 +87,28 @@ def verify(path: str | Path) -> dict[str, Any]:
         **{name: np.asarray(value).tolist() for name, value in said.items()},
         "law": scene.law.name,
         **_size_of(scene),
-        "coefficients": "drawn" if isinstance(scene, Scene) and scene.drawn else "given",
+        "coefficients": "drawn" if scene.is_drawn else "given",
         "run": str(path),
         "seconds": time.perf_counter() - began,
     }
 
 
-def _size_of(scene: Any) -> dict[str, Any]:
-    if isinstance(scene, Scene):
-        return {"shape": list(scene.lattice.shape)}
-    return {"shape": None, "spheres": scene[0].spheres, "contacts": scene[0].contacts}
+def _size_of(scene: Bearing) -> dict[str, Any]:
+    network = scene.network
+    if network.lattice is not None:
+        return {"shape": list(network.lattice.shape)}
+    return {"shape": None, "spheres": network.spheres, "contacts": network.contacts}
 
 
 def _judgements(solution: Solution) -> list[Judgement]:
     """Of all samples of a lattice side by side, or of each packing; none where no arithmetic can judge the numbers."""
     given = (solution.spin, solution.spin_rounding, solution.friction)
-    if isinstance(solution.scene, Scene):
-        found = judged(solution.scene, *given)
+    scene = solution.scene
+    if scene.network.lattice is not None:
+        found = judged(of_lattice(scene), *given)
         return [] if found is None else [found]
-    parts = zip(solution.scene, *given, strict=True)
-    each = [Judgement(StoredPacking(of.kind.name, of.arrays(), *arrays)) for of, *arrays in parts]
+    name, parts = scene.law.name, enumerate(zip(*given, strict=True))
+    each = [Judgement(StoredPacking(name, scene.sample(number).arrays(), *arrays)) for number, arrays in parts]
     return each if all(one.can_be_judged for one in each) else []
 
 
@@ -140,11 +143,11 @@ class Anew:
             "proof": [one.proof for one in self.judgements],
             "driven_power": [o.driven_power for o in self.judgements],
         }
-        follows_motion = isinstance(scene, Scene) and "time" in stored.history
+        follows_motion = scene.network.lattice is not None and "time" in stored.history
         found = replace(
             stored,
             slip=slip,
-            power_per_contact=scene.law.power(scene.contact, slip),
+            power_per_contact=scene.law.power(scene.material, slip),
             power=self.of("power"),
             objective=self.of("objective"),
             lower_bound=self.of("lower_bound"),
@@ -171,7 +174,7 @@ class Anew:
     @property
     def _of_samples(self) -> dict[str, Any]:
         states = [states for one in self.judgements for states in one.states]
-        most = 1 + ROUNDED * (not isinstance(self.run.solution.scene, Scene))  # of the friction that contacts bear
+        most = 1 + ROUNDED * (self.run.solution.scene.network.lattice is None)  # of the friction that contacts bear
         numbers = {
             name: [plain(v) for v in self.of(of)]
             for name, of in {"power": "power", "upper_bound": "upper_bound", "lower_bound": "lower_bound",
@@ -250,19 +253,10 @@ def _differ(said: np.ndarray, true: np.ndarray, beside: float = 0.0) -> np.ndarr
 
 def _not_driven_so(stored: Solution) -> Iterator[str]:
     """A sentence if driven spheres do not turn as the scene imposes, to the last bit."""
-    scene = stored.scene
-    if isinstance(scene, Scene):
-        lattice = scene.lattice
-        every, driven = lattice.all_spin_axes, lattice.is_driven
-        staggered = np.zeros((len(every), scene.replicas, *lattice.shape))
-        expected = scene.laboratory_pair(scene.impose_driving(staggered, every), None, every)
-        differs = [
-            (of != said)[:, driven] for of, said in zip(expected, (stored.spin, stored.spin_rounding), strict=True)
-        ]
-    else:
-        pairs = zip(scene, stored.spin, stored.spin_rounding, strict=True)
-        differs = [((spin != of.spin) | (rest != 0))[of.driven >= 0] for of, spin, rest in pairs]
-    if any(of.any() for of in differs):
+    network, expected = stored.scene.network, stored.scene.imposed_spins()
+    driven = ~network.free.reshape(network.shape)
+    pairs = zip(expected, (stored.spin, stored.spin_rounding), strict=True)
+    if any((said != of)[:, driven].any() for of, said in pairs):
         yield "the spins of driven spheres are not those that the scene imposes"
 
 
@@ -271,13 +265,14 @@ def _not_of_their_seeds(run: Run) -> list[str]:
     drawn, and that are not those of their seeds, to the bit."""
     scene, found = run.solution.scene, list[str]()
     pairs: dict[str, tuple[Sequence[int], Sequence[int]]] = {"seed": (scene.seeds, run.settings.seeds)}
-    if isinstance(scene, Scene):
-        pairs["shape"] = scene.lattice.shape, run.settings.shape
+    if scene.network.lattice is not None:
+        pairs["shape"] = scene.network.shape, run.settings.shape
     for name, (said, asked) in pairs.items():
         if tuple(said) != tuple(asked):
             found.append(f"the {name} is said to be {list(said)}; the scene has {list(asked)}")
-    if not isinstance(scene, Scene):
+    if not scene.is_drawn:
         return found
+    scene = of_lattice(scene)
     for second, (name, stored) in enumerate(scene.named_coefficients.items()):
         if (words := scene.drawn.get(Scene.DRAWN[second])) is None:
             continue

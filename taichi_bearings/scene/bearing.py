@@ -10,6 +10,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from taichi_bearings.numerics.double_double import Pair
 from taichi_bearings.read_only import cached_read_only
 from taichi_bearings.scene.law import Coefficients, Law
 from taichi_bearings.scene.network import Network
@@ -101,6 +102,16 @@ class Bearing:
     @property
     def is_cut_off(self) -> np.ndarray:
         """(R,), True where no contact need slip whatever is imposed."""
+        raise NotImplementedError
+
+    @property
+    def is_drawn(self) -> bool:
+        """The coefficients are known to be those of the seeds."""
+        return False
+
+    def imposed_spins(self) -> Pair:
+        """Spins of all spheres in the laboratory, in the shape of an answer without R, of which those of driven spheres
+        are the imposed ones; and what their rounding leaves out; 1/time."""
         raise NotImplementedError
 
     def sample(self: Kind, number: int) -> Kind:

@@ -274,6 +274,16 @@ class Scene(Bearing):
         return (self.spin_top, self.spin_bottom) if self.top is None else self.driving.largest_spins
 
     @property
+    def is_drawn(self) -> bool:
+        return bool(self.drawn)
+
+    def imposed_spins(self) -> Pair:
+        every = self.lattice.all_spin_axes
+        staggered = np.zeros((len(every), 1, *self.lattice.shape))
+        spin, rest = self.sample(0).laboratory_pair(self.impose_driving(staggered, every), None, every)
+        return spin[0], rest[0]
+
+    @property
     def sides(self) -> tuple[float, float]:
         return self.imposed
 
