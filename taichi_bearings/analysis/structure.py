@@ -111,7 +111,6 @@ class Structure:
         """What was solved."""
         return self.answer.scene
 
-
     @property
     def whole(self) -> Network:
         """All spheres and contacts."""

@@ -212,7 +212,7 @@ def _states(system: System, found: Found, judgement: Judgement) -> np.ndarray:
     held, slip = law.holding_force(system.coefficients), judgement.slip[0]
     if held is None or not held.any():
         return np.where(slip > 1e-12 * fastest, SLIPPING, SLIPLESS)
-    limit = np.asarray(law.holding_force(packing.coefficients))
+    limit = np.asarray(law.holding_force(packing.material))[0]
     fast, full = slip > AT_REST * fastest, forces_of(system, found.force)[0] >= SATURATED * limit
     state = np.where(fast & full, SLIPPING, np.where(fast | (full & (limit > 0)), UNDECIDED, SLIPLESS))
     if found.slips is None:

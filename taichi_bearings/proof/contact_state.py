@@ -101,7 +101,7 @@ def too_uneven(solution: Solution) -> np.ndarray:
     """(R,) True where too many contacts are so weak beside the rest that the gap, or doubles, lose what they dissipate:
     they bend the others, whose slips are then whatever rounding makes them."""
     scene, acting = solution.scene, ~solution.scene.idle
-    at_jump = scene.strength * scene.coefficient * scene.lattice.radius * scene.smallest_jump  # dissipated at it
+    at_jump = scene.strength * scene.coefficient * scene.slip_radius * scene.smallest_jump  # dissipated at it
     left = solution.objective - solution.lower_bound
     share = scene.smallest_jump / scene.jump if scene.jump else np.nan  # of it, added to a slip by the other component
     lost = acting & ((share * at_jump <= left[:, None]) | (at_jump <= LOST_POWER * solution.power[:, None]))
