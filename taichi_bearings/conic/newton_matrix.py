@@ -44,16 +44,23 @@ class NewtonMatrix:
         own_memory = self.memory if len(self._parts) == 1 else None
         first, second, source, sign = system.terms()
         part_of = np.searchsorted([part.start for part in self._parts], first, side="right") - 1
-        places, self._choleskys, self._entries, end = np.empty_like(first), list[Cholesky](), list[slice](), 0
+        places, self._choleskys, end = np.empty_like(first), list[Cholesky](), 0
+        self._entries = list[tuple[slice | np.ndarray, slice]]()  # that change, of each part, and where of all
         for number, part in enumerate(self._parts):
             own = np.flatnonzero(part_of == number) if parts else slice(None)
             pairs = first[own] - part.start, second[own] - part.start
             of_part = partial(order, number) if callable(order) else partial(np.asarray, order)
             cholesky = Cholesky(part.stop - part.start, of_part, pairs, own_memory, engine)
-            places[own] = end + cholesky.pattern.entry(*pairs)
+            entry, pattern = cholesky.pattern.entry(*pairs), cholesky.pattern
+            written: slice | np.ndarray = slice(pattern.entries)
+            count = pattern.entries
+            if parts and cholesky.engine is Engine.BLOCK:  # hardly any entries of a dense block are not 0
+                written, entry = np.unique(np.append(pattern.diagonal, entry), return_inverse=True)
+                entry, count = entry.reshape(-1)[pattern.size :], len(written)
+            places[own] = end + entry
             self._choleskys.append(cholesky)
-            self._entries.append(slice(end, end + cholesky.pattern.entries))
-            end += cholesky.pattern.entries
+            self._entries.append((written, slice(end, end + count)))
+            end += count
         columns = (len(system.offset) + 1) * system.offset.size // 2
         self._map = sparse.csr_matrix((sign, (places, source)), shape=(end, columns))  # from `stacked` stiffnesses
         self._kept = dict[int, ContactRows]()
@@ -79,14 +86,14 @@ class NewtonMatrix:
         values = _side_by_side(self._map @ stacked(stiffness))
         samples = values.shape[1]
         regular = np.ones(max(samples, len(self._parts)), dtype=bool) if wanted is None else wanted.copy()
-        for number, (part, cholesky, entries) in enumerate(
+        for number, (part, cholesky, (entries, among)) in enumerate(
             zip(self._parts, self._choleskys, self._entries, strict=True)
         ):
             own = slice(None) if len(self._parts) == 1 else slice(number, number + 1)
             if not regular[own].any():
                 continue
             factor, pattern = cholesky.factor(samples), cholesky.pattern
-            factor.entries[: pattern.entries, :samples] = values[entries]
+            factor.entries[entries, :samples] = values[among]
             springs = _side_by_side(inertia[part])[pattern.order] if isinstance(inertia, np.ndarray) else inertia
             factor.entries[pattern.diagonal, :samples] += springs
             of_lanes = np.append(regular[own], np.zeros(factor.entries.shape[1] - samples, dtype=bool))
