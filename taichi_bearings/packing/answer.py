@@ -15,7 +15,6 @@ from taichi_bearings.packing.packing import Packing
 from taichi_bearings.packing.system import Found, System
 from taichi_bearings.proof.contact_state import SATURATED, decided
 from taichi_bearings.proof.judgement import Judgement
-from taichi_bearings.proof.network import StoredPacking
 from taichi_bearings.scene import Bearing, Solution, Status
 from taichi_bearings.stages import stage
 from taichi_bearings.words import shown
@@ -148,7 +147,7 @@ def judged(system: System, found: Found, tolerance: float, moves: bool = False) 
         raise InputError(
             "the spins imposed are too small or too large to be judged; the largest must be above 1e-100 length/time"
         )
-    spin, rounding = judgement.samples.spin, judgement.samples.spin_rounding
+    spin, rounding = judgement.spin, judgement.spin_rounding
     force, friction = forces_of(system, np.nan_to_num(found.force, posinf=0.0, neginf=0.0))
     slip, told = judgement.slip, np.where(judgement.acts, _states(system, found, judgement), DRIVEN)
     state, proven = decided(told, judgement.states[0].proven[None])
@@ -184,7 +183,7 @@ def judgement_of(system: System, found: Found) -> Judgement:
     rest = np.append(np.zeros(system.unknowns) if found.rest is None else found.rest, 0.0)[system.moved]
     spin, rounding = spins_of(system.packing, (np.nan_to_num(u, posinf=0.0, neginf=0.0), rest))
     friction = forces_of(system, np.nan_to_num(found.force, posinf=0.0, neginf=0.0))[1]
-    return Judgement(StoredPacking(system.packing.law.name, system.packing.arrays(), spin, rounding, friction))
+    return Judgement(system.packing, spin, rounding, friction)
 
 
 def _without_slip(system: System, found: Found) -> Found:

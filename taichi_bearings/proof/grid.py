@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from taichi_bearings.proof.enclosure import Enclosure, in_cache, length
-from taichi_bearings.proof.samples import Samples
+from taichi_bearings.proof.on_lattice import OnLattice
 
 Place = tuple[slice, ...]
 
@@ -19,17 +19,17 @@ Place = tuple[slice, ...]
 class Grid:
     """Of R samples with N spheres and E contacts each, n = R N and m = R E in all, numbered as in network.py."""
 
-    samples: Samples
+    samples: OnLattice
 
     @cached_property
     def pieces(self) -> list[tuple[int, Place, Place, Place]]:
         """Axis by axis: places of contacts in the array (R, *contacts) of that axis, and of their first and their
         second spheres in arrays (R, *N). Contacts across a periodic side are a piece of their own."""
-        found = []
-        for axis, coefficient in enumerate(self.samples.coefficient):
-            last, contacts = self.samples.shape[axis] - 1, coefficient.shape[1 + axis]
+        found, lattice = [], self.samples.lattice
+        for axis, side in enumerate(lattice.shape):
+            last = side - 1
             found.append(self._piece(axis, slice(0, last), slice(0, last), slice(1, last + 1)))
-            if contacts > last:
+            if axis in lattice.periodic:
                 found.append(self._piece(axis, slice(last, None), slice(last, None), slice(0, 1)))
         return found
 
@@ -46,21 +46,15 @@ class Grid:
     @cached_property
     def contacts(self) -> int:
         """m."""
-        return sum(of.size for of in self.samples.coefficient)
+        return self.samples.count * self.samples.lattice.all_contacts
 
     def on_spheres(self, values: np.ndarray) -> np.ndarray:
         """(R, *N), a view of (n,)."""
-        return values.reshape(self.samples.count, *self.samples.shape)
+        return values.reshape(self.samples.count, *self.samples.lattice.shape)
 
     def by_axis(self, values: np.ndarray) -> list[np.ndarray]:
         """An array (R, *contacts) an axis, views of (m,)."""
-        rows, begin = values.reshape(self.samples.count, -1), 0
-        found: list[np.ndarray] = []
-        for of in self.samples.coefficient:
-            size = of[0].size
-            found.append(rows[:, begin : begin + size].reshape(of.shape))
-            begin += size
-        return found
+        return list(self.samples.lattice.by_axis(values.reshape(self.samples.count, -1)))
 
     def across(self, made: np.ufunc, values: np.ndarray, kind: type) -> np.ndarray:
         """(m,), a function of the values (n,) of the first and of the second sphere of each contact."""
@@ -88,14 +82,15 @@ class Grid:
     @cached_property
     def place(self) -> np.ndarray:
         """(n, D), of each sphere in its sample."""
-        dimension = self.samples.dimension
-        return np.tile(np.indices(self.samples.shape).reshape(dimension, -1).T, (self.samples.count, 1)).astype(float)
+        lattice = self.samples.lattice
+        place = np.indices(lattice.shape).reshape(lattice.dimension, -1).T
+        return np.tile(place, (self.samples.count, 1)).astype(float)
 
     @cached_property
     def normal(self) -> np.ndarray:
         """(m, D)."""
-        found = np.zeros((self.contacts, self.samples.dimension), dtype=np.int8)
-        for axis in range(self.samples.dimension):
+        found = np.zeros((self.contacts, self.samples.lattice.dimension), dtype=np.int8)
+        for axis in range(self.samples.lattice.dimension):
             self.by_axis(found[:, axis])[axis][...] = 1
         return found
 
@@ -104,7 +99,7 @@ class Grid:
         """(C, m) mask of the components that contacts slip with."""
         found = np.ones((len(self.samples.components), self.contacts), dtype=bool)
         for mask, component in zip(found, self.samples.components, strict=True):
-            if component < self.samples.dimension:
+            if component < self.samples.lattice.dimension:
                 self.by_axis(mask)[component][...] = False
         return found
 
@@ -112,26 +107,29 @@ class Grid:
     def friction(self) -> np.ndarray:
         """(m, C), on the second sphere in units of force, 0 at contacts that are absent."""
         samples = self.samples
-        found = samples.flat_friction.reshape(self.contacts, -1) / samples.force_unit
-        found[samples.flat(samples.coefficient).ravel() == 0] = 0.0
+        found = samples.friction.reshape(self.contacts, -1) / samples.force_unit
+        found[samples.scene.coefficient.ravel() == 0] = 0.0
         return found
 
     def moment(self, acts: np.ndarray) -> list[Enclosure]:
         """n x F by component, (m,) each, of the contacts that act."""
         samples, nothing = self.samples, np.broadcast_to(0.0, self.contacts)  # takes no memory
-        found, acting = [np.zeros(self.contacts) for _ in samples.components], self.by_axis(acts)
-        by_axis = [self.by_axis(part) for part in found]
-        for axis, friction in enumerate(samples.friction):
-            if samples.dimension == 2:
+        found, acting = (
+            np.zeros((len(samples.components), *samples.scene.coefficient.shape)),
+            acts.reshape(samples.count, -1),
+        )
+        for axis, span in enumerate(samples.lattice.spans):
+            friction = samples.friction[:, span]
+            if samples.lattice.dimension == 2:
                 turned = [(0, friction, samples.force_unit)]
             else:
                 before, after = (axis + 1) % 3, (axis + 2) % 3
                 turned = [(before, friction[..., after], -samples.force_unit)]
                 turned += [(after, friction[..., before], samples.force_unit)]
             for slot, values, unit in turned:
-                np.divide(values, unit, out=by_axis[slot][axis])
-                by_axis[slot][axis][~acting[axis]] = 0.0
-        return [Enclosure(part, nothing, nothing) for part in found]
+                np.divide(values, unit, out=found[slot][:, span])
+                found[slot][:, span][~acting[:, span]] = 0.0
+        return [Enclosure(part.reshape(-1), nothing, nothing) for part in found]
 
     def felt(self, axis: int) -> list[int]:
         """Places among the components of those that contacts along an axis slip with."""
@@ -188,7 +186,7 @@ class Grid:
         found = np.zeros(self.contacts)
         for axis, whole in enumerate(self.by_axis(found)):
             for k in (self.samples.components[slot] for slot in self.felt(axis)):
-                square, along = self.samples.jump[k].most ** 2, [1] * self.samples.dimension
+                square, along = self.samples.jump[k].most ** 2, [1] * self.samples.lattice.dimension
                 if len(square) > 1:
                     along[k] = len(square)
                 whole += square.reshape(along)
@@ -199,7 +197,7 @@ class Grid:
         found = nothing(self.contacts)
         into = [self.by_axis(part) for part in found.parts]
         there = {slot: [self.by_axis(of) for of in part.parts] for slot, part in enumerate(parts) if _any(part)}
-        for axis in range(self.samples.dimension):
+        for axis in range(self.samples.lattice.dimension):
             felt = [Enclosure(*(of[axis] for of in there[slot])) for slot in self.felt(axis) if slot in there]
             if felt:
                 for whole, values in zip(into, size_of(felt).parts, strict=True):
@@ -214,7 +212,7 @@ class Grid:
             if not part.high.any():
                 continue
             total, pulls = self.of_spheres(found[-1]), self.by_axis(part.high)
-            for axis in (a for a in range(self.samples.dimension) if slot in self.felt(a)):
+            for axis in (a for a in range(self.samples.lattice.dimension) if slot in self.felt(a)):
                 for end in (2, 3):
                     for piece in (piece for piece in self.pieces if piece[0] == axis):
                         at = piece[end]

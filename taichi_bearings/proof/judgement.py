@@ -8,27 +8,55 @@ from functools import cached_property
 import numpy as np
 
 from taichi_bearings.proof.bounds import PROVEN, Bounds
-from taichi_bearings.proof.network import Network, StoredPacking
-from taichi_bearings.proof.samples import SLIPLESS, OfLaw, Samples
+from taichi_bearings.proof.network import Network
+from taichi_bearings.proof.samples import SLIPLESS
 from taichi_bearings.proof.states import STILL, States, proven_states
 from taichi_bearings.proof.without_slip import exists_without_slip
+from taichi_bearings.scene import Bearing
+from taichi_bearings.scene.law import Law
 
 NORMAL_ROUNDING = 1e-12  # of the friction, along a normal of a packing
 
 
 @dataclass(frozen=True)
-class Judgement(OfLaw):
-    """Of the spins and the friction of R samples, energy/time, speeds and forces. Bounds are rounded outwards."""
+class Judgement:
+    """What spins and friction of a scene prove, in energy/time, speeds and forces; bounds are rounded outwards.
 
-    samples: Samples | StoredPacking
+    scene : a lattice with R samples, or a packing (R = 1). spin, spin_rounding : in the laboratory frame, (R, *N, 3),
+    of discs (R, *N), 1/time; the spin is the sum of the two. friction : on the second sphere of each contact,
+    (R, E, 3); of discs (R, E), the component along z x n. Of a packing they may be without the axis R.
+    """
+
+    scene: Bearing
+    spin: np.ndarray
+    spin_rounding: np.ndarray
+    friction: np.ndarray
 
     @property
-    def law(self) -> str:  # type: ignore[override]
-        return self.samples.law
+    def law(self) -> Law:
+        return self.scene.law
+
+    @property
+    def holds(self) -> bool:
+        """True if a contact bears a force without slipping."""
+        return self.law.holds
+
+    @property
+    def flows(self) -> bool:
+        """True if the force grows with the slip."""
+        return self.law.flows
+
+    @property
+    def is_lattice(self) -> bool:
+        return self.scene.network.lattice is not None
 
     def one(self, number: int) -> Judgement:
         """Of one of the samples alone."""
-        return Judgement(self.samples.one(number)) if isinstance(self.samples, Samples) else self
+        if not self.is_lattice:
+            return self
+        pick = slice(number, number + 1)
+        parts = (of[pick] for of in (self.spin, self.spin_rounding, self.friction))
+        return Judgement(self.scene.sample(number), *parts)
 
     @property
     def can_be_judged(self) -> bool:
@@ -37,7 +65,7 @@ class Judgement(OfLaw):
 
     @cached_property
     def _network(self) -> Network | None:
-        return Network.of(self.samples)
+        return Network.of(self.scene, self.spin, self.spin_rounding, self.friction)
 
     @property
     def network(self) -> Network:
@@ -76,7 +104,7 @@ class Judgement(OfLaw):
         friction, normal = self.network.friction, self.network.normal
         if friction.shape != normal.shape:
             return np.zeros(self.acts.shape, dtype=bool)
-        rounding = 0.0 if self.samples.is_lattice else NORMAL_ROUNDING
+        rounding = 0.0 if self.is_lattice else NORMAL_ROUNDING
         along = np.abs((friction * normal).sum(axis=1)) > rounding * np.linalg.norm(friction, axis=1)
         return self._by_sample(along)
 
@@ -110,7 +138,7 @@ class Judgement(OfLaw):
     @cached_property
     def states(self) -> list[States]:
         """Contact states at every minimum, sample by sample; where a state without slip exists, each is one."""
-        none, slipless = States(np.full(self.acts.shape[1], SLIPLESS), self.samples.is_lattice or None), self.slipless
+        none, slipless = States(np.full(self.acts.shape[1], SLIPLESS), self.is_lattice or None), self.slipless
         if slipless.all():
             return [none] * self.network.count
         found = proven_states(self.bounds)
@@ -118,7 +146,7 @@ class Judgement(OfLaw):
 
     def _reported(self, values: np.ndarray, towards: float) -> np.ndarray:
         """Bounds of the potential, as what is least at rest in energy/time, rounded that way."""
-        return rounded_out(values, self.network.power_unit * self.share, towards)
+        return rounded_out(values, self.network.power_unit * self.law.share, towards)
 
     @property
     def lower_bound(self) -> np.ndarray:
@@ -143,7 +171,7 @@ class Judgement(OfLaw):
     @property
     def objective(self) -> np.ndarray:
         """(R,), what is least at rest: the power, or with friction and viscosity the potential; nearest doubles."""
-        return self._of_spins(0.5, self.network.power_unit * self.share)
+        return self._of_spins(0.5, self.network.power_unit * self.law.share)
 
     def _of_spins(self, of_slope: float, unit: float) -> np.ndarray:
         """(R,), what friction and `of_slope` times damping take, in the unit, infinite where spins are impossible."""
@@ -174,7 +202,7 @@ class Judgement(OfLaw):
     @property
     def largest_torque(self) -> np.ndarray:
         """(R,), left over on a free sphere, rounded up; force * length, of packings over the radius."""
-        radius = self.samples.radius if isinstance(self.samples, Samples) else 1.0
+        radius = self.scene.slip_radius
         return rounded_out(self.bounds.largest_torque, self.force_unit * radius, np.inf)
 
     @property

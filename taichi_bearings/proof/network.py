@@ -21,28 +21,14 @@ import numpy as np
 from taichi_bearings.numerics.graphs import pieces
 from taichi_bearings.proof.enclosure import Enclosure, grouped_sum, joined, length, row_sum
 from taichi_bearings.proof.grid import Grid, nothing
-from taichi_bearings.proof.samples import LAWS, LEAST_SCALE, MOST_SCALE, OfLaw, Samples, power_of_two
+from taichi_bearings.proof.on_lattice import LEAST_SCALE, MOST_SCALE, OnLattice
+from taichi_bearings.scene import Bearing
+from taichi_bearings.scene.exact_driving import power_of_two
+from taichi_bearings.scene.law import Law
+from taichi_bearings.scene.scene import of_lattice
 
 LEAST_SPEED = 1e-100  # of the fastest surface that is imposed
 ONE_SPEED = 4  # units in the last place, up to which imposed speeds are one
-
-
-@dataclass(frozen=True)
-class StoredPacking(OfLaw):
-    """arrays by name: center (N, D), contact (E, 2), driven (N,), spin (N, 3) or (N,), radius (N,), normal (E, D),
-    friction, normal_force (E,) and, with the law coulomb-viscous, viscosity (E,). spin, spin_rounding : of all spheres;
-    the spin is the sum of the two. friction : (E, 3) or (E,)."""
-
-    law: str
-    arrays: dict[str, np.ndarray]
-    spin: np.ndarray
-    spin_rounding: np.ndarray
-    friction: np.ndarray
-    count = 1
-
-    @property
-    def is_finite(self) -> bool:
-        return all(np.isfinite(values).all() for values in (self.spin, self.spin_rounding, self.friction))
 
 
 @dataclass(frozen=True)
@@ -73,10 +59,10 @@ class Listed:
 
 
 @dataclass(frozen=True)
-class Network(OfLaw):
+class Network:
     """R samples of N spheres and E contacts each, n = R N and m = R E in all; D = 2 or 3, and C = 1 or 3 components.
 
-    law : a key of LAWS. free : (n,). speed_unit, force_unit : a power of two, but for the radius in the speeds of
+    free : (n,). speed_unit, force_unit : a power of two, but for the radius in the speeds of
     lattices. spin : u by component, C enclosures (n,), on lattices with the sign s. moment : n x F by component, C
     enclosures (m,), 0 where nothing acts. holding : mu F_n; slope : eta, (m,) enclosures, 0 where there is none.
     imposed : u of driven spheres by component, 0 for free ones, and on lattices measured from the bottom.
@@ -84,7 +70,7 @@ class Network(OfLaw):
     whatever the others do. factors : (m,) numbers each, whose products are in the proportions of mu F_n, exactly.
     """
 
-    law: str
+    law: Law
     count: int
     free: np.ndarray
     speed_unit: float
@@ -99,8 +85,8 @@ class Network(OfLaw):
     factors: tuple[np.ndarray, ...] = ()
 
     @property
-    def samples(self) -> Samples | None:
-        """Of a lattice."""
+    def samples(self) -> OnLattice | None:
+        """Of a lattice, else None."""
         return self.graph.samples if isinstance(self.graph, Grid) else None
 
     @property
@@ -123,75 +109,90 @@ class Network(OfLaw):
         """F on the second sphere, (m, C)."""
         return self.graph.friction
 
-    @classmethod
-    def of(cls, stored: Samples | StoredPacking) -> Network | None:
-        """None for numbers that are not finite, or of scales for which no arithmetic here is made."""
-        if isinstance(stored, StoredPacking):
-            return cls._of_packing(stored)
-        return cls.of_lattice(stored) if stored.can_be_judged else None
+    @property
+    def holds(self) -> bool:
+        """True if a contact bears a force without slipping."""
+        return self.law.holds
+
+    @property
+    def flows(self) -> bool:
+        """True if the force grows with the slip."""
+        return self.law.flows
 
     @classmethod
-    def of_lattice(cls, samples: Samples) -> Network:
-        grid, strength, force = Grid(samples), samples.normal_force if samples.holds else 1.0, samples.force_unit
-        coefficient, free = samples.flat(samples.coefficient).ravel(), np.ones(grid.spheres, dtype=bool)
+    def of(cls, scene: Bearing, spin: np.ndarray, spin_rounding: np.ndarray, friction: np.ndarray) -> Network | None:
+        """None for numbers that are not finite, or of scales for which no arithmetic here is made. Arrays : as of
+        :class:`Judgement`."""
+        if scene.network.lattice is not None:
+            samples = OnLattice(of_lattice(scene), spin, spin_rounding, friction)
+            return cls.of_lattice(samples) if samples.can_be_judged else None
+        return cls._of_packing(scene, spin, spin_rounding, friction)
+
+    @classmethod
+    def of_lattice(cls, samples: OnLattice) -> Network:
+        scene, grid, force = samples.scene, Grid(samples), samples.force_unit
+        strength, radius, law = scene.strength, scene.lattice.radius, scene.law
+        coefficient, free = scene.coefficient.ravel(), np.ones(grid.spheres, dtype=bool)
         for plane in (0, -1):
             grid.on_spheres(free)[..., plane] = False
         acts, none = grid.any_end(free) & (coefficient != 0), np.broadcast_to(0.0, grid.contacts)  # takes no memory
         zero = Enclosure(none, none, none)
-        unit, speed = power_of_two(strength), samples.radius * (samples.spin_unit / force)
+        unit, speed = power_of_two(strength), radius * (samples.spin_unit / force)
         holding = Enclosure.exact(coefficient / (force / unit)).times(np.array([strength / unit]))
-        viscosity = samples.flat(samples.viscosity).ravel() if samples.viscosity else coefficient
+        viscosity = scene.named_coefficients.get("viscosity", coefficient).ravel()
         return cls(
-            samples.law, samples.count, free, samples.radius * samples.spin_unit, force,
-            list(samples.signed_spin.values()), grid.moment(acts), holding if samples.holds else zero,
-            Enclosure.exact(viscosity).times(np.array([speed])) if samples.flows else zero,
+            law, samples.count, free, radius * samples.spin_unit, force,
+            list(samples.signed_spin.values()), grid.moment(acts), holding if law.holds else zero,
+            Enclosure.exact(viscosity).times(np.array([speed])) if law.flows else zero,
             [grid.imposed(k) for k in samples.components], grid, factors=(coefficient,),
         )  # fmt: skip
 
     @classmethod
-    def _of_packing(cls, stored: StoredPacking) -> Network | None:
-        law, packing, spin, friction = stored.law, stored.arrays, stored.spin, stored.friction
-        free, radius = packing["driven"] < 0, packing["radius"]
-        count, contacts = len(free), len(packing["contact"])
-        parts = spin.size // count
-        spin, imposed = spin.reshape(count, parts), packing["spin"].reshape(count, parts)
-        friction = friction.reshape(contacts, parts)
-        spin = np.where(free[:, None], spin, imposed)
-        rounding = np.where(free[:, None], stored.spin_rounding.reshape(count, parts), 0.0)
-        # where all radii are the same, speeds are measured in it, and none is rounded
-        unit, radius = (float(radius[0]), np.ones(count)) if (radius == radius[0]).all() else (1.0, radius)
-        fastest = float(np.abs(spin * radius[:, None])[~free].max(initial=0.0)) or 1.0
-        holds, flows = LAWS[law]
-        first = packing["friction"] * (packing["normal_force"] if holds else 1.0)
-        damping = packing.get("viscosity") if holds else packing["friction"]
-        slope = damping if flows and damping is not None else np.zeros(contacts)
-        largest = max(
-            float((first if holds else 0 * first).max(initial=0.0)), float(slope.max(initial=0.0)) * unit * fastest
+    def _of_packing(
+        cls, packing: Bearing, spin: np.ndarray, rounding: np.ndarray, friction: np.ndarray
+    ) -> Network | None:
+        contacts, law = packing.network, packing.law
+        free, radius = contacts.free, contacts.radius
+        spin, rounding, imposed = (
+            of.reshape(contacts.spheres, -1) for of in (spin, rounding, packing.imposed_spins()[0])
         )
+        friction = friction.reshape(contacts.contacts, -1)
+        spin = np.where(free[:, None], spin, imposed)
+        rounding = np.where(free[:, None], rounding, 0.0)
+        # where all radii are the same, speeds are measured in it, and none is rounded
+        unit, radius = (float(radius[0]), np.ones(len(radius))) if (radius == radius[0]).all() else (1.0, radius)
+        fastest = float(np.abs(spin * radius[:, None])[~free].max(initial=0.0)) or 1.0
+        given, *beside = (of[0] for of in packing.named_coefficients.values())
+        pressed = packing.normal_force if law.holds else 1.0
+        first, slope = given * pressed, np.zeros(contacts.contacts)
+        if law.flows:
+            slope = beside[0] if law.holds else given
+        largest = float(slope.max(initial=0.0)) * unit * fastest
+        largest = max(float(first.max(initial=0.0)) if law.holds else 0.0, largest)
         if not all(LEAST_SPEED < fast < MOST_SCALE for fast in (fastest, fastest * unit)):
             return None
         if largest and not LEAST_SCALE < largest < MOST_SCALE:
             return None
         speed, force = power_of_two(fastest), power_of_two(largest)
-        acts = ((first > 0) | (slope > 0)) & free[packing["contact"]].any(axis=1)
+        acts = ((first > 0) | (slope > 0)) & contacts.has_free_end
         with np.errstate(over="ignore"):
             spin, rounding, friction = spin / speed, rounding / speed, friction / force
         sizes = (spin, rounding, spin * radius[:, None], rounding * radius[:, None], friction)
         if not all((np.abs(values) < MOST_SCALE).all() for values in sizes):
             return None
-        zero = Enclosure.exact(np.zeros(contacts))
+        zero = Enclosure.exact(np.zeros(contacts.contacts))
         moving = [Enclosure.exact(*part) for part in zip(spin.T, rounding.T, strict=True)]
         moving = moving if (radius == 1).all() else [part.times(radius) for part in moving]
         for part in moving:
             _drive_as_one(part, np.flatnonzero(~free))
-        moment = moments([Enclosure.exact(np.where(acts, part, 0.0)) for part in friction.T], packing["normal"])
+        moment = moments([Enclosure.exact(np.where(acts, part, 0.0)) for part in friction.T], contacts.normal)
         return cls(
             law, 1, free, speed * unit, force, moving, moment,
-            Enclosure.exact(packing["friction"] / force).times(packing["normal_force"]) if holds else zero,
-            Enclosure.exact(slope * (speed / force)).times(np.array([unit])) if flows else zero,
+            Enclosure.exact(given / force).times(np.broadcast_to(pressed, given.shape)) if law.holds else zero,
+            Enclosure.exact(slope * (speed / force)).times(np.array([unit])) if law.flows else zero,
             [part.where(~free) for part in moving],
-            Listed(packing["center"], packing["contact"].T, packing["normal"], friction),
-            factors=(packing["friction"], packing["normal_force"]),
+            Listed(contacts.center, contacts.contact, contacts.normal, friction),
+            factors=(given, np.broadcast_to(packing.normal_force, given.shape)),
         )  # fmt: skip
 
     @property
@@ -348,7 +349,9 @@ class Network(OfLaw):
         """Components that some minimum needs: along the others nothing slips at any minimum. On a lattice layers turn
         about the height as they like."""
         if (samples := self.samples) is not None:
-            return [k for k in self.components if self.box[k] > 0 and samples.components[k] != samples.dimension - 1]
+            return [
+                k for k in self.components if self.box[k] > 0 and samples.components[k] != samples.lattice.height_axis
+            ]
         return [k for k in self.components if self._is_needed(k)]
 
     def signs(self, k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

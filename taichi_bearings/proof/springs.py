@@ -36,8 +36,9 @@ def natural(network: Network) -> np.ndarray:
     packings by the largest imposed component."""
     fastest = float(network.box.max(initial=0.0))
     if network.samples is not None:
-        speed = network.samples.jump_size or abs(network.samples.spin_top)
-        fastest = network.samples.radius * speed / network.speed_unit
+        scene = network.samples.scene
+        speed = scene.exact_driving.jump_size or abs(scene.imposed[0])
+        fastest = scene.lattice.radius * speed / network.speed_unit
     own = np.flatnonzero(network.acts)
     holding, slope = (network.by_sample(values.at(own), own).value for values in (network.holding, network.slope))
     return np.asarray(holding * fastest + slope * fastest**2 / 2)

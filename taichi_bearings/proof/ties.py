@@ -304,7 +304,7 @@ def _pulls(motion: Motion, contacts: Slipping, limit: Limit) -> Pulls:
                      for slot, k in enumerate(network.needed)])  # fmt: skip
     turns = np.array([np.sign(part.high) for part in contacts.difference])
     assert network.samples is not None
-    coefficient = network.samples.flat(network.samples.coefficient)[0]
+    coefficient = network.samples.scene.coefficient[0]
     domain, part, body = (
         np.array([_numbered(joined_by(slot), k) for slot, k in enumerate(network.needed)])
         for joined_by in (lambda _: motion, lambda _: limit.others(motion, None), lambda s: limit.others(motion, s))

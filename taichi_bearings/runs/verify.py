@@ -25,7 +25,6 @@ from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.proof.contact_state import ContactState, are_proven
 from taichi_bearings.proof.elimination import EPS
 from taichi_bearings.proof.judgement import Judgement
-from taichi_bearings.proof.network import StoredPacking
 from taichi_bearings.proof.samples import SLIPLESS, SLIPPING, TIED, UNPROVEN
 from taichi_bearings.quantities import CONTACTS, Answered, found_in, numbers_of, plain
 from taichi_bearings.runs.run_file import file_of, read_claims
@@ -107,8 +106,7 @@ def _judgements(solution: Solution) -> list[Judgement]:
     if scene.network.lattice is not None:
         found = judged(of_lattice(scene), *given)
         return [] if found is None else [found]
-    name, parts = scene.law.name, enumerate(zip(*given, strict=True))
-    each = [Judgement(StoredPacking(name, scene.sample(number).arrays(), *arrays)) for number, arrays in parts]
+    each = [Judgement(scene.sample(number), *arrays) for number, arrays in enumerate(zip(*given, strict=True))]
     return each if all(one.can_be_judged for one in each) else []
 
 

@@ -19,6 +19,7 @@ from taichi_bearings.scene.array_files import own_array
 from taichi_bearings.scene.bearing import Bearing, as_one_driving
 from taichi_bearings.scene.disorder import Distribution, Draw, draw_coefficients
 from taichi_bearings.scene.driving import Driving
+from taichi_bearings.scene.exact_driving import ExactDriving
 from taichi_bearings.scene.law import COULOMB, LAWS, Coefficients, Law, check_law, law_named
 from taichi_bearings.scene.network import Network
 from taichi_bearings.words import html_table, shown
@@ -250,16 +251,22 @@ class Scene(Bearing):
         """One of the samples alone."""
         if self.replicas == 1:
             return self
-        one = object.__new__(Scene)  # nothing is to be checked again, nor found again what the driving alone decides
-        alike = [*(item.name for item in fields(self)), "driving", "minimum_spin_axes", "smallest_jump"]
-        vars(one).update({name: getattr(self, name) for name in alike})
-        vars(one).update(
-            coefficients=tuple(values[number] for values in self.coefficients),
-            viscosity=tuple(values[number] for values in self.viscosity),
-            seeds=(self.seeds[number],),
-            lattice=self.lattice,
+        return self._picked(number, self.seeds[number : number + 1])
+
+    def some(self, pick: slice) -> "Scene":
+        """Several of the samples, of a scene with more than one."""
+        return self._picked(pick, self.seeds[pick])
+
+    def _picked(self, pick: int | slice, seeds: tuple[int, ...]) -> "Scene":
+        found = object.__new__(Scene)  # nothing is to be checked again, nor found again what the driving alone decides
+        alike = ("lattice", "driving", "exact_driving", "minimum_spin_axes", "smallest_jump")
+        vars(found).update({name: getattr(self, name) for name in (*(item.name for item in fields(self)), *alike)})
+        vars(found).update(
+            coefficients=tuple(values[pick] for values in self.coefficients),
+            viscosity=tuple(values[pick] for values in self.viscosity),
+            seeds=seeds,
         )
-        return one
+        return found
 
     @cached_property
     def driving(self) -> Driving:
@@ -267,6 +274,13 @@ class Scene(Bearing):
         if self.top is not None and self.bottom is not None:
             return Driving.by_states(self.lattice, self.top, self.bottom)
         return Driving.by_spins(self.lattice, self.spin_top, self.spin_bottom, self.direction)
+
+    @cached_property
+    def exact_driving(self) -> ExactDriving:
+        """The same to 300 digits, as proofs take it."""
+        if self.top is not None and self.bottom is not None:
+            return ExactDriving.by_states(self.lattice, self.top, self.bottom)
+        return ExactDriving.by_spins(self.lattice, self.spin_top, self.spin_bottom, self.direction)
 
     @property
     def imposed(self) -> tuple[float, float]:

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from taichi_bearings.lattice.grid import friction_by_axis, laboratory_forces
+from taichi_bearings.lattice.grid import laboratory_forces
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.proof.certificate import Forces, certifying_forces, relative_gap, saturation
 from taichi_bearings.proof.contact_state import (
@@ -17,7 +17,6 @@ from taichi_bearings.proof.contact_state import (
     unresolved,
 )
 from taichi_bearings.proof.judgement import Judgement
-from taichi_bearings.proof.samples import LAWS, Samples
 from taichi_bearings.scene import Progress, Scene, Solution, Status
 from taichi_bearings.scene.scene import of_lattice, vector_length
 from taichi_bearings.solvers.method import Method
@@ -53,7 +52,7 @@ def answered(
     objective, residual = final.objective, final.largest_balance_residual
     power = objective if scene.law.minimises == "power" else per_contact.sum(axis=1)
     if judgement is None:  # the bounds of a law that is not known to the verifier are the method's word
-        bound = np.zeros_like(bound) if scene.law.name in LAWS else bound
+        bound = np.zeros_like(bound) if scene.law.is_sum else bound
         gap = relative_gap(scene, objective, bound)
     else:  # what the answer proves is what is reported
         power, objective, bound, gap = judgement.power, judgement.objective, judgement.lower_bound, judgement.gap
@@ -170,15 +169,7 @@ def _acting(scene: Scene, method: Method, final: Progress, slip: np.ndarray) -> 
 
 def judged(scene: Scene, spin: np.ndarray, spin_rounding: np.ndarray, friction: Forces) -> Judgement | None:
     """What the answer proves by itself, whatever the method believes; None for numbers that no arithmetic can judge."""
-    by_axis, (top, bottom) = scene.lattice.by_axis, scene.imposed
-    samples = Samples(
-        scene.lattice.shape, scene.law.name, by_axis(scene.coefficient), top, bottom,
-        scene.direction, scene.normal_force, scene.lattice.radius, spin, spin_rounding,
-        friction_by_axis(friction, scene.lattice),
-        by_axis(scene.named_coefficients["viscosity"]) if scene.viscosity else (), scene.top, scene.bottom,
-        scene.lattice.periodic,
-    )  # fmt: skip
-    judgement = Judgement(samples)
+    judgement = Judgement(scene, spin, spin_rounding, friction)
     return judgement if judgement.can_be_judged else None
 
 

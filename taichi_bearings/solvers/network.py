@@ -29,7 +29,6 @@ from taichi_bearings.packing.path import oblique
 from taichi_bearings.packing.rolling import rolled
 from taichi_bearings.packing.system import Found, System
 from taichi_bearings.proof.judgement import Judgement
-from taichi_bearings.proof.network import StoredPacking
 from taichi_bearings.scene.array_files import own_array
 from taichi_bearings.scene.bearing import inverse
 from taichi_bearings.scene.initial_spins import STARTS
@@ -228,7 +227,7 @@ class Network:
         """What these forces (d, A) prove, beside spins (C, 1, N); energy/time."""
         packing, friction = self.packing, forces_of(self.proof[0], force)[1]
         spin = spins_of(packing, exactly(spins[:, 0].T))
-        judgement = Judgement(StoredPacking(self.law.name, packing.arrays(), *spin, friction))
+        judgement = Judgement(packing, *spin, friction)
         return float(judgement.lower_bound[0]) if judgement.can_be_judged else 0.0
 
     def _balanced(self, force: np.ndarray) -> np.ndarray:

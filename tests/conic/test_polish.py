@@ -9,7 +9,8 @@ import pytest
 from taichi_bearings.conic.contraction import Contraction
 from taichi_bearings.numerics.double_double import add, divide, exactly, multiply, scaled, square, square_root, subtract
 from tests.proof.laboratory import Laboratory, dot
-from tests.proof.test_bounds import samples_of, solved
+from tests.proof.samples import samples_of
+from tests.proof.test_bounds import solved
 
 
 def exact(pair, i):

@@ -31,7 +31,7 @@ def exactly(values):
 
 
 class Laboratory:
-    """The sample `number` of a verifier.samples.Samples."""
+    """The sample `number` of tests.proof.samples.Samples."""
 
     def __init__(self, samples, number=0):
         self.samples, self.number, self.flat = samples, number, samples.dimension == 2

@@ -5,26 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from taichi_bearings.lattice.grid import friction_by_axis
-from taichi_bearings.proof.judgement import Judgement
-from taichi_bearings.proof.samples import Samples
 from taichi_bearings.solvers import METHODS
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
+from tests.proof.samples import samples_of
 from tests.scenes import make_scene
 
 pytestmark = pytest.mark.usefixtures("needs_f64", "taichi_runtime")
-
-
-def samples_of(solution):
-    scene, by_axis = solution.scene, solution.scene.lattice.by_axis
-    coefficient, *viscosity = map(by_axis, scene.named_coefficients.values())
-    return Samples(
-        scene.lattice.shape, scene.law.name, coefficient, scene.spin_top, scene.spin_bottom, scene.direction,
-        scene.normal_force, scene.lattice.radius, solution.spin, solution.spin_rounding,
-        friction_by_axis(solution.friction, scene.lattice), *viscosity or [()],
-        scene.top, scene.bottom, scene.lattice.periodic,
-    )  # fmt: skip
 
 
 def solved(shape, options, method):
@@ -35,7 +22,7 @@ def solved(shape, options, method):
 
 
 def test_spins_without_the_jump_prove_no_upper_bound(sample_at_rest):
-    judgement = Judgement(sample_at_rest)
+    judgement = sample_at_rest.judgement
     assert judgement.power[0] == np.inf
     assert judgement.upper_bound[0] == np.inf
     assert judgement.lower_bound[0] > 0

@@ -4,12 +4,11 @@ import tracemalloc
 
 import pytest
 
-from taichi_bearings.proof.judgement import Judgement
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import InteriorPoint
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
-from tests.proof.test_bounds import samples_of
+from tests.proof.samples import samples_of
 from tests.scenes import make_scene
 
 
@@ -21,10 +20,10 @@ def solved(shape: tuple[int, ...]):
 @pytest.mark.usefixtures("needs_f64")
 def test_the_proof_needs_less_memory_than_is_asked_for_the_method():
     samples = samples_of(solved((10, 10, 10)))
-    assert Judgement(samples).states[0].unique  # what is loaded and kept for all samples of this shape is not counted
+    assert samples.judgement.states[0].unique  # what is loaded and kept for all samples of this shape is not counted
     tracemalloc.start()
     try:
-        assert Judgement(samples).states[0].unique
+        assert samples.judgement.states[0].unique
         assert tracemalloc.get_traced_memory()[1] < InteriorPoint.bytes((10, 10, 10)) / 2
     finally:
         tracemalloc.stop()

@@ -7,10 +7,11 @@ import pytest
 
 from taichi_bearings.proof.enclosure import IN_CACHE, Enclosure, in_cache
 from taichi_bearings.proof.grid import Grid
-from taichi_bearings.proof.samples import Samples
+from taichi_bearings.proof.on_lattice import OnLattice
+from taichi_bearings.scene import Scene
 
 REPLICAS = 3
-LATTICES = [((3, 4, 5), ()), ((3, 4, 5), (0,)), ((2, 3, 4), (0, 1)), ((4, 5), ()), ((3, 5), (0,))]
+LATTICES = [((3, 4, 5), ()), ((4, 3, 5), (0,)), ((2, 4, 3), (0, 1)), ((4, 5), ()), ((4, 5), (0,))]
 
 
 def listed(shape, periodic):
@@ -31,11 +32,13 @@ def case(request):
     shape, periodic = request.param
     rng, cubic = np.random.default_rng(len(shape)), (3,) * (len(shape) == 3)
     sizes = [tuple(n - (a == b and a not in periodic) for b, n in enumerate(shape)) for a in range(len(shape))]
-    coefficient = tuple(rng.random((REPLICAS, *size)) + 0.1 for size in sizes)
-    friction = tuple(rng.standard_normal((REPLICAS, *size, *cubic)) for size in sizes)
+    scene = Scene(
+        tuple(rng.random((REPLICAS, *size)) + 0.1 for size in sizes), direction=(1.0, 2.0, 3.0), normal_force=1.0,
+        radius=1.0, periodic=tuple("xyz"[axis] for axis in periodic),
+    )  # fmt: skip
     spin = rng.standard_normal((REPLICAS, *shape, *cubic))
-    samples = Samples(shape, "coulomb", coefficient, 1.0, 0.0, (1.0, 2.0, 3.0), 1.0, 1.0, spin, 1e-18 * spin, friction,
-                      periodic=periodic)  # fmt: skip
+    friction = rng.standard_normal((REPLICAS, scene.lattice.all_contacts, *cubic))
+    samples = OnLattice(scene, spin, 1e-18 * spin, friction)
     one = np.array(list(listed(shape, periodic))).T
     count = np.array([[np.prod(shape)], [np.prod(shape)], [0]])
     return Grid(samples), np.concatenate([one + r * count for r in range(REPLICAS)], axis=1)
@@ -44,7 +47,7 @@ def case(request):
 def test_contacts_are_where_lists_have_them(case):
     grid, (first, second, axis) = case
     np.testing.assert_array_equal(grid.contact, [first, second])
-    np.testing.assert_array_equal(grid.normal, np.eye(grid.samples.dimension)[axis])
+    np.testing.assert_array_equal(grid.normal, np.eye(grid.samples.lattice.dimension)[axis])
     mask = np.random.default_rng(0).random(grid.spheres) < 0.5
     np.testing.assert_array_equal(grid.any_end(mask), mask[first] | mask[second])
 
@@ -52,9 +55,9 @@ def test_contacts_are_where_lists_have_them(case):
 def test_moments_and_torques_are_sums_over_contacts(case):
     grid, (first, second, axis) = case
     acts = np.random.default_rng(1).random(grid.contacts) < 0.7
-    friction = grid.samples.flat_friction.reshape(grid.contacts, -1) / grid.samples.force_unit
-    normal = np.eye(grid.samples.dimension)[axis]
-    turned = friction if grid.samples.dimension == 2 else np.cross(normal, friction)
+    friction = grid.samples.friction.reshape(grid.contacts, -1) / grid.samples.force_unit
+    normal = np.eye(grid.samples.lattice.dimension)[axis]
+    turned = friction if grid.samples.lattice.dimension == 2 else np.cross(normal, friction)
     moments = grid.moment(acts)
     for part, expected in zip(moments, np.where(acts[:, None], turned, 0.0).T, strict=True):
         np.testing.assert_array_equal(part.high, expected)

@@ -2,8 +2,10 @@
 
 import shutil
 from contextlib import suppress
+from dataclasses import replace
 from fractions import Fraction
 from itertools import product
+from types import SimpleNamespace
 
 import h5py
 import numpy as np
@@ -13,7 +15,6 @@ import taichi_bearings as tb
 from taichi_bearings.errors import FileError
 from taichi_bearings.packing import structure_of
 from taichi_bearings.proof.judgement import Judgement
-from taichi_bearings.proof.network import StoredPacking
 from taichi_bearings.runs.verify import verify
 from tests.packing.twins import clarabel_least, random_packing
 from tests.scenes import some_of
@@ -184,11 +185,7 @@ def test_rest_is_not_proven_where_a_normal_is_off_by_its_last_digit(kind):
         normal = found.packing.normal.copy()
         normal[contact] = np.nextafter(normal[contact], [1, -1, 1])
         packing = tb.Packing(**found.packing.arrays() | {"normal": normal})
-        proven = (
-            Judgement(StoredPacking("coulomb", packing.arrays(), found.spin, found.spin_rounding, found.friction))
-            .states[0]
-            .proven
-        )
+        proven = Judgement(packing, found.spin, found.spin_rounding, found.friction).states[0].proven
         if not (proven[found.state != 3] == 2).any():  # this one closes no loop, or is in one that stands still
             assert surplus_and_rest(packing, proven == 0)[1]
             proofs += 1
@@ -199,10 +196,10 @@ def test_minima_are_not_enclosed_where_normals_are_longer_than_units():
     """Friction on them turns spheres by more than the enclosure counts; no scene has any, a file may."""
     packing = OBLIQUE["bcc"]
     found = tb.solve(packing)
-    arrays = packing.arrays() | {"normal": (1 + 1e-7) * np.asarray(packing.normal)}
-    proven = (
-        Judgement(StoredPacking("coulomb", arrays, found.spin, found.spin_rounding, found.friction)).states[0].proven
-    )
+    network = replace(packing.network, normal=(1 + 1e-7) * packing.network.normal)
+    names = ("kind", "spin", "friction", "viscosity", "normal_force")
+    longer = SimpleNamespace(network=network, **{name: getattr(packing, name) for name in names})
+    proven = Judgement(longer, found.spin, found.spin_rounding, found.friction).states[0].proven
     assert (proven[(found.state == 0) & (found.force > 0)] == 2).all()
 
 
@@ -218,11 +215,7 @@ def test_all_states_of_oblique_contacts_are_proven_and_no_false_ones(kind):
     for size in sizes:
         spin = found.spin + size * free[:, None] * rng.standard_normal(found.spin.shape)
         friction = found.friction * (1 + size * rng.standard_normal(len(found.slip)))[:, None]
-        proven = (
-            Judgement(StoredPacking(packing.law.name, packing.arrays(), spin, np.zeros_like(spin), friction))
-            .states[0]
-            .proven
-        )
+        proven = Judgement(packing, spin, np.zeros_like(spin), friction).states[0].proven
         acts = found.state != 3
         assert ((proven == found.state) | (proven == 2))[acts].all()
         proofs += not (proven[acts] == 2).any()
@@ -230,12 +223,8 @@ def test_all_states_of_oblique_contacts_are_proven_and_no_false_ones(kind):
     rests = np.flatnonzero((found.state == 0) & (found.force > 0.1))
     weak = packing.friction.copy()
     weak[rests[0]] = 0.99 * found.force[rests[0]] / np.broadcast_to(packing.normal_force, weak.shape)[rests[0]]
-    arrays = packing.arrays() | {"friction": weak}
-    proven = (
-        Judgement(StoredPacking(packing.law.name, arrays, found.spin, found.spin_rounding, found.friction))
-        .states[0]
-        .proven
-    )
+    weaker = tb.Packing(**packing.arrays() | {"friction": weak}, law=packing.law)
+    proven = Judgement(weaker, found.spin, found.spin_rounding, found.friction).states[0].proven
     assert proven[rests[0]] == 2
 
 
@@ -378,7 +367,7 @@ def test_friction_out_of_balance_is_paid_for():
     packing = tb.Packing.lattice("fcc", KINDS["fcc"], seed=2)
     found = tb.solve(packing)
     wrong = found.friction * np.random.default_rng(0).uniform(0.9, 1.1, (packing.contacts, 1))
-    bounds = Judgement(StoredPacking("coulomb", packing.arrays(), found.spin, found.spin_rounding, wrong))
+    bounds = Judgement(packing, found.spin, found.spin_rounding, wrong)
     assert 0 <= bounds.lower_bound <= found.power
     assert bounds.gap > 1e-3
 
@@ -392,7 +381,7 @@ def poorer(found, rng):
     if packing.dimension == 3:
         noise -= packing.normal * (noise * packing.normal).sum(axis=1, keepdims=True)
     friction = (scale * (1 - size * rng.integers(0, 2)) + noise).reshape(found.friction.shape)
-    return Judgement(StoredPacking(packing.law.name, packing.arrays(), spin, np.zeros_like(spin), friction))
+    return Judgement(packing, spin, np.zeros_like(spin), friction)
 
 
 @pytest.mark.parametrize("seed", some_of(36, 5))

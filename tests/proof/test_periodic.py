@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from taichi_bearings.errors import FileError
-from taichi_bearings.proof.judgement import Judgement
 from taichi_bearings.proof.samples import SLIPLESS, SLIPPING, TIED, UNPROVEN
 from taichi_bearings.runs.verify import verify
 from taichi_bearings.scene import Scene
@@ -22,7 +21,7 @@ from taichi_bearings.solvers.stopping import StopRule
 from tests.agreement.laboratory import laboratory_minimum
 from tests.proof.honest import contradictions
 from tests.proof.laboratory import Laboratory, by_axis
-from tests.proof.test_bounds import samples_of
+from tests.proof.samples import samples_of
 
 pytestmark = pytest.mark.usefixtures("needs_f64", "taichi_runtime")
 BEARING = {"top": (1.0, 0.5, 0.0, 0.2), "bottom": (0.0, 0.3, 0.0, -0.1)}
@@ -83,7 +82,7 @@ def sample(shape, sides, options, seed=5):
 
 def kinds(samples):
     """Numbers of slipless, slipping, tied and unproven contacts."""
-    judgement = Judgement(samples)
+    judgement = samples.judgement
     proven = judgement.states[0].proven[judgement.acts[0]]
     return [int((proven == what).sum()) for what in (SLIPLESS, SLIPPING, TIED, UNPROVEN)]
 
@@ -100,7 +99,7 @@ def test_bounds_are_those_of_the_laboratory(shape, sides, options, size):
     spin[ends] = samples.spin[ends]
     friction = tuple(f * rng.uniform(1 - size, 1 + size, f.shape) for f in samples.friction)
     samples = replace(samples, spin=spin, friction=friction)
-    judgement, truth = Judgement(samples), Laboratory(samples)
+    judgement, truth = samples.judgement, Laboratory(samples)
     objective, bound = truth.objective(), truth.lower_bound()
     assert Decimal(judgement.lower_bound[0]) <= max(bound, Decimal(0)) <= objective <= Decimal(judgement.upper_bound[0])
     assert float(Decimal(judgement.upper_bound[0]) / objective - 1) < 2e-15
@@ -111,7 +110,7 @@ def test_bounds_are_those_of_the_laboratory(shape, sides, options, size):
 
 def assert_states_of_cone_programme(scene, samples):
     """Of the laboratory frame with all components, whose slips are those in the middle of all minima."""
-    judgement, truth = Judgement(samples), laboratory_minimum(scene)
+    judgement, truth = samples.judgement, laboratory_minimum(scene)
     least = truth.objective * (1 if scene.law.holds else 2)
     assert judgement.lower_bound[0] == pytest.approx(least, rel=1e-8)
     small = 1e-5 * samples.radius * samples.jump_size
@@ -136,7 +135,7 @@ def test_power_and_states_are_those_of_a_cone_programme(shape, sides, options, s
 def test_contacts_that_tie_are_proven_as_on_free_lattices(shape, sides, seed, expected):
     samples = sample(shape, sides, BIMODAL, seed)
     assert kinds(samples) == expected
-    assert Judgement(samples).states[0].unique == (expected[2] == 0)
+    assert samples.judgement.states[0].unique == (expected[2] == 0)
 
 
 @pytest.mark.parametrize(("shape", "sides", "share"), [
@@ -187,7 +186,7 @@ def test_states_are_those_of_all_lightest_cuts(shape, sides, options, values, th
     """Exactly, in whole numbers: what some cut goes through and another does not is tied, and nothing else."""
     for seed in range(8 if thorough else 2):
         samples = sample(shape, sides, options | {"distribution": f"bimodal:{values},0.5"}, seed)
-        judgement, contacts = Judgement(samples), list(contacts_of_one_component(samples))
+        judgement, contacts = samples.judgement, list(contacts_of_one_component(samples))
         least = least_cut(contacts)
         unit = samples.normal_force * samples.radius * samples.jump_size
         assert judgement.lower_bound[0] <= unit * least * (1 + 1e-15)

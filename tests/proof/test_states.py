@@ -8,15 +8,14 @@ import pytest
 from taichi_bearings_studies.stress import truth
 
 from taichi_bearings.proof.contact_state import ContactState
-from taichi_bearings.proof.judgement import Judgement
-from taichi_bearings.proof.samples import SLIPLESS, SLIPPING, TIED, UNPROVEN, Samples
+from taichi_bearings.proof.samples import SLIPLESS, SLIPPING, TIED, UNPROVEN
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import METHODS
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
 from tests.proof.laboratory import by_axis
-from tests.proof.test_bounds import samples_of
+from tests.proof.samples import Samples, samples_of
 from tests.scenes import make_scene
 from tests.stress.minima import DRIVEN, EITHER, least_of_all
 
@@ -60,7 +59,7 @@ def minimum(shape, options, method):
 @pytest.mark.parametrize(("shape", "options", "method", "wanted"), SCENES, ids=str)
 def test_no_state_is_proven_that_is_not_so(shape, options, method, wanted):
     solution = minimum(shape, options, method)
-    scene, states = solution.scene, Judgement(samples_of(solution)).states[0]
+    scene, states = solution.scene, samples_of(solution).judgement.states[0]
     exact = least_of_all(scene)
     for proven, found in zip(scene.lattice.by_axis(states.proven), exact.state, strict=True):
         assert (found[proven == SLIPPING] == truth.SLIPPING).all()
@@ -92,7 +91,7 @@ DAMPED = [
 @pytest.mark.parametrize(("shape", "options", "wanted"), DAMPED, ids=str)
 def test_of_damped_contacts_those_at_rest_are_proven_too(shape, options, wanted):
     solution = minimum(shape, {"law": "coulomb-viscous", "viscosity": "uniform:0.1,1.0", **options}, "interior-point")
-    scene, proven = solution.scene, Judgement(samples_of(solution)).states[0].proven
+    scene, proven = solution.scene, samples_of(solution).judgement.states[0].proven
     found, acts = scene.lattice.flat(truth.least(scene).state), ~scene.idle[0]
     for state, name in ((SLIPPING, truth.SLIPPING), (SLIPLESS, truth.SLIPLESS)):
         assert (found[acts & (proven == state)] == name).all()
@@ -110,12 +109,12 @@ def test_damped_contacts_lose_the_proof_of_rest_where_it_is_none():
     """By forces that leave no room, or are out of balance by more than others can bear."""
     samples = samples_of(minimum((3, 3, 4), {"seeds": (1,), "law": "coulomb-viscous"}, "interior-point"))
     assert all_proven(samples)
-    state = by_axis(samples, Judgement(samples).states[0].proven)[2]
+    state = by_axis(samples, samples.judgement.states[0].proven)[2]
     holds = tuple(np.argwhere(state == SLIPLESS)[3])
     for share in (0.5, 0.999):
         friction = [f.copy() for f in samples.friction]
         friction[2][(0, *holds)] += share * samples.normal_force * samples.coefficient[2][(0, *holds)]
-        judged = Judgement(replace(samples, friction=tuple(friction)))
+        judged = replace(samples, friction=tuple(friction)).judgement
         assert not (judged.states[0].proven == SLIPLESS)[judged.acts[0]].any()
 
 
@@ -127,7 +126,7 @@ def sample():
 
 
 def all_proven(samples):
-    return (Judgement(samples).states[0].proven != UNPROVEN).all()
+    return (samples.judgement.states[0].proven != UNPROVEN).all()
 
 
 def test_a_spin_that_is_off_loses_the_proof(sample):
@@ -163,8 +162,8 @@ def test_samples_proven_together_are_those_proven_alone(spoiled):
     for r in spoiled[1:]:
         friction[2][r, 1, 1, 1] = 0.0
     samples = replace(samples, spin=spin, friction=friction)
-    together = Judgement(samples).states
-    alone = [Judgement(samples).one(r).states[0] for r in range(5)]
+    together = samples.judgement.states
+    alone = [samples.judgement.one(r).states[0] for r in range(5)]
     for r, (one, other) in enumerate(zip(together, alone, strict=True)):
         assert (one.proven == other.proven).all()
         assert (one.unique, one.reason) == (other.unique, other.reason)
@@ -188,7 +187,7 @@ def test_contacts_without_slip_cannot_join_the_planes(sample):
     spin[0, :, :, -1] = 0.0  # as if the top stood still, too
     rounding[0, :, :, -1] = 0.0
     spin[0], rounding[0] = 0.0, 0.0
-    states = Judgement(replace(samples, spin=spin, spin_rounding=rounding)).states[0]
+    states = replace(samples, spin=spin, spin_rounding=rounding).judgement.states[0]
     assert states.unique is None
     assert "join" in states.reason
 
@@ -205,7 +204,7 @@ def by_hand(x, y, friction_x, friction_y, spin, top=1.0, bottom=0.0):
 def test_friction_that_proves_no_bound_proves_no_states():
     """It acts the wrong way: the work of the planes is negative, and so leaves more room on a cut than the power."""
     samples = by_hand([[3, 0.1, 0.1]], [[3, 3], [3, 1]], [[-3, 0, -0.1]], [[0, -3], [-3, -1]], [[0, 0, 1], [0, 0, -1]])
-    judgement = Judgement(samples)
+    judgement = samples.judgement
     assert judgement.lower_bound[0] == 0
     states = judgement.states[0]
     assert states.unique is None
@@ -219,31 +218,13 @@ def test_a_driven_plane_turns_as_one_whatever_the_file_says_of_its_spheres():
     even = by_hand([[1, 1, 1]], [[1, 2], [2, 1]], [[0, 0, 0]], [[0, 0], [0, 0]], [[0, 0, 1], [0, 0, -1]])
     spin = even.spin.copy()
     spin[0, 1, 2] = 0.0  # as if it stood still
-    assert Judgement(replace(even, spin=spin)).power[0] == Judgement(even).power[0]
-
-
-@pytest.mark.parametrize("least", [5e-324, -5e-324])
-def test_friction_that_is_lost_in_its_product_with_the_normal_force_is_not_taken_for_none(least):
-    """All the slip is at the contacts with the top. Their friction is 0 in doubles, and was taken for absent contacts;
-    then nothing slipped, and that was proven."""
-    x, y, nothing = [[1e6, 1e6, 1e6]], [[1e6, least], [1e6, least]], [[0, 0], [0, 0]]
-    faint = by_hand(x, y, [[0, 0, 0]], nothing, [[0, 0, -1], [0, 0, 1]])
-    assert not replace(faint, normal_force=0.1).can_be_judged
-
-
-@pytest.mark.parametrize("what", ["coefficient", "normal_force", "radius", "direction"])
-def test_numbers_that_no_scene_has_are_not_judged(sample, what):
-    samples, _ = sample
-    negative = tuple(np.where(c == c.max(), -c, c) for c in samples.coefficient)
-    changed = {"coefficient": negative, "normal_force": -1.0, "radius": 0.0, "direction": (1e200, 1e-200, 0.0)}
-    assert samples.can_be_judged
-    assert not replace(samples, **{what: changed[what]}).can_be_judged
+    assert replace(even, spin=spin).judgement.power[0] == even.judgement.power[0]
 
 
 def test_viscous_contacts_slip_where_the_gap_allows_nothing_else():
     solution = minimum((4, 5, 4), {"law": "viscous"}, "linear-solver")
     lattice = solution.scene.lattice
-    proven = Judgement(samples_of(solution)).states[0].proven
+    proven = samples_of(solution).judgement.states[0].proven
     assert (proven == np.where(lattice.between_driven, SLIPLESS, SLIPPING)).all()
 
 

@@ -8,7 +8,6 @@ from scipy.optimize import linprog
 from taichi_bearings_studies.stress import truth
 
 from taichi_bearings.proof.contact_state import ContactState
-from taichi_bearings.proof.judgement import Judgement
 from taichi_bearings.proof.samples import DRIVEN_STATE, SLIPLESS, SLIPPING, TIED, UNPROVEN
 from taichi_bearings.proof.ties import Line
 from taichi_bearings.quantities import Answered
@@ -16,7 +15,7 @@ from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import METHODS
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
-from tests.proof.test_bounds import samples_of
+from tests.proof.samples import samples_of
 from tests.scenes import make_scene
 from tests.stress.minima import DRIVEN, EITHER, least_of_all
 
@@ -31,8 +30,8 @@ def minimum(shape, seed, distribution=BIMODAL, coefficients=None):
 
 
 def kinds(solution):
-    """Numbers of slipless, slipping and tied contacts and of unproven ones, by the verifier."""
-    proven = Judgement(samples_of(solution)).states[0].proven
+    """Numbers of slipless, slipping and tied contacts and of unproven ones."""
+    proven = samples_of(solution).judgement.states[0].proven
     acts = solution.state[0] != ContactState.DRIVEN
     return [int((proven[acts] == what).sum()) for what in (SLIPLESS, SLIPPING, TIED, UNPROVEN)]
 
@@ -79,7 +78,7 @@ def test_friction_that_differs_in_its_last_digit_ties_nothing():
     axis, where = next((axis, tuple(np.argwhere(of)[0])) for axis, of in enumerate(tied) if of.any())
     coefficient = [of.copy() for of in samples.coefficient]
     coefficient[axis][(0, *where)] = np.nextafter(coefficient[axis][(0, *where)], 1.0)
-    states = Judgement(replace(samples, coefficient=tuple(coefficient))).states[0]
+    states = replace(samples, coefficient=tuple(coefficient)).judgement.states[0]
     assert (states.proven == UNPROVEN).all()
     assert states.unique is None
 

@@ -13,10 +13,10 @@ import numpy as np
 from scipy import sparse
 from taichi_bearings_studies.stress import truth as decimals
 
-from taichi_bearings.proof.samples import Samples
 from tests.clarabel_twin import least as least_by_clarabel
 from tests.kernels.twins import is_driven, neighbours
 from tests.proof.laboratory import Laboratory
+from tests.proof.samples import Samples
 from tests.properties.scenes import arrays_of
 
 EXACT = Fraction(1, 10**60)  # relative: what 80 digits lose on the way
