@@ -2,10 +2,10 @@
 
 import shutil
 from contextlib import suppress
+from copy import copy
 from dataclasses import replace
 from fractions import Fraction
 from itertools import product
-from types import SimpleNamespace
 
 import h5py
 import numpy as np
@@ -197,8 +197,8 @@ def test_minima_are_not_enclosed_where_normals_are_longer_than_units():
     packing = OBLIQUE["bcc"]
     found = tb.solve(packing)
     network = replace(packing.network, normal=(1 + 1e-7) * packing.network.normal)
-    names = ("kind", "spin", "friction", "viscosity", "normal_force")
-    longer = SimpleNamespace(network=network, **{name: getattr(packing, name) for name in names})
+    longer = copy(packing)
+    vars(longer)["network"] = network
     proven = Judgement(longer, found.spin, found.spin_rounding, found.friction).states[0].proven
     assert (proven[(found.state == 0) & (found.force > 0)] == 2).all()
 
