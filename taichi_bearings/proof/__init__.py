@@ -1,1 +1,75 @@
-"""What follows from any spins and forces: bounds on the least power, and which contacts slip."""
+"""What is rigorously true of spins and friction: the problem, the theorems and their symbols, and where each is proven.
+
+The problem
+-----------
+Spheres at fixed places touch at contacts (i, j) with unit normals n from i to j. With u = R omega the surface of j
+slips past that of i with v = -(u_i + u_j) x n; spins of driven spheres are imposed, the others are free. A contact that
+slips by v has the potential phi(v) = mu F_n |v| + eta |v|^2 / 2, of which either term may be missing. Let y = K u + b
+be the slips of free spins u, b those of what is imposed with u = 0:
+
+    (P)    P* = least Phi(u),   Phi(u) = sum over contacts of phi(y)
+
+where P* is the least power with friction alone, half of it with damping alone. Friction F on the second spheres turns
+both spheres of a contact with n x F. Where it is in balance, K^T F = 0, the driven spheres do the work W(F) = F . b:
+
+    (D)    P* = largest W(F) - sum over contacts of phi*(F) among all F in balance,
+           phi*(F) = max(|F| - mu F_n, 0)^2 / (2 eta); without damping 0 up to mu F_n and infinite beyond
+
+(Fenchel's duality; with friction alone the lower bound theorem of plastic limit analysis). A *minimum* is a u* that
+solves (P), y* its slips, and *optimal* is any friction F* that solves (D). Numbers are enclosures, sums of two doubles
+with a bound on their error (enclosure.py), and all bounds are rounded outwards.
+
+The theorems
+------------
+1. Bounds. Phi(u) >= P* for any u. For any F, in balance or not, with torques r = K^T F left over, and a factor s at
+   which s F is inside the discs of contacts without damping,
+   P* >= s (W(F) + r . u*) - sum of phi*(s F) at any minimum u*. [bounds.py]
+2. Where minima are. Components that do not mix (discs; normals along the axes) can be clipped to what is imposed, of
+   lattices in each layer, and no slip grows: so r . u* is bounded. Else springs take r away, and what rounding leaves
+   of it is paid for at |D^-1 u*| <= (1 + |q^1/2 b|) / sigma, with a proven floor sigma. [network.py, springs.py]
+3. No slip at all. P* = 0 where nothing driven is touched, where signs by which neighbours differ agree with all that is
+   imposed, and where contacts roll exactly or their rows of K are independent. [without_slip.py, exact_motions.py]
+4. Slackness. At every minimum and for every optimal friction phi(y*) + phi*(F*) = F* . y*, contact by contact. So a
+   contact is *slipless*, it slips at no minimum, if one optimal F* is below its limit. [states.py]
+5. Excess. Let E be Phi(u) less what F proves by 1. At every minimum the sum of phi(y*) + phi*(F) - F . y* is at most E,
+   and with damping the sum of eta |y* - y|^2 / 2 as well. [states.py]
+6. Cuts. In one component minima are mixtures of lightest cuts, on which contacts have room for E at most. [states.py]
+7. One minimum. Let contacts T rest, and let the curvature of Phi along all that T allows be tau or more, in some norm.
+   If the slope of Phi is below 0.72 tau rho, and no slip changes by more than a quarter within rho, then (P) with T at
+   rest has one minimum there. If T can bear inside its discs what the other contacts leave to it, this is the only
+   minimum of (P). [curvature.py for normals along the axes, oblique.py and exact_motions.py for others; floors of
+   curvatures by elimination.py, with Higham's bound on the error of a factorisation]
+8. Parts at rest. Contacts that can all rest, and can bear what optimal friction elsewhere leaves to them, rest at every
+   minimum. [resting.py]
+9. Ties. Where frictions cancel exactly, the minima are a polyhedron of motions y with t + y_b - y_a >= 0; its shortest
+   paths say which slips are 0 at some minima alone: such contacts are *tied*. [ties.py]
+
+Judgement(scene, spin, spin_rounding, friction) in judgement.py is the door: power, both bounds, their gap, and what is
+proven of the state of each contact at every minimum. certificate.py has theorem 1 in plain doubles with an allowance
+for rounding, for methods on their way; what is reported rests on it for laws of one's own alone.
+
+The symbols
+-----------
+=============  =======================  ==========================================================
+here           in the code              is
+=============  =======================  ==========================================================
+n, m           free, acts (lengths)     spheres and contacts of all samples, one after the other
+R              count                    samples; a packing is one
+k              components, k            a component of spins: of discs one, of spheres three
+u              spin                     R omega; of lattices signed, and measured from the bottom
+y              slips(), slip            slips, and their sizes
+F, n x F       friction, moment         friction on the second sphere; what turns both spheres
+mu F_n, eta    holding, slope           friction that a contact bears; its damping
+b              imposed                  what is imposed on driven spheres
+r              torques()                torques over the radius that friction leaves over
+E              bounds.excess            upper bound less lower bound
+1 / s          bounds.worst             largest friction over its limit
+s F            bounds.size              its size
+tau, sigma^2   floor()                  proven floors of eigenvalues
+T              motion.rests             contacts that are taken to rest
+=============  =======================  ==========================================================
+
+Speeds are in units of `speed_unit`, forces of `force_unit`: powers of two, but for the radius. Oracles that share no
+code with this room try the theorems in tests/proof, tests/properties and tests/stress: exact fractions, networkx,
+Clarabel, and Newton's method and the paper's formulas in sixty and eighty digits.
+"""

@@ -1,4 +1,4 @@
-"""Rigorous bounds on the least dissipation of any network, from its spins and its friction.
+"""Rigorous bounds on the least dissipation of any network, from its spins and its friction: theorem 1.
 
 For any friction F, of which s F with s <= 1 stays inside the discs of contacts without viscosity, and torques r on free
 spheres that it leaves over,

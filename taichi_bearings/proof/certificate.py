@@ -1,4 +1,4 @@
-"""Bounds on what the stationary state minimises, from any spins and any contact forces. NumPy in float64.
+"""Bounds on what the stationary state minimises, from any spins and any contact forces: theorem 1 in float64.
 
 The problem is convex and has a dual. With t_i the sum of the contact forces that pull on sphere i, and phi* the
 conjugate of the potential of a contact (scene/law.py), for any forces that the law admits

@@ -1,4 +1,4 @@
-"""The minimum near given spins, where nothing but the domains of contacts without slip may move.
+"""The minimum near given spins, where nothing but the domains of contacts without slip may move: theorem 7.
 
 The power is a convex function of u, the change of the domains from the given spins. Let g be its slope there, and its
 curvature at least tau times a positive diagonal h, in variables v of which u are sums. A contact with slip z that

@@ -1,4 +1,4 @@
-"""Motions of spheres that let contacts roll exactly, where these contacts put more conditions on spins than there are.
+"""Motions of spheres that let contacts roll exactly, where these close many loops: steps of theorems 3 and 7.
 
 Contacts that close more loops than their spheres have freedom for roll together only if the directions of their normals
 agree exactly, as those of a lattice do; the least rounding breaks it, so it takes a proof without any. Let K x be the

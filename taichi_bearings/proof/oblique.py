@@ -1,4 +1,4 @@
-"""Which contacts of a network with friction and oblique normals slip at every minimum, from one that is enclosed.
+"""Which contacts of a network with oblique normals slip at every minimum, from one that is enclosed: theorem 7.
 
 Let S be the contacts that slip in the given spins, T the others, and V all spins at which T rests.
 

@@ -1,4 +1,4 @@
-"""Which contacts of a packing rest at every minimum, part by part, where friction elsewhere is nearly known.
+"""Which contacts of a packing rest at every minimum, part by part: theorem 8, where friction is nearly known.
 
 Let y* be the slips of a minimum and F* friction that is optimal: in balance on every free sphere, along y* where y* is
 not 0, and then of size mu F_n + eta |y*|. Let R be some contacts with friction, such that

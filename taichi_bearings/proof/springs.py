@@ -1,4 +1,4 @@
-"""Springs that take torques away where components mix, and the largest spins that some minimum can have.
+"""Springs that take torques away where components mix, and the largest spins of some minimum: theorem 2.
 
 No box of imposed spins holds there. Springs q take the torques r away, F - q (K z) with K^T q K z = r, until some 1e-30
 of them are left: these are paid for at the largest spins that some u* can have. With Phi the potential of any spins,

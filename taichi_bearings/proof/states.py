@@ -1,4 +1,4 @@
-"""Which contacts slip at every minimum of the Coulomb law, proven from approximate spins and friction.
+"""Which contacts slip at every minimum, proven from approximate spins and friction: theorems 4 to 6, and which else.
 
 Let T be the contacts without any slip and S the others. Spheres joined by T are one domain of a component.
 

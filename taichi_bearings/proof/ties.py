@@ -1,4 +1,4 @@
-"""Which contacts slip at every minimum, at none, or at some, where there are many minima or contacts at their limit.
+"""Which contacts slip at every minimum, at none, or at some, where there are many minima: theorem 9.
 
 Two components. Let S be the contacts that slip as stored, C those that do not and yet bear all their friction, along
 one component, and T the others that do not slip. A *domain* is what T and C join in a component, a *part* what T joins

@@ -1,4 +1,4 @@
-"""Does a state exist in which no contact slips? Told by structure, never by how little some spins dissipate.
+"""Does a state exist in which no contact slips? By structure, never by how little some spins dissipate: theorem 3.
 
 Samples of a lattice have one where nothing joins the two planes in a component in which they differ. Packings have one
 in three cases, which may meet in one packing:
