@@ -26,6 +26,8 @@ or where components mix oblique.py: slips are the same at all minima. One compon
 with either sign). Where components mix the minimum is enclosed (oblique.py). Where that fails, a slip y* that is b
 across its friction has mu F_n b^2 / (2 |y*|) <= mu F_n |y*| - F . y*, and one with the room m has m |y*|: a quadratic
 form of y* that is at most E, and of the given slips as well. Its floor, by an elimination, says how far minima are.
+What stays open of packings with damping is tried part by part (resting.py), oblique ones beside loops that cannot roll
+as their normals are rounded (loops.py, borne.py).
 """
 
 from __future__ import annotations
