@@ -5,7 +5,6 @@ import pytest
 
 import taichi_bearings as tb
 from taichi_bearings.proof.judgement import Judgement
-from taichi_bearings.proof.network import StoredPacking
 from tests.packing.twins import random_packing
 from tests.proof.smoothed import states
 from tests.scenes import some_of
@@ -46,8 +45,7 @@ def cut_out(found, contact, count, rng):
 
 
 def proven_of(found, spin, rounding, friction):
-    stored = StoredPacking(LAW, found.packing.arrays(), spin, rounding, friction)
-    return Judgement(stored).states[0].proven
+    return Judgement(found.packing, spin, rounding, friction).states[0].proven
 
 
 @pytest.mark.parametrize(("count", "seed"), [(100, 1), (300, 3), pytest.param(300, 10, marks=pytest.mark.thorough)])
