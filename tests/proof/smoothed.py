@@ -52,7 +52,11 @@ def elimination(matrix, right):
 class Smoothed:
     def __init__(self, packing):
         self.contacts, self.n, self.p = slips_at(packing)
-        self.held, self.damping = (exact(values) for values in packing.coefficients)
+        of, count = packing.arrays(), (packing.contacts,)
+        friction, force, self.damping = (
+            exact(np.broadcast_to(of[name], count)) for name in ("friction", "normal_force", "viscosity")
+        )
+        self.held = friction * force
         self.unit = max((abs(value) for _, fixed in self.contacts for value in fixed), default=Decimal(0)) or Decimal(1)
 
     def slips(self, u):
