@@ -81,8 +81,6 @@ def test_states_of_small_networks_are_those_of_the_smoothed_minimum(seed):
         packing = random_packing(rng, 2 + seed % 2, LAW, spheres=int(rng.integers(5, 12)))
         if 2 <= (packing.driven < 0).sum() <= (5 if seed % 2 else 9):
             break
-    packing = tb.Packing(
-        **packing.arrays() | {"radius": 1.0, "spin": packing.imposed.reshape(packing.spin.shape), "schematic": True}
-    )
+    packing = tb.Packing(**packing.arrays() | {"radius": 1.0, "schematic": True})
     found, truth = tb.solve(packing), states(packing)
     assert ((found.state == truth) | ~found.proven | (truth >= 2)).all()
