@@ -25,7 +25,7 @@ from scipy.spatial import cKDTree
 from taichi_bearings.errors import InputError
 from taichi_bearings.numerics.double_double import exactly
 from taichi_bearings.packing import Packing
-from taichi_bearings.packing.answer import solve_packing, spins_of
+from taichi_bearings.packing.answer import solve_packing
 from taichi_bearings.packing.planar import least_spins
 from taichi_bearings.packing.system import System
 from taichi_bearings.plots.style import BLUE, GREY, in_our_style, new_figure, shades
@@ -105,7 +105,7 @@ def spins_at_minimum(lattice: str, packing: Packing) -> np.ndarray:
     if lattice == "cubic":
         return np.asarray(solve_packing(packing, SURE).spin[0])
     system = System.of(packing)
-    return spins_of(packing, exactly(system.all_spins(least_spins(system))))[0]
+    return packing.spins_of(exactly(system.all_spins(least_spins(system))))[0]
 
 
 def draw(lattice: str, size: int, odd: int, bottom: float, samples: int, seed: int) -> dict[str, Any]:
@@ -119,7 +119,7 @@ def draw(lattice: str, size: int, odd: int, bottom: float, samples: int, seed: i
         speed = np.linalg.norm(spin.reshape(len(spin), -1), axis=1)[packing.driven < 0]
         found["rolling"].append(float((speed > 0.5).mean()))
         found["resting"].append(float((speed < SURE).mean()))
-        power, power_at_rest = (float(packing.friction @ packing.slips(of)) for of in (spin, at_rest))
+        power, power_at_rest = (float(packing.friction @ packing.slip_speeds(of)) for of in (spin, at_rest))
         found["power_over_rest"].append(power / power_at_rest)
     return found
 

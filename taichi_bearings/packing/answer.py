@@ -9,7 +9,7 @@ from scipy import sparse
 from taichi_bearings import runtime
 from taichi_bearings.errors import InputError
 from taichi_bearings.numerics.blas import one_thread
-from taichi_bearings.numerics.double_double import Pair, divide, exactly
+from taichi_bearings.numerics.double_double import exactly
 from taichi_bearings.packing import planar
 from taichi_bearings.packing.packing import Packing
 from taichi_bearings.packing.system import Found, System
@@ -128,14 +128,6 @@ def _found(system: System, method: str) -> Found:
     return replace(end, spins=end.spins * fastest, rest=rest, force=end.force * largest)
 
 
-def spins_of(packing: Packing, u: Pair) -> Pair:
-    """Spins (N, 3), of discs (N,), of u = R omega (N, C); those of driven spheres bit by bit as they are imposed."""
-    held, shape = packing.driven >= 0, packing.spin.shape
-    spin, rest = (part.reshape(shape) for part in divide(u, exactly(np.asarray(packing.radius)[:, None])))
-    spin[held], rest[held] = packing.spin[held], 0.0
-    return spin, rest
-
-
 def judged(system: System, found: Found, tolerance: float, moves: bool = False) -> Solution:
     """What was found, with all that is proven of it. moves : it is a motion on its way, so that its spins are kept;
     else, where a state without any slip is proven to exist, they become that state."""
@@ -181,7 +173,7 @@ def judgement_of(system: System, found: Found) -> Judgement:
     """What judges the spins and the forces that were found."""
     u = system.all_spins(found.spins) if found.everywhere is None else found.everywhere
     rest = np.append(np.zeros(system.unknowns) if found.rest is None else found.rest, 0.0)[system.moved]
-    spin, rounding = spins_of(system.packing, (np.nan_to_num(u, posinf=0.0, neginf=0.0), rest))
+    spin, rounding = system.packing.spins_of((np.nan_to_num(u, posinf=0.0, neginf=0.0), rest))
     friction = forces_of(system, np.nan_to_num(found.force, posinf=0.0, neginf=0.0))[1]
     return Judgement(system.packing, spin, rounding, friction)
 

@@ -15,7 +15,7 @@ import h5py
 import numpy as np
 
 from taichi_bearings.errors import FileError, InputError, WriteError
-from taichi_bearings.numerics.double_double import Pair
+from taichi_bearings.numerics.double_double import Pair, divide, exactly
 from taichi_bearings.numerics.graphs import odd_pieces
 from taichi_bearings.options import SEED, SHAPE, finite_number
 from taichi_bearings.packing import checks, geometry, random_packing, space_filling
@@ -163,9 +163,76 @@ class Packing(Bearing):
         """(R, E), forces, or with the law "viscous" damping."""
         return self.material[0]
 
-    def slips(self, spin: np.ndarray) -> np.ndarray:
-        """Slip speeds (E,) of spins (N, 3), of discs (N,); length/time."""
+    def slip_speeds(self, spin: np.ndarray) -> np.ndarray:
+        """(E,) of spins (N, 3), of discs (N,); length/time."""
         return self.network.slips(spin.reshape(self.spheres, -1) * self.network.radius[:, None])
+
+    def differences(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
+        """(d, R, E) along the tangents of the contacts."""
+        return self.network.differences(staggered)
+
+    def pulls(self, force: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
+        return -self.network.torques(force)
+
+    def absolute(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
+        return staggered
+
+    def staggered_spin(self, spin: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
+        """u = R omega (C, R, N): they are carried as they are."""
+        u = spin.reshape(len(spin), self.spheres, -1) * self.network.radius[:, None]
+        return self.impose_driving(np.moveaxis(u, 2, 0).copy(), spin_axes)
+
+    def impose_driving(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
+        held = self.is_driven
+        staggered[..., held] = self.driven_speed[held].T[:, None]
+        return staggered
+
+    def box(self, spin_axes: tuple[int, ...]) -> np.ndarray:
+        return np.zeros((2, len(spin_axes)))
+
+    def clip_to_box(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
+        """The same: no box holds the spins of a minimum where normals are oblique."""
+        return staggered
+
+    def laboratory_spin(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
+        return np.stack([self.spins_of(exactly(u.T))[0] for u in np.moveaxis(staggered, 1, 0)])
+
+    def spins_of(self, u: Pair) -> Pair:
+        """Spins (N, 3), of discs (N,), of u = R omega (N, C); those of driven spheres bit by bit as imposed."""
+        held, shape = self.is_driven, self.spin.shape
+        spin, rest = (part.reshape(shape) for part in divide(u, exactly(self.network.radius[:, None])))
+        spin[held], rest[held] = self.spin[held], 0.0
+        return spin, rest
+
+    def inertias(self, mass: float, inertia: float | None, density: Any = None) -> np.ndarray:
+        """I / R^2 (N,), mass, of spheres whose mean one has this mass, or moment of inertia, or all of this density,
+        (N,) or one, mass / length^D."""
+        radius, shape = self.network.radius, 0.5 if self.dimension == 2 else 0.4
+        if density is not None:
+            if inertia is not None:
+                raise InputError(f"inertia is {inertia:g} and density is given; one of them says how heavy spheres are")
+            volume = np.pi * radius**2 if self.dimension == 2 else 4 / 3 * np.pi * radius**3
+            return shape * volume * checks.sizes("density", density, self.spheres, "sphere")
+        mean = radius.mean()
+        return (shape * mass if inertia is None else inertia / mean**2) * (radius / mean) ** self.dimension
+
+    def as_stepped(self, spins: np.ndarray, at_rest: np.ndarray) -> "Packing":
+        """The contacts that act alone, for methods that step all of them.
+
+        spins : u (C, 1, N) at the start, the natural unit of speeds where nothing is driven unlike.
+        at_rest : (R,), True where a state without any slip is proven to exist.
+        """
+        own = self.acting
+        of = {name: None if (v := getattr(self, name)) is None else v[..., own] for name in OF_SAMPLES}
+        found = self._with(contact=self.contact[own], normal=self.network.normal[own], **of)
+        del vars(found)["network"]
+        vars(found).update(jump=self.jump or float(np.abs(spins).max(initial=0.0)), is_cut_off=at_rest)
+        return found
+
+    @cached_property
+    def is_cut_off(self) -> np.ndarray:
+        """(R,), nothing is known."""
+        return np.zeros(self.replicas, dtype=bool)
 
     @cached_read_only
     def driven_speed(self) -> np.ndarray:

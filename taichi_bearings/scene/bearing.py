@@ -16,6 +16,7 @@ from taichi_bearings.scene.law import Coefficients, Law
 from taichi_bearings.scene.network import Network
 
 Kind = TypeVar("Kind", bound="Bearing")
+LENGTHS_IN_CACHE = 16_384  # vectors of which the second cache of a processor holds all that is made of them
 SAME_DRIVING = 4  # units in the last place, up to which imposed speeds are one
 
 
@@ -114,6 +115,57 @@ class Bearing:
         are the imposed ones; and what their rounding leaves out; 1/time."""
         raise NotImplementedError
 
+    @property
+    def is_driven(self) -> np.ndarray:
+        """True for the spheres whose spin is imposed, in the shape that arrays over the spheres have."""
+        return ~self.network.free.reshape(self.network.shape)
+
+    def staggered_spin(self, spin: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
+        """Spins as they are carried, (C, R, *N), of those that one sees, (R, *N), of spheres (R, *N, 3); of driven
+        spheres the imposed ones."""
+        raise NotImplementedError
+
+    def laboratory_spin(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
+        """Inverse of :meth:`staggered_spin`, 1/time."""
+        raise NotImplementedError
+
+    def absolute(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
+        """Spins (C, R, *N) with what was taken from all of them: for energies."""
+        raise NotImplementedError
+
+    def impose_driving(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
+        """The same spins (C, R, *N), changed in place: driven spheres carry their imposed values."""
+        raise NotImplementedError
+
+    def box(self, spin_axes: tuple[int, ...]) -> np.ndarray:
+        """(2, C) lower and upper ends of the interval in which a minimiser has each component; 0 where that is none."""
+        raise NotImplementedError
+
+    def clip_to_box(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
+        """Spins (C, R, *N) in that interval, if there is one; it never raises the power."""
+        raise NotImplementedError
+
+    def differences(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
+        """Vectors (d, R, E) across all contacts; `slip_radius` times their length is the slip speed."""
+        raise NotImplementedError
+
+    def pulls(self, force: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
+        """Sums of the contact forces (d, R, E) that pull on each sphere, (C, R, *N)."""
+        raise NotImplementedError
+
+    def slips(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
+        """Slip speed |v| of every contact (paper Eq. 2), (R, E), length/time."""
+        return self.slip_radius * vector_length(self.differences(staggered, spin_axes))
+
+    def power(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
+        """Dissipated power (R,), energy/time (paper Eq. 4, each contact once)."""
+        return self.law.power(self.material, self.slips(staggered, spin_axes)).sum(axis=1)
+
+    def objective(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
+        """What the stationary state minimises (R,), energy/time: the power, or for a law of which no multiple of the
+        power is least there its potential. An upper bound on the least value whatever the spins are."""
+        return self.law.objective(self.material, self.slips(staggered, spin_axes)).sum(axis=1)
+
     def sample(self: Kind, number: int) -> Kind:
         """One of the samples alone."""
         raise NotImplementedError
@@ -165,6 +217,27 @@ class Bearing:
 def inverse(values: np.ndarray) -> np.ndarray:
     """1 / values, and 0 where values is 0."""
     return np.divide(1.0, values, out=np.zeros_like(values), where=values != 0)
+
+
+def vector_length(components: np.ndarray) -> np.ndarray:
+    """Euclidean length over the first axis; (0, ...) gives zeros, one component gives |component| exactly."""
+    if len(components) == 0:
+        return np.zeros(components.shape[1:])
+    if components[0].size <= LENGTHS_IN_CACHE or not components.flags.c_contiguous:
+        return _length(components)
+    flat = components.reshape(len(components), -1)
+    found = np.empty(flat.shape[1], flat.dtype)
+    for first in range(0, len(found), LENGTHS_IN_CACHE):
+        part = slice(first, first + LENGTHS_IN_CACHE)
+        found[part] = _length(flat[:, part])
+    return found.reshape(components.shape[1:])
+
+
+def _length(components: np.ndarray) -> np.ndarray:
+    """Of those that are not 0 everywhere, as it is of contacts along one axis."""
+    size, *others = [part for part in components if part.any()] or components[:1]
+    size = np.hypot(size, others[0]) if others else np.abs(size)
+    return size if len(others) < 2 else np.hypot(size, others[1])
 
 
 def as_one_driving(u: np.ndarray) -> np.ndarray:

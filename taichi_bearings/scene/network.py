@@ -21,6 +21,7 @@ from taichi_bearings.numerics.graphs import odd_pieces, pieces
 from taichi_bearings.numerics.motions import Motions, Parts, slipless_motions
 from taichi_bearings.read_only import cached_read_only, read_only
 
+PERRON_STEPS, LEAST_SHARE = 30, 1e-3  # of the vector that bounds an eigenvalue: improvements, and its smallest entries
 LEAF_SPHERES = 8  # of a region that nested dissection does not divide further
 
 
@@ -151,6 +152,39 @@ class Network:
         """K (d * E, N * C) of all contacts and all spins; column = sphere * C + component."""
         every = np.arange(self.spheres * self.components).reshape(-1, self.components)
         return self.operator(np.arange(self.contacts), every)
+
+    @cached_property
+    def whole_transposed(self) -> sparse.csr_array:
+        return self.whole.T.tocsr()
+
+    def differences(self, u: np.ndarray) -> np.ndarray:
+        """y = K u, (d, R, E), of u = R omega (C, R, N)."""
+        columns = np.moveaxis(u, 2, 0).reshape(-1, u.shape[1])
+        return (self.whole @ columns).reshape(-1, self.contacts, u.shape[1]).transpose(0, 2, 1)
+
+    def torques(self, force: np.ndarray) -> np.ndarray:
+        """sum T^T f, (C, R, N), of forces (d, R, E) along the tangents; over the radius."""
+        columns = np.moveaxis(force, 1, 2).reshape(-1, force.shape[1])
+        return (self.whole_transposed @ columns).reshape(self.spheres, self.components, -1).transpose(1, 2, 0)
+
+    def largest_eigenvalue(self, weight: np.ndarray, inertia: np.ndarray) -> float:
+        """No eigenvalue of M^-1 K^T W K over the free spheres is larger. weight : W, (E,). inertia : M, (N,).
+
+        Of a matrix A none exceeds max (|A| x)_i / x_i, for any x > 0 (Gershgorin's circles are x = 1; Collatz and
+        Wielandt); x is brought near the vector for which that is least.
+        """
+        scale = np.repeat(np.where(self.free, 1 / np.sqrt(inertia), 0.0), self.components)
+        rows = np.tile(np.sqrt(weight), len(self.tangents))
+        half = sparse.diags_array(rows) @ self.whole @ sparse.diags_array(scale)
+        size = abs(half.T.tocsr() @ half)
+        vector, least = np.ones(size.shape[0]), np.inf
+        for _ in range(PERRON_STEPS):
+            image = size @ vector
+            least = min(least, float((image / vector).max(initial=0.0)))
+            if least == 0:
+                break
+            vector = np.maximum(image / image.max(), LEAST_SHARE)
+        return least * (1 + 1e-9)
 
     def along_axes(self, contact: np.ndarray) -> bool:
         """True where components do not mix: discs, or normals along the axes at these contacts."""

@@ -11,12 +11,13 @@ import numpy as np
 from taichi_bearings.errors import InputError
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.lattice.grid import AXIS_NAMES, MOST_SITES, axis_numbers
-from taichi_bearings.lattice.incidence import contact_differences
+from taichi_bearings.lattice.incidence import contact_differences, torques
 from taichi_bearings.numerics.double_double import Pair, add
 from taichi_bearings.options import COUNT, SEED, SHAPE, finite_number
 from taichi_bearings.read_only import cached_read_only
 from taichi_bearings.scene.array_files import own_array
 from taichi_bearings.scene.bearing import Bearing, as_one_driving
+from taichi_bearings.scene.bearing import vector_length as vector_length
 from taichi_bearings.scene.disorder import Distribution, Draw, draw_coefficients
 from taichi_bearings.scene.driving import Driving
 from taichi_bearings.scene.exact_driving import ExactDriving
@@ -28,7 +29,6 @@ LEAST_DIRECTION = 1e-100  # least part of a direction that counts
 LEAST_COEFFICIENT, MOST_COEFFICIENT = 1e-15, 1e15
 # of the mean coefficient: what stands for an absent contact where a method must divide by it
 ABSENT_COEFFICIENT = 1e-12
-LENGTHS_IN_CACHE = 16_384  # vectors of which the second cache of a processor holds all that is made of them
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -412,18 +412,18 @@ class Scene(Bearing):
         held, *beside = self.named_coefficients.values()
         return (self.strength * self._acting(held), *map(self._acting, beside))
 
-    def slips(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Slip speed |v| of every contact (paper Eq. 2), (R, E), length/time."""
-        return self.lattice.radius * vector_length(contact_differences(staggered, self.lattice, spin_axes))
+    @property
+    def is_driven(self) -> np.ndarray:
+        return self.lattice.is_driven
 
-    def power(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Dissipated power (R,), energy/time (paper Eq. 4, each contact once)."""
-        return self.law.power(self.material, self.slips(staggered, spin_axes)).sum(axis=1)
+    def differences(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
+        return contact_differences(staggered, self.lattice, spin_axes)
 
-    def objective(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """What the stationary state minimises (R,), energy/time: the power, or for a law of which no multiple of the
-        power is least there its potential. An upper bound on the least value whatever the spins are."""
-        return self.law.objective(self.material, self.slips(staggered, spin_axes)).sum(axis=1)
+    def pulls(self, force: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
+        return torques(force, self.lattice, spin_axes)
+
+    def absolute(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
+        return staggered + self.driving.bottom_state(spin_axes)[0]
 
     def laboratory_spin(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
         """Spins as one sees them: (R, *N) in 2D, (R, *N, 3) in 3D, 1/time.
@@ -538,27 +538,6 @@ def _arrays(kind: str, given: Any) -> tuple[np.ndarray, ...]:
     if len(found) > len(AXIS_NAMES):
         raise InputError(f"{kind} are {len(found)} arrays; they must be one an axis, two or three")
     return tuple(own_array(f"{kind} along {name}", values) for name, values in zip(AXIS_NAMES, found, strict=False))
-
-
-def vector_length(components: np.ndarray) -> np.ndarray:
-    """Euclidean length over the first axis; (0, ...) gives zeros, one component gives |component| exactly."""
-    if len(components) == 0:
-        return np.zeros(components.shape[1:])
-    if components[0].size <= LENGTHS_IN_CACHE or not components.flags.c_contiguous:
-        return _length(components)
-    flat = components.reshape(len(components), -1)
-    found = np.empty(flat.shape[1], flat.dtype)
-    for first in range(0, len(found), LENGTHS_IN_CACHE):
-        part = slice(first, first + LENGTHS_IN_CACHE)
-        found[part] = _length(flat[:, part])
-    return found.reshape(components.shape[1:])
-
-
-def _length(components: np.ndarray) -> np.ndarray:
-    """Of those that are not 0 everywhere, as it is of contacts along one axis."""
-    size, *others = [part for part in components if part.any()] or components[:1]
-    size = np.hypot(size, others[0]) if others else np.abs(size)
-    return size if len(others) < 2 else np.hypot(size, others[1])
 
 
 def of_lattice(bearing: Bearing) -> Scene:

@@ -48,7 +48,7 @@ class CundallStrackMethod(SpringDynamics):
         super().begin(scene, spin)
         options, beside, replicas = self.options, scene.viscosity_beside_friction, scene.replicas
         # over the radius, as the force of the device law
-        self.use(self.needed(), None if beside is None else scene.lattice.radius * beside)
+        self.use(self.needed(), None if beside is None else scene.slip_radius * beside)
         bound = self._largest_step()
         self.stability_bound = bound if np.isfinite(bound) else 1.0  # where nothing acts any step is right
         if (options.time_step or 0.0) > self.stability_bound:
@@ -57,8 +57,8 @@ class CundallStrackMethod(SpringDynamics):
         self.time_step = options.time_step or DEFAULT_STEP * self.stability_bound
         self.start_spin = float(np.abs(spin).max())
         self._load_gear(scene.staggered_spin(spin, self.spin_axes))
-        is_free = np.where(scene.lattice.is_driven, 0.0, self.unit_inertia / self.inertia)
-        self.fields.load("is_free", np.broadcast_to(is_free, (1, replicas, *scene.lattice.shape)))
+        is_free = np.where(scene.is_driven, 0.0, self.unit_inertia / self.inertia)
+        self.fields.load("is_free", np.broadcast_to(is_free, (1, replicas, *scene.network.shape)))
         self.team, self.steps = self._kernels(GEAR_COEFFICIENTS[options.gear_order])
         self.steps.compile(self.fields, self.team)
 
@@ -89,8 +89,8 @@ class CundallStrackMethod(SpringDynamics):
         derivatives, forces = [staggered], list[np.ndarray]()
         for n in range(1, options.gear_order + 1):
             forces.append(self._force_derivative(derivatives) / n)
-            rate = scene.lattice.radius / self.inertia * self.pulls(forces[-1])
-            rate[..., scene.lattice.is_driven] = 0.0
+            rate = scene.slip_radius / self.inertia * self.pulls(forces[-1])
+            rate[..., scene.is_driven] = 0.0
             derivatives.append(self.time_step * rate)
         for n, values in enumerate(derivatives):
             self.fields.load(f"gear_{n}", values)
@@ -115,10 +115,10 @@ class CundallStrackMethod(SpringDynamics):
             return self.damping_force(derivatives[-1])
         stretch = options.stiffness * self.time_step / order
         felt = options.damping * derivatives[-1] + stretch * derivatives[-2]
-        holds = options.static_ratio * scene.normal_force * scene.acting_coefficient
+        holds = options.static_ratio * scene.strength * scene.acting_coefficient
         sticks = options.damping * scene.slips(derivatives[0], self.spin_axes) <= holds
         felt = self.differences(felt)
-        force = np.where(sticks, scene.lattice.radius * felt, 0.0)
+        force = np.where(sticks, scene.slip_radius * felt, 0.0)
         return self.with_viscosity(force, self.differences(derivatives[-1]))
 
     def end_at(self, time: float, resumable: bool) -> None:
@@ -159,13 +159,13 @@ class CundallStrackMethod(SpringDynamics):
     def numbers(self, span: float) -> tuple[float, ...]:
         """The constants of a step of this length, time."""
         scene, options = self.scene, self.options
-        radius = scene.lattice.radius
+        radius = scene.slip_radius
         return (
             radius * span,
             options.stiffness,
             radius * (options.damping if scene.law.holds else 1.0),
-            scene.normal_force,
-            scene.normal_force * options.static_ratio,
+            scene.strength,
+            scene.strength * options.static_ratio,
             *options.after_slip(span),
             span * radius / self.unit_inertia,
         )
@@ -246,13 +246,13 @@ class CundallStrackMethod(SpringDynamics):
 
         staggered, force : spins (C, R, *N) and contact forces (C, R, E) at the end of the last step.
         """
-        driven, power = self.absolute(staggered) * self.scene.lattice.is_driven, self._contact_power(force, staggered)
+        driven, power = self.absolute(staggered) * self.scene.is_driven, self._contact_power(force, staggered)
         if self.books_before is not None:  # the trapezoidal rule over the last step alone
             work, injected, power_before, pull_before = self.books_before
-            reach = self.scene.lattice.radius * self.last_span / 2
+            reach = self.scene.slip_radius * self.last_span / 2
             pull = replica_sum((pull_before + self.pulls(force)) * driven)
             return work + reach * (power_before + power), injected - reach * pull
-        reach = self.scene.lattice.radius * self.time_step
+        reach = self.scene.slip_radius * self.time_step
         pull = self.fields.read("impulse") + (self.pull_at_start - self.pulls(force)) / 2
         work = replica_sum(self.fields.read("work")) + (power - self.power_at_start) / 2
         return reach * work, -reach * replica_sum(pull * driven)
@@ -269,8 +269,8 @@ class CundallStrackMethod(SpringDynamics):
         """Time in which the driven planes stretch a spring ten times as far as the strongest contact can hold."""
         scene = self.scene
         strongest = float(scene.acting_coefficient.max()) * self.options.static_ratio
-        speed = scene.lattice.radius * scene.jump
-        return 10 * scene.normal_force * strongest / (self.options.stiffness * speed) if speed > 0 else 0.0
+        speed = scene.slip_radius * scene.jump
+        return 10 * scene.strength * strongest / (self.options.stiffness * speed) if speed > 0 else 0.0
 
 
 def _mean_of(derivatives: list[np.ndarray]) -> np.ndarray:
@@ -280,7 +280,7 @@ def _mean_of(derivatives: list[np.ndarray]) -> np.ndarray:
 
 def stability_bound(scene: Scene, spin_axes: tuple[int, ...], options: CundallStrack) -> float:
     """Largest stable time step while all contacts stick, from the stiffest mode of this lattice; slipping is softer."""
-    over = scene.lattice.radius**2 / inertia_of(scene, options)
+    over = scene.slip_radius**2 / inertia_of(scene, options)
     decay = over * largest_weighted_eigenvalue(scene, spin_axes) if scene.law.flows else 0.0
     return largest_step(options, scene.law.holds, decay, over * largest_laplacian_eigenvalue(scene.lattice, spin_axes))
 
@@ -298,7 +298,7 @@ def sticking_modes(
 
     largest_spin : at the start, 1/time; the driven ones count too. stable : largest stable time step.
     """
-    radius = scene.lattice.radius
+    radius = scene.slip_radius
     over = radius**2 / inertia_of(scene, options)
     spectrum = over * laplacian_spectrum(scene.lattice, spin_axes)
     if not scene.law.holds:  # all as much stiffer than with even contacts as the stiffest one, known by its bound
@@ -306,7 +306,7 @@ def sticking_modes(
         decay = stiffest * spectrum / (over * largest_laplacian_eigenvalue(scene.lattice, spin_axes))
         return Modes(decay, np.zeros_like(spectrum), 1.0, 0.0, np.inf)
     strongest = float(scene.acting_coefficient.max())
-    holds = scene.normal_force * strongest * options.static_ratio
+    holds = scene.strength * strongest * options.static_ratio
     fastest = float(max(largest_spin, scene.fastest, np.finfo(float).tiny))
     damping = options.damping
     if scene.viscosities is not None:

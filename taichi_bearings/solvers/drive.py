@@ -345,7 +345,7 @@ class _Best:
 
     def restore(self, state: Mapping[str, np.ndarray], spin_axes: tuple[int, ...]) -> None:
         self.proof = np.array(state["proof"], dtype=float)
-        still = np.zeros((len(spin_axes), self.scene.replicas, *self.scene.lattice.shape))
+        still = np.zeros((len(spin_axes), self.scene.replicas, *self.scene.network.shape))
         if self.proof.shape != self.method.differences(still).shape or not np.isfinite(self.proof).all():
             raise ValueError("proof holds something else than the forces of its contacts")
         if not self.keeps_best or "best/staggered" not in state:

@@ -22,7 +22,7 @@ ENERGY_NAMES = ("work", "injected", "energy_at_start")
 
 def inertia_of(scene: Scene, options: Any) -> float:
     """The one that is given, or m R^2 / 2 of a disc or 2 m R^2 / 5 of a sphere."""
-    usual = options.mass * scene.lattice.radius**2 * (0.5 if scene.lattice.dimension == 2 else 0.4)
+    usual = options.mass * scene.slip_radius**2 * (0.5 if scene.lattice.dimension == 2 else 0.4)
     return float(options.inertia or usual)
 
 
@@ -38,7 +38,7 @@ def saturated(scene: Scene, force: np.ndarray, slip: np.ndarray, tolerance: floa
 
     force : (C, R, E). slip : (R, E).
     """
-    limit, coarsest = scene.law.holding_force(scene.material), REST_SLIP * scene.lattice.radius * scene.jump
+    limit, coarsest = scene.law.holding_force(scene.material), REST_SLIP * scene.slip_radius * scene.jump
     if limit is None:
         return np.zeros(scene.replicas, dtype=np.int64), 0.0
     slips = vector_length(force) >= (1 - tolerance) * limit
@@ -172,17 +172,17 @@ class Dynamics(Method):
         """Keep the energy balance from these spins (C, R, *N) on, without a stretched spring."""
         self.injected, self.work = np.zeros((2, self.scene.replicas))
         self.energy_at_start = self.kinetic_energy(staggered)
-        self.imposed = self.differences(self.absolute(staggered) * self.scene.lattice.is_driven)
+        self.imposed = self.differences(self.absolute(staggered) * self.scene.is_driven)
 
     def book(self, before: np.ndarray, after: np.ndarray, force: np.ndarray, duration: float) -> None:
         """Work of the mean forces (C, R, E) of a step on its mean slip, and of the driven spheres against them."""
-        reach, mean = duration * self.scene.lattice.radius, (before + after) / 2
+        reach, mean = duration * self.scene.slip_radius, (before + after) / 2
         self.work = self.work + reach * replica_sum(force * self.differences(mean))
         self.injected = self.injected + reach * replica_sum(force * self.imposed)
 
     def kinetic_energy(self, staggered: np.ndarray) -> np.ndarray:
         """(R,) of the free spheres with staggered spins (C, R, *N), energy."""
-        return replica_sum(self.inertia / 2 * ~self.scene.lattice.is_driven * self.absolute(staggered) ** 2)
+        return replica_sum(self.inertia / 2 * ~self.scene.is_driven * self.absolute(staggered) ** 2)
 
     def balance(self, staggered: np.ndarray, spring: np.ndarray) -> Energy:
         """The books, with the energy (R,) in the springs."""
@@ -216,8 +216,8 @@ class SpringDynamics(Dynamics):
     def damping_force(self, staggered: np.ndarray) -> np.ndarray:
         """Forces (C, R, E) of unstretched contacts: their damper as far as friction holds it, and their viscosity."""
         scene, difference = self.scene, self.differences(staggered)
-        force = self.options.damping * scene.lattice.radius * difference
-        size, limit = vector_length(force), scene.normal_force * scene.acting_coefficient
+        force = self.options.damping * scene.slip_radius * difference
+        size, limit = vector_length(force), scene.strength * scene.acting_coefficient
         slips = size > limit * self.options.static_ratio
         force = force * np.divide(limit, size, out=np.ones_like(size), where=slips)
         return self.with_viscosity(force if scene.law.holds else np.zeros_like(force), difference)
@@ -228,7 +228,7 @@ class SpringDynamics(Dynamics):
 
     def findings(self, last: Progress) -> dict[str, np.ndarray]:
         """Of the distance that the driven planes have slid past each other, what the longest spring takes up."""
-        slid = self.scene.lattice.radius * self.scene.jump * self.time if self.scene.law.holds else 0.0
+        slid = self.scene.slip_radius * self.scene.jump * self.time if self.scene.law.holds else 0.0
         return {"elastic_share": vector_length(self.motion()[2]).max(axis=1) / slid} if slid > 0 else {}
 
     def progress(self) -> Progress:
@@ -249,5 +249,5 @@ class SpringDynamics(Dynamics):
             slipping=slipping,
             halted=self.halted,
         )
-        self.rest.look(found, self.time, scene.lattice.radius, self.options.rest_tolerance, self.is_believed(found))
+        self.rest.look(found, self.time, scene.slip_radius, self.options.rest_tolerance, self.is_believed(found))
         return replace(found, at_rest=self.rest.at_rest)

@@ -54,7 +54,7 @@ class GradientDescentMethod(Method):
     def begin(self, scene: Scene, spin: np.ndarray) -> None:
         super().begin(scene, spin)
         beside = scene.viscosity_beside_friction  # in units of the coefficients:
-        self.viscosity = None if beside is None else scene.lattice.radius / scene.strength * beside
+        self.viscosity = None if beside is None else scene.slip_radius / scene.strength * beside
         self.averages = scene.law.holds and not self.momentum
         names = [*self.points, "inverse_weight"] + self.momentum * ["spin"] + self.averages * ["spin_sum"]
         spheres = dict.fromkeys(names, len(self.spin_axes))
@@ -86,22 +86,22 @@ class GradientDescentMethod(Method):
 
     def _load_weights(self) -> None:
         """The metric: friction, and so much of the viscosity as makes the curvature of both at this stage even."""
-        scene, lattice = self.scene, self.scene.lattice
+        scene = self.scene
         reach = self.width if self.momentum else 2 * self.step_length
         bounds = scene.acting_coefficient
         if not scene.law.is_sum:
-            bounds = lattice.radius * scene.law.steepest((scene.strength * bounds,), self._largest_slip())
+            bounds = scene.slip_radius * scene.law.steepest((scene.strength * bounds,), self._largest_slip())
         if self.viscosity is not None:
             bounds = bounds + reach * self.viscosity
         weight = self.weights(bounds)
-        weight[..., lattice.is_driven] = 0.0
+        weight[..., scene.is_driven] = 0.0
         self.fields.load("inverse_weight", np.divide(1.0, weight, out=np.zeros_like(weight), where=weight > 0))
 
     def _largest_slip(self) -> float:
         """Slip speed that no contact exceeds: spins stay in their box, and momentum leads each out of it by less than
         the box is wide."""
         low, high = self.scene.box(self.spin_axes)
-        return 3 * self.scene.lattice.radius * float(np.linalg.norm(np.subtract(high, low)))
+        return 3 * self.scene.slip_radius * float(np.linalg.norm(np.subtract(high, low)))
 
     def weights(self, bounds: np.ndarray) -> np.ndarray:
         """Sums (C, R, *N) of these numbers (R, E) of the contacts that act on each spin component."""
@@ -153,19 +153,19 @@ class GradientDescentMethod(Method):
 
     def _step_and_sharpness(self) -> tuple[float, float]:
         if not self.scene.law.holds:
-            return 0.5, self.scene.lattice.radius
+            return 0.5, self.scene.slip_radius
         return (self.width / 2 if self.momentum else self.step_length), 1.0 / self.width
 
     def progress(self) -> Progress:
         scene = self.scene
         if self.averaged:
             staggered = scene.impose_driving(self.fields.read("spin_sum") / self.averaged, self.spin_axes)
-            force = self.read_forces("force_sum") * (scene.normal_force / self.averaged)
+            force = self.read_forces("force_sum") * (scene.strength / self.averaged)
         else:
             staggered = scene.impose_driving(self.fields.read("spin" if self.momentum else "point"), self.spin_axes)
             force = self.forces_at(staggered, self.width)
         creep = RESOLVED_WIDTHS * (self.width if self.momentum else self.step_length) if scene.law.holds else 0.0
-        resolution = scene.lattice.radius * min(creep, LARGE_SLIP * scene.jump)  # no slip is told from rest below it
+        resolution = scene.slip_radius * min(creep, LARGE_SLIP * scene.jump)  # no slip is told from rest below it
         found = self.judged(staggered, force, iteration=self.iteration, resolution=resolution)
         if self.momentum:
             self._steer(staggered, found.objective, found.lower_bound)
@@ -182,7 +182,7 @@ class GradientDescentMethod(Method):
         shorten, smooth, scene = False, objective, self.scene
         if scene.law.holds:  # the smooth objective is less by at most width / 2 a contact and unit of force
             size = np.minimum(vector_length(self.differences(staggered)), self.width)
-            error = scene.lattice.radius * (size - size**2 / (2 * self.width))
+            error = scene.slip_radius * (size - size**2 / (2 * self.width))
             smooth = objective - (scene.strength * scene.acting_coefficient * error).sum(axis=1)
             shorten = self.width > self.least_width and bool((objective - smooth >= 0.5 * (objective - bound)).all())
         if shorten:

@@ -6,7 +6,6 @@ import numpy as np
 
 from taichi_bearings.fields import Fields, FieldSpec, block_size
 from taichi_bearings.kernels.stencil import Stencil
-from taichi_bearings.lattice.incidence import contact_differences, torques
 from taichi_bearings.lattice.layout import Layout
 from taichi_bearings.proof.certificate import Forces, largest_unbalanced_torque, lower_bound
 from taichi_bearings.scene import Progress, Scene, Solution
@@ -17,7 +16,7 @@ class Method:
     """One way to reach the state of least dissipation: its steps and what they mean, nothing else.
 
     A method never prints, times, opens a file or decides when to stop. options : the row of the table that it was built
-    from. What it asks of its contacts is answered here for lattices, for packings in solvers/network.py.
+    from. What it asks of its contacts is answered here for lattices, for packings in solvers/packings.py.
     """
 
     resumes: ClassVar[bool] = False
@@ -56,20 +55,20 @@ class Method:
 
     def differences(self, staggered: np.ndarray) -> np.ndarray:
         """(C, R, *N) -> (C, R, E); the slip over the radius."""
-        return contact_differences(staggered, self.scene.lattice, self.spin_axes)
+        return self.scene.differences(staggered, self.spin_axes)
 
     def pulls(self, force: np.ndarray) -> np.ndarray:
         """Sums of the contact forces (C, R, E) that pull on each sphere, (C, R, *N)."""
-        return torques(force, self.scene.lattice, self.spin_axes)
+        return self.scene.pulls(force, self.spin_axes)
 
     def absolute(self, staggered: np.ndarray) -> np.ndarray:
         """Staggered spins (C, R, *N) as they are in the laboratory, not measured from the bottom: for energies."""
-        return staggered + self.scene.driving.bottom_state(self.spin_axes)[0]
+        return self.scene.absolute(staggered, self.spin_axes)
 
     def with_viscosity(self, force: np.ndarray, difference: np.ndarray) -> np.ndarray:
         """Forces (C, R, E) and what the contacts resist beyond them at these differences (C, R, E), 1/time: their
         viscosity, or what a law of one's own says."""
-        law, radius = self.scene.law, self.scene.lattice.radius
+        law, radius = self.scene.law, self.scene.slip_radius
         slip = difference if law.is_sum else radius * vector_length(difference)
         resistance = law.resistance(self.scene.material, slip)
         return force if resistance is None else force + radius * resistance * difference

@@ -146,8 +146,8 @@ class Recorder:
         lengths = {len(values) for values in self._columns.values()}
         spins = (
             self._scene.replicas,
-            *self._scene.lattice.shape,
-            *(() if self._scene.lattice.dimension == 2 else (3,)),
+            *self._scene.network.shape,
+            *(() if self._scene.network.dimension == 2 else (3,)),
         )
         if lengths and (len(lengths) > 1 or 0 in lengths):
             raise ValueError("history has columns of different lengths, or empty ones")

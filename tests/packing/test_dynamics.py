@@ -10,7 +10,6 @@ from taichi_bearings.numerics.graphs import odd_pieces
 from taichi_bearings.packing.structure import structure_of
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import drive
-from taichi_bearings.solvers.network import Network
 from taichi_bearings.solvers.recording import Recording
 from taichi_bearings.solvers.stopping import StopRule
 from tests.packing.twins import pair, random_packing
@@ -163,11 +162,11 @@ def test_what_floats_keeps_its_momentum_and_what_touches_nothing_its_spin(needs_
 def test_the_bound_on_the_stiffest_mode_is_one(needs_f64):
     for seed in range(8):
         packing = random_packing(np.random.default_rng([7, seed]), 2 + seed % 2)
-        network, rng = Network(packing), np.random.default_rng(seed)
-        weight, inertia = rng.uniform(0.1, 2, len(network.acting)), 10 ** rng.uniform(-2, 1, packing.spheres)
-        free = np.repeat(~network.lattice.is_driven, network.components)
-        slips = network.matrix.toarray()[:, free] / np.sqrt(np.repeat(inertia, network.components)[free])
-        rows = np.tile(weight, len(network.across))[:, None]
+        network, rng = packing.as_stepped(np.zeros(1), np.zeros(1, dtype=bool)).network, np.random.default_rng(seed)
+        weight, inertia = rng.uniform(0.1, 2, network.contacts), 10 ** rng.uniform(-2, 1, packing.spheres)
+        free = np.repeat(network.free, network.components)
+        slips = network.whole.toarray()[:, free] / np.sqrt(np.repeat(inertia, network.components)[free])
+        rows = np.tile(weight, len(network.tangents))[:, None]
         largest = np.linalg.eigvalsh(slips.T @ (rows * slips)).max(initial=0.0)
         circles = np.abs(slips.T @ (rows * slips)).sum(axis=1).max(initial=0.0)
         bound = network.largest_eigenvalue(weight, inertia)

@@ -139,7 +139,7 @@ def test_where_no_slip_is_needed_power_bound_and_gap_are_0(name, method):
     found = tb.solve(packing, method=method)
     assert (found.power, found.lower_bound, found.gap, found.status) == (0.0, 0.0, 0.0, "certified")
     acts = (packing.driven[packing.contact] < 0).any(axis=1) & (packing.friction > 0)
-    assert packing.slips(found.spin)[acts].max() < 1e-15
+    assert packing.slip_speeds(found.spin)[acts].max() < 1e-15
     assert (found.state[acts] == 0).all()
     assert found.states_proven
     assert any("the least power is 0" in sentence for sentence in found.warnings)

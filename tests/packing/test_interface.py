@@ -56,7 +56,7 @@ def test_the_lightest_interface_of_a_packing_is_that_of_networkx(kind, cells, nu
     least = nx.minimum_cut_value(graph, "bottom", "top") / 2**80
     found = Interface.of(packing)
     assert found.power == pytest.approx(least, rel=1e-9)
-    slips = packing.slips(found.spins / np.reshape(packing.radius, (-1, 1)))
+    slips = packing.slip_speeds(found.spins / np.reshape(packing.radius, (-1, 1)))
     both = (packing.driven[packing.contact] >= 0).all(axis=1)
     spent = packing.friction * np.broadcast_to(packing.normal_force, packing.contacts) * slips
     assert spent[~both].sum() == pytest.approx(least, rel=1e-9)

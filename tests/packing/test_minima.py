@@ -10,7 +10,6 @@ from taichi_bearings.conic.contraction import order_by_place
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.numerics.double_double import exactly
 from taichi_bearings.packing import path, planar
-from taichi_bearings.packing.answer import spins_of
 from taichi_bearings.packing.path import oblique
 from taichi_bearings.packing.system import System
 from tests.packing.twins import clarabel_least, random_packing
@@ -300,6 +299,6 @@ def test_levels_of_mirror_images_are_those_of_all_cuts(seed, levels):
         cover.remove_nodes_from(["source", "sink"])
     middle = [(own[i, 1] - own[i, -1]) / 2 for i in range(packing.spheres)]
     found, _ = planar.least_power(system)[0]
-    spins = spins_of(packing, exactly(system.all_spins(found)))[0]
+    spins = packing.spins_of(exactly(system.all_spins(found)))[0]
     assert spins.tolist() == pytest.approx(middle, abs=1e-15)
     assert (planar.least_spins(system) == found).all()

@@ -59,9 +59,9 @@ def test_a_film_of_a_packing_shows_its_snapshots(tmp_path):
     assert report["frames"] == len(other.snapshots.time) == 3
     for seed, found in enumerate((one, other)):
         assert np.abs(found.snapshots.spin[-1] - found.spin).max() < 1e-12
-        assert found.packing.slips(found.spin) == pytest.approx(found.slip, abs=1e-15)
+        assert found.packing.slip_speeds(found.spin) == pytest.approx(found.slip, abs=1e-15)
         title = " ".join(found.plot("spins", time=0.0).get_suptitle().split())
-        slips = found.packing.slips(found.snapshots.spin[0])[found.state != 3] > 1e-3 * 0.5  # of R omega_T
+        slips = found.packing.slip_speeds(found.snapshots.spin[0])[found.state != 3] > 1e-3 * 0.5  # of R omega_T
         assert title.endswith(f", $t = 0$ {slips.sum()} of {len(slips)} contacts slip, in black"), seed
     with Image.open(tmp_path / "a.gif") as film:
         frames = [np.asarray(film.convert("RGB"), dtype=float) for n in range(3) if film.seek(n) is None]
