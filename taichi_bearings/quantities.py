@@ -9,14 +9,16 @@ a new quantity is a row here and nothing else. Tables by where a quantity lives:
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from taichi_bearings.proof.contact_state import ContactState, Separation, counts, separate
 from taichi_bearings.scene import Solution, Status
-from taichi_bearings.scene.network import Network
 from taichi_bearings.version import VERSION
+
+if TYPE_CHECKING:
+    from taichi_bearings.scene.network import Network
 
 
 @dataclass(frozen=True)
@@ -98,7 +100,7 @@ def _of_lattice(of: Callable[[Any], Any], otherwise: Callable[[Any], Any] = lamb
     return lambda answered: (otherwise if answered.scene.network.lattice is None else of)(answered)
 
 
-def _of_packing(of: Callable[[Network], Any]) -> Callable[[Any], Any]:
+def _of_packing(of: Callable[["Network"], Any]) -> Callable[[Any], Any]:
     """What is asked of the network of an Answered; None of lattices."""
     return _of_lattice(lambda _: None, lambda answered: of(answered.scene.network))
 

@@ -6,14 +6,16 @@ it lies in arrays. What is behind the doors takes a `Bearing` and asks it, never
 Letters: R samples, N spheres, E contacts, C spin components.
 """
 
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
 from taichi_bearings.numerics.double_double import Pair
 from taichi_bearings.read_only import cached_read_only
 from taichi_bearings.scene.law import Coefficients, Law
-from taichi_bearings.scene.network import Network
+
+if TYPE_CHECKING:
+    from taichi_bearings.scene.network import Network
 
 Kind = TypeVar("Kind", bound="Bearing")
 LENGTHS_IN_CACHE = 16_384  # vectors of which the second cache of a processor holds all that is made of them
@@ -31,7 +33,7 @@ class Bearing:
     normal_force: float | np.ndarray
 
     @property
-    def network(self) -> Network:
+    def network(self) -> "Network":
         """Who touches whom."""
         raise NotImplementedError
 

@@ -160,12 +160,14 @@ class Network:
     def differences(self, u: np.ndarray) -> np.ndarray:
         """y = K u, (d, R, E), of u = R omega (C, R, N)."""
         columns = np.moveaxis(u, 2, 0).reshape(-1, u.shape[1])
-        return (self.whole @ columns).reshape(-1, self.contacts, u.shape[1]).transpose(0, 2, 1)
+        shape = self.dimension - 1, self.contacts, u.shape[1]
+        return (self.whole @ columns).reshape(shape).transpose(0, 2, 1)
 
     def torques(self, force: np.ndarray) -> np.ndarray:
         """sum T^T f, (C, R, N), of forces (d, R, E) along the tangents; over the radius."""
         columns = np.moveaxis(force, 1, 2).reshape(-1, force.shape[1])
-        return (self.whole_transposed @ columns).reshape(self.spheres, self.components, -1).transpose(1, 2, 0)
+        shape = self.spheres, self.components, force.shape[1]
+        return (self.whole_transposed @ columns).reshape(shape).transpose(1, 2, 0)
 
     def largest_eigenvalue(self, weight: np.ndarray, inertia: np.ndarray) -> float:
         """No eigenvalue of M^-1 K^T W K over the free spheres is larger. weight : W, (E,). inertia : M, (N,).
