@@ -13,7 +13,6 @@ from taichi_bearings.packing.path import oblique
 from taichi_bearings.packing.rolling import rolled
 from taichi_bearings.packing.system import Found, System
 from taichi_bearings.proof.judgement import Judgement
-from taichi_bearings.proof.network import StoredPacking
 
 
 class PackingBounds:
@@ -74,7 +73,7 @@ class PackingBounds:
         """What these forces (d, A) prove, beside spins (C, 1, N); energy/time."""
         packing, friction = self.packing, forces_of(self.system, force)[1]
         spin = packing.spins_of(exactly(spins[:, 0].T))
-        judgement = Judgement(StoredPacking(packing.law.name, packing.arrays(), *spin, friction))
+        judgement = Judgement(packing, *spin, friction)
         return float(judgement.lower_bound[0]) if judgement.can_be_judged else 0.0
 
     def _balanced(self, force: np.ndarray) -> np.ndarray:
