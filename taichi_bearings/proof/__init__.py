@@ -40,7 +40,7 @@ The theorems
    minimum of (P). [curvature.py for normals along the axes, oblique.py and exact_motions.py for others; floors of
    curvatures by elimination.py, with Higham's bound on the error of a factorisation]
 8. Parts at rest. Contacts that can all rest, and can bear what optimal friction elsewhere leaves to them, rest at every
-   minimum. [resting.py]
+   minimum. [resting.py; loops.py and borne.py where loops beside them cannot roll as their normals are rounded]
 9. Ties. Where frictions cancel exactly, the minima are a polyhedron of motions y with t + y_b - y_a >= 0; its shortest
    paths say which slips are 0 at some minima alone: such contacts are *tied*. [ties.py]
 
