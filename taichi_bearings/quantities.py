@@ -223,7 +223,7 @@ SAMPLES = _named(
         Quantity("power_normalised", "1", "power / (normal_force radius |spin_top|)",
                  _of_lattice(lambda a: a.power_normalised), r"P\,/\,(F_n R\,\omega_T)"),
         Quantity("minimum_is_unique", "1", "no other slips have the least power, proven either way",
-                 _of_lattice(lambda a: a.solution.minimum_is_unique)),
+                 lambda a: a.solution.minimum_is_unique),
         Quantity("time", "time", "simulated time", lambda a: a.at_end("time")),
         Quantity("duration", "time", "simulated time that was asked for",
                  lambda a: a.duration if "time" in a.solution.history else None),

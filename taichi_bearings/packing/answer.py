@@ -16,6 +16,7 @@ from taichi_bearings.packing.system import Found, System
 from taichi_bearings.proof.contact_state import SATURATED, decided
 from taichi_bearings.proof.judgement import Judgement
 from taichi_bearings.scene import Bearing, Solution, Status
+from taichi_bearings.scene.solution import DRIVEN, SLIPLESS, SLIPPING, UNDECIDED
 from taichi_bearings.stages import stage
 from taichi_bearings.words import shown
 
@@ -25,8 +26,6 @@ ENOUGH_FRICTION = 1e3  # of the power over the fastest driven surface
 MOST_CAPS, LESS_POWER = 12, 0.5  # times that friction is cut off; share of the power to which that has to bring it
 AT_REST = 1e-9  # of the fastest imposed surface, up to which a slip may well be none
 MOVED = 1e-7  # of a slip that a motion makes
-
-SLIPLESS, SLIPPING, UNDECIDED, DRIVEN = range(4)
 
 
 def solve_packing(packing: Bearing, tolerance: float = 1e-8, method: str = "auto") -> Solution:
@@ -142,7 +141,7 @@ def judged(system: System, found: Found, tolerance: float, moves: bool = False) 
     spin, rounding = judgement.spin, judgement.spin_rounding
     force, friction = forces_of(system, np.nan_to_num(found.force, posinf=0.0, neginf=0.0))
     slip, told = judgement.slip, np.where(judgement.acts, _states(system, found, judgement), DRIVEN)
-    state, proven = decided(told, judgement.states[0].proven[None])
+    state, proven = decided(told, judgement.known)
     return Solution(
         scene=packing,
         method=found.method,
@@ -213,7 +212,7 @@ def _states(system: System, found: Found, judgement: Judgement) -> np.ndarray:
     own = np.where(~found.slips & (margin > SURE_MARGIN), SLIPLESS, np.where(slips, SLIPPING, UNDECIDED))
     if found.open is not None:
         own[found.open] = UNDECIDED
-    unproven = judgement.states[0].proven[system.contact] == UNDECIDED
+    unproven = judgement.known[0, system.contact] == UNDECIDED
     if not law.flows and (unproven & (own == SLIPPING)).any():
         own[tied(system, found.force, own) if found.ties is None else found.ties] = UNDECIDED
     state[system.contact] = own

@@ -180,18 +180,6 @@ class Grid:
         """(R, *N), views of (n,)."""
         return Enclosure(*(self.on_spheres(part) for part in values.parts))
 
-    @cached_property
-    def widths(self) -> np.ndarray:
-        """(m,), sizes of the largest slips at spins between those of the planes; rounded, but each part of it is up."""
-        found = np.zeros(self.contacts)
-        for axis, whole in enumerate(self.by_axis(found)):
-            for k in (self.samples.components[slot] for slot in self.felt(axis)):
-                square, along = self.samples.jump[k].most ** 2, [1] * self.samples.lattice.dimension
-                if len(square) > 1:
-                    along[k] = len(square)
-                whole += square.reshape(along)
-        return np.sqrt(found)
-
     def lengths(self, parts: list[Enclosure]) -> Enclosure:
         """(m,), of vectors across contacts given by component."""
         found = nothing(self.contacts)

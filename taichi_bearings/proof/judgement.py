@@ -9,11 +9,11 @@ import numpy as np
 
 from taichi_bearings.proof.bounds import PROVEN, Bounds
 from taichi_bearings.proof.network import Network
-from taichi_bearings.proof.samples import SLIPLESS
 from taichi_bearings.proof.states import STILL, States, proven_states
 from taichi_bearings.proof.without_slip import exists_without_slip
 from taichi_bearings.scene import Bearing
 from taichi_bearings.scene.law import Law
+from taichi_bearings.scene.solution import SLIPLESS
 
 NORMAL_ROUNDING = 1e-12  # of the friction, along a normal of a packing
 
@@ -143,6 +143,11 @@ class Judgement:
             return [none] * self.network.count
         found = proven_states(self.bounds)
         return [none if at_rest else states for at_rest, states in zip(slipless, found, strict=True)]
+
+    @property
+    def known(self) -> np.ndarray:
+        """(R, E), the states that are proven of all minima, UNDECIDED where nothing is."""
+        return np.stack([of.known for of in self.states])
 
     def _reported(self, values: np.ndarray, towards: float) -> np.ndarray:
         """Bounds of the potential, as what is least at rest in energy/time, rounded that way."""

@@ -47,9 +47,9 @@ from taichi_bearings.proof.elimination import EPS
 from taichi_bearings.proof.enclosure import UP, Enclosure, joined
 from taichi_bearings.proof.network import Motion, Network, moments
 from taichi_bearings.proof.resting import at_rest
-from taichi_bearings.proof.samples import DRIVEN_STATE, SLIPLESS, SLIPPING, TIED, UNPROVEN
 from taichi_bearings.proof.springs import slip_rows, weighed
 from taichi_bearings.proof.ties import MISSED_LIMIT, tied_states
+from taichi_bearings.scene.solution import SLIPLESS, SLIPPING, TIED, UNDECIDED
 
 PROVEN_AT_ONCE = 200_000  # spheres of the samples that are proven at once, at most
 NEARLY_LEAST = 1e-9  # of the power, that the bounds leave open, up to which cuts are counted in whole numbers
@@ -64,18 +64,13 @@ PASSES = 2
 
 @dataclass(frozen=True)
 class States:
-    """Of one sample. proven : (E,) of UNPROVEN, SLIPLESS (slips at no minimum), SLIPPING (slips at every one) or TIED
-    (slips at some, rests at others). unique : is there only one minimum? None if that is not known. reason : why not
-    all is proven, or "".
+    """Of one sample. known : (E,), the states that are proven of all minima, UNDECIDED where nothing is. unique : True
+    if there is only one minimum, None if that is not known. reason : why not all is proven, or "".
     """
 
-    proven: np.ndarray
+    known: np.ndarray
     unique: bool | None
     reason: str = ""
-
-    def agree(self, claimed: np.ndarray) -> bool:
-        """True if the state of each contact is proven, as claimed: (E,), 3 takes no part."""
-        return bool((((self.proven == claimed) & (self.proven != UNPROVEN)) | (claimed == DRIVEN_STATE)).all())
 
 
 @np.errstate(all="ignore")  # what is not finite proves nothing
@@ -103,9 +98,9 @@ def proven_states(bounds: Bounds) -> list[States]:
         found = _by_cuts(bounds, network.needed[0]) if len(network.needed) == 1 else _by_curvature(network)
     told = []
     for states, rest, acts in zip(found, *(v.reshape(network.count, -1) for v in (rests, network.acts)), strict=True):
-        proven = states.proven if lattice else np.where(rest, SLIPLESS, states.proven)
-        open_ = bool((acts & (proven == UNPROVEN)).any())
-        told.append(States(proven, states.unique if lattice else None, states.reason if open_ else ""))
+        known = states.known if lattice else np.where(rest, SLIPLESS, states.known)
+        open_ = bool((acts & (known == UNDECIDED)).any())
+        told.append(States(known, states.unique if lattice else None, states.reason if open_ else ""))
     return told
 
 
@@ -132,19 +127,19 @@ def _enclosed(network: Network, near: tuple[np.ndarray, np.ndarray]) -> list[Sta
     """States by the mask S and the distances of :func:`enclosed_minimum`."""
     slides, far = near
     known = (network.holding.high > 0) | (network.slip.least > far)
-    slips = np.where(known, SLIPPING, UNPROVEN)
+    slips = np.where(known, SLIPPING, UNDECIDED)
     return _samples(network, np.where(slides & network.counts, slips, SLIPLESS), "slips are small", None)
 
 
 def _nothing(network: Network, reason: str) -> list[States]:
-    return _samples(network, np.full(len(network.acts), UNPROVEN), reason, None)
+    return _samples(network, np.full(len(network.acts), UNDECIDED), reason, None)
 
 
 def _apart(network: Network, far: np.ndarray) -> np.ndarray:
     """States (m,), SLIPPING of what slips further than `far` (m,), by which slips of minima differ at most from the
     given ones."""
     slips = network.counts & (network.slip.least > far)
-    return np.where(slips, SLIPPING, np.where(network.acts, UNPROVEN, SLIPLESS))
+    return np.where(slips, SLIPPING, np.where(network.acts, UNDECIDED, SLIPLESS))
 
 
 def _by_cuts(bounds: Bounds, k: int) -> list[States]:
@@ -202,14 +197,14 @@ def _by_cuts(bounds: Bounds, k: int) -> list[States]:
         slips |= apart
         open_ = open_ + np.where(alike, 0.0, most[label[low]])
     slips, tied, open_ = slips[: len(own)], tied[: len(own)], open_[: len(own)]
-    states = np.where(network.acts & network.counts & network.feels[k], UNPROVEN, SLIPLESS)
-    states[own] = np.select([slips, tied, open_ == 0], [SLIPPING, TIED, SLIPLESS], UNPROVEN)
+    states = np.where(network.acts & network.counts & network.feels[k], UNDECIDED, SLIPLESS)
+    states[own] = np.select([slips, tied, open_ == 0], [SLIPPING, TIED, SLIPLESS], UNDECIDED)
     return [States(of, _is_one(of), "cuts (nearly) tie") for of in states.reshape(network.count, -1)]
 
 
 def _is_one(states: np.ndarray) -> bool | None:
     """Is there only one minimum, by the states (E,) of all contacts? None if that is not known."""
-    return False if (states == TIED).any() else None if (states == UNPROVEN).any() else True
+    return False if (states == TIED).any() else None if (states == UNDECIDED).any() else True
 
 
 def _in_whole_numbers(
@@ -300,14 +295,14 @@ def _with_damping(bounds: Bounds, known: list[States]) -> list[States]:
     return told
 
 
-def _with_parts_at_rest(bounds: Bounds, far: np.ndarray, known: States) -> States:
+def _with_parts_at_rest(bounds: Bounds, far: np.ndarray, told: States) -> States:
     """What is known of a packing, and the contacts that resting.py proves to rest. far : (E,), how far slips of minima
     are from the given ones at most."""
     network = bounds.network
-    if not network.holds or not (network.counts & (known.proven == UNPROVEN)).any():
-        return known
+    if not network.holds or not (network.counts & (told.known == UNDECIDED)).any():
+        return told
     rests = _beside_loops(bounds, far) if network.mixes else at_rest(bounds, far)
-    return replace(known, proven=np.where(rests, SLIPLESS, known.proven))
+    return replace(told, known=np.where(rests, SLIPLESS, told.known))
 
 
 def _by_domains(network: Network, rests: np.ndarray) -> np.ndarray | str:

@@ -36,7 +36,7 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 from taichi_bearings.proof.curvature import Slipping, bearable, nearest_minimum, rises
 from taichi_bearings.proof.enclosure import UP, Enclosure
 from taichi_bearings.proof.network import Motion, Network
-from taichi_bearings.proof.samples import SLIPLESS, SLIPPING, TIED, UNPROVEN
+from taichi_bearings.scene.solution import SLIPLESS, SLIPPING, TIED, UNDECIDED
 
 MISSED_LIMIT = 1e-6  # share of the friction by which a contact at its limit may miss it
 # share of the friction across a component that may be none, where a limit is missed by that much
@@ -394,15 +394,15 @@ def _named(
     least = np.append(contacts.size.least * (1 - turn) / PATH_ROUNDING, np.zeros(rest))
     most = np.append(contacts.size.most * (1 + turn) * PATH_ROUNDING, np.zeros(rest))
     state = np.where(pulls.slips, SLIPPING, SLIPLESS)
-    state[between.unclear] = UNPROVEN
+    state[between.unclear] = UNDECIDED
     for line in _lines(pulls):
         rests, always, some = line.limits(least[line.own], most[line.own])
-        known = np.where(rests & some, TIED, np.where(always, SLIPPING, np.where(rests, SLIPLESS, UNPROVEN)))
+        known = np.where(rests & some, TIED, np.where(always, SLIPPING, np.where(rests, SLIPLESS, UNDECIDED)))
         unclear = line.with_others(between.unclear[line.own])
-        state[line.own] = np.where(unclear & (known != TIED), UNPROVEN, known)
+        state[line.own] = np.where(unclear & (known != TIED), UNDECIDED, known)
     found = np.full(count, SLIPLESS)
     found[pulls.own] = state
-    tied, unproven = (found == TIED).any(), (found == UNPROVEN).any()
+    tied, unproven = (found == TIED).any(), (found == UNDECIDED).any()
     return found, False if tied else True if not moves or not unproven else None
 
 

@@ -22,10 +22,9 @@ import numpy as np
 
 from taichi_bearings.errors import FileError
 from taichi_bearings.numerics.blas import one_thread
-from taichi_bearings.proof.contact_state import ContactState, are_proven
+from taichi_bearings.proof.contact_state import are_proven
 from taichi_bearings.proof.elimination import EPS
 from taichi_bearings.proof.judgement import Judgement
-from taichi_bearings.proof.samples import SLIPLESS, SLIPPING, TIED, UNPROVEN
 from taichi_bearings.quantities import CONTACTS, Answered, found_in, numbers_of, plain
 from taichi_bearings.runs.run_file import file_of, read_claims
 from taichi_bearings.runs.solved import Run
@@ -34,6 +33,7 @@ from taichi_bearings.scene import Bearing, Scene, Solution, Status
 from taichi_bearings.scene.disorder import Distribution, draw_coefficients
 from taichi_bearings.scene.law import LAWS
 from taichi_bearings.scene.scene import of_lattice
+from taichi_bearings.scene.solution import DRIVEN, SLIPLESS, SLIPPING, TIED, UNDECIDED
 from taichi_bearings.solvers.answer import judged
 from taichi_bearings.stages import stage
 from taichi_bearings.words import shown
@@ -49,7 +49,7 @@ OUTWARDS = {
 """Numbers that are bounds, or follow from them: on which side of the true ones rounding may have put them."""
 OF_FILE = {"version"}  # numbers that are those of the program, not of the answer
 TORQUE_COST = 1e-12  # of the power, that torques left over may cost where friction counts as balanced
-PROVEN_STATES = {"slipless": SLIPLESS, "slipping": SLIPPING, "tied": TIED, "unproven": UNPROVEN}
+PROVEN_STATES = {"slipless": SLIPLESS, "slipping": SLIPPING, "tied": TIED, "unproven": UNDECIDED}
 OF_STATES = {"contacts", "slipping", "slipless", "undecided", "unproven", "states_proven", "minimum_is_unique"}
 """Numbers that say something else in files of layout 1, whose codes are translated when they are read."""
 UNJUDGED = "a number is not finite, or the scales of the scene are too far from one for any arithmetic"
@@ -126,9 +126,8 @@ class Anew:
 
     @cached_property
     def known(self) -> np.ndarray:
-        """(R, E), the states that are proven of all minima; ContactState.DRIVEN where a contact takes no part."""
-        states = np.stack([states.proven for one in self.judgements for states in one.states])
-        return np.where(self.of("acts"), states, ContactState.DRIVEN)
+        """(R, E), the states that are proven of all minima; DRIVEN where a contact takes no part."""
+        return np.where(self.of("acts"), self.of("known"), DRIVEN)
 
     @cached_property
     def solution(self) -> Solution:
@@ -182,7 +181,7 @@ class Anew:
             "balanced": (self.of("price") <= TORQUE_COST).tolist(),
             "inside_discs": np.concatenate([one.bounds.worst <= most for one in self.judgements]).tolist(),
             "states_proven": [
-                {name: int(((s.proven == kind) & acts).sum()) for name, kind in PROVEN_STATES.items()}
+                {name: int(((s.known == kind) & acts).sum()) for name, kind in PROVEN_STATES.items()}
                 for s, acts in zip(states, self.of("acts"), strict=True)
             ],
             "minimum_is_unique": [s.unique for s in states],
@@ -191,7 +190,7 @@ class Anew:
 
     @property
     def _nothing(self) -> dict[str, Any]:
-        acts = (self.run.solution.state != ContactState.DRIVEN).sum(axis=1).tolist()
+        acts = (self.run.solution.state != DRIVEN).sum(axis=1).tolist()
         open_ = dict.fromkeys(("power", "upper_bound", "lower_bound", "gap", "largest_balance_residual"))
         return {name: [None] * len(acts) for name in (*open_, "minimum_is_unique")} | {
             "balanced": [False] * len(acts),
@@ -220,9 +219,9 @@ class Anew:
         stored, new = self.run.solution, dict(found_in(self.solution, HELD))
         wrong = {f"another {row.text} than spins and coefficients give": _differ(row.of(stored), value)
                  for row, value in new.items()}  # fmt: skip
-        driven = self.known == ContactState.DRIVEN
+        driven = self.known == DRIVEN
         wrong["states that do not name those between driven spheres and those absent"] = driven != (
-            stored.state == ContactState.DRIVEN
+            stored.state == DRIVEN
         )
         wrong["a state that is said to be proven and is not"] = stored.proven & (stored.state != self.known)
         for what, mask in wrong.items():

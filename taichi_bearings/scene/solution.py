@@ -49,6 +49,9 @@ class ContactState(IntEnum):
     TIED = 4  # it slips at some minima and rests at others; only what is proven is called so
 
 
+SLIPLESS, SLIPPING, UNDECIDED, DRIVEN, TIED = ContactState
+
+
 @dataclass(frozen=True)
 class Energy:
     """Energy balance of a dynamics since its start, (R,) each, energy. Every account is kept from its own data.
@@ -96,7 +99,7 @@ class Progress:
     largest_balance_residual : (R,), largest torque that is left on a free sphere, force * length.
     at_rest : a dynamics has come to rest.
     exhausted : going on brings it no closer in its precision. halted : a dynamics cannot make another step.
-    state : contact states (R, E) that the method itself has established, else None.
+    state : contact states (R, E) that the method itself has established, else None; TIED is its belief.
     slip : slip speeds (R, E) where they are more precise than those of the spins, else None.
     settled : (R,), True where the states are final. states_believed : (R,), where the method takes them for those of
         every minimum; whether they are is for the judgement to prove.
@@ -240,11 +243,14 @@ class Solution:
 
     @property
     def minimum_is_unique(self) -> list[bool | None]:
-        """(R,), True where it is proven that no other slips have the least power, False that others do, else None."""
+        """(R,), True where it is proven that no other slips have the least power, False that others do, else None.
+
+        Of packings True is never said: where several values are imposed, contacts that slip at every minimum may do so
+        by several speeds.
+        """
         tied = (self.state == ContactState.TIED).any(axis=1)
-        return [
-            False if ties else True if known else None for ties, known in zip(tied, self.states_proven, strict=True)
-        ]
+        proven = self.states_proven & (self.scene.network.lattice is not None)
+        return [False if ties else True if known else None for ties, known in zip(tied, proven, strict=True)]
 
     def sample(self, number: int) -> "Solution":
         """One replica of it as if it had been solved alone; its seconds are its share where its own are not known."""

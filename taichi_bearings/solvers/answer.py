@@ -1,4 +1,4 @@
-"""What a solve amounts to: of the best state and the best forces, what the verifier proves of both."""
+"""What a solve amounts to: of the best state and the best forces, what is proven of both."""
 
 from dataclasses import replace
 
@@ -51,7 +51,7 @@ def answered(
     per_contact = scene.law.power(scene.material, slip)
     objective, residual = final.objective, final.largest_balance_residual
     power = objective if scene.law.minimises == "power" else per_contact.sum(axis=1)
-    if judgement is None:  # the bounds of a law that is not known to the verifier are the method's word
+    if judgement is None:  # the bounds of a law that is not known to the proofs are the method's word
         bound = np.zeros_like(bound) if scene.law.is_sum else bound
         gap = relative_gap(scene, objective, bound)
     else:  # what the answer proves is what is reported
@@ -139,7 +139,7 @@ def _known_at_once(judgement: Judgement | None, is_dynamics: bool) -> np.ndarray
     """
     if judgement is None or not (judgement.flows or (len(judgement.network.needed) < 2 and not is_dynamics)):
         return None
-    return np.stack([found.proven for found in judgement.states])
+    return judgement.known
 
 
 def _states(scene: Scene, slip: np.ndarray, final: Progress, threshold: float, asked: bool) -> np.ndarray:
@@ -222,6 +222,6 @@ def known_states(scene: Scene, final: Progress, judgement: Judgement | None, has
         return None
     with one_thread():
         if asked.all():
-            return np.stack([found.proven for found in judgement.states])
+            return judgement.known
         open_ = np.full(scene.coefficient.shape[1], ContactState.UNDECIDED)
-        return np.stack([judgement.one(n).states[0].proven if asks else open_ for n, asks in enumerate(asked)])
+        return np.stack([judgement.one(n).known[0] if asks else open_ for n, asks in enumerate(asked)])

@@ -12,13 +12,14 @@ from taichi_bearings.fields.lists import Lists, ListSpec
 from taichi_bearings.kernels.contact_list import CundallStrackLists, DescentLists
 from taichi_bearings.kernels.team import Team, made_once
 from taichi_bearings.numerics.blas import one_thread
-from taichi_bearings.packing.answer import SLIPLESS, SLIPPING, UNDECIDED, judged
+from taichi_bearings.packing.answer import judged
 from taichi_bearings.packing.packing import Packing
 from taichi_bearings.packing.starts import start_of
 from taichi_bearings.packing.system import Found
 from taichi_bearings.proof.contact_state import classify, decided, what_is_proven
 from taichi_bearings.scene import Bearing, Progress, Solution, Status
 from taichi_bearings.scene.scene import vector_length
+from taichi_bearings.scene.solution import SLIPLESS, SLIPPING, UNDECIDED
 from taichi_bearings.solvers.cundall_strack import CundallStrackMethod, largest_step
 from taichi_bearings.solvers.drive import Checkpoints, Monitor, solve
 from taichi_bearings.solvers.gradient_descent import GradientDescentMethod

@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 
 from taichi_bearings.errors import InputError
 from taichi_bearings.proof.contact_state import ContactState
-from taichi_bearings.proof.samples import UNPROVEN
 from taichi_bearings.runs.run import run, write_state
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.runs.verify import verify
@@ -135,8 +134,8 @@ def test_states_that_are_proven_are_those_that_are_said(needs_f64):
         scene = make_scene((4, 5), seeds=(seed,), distribution="power-law:1e-15,1e15,-1")
         answer = solve(scene, METHODS["interior-point"]().build(), initial_spin(scene, "linear"))
         states = judged(scene, answer.spin, answer.spin_rounding, answer.friction).states[0]
-        said, proven = answer.state[0], states.proven
-        known = (proven != UNPROVEN) & (said != ContactState.DRIVEN)
+        said, proven = answer.state[0], states.known
+        known = (proven != ContactState.UNDECIDED) & (said != ContactState.DRIVEN)
         assert (said[known] == proven[known]).all()
         corrected += known.sum()
     assert corrected > 50

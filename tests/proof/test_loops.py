@@ -45,7 +45,7 @@ def cut_out(found, contact, count, rng):
 
 
 def proven_of(found, spin, rounding, friction):
-    return Judgement(found.packing, spin, rounding, friction).states[0].proven
+    return Judgement(found.packing, spin, rounding, friction).states[0].known
 
 
 @pytest.mark.parametrize(("count", "seed"), [(100, 1), (300, 3), pytest.param(300, 10, marks=pytest.mark.thorough)])

@@ -185,7 +185,7 @@ def test_rest_is_not_proven_where_a_normal_is_off_by_its_last_digit(kind):
         normal = found.packing.normal.copy()
         normal[contact] = np.nextafter(normal[contact], [1, -1, 1])
         packing = tb.Packing(**found.packing.arrays() | {"normal": normal})
-        proven = Judgement(packing, found.spin, found.spin_rounding, found.friction).states[0].proven
+        proven = Judgement(packing, found.spin, found.spin_rounding, found.friction).states[0].known
         if not (proven[found.state != 3] == 2).any():  # this one closes no loop, or is in one that stands still
             assert surplus_and_rest(packing, proven == 0)[1]
             proofs += 1
@@ -199,7 +199,7 @@ def test_minima_are_not_enclosed_where_normals_are_longer_than_units():
     network = replace(packing.network, normal=(1 + 1e-7) * packing.network.normal)
     longer = copy(packing)
     vars(longer)["network"] = network
-    proven = Judgement(longer, found.spin, found.spin_rounding, found.friction).states[0].proven
+    proven = Judgement(longer, found.spin, found.spin_rounding, found.friction).states[0].known
     assert (proven[(found.state == 0) & (found.force > 0)] == 2).all()
 
 
@@ -215,7 +215,7 @@ def test_all_states_of_oblique_contacts_are_proven_and_no_false_ones(kind):
     for size in sizes:
         spin = found.spin + size * free[:, None] * rng.standard_normal(found.spin.shape)
         friction = found.friction * (1 + size * rng.standard_normal(len(found.slip)))[:, None]
-        proven = Judgement(packing, spin, np.zeros_like(spin), friction).states[0].proven
+        proven = Judgement(packing, spin, np.zeros_like(spin), friction).states[0].known
         acts = found.state != 3
         assert ((proven == found.state) | (proven == 2))[acts].all()
         proofs += not (proven[acts] == 2).any()
@@ -224,7 +224,7 @@ def test_all_states_of_oblique_contacts_are_proven_and_no_false_ones(kind):
     weak = packing.friction.copy()
     weak[rests[0]] = 0.99 * found.force[rests[0]] / np.broadcast_to(packing.normal_force, weak.shape)[rests[0]]
     weaker = tb.Packing(**packing.arrays() | {"friction": weak}, law=packing.law)
-    proven = Judgement(weaker, found.spin, found.spin_rounding, found.friction).states[0].proven
+    proven = Judgement(weaker, found.spin, found.spin_rounding, found.friction).states[0].known
     assert proven[rests[0]] == 2
 
 
@@ -392,7 +392,7 @@ def test_what_poor_answers_prove_is_true_of_a_good_one(seed):
     unit = np.abs(packing.driven_speed).max()
     assert judged.lower_bound <= found.potential * (1 + 1e-12)
     assert judged.upper_bound >= found.lower_bound
-    acts, known = found.state != 3, judged.states[0].proven
+    acts, known = found.state != 3, judged.states[0].known
     assert (found.slip[acts & (known == 0)] <= 1e-12 * unit).all()
     assert (found.slip[acts & (known == 1)] > 0).all()
     assert not ((known == 1) & (found.state == 0) & found.proven).any()

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from taichi_bearings.errors import FileError
-from taichi_bearings.proof.samples import SLIPLESS, SLIPPING, TIED, UNPROVEN
 from taichi_bearings.runs.verify import verify
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.initial_spins import initial_spin
+from taichi_bearings.scene.solution import SLIPLESS, SLIPPING, TIED, UNDECIDED
 from taichi_bearings.solvers import METHODS
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
@@ -83,8 +83,8 @@ def sample(shape, sides, options, seed=5):
 def kinds(samples):
     """Numbers of slipless, slipping, tied and unproven contacts."""
     judgement = samples.judgement
-    proven = judgement.states[0].proven[judgement.acts[0]]
-    return [int((proven == what).sum()) for what in (SLIPLESS, SLIPPING, TIED, UNPROVEN)]
+    proven = judgement.states[0].known[judgement.acts[0]]
+    return [int((proven == what).sum()) for what in (SLIPLESS, SLIPPING, TIED, UNDECIDED)]
 
 
 @pytest.mark.parametrize("size", [0.0, 0.1])
@@ -114,7 +114,7 @@ def assert_states_of_cone_programme(scene, samples):
     least = truth.objective * (1 if scene.law.holds else 2)
     assert judgement.lower_bound[0] == pytest.approx(least, rel=1e-8)
     small = 1e-5 * samples.radius * samples.jump_size
-    proven = by_axis(samples, judgement.states[0].proven)
+    proven = by_axis(samples, judgement.states[0].known)
     for (site, axis), slip in truth.slip.items():
         if not samples.coefficient[axis][(0, *site)]:  # an absent contact
             continue
@@ -196,7 +196,7 @@ def test_states_are_those_of_all_lightest_cuts(shape, sides, options, values, th
             slips = least in (least_cut(contacts, ("bottom", x), (y, "top")) for x, y in ((a, b), (b, a)))
             rests = least == least_cut(contacts, (a, b), (b, a))
             expected = TIED if slips and rests else SLIPPING if slips else SLIPLESS
-            assert by_axis(samples, judgement.states[0].proven)[axis][lower] == expected
+            assert by_axis(samples, judgement.states[0].known)[axis][lower] == expected
 
 
 PERIODIC = {

@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 from taichi_bearings_studies.stress import truth
 
-from taichi_bearings.proof.contact_state import ContactState
-from taichi_bearings.proof.samples import SLIPLESS, SLIPPING, TIED, UNPROVEN
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.initial_spins import initial_spin
+from taichi_bearings.scene.solution import SLIPLESS, SLIPPING, TIED, UNDECIDED
 from taichi_bearings.solvers import METHODS
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
 from tests.proof.laboratory import by_axis
 from tests.proof.samples import Samples, samples_of
 from tests.scenes import make_scene
-from tests.stress.minima import DRIVEN, EITHER, least_of_all
+from tests.stress import minima
+from tests.stress.minima import EITHER, least_of_all
 
 pytestmark = pytest.mark.usefixtures("needs_f64", "taichi_runtime")
 
@@ -61,13 +61,13 @@ def test_no_state_is_proven_that_is_not_so(shape, options, method, wanted):
     solution = minimum(shape, options, method)
     scene, states = solution.scene, samples_of(solution).judgement.states[0]
     exact = least_of_all(scene)
-    for proven, found in zip(scene.lattice.by_axis(states.proven), exact.state, strict=True):
+    for proven, found in zip(scene.lattice.by_axis(states.known), exact.state, strict=True):
         assert (found[proven == SLIPPING] == truth.SLIPPING).all()
-        assert np.isin(found[proven == SLIPLESS], (truth.SLIPLESS, DRIVEN)).all()
+        assert np.isin(found[proven == SLIPLESS], (truth.SLIPLESS, minima.DRIVEN)).all()
         assert (found[proven == TIED] == EITHER).all()
-    everything = (states.proven != UNPROVEN).all()
+    everything = (states.known != UNDECIDED).all()
     assert everything == wanted if wanted is not None else True
-    assert states.unique is (False if (states.proven == TIED).any() else True if everything else None)
+    assert states.unique is (False if (states.known == TIED).any() else True if everything else None)
     assert bool(solution.states_proven[0]) == everything
     assert Decimal(float(solution.lower_bound[0])) <= exact.upper
     assert float(exact.lower) <= float(solution.power[0]) * (1 + 3e-16)
@@ -91,11 +91,11 @@ DAMPED = [
 @pytest.mark.parametrize(("shape", "options", "wanted"), DAMPED, ids=str)
 def test_of_damped_contacts_those_at_rest_are_proven_too(shape, options, wanted):
     solution = minimum(shape, {"law": "coulomb-viscous", "viscosity": "uniform:0.1,1.0", **options}, "interior-point")
-    scene, proven = solution.scene, samples_of(solution).judgement.states[0].proven
+    scene, proven = solution.scene, samples_of(solution).judgement.states[0].known
     found, acts = scene.lattice.flat(truth.least(scene).state), ~scene.idle[0]
     for state, name in ((SLIPPING, truth.SLIPPING), (SLIPLESS, truth.SLIPLESS)):
         assert (found[acts & (proven == state)] == name).all()
-    everything = bool((proven != UNPROVEN).all())
+    everything = bool((proven != UNDECIDED).all())
     assert everything == wanted if wanted is not None else True
     assert bool(solution.states_proven[0]) == everything
 
@@ -109,13 +109,13 @@ def test_damped_contacts_lose_the_proof_of_rest_where_it_is_none():
     """By forces that leave no room, or are out of balance by more than others can bear."""
     samples = samples_of(minimum((3, 3, 4), {"seeds": (1,), "law": "coulomb-viscous"}, "interior-point"))
     assert all_proven(samples)
-    state = by_axis(samples, samples.judgement.states[0].proven)[2]
+    state = by_axis(samples, samples.judgement.states[0].known)[2]
     holds = tuple(np.argwhere(state == SLIPLESS)[3])
     for share in (0.5, 0.999):
         friction = [f.copy() for f in samples.friction]
         friction[2][(0, *holds)] += share * samples.normal_force * samples.coefficient[2][(0, *holds)]
         judged = replace(samples, friction=tuple(friction)).judgement
-        assert not (judged.states[0].proven == SLIPLESS)[judged.acts[0]].any()
+        assert not (judged.states[0].known == SLIPLESS)[judged.acts[0]].any()
 
 
 @pytest.fixture(scope="module")
@@ -126,7 +126,7 @@ def sample():
 
 
 def all_proven(samples):
-    return (samples.judgement.states[0].proven != UNPROVEN).all()
+    return (samples.judgement.states[0].known != UNDECIDED).all()
 
 
 def test_a_spin_that_is_off_loses_the_proof(sample):
@@ -144,7 +144,7 @@ def test_a_spin_that_is_off_loses_the_proof(sample):
 def test_friction_that_is_out_of_balance_loses_the_proof(sample):
     """One contact that holds bears more: by less than others have room for that can be mended, by more it cannot."""
     samples, state = sample
-    holds = tuple(np.argwhere(state[2] == ContactState.SLIPLESS)[3])
+    holds = tuple(np.argwhere(state[2] == SLIPLESS)[3])
     for share, proven in ((1e-12, True), (0.9, False)):
         friction = [f.copy() for f in samples.friction]
         limit = samples.normal_force * samples.coefficient[2][(0, *holds)]
@@ -165,14 +165,14 @@ def test_samples_proven_together_are_those_proven_alone(spoiled):
     together = samples.judgement.states
     alone = [samples.judgement.one(r).states[0] for r in range(5)]
     for r, (one, other) in enumerate(zip(together, alone, strict=True)):
-        assert (one.proven == other.proven).all()
+        assert (one.known == other.known).all()
         assert (one.unique, one.reason) == (other.unique, other.reason)
         assert (one.unique is None) == (r in spoiled)
 
 
 def test_other_coefficients_lose_the_proof(sample):
     samples, state = sample
-    slips = tuple(np.argwhere(state[2] == ContactState.SLIPPING)[2])
+    slips = tuple(np.argwhere(state[2] == SLIPPING)[2])
     coefficient = [c.copy() for c in samples.coefficient]
     coefficient[2][(0, *slips)] *= 1.0 + 1e-4
     assert not all_proven(replace(samples, coefficient=tuple(coefficient)))
@@ -208,10 +208,10 @@ def test_friction_that_proves_no_bound_proves_no_states():
     assert judgement.lower_bound[0] == 0
     states = judgement.states[0]
     assert states.unique is None
-    assert np.isin(states.proven, (UNPROVEN, SLIPLESS)).all()
+    assert np.isin(states.known, (UNDECIDED, SLIPLESS)).all()
     exact = least_of_all(Scene(samples.coefficient, normal_force=1.0))
-    for proven, found in zip(by_axis(samples, states.proven), exact.state, strict=True):
-        assert np.isin(found[proven == SLIPLESS], (truth.SLIPLESS, DRIVEN)).all()
+    for proven, found in zip(by_axis(samples, states.known), exact.state, strict=True):
+        assert np.isin(found[proven == SLIPLESS], (truth.SLIPLESS, minima.DRIVEN)).all()
 
 
 def test_a_driven_plane_turns_as_one_whatever_the_file_says_of_its_spheres():
@@ -224,7 +224,7 @@ def test_a_driven_plane_turns_as_one_whatever_the_file_says_of_its_spheres():
 def test_viscous_contacts_slip_where_the_gap_allows_nothing_else():
     solution = minimum((4, 5, 4), {"law": "viscous"}, "linear-solver")
     lattice = solution.scene.lattice
-    proven = samples_of(solution).judgement.states[0].proven
+    proven = samples_of(solution).judgement.states[0].known
     assert (proven == np.where(lattice.between_driven, SLIPLESS, SLIPPING)).all()
 
 

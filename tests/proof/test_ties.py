@@ -8,16 +8,17 @@ from scipy.optimize import linprog
 from taichi_bearings_studies.stress import truth
 
 from taichi_bearings.proof.contact_state import ContactState
-from taichi_bearings.proof.samples import DRIVEN_STATE, SLIPLESS, SLIPPING, TIED, UNPROVEN
 from taichi_bearings.proof.ties import Line
 from taichi_bearings.quantities import Answered
 from taichi_bearings.scene.initial_spins import initial_spin
+from taichi_bearings.scene.solution import DRIVEN, SLIPLESS, SLIPPING, TIED, UNDECIDED
 from taichi_bearings.solvers import METHODS
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
 from tests.proof.samples import samples_of
 from tests.scenes import make_scene
-from tests.stress.minima import DRIVEN, EITHER, least_of_all
+from tests.stress import minima
+from tests.stress.minima import EITHER, least_of_all
 
 pytestmark = pytest.mark.usefixtures("needs_f64", "taichi_runtime")
 BIMODAL = "bimodal:0.1,1.0,0.5"
@@ -31,9 +32,9 @@ def minimum(shape, seed, distribution=BIMODAL, coefficients=None):
 
 def kinds(solution):
     """Numbers of slipless, slipping and tied contacts and of unproven ones."""
-    proven = samples_of(solution).judgement.states[0].proven
+    proven = samples_of(solution).judgement.states[0].known
     acts = solution.state[0] != ContactState.DRIVEN
-    return [int((proven[acts] == what).sum()) for what in (SLIPLESS, SLIPPING, TIED, UNPROVEN)]
+    return [int((proven[acts] == what).sum()) for what in (SLIPLESS, SLIPPING, TIED, UNDECIDED)]
 
 
 @pytest.mark.parametrize(("shape", "seed", "expected"), [
@@ -44,7 +45,12 @@ def test_what_is_proven_is_what_contacts_are_called(shape, seed, expected):
     solution = minimum(shape, seed)
     assert kinds(solution) == expected
     numbers = Answered(solution, 1e-8, None)
-    assert numbers.contacts_in[0].tolist() == [*expected[:2], 0, (solution.state == DRIVEN_STATE).sum(), expected[2]]
+    assert numbers.contacts_in[0].tolist() == [
+        *expected[:2],
+        0,
+        (solution.state == DRIVEN).sum(),
+        expected[2],
+    ]
     assert numbers.contacts == sum(expected)
     assert solution.unproven[0] == 0
     assert solution.states_proven[0]
@@ -62,24 +68,24 @@ def test_states_are_those_of_an_oracle(distribution, seed):
     least, state, proven = least_of_all(solution.scene), solution.state[0], solution.proven[0]
     true, margin = (solution.scene.lattice.flat(of) for of in (least.state, least.margin))
     clear = true != truth.UNCLEAR
-    names = {truth.SLIPLESS: ContactState.SLIPLESS, truth.SLIPPING: ContactState.SLIPPING, EITHER: ContactState.TIED,
-             DRIVEN: ContactState.DRIVEN}  # fmt: skip
+    names = {truth.SLIPLESS: SLIPLESS, truth.SLIPPING: SLIPPING, EITHER: TIED,
+             minima.DRIVEN: DRIVEN}  # fmt: skip
     right = np.array([names.get(of, -1) for of in true.tolist()])
     assert (state == right)[clear & proven].all()
-    assert ((state == right) | (state == ContactState.UNDECIDED))[clear].all()
+    assert ((state == right) | (state == UNDECIDED))[clear].all()
     assert proven.all() == (seed != 20 and distribution == BIMODAL)
     if proven.all() and seed == 3:
-        assert ((state == ContactState.SLIPLESS) & clear & (margin < AT_LIMIT)).any()
+        assert ((state == SLIPLESS) & clear & (margin < AT_LIMIT)).any()
 
 
 def test_friction_that_differs_in_its_last_digit_ties_nothing():
     solution = minimum((3, 3, 4), 124)
-    samples, tied = samples_of(solution), solution.scene.lattice.by_axis(solution.state[0] == ContactState.TIED)
+    samples, tied = samples_of(solution), solution.scene.lattice.by_axis(solution.state[0] == TIED)
     axis, where = next((axis, tuple(np.argwhere(of)[0])) for axis, of in enumerate(tied) if of.any())
     coefficient = [of.copy() for of in samples.coefficient]
     coefficient[axis][(0, *where)] = np.nextafter(coefficient[axis][(0, *where)], 1.0)
     states = replace(samples, coefficient=tuple(coefficient)).judgement.states[0]
-    assert (states.proven == UNPROVEN).all()
+    assert (states.known == UNDECIDED).all()
     assert states.unique is None
 
 
@@ -87,9 +93,9 @@ def test_friction_at_its_limit_by_hand():
     """A sphere that slips on the bottom, friction 5, between two that turn with the top, is pulled by 3 along x and by
     4 along y: at friction 3 the contact that feels x is at its limit and rests, below it slips (docs/ties.md)."""
     for friction, state in (
-        (2.75, ContactState.SLIPPING),
-        (3.0, ContactState.UNDECIDED),  # it rests, but rounding hides that
-        (3.25, ContactState.SLIPLESS),
+        (2.75, SLIPPING),
+        (3.0, UNDECIDED),  # it rests, but rounding hides that
+        (3.25, SLIPLESS),
     ):
         x, y, z = np.full((1, 2, 3), 64.0), np.full((2, 1, 3), 64.0), np.full((2, 2, 2), 64.0)
         z[:, :, 0] = 0.25
