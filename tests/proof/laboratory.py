@@ -133,3 +133,75 @@ class Laboratory:
                 elif not self.is_driven(site):
                     left -= max(gain, ZERO)
         return (2 if self.samples.law == "viscous" else 1) * (left / worst - cost)
+
+
+class OfPacking:
+    """Power and bounds of spins and friction on a packing whose components do not mix: discs, or normals along axes."""
+
+    def __init__(self, packing, spin, rounding, friction):
+        self.law, self.flat, self.free = packing.law, packing.dimension == 2, packing.driven < 0
+        self.pairs = packing.contact.tolist()
+        self.normal = [exactly(n) for n in packing.normal]
+        pressed = np.broadcast_to(packing.normal_force, len(self.pairs))
+        first, second = exactly(packing.friction), exactly(pressed)
+        self.held, self.viscosity = [a * b for a, b in zip(first, second, strict=True)], [ZERO] * len(self.pairs)
+        if self.law.name == "viscous":
+            self.held, self.viscosity = self.viscosity, first
+        elif packing.viscosity is not None:
+            self.viscosity = exactly(packing.viscosity)
+        self.radius = exactly(packing.radius)
+        given = zip(np.where(self.is_driven(packing.spin), packing.spin, spin), rounding, strict=True)
+        self.u = [
+            tuple(r * (a + b) for a, b in zip(exactly(high), exactly(np.where(free, low, 0.0)), strict=True))
+            for (high, low), r, free in zip(given, self.radius, self.free, strict=True)
+        ]
+        self.force = [exactly(f) for f in friction]
+
+    def is_driven(self, like):
+        return np.reshape(~self.free, (-1, *(1,) * (like.ndim - 1)))
+
+    def turned(self, vector, normal):
+        """vector x n; of discs the vector."""
+        return vector if self.flat else cross(vector, normal)
+
+    def slips(self):
+        """|v| of every contact."""
+        for (i, j), n in zip(self.pairs, self.normal, strict=True):
+            both = self.turned(tuple(a + b for a, b in zip(self.u[i], self.u[j], strict=True)), n)
+            yield dot(both, both).sqrt()
+
+    def acting(self):
+        """Numbers of contacts with a coefficient and a free end."""
+        ends = enumerate(self.pairs)
+        return [e for e, (i, j) in ends if (self.free[i] or self.free[j]) and self.held[e] + self.viscosity[e] > 0]
+
+    def power(self, share=Decimal(1)):
+        """share : of the viscous part."""
+        slip = list(self.slips())
+        return sum((self.held[e] * slip[e] + share * self.viscosity[e] * slip[e] ** 2 for e in self.acting()), ZERO)
+
+    def objective(self):
+        """The power, or of contacts with friction and viscosity their potential."""
+        return self.power(Decimal(1) / 2 if self.law.holds and self.law.flows else Decimal(1))
+
+    def lower_bound(self):
+        """Work of the driven spheres less the price of torques that are left over at the largest imposed u by
+        component, friction scaled into its limits (Coulomb), less the conjugates of the forces (else)."""
+        torque = [[ZERO] * len(u) for u in self.u]
+        worst, cost = Decimal(1), ZERO
+        for e in self.acting():
+            moment = tuple(-part for part in self.turned(self.force[e], self.normal[e]))
+            moment = self.force[e] if self.flat else moment  # n x F
+            for i in self.pairs[e]:
+                torque[i] = [a + b for a, b in zip(torque[i], moment, strict=True)]
+            size = dot(self.force[e], self.force[e]).sqrt()
+            if self.viscosity[e]:
+                cost += max(size - self.held[e], ZERO) ** 2 / (2 * self.viscosity[e])
+            else:
+                worst = max(worst, size / self.held[e])
+        driven = [u for u, free in zip(self.u, self.free, strict=True) if not free]
+        box = [max(abs(u[k]) for u in driven) for k in range(len(driven[0]))]
+        gained = ZERO
+        for pull, u, free in zip(torque, self.u, self.free, strict=True):
+            gained += -sum((abs(p) * b for p, b in zip(pull, box, strict=True)), ZERO) if free else dot(pull, u)
+        return (1 if self.law.holds else 2) * (gained / worst - cost)
