@@ -156,7 +156,7 @@ class Network:
         spin, rounding, imposed = (
             of.reshape(contacts.spheres, -1) for of in (spin, rounding, packing.imposed_spins()[0])
         )
-        friction = friction.reshape(contacts.contacts, -1)
+        friction = friction.reshape(contacts.contacts, contacts.components)
         spin = np.where(free[:, None], spin, imposed)
         rounding = np.where(free[:, None], rounding, 0.0)
         # where all radii are the same, speeds are measured in it, and none is rounded
