@@ -26,7 +26,7 @@ The theorems
    P* >= s (W(F) + r . u*) - sum of phi*(s F) at any minimum u*. [bounds.py]
 2. Where minima are. Components that do not mix (discs; normals along the axes) can be clipped to what is imposed, of
    lattices in each layer, and no slip grows: so r . u* is bounded. Else springs take r away, and what rounding leaves
-   of it is paid for at |D^-1 u*| <= (1 + |q^1/2 b|) / sigma, with a proven floor sigma. [network.py, springs.py]
+   of it is paid for at |D^-1 u*| <= (1 + |q^1/2 b|) / sigma, with a proven floor sigma. [judged_network.py, springs.py]
 3. No slip at all. P* = 0 where nothing driven is touched, where signs by which neighbours differ agree with all that is
    imposed, and where contacts roll exactly or their rows of K are independent. [without_slip.py, exact_motions.py]
 4. Slackness. At every minimum and for every optimal friction phi(y*) + phi*(F*) = F* . y*, contact by contact. So a

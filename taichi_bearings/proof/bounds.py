@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from taichi_bearings.proof.enclosure import UP, Enclosure, in_cache, row_sum
-from taichi_bearings.proof.network import Network
+from taichi_bearings.proof.judged_network import JudgedNetwork
 from taichi_bearings.proof.springs import Springs, natural, rolling
 
 FASTEST_COMPARED = 1e6  # times the fastest imposed surface, up to which spins are compared
@@ -35,7 +35,7 @@ class Bounds:
     balance, where components mix. worst : (R,), 1 / s. size : (m,), s |F|. largest_torque, price : (R,), of the
     friction as it is stored; what its torques may cost at spins within the box."""
 
-    network: Network
+    network: JudgedNetwork
     upper: np.ndarray
     lower: np.ndarray
     excess: np.ndarray
@@ -48,8 +48,8 @@ class Bounds:
     friction: list[Enclosure]
 
     @classmethod
-    def of(cls, network: Network) -> Bounds:
-        potential, own = network.dissipated(0.5), network.samples
+    def of(cls, network: JudgedNetwork) -> Bounds:
+        potential, own = network.dissipated(0.5), network.lattice
         upper = potential.upper()
         if own is not None:
             upper = np.where(network.motion.torn, np.inf, upper)
@@ -91,16 +91,16 @@ class Bounds:
                    springs, friction if network.mixes else [])  # fmt: skip
 
 
-def _largest(network: Network, torque: Enclosure) -> np.ndarray:
+def _largest(network: JudgedNetwork, torque: Enclosure) -> np.ndarray:
     """(R,), of the torques on free spheres that are reached."""
     if not torque.high.any():
         return np.zeros(network.count)
     return np.where(network.reached, torque.most, 0.0).reshape(network.count, -1).max(axis=1, initial=0.0)
 
 
-def _price(network: Network, torques: list[Enclosure]) -> Enclosure:
+def _price(network: JudgedNetwork, torques: list[Enclosure]) -> Enclosure:
     """(R,), what torques on free spheres may take from the work at spins within what is imposed."""
-    total, taken_of = Enclosure.exact(np.zeros(network.count)), _taken if network.samples is None else _taken_between
+    total, taken_of = Enclosure.exact(np.zeros(network.count)), _taken if network.lattice is None else _taken_between
     for torque, reach, size in zip(torques, network.reach, network.box, strict=True):
         if size and (torque.high.any() or torque.error.any()):
             taken = taken_of(torque, reach, network.reached)
@@ -121,7 +121,7 @@ def _taken_between(torque: Enclosure, reach: Enclosure, some: np.ndarray) -> Enc
     return _taken(torque, reach, some & ~gives)
 
 
-def _worst(network: Network, size: Enclosure, hard: np.ndarray) -> np.ndarray:
+def _worst(network: JudgedNetwork, size: Enclosure, hard: np.ndarray) -> np.ndarray:
     """(R,), largest size / holding of some contacts, 1 at least, rounded up: of those that are about as large."""
     found, about = np.ones(network.count), np.zeros(len(network.acts))
     about[hard] = size.high[hard] / network.holding.high[hard]

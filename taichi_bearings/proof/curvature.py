@@ -24,7 +24,7 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components, mini
 from taichi_bearings.numerics.graphs import pieces
 from taichi_bearings.proof.elimination import EPS, Elimination
 from taichi_bearings.proof.enclosure import UP, Enclosure, grouped_sum, joined, length
-from taichi_bearings.proof.network import Motion, Network
+from taichi_bearings.proof.judged_network import JudgedNetwork, Motion
 
 MOST_SLIP_TURN = 0.25  # largest share by which a slip may change
 CURVATURE_TRIALS = 4  # each from spins that Newton's method has improved
@@ -80,7 +80,7 @@ class Slipping:
                 difference[slot].put(mine, motion.difference(k, some[mine]))
         strength, damping = network.holding.at(some), network.slope.at(some) if network.flows else None
         begin, end = network.place[ends]
-        place = (begin + (network.normal[some] if network.samples is not None else end - begin) / 2).T
+        place = (begin + (network.normal[some] if network.lattice is not None else end - begin) / 2).T
         curved, pair = np.flatnonzero((felt >= 0).all(axis=0)), (difference[0], difference[1])
         return cls(unknowns, felt, lower, upper, curved, pair, strength, damping, some, place)
 
@@ -149,7 +149,7 @@ class Slipping:
         return pieces(self.unknowns, first, second)
 
 
-def _slots(network: Network, some: np.ndarray) -> np.ndarray:
+def _slots(network: JudgedNetwork, some: np.ndarray) -> np.ndarray:
     """(2, k), the two components of some contacts that take the places of the first and the second: those that are
     needed, or, of three, those across each contact; -1 where it feels none."""
     if len(network.needed) == 3:

@@ -24,7 +24,7 @@ from taichi_bearings.numerics.graphs import pieces
 from taichi_bearings.proof.curvature import proven_floor
 from taichi_bearings.proof.elimination import Elimination, Factor
 from taichi_bearings.proof.enclosure import UP, Enclosure, grouped_sum, joined
-from taichi_bearings.proof.network import Network
+from taichi_bearings.proof.judged_network import JudgedNetwork
 from taichi_bearings.proof.springs import rounding_of, slip_rows
 
 FAINT = 1e-100  # size of factors from which nothing of a product is lost
@@ -49,7 +49,7 @@ class ExactMotions:
     motions: _Motions | None = None
 
     @classmethod
-    def of(cls, network: Network, number: np.ndarray, rests: np.ndarray) -> ExactMotions:
+    def of(cls, network: JudgedNetwork, number: np.ndarray, rests: np.ndarray) -> ExactMotions:
         """Of spheres that contacts of a mask (E,) join, as many as can be had. number : (N, 3), -1 for no unknown."""
         spheres, (first, second) = network.reached, network.contact
         for _ in range(MOST_ROUNDS if spheres.sum() <= MOST_EXACT_SPHERES else 0):
@@ -80,7 +80,7 @@ class _Parts:
     of_unknown, of_contact : numbers of the parts, (n,) and (A,).
     """
 
-    network: Network
+    network: JudgedNetwork
     free: np.ndarray
     ends: np.ndarray
     normal: np.ndarray
@@ -90,7 +90,7 @@ class _Parts:
     count: int
 
     @classmethod
-    def of(cls, network: Network, free: np.ndarray, contacts: np.ndarray) -> _Parts:
+    def of(cls, network: JudgedNetwork, free: np.ndarray, contacts: np.ndarray) -> _Parts:
         ends = network.contact[:, contacts]
         rows = sparse.csr_array(slip_rows(network, numbered(free))[np.flatnonzero(np.tile(contacts, 3))])
         rows.eliminate_zeros()

@@ -17,7 +17,7 @@ Place = tuple[slice, ...]
 
 @dataclass(frozen=True)
 class Grid:
-    """Of R samples with N spheres and E contacts each, n = R N and m = R E in all, numbered as in network.py."""
+    """Of R samples with N spheres and E contacts each, n = R N and m = R E in all, numbered as in judged_network.py."""
 
     samples: OnLattice
 

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from taichi_bearings.proof.bounds import PROVEN, Bounds
-from taichi_bearings.proof.network import Network
+from taichi_bearings.proof.judged_network import JudgedNetwork
 from taichi_bearings.proof.states import STILL, States, proven_states
 from taichi_bearings.proof.without_slip import exists_without_slip
 from taichi_bearings.scene import Bearing
@@ -64,11 +64,11 @@ class Judgement:
         return self._network is not None
 
     @cached_property
-    def _network(self) -> Network | None:
-        return Network.of(self.scene, self.spin, self.spin_rounding, self.friction)
+    def _network(self) -> JudgedNetwork | None:
+        return JudgedNetwork.of(self.scene, self.spin, self.spin_rounding, self.friction)
 
     @property
-    def network(self) -> Network:
+    def network(self) -> JudgedNetwork:
         assert self._network is not None
         return self._network
 

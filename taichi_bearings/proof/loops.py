@@ -27,7 +27,7 @@ from taichi_bearings.numerics.graphs import pieces
 from taichi_bearings.proof.elimination import EPS
 from taichi_bearings.proof.enclosure import UP, Enclosure
 from taichi_bearings.proof.exact_motions import ExactMotions
-from taichi_bearings.proof.network import Network, moments
+from taichi_bearings.proof.judged_network import JudgedNetwork, moments
 from taichi_bearings.proof.springs import slip_rows
 
 MOST_SPLIT = 1500  # of a piece, beyond which its singular values take too long
@@ -40,7 +40,7 @@ class Doubts:
     """number : (N, 3) of each unknown, or -1. exact : X. given : F by component. known : (E,) mask of contacts that are
     known to slip. off, limit : (E,), largest sizes of f and of F*."""
 
-    network: Network
+    network: JudgedNetwork
     number: np.ndarray
     exact: ExactMotions
     given: list[Enclosure]

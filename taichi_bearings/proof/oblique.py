@@ -37,7 +37,7 @@ from taichi_bearings.proof.curvature import Form
 from taichi_bearings.proof.elimination import EPS, Elimination
 from taichi_bearings.proof.enclosure import UP, Enclosure, length
 from taichi_bearings.proof.exact_motions import ExactMotions, numbered
-from taichi_bearings.proof.network import Network, moments
+from taichi_bearings.proof.judged_network import JudgedNetwork, moments
 from taichi_bearings.proof.springs import floor_of_slips, slip_rows
 
 MOVING = 1e-10  # of the fastest imposed component, above which a contact is taken to slip
@@ -86,7 +86,7 @@ class Near:
     spin : (N,) by component, exact sums of two doubles. pull : (E,) by component, what T bears, the same; not of S.
     """
 
-    network: Network
+    network: JudgedNetwork
     exact: ExactMotions
     loose: float
     number: np.ndarray

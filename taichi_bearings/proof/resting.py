@@ -23,7 +23,7 @@ import numpy as np
 
 from taichi_bearings.proof.bounds import Bounds
 from taichi_bearings.proof.enclosure import UP, length
-from taichi_bearings.proof.network import Network, signs
+from taichi_bearings.proof.judged_network import JudgedNetwork, signs
 from taichi_bearings.proof.without_slip import imposed_exactly
 
 SHARE_AROUND = 1.5  # of what a part leaves over, that a force of it may change by
@@ -77,7 +77,7 @@ def at_rest(bounds: Bounds, far: np.ndarray) -> np.ndarray:
     return rests
 
 
-def _changes(network: Network, k: int, rests: np.ndarray, left: np.ndarray) -> np.ndarray:
+def _changes(network: JudgedNetwork, k: int, rests: np.ndarray, left: np.ndarray) -> np.ndarray:
     """(E,), by how much forces of contacts at rest (E,) may have to change in component k, where so much is left over
     of each sphere (N,); infinite where a part cannot rest."""
     own, count, found = np.flatnonzero(rests), len(network.free), np.zeros(len(rests))

@@ -25,18 +25,18 @@ from taichi_bearings.numerics.graphs import pieces
 from taichi_bearings.proof.curvature import Form, proven_floor
 from taichi_bearings.proof.elimination import EPS, Elimination
 from taichi_bearings.proof.enclosure import UP, Enclosure
-from taichi_bearings.proof.network import Network, moments
+from taichi_bearings.proof.judged_network import JudgedNetwork, moments
 
 ROUNDS, SHIFT = 2, -1e-13  # of the springs, and what keeps slipless motions from being divided by 0
 UNSTRESSED = 1e-6  # of its friction, or of the largest force, below which a contact may bear nothing
 
 
-def natural(network: Network) -> np.ndarray:
+def natural(network: JudgedNetwork) -> np.ndarray:
     """(R,), potential of all contacts that act if they slipped by the imposed jump, or the largest imposed spin; of
     packings by the largest imposed component."""
     fastest = float(network.box.max(initial=0.0))
-    if network.samples is not None:
-        scene = network.samples.scene
+    if network.lattice is not None:
+        scene = network.lattice.scene
         speed = scene.exact_driving.jump_size or abs(scene.imposed[0])
         fastest = scene.lattice.radius * speed / network.speed_unit
     own = np.flatnonzero(network.acts)
@@ -48,13 +48,13 @@ def natural(network: Network) -> np.ndarray:
 class Springs:
     """weight : q, (E,). number : (N, 3) of each unknown, or -1. form : K^T q K, D its scale."""
 
-    network: Network
+    network: JudgedNetwork
     weight: np.ndarray
     number: np.ndarray
     form: Form
 
     @classmethod
-    def of(cls, network: Network, potential: float) -> Springs | None:
+    def of(cls, network: JudgedNetwork, potential: float) -> Springs | None:
         """None where some unknown slips nowhere."""
         holding, slope = (np.where(network.counts, v.value, 0.0) for v in (network.holding, network.slope))
         least = holding[holding > 0].min(initial=np.inf)
@@ -95,7 +95,7 @@ class Springs:
         return float(self.form.scale.max(initial=0.0) * (1 + start) / np.sqrt(floor) * UP**2)
 
 
-def weighed(network: Network, rows: sparse.csr_array, weight: np.ndarray, number: np.ndarray) -> Form | None:
+def weighed(network: JudgedNetwork, rows: sparse.csr_array, weight: np.ndarray, number: np.ndarray) -> Form | None:
     """Of rows, each times its weight, over the unknowns of these numbers (N, 3)."""
     rows = sparse.csr_array(sparse.diags_array(weight) @ rows)
     rows.eliminate_zeros()
@@ -103,7 +103,7 @@ def weighed(network: Network, rows: sparse.csr_array, weight: np.ndarray, number
     return Form.of(rows, doubt, network.place[np.nonzero(number >= 0)[0]].T)
 
 
-def rolling(network: Network) -> np.ndarray:
+def rolling(network: JudgedNetwork) -> np.ndarray:
     """(N,) mask of free spheres that let all their contacts roll, whatever the others do."""
     size = np.sqrt((network.friction**2).sum(axis=1))
     small = UNSTRESSED * np.where(network.holding.high > 0, network.holding.high, size.max(initial=0.0))
@@ -122,14 +122,16 @@ def rolling(network: Network) -> np.ndarray:
     return some
 
 
-def _independent(network: Network, some: np.ndarray) -> bool:
+def _independent(network: JudgedNetwork, some: np.ndarray) -> bool:
     """True if the spins of some spheres (N,) can make any slips whatever of all their contacts that count."""
     number = np.full((len(some), 3), -1)
     number[some] = np.arange(3 * some.sum()).reshape(-1, 3)
     return floor_of_slips(network, number, network.counts & some[network.contact].any(axis=0)) is not None
 
 
-def floor_of_slips(network: Network, number: np.ndarray, contacts: np.ndarray, sharp: bool = False) -> float | None:
+def floor_of_slips(
+    network: JudgedNetwork, number: np.ndarray, contacts: np.ndarray, sharp: bool = False
+) -> float | None:
     """Of K K^T of these contacts (m,) over the unknowns of these numbers (n, 3): two components of each slip, which are
     enough across n. Infinite of no contact; None if there is no floor. sharp : as of :func:`proven_floor`."""
     count = len(contacts)
@@ -153,7 +155,7 @@ def rounding_of(rows: sparse.csr_array) -> sparse.csr_array:
     return sparse.csr_array((EPS * np.abs(rows.data), rows.indices, rows.indptr), shape=rows.shape)
 
 
-def slip_rows(network: Network, number: np.ndarray) -> sparse.csr_array:
+def slip_rows(network: JudgedNetwork, number: np.ndarray) -> sparse.csr_array:
     """K (3 E, n), exactly: component by component of (u_i + u_j) x n."""
     count, turned = len(network.normal), [(1, 2), (2, 0), (0, 1)]
     rows, columns, values = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)], [np.zeros(0)]
@@ -168,7 +170,7 @@ def slip_rows(network: Network, number: np.ndarray) -> sparse.csr_array:
     return sparse.csr_array((np.concatenate(values), at), shape=(3 * count, int(number.max(initial=-1)) + 1))
 
 
-def turning_freely(network: Network) -> np.ndarray:
+def turning_freely(network: JudgedNetwork) -> np.ndarray:
     """(N, 3) mask of the largest component of the one direction that all contacts of a sphere have, bit by bit."""
     normal = network.normal[network.counts]
     large = np.argmax(np.abs(normal), axis=1)

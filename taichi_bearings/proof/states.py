@@ -45,7 +45,7 @@ from taichi_bearings.proof.bounds import PROVEN, Bounds
 from taichi_bearings.proof.curvature import Slipping, bearable, nearest_minimum
 from taichi_bearings.proof.elimination import EPS
 from taichi_bearings.proof.enclosure import UP, Enclosure, joined
-from taichi_bearings.proof.network import Motion, Network, moments
+from taichi_bearings.proof.judged_network import JudgedNetwork, Motion, moments
 from taichi_bearings.proof.resting import at_rest
 from taichi_bearings.proof.springs import slip_rows, weighed
 from taichi_bearings.proof.ties import MISSED_LIMIT, tied_states
@@ -76,7 +76,7 @@ class States:
 @np.errstate(all="ignore")  # what is not finite proves nothing
 def proven_states(bounds: Bounds) -> list[States]:
     """States at every minimum, sample by sample."""
-    network, lattice = bounds.network, bounds.network.samples is not None
+    network, lattice = bounds.network, bounds.network.lattice is not None
     rests = ~network.counts | network.on_contacts(bounds.upper == 0)
     if bounds.proof != PROVEN:
         found = _nothing(network, "the bound is proven of some spins alone")
@@ -104,7 +104,7 @@ def proven_states(bounds: Bounds) -> list[States]:
     return told
 
 
-def _samples(network: Network, states: np.ndarray, reason: str, unique: bool | None) -> list[States]:
+def _samples(network: JudgedNetwork, states: np.ndarray, reason: str, unique: bool | None) -> list[States]:
     """States (m,) sample by sample."""
     return [States(own, unique, reason) for own in states.reshape(network.count, -1)]
 
@@ -123,7 +123,7 @@ def _beside_loops(bounds: Bounds, far: np.ndarray) -> np.ndarray:
     return at_rest_beside_loops(bounds, far)
 
 
-def _enclosed(network: Network, near: tuple[np.ndarray, np.ndarray]) -> list[States]:
+def _enclosed(network: JudgedNetwork, near: tuple[np.ndarray, np.ndarray]) -> list[States]:
     """States by the mask S and the distances of :func:`enclosed_minimum`."""
     slides, far = near
     known = (network.holding.high > 0) | (network.slip.least > far)
@@ -131,11 +131,11 @@ def _enclosed(network: Network, near: tuple[np.ndarray, np.ndarray]) -> list[Sta
     return _samples(network, np.where(slides & network.counts, slips, SLIPLESS), "slips are small", None)
 
 
-def _nothing(network: Network, reason: str) -> list[States]:
+def _nothing(network: JudgedNetwork, reason: str) -> list[States]:
     return _samples(network, np.full(len(network.acts), UNDECIDED), reason, None)
 
 
-def _apart(network: Network, far: np.ndarray) -> np.ndarray:
+def _apart(network: JudgedNetwork, far: np.ndarray) -> np.ndarray:
     """States (m,), SLIPPING of what slips further than `far` (m,), by which slips of minima differ at most from the
     given ones."""
     slips = network.counts & (network.slip.least > far)
@@ -240,10 +240,10 @@ def reached(follows: sparse.csr_array, starts: np.ndarray) -> np.ndarray:
     return reached[:-1]
 
 
-def _by_curvature(network: Network) -> list[States]:
+def _by_curvature(network: JudgedNetwork) -> list[States]:
     """Two components, or more along the axes: steps 1 to 3 of the module docstring, of all samples at once, or else of
     each half of them; of each alone where friction is repeated, so that there may be ties."""
-    samples, count = network.samples, network.count
+    samples, count = network.lattice, network.count
     if samples is None:
         slip, fastest = network.slip.value, network.box.max()
         still, nearly = (network.counts & (slip <= most * fastest) for most in (STILL_IN_PAIRS, STILL))
@@ -261,10 +261,10 @@ def _by_curvature(network: Network) -> list[States]:
         ):
             return _samples(network, _as_stored(network.motion), "", True)
         parts = [samples.some(slice(None, count // 2)), samples.some(slice(count // 2, None))]
-    return [states for part in parts for states in _by_curvature(Network.of_lattice(part))]
+    return [states for part in parts for states in _by_curvature(JudgedNetwork.of_lattice(part))]
 
 
-def _of_lattice(network: Network) -> States:
+def _of_lattice(network: JudgedNetwork) -> States:
     """Of one sample, with ties: first where friction is repeated."""
     contacts, repeats = Slipping.of(network.motion), _repeats(network)
     tied = tied_states(network.motion, contacts) if repeats else None
@@ -289,8 +289,8 @@ def _with_damping(bounds: Bounds, known: list[States]) -> list[States]:
         found: np.ndarray | str = ""
         if count == 1 and not unclear.any():
             found = _by_domains(network, own)
-        elif network.samples is not None and not unclear.reshape(count, -1)[number].any():
-            found = _by_domains(Network.of_lattice(network.samples.one(number)), own)
+        elif network.lattice is not None and not unclear.reshape(count, -1)[number].any():
+            found = _by_domains(JudgedNetwork.of_lattice(network.lattice.one(number)), own)
         told.append(states if isinstance(found, str) else States(found, True))
     return told
 
@@ -305,10 +305,10 @@ def _with_parts_at_rest(bounds: Bounds, far: np.ndarray, told: States) -> States
     return replace(told, known=np.where(rests, SLIPLESS, told.known))
 
 
-def _by_domains(network: Network, rests: np.ndarray) -> np.ndarray | str:
+def _by_domains(network: JudgedNetwork, rests: np.ndarray) -> np.ndarray | str:
     """(m,) states if nothing slips at the minimum but contacts between domains of those that rest; or what is missing
     in the proof."""
-    if network.samples is None and any(
+    if network.lattice is None and any(
         network.signs(k)[1][network.contact[:, network.counts]].any() for k in network.needed
     ):
         return "loops are odd"
@@ -325,7 +325,7 @@ def _as_stored(motion: Motion) -> np.ndarray:
     return np.where(motion.network.counts & ~motion.rests, SLIPPING, SLIPLESS)
 
 
-def _repeats(network: Network) -> bool:
+def _repeats(network: JudgedNetwork) -> bool:
     """Have two slipping contacts of some sample the same friction?"""
     own = np.flatnonzero(network.counts & ~network.motion.rests)
     values, sample = network.holding.high[own], network.sample_of(own)
@@ -348,9 +348,9 @@ def _near(motion: Motion, contacts: Slipping) -> tuple[Slipping, np.ndarray] | s
     return "the power is not known to rise in all directions" if near is None else near
 
 
-def _saturated(network: Network, contacts: Slipping) -> bool:
+def _saturated(network: JudgedNetwork, contacts: Slipping) -> bool:
     """True if the friction of all slipping contacts of a lattice is about at its limit, as it is near a minimum."""
-    if network.samples is None:
+    if network.lattice is None:
         return True
     parts = [part.high[contacts.own] for part in network.moment]
     return bool((np.sqrt(sum(p**2 for p in parts)) >= (1 - MISSED_LIMIT) * contacts.strength.value).all())

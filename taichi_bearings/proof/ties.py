@@ -35,7 +35,7 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 
 from taichi_bearings.proof.curvature import Slipping, bearable, nearest_minimum, rises
 from taichi_bearings.proof.enclosure import UP, Enclosure
-from taichi_bearings.proof.network import Motion, Network
+from taichi_bearings.proof.judged_network import JudgedNetwork, Motion
 from taichi_bearings.scene.solution import SLIPLESS, SLIPPING, TIED, UNDECIDED
 
 MISSED_LIMIT = 1e-6  # share of the friction by which a contact at its limit may miss it
@@ -260,7 +260,7 @@ class Limit:
     """Contacts C of one sample. full : (E,) mask. along : (E,), along which of the needed components they bear all
     their friction; they bear none along the other one."""
 
-    network: Network
+    network: JudgedNetwork
     full: np.ndarray
     along: np.ndarray
 
@@ -303,8 +303,8 @@ def _pulls(motion: Motion, contacts: Slipping, limit: Limit) -> Pulls:
     pull = np.array([np.sign(limit.friction(slot).high) * network.sign[k][network.contact[1, full]]
                      for slot, k in enumerate(network.needed)])  # fmt: skip
     turns = np.array([np.sign(part.high) for part in contacts.difference])
-    assert network.samples is not None
-    coefficient = network.samples.scene.coefficient[0]
+    assert network.lattice is not None
+    coefficient = network.lattice.scene.coefficient[0]
     domain, part, body = (
         np.array([_numbered(joined_by(slot), k) for slot, k in enumerate(network.needed)])
         for joined_by in (lambda _: motion, lambda _: limit.others(motion, None), lambda s: limit.others(motion, s))
@@ -318,7 +318,7 @@ def _pulls(motion: Motion, contacts: Slipping, limit: Limit) -> Pulls:
 
 def _numbered(motion: Motion, k: int) -> np.ndarray:
     """(spheres,), numbers of domains: 0 and 1 for what turns with the bottom and the top, and larger ones."""
-    samples, label = motion.network.samples, motion.domain[k]
+    samples, label = motion.network.lattice, motion.domain[k]
     assert samples is not None
     low, high = samples.leader(samples.components[k])
     return np.where(label == label[low], 0, np.where(label == label[high], 1, label + 2))

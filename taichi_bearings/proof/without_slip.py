@@ -20,7 +20,7 @@ from fractions import Fraction
 import numpy as np
 
 from taichi_bearings.numerics.graphs import pieces
-from taichi_bearings.proof.network import Network
+from taichi_bearings.proof.judged_network import JudgedNetwork
 from taichi_bearings.proof.springs import rolling, turning_freely
 
 LEAST_IMPOSED = 1e-200  # of the fastest imposed spin, below which products with radii are not exact
@@ -29,10 +29,10 @@ MOST_IN_FRACTIONS = 8  # free spheres of a part, beyond which fractions become l
 IMPOSED = -1  # the column of what is imposed
 
 
-def exists_without_slip(network: Network) -> np.ndarray:
+def exists_without_slip(network: JudgedNetwork) -> np.ndarray:
     """(R,) mask of the samples of which it is proven that some spins of the free spheres leave all contacts without
     slip. False says nothing."""
-    if network.samples is not None:
+    if network.lattice is not None:
         return _of_lattice(network)
     if not network.counts.any():
         return np.ones(1, dtype=bool)
@@ -42,7 +42,7 @@ def exists_without_slip(network: Network) -> np.ndarray:
     return np.array([found])
 
 
-def _of_lattice(network: Network) -> np.ndarray:
+def _of_lattice(network: JudgedNetwork) -> np.ndarray:
     if not network.needed:
         return np.ones(network.count, dtype=bool)
     absent = network.graph.any_end(network.free) & ~network.acts
@@ -51,14 +51,14 @@ def _of_lattice(network: Network) -> np.ndarray:
     return ~network.joins
 
 
-def imposed_exactly(network: Network) -> bool:
+def imposed_exactly(network: JudgedNetwork) -> bool:
     """True where all imposed R omega are exact sums of two doubles."""
     sizes = [np.abs(part.high[part.high != 0]) for part in network.imposed]
     return all((size > LEAST_IMPOSED).all() for size in sizes)
 
 
 @np.errstate(all="ignore")  # what is not finite proves nothing
-def _rolls_exactly(network: Network) -> bool:
+def _rolls_exactly(network: JudgedNetwork) -> bool:
     """Case 3, where the given spins are nearly such a state."""
     from taichi_bearings.proof.exact_motions import ExactMotions  # which only packings need
 
@@ -78,7 +78,7 @@ def _rolls_exactly(network: Network) -> bool:
     return all(_is_consistent(left, left.counts & (part == own)) for own in np.unique(part[open_]))
 
 
-def _is_consistent(network: Network, contacts: np.ndarray) -> bool:
+def _is_consistent(network: JudgedNetwork, contacts: np.ndarray) -> bool:
     """True if spins exist at which the contacts (E,) of one part roll, by elimination in fractions, without any
     rounding; False of parts too large for that."""
     spheres = np.unique(network.contact[:, contacts])
@@ -102,7 +102,7 @@ def _is_consistent(network: Network, contacts: np.ndarray) -> bool:
     return True
 
 
-def _equations(network: Network, contact: int, unknown: dict[int, int]) -> list[dict[int, Fraction]]:
+def _equations(network: JudgedNetwork, contact: int, unknown: dict[int, int]) -> list[dict[int, Fraction]]:
     """Coefficients by unknown, and of IMPOSED what is imposed, of (u_i + u_j) x n = 0 by component, exactly."""
     normal = [Fraction(float(value)) for value in network.normal[contact]]
     rows = list[dict[int, Fraction]]()

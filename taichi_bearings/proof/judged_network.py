@@ -59,7 +59,7 @@ class Listed:
 
 
 @dataclass(frozen=True)
-class Network:
+class JudgedNetwork:
     """R samples of N spheres and E contacts each, n = R N and m = R E in all; D = 2 or 3, and C = 1 or 3 components.
 
     free : (n,). speed_unit, force_unit : a power of two, but for the radius in the speeds of
@@ -85,8 +85,8 @@ class Network:
     factors: tuple[np.ndarray, ...] = ()
 
     @property
-    def samples(self) -> OnLattice | None:
-        """Of a lattice, else None."""
+    def lattice(self) -> OnLattice | None:
+        """Where the contacts are those of a lattice: its planes, layers and signs, as its samples have them."""
         return self.graph.samples if isinstance(self.graph, Grid) else None
 
     @property
@@ -120,7 +120,9 @@ class Network:
         return self.law.flows
 
     @classmethod
-    def of(cls, scene: Bearing, spin: np.ndarray, spin_rounding: np.ndarray, friction: np.ndarray) -> Network | None:
+    def of(
+        cls, scene: Bearing, spin: np.ndarray, spin_rounding: np.ndarray, friction: np.ndarray
+    ) -> JudgedNetwork | None:
         """None for numbers that are not finite, or of scales for which no arithmetic here is made. Arrays : as of
         :class:`Judgement`."""
         if scene.network.lattice is not None:
@@ -129,7 +131,7 @@ class Network:
         return cls._of_packing(scene, spin, spin_rounding, friction)
 
     @classmethod
-    def of_lattice(cls, samples: OnLattice) -> Network:
+    def of_lattice(cls, samples: OnLattice) -> JudgedNetwork:
         scene, grid, force = samples.scene, Grid(samples), samples.force_unit
         strength, radius, law = scene.strength, scene.lattice.radius, scene.law
         coefficient, free = scene.coefficient.ravel(), np.ones(grid.spheres, dtype=bool)
@@ -150,7 +152,7 @@ class Network:
     @classmethod
     def _of_packing(
         cls, packing: Bearing, spin: np.ndarray, rounding: np.ndarray, friction: np.ndarray
-    ) -> Network | None:
+    ) -> JudgedNetwork | None:
         contacts, law = packing.network, packing.law
         free, radius = contacts.free, contacts.radius
         spin, rounding, imposed = (
@@ -211,7 +213,7 @@ class Network:
     @cached_property
     def is_whole(self) -> bool:
         """True for lattices all of whose contacts with a free end act: every column reaches from bottom to top."""
-        return self.samples is not None and bool(self.free.any() and (self.acts == self.graph.any_end(self.free)).all())
+        return self.lattice is not None and bool(self.free.any() and (self.acts == self.graph.any_end(self.free)).all())
 
     @cached_property
     def reached(self) -> np.ndarray:
@@ -245,14 +247,14 @@ class Network:
     def reach(self) -> list[Enclosure]:
         """By component, (n,): some minimum has u of a free sphere between 0 and this, or that and its negative, where
         components do not mix."""
-        if self.samples is None:
+        if self.lattice is None:
             return [Enclosure.exact(np.full(len(self.free), size)) for size in self.box]
-        return [self.samples.jump_at(k).signed(s) for k, s in zip(self.samples.components, self.sign, strict=True)]
+        return [self.lattice.jump_at(k).signed(s) for k, s in zip(self.lattice.components, self.sign, strict=True)]
 
     @cached_property
     def mixes(self) -> bool:
         """False where components do not mix: of discs, and of unit normals along the axes."""
-        return self.samples is None and not self._along_axes
+        return self.lattice is None and not self._along_axes
 
     @property
     def _along_axes(self) -> bool:
@@ -322,14 +324,17 @@ class Network:
     @cached_property
     def own_moment(self) -> list[Enclosure]:
         """Of the contacts that count; of lattices in components that differ between the planes: others do no work."""
-        own, all_count = [size > 0 or self.samples is None for size in self.box], bool((self.counts == self.acts).all())
+        own, all_count = (
+            [size > 0 or self.lattice is None for size in self.box],
+            bool((self.counts == self.acts).all()),
+        )
         pairs = zip(self.moment, own, strict=True)  # moments are 0 where nothing acts
         return [part if some and all_count else part.where(self.counts & some) for part, some in pairs]
 
     @property
     def own_friction(self) -> list[Enclosure]:
         """Of the contacts that count F by component; of lattices its moments, which are as long."""
-        if self.samples is not None:
+        if self.lattice is not None:
             return self.moment
         return [Enclosure.exact(np.where(self.counts, part, 0.0)) for part in self.friction.T]
 
@@ -348,7 +353,7 @@ class Network:
     def needed(self) -> list[int]:
         """Components that some minimum needs: along the others nothing slips at any minimum. On a lattice layers turn
         about the height as they like."""
-        if (samples := self.samples) is not None:
+        if (samples := self.lattice) is not None:
             return [
                 k for k in self.components if self.box[k] > 0 and samples.components[k] != samples.lattice.height_axis
             ]
@@ -362,8 +367,8 @@ class Network:
     @cached_property
     def sign(self) -> list[np.ndarray]:
         """(n,) by component, signs s by which neighbours differ, but in odd loops."""
-        if self.samples is not None:
-            return [np.tile(self.samples.sublattice.ravel(), self.count)] * len(self.spin)
+        if self.lattice is not None:
+            return [np.tile(self.lattice.sublattice.ravel(), self.count)] * len(self.spin)
         return [self.signs(k)[2] for k in self.components]
 
     def _is_needed(self, k: int) -> bool:
@@ -446,7 +451,7 @@ class Motion:
     smallest slips.
     """
 
-    network: Network
+    network: JudgedNetwork
     rests: np.ndarray
 
     @cached_property
@@ -461,7 +466,7 @@ class Motion:
     def domains(self, k: int) -> np.ndarray:
         """(n,), number of the domain of each sphere."""
         network, size = self.network, len(self.network.free)
-        own = np.arange(size) if network.samples is None else network.samples.anchor(network.samples.components[k])
+        own = np.arange(size) if network.lattice is None else network.lattice.anchor(network.lattice.components[k])
         if not self.joins(k):
             return own
         first, second = network.contact[:, self.rests & network.slips_with[k]]
@@ -490,10 +495,10 @@ class Motion:
     def _turns(self, k: int) -> tuple[Enclosure, Enclosure | None]:
         """Signed spins (n,), and what those that turn with the top of a lattice lack, if they lack anything."""
         network = self.network
-        own = network.spin[k] if network.samples is not None else network.spin[k].signed(network.sign[k])
+        own = network.spin[k] if network.lattice is not None else network.spin[k].signed(network.sign[k])
         if (self.rests & ~network.still).any():
             own = own.at(self._models(k))
-        shift = None if network.samples is None else network.samples.shift[network.samples.components[k]]
+        shift = None if network.lattice is None else network.lattice.shift[network.lattice.components[k]]
         if shift is None or not (shift.high.any() or shift.error.any()):
             return own, None
         return own, shift.at(self._models(k)) if self.joins(k) else shift
