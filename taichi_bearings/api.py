@@ -18,7 +18,6 @@ import numpy as np
 from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.lattice.grid import friction_by_axis
 from taichi_bearings.options import SEED, finite_number, options_of
-from taichi_bearings.packing import Packing
 from taichi_bearings.progress import displayed
 from taichi_bearings.quantities import CONTACTS, FINDINGS, SAMPLES, SPHERES, Quantity
 from taichi_bearings.read_only import read_only
@@ -33,6 +32,7 @@ from taichi_bearings.runtime import available_threads
 from taichi_bearings.scans.sample import JobTask, solve_all
 from taichi_bearings.scene import Scene, Snapshots
 from taichi_bearings.scene.initial_spins import initial_spin
+from taichi_bearings.scene.packing import Packing
 from taichi_bearings.solvers import MethodOptions
 from taichi_bearings.solvers.drive import Report
 from taichi_bearings.words import html_table, listed, meant, shown

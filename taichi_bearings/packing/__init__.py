@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from taichi_bearings.packing.answer import solve_packing
-    from taichi_bearings.packing.packing import Packing
     from taichi_bearings.packing.structure import Structure, structure_of
+    from taichi_bearings.scene.packing import Packing
 
 __all__ = ["Packing", "Structure", "solve_packing", "structure_of"]
 MODULES = {
-    "Packing": "packing", "Structure": "structure",
-    "solve_packing": "answer", "structure_of": "structure",
+    "Packing": "scene.packing", "Structure": "packing.structure",
+    "solve_packing": "packing.answer", "structure_of": "packing.structure",
 }  # fmt: skip
 
 
@@ -23,7 +23,7 @@ def __getattr__(name: str) -> Any:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     import importlib
 
-    found = getattr(importlib.import_module(f"{__name__}.{MODULES[name]}"), name)
+    found = getattr(importlib.import_module(f"taichi_bearings.{MODULES[name]}"), name)
     globals()[name] = found
     return found
 

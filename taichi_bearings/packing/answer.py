@@ -11,11 +11,11 @@ from taichi_bearings.errors import InputError
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.numerics.double_double import exactly
 from taichi_bearings.packing import planar
-from taichi_bearings.packing.packing import Packing
 from taichi_bearings.packing.system import Found, System
 from taichi_bearings.proof.contact_state import SATURATED, decided
 from taichi_bearings.proof.judgement import Judgement
 from taichi_bearings.scene import Bearing, Solution, Status
+from taichi_bearings.scene.packing import Packing
 from taichi_bearings.scene.solution import DRIVEN, SLIPLESS, SLIPPING, UNDECIDED
 from taichi_bearings.stages import stage
 from taichi_bearings.words import shown

@@ -20,8 +20,8 @@ from taichi_bearings.numerics.double_double import Pair, subtract, two_product
 from taichi_bearings.numerics.exact_flow import exact_flow
 from taichi_bearings.numerics.graphs import odd_pieces, pieces
 from taichi_bearings.numerics.minimum_cut import led_to
-from taichi_bearings.packing.packing import Packing
 from taichi_bearings.packing.system import System
+from taichi_bearings.scene.packing import Packing
 
 MANTISSA_BITS = 53
 

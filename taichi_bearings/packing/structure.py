@@ -9,8 +9,8 @@ from scipy.sparse.csgraph import breadth_first_order, dijkstra
 
 from taichi_bearings.numerics.graphs import pieces
 from taichi_bearings.numerics.motions import MOST_UNKNOWNS
-from taichi_bearings.packing.packing import Packing
 from taichi_bearings.scene.network import Network
+from taichi_bearings.scene.packing import Packing
 
 MOST_LOOPS = 20_000  # spheres in parts with odd loops up to which the smallest one is looked for
 CHUNK = 256

@@ -6,9 +6,9 @@ from functools import cached_property
 import numpy as np
 from scipy import sparse
 
-from taichi_bearings.packing.packing import Packing
 from taichi_bearings.scene import Bearing
 from taichi_bearings.scene.network import Network
+from taichi_bearings.scene.packing import Packing
 
 
 @dataclass(frozen=True)

@@ -66,7 +66,7 @@ def _untouched(solution: Solution, settings: RunSettings) -> Iterator[str]:
     """Of packings, contacts that were found out of places, spheres that have none, and contacts that bear nothing."""
     network, pressing = solution.scene.network, solution.scene.sample(0).normal_force
     if settings.has_table and settings.contacts is None:
-        from taichi_bearings.packing.found import TOLERANCE, told
+        from taichi_bearings.scene.readers.found import TOLERANCE, told
 
         share = TOLERANCE if settings.touching is None else settings.touching
         yield told(network.contact.T, network.spheres, share)[0]

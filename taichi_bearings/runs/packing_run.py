@@ -12,8 +12,7 @@ from taichi_bearings import leaving, runtime
 from taichi_bearings.errors import DeviceError, InputError
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.options import options_of
-from taichi_bearings.packing import Packing, solve_packing
-from taichi_bearings.packing.found import TOLERANCE, Sides, completed
+from taichi_bearings.packing import solve_packing
 from taichi_bearings.proof.contact_state import by_threshold, decided, what_is_proven
 from taichi_bearings.runs.settings import OF_SIDES, SIZES, RunSettings
 from taichi_bearings.runs.solved import Run
@@ -21,6 +20,8 @@ from taichi_bearings.runs.torque import refuse_driven, under_torque
 from taichi_bearings.scene import Bearing, Solution, Status
 from taichi_bearings.scene.array_files import read_arrays, read_coefficients
 from taichi_bearings.scene.initial_spins import STARTS
+from taichi_bearings.scene.packing import Packing
+from taichi_bearings.scene.readers.found import TOLERANCE, Sides, completed
 from taichi_bearings.solvers.table import METHODS, InteriorPoint, MethodOptions, row_of_packing
 from taichi_bearings.stages import stage
 from taichi_bearings.words import counted, shown

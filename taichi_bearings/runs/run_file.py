@@ -379,8 +379,8 @@ def _lattice_in(path: Path, file: h5py.File, attributes: Mapping[str, Any], sett
 
 
 def _packings_in(path: Path, file: h5py.File, attributes: Mapping[str, Any], settings: RunSettings) -> _Found:
-    from taichi_bearings.packing.packing import NEEDED  # and with it much of SciPy
     from taichi_bearings.runs.packing_run import TWICE, packing_of
+    from taichi_bearings.scene.packing import NEEDED  # and with it much of SciPy
 
     if lacking := [name for name in SAID_OF_PACKINGS if name not in attributes]:
         raise KeyError(f"it lacks {lacking[0]}")

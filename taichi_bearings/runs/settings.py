@@ -264,7 +264,7 @@ class RunSettings:
                 raise InputError(f"unknown key {key!r} in {source}{hint}")
         settings = cls(**values)
         if settings.packing is not None:
-            from taichi_bearings.packing import Packing  # and with it much of SciPy
+            from taichi_bearings.scene.packing import Packing  # and with it much of SciPy
 
             viscous = "law" not in values and "viscosity" in Packing.read(settings.packing, settings.contacts)
             return replace(settings, law="coulomb-viscous") if viscous else settings

@@ -276,7 +276,7 @@ def spheres_of(settings: RunSettings) -> int:
 
 @lru_cache(maxsize=1024)
 def _spheres(name: str, _: str) -> int:
-    from taichi_bearings.packing import Packing  # and with it much of SciPy
+    from taichi_bearings.scene.packing import Packing  # and with it much of SciPy
 
     return len(Packing.read(name)["center"])
 

@@ -8,11 +8,11 @@ from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.numerics.double_double import exactly
 from taichi_bearings.packing.answer import forces_of, judgement_of
-from taichi_bearings.packing.packing import Packing
 from taichi_bearings.packing.path import oblique
 from taichi_bearings.packing.rolling import rolled
 from taichi_bearings.packing.system import Found, System
 from taichi_bearings.proof.judgement import Judgement
+from taichi_bearings.scene.packing import Packing
 
 
 class PackingBounds:

@@ -13,11 +13,11 @@ from taichi_bearings.kernels.contact_list import CundallStrackLists, DescentList
 from taichi_bearings.kernels.team import Team, made_once
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.packing.answer import judged
-from taichi_bearings.packing.packing import Packing
 from taichi_bearings.packing.starts import start_of
 from taichi_bearings.packing.system import Found
 from taichi_bearings.proof.contact_state import classify, decided, what_is_proven
 from taichi_bearings.scene import Bearing, Progress, Solution, Status
+from taichi_bearings.scene.packing import Packing
 from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.scene.solution import SLIPLESS, SLIPPING, UNDECIDED
 from taichi_bearings.solvers.cundall_strack import CundallStrackMethod, largest_step

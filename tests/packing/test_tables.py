@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import taichi_bearings as tb
-from taichi_bearings.packing.periods import nearest_images
+from taichi_bearings.scene.periods import nearest_images
 from tests.cli.commands import bearings, refused
 
 

@@ -18,19 +18,20 @@ from taichi_bearings.errors import FileError, InputError, WriteError
 from taichi_bearings.numerics.double_double import Pair, divide, exactly
 from taichi_bearings.numerics.graphs import odd_pieces
 from taichi_bearings.options import SEED, SHAPE, finite_number
-from taichi_bearings.packing import checks, geometry, random_packing, space_filling
-from taichi_bearings.packing.found import TOLERANCE, Sides, completed, from_centers
-from taichi_bearings.packing.found import told as contacts_told
-from taichi_bearings.packing.lammps import Asked, read_dumps
-from taichi_bearings.packing.lattices import KINDS, Built, built, driven_bodies
-from taichi_bearings.packing.tables import read_contacts, read_spheres
 from taichi_bearings.plain_files import writing
 from taichi_bearings.read_only import cached_read_only, read_only
+from taichi_bearings.scene import checks, geometry
 from taichi_bearings.scene.array_files import read_arrays
 from taichi_bearings.scene.bearing import Bearing, as_one_driving
 from taichi_bearings.scene.disorder import Distribution, Draw
+from taichi_bearings.scene.generators import random_packing, space_filling
+from taichi_bearings.scene.generators.lattices import KINDS, Built, built, driven_bodies
 from taichi_bearings.scene.law import COULOMB, LAWS, Coefficients, Law, law_named
 from taichi_bearings.scene.network import Network
+from taichi_bearings.scene.readers.found import TOLERANCE, Sides, completed, from_centers
+from taichi_bearings.scene.readers.found import told as contacts_told
+from taichi_bearings.scene.readers.lammps import Asked, read_dumps
+from taichi_bearings.scene.readers.tables import read_contacts, read_spheres
 from taichi_bearings.scene.scene import bearing_state, imposed_direction
 from taichi_bearings.text_lines import is_table
 from taichi_bearings.words import html_table, meant, shown
@@ -381,7 +382,7 @@ class Packing(Bearing):
     def from_lammps(cls, atoms: str | Path, contacts: str | Path, columns: Any, **others: Any) -> "Packing":
         """From a `dump custom` of atoms and the named columns of a `dump local` of their contacts at the same timestep.
 
-        others : of :class:`taichi_bearings.packing.lammps.Asked`, and fields of this class.
+        others : of :class:`taichi_bearings.scene.readers.lammps.Asked`, and fields of this class.
         """
         known = {item.name for item in fields(Asked)}
         asked = Asked(**{name: others.pop(name) for name in list(others) if name in known})

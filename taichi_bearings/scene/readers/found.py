@@ -8,10 +8,10 @@ import numpy as np
 
 from taichi_bearings.errors import InputError
 from taichi_bearings.options import finite_number
-from taichi_bearings.packing.checks import GAP, bodies, places, sizes
-from taichi_bearings.packing.touching import images, near_pairs
 from taichi_bearings.scene.array_files import own_array
+from taichi_bearings.scene.checks import GAP, bodies, places, sizes
 from taichi_bearings.scene.scene import imposed_direction
+from taichi_bearings.scene.touching import images, near_pairs
 from taichi_bearings.words import counted, shown
 
 TOLERANCE = 1e-3  # of the sum of the radii

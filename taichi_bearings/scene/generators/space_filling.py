@@ -19,7 +19,7 @@ import numpy as np
 
 from taichi_bearings.errors import InputError
 from taichi_bearings.options import finite_number, whole
-from taichi_bearings.packing.lattices import Built
+from taichi_bearings.scene.generators.lattices import Built
 
 LEAST_RADIUS = 1e-4  # of the height of the strip; some 30 000 discs a period
 LARGEST_COUNT, MOST_PERIODS = 20, 1000

@@ -11,9 +11,9 @@ import numpy as np
 
 from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.lattice.grid import AXIS_NAMES, axis_numbers
-from taichi_bearings.packing.checks import GAP, LEAST_SIZE, MOST_CONTACTS, MOST_SIZE, MOST_SPHERES, OVERLAP, misfit
-from taichi_bearings.packing.dumps import Frame, Frames, read_frame
-from taichi_bearings.packing.periods import nearest_images
+from taichi_bearings.scene.checks import GAP, LEAST_SIZE, MOST_CONTACTS, MOST_SIZE, MOST_SPHERES, OVERLAP, misfit
+from taichi_bearings.scene.periods import nearest_images
+from taichi_bearings.scene.readers.dumps import Frame, Frames, read_frame
 from taichi_bearings.scene.scene import periodic_axes
 from taichi_bearings.text_lines import CutOff
 from taichi_bearings.words import counted, shown

@@ -11,7 +11,7 @@ from taichi_bearings.scene.array_files import own_array
 from taichi_bearings.words import shown
 
 if TYPE_CHECKING:
-    from taichi_bearings.packing.packing import Packing
+    from taichi_bearings.scene.packing import Packing
 
 MOST_SPHERES, MOST_CONTACTS = 20_000_000, 100_000_000
 MOST_INTEGER = 2**53  # the largest up to which floats hold every whole number

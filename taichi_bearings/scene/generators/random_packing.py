@@ -13,7 +13,7 @@ import numpy as np
 
 from taichi_bearings.errors import InputError
 from taichi_bearings.options import finite_number, whole
-from taichi_bearings.packing.lattices import Built
+from taichi_bearings.scene.generators.lattices import Built
 from taichi_bearings.words import shown
 
 MOST_DEPOSITED = 200_000

@@ -9,7 +9,7 @@ import numpy as np
 
 from taichi_bearings.errors import InputError
 from taichi_bearings.lattice.grid import AXIS_NAMES, axis_numbers
-from taichi_bearings.packing.checks import MOST_SPHERES
+from taichi_bearings.scene.checks import MOST_SPHERES
 from taichi_bearings.scene.scene import periodic_axes
 from taichi_bearings.words import shown
 

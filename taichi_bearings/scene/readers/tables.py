@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from taichi_bearings.errors import FileError
-from taichi_bearings.packing.checks import MOST_CONTACTS, MOST_INTEGER, MOST_SPHERES
+from taichi_bearings.scene.checks import MOST_CONTACTS, MOST_INTEGER, MOST_SPHERES
 from taichi_bearings.text_lines import number_of, read_text_lines
 from taichi_bearings.words import meant
 

@@ -15,9 +15,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from taichi_bearings.errors import InputError
-from taichi_bearings.packing.checks import GAP, OVERLAP, misfit
-from taichi_bearings.packing.periods import reduced
-from taichi_bearings.packing.touching import near_pairs
+from taichi_bearings.scene.checks import GAP, OVERLAP, misfit
+from taichi_bearings.scene.periods import reduced
+from taichi_bearings.scene.touching import near_pairs
 
 SAME_LINE = 0.01  # distance of the unit vectors of a normal and of the centres: printed numbers are far nearer
 EXACT = 1e-12  # error of the length of normals, up to which they are taken as they are

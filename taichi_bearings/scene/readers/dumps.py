@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from taichi_bearings.errors import FileError
-from taichi_bearings.packing.checks import MOST_INTEGER
-from taichi_bearings.packing.periods import Box
+from taichi_bearings.scene.checks import MOST_INTEGER
+from taichi_bearings.scene.periods import Box
 from taichi_bearings.text_lines import CutOff, number_of, read_text_lines
 
 TIMESTEP = b"ITEM: TIMESTEP"
