@@ -9,7 +9,7 @@ margins of 1e-9 can, and double precision ends before. Here
 2. with all slipless contacts tied the power is a smooth function, and Newton's method finds its minimum, in the end in
    twice the precision (polish.py);
 3. the tied contacts have to bear what the slipping ones leave to them (slipless_forces.py). If they can, the contact
-   states are those of a minimum; whether that is proven is for the verifier to say;
+   states are those of a minimum; whether that is proven is for the judgement to say;
 4. if they cannot, the path is followed once more with other contacts tied.
 """
 

@@ -22,7 +22,7 @@ import numpy as np
 from taichi_bearings.lattice.grid import tangential
 from taichi_bearings.lattice.incidence import contact_differences, torques
 from taichi_bearings.numerics.poisson import solve_poisson
-from taichi_bearings.scene.bearing import inverse
+from taichi_bearings.scene.bearing import Bearing, inverse
 from taichi_bearings.scene.scene import Scene, vector_length
 
 Forces = np.ndarray  # (C, R, E), along the spin difference of each contact
@@ -290,7 +290,7 @@ def _divided(force: Forces, worst: np.ndarray) -> Forces:
     return force * (1.0 / np.maximum(worst, 1.0))[:, None]
 
 
-def saturation(scene: Scene, force: Forces) -> np.ndarray:
+def saturation(scene: Bearing, force: Forces) -> np.ndarray:
     """|f| / (mu F_n) of every contact, (R, E), rounded up; 0 between driven spheres, infinite for a force at a contact
     that is absent."""
     size, absent = vector_length(force), scene.coefficient == 0

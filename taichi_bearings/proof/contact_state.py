@@ -5,7 +5,6 @@ What slip speed and friction say of a contact (:func:`classify`) and what is pro
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -51,10 +50,10 @@ LOST_CONTACTS = 0.05  # share of contacts that may dissipate less than that
 SATURATED = 1 - 1e-6  # share of the friction disc from which a Coulomb contact counts as saturated
 
 
-def classify(scene: Any, slip: np.ndarray, force: np.ndarray, threshold: float) -> np.ndarray:
+def classify(scene: Bearing, slip: np.ndarray, force: np.ndarray, threshold: float) -> np.ndarray:
     """State of every contact, (R, E) uint8.
 
-    scene : a Scene, or a packing in its words. slip : speed, (R, E). force : (C, R, E). threshold : length/time.
+    slip : speed, (R, E). force : (C, R, E). threshold : length/time.
 
     Slipping if the slip exceeds `threshold` and the friction is saturated (|f| > 0.999999 mu F_n), slipless if neither,
     undecided if the two disagree. Viscous contacts have no friction limit: the slip alone decides.

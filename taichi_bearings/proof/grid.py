@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -225,5 +224,5 @@ def _length_of_two(first: Enclosure, second: Enclosure) -> Enclosure:
     return length([part.reshaped((-1,)) for part in (first, second)]).reshaped(shape)
 
 
-def _any(part: Enclosure) -> Any:
-    return any(of.any() for of in part.parts)
+def _any(part: Enclosure) -> bool:
+    return any(bool(of.any()) for of in part.parts)

@@ -34,7 +34,6 @@ from taichi_bearings.scene.disorder import Distribution, draw_coefficients
 from taichi_bearings.scene.law import LAWS
 from taichi_bearings.scene.scene import of_lattice
 from taichi_bearings.scene.solution import DRIVEN, SLIPLESS, SLIPPING, TIED, UNDECIDED
-from taichi_bearings.solvers.answer import judged
 from taichi_bearings.stages import stage
 from taichi_bearings.words import shown
 
@@ -101,13 +100,12 @@ def _size_of(scene: Bearing) -> dict[str, Any]:
 
 def _judgements(solution: Solution) -> list[Judgement]:
     """Of all samples of a lattice side by side, or of each packing; none where no arithmetic can judge the numbers."""
-    given = (solution.spin, solution.spin_rounding, solution.friction)
-    scene = solution.scene
+    scene, given = solution.scene, (solution.spin, solution.spin_rounding, solution.friction)
     if scene.network.lattice is not None:
-        found = judged(of_lattice(scene), *given)
-        return [] if found is None else [found]
-    each = [Judgement(scene.sample(number), *arrays) for number, arrays in enumerate(zip(*given, strict=True))]
-    return each if all(one.can_be_judged for one in each) else []
+        found = [Judgement(scene, *given)]
+    else:
+        found = [Judgement(scene.sample(number), *arrays) for number, arrays in enumerate(zip(*given, strict=True))]
+    return found if all(one.can_be_judged for one in found) else []
 
 
 @dataclass(frozen=True)

@@ -178,7 +178,7 @@ def test_driven_spheres_that_touch_hold_a_torque_too_and_a_false_word_is_found(t
 
 
 def test_a_torque_just_above_what_is_proven_to_be_held_is_verified(tmp_path):
-    """Contacts between driven discs are summed; a share of 1e-13 is given up for that, by the verifier less."""
+    """Contacts between driven discs are summed; a share of 1e-13 is given up for that."""
     packing = tb.Packing.lattice("triangular", (3, 3), seed=1)
     held = solve(packing, torque=1.0).findings["yield_torque_lower_bound"]
     found = solve(packing, torque=held * (1 + 2e-14))

@@ -76,7 +76,7 @@ def drawn(seed: int, number: int = 0) -> dict:
 
 
 def contradictions(given: dict, folder: Path) -> list[str] | None:
-    """What the verifier holds against a run in `folder`; None for a scene or option that the method does not take."""
+    """What `verify` holds against a run in `folder`; None for a scene or option that the method does not take."""
     try:
         settings = RunSettings(threads=1, figures="none", **LIMIT | given)
         if "checkpoint_every" in given:

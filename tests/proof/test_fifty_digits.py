@@ -2,7 +2,7 @@
 
 The contacts that are said to rest are held, those said to slip follow the law, and Newton's method finds the spins in
 decimals, from the normals, radii and spins bit by bit. If then slips are not 0, and forces of the contacts at rest
-balance the others inside all discs, this is the minimum; nothing is shared with the solvers or the verifier.
+balance the others inside all discs, this is the minimum; nothing is shared with the solvers or the proofs.
 """
 
 from contextlib import suppress

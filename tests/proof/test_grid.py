@@ -1,4 +1,4 @@
-"""What the verifier finds of lattices by slices is what lists of contacts say; large arrays are worked on in parts."""
+"""What the proofs find of lattices by slices is what lists of contacts say; large arrays are worked on in parts."""
 
 import itertools
 

@@ -179,7 +179,7 @@ def test_what_proves_and_what_is_proven_is_not_forged_unseen(name, tmp_path, nee
 
 
 def test_what_cannot_be_judged_is_not_said_to_be_proven(tmp_path, needs_f64):
-    """A direction that no arithmetic of the verifier can follow is refused; scales beyond it are not certified."""
+    """A direction that no arithmetic of the proofs can follow is refused; scales beyond it are not certified."""
     with pytest.raises(InputError, match="1e-100 of the largest"):
         run(RunSettings(shape=(4, 4, 4), direction=(1, 1e-200, 0)), tmp_path / "run")
     scene = make_scene((4, 5), normal_force=1e-80)

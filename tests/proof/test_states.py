@@ -1,4 +1,4 @@
-"""Contact states that the verifier proves are those of every minimum, by a truth in 140 digits."""
+"""Contact states that are proven are those of every minimum, by a truth in 140 digits."""
 
 from dataclasses import replace
 from decimal import Decimal

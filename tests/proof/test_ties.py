@@ -1,4 +1,4 @@
-"""Contacts that slip at some minima, or at none though at their limit: what the verifier proves of them."""
+"""Contacts that slip at some minima, or at none though at their limit: what is proven of them."""
 
 from dataclasses import replace
 
