@@ -32,6 +32,17 @@ def two_product(a: np.ndarray, b: np.ndarray) -> Pair:
     return product, rest
 
 
+def two_square(a: np.ndarray) -> Pair:
+    """The same of a number with itself."""
+    product, (a1, a2) = a * a, _halves(a)
+    rest, both = a1 * a1, a1 * a2
+    rest -= product
+    rest += both
+    rest += both
+    rest += a2 * a2
+    return product, rest
+
+
 def _halves(a: np.ndarray) -> Pair:
     head = SPLIT * a
     head -= head - a
@@ -61,9 +72,7 @@ def scaled(factor: np.ndarray, x: Pair) -> Pair:
 
 
 def square(x: Pair) -> Pair:
-    high, (large, small) = x[0] * x[0], _halves(x[0])
-    both = large * small
-    rest = ((large * large - high) + both + both) + small * small
+    high, rest = two_square(x[0])
     return two_sum(high, rest + 2 * (x[0] * x[1]))
 
 

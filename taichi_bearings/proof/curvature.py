@@ -103,7 +103,7 @@ class Slipping:
         """Friction over slip of the same, (m,)."""
         return self.strength.at(self.curved) / self.size.at(self.curved)
 
-    @property
+    @cached_property
     def pulls(self) -> tuple[Enclosure, Enclosure]:
         """Force along either component, (n,) each."""
         found = [self.strength.signed(np.sign(part.high)) for part in self.difference]
@@ -309,7 +309,7 @@ class Curvature:
         """Proven; 0 if none can be."""
         return self.form.floor() or 0.0
 
-    @property
+    @cached_property
     def entries(self) -> list[sparse.csr_array]:
         """Sizes of `changes`, zeros and ones."""
         return [_with(change, np.abs(change.data)) for change in self.changes]

@@ -18,7 +18,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from taichi_bearings.numerics.double_double import two_product, two_sum
+from taichi_bearings.numerics.double_double import two_product, two_square, two_sum
 
 LEAST_LENGTH = 2.0**-400  # length below which squares lose digits
 LEAST_ROUNDING = 2.0**-1072  # twice what scaling back into the smallest doubles can round
@@ -101,6 +101,7 @@ class Enclosure:
         high, rest = _fast_two_sum(high, rest + more)
         return Enclosure(high, rest, (self.error + other.error + PAIR_ROUNDING * np.abs(high)) * UP)
 
+    @in_cache
     def __sub__(self, other: Enclosure) -> Enclosure:
         return self + (-other)
 
@@ -117,6 +118,14 @@ class Enclosure:
         rest += self.high * other.low + self.low * other.high
         most, others = self.most, other.most
         return _rounded(product, rest, self.error * others + other.error * most, lambda: (most > 0) & (others > 0))
+
+    @in_cache
+    def squared(self) -> Enclosure:
+        """The product with itself, bit by bit."""
+        (product, rest), most = two_square(self.high), self.most
+        twice, error = self.high * self.low, self.error * most
+        rest += twice + twice
+        return _rounded(product, rest, error + error, lambda: most > 0)
 
     @in_cache
     def times(self, other: np.ndarray) -> Enclosure:
@@ -143,11 +152,11 @@ class Enclosure:
         zero = self.high == 0
         root = np.sqrt(np.where(zero, 1.0, self.high))
         about = Enclosure.exact(root)
-        left = self - about * about
+        left = self - about.squared()
         high, low = _fast_two_sum(root, left.high / (2 * root))
         made = Enclosure(high, low, np.zeros_like(high))
         # |sqrt(a) - b| <= |a - b^2| / b for positive b
-        missed = (self - made * made).most / made.least * UP
+        missed = (self - made.squared()).most / made.least * UP
         return Enclosure(
             np.where(zero, 0.0, high), np.where(zero, 0.0, low), np.where(zero, np.sqrt(self.error) * UP, missed)
         )
@@ -254,19 +263,27 @@ def length(parts: list[Enclosure]) -> Enclosure:
     """Length of vectors given by their parts, (n,) each; exactly the size of a part where the others are 0."""
     parts = [part for part in parts if part.high.any() or part.error.any()] or parts[:1]  # but those that are exactly 0
     there = np.array([(part.high != 0) | (part.error != 0) for part in parts])
-    several = np.flatnonzero(there.sum(axis=0) > 1)
+    several = np.flatnonzero(there.sum(axis=0, dtype=np.int8) > 1)
+    if len(several) == there.shape[1]:
+        return _length_of_several(parts)
     root = abs(Enclosure(*(sum(of[1:], of[0]) for of in zip(*(part.parts for part in parts), strict=True))))
-    if not len(several):
-        return root
-    parts = [part.at(several) for part in parts]
-    # the squares of faint ones would be lost
+    if len(several):
+        root.put(several, _length_of_several([part.at(several) for part in parts]))
+    return root
+
+
+def _length_of_several(parts: list[Enclosure]) -> Enclosure:
+    """Length of vectors of which several parts are not exactly 0. The squares of faint ones would be lost."""
     sizes = np.max([part.most for part in parts], axis=0)
-    scale = np.ldexp(1.0, -np.where(sizes < LEAST_LENGTH, np.maximum(np.frexp(sizes)[1], -1000), 0))
-    squares = [scaled * scaled for scaled in (part.signed(scale) for part in parts)]
+    faint = sizes < LEAST_LENGTH
+    if not faint.any():
+        squares = [part.squared() for part in parts]
+        return sum(squares[1:], squares[0]).sqrt()
+    scale = np.ldexp(1.0, -np.where(faint, np.maximum(np.frexp(sizes)[1], -1000), 0))
+    squares = [part.signed(scale).squared() for part in parts]
     found = sum(squares[1:], squares[0]).sqrt().signed(1 / scale)
     found.error[scale > 1] += LEAST_ROUNDING
-    root.put(several, found)
-    return root
+    return found
 
 
 def _rounded(product: np.ndarray, rest: np.ndarray, error: np.ndarray, counts: Callable[[], np.ndarray]) -> Enclosure:

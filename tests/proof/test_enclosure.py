@@ -57,6 +57,16 @@ def test_arithmetic_encloses_the_exact_result(name, close):
                 contains(result, i, apply(a, b))
 
 
+def test_squares_enclose_the_exact_ones_and_are_the_products():
+    value = numbers(4)
+    squares, products = value.squared(), value * value
+    for i in range(CASES):
+        for of in corners(value[[i]]):
+            contains(squares, i, of**2)
+    for own, other in zip(squares.parts, products.parts, strict=True):
+        assert (own == other).all()
+
+
 def test_results_of_exact_numbers_are_known_to_a_hundred_bits():
     first, second = (Enclosure.exact(numbers(seed).high, numbers(seed).low) for seed in (4, 5))
     for result in (first + second, first * second, first / second):
