@@ -91,12 +91,16 @@ def _across(first: np.ndarray, second: np.ndarray, upper: np.ndarray) -> tuple[n
 def _least_cover(low: np.ndarray, high: np.ndarray, count: int) -> np.ndarray:
     """Mask (count,) of fewest nodes that meet every edge from a node of one side to one of the other: a minimum cut of
     flow 1 through each node. It is the same whatever the largest flow; SciPy's own matchings can take minutes."""
-    (lower, begin), (upper, end) = (np.unique(side, return_inverse=True) for side in (low, high))
+    (lower, begin), (upper, end) = (_numbered(side, count) for side in (low, high))
     below, above = len(lower), len(upper)
     source, sink = below + above, below + above + 1
-    first = np.concatenate([begin, np.full(below, source), below + np.arange(above)])
-    second = np.concatenate([below + end, np.arange(below), np.full(above, sink)])
-    capacity = sparse.csr_array((np.ones(len(first), dtype=np.int32), (first, second)), shape=(sink + 1, sink + 1))
+    # rows in order: edges of each lower node, then those of the upper nodes to the sink, then those of the source
+    order = np.argsort(begin * np.int64(above) + end)
+    second = np.concatenate([below + end[order], np.full(above, sink), np.arange(below)]).astype(np.int32)
+    outgoing = np.concatenate([np.bincount(begin, minlength=below), np.ones(above, dtype=np.int64), [below, 0]])
+    starts = np.append(0, np.cumsum(outgoing)).astype(np.int32)
+    capacity = sparse.csr_array((np.ones(len(second), dtype=np.int32), second, starts), shape=(sink + 1, sink + 1))
+    capacity.sum_duplicates()
     left = sparse.csr_array(capacity - maximum_flow(capacity, source, sink).flow)
     left.eliminate_zeros()
     reached = np.zeros(sink + 1, dtype=bool)
@@ -104,6 +108,13 @@ def _least_cover(low: np.ndarray, high: np.ndarray, count: int) -> np.ndarray:
     cover = np.zeros(count, dtype=bool)
     cover[lower[~reached[:below]]], cover[upper[reached[below:source]]] = True, True
     return cover
+
+
+def _numbered(nodes: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """The different ones of these nodes, in order, and of each node its number among them. count : of all nodes."""
+    there = np.zeros(count, dtype=bool)
+    there[nodes] = True
+    return np.flatnonzero(there), (np.cumsum(there) - 1)[nodes]
 
 
 def _in_postorder(parent: np.ndarray, part: np.ndarray) -> list[Part]:

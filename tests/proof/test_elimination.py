@@ -2,6 +2,7 @@
 
 from fractions import Fraction
 
+import networkx
 import numpy as np
 import pytest
 from scipy import sparse
@@ -50,6 +51,18 @@ def test_what_is_dissected_is_joined_only_through_the_parts_above(seed):
         above[number] |= above[parent[number]] if number in parent else set()
     for a, b in zip(*matrix.nonzero(), strict=True):
         assert owner[a] in above[owner[b]] or owner[b] in above[owner[a]]
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_the_nodes_between_two_halves_are_as_many_as_edges_without_a_common_node(seed):
+    """König's theorem; some edges are given twice, and some nodes have none."""
+    rng = np.random.default_rng(seed)
+    low, high = rng.integers(0, 25, 60), rng.integers(30, 55, 60)
+    low, high = np.append(low, low[:7]), np.append(high, high[:7])
+    cover = dissection._least_cover(low, high, 60)
+    graph = networkx.Graph(zip(low.tolist(), high.tolist(), strict=True))
+    assert (cover[low] | cover[high]).all()
+    assert cover.sum() == len(networkx.max_weight_matching(graph, maxcardinality=True))
 
 
 @pytest.mark.parametrize("seed", range(5))
