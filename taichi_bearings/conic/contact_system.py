@@ -97,7 +97,7 @@ class ContactSystem:
     def terms(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """All terms of the Laplacian, each pair once: first, second unknown, place in `stacked` stiffness, factor."""
         d, count = self.offset.shape
-        found, ends = [], [_ends(self.operator[slip * count : (slip + 1) * count]) for slip in range(d)]
+        found, ends = [], [self._unknowns_of(slip) for slip in range(d)]
         for number, (i, j) in enumerate(combinations_with_replacement(range(d), 2)):
             several = product(ends[i], ends[j]) if i != j else combinations_with_replacement(ends[i], 2)
             for (first, of_first), (second, of_second) in several:
@@ -106,6 +106,18 @@ class ContactSystem:
                 found.append((first[free], second[free], number * count + free, factor[free]))
         first, second, source, factor = (np.concatenate(parts) for parts in zip(*found, strict=True))
         return first, second, source, factor
+
+    def _unknowns_of(self, slip: int) -> list[tuple[np.ndarray, np.ndarray]]:
+        """The first unknown (n,) of this slip of each contact, and its factor, 0 where there is none; the second, and
+        so on."""
+        if self.ends is None:
+            count = self.offset.shape[1]
+            return _ends(self.operator[slip * count : (slip + 1) * count])
+        (below, above), differ = self.ends[:, slip], self.ends[0, slip] != self.ends[1, slip]
+        return [
+            (np.maximum(end, 0), np.where((end >= 0) & differ, factor, 0.0))
+            for end, factor in ((below, -1.0), (above, 1.0))
+        ]
 
 
 def _ends(slips: sparse.csr_matrix) -> list[tuple[np.ndarray, np.ndarray]]:

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from taichi_bearings.conic.contact_system import free_spins, lattice_system, place_free_spins
+from taichi_bearings.conic.contact_system import free_spins, lattice_system, place_free_spins, stacked
+from taichi_bearings.conic.contraction import Contraction
 from tests.scenes import make_scene
 
 
@@ -31,3 +32,30 @@ def test_free_spins_go_back_to_their_places():
     for replica, spins in enumerate(free_spins(staggered)):
         place_free_spins(again, replica, spins)
     assert (again == staggered).all()
+
+
+@pytest.mark.parametrize("tied", [False, True], ids=["whole", "with tied contacts"])
+@pytest.mark.parametrize("shape", [(4, 5), (3, 4, 5), (2, 3, 4)], ids=str)
+def test_the_terms_of_the_laplacian_are_what_springs_at_the_contacts_resist(shape, tied):
+    scene, rng = make_scene(shape, seeds=(1,)), np.random.default_rng(7)
+    lattice, axes = scene.lattice, scene.minimum_spin_axes
+    system = lattice_system(lattice, axes, np.ones(len(axes)))
+    if tied:
+        some = rng.random(system.offset.shape[1]) < 0.3
+        system = Contraction(system, np.arange(system.unknowns), some).system
+    d, count = system.offset.shape
+    springs = rng.standard_normal((d, d, count))
+    springs = springs + springs.transpose(1, 0, 2)
+    whole = np.zeros((system.unknowns,) * 2)
+    for contact in range(count):
+        rise = np.zeros((d, system.unknowns))
+        for slip in range(d):
+            for unknown, sign in zip(system.ends[:, slip, contact], (-1, 1), strict=True):
+                if unknown >= 0:
+                    rise[slip, unknown] += sign
+        whole += rise.T @ springs[:, :, contact] @ rise
+    first, second, source, factor = system.terms()
+    found = np.zeros_like(whole)
+    np.add.at(found, (first, second), factor * stacked(springs)[source])
+    np.add.at(found, (second, first), np.where(first == second, 0.0, factor * stacked(springs)[source]))
+    np.testing.assert_allclose(found, whole, atol=1e-12)
