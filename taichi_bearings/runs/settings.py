@@ -6,6 +6,7 @@ What belongs to every run is declared here; the options of a method are those th
 import json
 import re
 from collections.abc import Mapping
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from itertools import accumulate
@@ -246,6 +247,12 @@ class RunSettings:
     @classmethod
     def keys(cls) -> tuple[str, ...]:
         return tuple(settings_table())
+
+    def of_replica(self, seed: int) -> "RunSettings":
+        """Those of one of its replicas, whose seed this is. All else is as it was read."""
+        one = copy(self)
+        vars(one).update(seed=seed, replicas=1)
+        return one
 
     @property
     def values(self) -> dict[str, Any]:

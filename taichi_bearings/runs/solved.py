@@ -51,7 +51,7 @@ class Run:
         if not 0 <= replica < len(self.solution.state):
             raise InputError(f"replica is {replica}; the run has {len(self.solution.state)}, counted from 0")
         solution, spin = self.solution.sample(replica), self.spin
-        settings = replace(self.settings, seed=solution.scene.seeds[0], replicas=1)
+        settings = self.settings.of_replica(solution.scene.seeds[0])
         one = spin if spin is None or self.is_packing else spin[[replica]]
         return replace(self, settings=settings, solution=solution, spin=one)
 

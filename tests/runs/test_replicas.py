@@ -65,3 +65,10 @@ def test_a_method_in_double_precision_is_said_to_be_one(tmp_path):
     assert found["gap"] < 1e-10
     words = (*words, "--force", "--method", "gradient-descent", "--tolerance", "1e-2")
     assert json.loads(bearings("run", *words, env=dict(os.environ)).stdout)["precision"] == "f32"
+
+
+def test_the_settings_of_a_replica_are_those_that_it_would_have_alone():
+    whole = RunSettings(shape=(4, 4, 4), seed=5, replicas=3, method="gradient-descent", iterations=7)
+    one = whole.of_replica(7)
+    assert one == RunSettings(shape=(4, 4, 4), seed=7, method="gradient-descent", iterations=7)
+    assert (whole.seed, whole.replicas, one.owned) == (5, 3, whole.owned)
