@@ -42,7 +42,7 @@ def said(done, code):
 
 
 def test_a_file_of_another_layout_is_refused_by_its_number(stored, tmp_path):
-    run, version = tmp_path / "run", 2
+    run, version = tmp_path / "run", 3
     shutil.copytree(stored, run)
     for name in ("run.h5", "checkpoint.h5"):
         with h5py.File(run / name, "a") as file:
@@ -58,7 +58,7 @@ def test_a_file_of_another_layout_is_refused_by_its_number(stored, tmp_path):
         ("run", "--shape", "3,4", "--initial", run / "run.h5"),
     ):
         done = bearings(*words, cwd=tmp_path)
-        assert f"layout version {version}; this program reads version 1" in said(done, 2), words
+        assert f"layout version {version}; this program reads versions 1 and 2" in said(done, 2), words
     with pytest.raises(FileError, match=f"layout version {version}"):
         tb.load(run)
     assert [file.name for file in tmp_path.iterdir()] == ["run"]

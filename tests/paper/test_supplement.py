@@ -73,7 +73,7 @@ def test_slips_are_known_as_closely_as_is_said(taichi_runtime, needs_f64):
     assert 0 < max(errors) < 1e-6
     apart = np.abs(slips[1][moves] / slips[0][moves] - 1).max()
     assert apart <= sum(errors) + 8 * np.finfo(float).eps
-    assert supplement.largest_slip_error(replace(found[0], states_proven=np.array([False]))) is None
+    assert supplement.largest_slip_error(replace(found[0], proven=np.zeros_like(found[0].proven))) is None
 
 
 def test_a_small_study(tmp_path, monkeypatch, taichi_runtime, needs_f64):
