@@ -223,8 +223,13 @@ class Anew:
         )
         wrong["a state that is said to be proven and is not"] = stored.proven & (stored.state != self.known)
         for what, mask in wrong.items():
-            if mask.any():
-                yield f"{int(mask.sum()):,} contacts have {what}"
+            for number in np.flatnonzero(mask.any(axis=1)).tolist():
+                yield f"{_of_sample(number, len(mask))}{int(mask[number].sum()):,} contacts have {what}"
+
+
+def _of_sample(number: int, count: int) -> str:
+    """How a sentence on one of several samples begins."""
+    return f"sample {number}: " if count > 1 else ""
 
 
 HELD = {name: CONTACTS[name] for name in ("slip", "power")}
@@ -251,8 +256,10 @@ def _not_driven_so(stored: Solution) -> Iterator[str]:
     network, expected = stored.scene.network, stored.scene.imposed_spins()
     driven = ~network.free.reshape(network.shape)
     pairs = zip(expected, (stored.spin, stored.spin_rounding), strict=True)
-    if any((said != of)[:, driven].any() for of, said in pairs):
-        yield "the spins of driven spheres are not those that the scene imposes"
+    wrong = np.any([(said != of)[:, driven].reshape(len(said), -1).any(axis=1) for of, said in pairs], axis=0)
+    for number in np.flatnonzero(wrong).tolist():
+        where = _of_sample(number, len(wrong))
+        yield f"{where}the spins of driven spheres are not those that the scene imposes"
 
 
 def _not_of_their_seeds(run: Run) -> list[str]:
@@ -292,8 +299,8 @@ def _said_otherwise(said: Mapping[str, Any], numbers: Mapping[str, Any], count: 
             continue
         for number, pair in enumerate(zip(given, true, strict=True)):
             if not _allowed(name, *pair):
-                which = f" of sample {number}" if several else ""
-                yield f"the {name.replace('_', ' ')}{which} is said to be {shown(pair[0])}; it is {pair[1]!r}"
+                where = _of_sample(number, len(true))
+                yield f"{where}the {name.replace('_', ' ')} is said to be {shown(pair[0])}; it is {pair[1]!r}"
 
 
 def _allowed(name: str, said: Any, true: Any) -> bool:

@@ -90,7 +90,6 @@ FORGED = [  # file, change, commands that refuse it, and their words
        f"{name} of / in it is neither a number nor a text") for name in ("slipping", "power")),
     *((RUN, mark("lower_bound", value), [ANALYSE], "lower_bound is ") for value in NONE),
     (RUN, mark("gap", "a"), [ANALYSE], "gap is "),
-    (RUN, mark("states_proven", ["a", "b"]), [ANALYSE], "states_proven is "),
     *((SCAN, mark(name, value), [HISTOGRAM, FIGURE], f"its attribute {name} ") for name, value in (
         ("scan", None), ("scan", [3, 4]), ("asked", np.zeros(2)), ("journals", np.zeros(2000)), ("asked", "a"),
     )),
