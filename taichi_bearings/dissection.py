@@ -8,6 +8,8 @@ All regions of a level are worked on at once.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from hashlib import blake2b
+from threading import Lock
 
 import numpy as np
 from scipy import sparse
@@ -25,11 +27,37 @@ class Part:
     children: list[int]
 
 
+KEPT_DIVISIONS, MOST_KEPT_NODES = (
+    8,
+    200_000,
+)  # divisions that are kept, the last ones used, and nodes of graphs up to which
+_kept: dict[bytes, list[Part]] = {}
+_keeping = Lock()
+
+
 def dissected(graph: sparse.csc_array | sparse.csr_matrix, place: np.ndarray, leaf: int) -> list[Part]:
     """Parts of a symmetric graph (n, n) whose nodes have these coordinates (d, n), children before parents.
 
-    leaf : nodes of a region that is not divided.
+    leaf : nodes of a region that is not divided. The same graph at the same places is divided once: methods and proofs
+    of one network, and of samples that share it, ask again and again.
     """
+    if graph.shape[0] > MOST_KEPT_NODES:
+        return _divided(graph, place, leaf)
+    key = blake2b(f"{graph.shape} {place.shape} {place.dtype} {leaf}".encode())
+    for values in (graph.indptr.astype(np.int64), graph.indices.astype(np.int64), place):
+        key.update(np.ascontiguousarray(values).tobytes())
+    name = key.digest()
+    found = _kept.get(name) or _divided(graph, place, leaf)
+    with _keeping:
+        _kept.pop(name, None)
+        _kept[name] = found  # as the last one used
+        while len(_kept) > KEPT_DIVISIONS:
+            del _kept[next(iter(_kept))]
+    return found
+
+
+def _divided(graph: sparse.csc_array | sparse.csr_matrix, place: np.ndarray, leaf: int) -> list[Part]:
+    """As :func:`dissected`."""
     count = graph.shape[0]
     second = np.repeat(np.arange(count), np.diff(graph.indptr))
     once = graph.indices > second

@@ -9,10 +9,11 @@ spring that slips where it would bear more than friction does, and begins with t
 it. A contact that rests slips the less each time; those beyond their friction slip along it.
 """
 
+import threading
 from contextlib import suppress
 from dataclasses import replace
 from functools import reduce
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -33,6 +34,7 @@ from taichi_bearings.numerics.graphs import odd_pieces
 from taichi_bearings.packing.system import Found, System
 from taichi_bearings.stages import Step, stage
 
+KEPT_UNKNOWNS = 30_000  # up to which the matrix of a network is kept for its other samples
 SMALL_SPHERES = 5_000  # up to which states are settled as those of small lattices
 HOLDS = (1e6, 1e8, 1e10, 1e10)  # stiffnesses of the springs, over friction
 SETTLED_FORCE = 1e-11  # change of a force, of the mean friction, at which they are settled
@@ -84,10 +86,8 @@ def viscous_spins(system: System, viscosity: np.ndarray) -> np.ndarray:
 def followed(system: System, friction: np.ndarray, viscosity: np.ndarray, power_unit: float = 1.0) -> Found:
     """Where the central path and the settling of states lead. friction, viscosity : (A,). power_unit : of the power
     that is told on the way."""
-    along, flows = signed(system), bool(viscosity.any())
-    contacts, sign = along or (oblique(system), None)
-    order = order_by_place(contacts, system.place)
-    matrix = NewtonMatrix(contacts, order)
+    flows = bool(viscosity.any())
+    contacts, sign, order, matrix = _skeleton(system)
     unit = float(np.exp2(np.round(np.log2((friction + viscosity).mean()))))  # as of lattices
     strength, viscous = friction[contacts.contact] / unit, viscosity[contacts.contact] / unit
     spins = np.zeros(contacts.unknowns)
@@ -96,7 +96,7 @@ def followed(system: System, friction: np.ndarray, viscosity: np.ndarray, power_
     slack = SLACK * float(length(contacts.differences(spins)).mean())
     start = Iterate.start(contacts, spins, strength, slack, viscous if flows else None)
     start = start if (friction > 0).all() else replace(start, smooth=strength == 0)
-    settles, spheres = along is not None, len(np.unique(system.sphere))
+    settles, spheres = sign is not None, len(np.unique(system.sphere))
     small = settles and spheres < SMALL_SPHERES
     sample = Sample(start, unit)
     with stage("following the central path") as under_way:
@@ -126,6 +126,24 @@ def followed(system: System, friction: np.ndarray, viscosity: np.ndarray, power_
         None if of is None else _everywhere(contacts, of, len(friction)) for of in (slipping, open_, ties)
     )
     return Found(spins, force, "interior-point", slips, tie, sample.steps, open=opens, rest=rest)
+
+
+_Skeleton = tuple[ContactSystem, np.ndarray | None, np.ndarray, NewtonMatrix]
+
+
+def _skeleton(system: System) -> _Skeleton:
+    """What all samples on a network have in common: contacts, signs, the order of elimination and the matrix. Of small
+    ones, of which there are many, it is made once, by each thread, as numbers of a factorisation are kept in it."""
+    name = threading.get_ident(), float(np.abs(system.offset).max(initial=0.0))
+    if (found := system.kept.get(name)) is not None:
+        return cast(_Skeleton, found)
+    contacts, sign = signed(system) or (oblique(system), None)
+    order = order_by_place(contacts, system.place)
+    made = contacts, sign, order, NewtonMatrix(contacts, order)
+    if system.unknowns < KEPT_UNKNOWNS:
+        system.kept.clear()
+        system.kept[name] = made
+    return made
 
 
 @np.errstate(all="ignore")

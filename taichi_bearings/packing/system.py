@@ -1,7 +1,8 @@
 """What there is to find: the free spins that contacts with driven ones reach, and the slips that they make."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from scipy import sparse
@@ -20,7 +21,7 @@ class System:
     moved : (N, C) number of each unknown, -1 where the spin is imposed, or held at 0. motions : number of slipless ones
     before some were held; None if undecided. sphere : (unknowns,).
     known : (N, C), u of spheres and components that are no unknowns. matrix : K. offset : b, (d, A), of the known
-    spins. coefficients : (A,) each.
+    spins. coefficients : (A,) each. kept : what methods have made of the network, for other coefficients on it.
     """
 
     bearing: Bearing
@@ -32,6 +33,7 @@ class System:
     matrix: sparse.csr_array
     offset: np.ndarray
     coefficients: tuple[np.ndarray, ...]
+    kept: dict[Any, Any] = field(default_factory=dict, compare=False)
 
     @classmethod
     def of(cls, bearing: Bearing) -> "System":

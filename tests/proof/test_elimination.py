@@ -35,6 +35,22 @@ def small_parts(monkeypatch):
     monkeypatch.setattr(elimination, "REGION_UNKNOWNS", 4)
 
 
+def test_the_same_graph_is_divided_once_and_any_other_for_itself(monkeypatch):
+    """As many divisions as different graphs, places and leaves, and the parts are those of a division of their own."""
+    divided = list[int]()
+    own = dissection._divided
+    monkeypatch.setattr(dissection, "_divided", lambda *given: divided.append(1) or own(*given))
+    monkeypatch.setattr(dissection, "_kept", {})
+    (one, place), (other, beside) = scattered(1), scattered(2)
+    asked = [(one, place, 4), (other, place, 4), (one, beside, 4), (one, place, 8), (one.copy(), place.copy(), 4)]
+    found = [dissected(*given) for given in asked * 2]
+    assert len(divided) == 4
+    for given, parts in zip(asked * 2, found, strict=True):
+        for part, expected in zip(parts, own(*given), strict=True):
+            assert np.array_equal(part.nodes, expected.nodes)
+            assert part.children == expected.children
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_what_is_dissected_is_joined_only_through_the_parts_above(seed):
     matrix, place = scattered(seed)
