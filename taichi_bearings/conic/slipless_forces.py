@@ -49,8 +49,8 @@ def nearly_borne(
     at their limit, bearing all their friction.
     """
     samples, side = len(heads), _side_by_side(dual, len(heads))
-    limit = _side_by_side(np.where(at_limit, friction, np.inf), samples)
-    side = _without_noise(side, limit)
+    limit = _side_by_side(np.where(at_limit, friction, np.inf), samples) if at_limit.any() else None
+    side = side if limit is None else _without_noise(side, limit)
     still = np.stack(heads, axis=1).astype(float)  # a spring for each domain, that nothing stretches
     found, going = np.zeros(samples, dtype=bool), np.ones(samples, dtype=bool)
     held = at_limit.reshape(samples, -1).any(axis=1)
@@ -69,7 +69,7 @@ def nearly_borne(
         if (going & ~ended).any():
             of_each = zip(np.split(friction, samples), np.split(at_limit, samples), strict=True)
             going = going & (ended | [may_tie(*of) for of in of_each])
-        if (cut := ended & held).any():
+        if limit is not None and (cut := ended & held).any():
             balanced = _cut_and_balanced(system, matrix, balanced, springs, limit, cut)
         found |= ended
         share = np.where(going & (reach <= 1), SHARE_OF_WAY * reach, 1.0)
@@ -131,8 +131,11 @@ def _cut_and_balanced(
     return _cut(side, limit)
 
 
-def _cut(dual: np.ndarray, limit: np.ndarray) -> np.ndarray:
-    """The dual (d, n, samples), with forces beyond the limit (n, samples), or next to it, just as large."""
+def _cut(dual: np.ndarray, limit: np.ndarray | None) -> np.ndarray:
+    """The dual (d, n, samples), with forces beyond the limit (n, samples), or next to it, just as large; None where no
+    contact rests at its limit."""
+    if limit is None:
+        return dual
     size = np.maximum(np.sqrt((dual**2).sum(axis=0)), TINY)
     return np.where(_at_limit(dual, limit), dual * (limit / size), dual)
 

@@ -85,7 +85,7 @@ def divide(x: Pair, y: Pair) -> Pair:
 def square_root(x: Pair) -> Pair:
     """Of positive numbers."""
     first = np.sqrt(x[0])
-    left = subtract(x, two_product(first, first))
+    left = subtract(x, two_square(first))
     return two_sum(first, left[0] / (2 * first))
 
 
