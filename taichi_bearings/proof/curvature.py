@@ -76,6 +76,8 @@ class Slipping:
         for slot in range(2):
             for k in network.needed:
                 mine = np.flatnonzero(felt[slot] == k)
+                if not len(mine):
+                    continue
                 lower[slot, mine], upper[slot, mine] = number[k][ends[:, mine]]
                 difference[slot].put(mine, motion.difference(k, some[mine]))
         strength, damping = network.holding.at(some), network.slope.at(some) if network.flows else None

@@ -492,8 +492,18 @@ class Motion:
             found[held[differs] // (len(network.free) // network.count)] = True
         return found
 
+    @cached_property
+    def _turning(self) -> dict[int, tuple[Enclosure, Enclosure | None]]:
+        """By component what :meth:`_turns` has found."""
+        return {}
+
     def _turns(self, k: int) -> tuple[Enclosure, Enclosure | None]:
         """Signed spins (n,), and what those that turn with the top of a lattice lack, if they lack anything."""
+        if k not in self._turning:
+            self._turning[k] = self._turns_of(k)
+        return self._turning[k]
+
+    def _turns_of(self, k: int) -> tuple[Enclosure, Enclosure | None]:
         network = self.network
         own = network.spin[k] if network.lattice is not None else network.spin[k].signed(network.sign[k])
         if (self.rests & ~network.still).any():
