@@ -14,6 +14,7 @@ import numpy as np
 from taichi_bearings.memory import NotEnoughMemory, refuse_before
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene import Bearing
+from taichi_bearings.scene.scene import of_lattice
 from taichi_bearings.solvers.table import JUDGED_SECONDS, InteriorPoint, MethodOptions
 from taichi_bearings.words import counted
 
@@ -62,12 +63,12 @@ def bytes_of_lattice(
     return PROCESS_BYTES + each * replicas
 
 
-def refuse_too_large(row: type[MethodOptions], scene: Any) -> None:
+def refuse_too_large(row: type[MethodOptions], scene: Bearing) -> None:
     """NotEnoughMemory where a solve of this scene, its proof and its file need more than there is.
 
     A scene that stands already is part of what is told, so nothing is refused that fits.
     """
-    lattice = scene.lattice
+    lattice = of_lattice(scene).lattice
     needed = bytes_of_lattice(row, lattice.shape, lattice.periodic, scene.replicas) - PROCESS_BYTES
     what = f"{row.name} of {counted(lattice.sites * scene.replicas, 'sphere')}"
     if needed == inf:
@@ -75,11 +76,11 @@ def refuse_too_large(row: type[MethodOptions], scene: Any) -> None:
     refuse_before(needed, what)
 
 
-def cost_of(settings: RunSettings, row: type[MethodOptions], scene: Any) -> Cost:
+def cost_of(settings: RunSettings, row: type[MethodOptions], scene: Bearing) -> Cost:
     """What the run of these settings takes. row : its method. scene : as of a runs.run.Job."""
-    if settings.is_packing:
+    if (lattice := scene.network.lattice) is None:
         return _of_packings(settings, row, scene)
-    shape, lattice = settings.shape, scene.lattice
+    shape = settings.shape
     judged = PROCESS_SECONDS + JUDGED_SECONDS[len(shape)] * lattice.sites * settings.replicas
     room = bytes_of_lattice(row, shape, lattice.periodic, settings.replicas)
     step = row.step_seconds(shape)
@@ -98,7 +99,7 @@ def _limited(settings: RunSettings, beside: float, solve: float | None) -> float
     return None if least == inf else beside + least
 
 
-def _steps(settings: RunSettings, row: type[MethodOptions], scene: Any) -> int | None:
+def _steps(settings: RunSettings, row: type[MethodOptions], scene: Bearing) -> int | None:
     """Steps of a dynamics whose length is fixed; None where it goes on until it is at rest."""
     limit = settings.iterations
     if not row.is_dynamics or settings.duration is None:
@@ -108,7 +109,7 @@ def _steps(settings: RunSettings, row: type[MethodOptions], scene: Any) -> int |
     if (length := settings.values["time_step"]) is None:
         owned = {key: value for key, value in settings.owned if key in row.__dataclass_fields__ and value is not None}
         options: Any = row(**owned)
-        bound = stability_bound(scene, scene.minimum_spin_axes, options)
+        bound = stability_bound(of_lattice(scene), scene.minimum_spin_axes, options)
         length = DEFAULT_STEP * (bound if np.isfinite(bound) else 1.0)
     steps = int(np.ceil(settings.duration / length))
     return steps if limit is None else min(steps, limit)

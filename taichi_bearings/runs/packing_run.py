@@ -46,7 +46,7 @@ def packings_to_solve(settings: RunSettings) -> tuple[Packing, np.ndarray | None
 
 def solve_packings(
     settings: RunSettings,
-    packing: Packing,
+    scene: Bearing,
     start: Any,
     monitors: Sequence[Any] = (),
     checkpoints: Any = None,
@@ -54,15 +54,15 @@ def solve_packings(
 ) -> Run:
     """The replicas one after another, each as alone. Ctrl-C leaves those that were begun; with checkpoints, from which
     the others can go on, it is a KeyboardInterrupt unless all were."""
-    count, found = packing.replicas, list[Solution]()
-    several, is_interrupted = np.ndim(start) > packing.spin.ndim, False
+    count, found = scene.replicas, list[Solution]()
+    several, is_interrupted = np.ndim(start) > scene.imposed_spins()[0].ndim, False
     written = [None] * count if checkpoints is None else checkpoints.of_each(count)
     for number, own in enumerate(written):
         told = {} if minimises(settings) else {"monitors": monitors, "checkpoints": own}
         try:
             with stage("solving"), leaving.saving() if found else nullcontext():
                 first = start[number] if several else start
-                found.append(solved_packing(settings, packing.sample(number), start=first, **told, **others))
+                found.append(solved_packing(settings, scene.sample(number), start=first, **told, **others))
         except KeyboardInterrupt:
             if not found:
                 raise
@@ -71,8 +71,7 @@ def solve_packings(
                 raise KeyboardInterrupt
             settings, start = replace(settings, replicas=len(found)), start[: len(found)] if several else start
             break
-    solution = Solution.joined(found, Packing.together([packing.sample(number) for number in range(len(found))]))
-    return Run(settings, solution, start, interrupted=is_interrupted)
+    return Run(settings, Solution.joined(found, scene.first(len(found))), start, interrupted=is_interrupted)
 
 
 def minimises(settings: RunSettings) -> bool:

@@ -116,7 +116,7 @@ class Job:
     """A checked run that is ready to be solved. scene : as of a Solution. spin : as of Run."""
 
     settings: RunSettings
-    scene: Any
+    scene: Bearing
     spin: Any
     method: Any = None
 
@@ -192,7 +192,7 @@ def solve_job(job: Job, monitors: Sequence[Any] = (), checkpoints: Any = None) -
     stop, recording = StopRule.of(settings), Recording.of(settings)
     solution = solve(job.scene, method, job.spin, stop, monitors, settings.slip_threshold, recording, checkpoints)
     stalled = solution.method == "interior-point" and solution.status is Status.STALLED and not solution.interrupted
-    if settings.method == "auto" and stalled and not OperatorSplitting.refusal(job.scene):
+    if settings.method == "auto" and stalled and not OperatorSplitting.refusal(of_lattice(job.scene)):
         # each on its own, so that it has the same bits alone and beside others; not-a-number is no gap that is small
         for number in np.flatnonzero(~(solution.gap <= max(settings.tolerance, SPLITTING_HELPS))).tolist():
             one, seconds = solution.sample(number), max(stop.seconds - solution.seconds, 1e-3)

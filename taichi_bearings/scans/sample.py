@@ -19,6 +19,7 @@ from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.runs.solved import Run
 from taichi_bearings.scans.engine import LocalEngine, failure, run_samples
 from taichi_bearings.scans.plan import Sample, files_of, groups_of, sample_key
+from taichi_bearings.scene import Bearing
 
 STATES = "states"  # folder of the full states
 
@@ -119,7 +120,7 @@ class JobTask:
     """One of many jobs. key : which, counted from 0. scene : a Scene or a Packing. job : what solves it."""
 
     key: str
-    scene: Any
+    scene: Bearing
     job: Job
 
     @property

@@ -172,6 +172,10 @@ class Bearing:
         """One of the samples alone."""
         raise NotImplementedError
 
+    def first(self: Kind, count: int) -> Kind:
+        """The first so many samples."""
+        raise NotImplementedError
+
     @property
     def named_coefficients(self) -> dict[str, np.ndarray]:
         """The coefficients of the law as they were given, (R, E) each, by their name in files, in the order of the

@@ -306,6 +306,11 @@ class Packing(Bearing):
         one = {name: None if values is None else values[number] for name, values in given.items()}
         return self._with(**one, seed=self.seeds[number], seeds=(self.seeds[number],))
 
+    def first(self, count: int) -> "Packing":
+        if count == self.replicas:
+            return self
+        return Packing.together([self.sample(number) for number in range(count)])
+
     def _with(self, **changes: Any) -> "Packing":
         """The same with other values of fields, which are not checked."""
         other = object.__new__(type(self))

@@ -12,7 +12,7 @@ from taichi_bearings import leaving, runtime
 from taichi_bearings.errors import DeviceError, FileError, InputError
 from taichi_bearings.interrupts import GivenUp, Interrupt, while_wanted
 from taichi_bearings.proof.certificate import Forces, relative_gap
-from taichi_bearings.scene import Progress, Scene, Solution, Status
+from taichi_bearings.scene import Bearing, Progress, Scene, Solution, Status
 from taichi_bearings.solvers.answer import answered, known_states, named
 from taichi_bearings.solvers.dynamics import Dynamics
 from taichi_bearings.solvers.method import Method
@@ -76,7 +76,7 @@ def solve(
 ) -> Solution:
     """Run `method` on `scene` from the laboratory spins `spin` until `stop` says so.
 
-    scene : a Scene, or the `Network` of a packing, whose spins are u (C, 1, N), without a slip threshold.
+    scene : a lattice, or a packing with the contacts that act alone, without a slip threshold.
     slip_threshold : length/time; contacts slipping less count as slipless. Default: what the method can resolve.
     recording : for a dynamics. checkpoints : for a method that `resumes`.
     Ctrl-C ends the run with status INTERRUPTED and everything reached so far, unless the answer is reached already;
@@ -106,13 +106,11 @@ def solve(
     return replace(solution, interrupted=interrupt.heard, running=running, seconds_compile=compiling)
 
 
-def _seconds_to_prove(scene: Any) -> float:
+def _seconds_to_prove(scene: Bearing) -> float:
     """An estimate by the size of a lattice; 0 for other scenes, of which nobody knows."""
-    return (
-        JUDGED_SECONDS[scene.lattice.dimension] * scene.lattice.sites * scene.replicas
-        if isinstance(scene, Scene)
-        else 0.0
-    )
+    if (lattice := scene.network.lattice) is None:
+        return 0.0
+    return JUDGED_SECONDS[lattice.dimension] * lattice.sites * scene.replicas
 
 
 def uninterrupted(solution: Solution) -> Solution:
