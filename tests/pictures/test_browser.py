@@ -159,12 +159,12 @@ def test_contacts_across_periodic_sides_are_halves_at_both_sides_and_can_be_poin
     page, rows = opened(periodic), points_and_lines(read_run(periodic))
     lattice = rows.answer.scene.lattice
     low, high = (page.ask(f"Array.from(bearings.sample.{end})") for end in ("first", "second"))
-    assert np.array_equal(np.column_stack([low, high]), rows.packing.contact)
+    assert np.array_equal(np.column_stack([low, high]), rows.network.contact.T)
     network = structure_of(read_run(periodic).solution).network
     assert page.ask("bearings.sample.counts.spans") == network.spans
     assert page.ask("bearings.sample.counts.reached") == pytest.approx(network.reached_fraction)
     page.press("Network")
-    over = rows.packing.contact[:, 1] < rows.packing.contact[:, 0]
+    over = rows.network.contact.T[:, 1] < rows.network.contact.T[:, 0]
     layer = "bearings.picture.layers.network"
     count = page.ask(f"{layer}.count")
     slipless = rows.contacts["state"].values == 0
@@ -185,7 +185,7 @@ def test_contacts_across_periodic_sides_are_halves_at_both_sides_and_can_be_poin
         return picture.pick((place.x + 1) / 2 * box.width, (1 - place.y) / 2 * box.height); }""",
         int(
             np.flatnonzero(
-                slipless & over & (lattice.axis == 0) & (rows.packing.contact[:, 0] % lattice.shape[-1] > 0)
+                slipless & over & (lattice.axis == 0) & (rows.network.contact.T[:, 0] % lattice.shape[-1] > 0)
             )[0]
         ),
     )

@@ -33,7 +33,7 @@ def test_rows_are_those_of_the_file(name, request):
         spin = file["spin"][()].reshape(-1, 3) if len(shape) == 3 else file["spin"][()].ravel()
         seen = found.spheres["spin"].values if len(shape) == 3 else found.spheres["spin"].values[:, 2]
         assert np.array_equal(seen, spin)
-    for (low, high), (axis, at) in zip(found.packing.contact, rows, strict=True):
+    for (low, high), (axis, at) in zip(found.network.contact.T, rows, strict=True):
         assert np.unravel_index(low, shape) == at
         assert np.unravel_index(high, shape) == tuple((i + (a == axis)) % shape[a] for a, i in enumerate(at))
 
@@ -44,7 +44,7 @@ def test_the_path_goes_along_slipless_contacts_from_bottom_to_top(minimum):
     assert (found.contacts["state"].values[on_path] == 0).all()
     path = found.structure.network.path
     steps = {frozenset(pair) for pair in pairwise(path.tolist())}
-    assert {frozenset(pair) for pair in found.packing.contact[on_path].tolist()} == steps
+    assert {frozenset(pair) for pair in found.network.contact.T[on_path].tolist()} == steps
     assert [np.unravel_index(end, lattice.shape)[-1] for end in path[[0, -1]]] == [0, lattice.shape[-1] - 1]
 
 
@@ -82,7 +82,7 @@ def test_snapshots_have_the_slips_of_their_spins(dynamics):
     assert found.moments.time.max() < found.time == pytest.approx(0.05, rel=1e-2)
     unit, radius = np.eye(3), found.answer.scene.lattice.radius
     for spin, slip, state in zip(found.moments.spin, found.moments.slip, found.moments.state, strict=True):
-        low, high = spin[found.packing.contact.T]
+        low, high = spin[found.network.contact]
         velocity = np.cross(-radius * (low + high), unit[found.contacts["axis"].values])  # paper Eq. 2
         free = state != 3
         assert slip[free] == pytest.approx(np.linalg.norm(velocity, axis=1)[free], abs=1e-12)

@@ -52,7 +52,7 @@ def test_vtk_reads_what_we_know_of_each_sphere_and_contact(name, request, read, 
     points, lines, spheres, contacts, _, steps = read(tmp_path / "a.vtkhdf")
     assert (report["points"], report["lines"], report["steps"]) == (len(points), len(lines), 1)
     assert steps <= 1
-    assert np.array_equal(lines, rows.packing.contact)
+    assert np.array_equal(lines, rows.network.contact.T)
     same(spheres, rows.spheres)
     same(contacts, rows.contacts)
     assert np.linalg.norm(points[lines[:, 1]] - points[lines[:, 0]], axis=1) == pytest.approx(2 * 0.5)
@@ -69,9 +69,9 @@ def test_contacts_across_periodic_sides_lead_to_images_beyond_the_last_spheres(p
         points, lines, spheres, contacts, *_ = read(tmp_path / "a.vtkhdf", step)
         assert report["points"] + report["images"] == len(points)
         assert report["lines"] == len(lines) == lattice.all_contacts
-        assert np.array_equal(lines[:, 0], rows.packing.contact[:, 0])
-        assert np.array_equal(spheres["spin"][lines], moment[rows.packing.contact])  # an image turns as its sphere
-        assert np.array_equal(spheres["domain"][lines], rows.spheres["domain"].values[rows.packing.contact])
+        assert np.array_equal(lines[:, 0], rows.network.contact.T[:, 0])
+        assert np.array_equal(spheres["spin"][lines], moment[rows.network.contact.T])  # an image turns as its sphere
+        assert np.array_equal(spheres["domain"][lines], rows.spheres["domain"].values[rows.network.contact.T])
         assert np.array_equal(contacts["slip"], rows.moments.slip[step])
     assert np.array_equal(points[lines[:, 1]] - points[lines[:, 0]], np.eye(3)[contacts["axis"]])
     layers = sites // np.array(lattice.shape)
@@ -87,7 +87,7 @@ def test_vtk_reads_the_snapshots_as_time_steps_and_the_answer_as_the_last(dynami
     for step, time in enumerate(rows.moments.time):
         points, lines, spheres, contacts, found, steps = read(path, step)
         assert (found, steps) == (time, number)
-        assert (len(points), len(lines)) == (60, len(rows.packing.contact))
+        assert (len(points), len(lines)) == (60, len(rows.network.contact.T))
         assert np.array_equal(spheres["spin"], rows.moments.spin[step])
         assert np.array_equal(spheres["domain"], rows.spheres["domain"].values)
         assert np.array_equal(contacts["slip"], rows.moments.slip[step])
