@@ -17,6 +17,7 @@ from taichi_bearings.kernels.elimination import (
     FRONTS,
     HEADER,
     HEIGHT,
+    LANES,
     NUMBERS,
     OWN,
     OWN_COLUMNS,
@@ -89,8 +90,11 @@ def backward(numbers: ti.template(), vector: ti.template(), where: ti.template()
 
 
 @ti.func
-def down(alone: ti.template(), tables: ti.template(), at, numbers: ti.template(), vector: ti.template()):
-    """A front, once its children are done."""
+def down(
+    alone: ti.template(), tables: ti.template(), at, numbers: ti.template(), vector: ti.template(),
+    wide: ti.template(),
+):  # fmt: skip
+    """A front, once its children are done; `wide` unknowns at a time, which leaves no trace in a number."""
     own, border, first, rest = tables[at + OWN], tables[at + BORDER], tables[at + FIRST_ROW], tables[at + REST_HEIGHT]
     height, step = tables[at + HEIGHT], tables[STEP]
     clear(alone, vector, rest, rest + border, step)
@@ -106,9 +110,9 @@ def down(alone: ti.template(), tables: ti.template(), at, numbers: ti.template()
     k = 0
     while k < own:
         start = tables[at + OWN_COLUMNS] + k * (height + 1)
-        if k + PANEL <= own:
-            forward(numbers, vector, [start, height, first + k, first + own, rest, border, step], PANEL)
-            k += PANEL
+        if k + wide <= own:
+            forward(numbers, vector, [start, height, first + k, first + own, rest, border, step], wide)
+            k += wide
         else:
             forward(numbers, vector, [start, height, first + k, first + own, rest, border, step], 1)
             k += 1
@@ -144,7 +148,7 @@ def _substitution(together: bool) -> Callable:
         ti.loop_config(serialize=True)
         for turn in range(2 * tables[FRONTS]):
             if turn < tables[FRONTS]:
-                down(not together, tables, HEADER + turn * WIDTH, numbers, vector)
+                down(not together, tables, HEADER + turn * WIDTH, numbers, vector, PANEL)
             else:
                 up(tables, HEADER + (2 * tables[FRONTS] - 1 - turn) * WIDTH, numbers, vector)
 
@@ -164,6 +168,6 @@ def substitute_branches(tables: INTEGERS, numbers: NUMBERS, vector: NUMBERS, for
             first, last = tables[branch], tables[branch + 1]
             for n in range(first, last):
                 if forth:
-                    down(True, tables, HEADER + n * WIDTH, numbers, vector)
+                    down(True, tables, HEADER + n * WIDTH, numbers, vector, LANES)
                 else:
                     up(tables, HEADER + (first + last - 1 - n) * WIDTH, numbers, vector)
