@@ -124,10 +124,12 @@ def test_the_files_of_an_overlay_hold_the_same_numbers(scan, tmp_path):
             mine = [row for row in rows if float(row["spin_bottom"]) == value]
             for name in ("count", "standard_error", "density", "density_error"):
                 assert [float(row[name]) for row in mine] == getattr(part, name).tolist() == file[name][place].tolist()
-            assert file.attrs["slipless"][place] == part.slipless
+            for name in ("slipping", "slipless", "tied", "undecided"):
+                assert file.attrs[name][place] == getattr(part, name)
             assert part.slipless == report["groups"][place]["slipless"]
     text = (tmp_path / "h" / "power_histogram.csv").read_text()
-    assert f"# spin_bottom 0.1: slipping {found[0.1].slipping}, slipless {found[0.1].slipless}, undecided" in text
+    words = "slipping", "slipless", "tied", "undecided"
+    assert f"# spin_bottom 0.1: {', '.join(f'{word} {getattr(found[0.1], word)}' for word in words)}\n" in text
     assert (tmp_path / "h" / "power_histogram.png").read_bytes()[:4] == b"\x89PNG"
     with pytest.raises(FileError, match="already exists"):
         histogram([scan.path], tmp_path / "h")
