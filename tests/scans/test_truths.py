@@ -5,7 +5,7 @@ import csv
 import h5py
 import numpy as np
 
-from taichi_bearings.files.scan_file import column, dense_histograms, write_scan
+from taichi_bearings.files.scan_file import CONTACT_SETS, column, dense_histograms, write_scan
 
 
 def test_truths_with_gaps_stay_truths(tmp_path):
@@ -15,7 +15,7 @@ def test_truths_with_gaps_stay_truths(tmp_path):
         "unique": column([True, None, False], "1", "one sample has none"),
         "none": column([None, None, None], "1", "no sample has one"),
     }
-    counts = dense_histograms([{}, {}, {}], {name: [0, 0, 0] for name in ("slipless", "slipping", "undecided")})
+    counts = dense_histograms([{}, {}, {}], {name: [0, 0, 0] for name in CONTACT_SETS})
     write_scan(tmp_path, columns, counts, {"scan": "", "scanned": []})
     with (tmp_path / "scan.csv").open() as file:
         rows = list(csv.DictReader(file))
