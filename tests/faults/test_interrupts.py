@@ -111,7 +111,7 @@ def hears(process):
 
 def test_a_limit_of_time_ends_the_proof_too_and_is_no_interrupt(monkeypatch):
     minimum()  # compiled
-    monkeypatch.setattr(drive, "proven", for_ever)
+    monkeypatch.setattr(drive, "known_states", for_ever)
     began = time.monotonic()
     found = minimum(StopRule(seconds=1.0))
     assert time.monotonic() - began < 4

@@ -18,7 +18,7 @@ from taichi_bearings_cli.verify import describe
 
 import taichi_bearings as tb
 from taichi_bearings import compiler
-from taichi_bearings.errors import BearingsError
+from taichi_bearings.errors import BearingsError, FileError
 from taichi_bearings.files.scan_journal import read_journal
 from taichi_bearings.files.whole_file import write_csv
 from taichi_bearings.plain_files import read_lines
@@ -412,12 +412,19 @@ EVIL = "=cmd\n=1+1, $\\frac{$ \x1b[2J"
 def test_what_verify_says_of_a_file_does_nothing_to_a_terminal(stranger, capsys):
     def name_evil(file):
         file["\x1b]0;x\x07\nverified"] = np.zeros(3)
+        file.attrs["version"], file.attrs["power"] = EVIL, 1.0
+
+    def end_evil(file):
         file.attrs["status"] = EVIL
 
     unsealed(stranger, name_evil)
     report = describe(verify(stranger))
     assert all(line.isprintable() for line in report.split("\n"))
     assert not any(line.startswith("verified") for line in report.split("\n"))
+    unsealed(stranger, end_evil)
+    with pytest.raises(FileError) as refused:
+        verify(stranger)
+    assert str(refused.value).isprintable()
 
 
 def test_texts_of_a_scan_are_lines_and_no_mathematics(scanned, tmp_path):
