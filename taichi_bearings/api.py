@@ -67,7 +67,10 @@ OfContacts = Any
 with several samples with a leading axis R."""
 
 
-TABLED = ("seed", "status", "proof", "power", "lower_bound", "gap", "slipping", "slipless", "undecided", "driven_power")
+TABLED = (
+    "seed", "status", "proof", "power", "lower_bound", "gap", "slipping", "slipless", "tied", "undecided",
+    "driven_power",
+)  # fmt: skip
 
 
 class Result:

@@ -35,7 +35,7 @@ from taichi_bearings.scene.law import LAWS
 from taichi_bearings.scene.scene import of_lattice
 from taichi_bearings.scene.solution import DRIVEN, SLIPLESS, SLIPPING, TIED, UNDECIDED
 from taichi_bearings.stages import stage
-from taichi_bearings.words import shown
+from taichi_bearings.words import counted, shown
 
 ARITHMETIC = (
     "sums of two doubles with a bound on every error; bounds are rounded outwards; curvature by floating-point "
@@ -224,7 +224,9 @@ class Anew:
         wrong["a state that is said to be proven and is not"] = stored.proven & (stored.state != self.known)
         for what, mask in wrong.items():
             for number in np.flatnonzero(mask.any(axis=1)).tolist():
-                yield f"{_of_sample(number, len(mask))}{int(mask[number].sum()):,} contacts have {what}"
+                many = int(mask[number].sum())
+                verb = "has" if many == 1 else "have"
+                yield f"{_of_sample(number, len(mask))}{counted(many, 'contact')} {verb} {what}"
 
 
 def _of_sample(number: int, count: int) -> str:
