@@ -1,7 +1,8 @@
 """The one table of quantities: what each number of an answer is called, its unit, what it is, and how to get it.
 
 Run files, summaries, columns of scans, the Python results, ParaView files and axes of figures are loops over its rows:
-a new quantity is a row here and nothing else. Tables by where a quantity lives: `SPHERES`, `CONTACTS`, `CHECK_ROWS`
+a new quantity is a row here, its formula in tests/properties/formulas.py and, to be an attribute of `Result` too, a
+line in api.py. Tables by where a quantity lives: `SPHERES`, `CONTACTS`, `CHECK_ROWS`
 (columns of the history, one value a look at the solve), `SAMPLES` (one value a sample, or one for all of them) and
 `STRUCTURE` (of one sample, what its contacts form).
 """

@@ -30,10 +30,11 @@ from taichi_bearings.runs.run_directory import CHECKPOINT_NAME, claimed, is_run
 from taichi_bearings.runs.settings import RunSettings, parse_toml, read_toml, settings_table
 from taichi_bearings.runs.solved import Run
 from taichi_bearings.runtime import HOST, Runtime
-from taichi_bearings.scene import Scene, Snapshots, Solution, Status
+from taichi_bearings.scene import LAWS, Scene, Snapshots, Solution, Status
 from taichi_bearings.scene.scene import of_lattice
 from taichi_bearings.scene.solution import OF_ALL, is_crossed, stacked
 from taichi_bearings.stages import stage
+from taichi_bearings.words import shown
 
 AXES = "xyz"
 SCAN_NAME = "scan.h5"  # beside the settings and the journal of a scan
@@ -188,7 +189,14 @@ def _run_in(path: Path, file: h5py.File, attributes: Mapping[str, Any]) -> Run:
     if "scene" not in attributes:
         raise FileError(f"{path} lacks the attribute 'scene'; it is damaged or was changed")
     try:
-        settings = RunSettings.from_mapping(parse_toml(str(attributes["scene"])), "its scene")
+        scene = parse_toml(str(attributes["scene"]))
+    except FileError as error:
+        raise InputError(str(error)) from None
+    if isinstance(law := scene.get("law"), str) and law not in LAWS:
+        known = f"known are {', '.join(LAWS)}, and laws of one's own once the file that defines them is imported"
+        raise FileError(f"{path} has the law {shown(law)}; {known}")
+    try:
+        settings = RunSettings.from_mapping(scene, "its scene")
     except FileError as error:
         raise InputError(str(error)) from None
     solution = _read(path, file, attributes, settings)

@@ -90,7 +90,12 @@ class GradientDescentMethod(Method):
         reach = self.width if self.momentum else 2 * self.step_length
         bounds = scene.acting_coefficient
         if not scene.law.is_sum:
-            bounds = scene.slip_radius * scene.law.steepest((scene.strength * bounds,), self._largest_slip())
+            slopes = scene.law.steepest((scene.strength * bounds,), self._largest_slip())
+            if not np.isfinite(slopes).all():
+                raise InputError(
+                    f"law is {scene.law.name!r}; gradient-descent needs a finite slope `steepest` of its force"
+                )
+            bounds = scene.slip_radius * slopes
         if self.viscosity is not None:
             bounds = bounds + reach * self.viscosity
         weight = self.weights(bounds)

@@ -97,6 +97,20 @@ def test_a_run_says_what_its_bound_rests_on(page, tmp_path):
     assert found.summary["warnings"][0].startswith("what is proven rests on the law 'thickening' as it was given")
     with pytest.raises(FileError, match="has the law 'thickening'; coulomb, viscous, coulomb-viscous can be verified"):
         verify(tmp_path / "run")
+    known = LAWS.pop("thickening")
+    try:
+        with pytest.raises(FileError, match="once the file that defines them is imported"):
+            verify(tmp_path / "run")
+    finally:
+        LAWS["thickening"] = known
+
+
+@pytest.mark.usefixtures("needs_f64")
+def test_gradient_descent_refuses_a_law_that_is_infinitely_steep(page, monkeypatch):
+    scene = Scene.random((4, 5), law="thickening")
+    monkeypatch.setattr(type(scene.law), "steepest", lambda self, of, slip: np.full_like(of[0], np.inf))
+    with pytest.raises(InputError, match="gradient-descent needs a finite slope `steepest`"):
+        solve(scene, METHODS["gradient-descent"]().build(), initial_spin(scene, "linear"), StopRule(1e-6))
 
 
 WRONG = {
