@@ -338,7 +338,8 @@ class Packing(Bearing):
 
         kind : "square", "triangular", "honeycomb" (discs), "cubic", "bcc", "fcc", "diamond". cells : how many
             along each axis; a rectangular cell of these lattices has 1, 2, 4, 1, 2, 4 and 8 spheres.
-        periodic : names of axes that close on themselves, ("x", "y"); with the last one among them nothing is driven. seed : of the coefficients.
+        periodic : names of axes that close on themselves, ("x", "y"); with the last one among them nothing is driven.
+        seed : of the coefficients.
         others : `radius`, one for all, length; `spin_top`, `spin_bottom` (1/time; 1 and 0) about `direction` (of
             spheres; (1, 1, 0)), with the sign of the sublattice where there are two, or the bearing states `top`,
             `bottom`, (A_x, A_y, A_z, C) as of scenes; `driven`, what the bodies are: "planes", the lowest and the

@@ -18,8 +18,8 @@ from taichi_bearings.words import shown
 class Cell:
     """A rectangular cell. size : (D,), diameters. basis : centres of its n spheres, (n, D), shares of the cell.
 
-    parity : the sublattice, 0 or 1, of each sphere (n,), and for each axis (D,) 1 if the next cell has them exchanged; None of a
-    lattice with odd loops."""
+    parity : the sublattice, 0 or 1, of each sphere (n,), and for each axis (D,) 1 if the next cell has them exchanged;
+    None of a lattice with odd loops."""
 
     size: tuple[float, ...]
     basis: tuple[tuple[float, ...], ...]
