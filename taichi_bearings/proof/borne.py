@@ -3,9 +3,10 @@
 Contacts of loops.py rest where they bear less than their friction whatever happens. Of X, the contacts that can roll
 exactly, each part rests by resting.py if it can bear what is left to it. R solves K^T R = -L for each load L that f and
 c of loops.py bring to the spheres of X, K the rows of X, and G = F + sum R f stays inside all discs where |F| and all
-sizes of R f together are below mu F_n. K^T (G - F*) is the rounding in it. Like K^T of anything it is across the
-motions of X: so what rounding has of motions, Z a for some a, can be left out of its size, and G can be corrected by no
-more than the rest of it over the least singular value of K but for the motions, of which exact_motions.py has a floor.
+sizes of R f together are below mu F_n. K^T (G - F*) would be 0 without rounding. The exact residual lies in the range
+of K^T, so it is orthogonal to all motions Z of X. The computed one may have a part Z a: that is rounding alone, and is
+subtracted before its size is taken. Then G can be corrected by no more than that size over the least singular value of
+K but for the motions, of which exact_motions.py has a floor.
 
 R is found by springs that are the weaker the less room a contact has, in several trials; any R would do.
 """

@@ -13,8 +13,8 @@ Let T be the contacts without any slip and S the others. Spheres joined by T are
    rests at every minimum; every minimum then is one of step 1, where there is only one, and S slips at it.
 
 With one component (all of 2D, and cubic lattices driven about x or y) step 1 has no curvature. There minima are
-mixtures of lightest cuts, and friction in balance leaves room on them for no more than the gap G between the bounds: a
-cut that crosses from u to v has mu F_n - f <= G there. Spheres from which and to which one can go with more room than G
+mixtures of lightest cuts, and friction in balance leaves little room on them. With G the gap between the bounds over
+the jump, a force, a contact from u to v on such a cut has mu F_n - f <= G. Spheres from which and to which one can go with more room than G
 are on one side of every lightest cut. That decides contacts one by one. What it leaves open, where cuts tie, is counted
 in whole numbers: which contacts are in all lightest cuts, in some, in none (numerics/exact_cuts.py).
 
@@ -23,9 +23,10 @@ the given spins over what the friction proves. So with damping eta no slip is fu
 given one; steps 1 to 3 say the rest, with domains of the contacts that have more room in their discs than they slip,
 or where components mix oblique.py: slips are the same at all minima. One component alone may have many imposed values
 (then each step between them has its cuts) and odd loops (then the cuts are those of the double cover, each sphere
-with either sign). Where components mix the minimum is enclosed (oblique.py). Where that fails, a slip y* that is b
-across its friction has mu F_n b^2 / (2 |y*|) <= mu F_n |y*| - F . y*, and one with the room m has m |y*|: a quadratic
-form of y* that is at most E, and of the given slips as well. Its floor, by an elimination, says how far minima are.
+with either sign). Where components mix the minimum is enclosed (oblique.py). Where that fails, each contact has its
+share of E: one at its limit at least mu F_n b^2 / (2 |y*|), b the part of its slip y* across its friction F, and one
+with the room m = mu F_n - |F| at least m |y*|. With |y*| bounded above, their sum is a quadratic form of y* that is at
+most E, and so is that of the given slips. Its floor, by an elimination, says how far minima are.
 What stays open of packings with damping is tried part by part (resting.py), oblique ones beside loops that cannot roll
 as their normals are rounded (loops.py, borne.py).
 """

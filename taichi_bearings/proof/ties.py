@@ -6,10 +6,10 @@ alone, and a *body* what T joins and those of C that bear nothing along the comp
 
 1. A contact of S with slip along both components turns as soon as one domain moves. What such contacts join in a
    component, and no driven plane, is a *cluster*. Moved as a whole it turns no slip, and its other contacts pull it by
-   their whole friction either way. If these pulls, added exactly, cancel, one of its domains can be held where it is:
-   what balances the others balances it as well. So it is with a domain *between* two sets of contacts, each from one
-   other domain, of the same friction in all: held in one component and in balance in the other one, it is pulled along
-   one line.
+   their whole friction either way. If these pulls, added exactly, cancel, the balance of all its domains but one is
+   that of the last one too: so one may be held where it is. Likewise a domain *between* two sets of contacts that pull
+   it either way, each from one other domain, with the same friction in all: held in one component, and in balance in
+   the other one, it is pulled along one line.
 2. With these domains held there is one minimum nearby (curvature.py), u*. It is a minimum as long as T and C hold.
 3. Friction that agrees with u* can be put in balance: on C exactly at its limit, if the pulls on each part, added
    exactly, cancel, but for one part at most of a free domain, on which others act (its balance is that of the domain);
