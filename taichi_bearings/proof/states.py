@@ -16,7 +16,8 @@ With one component (all of 2D, and cubic lattices driven about x or y) step 1 ha
 mixtures of lightest cuts, and friction in balance leaves little room on them. With G the gap between the bounds over
 the jump, a force, a contact from u to v on such a cut has mu F_n - f <= G. Spheres from which and to which one can go
 with more room than G are on one side of every lightest cut. That decides contacts one by one. What it leaves open,
-where cuts tie, is counted in whole numbers: which contacts are in all lightest cuts, in some, in none (numerics/exact_cuts.py).
+where cuts tie, is counted in whole numbers: which contacts are in all lightest cuts, in some, in none
+(numerics/exact_cuts.py).
 
 Any network. At any minimum all contacts together have sum phi(y) + phi*(F) - F . y <= E, the excess of the potential of
 the given spins over what the friction proves. So with damping eta no slip is further than (2 E / eta)^1/2 from the
