@@ -42,8 +42,14 @@ def least(scene):
         unit = Fraction(scene.normal_force) * Fraction(scene.lattice.radius) * jump_of(scene, turned(scene)[0])
         return Enclosure(weight * unit * (1 - EXACT), weight * unit * (1 + EXACT))
     laboratory = Laboratory(by_clarabel(scene))
-    lower, upper = max(laboratory.lower_bound(), Decimal(0)), laboratory.objective()
-    return Enclosure(Fraction(lower) * (1 - EXACT), Fraction(upper) * (1 + EXACT))
+    lower, upper = Fraction(laboratory.lower_bound()), laboratory.objective()
+    speed = 1 + Fraction(scene.lattice.radius) * Fraction(scene.fastest)
+    viscosity = scene.viscosity_beside_friction
+    strength = float(scene.coefficient.sum() + (0 if viscosity is None else viscosity.sum()))
+    lost = (
+        EXACT * Fraction(strength) * (1 + Fraction(scene.normal_force)) * speed**2
+    )  # where the bound is 0 but for that
+    return Enclosure(max(lower * (1 - EXACT) - lost, Fraction(0)), Fraction(upper) * (1 + EXACT))
 
 
 def turned(scene):
