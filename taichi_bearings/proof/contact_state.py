@@ -23,14 +23,16 @@ def decided(
     known : (R, E), the states at all minima that are proven, UNDECIDED of the others. is_present : the states are those
     of a motion on its way, or by a threshold of slip that was asked for, and not of the minima: they stay what slip and
     friction say. has_ended : such a motion is proven to have come to a minimum, where no contact slips that rests at
-    every minimum, nor the other way round: what still does so is undecided.
+    every minimum, nor the other way round: what still does so is undecided, and what slip and friction leave open is
+    what is proven.
     """
     told = np.where(told == ContactState.TIED, ContactState.UNDECIDED, told)
     acts, is_known = told != ContactState.DRIVEN, known != ContactState.UNDECIDED
     state = told if is_present else np.where(acts & is_known, known, told)
     if has_ended:
         is_plain = (known == ContactState.SLIPLESS) | (known == ContactState.SLIPPING)
-        state = np.where(acts & is_plain & (state != known), ContactState.UNDECIDED, state)
+        decides = acts & is_plain & (state != known)
+        state = np.where(decides, np.where(told == ContactState.UNDECIDED, known, ContactState.UNDECIDED), state)
     return state.astype(np.uint8), are_proven(state, known)
 
 

@@ -25,6 +25,8 @@ def word(told, known, is_present, has_ended):
         return (told, False) if known == UNDECIDED else (known, True)
     if has_ended and {known, told} == {SLIPLESS, SLIPPING}:
         return UNDECIDED, False
+    if has_ended and told == UNDECIDED and known in (SLIPLESS, SLIPPING):  # at the minimum it is what it must be
+        return known, True
     return told, told == known and known != UNDECIDED
 
 
