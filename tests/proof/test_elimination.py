@@ -76,7 +76,8 @@ def test_the_nodes_between_two_halves_are_as_many_as_edges_without_a_common_node
     low, high = rng.integers(0, 25, 60), rng.integers(30, 55, 60)
     low, high = np.append(low, low[:7]), np.append(high, high[:7])
     cover = dissection._least_cover(low, high, 60)
-    graph = networkx.Graph(zip(low.tolist(), high.tolist(), strict=True))
+    graph = networkx.Graph()  # old ones look for pandas where edges are given here
+    graph.add_edges_from(zip(low.tolist(), high.tolist(), strict=True))
     assert (cover[low] | cover[high]).all()
     assert cover.sum() == len(networkx.max_weight_matching(graph, maxcardinality=True))
 

@@ -53,7 +53,8 @@ def test_signs_and_reach_are_those_of_networkx():
         pairs = pairs[pairs[:, 0] < pairs[:, 1]]
         body = np.where(np.arange(14) < 2, 0, -1)
         network = Network(np.zeros((14, 2)), np.ones(14), pairs.T, np.zeros((len(pairs), 2)), body)
-        graph = networkx.Graph(pairs.tolist())
+        graph = networkx.Graph()  # old ones look for pandas where edges are given here
+        graph.add_edges_from(pairs.tolist())
         graph.add_nodes_from(range(14))
         odd, sign = network.sublattices
         reached = network.reached(np.flatnonzero(network.has_free_end))
