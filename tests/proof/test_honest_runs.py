@@ -96,7 +96,7 @@ def test_an_interrupted_run_is_verified(method, tmp_path, needs_f64):
     assert report["contradictions"] == []
 
 
-@pytest.mark.slow  # not among the quick tests of the oldest packages: their Hypothesis calls it flaky before it has drawn
+@pytest.mark.slow  # no quick test: the oldest Hypothesis calls it flaky before it has drawn
 @cases()
 @given(number=st.integers(0, 10**6))
 def test_every_honest_run_is_verified(number, needs_f64):
