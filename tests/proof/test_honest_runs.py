@@ -96,7 +96,6 @@ def test_an_interrupted_run_is_verified(method, tmp_path, needs_f64):
     assert report["contradictions"] == []
 
 
-@pytest.mark.slow  # no quick test: the oldest Hypothesis calls it flaky before it has drawn
 @cases()
 @given(number=st.integers(0, 10**6))
 def test_every_honest_run_is_verified(number, needs_f64):
