@@ -37,16 +37,6 @@ class Judgement:
         return self.scene.law
 
     @property
-    def holds(self) -> bool:
-        """True if a contact bears a force without slipping."""
-        return self.law.holds
-
-    @property
-    def flows(self) -> bool:
-        """True if the force grows with the slip."""
-        return self.law.flows
-
-    @property
     def is_lattice(self) -> bool:
         return self.scene.network.lattice is not None
 
@@ -87,7 +77,7 @@ class Judgement:
     @property
     def limit(self) -> np.ndarray:
         """(R, E), friction that a contact bears, or without friction its damping."""
-        return self._by_sample(self.network.holding.value * self.force_unit) if self.holds else self.damping
+        return self._by_sample(self.network.holding.value * self.force_unit) if self.law.holds else self.damping
 
     @property
     def damping(self) -> np.ndarray:

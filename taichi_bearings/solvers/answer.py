@@ -137,7 +137,7 @@ def _known_at_once(judgement: Judgement | None, is_dynamics: bool) -> np.ndarray
 
     A dynamics has the states of its own motion; where the force grows with the slip these are the same, if proven.
     """
-    if judgement is None or not (judgement.flows or (len(judgement.network.needed) < 2 and not is_dynamics)):
+    if judgement is None or not (judgement.law.flows or (len(judgement.network.needed) < 2 and not is_dynamics)):
         return None
     return judgement.known
 
