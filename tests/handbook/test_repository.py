@@ -13,9 +13,9 @@ from tests.handbook.test_site import tomllib
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 CITATION = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
-CODEMETA = json.loads((ROOT / "codemeta.json").read_text(encoding="utf-8"))
-RECIPE = yaml.safe_load((ROOT / "conda/recipe.yaml").read_text(encoding="utf-8"))
-JOURNAL = yaml.safe_load((ROOT / "paper.md").read_text(encoding="utf-8").split("---\n")[1])
+CODEMETA = json.loads((ROOT / "release/codemeta.json").read_text(encoding="utf-8"))
+RECIPE = yaml.safe_load((ROOT / "release/recipe.yaml").read_text(encoding="utf-8"))
+JOURNAL = yaml.safe_load((ROOT / "release/paper.md").read_text(encoding="utf-8").split("---\n")[1])
 
 
 def test_version():
@@ -63,8 +63,8 @@ def test_requirements_of_the_recipe():
 
 
 def test_every_citation_of_the_journal_article_is_in_its_list():
-    cited = set(re.findall(r"@(\w+)", text("paper.md").split("---\n", 2)[2]))
-    assert cited == set(re.findall(r"^@\w+\{(\w+),", text("paper.bib"), re.MULTILINE))
+    cited = set(re.findall(r"@(\w+)", text("release/paper.md").split("---\n", 2)[2]))
+    assert cited == set(re.findall(r"^@\w+\{(\w+),", text("release/paper.bib"), re.MULTILINE))
 
 
 def test_the_package_carries_the_citation():
