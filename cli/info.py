@@ -39,10 +39,11 @@ def command(packing: Path | None, as_json: bool) -> None:
             "kernel_cache": str(compiler.cache_folder() or "none"),
         }
     else:  # its structure, with what follows for a bearing
-        from taichi_bearings.packing import Packing, structure_of
+        from taichi_bearings.analysis.topology import topology_of
+        from taichi_bearings.scene.packing import Packing
 
         one = Packing.load(packing)
-        found = asdict(structure_of(one))
+        found = asdict(topology_of(one))
         motions = found["all_motions"]
         bearing = "not decided" if motions is None else "yes" if motions else "none: no spins but rest are free of slip"
         report = {"packing": str(packing), "dimension": one.dimension, **found, "bearing_state": bearing}

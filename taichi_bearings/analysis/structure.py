@@ -25,14 +25,14 @@ from scipy.sparse.linalg import spsolve
 from taichi_bearings.analysis.bottlenecks import Bottlenecks
 from taichi_bearings.analysis.domains import RigidDomains, rigid_domains
 from taichi_bearings.analysis.network import MOST_BODIES, SliplessNetwork
+from taichi_bearings.analysis.topology import self_stress_of
 from taichi_bearings.numerics.minimum_cut import WEIGHT_ROUNDING
-from taichi_bearings.packing.interface import SAME_STATE, Interface, bearing_states
-from taichi_bearings.packing.structure import self_stress_of
 from taichi_bearings.proof.contact_state import ContactState, by_threshold
 from taichi_bearings.quantities import STRUCTURE, Quantity, plain
 from taichi_bearings.read_only import cached_read_only
 from taichi_bearings.scene import Bearing, Scene, Solution
 from taichi_bearings.scene.initial_spins import cut_of, cut_unit, cut_weights
+from taichi_bearings.scene.interface import SAME_STATE, Interface, bearing_states
 from taichi_bearings.scene.network import Network
 from taichi_bearings.scene.scene import of_lattice, vector_length
 from taichi_bearings.stages import stage

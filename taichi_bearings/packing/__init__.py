@@ -1,4 +1,4 @@
-"""Any bearing that users bring: its structure, its state of least dissipation, what is proven of it.
+"""Any bearing that users bring: its state of least dissipation, what is proven of it.
 
 Shapes: N spheres (of discs D = 2, else 3), E contacts, C = 3 components of a spin, of discs 1; u = R omega.
 """
@@ -7,13 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from taichi_bearings.packing.answer import solve_packing
-    from taichi_bearings.packing.structure import Structure, structure_of
     from taichi_bearings.scene.packing import Packing
 
-__all__ = ["Packing", "Structure", "solve_packing", "structure_of"]
+__all__ = ["Packing", "solve_packing"]
 MODULES = {
-    "Packing": "scene.packing", "Structure": "packing.structure",
-    "solve_packing": "packing.answer", "structure_of": "packing.structure",
+    "Packing": "scene.packing", "solve_packing": "packing.answer",
 }  # fmt: skip
 
 

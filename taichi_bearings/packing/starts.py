@@ -5,9 +5,9 @@ from scipy.sparse.linalg import cg
 
 from taichi_bearings.errors import InputError
 from taichi_bearings.numerics.blas import one_thread
-from taichi_bearings.packing.interface import Interface
 from taichi_bearings.scene.array_files import own_array
 from taichi_bearings.scene.initial_spins import STARTS
+from taichi_bearings.scene.interface import Interface
 from taichi_bearings.scene.packing import Packing
 from taichi_bearings.words import meant, shown
 

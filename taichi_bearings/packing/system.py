@@ -112,13 +112,6 @@ class Found:
     rest: np.ndarray | None = None
 
 
-def needed_components(bearing: Bearing) -> tuple[np.ndarray, np.ndarray]:
-    """Spins u (N, C) at which the components that are not needed slip nowhere; and (C,) True for those that are needed:
-    all but those that can turn without any slip where normals lie along the axes."""
-    known, wanted, _ = bearing.network.needed(bearing.driven_speed, bearing.acting, bearing.network.free)
-    return known, np.asarray(wanted.any(axis=0))
-
-
 def _numbered(wanted: np.ndarray) -> np.ndarray:
     """Number of each True one, -1 of the others."""
     return np.where(wanted, np.cumsum(wanted).reshape(wanted.shape) - 1, -1)

@@ -215,6 +215,6 @@ main()
     assert {"taichi_bearings.runs.run", "taichi_bearings.proof.states"} <= set(loaded)
     assert not {
         "scipy.spatial", "scipy.optimize", "matplotlib", "networkx", "taichi", "quadrants", "html",
-        "taichi_bearings.scene.packing", "taichi_bearings.packing.structure", "taichi_bearings.proof.oblique",
+        "taichi_bearings.scene.packing", "taichi_bearings.analysis.topology", "taichi_bearings.proof.oblique",
         "taichi_bearings.proof.exact_motions",
     } & set(loaded)  # fmt: skip

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 import taichi_bearings as tb
+from taichi_bearings.analysis.topology import topology_of
 from taichi_bearings.errors import InputError
 from taichi_bearings.fields.lists import Lists
 from taichi_bearings.numerics.graphs import odd_pieces
-from taichi_bearings.packing.structure import structure_of
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import drive
 from taichi_bearings.solvers.recording import Recording
@@ -114,7 +114,7 @@ def free_packings(number, law):
         pairs = pairs[np.argsort(apart)[: 5 * count]]
         radius = rng.uniform(0.5, 1.2, count)
         loose = loose_packing(center, pairs, radius, law, 0)
-        if structure_of(loose).all_motions == 4 and structure_of(loose).parts == 1:
+        if topology_of(loose).all_motions == 4 and topology_of(loose).parts == 1:
             yield center, pairs, radius
             return
 
@@ -134,7 +134,7 @@ def test_a_free_bearing_ends_where_its_invariants_say(number, needs_f64):
     law, rng = KNOWN_LAWS[number], np.random.default_rng(number)
     for center, contact, radius in free_packings(number, law):
         packing = loose_packing(center, contact, radius, law, number)
-        assert structure_of(packing).all_motions == 4
+        assert topology_of(packing).all_motions == 4
         count, density = packing.spheres, 10 ** rng.uniform(-0.5, 0.5, packing.spheres)
         start, radii = rng.standard_normal((count, 3)), packing.radius[:, None]
         sign = odd_pieces(count, *contact.T)[1][:, None]

@@ -6,7 +6,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 import taichi_bearings as tb
-from taichi_bearings.packing import structure_of
+from taichi_bearings.analysis.topology import topology_of
 
 OVERLAP = 1e-9  # over the sum of the radii
 
@@ -81,7 +81,7 @@ def test_space_filling_bearings_touch_fill_and_turn_without_slip(family):
     share_m, share_n = (np.cos(np.pi / (k + 3)) ** 2 for k in family)
     half = (1 / share_m + 1 / share_n - 1) ** -0.5  # Herrmann, Mantica and Bessis
     check_touching(packing, 4 * half)
-    found = structure_of(packing)
+    found = topology_of(packing)
     assert found.bipartite
     assert found.all_motions == found.parts  # each part turns in one way
     assert found.parts == 1 or (m, n) not in {(0, 0), (1, 1)}

@@ -6,8 +6,7 @@ import pytest
 
 import taichi_bearings as tb
 from taichi_bearings.analysis.network import SliplessNetwork
-from taichi_bearings.packing import structure_of
-from taichi_bearings.packing.structure import DENSE_UNKNOWNS, slipless_number
+from taichi_bearings.analysis.topology import DENSE_UNKNOWNS, slipless_number, topology_of
 
 EVERY = ("x", "y", "z")
 TABLE = [
@@ -31,7 +30,7 @@ TABLE = [
 @pytest.mark.parametrize(("kind", "cells", "periodic", "number"), TABLE)
 @pytest.mark.parametrize("dense", [10**6, 0])
 def test_the_number_of_slipless_motions_is_that_of_the_table(kind, cells, periodic, number, dense, monkeypatch):
-    monkeypatch.setattr("taichi_bearings.packing.structure.DENSE_UNKNOWNS", dense)
+    monkeypatch.setattr("taichi_bearings.analysis.topology.DENSE_UNKNOWNS", dense)
     packing = tb.Packing.lattice(kind, cells, periodic)
     assert slipless_number(packing.network, np.ones(packing.spheres, dtype=bool))[0] == number
     assert DENSE_UNKNOWNS > 0
@@ -40,13 +39,13 @@ def test_the_number_of_slipless_motions_is_that_of_the_table(kind, cells, period
 def test_free_diamonds_have_at_least_as_many_as_their_layers():
     packing = tb.Packing.lattice("diamond", (2, 2, 2))
     layers = sum(len(np.unique(np.round(packing.center[:, axis], 6))) for axis in range(3))
-    assert structure_of(packing).all_motions >= layers - 1
+    assert topology_of(packing).all_motions >= layers - 1
 
 
 def test_a_tetrahedron_of_spheres_is_stuck():
     center = np.array([[0, 0, 0], [1, 1, 0], [1, 0, 1], [0, 1, 1]]) / np.sqrt(2)
     contact = np.stack(np.triu_indices(4, 1), axis=1)
-    found = structure_of(tb.Packing(center, contact, np.full(4, -1), np.zeros((4, 3))))
+    found = topology_of(tb.Packing(center, contact, np.full(4, -1), np.zeros((4, 3))))
     assert (found.all_motions, found.smallest_odd_loop, found.bipartite) == (0, 3, False)
 
 
@@ -58,14 +57,14 @@ def test_the_smallest_odd_loop_is_found(length):
     center = np.concatenate([ring, [[50, 0], [51, 0], [51, 1], [50, 1]]])
     pairs = [(i, (i + 1) % length) for i in range(length)]
     pairs += [(length + i, length + (i + 1) % 4) for i in range(4)]
-    found = structure_of(tb.Packing(center, pairs, np.full(length + 4, -1), np.zeros(length + 4)))
+    found = topology_of(tb.Packing(center, pairs, np.full(length + 4, -1), np.zeros(length + 4)))
     assert (found.smallest_odd_loop, found.parts, found.floating, found.all_motions) == (length, 2, 2, 1)
 
 
 def test_loose_parts_are_counted():
     center = [[0, 0, 0], [0, 0, 1], [0, 0, 2], [5, 0, 0], [5, 0, 1], [9, 9, 9]]
     packing = tb.Packing(center, [(0, 1), (1, 2), (3, 4)], [0, -1, -1, -1, -1, -1], np.zeros((6, 3)))
-    found = structure_of(packing)
+    found = topology_of(packing)
     assert (found.parts, found.floating, found.rattlers, found.free_dangling) == (3, 1, 1, 3)
     assert found.free_motions == 2 + 4 + 3  # each turns about its axis; a pair slips in 2 of 6 ways; a rattler never
 

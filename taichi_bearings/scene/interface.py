@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from taichi_bearings.numerics.minimum_cut import graph_cut, number_bodies
-from taichi_bearings.packing.system import needed_components
-from taichi_bearings.scene import Bearing
+from taichi_bearings.scene.bearing import Bearing
 
 SAME_STATE = 1e-9  # of the largest R omega, by which spins may miss a bearing state
 ACROSS = 1e-12  # of the jump, what rounding leaves of it across a normal along it
@@ -92,7 +91,7 @@ class Interface:
         if states is None:
             return None
         sign, (low, high) = states
-        known, needed = needed_components(bearing)
+        known, needed = _needed_components(bearing)
         jump = ((high - low) * needed)[bearing.network.contact[0]]
         across = bearing.network.across(jump)
         across[across <= ACROSS * np.linalg.norm(jump, axis=1)] = 0.0
@@ -116,6 +115,13 @@ class Interface:
         power = bearing.law.power(tuple(of[cut] for of in material), across[cut])
         spins = np.where(needed, sign[:, None] * np.where(above[:, None], high, low), known)
         return cls(float(power.sum()), contacts, above, between, spins=spins)
+
+
+def _needed_components(bearing: Bearing) -> tuple[np.ndarray, np.ndarray]:
+    """Spins u (N, C) at which the components that are not needed slip nowhere; and (C,) True for those that are needed:
+    all but those that can turn without any slip where normals lie along the axes."""
+    known, wanted, _ = bearing.network.needed(bearing.driven_speed, bearing.acting, bearing.network.free)
+    return known, np.asarray(wanted.any(axis=0))
 
 
 def _slack(bearing: Bearing, contact: np.ndarray, across: np.ndarray, states: np.ndarray) -> float:

@@ -1,4 +1,5 @@
-"""What a packing is before anything is solved: loops, loose parts, and the spins at which nothing slips."""
+"""What a network of contacts is before anything is solved: its loops, its loose parts, and the spins at which nothing
+slips."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,8 +10,8 @@ from scipy.sparse.csgraph import breadth_first_order, dijkstra
 
 from taichi_bearings.numerics.graphs import pieces
 from taichi_bearings.numerics.motions import MOST_UNKNOWNS
+from taichi_bearings.scene.bearing import Bearing
 from taichi_bearings.scene.network import Network
-from taichi_bearings.scene.packing import Packing
 
 MOST_LOOPS = 20_000  # spheres in parts with odd loops up to which the smallest one is looked for
 CHUNK = 256
@@ -19,7 +20,7 @@ RANK = 1e-9  # of the largest singular value
 
 
 @dataclass(frozen=True)
-class Structure:
+class Topology:
     """spheres, contacts, driven, bodies : numbers. parts : connected ones. floating : parts with no driven sphere, and
     rattlers : spheres without contact; free_dangling : free spheres with one contact.
 
@@ -44,9 +45,9 @@ class Structure:
     decided_by: str
 
 
-def structure_of(packing: Packing) -> Structure:
-    """Look through a packing; its coefficients play no part."""
-    network = packing.network
+def topology_of(bearing: Bearing) -> Topology:
+    """What the contacts of a bearing alone say of it; its coefficients play no part."""
+    network = bearing.network
     count, held = network.spheres, ~network.free
     label = pieces(count, *network.contact)
     sizes = np.bincount(label)
@@ -56,7 +57,7 @@ def structure_of(packing: Packing) -> Structure:
     degree = np.bincount(network.contact.ravel(), minlength=count)
     free, by = slipless_number(network, ~held)
     whole, _ = slipless_number(network, np.ones(count, dtype=bool))
-    return Structure(
+    return Topology(
         count, network.contacts, int(held.sum()), len(network.bodies), parts,
         int((~touched & (sizes > 1)).sum()), int(((degree == 0) & ~held).sum()), int(((degree == 1) & ~held).sum()),
         not network.sublattices[0].any(), smallest_odd_loop(network), free, whole, by,
