@@ -121,6 +121,6 @@ def _motions(
     if unknowns > MOST_UNKNOWNS:
         return slips, None, f"not decided: more than {MOST_UNKNOWNS:,} unknowns"
     motions = network.motions(slips, np.repeat(np.flatnonzero(free), len(components)), contact, free)
-    if not motions.counted:
+    if not motions.number_is_certain:
         return slips, None, "not decided: some motions slip by little more than rounding"
     return slips, motions.number, "elimination"

@@ -1,1 +1,1 @@
-"""What knows no friction: factorisation, transforms, cuts, sums of two doubles."""
+"""Mathematics that knows no friction: factorisation, motions without slip, transforms, cuts, sums of two doubles."""

@@ -1,17 +1,18 @@
-"""Numbers as sums of two doubles, some 106 bits: pairs (high, low) of arrays, for what float64 would round away.
+"""Arithmetic of numbers stored as sums of two doubles, some 106 bits, for what float64 would round away.
 
-Dekker, Numer. Math. 18, 1971; Joldes, Muller and Popescu, ACM Trans. Math. Softw. 44, 2017. Equal operands give equal
-results, bit by bit.
+A number is a `Pair` (high, low) of arrays of one shape: its value is high + low, where high is that sum rounded to
+float64. Operations work element by element, as NumPy's do. After Dekker, Numer. Math. 18, 1971; Joldes, Muller and
+Popescu, ACM Trans. Math. Softw. 44, 2017. Equal operands give equal results, bit by bit.
 """
 
 import numpy as np
 
 Pair = tuple[np.ndarray, np.ndarray]
-SPLIT = 2.0**27 + 1
+SPLIT = 2.0**27 + 1  # Dekker's factor: splits the 53 bits of a double into two halves whose products are exact
 
 
 def two_sum(a: np.ndarray, b: np.ndarray) -> Pair:
-    """a + b rounded, and exactly what the rounding leaves out."""
+    """Return a + b rounded to float64, and exactly what the rounding leaves out."""
     total = a + b
     part = total - a
     rest = total - part
@@ -21,7 +22,7 @@ def two_sum(a: np.ndarray, b: np.ndarray) -> Pair:
 
 
 def two_product(a: np.ndarray, b: np.ndarray) -> Pair:
-    """a * b rounded, and exactly what the rounding leaves out."""
+    """Return a * b rounded to float64, and exactly what the rounding leaves out."""
     product = a * b
     (a1, a2), (b1, b2) = _halves(a), _halves(b)
     rest = a1 * b1
@@ -33,7 +34,7 @@ def two_product(a: np.ndarray, b: np.ndarray) -> Pair:
 
 
 def two_square(a: np.ndarray) -> Pair:
-    """The same of a number with itself."""
+    """Return a * a rounded to float64, and exactly what the rounding leaves out."""
     product, (a1, a2) = a * a, _halves(a)
     rest, both = a1 * a1, a1 * a2
     rest -= product
@@ -44,6 +45,7 @@ def two_square(a: np.ndarray) -> Pair:
 
 
 def _halves(a: np.ndarray) -> Pair:
+    """Split doubles into two summands of at most 26 bits each (Dekker's split)."""
     head = SPLIT * a
     head -= head - a
     return head, a - head
@@ -66,7 +68,7 @@ def multiply(x: Pair, y: Pair) -> Pair:
 
 
 def scaled(factor: np.ndarray, x: Pair) -> Pair:
-    """factor * x."""
+    """Return factor * x, where the factor is a double."""
     high, rest = two_product(factor, x[0])
     return two_sum(high, rest + factor * x[1])
 
@@ -77,19 +79,20 @@ def square(x: Pair) -> Pair:
 
 
 def divide(x: Pair, y: Pair) -> Pair:
+    """Return x / y: the quotient of the high parts, and that of what it leaves of x."""
     first = x[0] / y[0]
     left = subtract(x, scaled(first, y))
     return two_sum(first, left[0] / y[0])
 
 
 def square_root(x: Pair) -> Pair:
-    """Of positive numbers."""
+    """Return the square root of positive numbers: one Newton step from the root of the high part."""
     first = np.sqrt(x[0])
     left = subtract(x, two_square(first))
     return two_sum(first, left[0] / (2 * first))
 
 
 def exactly(values: np.ndarray) -> Pair:
-    """Doubles as pairs."""
+    """Return doubles as pairs whose low parts are 0."""
     values = np.asarray(values, dtype=np.float64)
     return values, np.zeros_like(values)

@@ -1,9 +1,13 @@
-"""All lightest cuts of a graph, exactly: in whole numbers, however large.
+"""Finds what all lightest cuts of a graph have in common, exactly: in whole numbers, however large.
 
-A largest flow leaves capacity in arcs, its *residual graph*. A set of nodes is the near side of a lightest cut if no
-arc with capacity left leads out of it (Picard and Queyranne, Math. Program. Study 13, 1980). So the nodes that the
-first one reaches along such arcs are on the near side of every lightest cut, those that reach the last one on the far
-side, and an edge is in some lightest cut if its ends lie in different strongly connected components.
+A cut parts the nodes into a near side, with the first node, and a far side, with the last node; its weight is that of
+the edges between the sides. A largest flow from the first to the last node leaves capacity in some arcs, which make up
+its *residual graph*. A set of nodes is the near side of a lightest cut if no arc with capacity left leads out of it
+(Picard and Queyranne, Math. Program. Study 13, 1980). It follows that
+
+* nodes that the first one reaches along such arcs are on the near side of every lightest cut;
+* nodes from which the last one is reached are on the far side of every lightest cut;
+* an edge is in some lightest cut if its ends lie in different strongly connected components of the residual graph.
 """
 
 from dataclasses import dataclass, replace
@@ -21,12 +25,14 @@ from taichi_bearings.numerics.minimum_cut import MinimumCut, edges_of, graph_of_
 
 @dataclass(frozen=True)
 class LightestCuts:
-    """What the cuts between the first and the last node of a graph that are heavier than the lightest one by no more
-    than a slack have in common, and what the lightest ones have.
+    """What all cuts between the first and the last node of a graph have in common that are nearly as light as the
+    lightest.
 
-    near, far : (nodes,) True on the side of the first, of the last node in every cut within the slack. above : (nodes,)
-        True on the far side of the lightest cut that has most nodes there. some, every : (edges,) True for the edges
-        with capacity of some, of every lightest cut.
+    "Nearly" means heavier than the lightest cut by no more than a slack, which the caller of `lightest_cuts` sets.
+
+    near, far : (nodes,) True for nodes that lie on the side of the first, of the last node in each of these cuts.
+    above : (nodes,) True on the far side of that lightest cut whose far side is largest.
+    some, every : (edges,) True for edges with capacity that belong to some, to every lightest cut (slack 0).
     """
 
     near: np.ndarray
@@ -37,12 +43,15 @@ class LightestCuts:
 
     @property
     def between(self) -> np.ndarray:
-        """(nodes,) True for those that are not known to lie on one side."""
+        """(nodes,) True for nodes that are not known to lie on the same side in all these cuts."""
         return ~(self.near | self.far)
 
 
 def whole_numbers(values: np.ndarray) -> np.ndarray:
-    """(n,) whole numbers of Python in the proportions of floats >= 0, exactly, without a common divisor."""
+    """Return Python's whole numbers (n,) in exactly the proportions of the floats (n,), which must be >= 0.
+
+    Their greatest common divisor is divided out.
+    """
     part, exponent = np.frexp(values)
     parts, shifts = np.ldexp(part, 53).astype(np.int64).tolist(), exponent - exponent[values > 0].min(initial=2000)
     numbers = [n << int(shift) if n else 0 for n, shift in zip(parts, shifts, strict=True)]
@@ -53,29 +62,34 @@ def whole_numbers(values: np.ndarray) -> np.ndarray:
 
 
 def _whole(weight: np.ndarray) -> np.ndarray:
+    """Return weights as whole numbers of Python: those already of dtype object as they are, floats in proportion."""
     return weight if weight.dtype == object else whole_numbers(weight)
 
 
 def lightest_cuts(ends: np.ndarray, weight: np.ndarray, nodes: int, rounding: float = 0.0) -> LightestCuts:
-    """The lightest cuts of an undirected graph between its first and its last node.
+    """Find what the lightest cuts between the first and the last node of an undirected graph have in common.
 
-    ends : (2, edges) nodes. weight : (edges,) floats or whole numbers of Python (dtype object), none negative, taken as
-    they are. nodes : number of them. rounding : the slack is three times this share of the lightest weight, edges from
-    the first to the last node apart.
+    ends : (2, edges) nodes.
+    weight : (edges,) floats, or whole numbers of Python (dtype object), none negative. They count as exact.
+    nodes : number of nodes.
+    rounding : relative error of the weights. The slack (see :class:`LightestCuts`) is three times this share of the
+        lightest weight, edges from the first to the last node apart, which are in every cut.
     """
     last, taken = nodes - 1, (weight > 0) & (ends[0] != ends[1])
     always = taken & (np.minimum(*ends) == 0) & (np.maximum(*ends) == last)
     taken &= ~always
     # an edge without capacity from the first to the last node, so that both are there
     pairs, size = np.append(ends[:, taken], [[0], [last]], axis=1), np.append(_whole(weight[taken]), [0])
+    # a largest flow; the edges at either end alone bound what it can carry
     at_most = min(int(size[(pairs == end).any(axis=0)].sum()) for end in (0, last))
     source, sink = np.zeros((2, nodes), dtype=object)
     source[0] = sink[last] = at_most
     flow = exact_flow(pairs, size, source, sink)[0]
-    left = np.stack([size - flow, size + flow])
+    left = np.stack([size - flow, size + flow])  # residual capacity, there and back
     near, far = within_reach(pairs, left, 0), within_reach(pairs, left[::-1], last)
     parted = near[pairs[0]] != near[pairs[1]]
     slack = int(3 * rounding * int(size[parted].sum())) + (rounding > 0)
+    # strongly connected components of the residual graph: cuts pass between them, never through one
     row, column = np.concatenate([pairs, pairs[::-1]], axis=1)[:, np.asarray(left > 0, dtype=bool).ravel()]
     arcs = csr_array((np.ones(len(row), dtype=np.int8), (row, column)), shape=(nodes, nodes))
     label = connected_components(arcs, directed=True, connection="strong")[1]
@@ -91,19 +105,28 @@ def lightest_cuts(ends: np.ndarray, weight: np.ndarray, nodes: int, rounding: fl
 def cuts_between(
     ends: np.ndarray, weight: np.ndarray, above: np.ndarray, between: np.ndarray, rounding: float = 0.0
 ) -> tuple[LightestCuts, np.ndarray]:
-    """The lightest cuts where only some nodes are not known to lie on one side, and the node of each node among them.
+    """Find the lightest cuts of a graph of which the side of most nodes is known already.
 
-    above, between : (nodes,) True on the far side of a lightest cut; True for those that may lie on the other side. All
-    others of a side are one node.
+    ends : (2, edges) nodes. weight : (edges,) as in :func:`lightest_cuts`; rounding : the same share as there.
+    above : (nodes,) True on the far side of one lightest cut.
+    between : (nodes,) True for nodes that may lie on the other side in another one. All other nodes of a side are
+        merged into one node.
+    returns : the cuts of the smaller graph, and the node (nodes,) of it that each node has become.
     """
     last = int(between.sum()) + 1
     place = np.where(between, np.cumsum(between), np.where(above, last, 0))
     return lightest_cuts(place[ends], weight, last + 1, rounding), place
 
 
-def decided(cut: MinimumCut, weight: tuple[np.ndarray, ...], rounding: float) -> MinimumCut:
-    """The same cuts with fewer spheres between them: those that a flow in machine numbers leaves there are tried in
-    whole numbers of any size. weight, rounding : what :func:`taichi_bearings.numerics.minimum_cut.minimum_cut` had."""
+def with_exact_ties(cut: MinimumCut, weight: tuple[np.ndarray, ...], rounding: float) -> MinimumCut:
+    """Return minimum cuts of lattices in which fewer spheres are left undecided between cuts that tie.
+
+    `cut.between` marks spheres that a flow in machine numbers could not put on one side. They are tried again here in
+    whole numbers of any size.
+
+    cut : answer of :func:`taichi_bearings.numerics.minimum_cut.minimum_cut`.
+    weight, rounding : the arguments that it was given.
+    """
     between = cut.between.copy()
     for sample in np.flatnonzero(~cut.unique):
         own = tuple(values[sample] for values in weight)
@@ -115,4 +138,4 @@ def decided(cut: MinimumCut, weight: tuple[np.ndarray, ...], rounding: float) ->
     return replace(cut, between=between)
 
 
-__all__ = ["LightestCuts", "cuts_between", "decided", "lightest_cuts", "whole_numbers"]
+__all__ = ["LightestCuts", "cuts_between", "lightest_cuts", "whole_numbers", "with_exact_ties"]

@@ -1,10 +1,15 @@
 """Largest flows of whole numbers of any length, without rounding.
 
-Capacities may span any number of decades. Each round takes the leading bits of what capacity is left: no edge carries
-more than the flow that can still come, so capacities are cut down to a bound B on it, and bits below a unit of some B /
-2^50 go away. A largest flow of these short numbers leaves less than a unit per edge, which the next round finds in a
-finer unit (capacity scaling; Gabow, J. Comput. System Sci. 31, 1985). Parts that nothing joins have units of their own.
-The end is exact: the cut that is left over has no capacity at all.
+Capacities may span any number of decades. Each round works with the leading bits of the capacity that is left
+(capacity scaling; Gabow, J. Comput. System Sci. 31, 1985):
+
+1. No edge carries more than the flow that can still come. With a bound B on that flow, capacities are cut down to B.
+2. Bits below a unit of some B / 2^50 are dropped, so that numbers fit into 64 bits.
+3. A largest flow of these short numbers is taken away. It leaves less than a unit per edge of some cut, so the next B
+   is smaller.
+
+Connected parts of the graph have bounds and units of their own. The end is exact: the cut that is left over has no
+capacity at all. Letters: E edges, P pairs of nodes that edges join.
 """
 
 from dataclasses import dataclass
@@ -15,14 +20,17 @@ from scipy.sparse.csgraph import connected_components
 
 from taichi_bearings.numerics.minimum_cut import largest_flow, led_to
 
-ROUND_BITS = 57  # of the flows of one round, all parts together
-SHORT = 2**59  # capacities below which all sums fit into 64 bits
+ROUND_BITS = 57  # most bits of the flows of one round, all parts together
+SHORT = 2**59  # if the totals of capacities are below this, all sums fit into 64 bits
 
 
 @dataclass
-class _Left:
-    """Capacity that is left: of edges (P,) from the lower to the upper end and back, from the source and to the sink
-    (nodes,)."""
+class _Residual:
+    """Capacity that is left.
+
+    there, back : (P,) from the lower to the upper node of each pair, and back.
+    fed, drained : (nodes,) that can still come from the source, and go to the sink, at each node.
+    """
 
     there: np.ndarray
     back: np.ndarray
@@ -37,10 +45,12 @@ class _Left:
 def exact_flow(
     ends: np.ndarray, capacity: np.ndarray, source: np.ndarray, sink: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A largest flow (E,) from low to high ends, and what it takes from the source and brings to the sink, (nodes,).
+    """Return a largest flow (E,) from low to high ends, what it takes from the source and what it brings to the sink.
 
-    ends : (2, E) nodes. capacity : (E,) of both ways; source, sink : (nodes,), most that may come and go there. All are
-    whole numbers, int64 or of Python (dtype object), none negative.
+    ends : (2, E) nodes. capacity : (E,) most that an edge carries, either way. source, sink : (nodes,) most that may
+        come from outside, and leave, at each node. All are whole numbers, int64 or of Python (dtype object), none
+        negative.
+    returns : flow (E,), negative from high to low; inflow (nodes,); outflow (nodes,).
     """
     pairs, own = np.unique(np.sort(ends, axis=0), axis=1, return_inverse=True)
     own, nodes = own.ravel(), len(source)
@@ -48,25 +58,29 @@ def exact_flow(
     np.add.at(total, own, capacity.astype(object))
     short = max([0, int(source.sum()), int(sink.sum()), *total]) < SHORT
     kind = np.int64 if short else object
-    left = _Left(*(values.astype(kind) for values in (total, total, source, sink)))
-    _exhaust(left, pairs, _parts(nodes, pairs[:, total > 0]))
-    flow = _shared(total - left.there, capacity, own, ends[0] > ends[1])
+    left = _Residual(*(values.astype(kind) for values in (total, total, source, sink)))
+    _take_largest_flow(left, pairs, _parts(nodes, pairs[:, total > 0]))
+    flow = _flow_by_edge(total - left.there, capacity, own, ends[0] > ends[1])
     return flow.astype(kind), source - left.fed, sink - left.drained
 
 
 def _parts(nodes: int, pairs: np.ndarray) -> np.ndarray:
-    """Number of the part of each node."""
+    """Return the number (nodes,) of the connected part that each node belongs to."""
     graph = sparse.csr_array((np.ones(pairs.shape[1], dtype=np.int8), tuple(pairs)), shape=(nodes, nodes))
     return np.asarray(connected_components(graph, directed=False)[1])
 
 
-def _exhaust(left: _Left, pairs: np.ndarray, part: np.ndarray) -> None:
-    """Take a largest flow from what is left, in place."""
+def _take_largest_flow(left: _Residual, pairs: np.ndarray, part: np.ndarray) -> None:
+    """Take a largest flow away from what is left, in place. pairs : (2, P) nodes. part : (nodes,) connected part of
+    each.
+    """
     count, nodes = int(part.max(initial=-1)) + 1, len(part)
     kind = left.there.dtype
+    # no more can flow in a part than its nodes are fed, or drain
     bound = np.minimum(*(_summed(values, part, count, kind) for values in (left.fed, left.drained)))
     of_pair = part[pairs[0]]
     while (open_ := bound > 0).any():
+        # leading bits of all capacities, in a unit 2^shift of each part
         bits = max(ROUND_BITS - int(open_.sum()).bit_length(), 1)
         shift = np.array([max(int(b).bit_length() - bits, 0) for b in bound], dtype=kind)
         owners = of_pair, of_pair, part, part
@@ -74,11 +88,12 @@ def _exhaust(left: _Left, pairs: np.ndarray, part: np.ndarray) -> None:
             (np.minimum(values, bound[owner]) >> shift[owner]).astype(np.int64)
             for values, owner in zip(left.parts, owners, strict=True)
         ]
-        sent, into, out = _round(pairs, *units)
+        sent, into, out = _flow_of_round(pairs, *units)
         moved = sent.astype(kind) << shift[of_pair]
         left.there, left.back = left.there - moved, left.back + moved
         left.fed = left.fed - (into.astype(kind) << shift[part])
         left.drained = left.drained - (out.astype(kind) << shift[part])
+        # the next bound: capacity of the cut behind the nodes that the source still reaches
         over = np.stack([units[0] - sent, units[1] + sent]) > 0
         row, column = np.concatenate([pairs, pairs[::-1]], axis=1)[:, over.ravel()]
         above = led_to(nodes, row, column, np.flatnonzero(units[2] > into))
@@ -91,16 +106,19 @@ def _exhaust(left: _Left, pairs: np.ndarray, part: np.ndarray) -> None:
 
 
 def _summed(values: np.ndarray, owner: np.ndarray, count: int, kind: np.dtype) -> np.ndarray:
-    """(count,), sums of the values of each owner."""
+    """Return the sum (count,) of the values of each owner."""
     found = np.zeros(count, dtype=kind)
     np.add.at(found, owner, values)
     return found
 
 
-def _round(
+def _flow_of_round(
     pairs: np.ndarray, there: np.ndarray, back: np.ndarray, fed: np.ndarray, drained: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A largest flow of int64 capacities, (P,) net from lower to upper end, and (nodes,) from source and to sink."""
+    """Return a largest flow of int64 capacities: net flow (P,) from lower to upper node, inflow and outflow (nodes,).
+
+    pairs, there, back, fed, drained : as in :class:`_Residual`. Source and sink become two more nodes, first and last.
+    """
     nodes, begins, ends = len(fed), np.flatnonzero(fed), np.flatnonzero(drained)
     taken, given = np.zeros(nodes, dtype=np.int64), np.zeros(nodes, dtype=np.int64)
     at_most = min(int(fed.sum()), int(drained.sum()))
@@ -115,8 +133,16 @@ def _round(
     return sent, taken, given
 
 
-def _shared(flow: np.ndarray, capacity: np.ndarray, own: np.ndarray, turned: np.ndarray) -> np.ndarray:
-    """(E,), the flow (P,) of each pair of nodes, shared by its edges. turned : (E,), edges from the upper node."""
+def _flow_by_edge(flow: np.ndarray, capacity: np.ndarray, own: np.ndarray, reversed_: np.ndarray) -> np.ndarray:
+    """Return the flow (E,) of each edge, where edges that join the same two nodes share the flow of that pair.
+
+    flow : (P,) of the pairs.
+    capacity : (E,) of the edges.
+    own : (E,) pair of each edge.
+    reversed_ : (E,) True for edges that are given from the upper node to the lower one.
+
+    An edge is filled before the next one of its pair gets anything.
+    """
     if len(flow) == len(own):
         shared = flow[own]
     else:
@@ -128,4 +154,4 @@ def _shared(flow: np.ndarray, capacity: np.ndarray, own: np.ndarray, turned: np.
         before[order] = total - ordered - (total - ordered)[first][group]
         size, sign = np.abs(flow)[own], np.where(flow[own] > 0, 1, -1)
         shared = sign * np.maximum(np.minimum(size - before, capacity), 0)
-    return np.where(turned, -shared, shared)
+    return np.where(reversed_, -shared, shared)

@@ -10,7 +10,11 @@ Edges = tuple[np.ndarray, np.ndarray, np.ndarray]  # node at either end, weight:
 
 
 def graph_laplacian(edges: Iterable[Edges], nodes: int, held: np.ndarray) -> csc_array:
-    """Laplacian over the nodes that are not held at a fixed value, in their order; held : (nodes,) bool."""
+    """Return the weighted Laplacian over the nodes that are not held at a fixed value, in their order.
+
+    edges : groups of edges: the node at either end, and the weight. nodes : number of nodes. held : (nodes,) True where
+        the value is fixed.
+    """
     rows, columns, entries = [], [], []
     for low, high, weight in edges:
         rows += [low, high, low, high]
@@ -23,5 +27,8 @@ def graph_laplacian(edges: Iterable[Edges], nodes: int, held: np.ndarray) -> csc
 
 
 def factorised(laplacian: csc_array) -> SuperLU:
-    """Minimum degree ordering, no pivoting. Raises RuntimeError if the matrix is singular in float64."""
+    """Return SuperLU's factorisation, by minimum degree and without pivoting.
+
+    Raises RuntimeError if the matrix is singular in float64.
+    """
     return splu(laplacian, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})

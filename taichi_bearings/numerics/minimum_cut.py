@@ -1,6 +1,6 @@
 """The lightest set of contacts whose removal parts bottom and top of a lattice: the interface of two rigid domains.
 
-If every sphere turns either with the bottom or with the top, the contacts between the two sides slip with the imposed
+If every sphere rotates either with the bottom or with the top, the contacts between the two sides slip with the imposed
 jump d without its component along the contact n, all others not at all. The power of such a state is the weight of a
 cut, and the least one is that of a minimum cut (Ford and Fulkerson, Canad. J. Math. 8, 1956). In 2D, and wherever the
 contacts of one sideways axis weigh nothing, the lattice is a stack of planar grids, which planar/ cuts exactly. Any
@@ -10,10 +10,12 @@ Weights are rounded down to multiples of a unit, 2^-51 to 2^-52 of the lightest 
 units below 2^53 and exact. A largest flow of rounded weights is a flow of the true ones, hence a proven lower bound,
 and the cut it leaves weighs at most one unit a contact more.
 
-What a largest flow leaves open shows how many lightest cuts there are: a cut is heavier than the lightest one by the
-capacity that is left from its lower to its upper side. So a sphere that the bottom reaches through contacts with more
-than some weight left is below every cut that is heavier by no more than this weight, and likewise from the top (Picard
-and Queyranne, Math. Program. Study 13, 1980).
+The capacity that a largest flow leaves unused shows how many lightest cuts there are: a cut is heavier than the
+lightest one by the capacity that is left from its lower to its upper side. So a sphere that the bottom reaches through
+contacts with more than some weight left is below every cut that is heavier by no more than this weight, and likewise
+from the top (Picard and Queyranne, Math. Program. Study 13, 1980).
+
+Letters: R lattices (samples), N the shape of a lattice. Weights come as one array (R, *contacts) an axis, height last.
 """
 
 from dataclasses import dataclass, replace
@@ -25,23 +27,24 @@ from scipy.sparse.csgraph import breadth_first_order, maximum_flow
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.numerics.planar import minimum_cuts
 
-WEIGHT_ROUNDING = 2.0**-48  # of given weights: a dozen roundings of 2^-53 each
-ROUNDED_WEIGHT = 2.0**-6  # weight of a cut over that of one known before, below which its rounding matters
+WEIGHT_ROUNDING = 2.0**-48  # relative error of weights that are computed: a dozen roundings of 2^-53 each
+ROUNDED_WEIGHT = 2.0**-6  # a cut lighter than this share of the one known before is found anew, in a finer unit
 PRESENT_CAPACITY = 2**40  # capacity of every contact that is there, where a cut of absent ones is known
-FLOW_BITS = 29  # of a flow; scipy has 31, and what capacity is left is up to three times the flow
+FLOW_BITS = 29  # most bits of a flow in SciPy, which has 31: capacity left over is up to three times the flow
 
 
 @dataclass(frozen=True)
 class MinimumCut:
-    """Minimum cuts of R lattices N.
+    """Minimum cuts of R lattices of shape N.
 
-    above : (R, *N), True on the top side; the contacts whose ends differ are the cut, the lowest one where some tie.
-    between : (R, *N), True for the spheres that are not proven to lie on the same side of all cuts as light as this
-        one: what lies between cuts that tie; in planar grids whose weights are not rounded exactly. Spheres that no
-        contact with weight joins to bottom or top change no cut, and are not there.
-    weight : (R,), of this cut. lower_bound : (R,), no cut is lighter; proven, and good to about 1e-15 a contact.
-    next_weight : (R,), of the lightest other cut that leaves either side in one piece, good to the same; NaN where it
-        takes more than this cut to know (see :func:`next_cut`).
+    above : (R, *N) True on the top side. The contacts whose ends differ are the cut; where cuts tie it is the lowest.
+    between : (R, *N) True for spheres that are not proven to lie on the same side of all cuts as light as this one:
+        those between cuts that tie. In planar grids whose weights are not rounded that is exact. Spheres that no
+        contact with weight joins to bottom or top change no cut, and are False.
+    weight : (R,) weight of this cut.
+    lower_bound : (R,) proven: no cut is lighter. It is good to about 1e-15 a contact, relative.
+    next_weight : (R,) weight of the lightest other cut that leaves either side in one piece, as good as the bound; NaN
+        where it takes more than this cut to know (see :func:`next_cut`).
     """
 
     above: np.ndarray
@@ -52,16 +55,16 @@ class MinimumCut:
 
     @property
     def unique(self) -> np.ndarray:
-        """True where every other set of contacts that cuts is proven to be heavier, (R,)."""
+        """(R,) True where every other set of contacts that parts bottom and top is proven to be heavier."""
         return np.asarray(~self.between.reshape(len(self.between), -1).any(axis=1))
 
 
 def minimum_cut(weight: tuple[np.ndarray, ...], rounding: float = 0.0) -> MinimumCut:
-    """A lightest cut between the bottom plane and the top plane of each lattice.
+    """Find a lightest cut between the bottom plane and the top plane of each lattice.
 
-    weight : one array (R, *contacts) an axis, none negative, height last; lattices are 2 or more wide and 3 or more
-        high. Contacts between two spheres of the bottom or of the top take no part. rounding : share of each weight by
-        which it may differ from the one that is meant; no cut that could then be as light is taken to be heavier.
+    weight : one array (R, *contacts) an axis, none negative, height last. Lattices are 2 or more wide and 3 or more
+        high. Contacts between two spheres of the bottom or of the top take no part.
+    rounding : relative error of each weight. No cut that could be as light within that error is taken to be heavier.
     """
     *sideways, upward = weight
     idle = next((axis for axis, values in enumerate(sideways) if not values.any()), None)
@@ -84,9 +87,9 @@ def minimum_cut(weight: tuple[np.ndarray, ...], rounding: float = 0.0) -> Minimu
 
 
 def flow_cut(weight: tuple[np.ndarray, ...], rounding: float = 0.0) -> MinimumCut:
-    """The same as :func:`minimum_cut` by a largest flow whatever the lattice, but for the next weight.
+    """Find the same cuts as :func:`minimum_cut`, the next weight apart, by a largest flow whatever the lattice.
 
-    For planar grids slower, but it shares no code with the shortest paths.
+    For planar grids this is slower, but it shares no code with the shortest paths. weight, rounding : as there.
     """
     cuts = [cut_lattice(tuple(values[replica] for values in weight), rounding) for replica in range(len(weight[-1]))]
     above, between, bound = (np.stack([getattr(cut, name) for cut in cuts]) for name in ("above", "between", "weight"))
@@ -95,11 +98,12 @@ def flow_cut(weight: tuple[np.ndarray, ...], rounding: float = 0.0) -> MinimumCu
 
 
 def next_cut(weight: tuple[np.ndarray, ...], cut: MinimumCut) -> tuple[np.ndarray, np.ndarray]:
-    """Sides (R, *N) and weight (R,) of the lightest cut other than `cut`, of all that leave either side in one piece.
+    """Return sides (R, *N) and weight (R,) of the lightest cut other than `cut` that leaves either side in one piece.
 
-    weight, cut : what :func:`minimum_cut` was given, and its answer. Such a cut cannot hold all contacts of another
-    one, so the lightest other one is the lightest of those that spare some contact of `cut`: a flow for each of them,
-    so for small lattices.
+    Such a cut cannot hold all contacts of another one. So the lightest other one is the lightest of those that spare
+    some contact of `cut`. That takes a flow for each contact of the cut, so this is for small lattices.
+
+    weight, cut : what :func:`minimum_cut` was given, and its answer.
     """
     sides, lattice = np.empty_like(cut.above), Lattice.of(weight)
     for replica in range(len(sides)):
@@ -115,15 +119,19 @@ def next_cut(weight: tuple[np.ndarray, ...], cut: MinimumCut) -> tuple[np.ndarra
 
 
 def weight_of_cut(above: np.ndarray, weight: tuple[np.ndarray, ...]) -> np.ndarray:
-    """Weight (R,) of the contacts between the sides (R, *N)."""
+    """Return the weight (R,) of the contacts between the two sides. above : (R, *N) True on one of them."""
     replicas, lattice = range(len(above)), Lattice.of(weight)
     parts = ([values[r][_parted(above[r], a, lattice)].sum() for r in replicas] for a, values in enumerate(weight))
     return np.sum(list(parts), axis=0)
 
 
 def _cut_planes(sideways: np.ndarray, upward: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Stacks of planar grids that nothing joins: sides and what lies between ties (R, planes, w, h), proven weight
-    and weight of the next cut (R,)."""
+    """Cut stacks of planar grids that no contact joins to each other.
+
+    sideways, upward : weights (R, planes, w - 1, h) and (R, planes, w, h - 1).
+    returns : `above` and `between` (R, planes, w, h), proven weight and weight of the next cut (R,): see
+        :class:`MinimumCut`.
+    """
     replicas, planes, columns, gaps = upward.shape
     sideways, upward = (np.ascontiguousarray(values).reshape(-1, *values.shape[2:]) for values in (sideways, upward))
     above, between = (np.zeros((replicas * planes, columns, gaps + 1), dtype=bool) for _ in range(2))
@@ -148,8 +156,12 @@ def _cut_planes(sideways: np.ndarray, upward: np.ndarray) -> tuple[np.ndarray, n
 
 @dataclass(frozen=True)
 class GraphCut:
-    """That of one graph, or lattice: sides of its nodes, what lies between ties, and a largest flow (edges,) in units
-    of weight."""
+    """A minimum cut of one graph, or of one lattice.
+
+    above, between : for each node, or sphere, as in :class:`MinimumCut`. flow : (edges,) a largest flow in units of
+        weight.
+    unit : weight of one unit. units : capacity of the cut in whole units, which is the size of the flow.
+    """
 
     above: np.ndarray
     between: np.ndarray
@@ -159,12 +171,12 @@ class GraphCut:
 
     @property
     def weight(self) -> float:
-        """Proven."""
+        """Weight that no cut is lighter than, proven by the flow."""
         return self.units * self.unit
 
 
 def cut_lattice(weight: tuple[np.ndarray, ...], rounding: float = 0.0) -> GraphCut:
-    """The cut of one lattice; weight : one array of contacts an axis. rounding : see :func:`minimum_cut`."""
+    """Find a minimum cut of one lattice. weight : one array of contacts an axis. rounding : see :func:`minimum_cut`."""
     node, ends = graph_of_lattice(Lattice.of(weight))
     lightest = weight[-1].reshape(-1, weight[-1].shape[-1]).sum(axis=0).argmin()
     above = np.zeros(node.max() + 1, dtype=bool)
@@ -176,11 +188,10 @@ def cut_lattice(weight: tuple[np.ndarray, ...], rounding: float = 0.0) -> GraphC
 def graph_cut(
     ends: np.ndarray, edges: np.ndarray, above: np.ndarray, rounding: float = 0.0, slack: float = 0.0
 ) -> GraphCut:
-    """A lightest cut between the first and the last node of an undirected graph.
+    """Find a lightest cut between the first and the last node of an undirected graph.
 
     ends : (2, edges) nodes. edges : (edges,) weights. above : (nodes,) True on the far side of a cut that is known.
-    rounding : share of each weight by which it may differ from the one that is meant. slack : weight by which all
-    together may differ from these beyond that.
+    rounding : relative error of each weight. slack : absolute error of the sum of all weights beyond that.
     """
     cut, light = above[ends[0]] != above[ends[1]], False
     while not light:  # a cut that is much lighter than the one known before is found anew, in a finer unit
@@ -195,7 +206,8 @@ def graph_cut(
         cut = above[ends[0]] != above[ends[1]]
         light = bool(edges[cut].sum() >= at_most * ROUNDED_WEIGHT)
     units, last = int(capacity[cut].sum()), len(above) - 1
-    # a cut that is heavier by more than that in whole units is heavier by the weights that are meant
+    # a cut heavier by more than `tie` units is heavier by the true weights, too: 3 times `rounding` covers the errors
+    # of both cuts, and rounding down to units costs less than a unit per contact of this cut
     tie = int(3 * rounding * (units + cut.sum())) + int(cut.sum())
     tie += min(int(3 * slack / unit), PRESENT_CAPACITY**2 >> 20)  # beyond that no capacity is left
     from_bottom, from_top = (
@@ -207,15 +219,16 @@ def graph_cut(
 
 
 def _parted(above: np.ndarray, axis: int, lattice: Lattice) -> np.ndarray:
-    """True for the contacts along an axis whose ends are on either side, N."""
+    """Return an array of the shape of the contacts along an axis, True where their ends lie on different sides."""
     low, high = lattice.along(axis)
     return np.asarray(above[low] != above[high])
 
 
 def graph_of_lattice(lattice: Lattice) -> tuple[np.ndarray, np.ndarray]:
-    """The graph of bodies of a lattice.
+    """Return the graph of a lattice in which bottom and top plane are one node each.
 
-    returns : node of each sphere, N; both nodes (2, edges) of each contact, in the order of :func:`edges_of`.
+    returns : node of each sphere, of the shape of the lattice; both nodes (2, edges) of each contact, in the order of
+        :func:`edges_of`.
     """
     node = number_bodies(lattice.driven)
     pairs = []
@@ -226,9 +239,11 @@ def graph_of_lattice(lattice: Lattice) -> tuple[np.ndarray, np.ndarray]:
 
 
 def number_bodies(driven: np.ndarray) -> np.ndarray:
-    """Nodes of spheres, a driven body being one: 0 the first, then the free spheres in C order, then the others.
+    """Return the node of each sphere in a graph in which every driven body is one node.
 
-    driven : number of the body that each sphere belongs to, -1 of free ones, of any shape, which the nodes have too.
+    Node 0 is the first body, then come the free spheres in C order, then the other bodies.
+
+    driven : of any shape, number of the driven body that each sphere belongs to, -1 for free ones.
     """
     free = driven < 0
     rank, number = np.unique(driven[~free], return_inverse=True)
@@ -239,22 +254,25 @@ def number_bodies(driven: np.ndarray) -> np.ndarray:
 
 
 def edges_of(values: tuple[np.ndarray, ...]) -> np.ndarray:
-    """Values of the contacts that take part, axis by axis; values : one array of contacts an axis."""
+    """Return the values of the contacts that take part in cuts, axis by axis, as one flat array.
+
+    Contacts between two spheres of the bottom or of the top plane do not. values : one array of contacts an axis.
+    """
     *sideways, upward = values
     return np.concatenate([*(part[..., 1:-1].ravel() for part in sideways), upward.ravel()])
 
 
 def within_reach(ends: np.ndarray, left_over: np.ndarray, start: int, least: int = 0) -> np.ndarray:
-    """True for the nodes that `start` reaches along edges with more than `least` left over.
+    """Return (nodes,) True for nodes that `start` reaches along edges with more than `least` capacity left over.
 
-    ends : (2, edges) nodes. left_over : (2, edges), capacity from the lower to the upper end and back.
+    ends : (2, edges) nodes. left_over : (2, edges) capacity from the first end to the second, and back.
     """
     row, column = np.concatenate([ends, ends[::-1]], axis=1)[:, left_over.ravel() > least]
     return led_to(int(ends.max()) + 1, row, column, np.array([start]))
 
 
 def led_to(nodes: int, row: np.ndarray, column: np.ndarray, starts: np.ndarray) -> np.ndarray:
-    """(nodes,) True for those that any of the `starts` leads to along arcs, from `row` to `column`."""
+    """Return (nodes,) True for nodes that some of the `starts` reach along arcs from `row` to `column`."""
     rows, columns = np.concatenate([row, np.full(len(starts), nodes)]), np.concatenate([column, starts])
     graph = csr_array((np.ones(len(rows), dtype=bool), (rows, columns)), shape=(nodes + 1, nodes + 1))
     found = np.zeros(nodes + 1, dtype=bool)
@@ -263,12 +281,16 @@ def led_to(nodes: int, row: np.ndarray, column: np.ndarray, starts: np.ndarray) 
 
 
 def largest_flow(ends: np.ndarray, capacity: np.ndarray, at_most: int) -> np.ndarray:
-    """A largest flow from the first to the last node of an undirected graph: (edges,) int64, from lower to upper end.
+    """Return a largest flow from the first to the last node of an undirected graph: (edges,) int64, from lower to upper
+    end.
 
-    ends : (2, edges) nodes, lower and upper. capacity : (edges,) of both ways, or (2, edges) from lower to upper and
-    back, int64 below 2^62; of two rows no edges may join the same two nodes. at_most : no flow is larger; below 2^62.
-    By OR-tools where it is installed, push and relabel, else by SciPy. The flow is not unique; the nodes that it leaves
-    within reach of the first node are (Ford and Fulkerson).
+    ends : (2, edges) nodes, lower and upper.
+    capacity : int64 below 2^62, (edges,) of both ways, or (2, edges) from lower to upper end and back. With two rows no
+        two edges may join the same two nodes.
+    at_most : a number below 2^62 that no flow exceeds.
+
+    OR-tools does it where it is installed, by push and relabel, else SciPy. The flow is not unique; the set of nodes
+    that the first node still reaches is (Ford and Fulkerson).
     """
     try:
         from ortools.graph.python.max_flow import SimpleMaxFlow
@@ -287,11 +309,11 @@ def largest_flow(ends: np.ndarray, capacity: np.ndarray, at_most: int) -> np.nda
 
 
 def flow_by_scipy(ends: np.ndarray, capacity: np.ndarray, at_most: int) -> np.ndarray:
-    """See :func:`largest_flow`; Dinic's method.
+    """Return a largest flow as :func:`largest_flow` does, by Dinic's method of SciPy.
 
-    SciPy's flows have 32 bits, so the leading bits go first. What capacity is left then carries no more than the cut
-    found, which fits into fewer bits, and so on: three or four rounds (capacity scaling; Gabow, J. Comput. System Sci.
-    31, 1985). Edges that no flow can fill are cut down to a little more than it.
+    SciPy's flows have 32 bits, so the leading bits go first. The capacity that is left then carries no more than the
+    cut found, which fits into fewer bits, and so on: three or four rounds (capacity scaling; Gabow, J. Comput. System
+    Sci. 31, 1985). Edges that no flow can fill are cut down to a little more than the bound on the flow.
     """
     nodes = int(ends.max()) + 1
     pairs, own = np.unique(np.sort(ends, axis=0), axis=1, return_inverse=True)
@@ -316,9 +338,11 @@ def flow_by_scipy(ends: np.ndarray, capacity: np.ndarray, at_most: int) -> np.nd
 
 
 def _shared_out(ends: np.ndarray, capacity: np.ndarray, pairs: np.ndarray, own: np.ndarray, at_most: int) -> np.ndarray:
-    """A largest flow by SciPy where edges join the same nodes: that of the pairs, of which each edge takes what it can.
+    """Return a largest flow (edges,) by SciPy where several edges join the same two nodes.
 
-    pairs : (2, P) nodes. own : (edges,) the pair of each edge.
+    The flow of each pair of nodes is found first; then each edge of the pair takes what it can.
+
+    ends, capacity, at_most : as in :func:`largest_flow`. pairs : (2, P) nodes. own : (edges,) the pair of each edge.
     """
     total = np.zeros(pairs.shape[1], dtype=np.int64)
     np.add.at(total, own, capacity)

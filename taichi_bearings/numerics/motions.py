@@ -1,9 +1,10 @@
-"""How many spins slip nowhere, and which unknowns to hold so that none is left: elimination that meets pivots of 0.
+"""Counts motions of spheres at which nothing slips, and says which unknowns to hold so that none is left.
 
-The matrix K^T K of a network is eliminated front by front in an order from the centres (Duff & Reid 1983), pivoting
-within a front. Where no pivot is left in a front, its other unknowns can be anything: each is one slipless motion, and
-held at 0 it leaves a network that has none. Rattlers, floating clusters, spheres whose contacts all have one direction
-and mechanisms are all found so.
+Let K be the matrix that gives the slips of all contacts from the spins (the unknowns). Its kernel is the space of
+slipless motions. K^T K is eliminated front by front in an order from the centres (multifrontal method, Duff & Reid
+1983), with pivoting within a front. Where no pivot is left in a front, its other unknowns can be anything: each is one
+slipless motion, and with all of them held at 0 the network has none. Rattlers, floating clusters, spheres whose
+contacts all have one direction, and mechanisms are all found so.
 """
 
 from dataclasses import dataclass, replace
@@ -15,16 +16,23 @@ from scipy.linalg.lapack import dpstrf
 
 from taichi_bearings.numerics.blas import one_thread
 
-NO_PIVOT, SURELY_ONE = 1e-10, 1e-9  # squares of slips over spins: what is eliminated, and what is surely not rounding
-SLIPLESS_SLIP, SOME_SLIP = 1e-13, 1e-11  # slips of a motion over its spins: up to which there is none, and surely one
-PROBES, MOST_PROBED = 4, 4000  # sums of motions that are looked at first; motions that are looked at one by one
-CHUNK_MOTIONS = 100  # at once
+# Pivots are squares of slips over spins. Up to the first number they count as 0; above the second they surely are not.
+NO_PIVOT, SURELY_ONE = 1e-10, 1e-9
+# Largest slip of a motion over its largest spin. Up to the first number it is rounding; above the second surely not.
+SLIPLESS_SLIP, SOME_SLIP = 1e-13, 1e-11
+PROBES = 4  # random sums of motions whose slips are looked at first
+MOST_PROBED = 4000  # up to so many motions are then looked at one by one
+CHUNK_MOTIONS = 100  # motions that are looked at together
 MOST_UNKNOWNS = 150_000  # for which elimination takes no more than minutes
 
 
 @dataclass(frozen=True)
 class _Front:
-    """Own unknowns, with a pivot and without, and the factor's rows below: x[kept] = -solve(top^T, rest)."""
+    """What elimination of one front leaves: x[kept] = -solve(top^T, below^T x[free and border]).
+
+    kept, free : numbers of the front's own unknowns with and without a pivot. border : later unknowns that it is
+        coupled to. top : Cholesky factor (kept, kept) of the pivots.
+    """
 
     kept: np.ndarray
     free: np.ndarray
@@ -35,10 +43,13 @@ class _Front:
 
 @dataclass(frozen=True)
 class Motions:
-    """Slipless motions. held : numbers of the unknowns that, held at 0, leave none; as many as there are motions.
+    """Slipless motions of the spheres of a network.
 
-    decided : False where their slips are too close to the rounding to tell; counted : and where pivots are.
-    largest_slip : of a motion, over its spins. smallest_kept : pivot.
+    held : numbers of the unknowns that, held at 0, leave no slipless motion; as many as there are motions.
+    decided : True where the slips of every motion are clearly rounding or clearly not.
+    largest_slip : largest slip of a motion over its largest spin.
+    smallest_kept : smallest pivot that was eliminated.
+    fronts, unknowns : the elimination, and the number of unknowns; `basis` needs both.
     """
 
     held: np.ndarray
@@ -50,7 +61,8 @@ class Motions:
     whole: bool = True  # False where some that elimination found slip
 
     @property
-    def counted(self) -> bool:
+    def number_is_certain(self) -> bool:
+        """True where the number of motions is certain: their slips and all pivots are clear of rounding."""
         return self.decided and self.smallest_kept > SURELY_ONE
 
     @property
@@ -58,8 +70,11 @@ class Motions:
         return len(self.held)
 
     def basis(self, shares: np.ndarray | None = None) -> np.ndarray:
-        """The motions (unknowns, number), one for each unknown held: 1 there, 0 at the others; or sums with these
-        shares (number, k) of them, (unknowns, k)."""
+        """Return the motions (unknowns, number): each is 1 at one of the unknowns held, and 0 at the others held.
+
+        shares : (number, k); with it, the k sums of motions with these coefficients are returned instead, (unknowns,
+            k).
+        """
         shares = np.eye(len(self.held)) if shares is None else shares
         found = np.zeros((self.unknowns, shares.shape[1]))
         found[self.held] = shares
@@ -71,14 +86,15 @@ class Motions:
 
 
 Parts = list[tuple[np.ndarray, list[int]]]
-"""Of a graph of spheres: numbers of the spheres and of the children of each."""
+"""Parts of an elimination order: the numbers of the spheres in each part, and the parts that are its children."""
 
 
 def slipless_motions(slips: sparse.csr_array, sphere: np.ndarray, parts: Parts) -> Motions:
-    """The kernel of the slips (rows, unknowns) that spins make.
+    """Find the kernel of the matrix that gives slips from spins.
 
-    sphere : (unknowns,) that each belongs to. parts : an order of the spheres, in which those of a contact are above
-    each other.
+    slips : (rows, unknowns) that matrix. sphere : (unknowns,) sphere that each unknown belongs to. parts : order of
+        elimination of the spheres. Of two spheres in contact, the part of one is an ancestor of the other's, or the
+        same.
     """
     if not slips.shape[1]:
         return Motions(np.zeros(0, dtype=np.int64), True, 0.0, np.inf, (), 0)
@@ -96,18 +112,20 @@ def slipless_motions(slips: sparse.csr_array, sphere: np.ndarray, parts: Parts) 
         least = min(least, float(np.diagonal(front.top).min(initial=np.inf)) ** 2)
         fronts.append(front)
     numbers = np.sort(np.concatenate(held))
-    return _looked_at(Motions(numbers, True, 0.0, least, tuple(fronts), matrix.shape[0]), slips)
+    return _without_slipping_motions(Motions(numbers, True, 0.0, least, tuple(fronts), matrix.shape[0]), slips)
 
 
-def _looked_at(motions: Motions, slips: sparse.csr_array) -> Motions:
-    """Without the motions that slip more than rounding makes them: pivots are squares and hide slips of 1e-8."""
+def _without_slipping_motions(motions: Motions, slips: sparse.csr_array) -> Motions:
+    """Return the motions without those that slip more than rounding makes them: pivots are squares and hide slips of
+    1e-8.
+    """
     if not motions.number:
         return motions
-    largest = _slips(motions, slips, np.random.default_rng(1).standard_normal((motions.number, PROBES))).max()
+    largest = _relative_slips(motions, slips, np.random.default_rng(1).standard_normal((motions.number, PROBES))).max()
     if largest <= SLIPLESS_SLIP or motions.number > MOST_PROBED:
         return replace(motions, decided=motions.decided and largest <= SLIPLESS_SLIP, largest_slip=float(largest))
     parts = np.split(np.arange(motions.number), np.arange(CHUNK_MOTIONS, motions.number, CHUNK_MOTIONS))
-    each = np.concatenate([_slips(motions, slips, np.eye(motions.number)[:, part]) for part in parts])
+    each = np.concatenate([_relative_slips(motions, slips, np.eye(motions.number)[:, part]) for part in parts])
     clear = bool(((each <= SLIPLESS_SLIP) | (each > SOME_SLIP)).all())
     none = each <= SLIPLESS_SLIP
     return replace(
@@ -115,14 +133,14 @@ def _looked_at(motions: Motions, slips: sparse.csr_array) -> Motions:
     )
 
 
-def _slips(motions: Motions, slips: sparse.csr_array, shares: np.ndarray) -> np.ndarray:
-    """Slips of sums of motions, (k,), over their spins."""
+def _relative_slips(motions: Motions, slips: sparse.csr_array, shares: np.ndarray) -> np.ndarray:
+    """Return the largest slip over the largest spin (k,) of k sums of motions. shares : (motions, k) coefficients."""
     spins = motions.basis(shares)
     return np.asarray(np.abs(slips @ spins).max(axis=0, initial=0.0) / np.abs(spins).max(axis=0))
 
 
 def unknowns_of(sphere: np.ndarray, parts: Parts) -> list[np.ndarray]:
-    """Numbers of the unknowns of each part."""
+    """Return the numbers of the unknowns of each part. sphere : (unknowns,) sphere of each."""
     order, own = np.concatenate([spheres for spheres, _ in parts]), [len(spheres) for spheres, _ in parts]
     place, part = np.empty(len(order), dtype=np.int64), np.repeat(np.arange(len(own)), own)
     place[order] = np.arange(len(order))
@@ -133,7 +151,12 @@ def unknowns_of(sphere: np.ndarray, parts: Parts) -> list[np.ndarray]:
 def _eliminated(
     matrix: sparse.csr_array, position: np.ndarray, own: np.ndarray, updates: list[tuple[np.ndarray, np.ndarray]]
 ) -> tuple[_Front, np.ndarray]:
-    """A front, and what it leaves on its border."""
+    """Eliminate the unknowns `own` of one front; returns the front, and what elimination adds to the matrix of its
+    border.
+
+    matrix : K^T K. position : (unknowns,) place of each in the order. updates : border and added matrix of each child.
+    """
+    # border: later unknowns that own ones, or those of the children, are coupled to
     begin, end = matrix.indptr[own], matrix.indptr[own + 1]
     rows = [matrix.indices[a:b] for a, b in zip(begin, end, strict=True)]
     start, last = (int(position[own[0]]), int(position[own[-1]])) if len(own) else (0, -1)
@@ -141,6 +164,7 @@ def _eliminated(
     border = seen[position[seen] > last]
     both = np.concatenate([own, border])
     order = np.argsort(both)
+    # dense matrix of own and border: entries of K^T K, then what the children left
     full = np.zeros((len(both), len(both)))
     find = lambda wanted: order[np.searchsorted(both, wanted, sorter=order)]  # noqa: E731
     for local, (columns, a, b) in enumerate(zip(rows, begin, end, strict=True)):
@@ -151,6 +175,7 @@ def _eliminated(
     for there, update in updates:
         at = find(there)
         full[np.ix_(at, at)] += update
+    # pivoted Cholesky of the own block, up to its rank; then the Schur complement of the border
     factor, pivot, rank, _ = (
         dpstrf(full[:n, :n], lower=1, tol=NO_PIVOT) if n else (full[:0, :0], np.zeros(0, int), 0, 0)
     )

@@ -1,4 +1,4 @@
-"""Torque balance of equal springs on the lattice: a Poisson problem with constant coefficients, in its modes."""
+"""Solves the torque balance of equal springs on the lattice: a Poisson problem with constant coefficients."""
 
 import warnings
 
@@ -9,10 +9,12 @@ from taichi_bearings.lattice.laplacian import eigenvalues
 
 
 def solve_poisson(source: np.ndarray, lattice: Lattice, component: int) -> np.ndarray:
-    """u (R, *free) with -Laplace u = source for one spin component, by cosine and sine transforms, and by Fourier's
-    around rings.
+    """Return u (R, *free) with -Laplace u = source for one spin component, by diagonalisation in Fourier modes.
 
+    Chains take cosine transforms, and sine transforms between the driven planes; periodic axes take Fourier transforms.
     The mean of a layer that nothing couples to the driven planes becomes 0.
+
+    source : (R, *free) R samples on the free spheres of the lattice. component : axis of the spin component.
     """
     with warnings.catch_warnings():  # SciPy adds filters of its own
         from scipy import fft  # a tenth of a second that a planar cut does not need

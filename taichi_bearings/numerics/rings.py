@@ -1,4 +1,7 @@
-"""Lightest rings around grids whose rows close on themselves: minimum cuts between bottom and top, by flows."""
+"""Finds minimum cuts of planar grids whose rows close on themselves: lightest rings around a cylinder, by flows.
+
+Letters: B grids, w columns, h rows.
+"""
 
 from collections.abc import Iterator
 
@@ -11,11 +14,13 @@ from taichi_bearings.numerics.planar import MinimumCuts
 
 
 def ring_cuts(sideways: np.ndarray, upward: np.ndarray) -> Iterator[tuple[slice, MinimumCuts]]:
-    """Cuts of least weight between the bottom row and the top row of grids whose rows close on themselves, as
-    :func:`taichi_bearings.numerics.planar.minimum_cuts` gives those of others: the lightest rings around them.
+    """Yield the cuts of least weight between the bottom row and the top row of each grid.
 
-    sideways : weights (B, w, h), those at the end of the contacts of the last column with the first. upward : weights
-    (B, w, h - 1). The next weight is not known (NaN) but for ties.
+    They come in the form of :func:`taichi_bearings.numerics.planar.minimum_cuts`, one grid at a time. `next_weight` is
+    not known (NaN) where cuts do not tie.
+
+    sideways : weights (B, w, h), those of the contacts of the last column with the first at the end. upward : weights
+        (B, w, h - 1).
 
     A flow of rounded weights puts most spheres on one side of all lightest cuts. What lies between is cut again,
     exactly.

@@ -44,7 +44,7 @@ class System:
         moved = _numbered(wanted)
         if number is None:
             found = network.motions(network.operator(contact, moved), np.nonzero(wanted)[0], contact, moves)
-            number = found.number if found.counted else None
+            number = found.number if found.number_is_certain else None
             wanted &= ~np.isin(moved, found.held)
             moved = _numbered(wanted)
         spins = known[network.contact[:, contact]].sum(axis=0)  # (A, C)

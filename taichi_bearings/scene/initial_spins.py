@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from taichi_bearings.errors import InputError
-from taichi_bearings.numerics.exact_cuts import decided
+from taichi_bearings.numerics.exact_cuts import with_exact_ties
 from taichi_bearings.numerics.minimum_cut import WEIGHT_ROUNDING, MinimumCut, minimum_cut
 from taichi_bearings.scene.array_files import own_array, read_arrays
 from taichi_bearings.scene.scene import Scene, vector_length
@@ -38,7 +38,7 @@ def cut_of(scene: Scene) -> MinimumCut:
     """The lightest interface between spheres that turn with the bottom and spheres that turn with the top."""
     weight, rounding = scene.lattice.by_axis(cut_weights(scene)), cut_rounding(scene)
     cut = minimum_cut(weight, rounding)
-    return decided(cut, weight, rounding) if rounding or scene.periodic else cut
+    return with_exact_ties(cut, weight, rounding) if rounding or scene.periodic else cut
 
 
 def cut_rounding(scene: Scene) -> float:

@@ -1,6 +1,10 @@
-"""Eliminate the own unknowns of one front with LAPACK and BLAS, letting other threads run meanwhile.
+"""Eliminates the own unknowns of one dense front with LAPACK and BLAS, on several threads.
 
-SciPy exports the routines for use from compiled code (scipy.linalg.cython_blas); called through ctypes they release the
+A front is a dense symmetric matrix: rows of its own unknowns first, then rows of its border, the later unknowns that
+they are coupled to. Elimination factorises the own columns and subtracts their product from the border's block, which
+is called the update. Own columns are worked on in panels, the update in sheets, some columns at a time each.
+
+SciPy exports the routines for use from compiled code (scipy.linalg.cython_blas). Called through ctypes they release the
 interpreter lock, so that independent fronts can be worked on side by side. The library's own threads are of no use
 here: most fronts are small, and a thread that waits for a busy processor holds up every call.
 """
@@ -20,6 +24,9 @@ from taichi_bearings.numerics.cholesky.layout import update_size
 
 
 def _routine(module: object, name: str) -> Callable:
+    """Return a routine of SciPy's compiled BLAS or LAPACK as a function of ctypes. module : cython_blas or
+    cython_lapack.
+    """
     capsule = module.__pyx_capi__[name]  # type: ignore[attr-defined]
     read_name, read_pointer = ctypes.pythonapi.PyCapsule_GetName, ctypes.pythonapi.PyCapsule_GetPointer
     read_name.restype, read_name.argtypes = ctypes.c_char_p, [ctypes.py_object]
@@ -39,64 +46,78 @@ DOUBLE_BYTES = 8  # bytes
 
 @cache
 def _count(number: int) -> Any:
+    """Return a whole number as Fortran wants it: by reference."""
     return ctypes.byref(ctypes.c_int(number))
 
 
 @dataclass(frozen=True)
 class Task:
-    """work : True unless a pivot is not positive. Tasks are begun by urgency, then by turn: so panels of several fronts
-    take turns, which wait for each other least, and what nothing waits for fills the end."""
+    """A piece of work on a front.
+
+    urgency, position : tasks are begun in order of urgency, then position, smallest first. Panels of several fronts so
+        alternate and wait for each other least; tasks that nothing waits for fill the end.
+    work : does the task; returns False if a pivot is not positive.
+    """
 
     urgency: int
-    turn: float
+    position: float
     work: Callable[[], bool]
 
 
 Call = tuple[int | None, Callable, tuple]
-"""The panel of the front that has to be done before, None where nothing is waited for; a routine; its arguments."""
+"""A call of LAPACK or BLAS: the panel that has to be done before (-1 the last one, None none); routine; arguments."""
 
 
 class DenseFront:
-    """Elimination of a front: of its own columns, and of the update of its border.
+    """Elimination of one front: factorises its own columns, and subtracts their product from the update of its border.
 
-    Own columns are worked on in panels, too: each takes away what those before it have found, and is then divided. So
-    several threads can share a front, and no call lasts long.
+    Own columns are worked on in panels: each subtracts the product of the panels before it, and is then divided by its
+    diagonal block. So several threads can share a front, and no call lasts long.
     """
 
     def __init__(self, own: int, border: int, height: int, pitch: int, columns: int, update: int) -> None:
-        """height, pitch : numbers from one own column, and one of the update, to the next. columns, update : addresses
-        of their diagonals. Only lower triangles count."""
+        """Prepare the calls.
+
+        own, border : numbers of own unknowns, and of unknowns of the border.
+        height, pitch : distance from one own column, and from one column of the update, to the next, in doubles.
+        columns, update : addresses of the first diagonal entry of the own columns, and of the update. Only lower
+            triangles are used.
+        """
         self.cost = own**3 / 3 + own**2 * border + own * border**2
         self._fault, self._stopped = ctypes.c_int(0), False
         firsts = range(0, own, tuning.PANEL_COLUMNS)
-        self._panels = [_of_own(first, own, own + border - first, height, columns, self._fault) for first in firsts]
+        self._panels = [
+            _panel_calls(first, own, own + border - first, height, columns, self._fault) for first in firsts
+        ]
         self._sheets = []
         for first in range(0, border, tuning.SHEET_COLUMNS):
             left, place = columns + DOUBLE_BYTES * (own + first), update + DOUBLE_BYTES * update_size(first, pitch)
-            self._sheets.append(_of_update(own, border - first, height, left, pitch - first, place))
+            self._sheets.append(_sheet_calls(own, border - first, height, left, pitch - first, place))
         self._done = [Event() for _ in self._panels] if self.cost > tuning.SHARED_FRONT_OPERATIONS else []
 
     def tasks(self) -> list[Task]:
-        """What eliminates the front. Any threads may share the tasks of fronts that are ready, if begun in order."""
+        """Return the tasks that eliminate the front. Threads may share those of all fronts that are ready, if begun in
+        order.
+        """
         if not self._done:
             return [Task(2, -self.cost, lambda: all(map(self._work, self._panels + self._sheets)))]
         tasks = [Task(0, n, partial(self._work, calls, n)) for n, calls in enumerate(self._panels)]
         return tasks + [Task(1, -self.cost, partial(self._work, calls)) for calls in self._sheets]
 
     def get_ready(self) -> None:
-        """Before the tasks are begun."""
+        """Forget the last elimination; to be called before the tasks are begun."""
         self._stopped = False
         for done in self._done:
             done.clear()
 
     def stop(self) -> None:
-        """Let nobody wait for what does not come."""
+        """Let no thread wait for panels that will never be done."""
         self._stopped = True
         for done in self._done:
             done.set()
 
     def _work(self, calls: list[Call], panel: int | None = None) -> bool:
-        """Make these calls, which end a panel if one is given; False if a pivot is not positive."""
+        """Make these calls, which complete a panel if one is given; False if a pivot is not positive."""
         for before, routine, arguments in calls:
             if self._done and before is not None:
                 self._done[before].wait()
@@ -112,11 +133,16 @@ class DenseFront:
         return True
 
 
-def _of_own(first: int, own: int, rows: int, height: int, columns: int, fault: ctypes.c_int) -> list[Call]:
-    """Calls for the panel of own columns from `first` on, `rows` rows from its diagonal down: products with the panels
-    before it, factorisation of its diagonal, division of what is below that.
+def _panel_calls(first: int, own: int, rows: int, height: int, columns: int, fault: ctypes.c_int) -> list[Call]:
+    """Return the calls that factorise the panel of own columns from `first` on.
 
-    height : numbers from one column to the next. fault : what becomes of a pivot that is not positive."""
+    They subtract products with the panels before it, factorise its diagonal block, and divide what is below by that.
+
+    own, rows : number of own columns, and of rows from the diagonal of this panel down.
+    height : doubles from one column to the next.
+    columns : address of the first diagonal entry.
+    fault : set by LAPACK where a pivot is not positive.
+    """
     width = min(tuning.PANEL_COLUMNS, own - first)
     corner = columns + DOUBLE_BYTES * first * (height + 1)
     ld, at = _count(height), _address(corner)
@@ -132,10 +158,13 @@ def _of_own(first: int, own: int, rows: int, height: int, columns: int, fault: c
     return [*calls, (None, _dtrsm, divide)] if rows > width else calls
 
 
-def _of_update(own: int, rows: int, height: int, left: int, pitch: int, target: int) -> list[Call]:
-    """Calls that take from a panel of the update what the own columns hold in its rows, from the address `left` on.
+def _sheet_calls(own: int, rows: int, height: int, left: int, pitch: int, target: int) -> list[Call]:
+    """Return the calls that subtract the product of the own columns from one sheet of the update.
 
-    height, pitch : numbers from one own column and one of the panel to the next."""
+    own, rows : number of own columns, and of rows of the sheet.
+    height, pitch : doubles from one own column, and from one column of the sheet, to the next.
+    left, target : addresses of the sheet's first row in the own columns, and of the sheet.
+    """
     width, ld, to = min(tuning.SHEET_COLUMNS, rows), _count(height), _address(target)
     square = (
         _LOWER, _LEFT_OUT, _count(width), _count(own), _MINUS_ONE, _address(left), ld, _ONE, to, _count(pitch)
@@ -150,7 +179,10 @@ def _of_update(own: int, rows: int, height: int, left: int, pitch: int, target: 
 
 
 def _product(rows: int, width: int, depth: int, left: Any, right: Any, ld: Any, target: Any, ld_target: Any) -> tuple:
-    """target (rows, width) -= left (rows, depth) right (width, depth)^T."""
+    """Return the arguments of `dgemm` for target (rows, width) -= left (rows, depth) right (width, depth)^T.
+
+    ld, ld_target : distance from one column of left and right, and of target, to the next.
+    """
     return (
         _LEFT_OUT, _TRANSPOSED, _count(rows), _count(width), _count(depth), _MINUS_ONE, left, ld, right, ld, _ONE,
         target, ld_target,

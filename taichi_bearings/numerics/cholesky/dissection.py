@@ -1,4 +1,4 @@
-"""Nested dissection of the spins of a lattice, by planes of spheres.
+"""Nested dissection of the spins of a lattice, by planes of spheres: an order of elimination with little fill.
 
 An unknown is a spin component of a free sphere. Contacts along axis a couple all components but the one along a, so the
 unknowns of a plane normal to a, *without component a*, separate what lies below from what lies above; component a of
@@ -26,6 +26,7 @@ def dissect(lattice: Lattice, spin_axes: tuple[int, ...], leaf: int = LEAF_UNKNO
     known: dict[tuple, np.ndarray] = {}
 
     def numbers(region: Region) -> np.ndarray:
+        """Return the numbers of all unknowns in a region."""
         found = [np.zeros(0, dtype=np.int64)]
         for component, (low, high) in region.items():
             inside = sphere[tuple(slice(a, b) for a, b in zip(low, high, strict=True))]
@@ -33,7 +34,7 @@ def dissect(lattice: Lattice, spin_axes: tuple[int, ...], leaf: int = LEAF_UNKNO
         return np.concatenate(found)
 
     def eliminated(region: Region) -> np.ndarray:
-        """The order of regions that are alike is alike, wherever they are."""
+        """Return the order of elimination of a region. Regions that differ by a shift alone have the same, shifted."""
         corner = tuple(np.min([low for low, _ in region.values()], axis=0).tolist())
         moved = {c: (_less(low, corner), _less(high, corner)) for c, (low, high) in region.items()}
         alike = tuple(moved.items())
@@ -42,6 +43,7 @@ def dissect(lattice: Lattice, spin_axes: tuple[int, ...], leaf: int = LEAF_UNKNO
         return known[alike] + sphere[corner] * len(spin_axes)
 
     def divided(region: Region) -> np.ndarray:
+        """Return the order of elimination of a region: one side, the other side, then the separator."""
         division = divide(region, len(shape)) if _size(region) > leaf else None
         if division is None:
             return numbers(region)
@@ -58,7 +60,11 @@ def dissect(lattice: Lattice, spin_axes: tuple[int, ...], leaf: int = LEAF_UNKNO
 
 
 def divide(region: Region, dimension: int) -> tuple[Region, Region, Region] | None:
-    """Below, separator and above for the middle plane with the smallest separator; None if no plane divides."""
+    """Divide a region by the middle plane with the smallest separator; None if no plane divides it.
+
+    dimension : of the lattice.
+    returns : the region below the plane, the separator, the region above.
+    """
     best: tuple[Region, Region, Region] | None = None
     least = None
     for axis in range(dimension):
@@ -78,23 +84,27 @@ def divide(region: Region, dimension: int) -> tuple[Region, Region, Region] | No
 
 
 def _cut(box: Box, axis: int, first: int, last: int) -> Box:
-    """The part of a box with first <= coordinate < last along an axis."""
+    """Return the part of a box with first <= coordinate < last along an axis."""
     low, high = list(box[0]), list(box[1])
     low[axis], high[axis] = max(low[axis], first), min(high[axis], last)
     return tuple(low), tuple(high)
 
 
 def _less(corner: tuple[int, ...], other: tuple[int, ...]) -> tuple[int, ...]:
+    """Return the coordinates of a corner relative to another one."""
     return tuple(a - b for a, b in zip(corner, other, strict=True))
 
 
 def _box_size(box: Box) -> int:
+    """Return the number of spheres in a box, 0 if it is empty."""
     return int(np.prod([max(b - a, 0) for a, b in zip(*box, strict=True)]))
 
 
 def _size(region: Region) -> int:
+    """Return the number of unknowns in a region."""
     return sum(_box_size(box) for box in region.values())
 
 
 def _without_empty(region: Region) -> Region:
+    """Return a region without the components whose boxes are empty."""
     return {component: box for component, box in region.items() if _box_size(box)}

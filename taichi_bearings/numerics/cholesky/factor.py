@@ -1,4 +1,8 @@
-"""Cholesky factorisations of one matrix or of several of one pattern, by whatever is quickest for their size."""
+"""Cholesky factorisation of one matrix, or of several of one pattern, by whatever is quickest for their size.
+
+S is the number of samples: matrices of one pattern that are factorised together. Kernels work on LANES of them at a
+time, one in each lane of a SIMD vector.
+"""
 
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
@@ -28,8 +32,13 @@ class NotPositiveDefinite(ArithmeticError):
 
 
 class Engine(Enum):
-    """How a matrix is factorised: as one dense block; front by front in a single launch, several matrices at once if
-    need be; by calls of BLAS for all fronts, which threads share; or by SciPy where kernels run on a GPU."""
+    """How a matrix is factorised.
+
+    BLOCK : as one dense block.
+    LAUNCH : front by front in a single kernel launch, several matrices at once if need be.
+    CALLS : front by front by calls of LAPACK and BLAS, which threads share.
+    SCIPY : by SciPy's SuperLU, where kernels run on a GPU.
+    """
 
     BLOCK = "block"
     LAUNCH = "launch"
@@ -38,7 +47,7 @@ class Engine(Enum):
 
     @classmethod
     def quickest(cls, unknowns: int) -> "Engine":
-        """For a matrix alone."""
+        """Return the engine that is quickest for a single matrix with so many unknowns."""
         if unknowns <= tuning.BLOCK_UNKNOWNS:
             return cls.BLOCK
         if runtime.current().is_gpu:
@@ -47,20 +56,26 @@ class Engine(Enum):
 
 
 class Memory:
-    """Memory for one factor by calls at a time: who factorises next takes it from who did before.
+    """Memory that several factorisations by calls use one after the other; each takes it from the one before.
 
-    The first touch of new memory costs as much as a factorisation, at 32^3. turn : how often it was taken or freed.
+    The first touch of new memory costs as much as a factorisation, at 32^3.
+
+    changes : how often the memory was taken or freed, by which an owner sees whether it still holds its own numbers.
     """
 
     def __init__(self) -> None:
-        self._numbers, self.turn = np.zeros(0), 0
+        self._numbers, self.changes = np.zeros(0), 0
 
     def free(self) -> None:
-        self._numbers, self.turn = np.zeros(0), self.turn + 1
+        """Give the memory back to the system."""
+        self._numbers, self.changes = np.zeros(0), self.changes + 1
 
     def take(self, size: int, what: str) -> np.ndarray:
-        """So many numbers or more, whatever they are. Raises MemoryError if there is no room for them."""
-        self.turn += 1
+        """Return an array of `size` doubles or more with arbitrary content. what : named in the error.
+
+        Raises MemoryError if the machine has too little memory.
+        """
+        self.changes += 1
         if len(self._numbers) < size:
             self._numbers = np.zeros(0)
             refuse_beyond(8 * size, what)
@@ -69,10 +84,10 @@ class Memory:
 
 
 class Cholesky:
-    """Cholesky factorisation of one or up to LANES symmetric positive definite matrices of one pattern.
+    """Cholesky factorisation of one symmetric positive definite matrix, or of up to LANES of one pattern.
 
-    What becomes of a matrix, bit by bit, depends neither on the others, nor on whether there are any, nor on threads.
-    Values are given for the entries of the pattern; where they go, `pattern.entry` tells.
+    The result for a matrix, bit by bit, depends neither on the other matrices nor on the number of threads. Values are
+    given for the stored entries of the pattern; `pattern.entry` says which entry couples two unknowns.
     """
 
     pattern: SparsePattern | BlockPattern
@@ -85,8 +100,14 @@ class Cholesky:
         memory: Memory | None = None,
         engine: Engine | None = None,
     ) -> None:
-        """order : of elimination, (unknowns,). couplings : first and second of the unknowns that are coupled. memory :
-        to share with others. engine : LAUNCH for several matrices; the quickest for one if None."""
+        """Choose the engine and analyse the pattern.
+
+        unknowns : number of them.
+        order : returns the order of elimination (unknowns,); called if the engine needs one.
+        couplings : first and second unknown of each coupled pair.
+        memory : memory to share with other factorisations.
+        engine : LAUNCH for several matrices; if None the quickest one for a single matrix.
+        """
         self.engine, self._memory = engine or Engine.quickest(unknowns), memory or Memory()
         if self.engine is Engine.BLOCK:
             self.pattern = BlockPattern(unknowns)
@@ -98,7 +119,7 @@ class Cholesky:
         self._factors = dict[int, Factor]()
 
     def factor(self, samples: int = 1) -> "Factor":
-        """That of a single matrix, or those of up to LANES."""
+        """Return the factor of a single matrix, or that of up to LANES samples."""
         lanes = 1 if samples == 1 else LANES
         if lanes not in self._factors:
             if isinstance(self.pattern, BlockPattern):
@@ -112,31 +133,31 @@ class Cholesky:
         return self._factors[lanes]
 
     def solve(self, right: np.ndarray) -> np.ndarray:
-        """Solutions of the factorised systems for one right-hand side each, (unknowns, S)."""
+        """Return the solutions (unknowns, S) of the S factorised systems for one right-hand side each."""
         factor, (unknowns, samples) = self.factor(right.shape[1]), right.shape
         np.take(right, self.pattern.order, axis=0, out=factor.solution[:unknowns, :samples], mode="clip")
         factor.substitute()
         return factor.solution[:, :samples].take(self.pattern.place, axis=0)
 
     def forget(self) -> None:
-        """Give the memory of the factor back, if it is large."""
+        """Give the memory of a large factor back."""
         if self.pattern.factor_entries > tuning.LARGE_FACTOR_NUMBERS:
             for factor in self._factors.values():
                 factor.forget()
 
 
 class Factor:
-    """Numbers of one matrix or of LANES.
+    """Numbers of the factors of one matrix or of LANES matrices.
 
-    entries : (entries or more, samples), of the matrices, at those of the pattern. solution : (unknowns or more,
-    samples), right-hand sides and then solutions, in the pattern's order.
+    entries : (entries or more, samples) values of the matrices at the stored entries of the pattern.
+    solution : (unknowns or more, samples) right-hand sides, and then solutions, in the pattern's order.
     """
 
     entries: np.ndarray
     solution: np.ndarray
 
     def factorise(self) -> np.ndarray:
-        """Factorise; True (samples,) for matrices that are positive definite to working precision."""
+        """Factorise; returns (samples,) True for matrices that are positive definite to working precision."""
         raise NotImplementedError
 
     def substitute(self) -> None:
@@ -144,11 +165,13 @@ class Factor:
         raise NotImplementedError
 
     def forget(self) -> None:
-        """Give memory back that others may take."""
+        """Give memory back that others may take; here there is none."""
 
 
 class DenseFactor(Factor):
-    """A matrix so small that an elimination tree costs more calls than it saves arithmetic, as one dense block."""
+    """Factor of one dense block, for matrices so small that an elimination tree costs more calls than it saves
+    arithmetic.
+    """
 
     def __init__(self, pattern: BlockPattern) -> None:
         self.entries, self.solution = np.zeros((max(1, pattern.entries), 1)), np.zeros((max(1, pattern.size), 1))
@@ -168,7 +191,7 @@ class DenseFactor(Factor):
 
 
 class SciPyFactor(Factor):
-    """One matrix after the other by SuperLU, which needs no kernel."""
+    """Factors of one matrix after the other by SuperLU, which needs no kernel."""
 
     def __init__(self, pattern: SparsePattern, lanes: int) -> None:
         self.entries, self.solution = np.zeros((pattern.entries, lanes)), np.zeros((pattern.size, lanes))
@@ -180,7 +203,7 @@ class SciPyFactor(Factor):
             look_up()
             lower = sparse.csc_array((values, (pattern.row, pattern.column)), shape=(pattern.size, pattern.size))
             symmetric = (lower + sparse.tril(lower, -1).T).tocsc()
-            with suppress(RuntimeError):  # an exact zero
+            with suppress(RuntimeError):  # raised where a pivot is exactly zero
                 factor = splu(symmetric, "NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
                 if (factor.U.diagonal() > 0).all():
                     self._factors.append(factor)
@@ -195,7 +218,7 @@ class SciPyFactor(Factor):
 
 
 class LaunchedFactor(Factor):
-    """A single launch factorises all fronts, and one solves with them."""
+    """Factor that a single kernel launch makes, front by front; another launch solves with it."""
 
     def __init__(self, pattern: Pattern, lanes: int) -> None:
         layout, samples = Layout(pattern, LANES // lanes), "" if lanes == 1 else f" in {lanes} samples"
@@ -227,17 +250,17 @@ class LaunchedFactor(Factor):
 
 
 class CalledFactor(Factor):
-    """Fronts are assembled by a kernel and eliminated by LAPACK and BLAS on several threads, and so is the solving."""
+    """Factor whose fronts a kernel assembles and LAPACK and BLAS eliminate; threads share that, and substitution."""
 
     def __init__(self, pattern: Pattern, memory: Memory) -> None:
         self._layout, self._memory, self._size = Layout(pattern, apart=True), memory, pattern.size
         self.entries, self._vector = np.zeros((pattern.entries, 1)), np.zeros((self._layout.vector, 1))
         self.solution = self._vector[: pattern.size]
-        self._numbers, self._work, self._halves = np.zeros(0), list[_Work](), list[Callable[[], None]]()
-        self._turn = -1  # of the memory, when it was this one's
+        self._numbers, self._work, self._halves = np.zeros(0), list[_BatchWork](), list[Callable[[], None]]()
+        self._seen = -1  # `changes` of the memory when this factor took it
 
     def factorise(self) -> np.ndarray:
-        self._hold()
+        self._take_memory()
         for work in self._work:
             look_up()
             work.assemble()
@@ -247,13 +270,13 @@ class CalledFactor(Factor):
         self._numbers[self._layout.pivots] = 1 / pivots  # as all substitutions want them
         return np.array([np.isfinite(pivots).all()])
 
-    def _hold(self) -> None:
-        """Have the memory, and be ready to work in it."""
-        if self._turn == self._memory.turn:
+    def _take_memory(self) -> None:
+        """Take the memory back if another factor had it, and prepare all work in it."""
+        if self._seen == self._memory.changes:
             return
         layout = self._layout
         numbers = self._memory.take(layout.size, f"the factorisation of {self._size:,} unknowns")
-        self._turn = self._memory.turn
+        self._seen = self._memory.changes
         if numbers is self._numbers:
             return
         self._numbers, arrays = numbers, (layout.tables, self.entries.ravel(), numbers)
@@ -261,7 +284,7 @@ class CalledFactor(Factor):
         of_fronts = layout.own, layout.border, layout.height, layout.update_height, *places
         fronts = [DenseFront(*front) for front in zip(*(of.tolist() for of in of_fronts), strict=True)]
         prepared(elimination.assemble, *arrays, 0, 0)  # compiles it, before large batches want it
-        self._work = [_Work(batch, [fronts[n] for n in batch.fronts], arrays) for batch in layout.batches]
+        self._work = [_BatchWork(batch, [fronts[n] for n in batch.fronts], arrays) for batch in layout.batches]
         halves = [(1, stage) for stage in layout.stages] + [(0, stage) for stage in reversed(layout.stages)]
         self._halves = [
             prepared(substitution.substitute_branches, layout.tables, numbers, self._vector.ravel(), forth, *stage)
@@ -273,41 +296,41 @@ class CalledFactor(Factor):
         self._memory.free()
 
     def substitute(self) -> None:
-        assert self._turn == self._memory.turn
+        assert self._seen == self._memory.changes
         look_up()
         for start in self._halves:
             start()
 
 
 def _vectors(count: int, lanes: int) -> np.ndarray:
-    """Zeros (count or more, lanes), whole vectors at addresses for SIMD."""
+    """Return zeros (count or more, lanes), rounded up to whole SIMD vectors, at an address that suits them."""
     count = -(-count * lanes // LANES) * LANES // lanes
     return aligned_zeros(count * lanes, LANES).reshape(count, lanes)
 
 
-class _Work:
+class _BatchWork:
     """The fronts of a batch and the tasks that eliminate them."""
 
     def __init__(self, batch: Batch, fronts: list[DenseFront], arrays: tuple[np.ndarray, ...]) -> None:
-        """arrays : tables, entries and numbers."""
+        """batch : fronts that are worked on at once. arrays : tables, entries and numbers of the kernels."""
         alone = batch.numbers < tuning.SHARED_ASSEMBLY_NUMBERS
         kernel = elimination.assemble_serially if alone else elimination.assemble
         self.assemble = prepared(kernel, *arrays, *batch.items)
         self._fronts, self._cost = fronts, sum(front.cost for front in fronts)
         tasks = [task for front in fronts for task in front.tasks()]
-        self._tasks = [task.work for task in sorted(tasks, key=lambda task: (task.urgency, task.turn))]
+        self._tasks = [task.work for task in sorted(tasks, key=lambda task: (task.urgency, task.position))]
 
     def eliminate(self) -> bool:
-        """On several threads if that pays; False if a pivot is not positive."""
+        """Eliminate all fronts of the batch, on several threads if that pays; False if a pivot is not positive."""
         for front in self._fronts:
             front.get_ready()
         threads = min(runtime.current().threads, len(self._tasks))
         if threads == 1 or self._cost < tuning.SHARED_BATCH_OPERATIONS:
-            return _work_off(self._tasks)
+            return _do_tasks(self._tasks)
         queue = iter(self._tasks)  # shared
-        others = [_pool().submit(_work_off, queue) for _ in range(threads - 1)]
+        others = [_pool().submit(_do_tasks, queue) for _ in range(threads - 1)]
         try:
-            succeeded = _work_off(queue)
+            succeeded = _do_tasks(queue)
         except BaseException:
             list(queue)  # nobody works on a front once this is given up
             for front in self._fronts:
@@ -318,7 +341,8 @@ class _Work:
         return min(succeeded, *others_succeeded)
 
 
-def _work_off(tasks: Iterable[Callable[[], bool]]) -> bool:
+def _do_tasks(tasks: Iterable[Callable[[], bool]]) -> bool:
+    """Do the tasks that are left; False if any of them failed."""
     succeeded = True
     for task in tasks:
         look_up()

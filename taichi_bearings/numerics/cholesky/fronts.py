@@ -1,4 +1,4 @@
-"""Symbolic factorisation: which rows each part of the elimination tree touches, and where everything is stored.
+"""Symbolic factorisation: which rows each part of the elimination tree touches.
 
 Multifrontal method (Duff & Reid 1983; Liu 1992). The front of a part has its own unknowns first and then its border:
 the later unknowns that its subtree is coupled to. Eliminating the own unknowns leaves an update of the border, which is
@@ -7,6 +7,8 @@ added into the front of the parent. Fronts of one depth do not depend on each ot
 Columns of the factor that have the same rows make up a part, a dense block. Few have quite the same: blocks are joined
 if the zeros that are then stored cost less than the calls and copies that are saved (relaxed supernodes: Ashcraft &
 Grimes, TOMS 1989). The planes of a dissection, each as a block of its own, would be a quarter to almost half zeros.
+
+A *place* is the position of an unknown in the order of elimination.
 """
 
 from dataclasses import astuple, dataclass
@@ -22,10 +24,11 @@ from taichi_bearings.numerics.cholesky.tuning import Price
 
 @dataclass(frozen=True)
 class SparsePattern:
-    """Which entries of a matrix are stored.
+    """The entries of a symmetric matrix that are stored: those of its lower triangle that are not zero.
 
-    order : unknown at each place of the elimination order; place : its inverse. All else are such places.
-    row, column : of the stored entries (row >= column), sorted by column, then row.
+    order : (unknowns,) unknown at each place of the elimination order.
+    place : (unknowns,) place of each unknown, the inverse of `order`.
+    row, column : places of the stored entries (row >= column), sorted by column, then row.
     """
 
     order: np.ndarray
@@ -35,7 +38,9 @@ class SparsePattern:
 
     @classmethod
     def of(cls, order: np.ndarray, first: np.ndarray, second: np.ndarray) -> "SparsePattern":
-        """Of the symmetric matrix that couples the unknowns `first` and `second` pairwise."""
+        """Return the pattern of the matrix that couples the unknowns `first` and `second` pairwise. order : of
+        elimination.
+        """
         place = _inverse(order)
         lower = sparse.triu(coupled(place, first, second)).tocsr().sorted_indices().tocoo()
         return cls(order, place, lower.col, lower.row)
@@ -51,16 +56,16 @@ class SparsePattern:
 
     @property
     def factor_entries(self) -> int:
-        """Of the factor, at least."""
+        """Number of entries of the factor, or less."""
         return self.entries
 
     @cached_property
     def diagonal(self) -> np.ndarray:
-        """Which of the stored entries are on the diagonal, (size,)."""
+        """(size,) numbers of those stored entries that are on the diagonal."""
         return np.flatnonzero(self.row == self.column)
 
     def entry(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-        """Where the entries that couple the unknowns `first` and `second` are stored."""
+        """Return the numbers of the stored entries that couple the unknowns `first` and `second`."""
         a, b = self.place[first], self.place[second]
         wanted = np.minimum(a, b) * np.int64(self.size) + np.maximum(a, b)
         return np.searchsorted(self.column * np.int64(self.size) + self.row, wanted)
@@ -68,11 +73,13 @@ class SparsePattern:
 
 @dataclass(frozen=True)
 class Pattern(SparsePattern):
-    """Everything about a factorisation by fronts that does not depend on the numbers.
+    """Everything about a factorisation by fronts that does not depend on the values of the entries.
 
-    first, own : (fronts,) own unknowns of a front are first ... first + own - 1; fronts are in postorder.
-    parent : (fronts,) the front above, or -1. depth : (fronts,) 0 at a root.
-    border, share : sorted later unknowns of all fronts, front by front, and where those of each begin, (fronts + 1,).
+    first, own : (fronts,) own unknowns of a front are at the places first ... first + own - 1; fronts are in postorder.
+    parent : (fronts,) the front above, or -1.
+    depth : (fronts,) number of fronts above; 0 at a root.
+    border : borders of all fronts one after the other, as sorted places.
+    share : (fronts + 1,) where the border of each front begins in `border`.
     """
 
     first: np.ndarray
@@ -84,7 +91,7 @@ class Pattern(SparsePattern):
 
     @cached_property
     def width(self) -> np.ndarray:
-        """Length of the border of each front, (fronts,)."""
+        """(fronts,) length of the border of each front."""
         return np.diff(self.share)
 
     @property
@@ -98,7 +105,10 @@ class Pattern(SparsePattern):
         return float((own**3 / 3 + own**2 * width + own * width**2).sum())
 
     def within(self, front: np.ndarray, unknown: np.ndarray) -> np.ndarray:
-        """Rows of unknowns within fronts: own ones first, then the border."""
+        """Return the local row of each unknown within its front: own rows first, then the border.
+
+        front : number of the front. unknown : place of the unknown.
+        """
         number = np.repeat(np.arange(len(self.own)), self.width) * np.int64(self.size) + self.border
         behind = np.searchsorted(number, front * np.int64(self.size) + unknown) - self.share[front]
         own = unknown - self.first[front]
@@ -107,7 +117,7 @@ class Pattern(SparsePattern):
 
 @dataclass(frozen=True)
 class BlockPattern:
-    """All entries of a matrix of this size are stored, unknowns in their order; the lower triangle counts."""
+    """Pattern of a dense matrix: all entries are stored, unknowns in their own order; the lower triangle is used."""
 
     size: int
 
@@ -128,15 +138,17 @@ class BlockPattern:
         return np.arange(self.size) * (self.size + 1)
 
     def entry(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-        """Where the entries that couple the unknowns `first` and `second` are stored."""
+        """Return the numbers of the stored entries that couple the unknowns `first` and `second`."""
         return np.minimum(first, second) * self.size + np.maximum(first, second)
 
 
 @dataclass(frozen=True)
 class Parts:
-    """Unknowns that are eliminated together, part by part, children before parents and a branch before the next.
+    """Parts of the elimination tree: unknowns that are eliminated together, children before parents, in postorder.
 
-    order : the places of their columns in the order before. own : how many a part has. parent : the part above, or -1.
+    order : the old place of each column in the new order.
+    own : (parts,) number of unknowns of a part.
+    parent : (parts,) the part above, or -1.
     """
 
     order: np.ndarray
@@ -145,7 +157,10 @@ class Parts:
 
 
 def supernodes(pattern: sparse.csr_matrix, price: Price) -> Parts:
-    """Parts of the elimination tree of a symmetric pattern in its order."""
+    """Return the parts of the elimination tree of a symmetric pattern that is given in its order of elimination.
+
+    price : what a part costs beside its arithmetic, by which small parts are joined.
+    """
     runtime.current()  # starts it
     size = pattern.shape[0]
     parent, count, home, own, child, sibling = np.zeros((6, size), dtype=np.int32)
@@ -167,9 +182,12 @@ def supernodes(pattern: sparse.csr_matrix, price: Price) -> Parts:
 
 
 def analyse(order: np.ndarray, first: np.ndarray, second: np.ndarray, price: Price) -> Pattern:
-    """Symbolic factorisation of the symmetric matrix that couples the unknowns `first` and `second` pairwise.
+    """Return the symbolic factorisation of the symmetric matrix that couples the unknowns `first` and `second`
+    pairwise.
 
-    order : the unknowns as they are to be eliminated, which branches of the tree may change places in.
+    order : (unknowns,) order in which they are to be eliminated; independent branches of the tree may change places in
+        it.
+    price : see :func:`supernodes`.
     """
     pattern = coupled(_inverse(order), first, second)
     parts = supernodes(pattern, price)
@@ -178,6 +196,7 @@ def analyse(order: np.ndarray, first: np.ndarray, second: np.ndarray, price: Pri
     a, b = place[half.row], place[half.col]
     column, row = np.divmod(np.sort(np.minimum(a, b) * len(order) + np.maximum(a, b)), len(order))
     first = np.cumsum(parts.own) - parts.own
+    # border of a part: later rows of its own columns, and of the borders of its children
     touched = np.split(row, np.searchsorted(column, first[1:]))
     depth, known = np.zeros(len(first), dtype=np.int64), [[rows] for rows in touched]
     for number, (end, above) in enumerate(zip(first + parts.own, parts.parent.tolist(), strict=True)):
@@ -195,7 +214,10 @@ def analyse(order: np.ndarray, first: np.ndarray, second: np.ndarray, price: Pri
 
 
 def coupled(place: np.ndarray, first: np.ndarray, second: np.ndarray) -> sparse.csr_matrix:
-    """Which places are coupled, both ways, and each with itself. place : of each unknown, (unknowns,)."""
+    """Return the pattern of coupled places as a symmetric matrix with a full diagonal.
+
+    place : (unknowns,) place of each unknown. first, second : pairs of coupled unknowns.
+    """
     diagonal = np.arange(len(place))
     a, b = place[first], place[second]
     rows, columns = np.concatenate([a, b, diagonal]), np.concatenate([b, a, diagonal])
@@ -203,6 +225,7 @@ def coupled(place: np.ndarray, first: np.ndarray, second: np.ndarray) -> sparse.
 
 
 def _inverse(order: np.ndarray) -> np.ndarray:
+    """Return the inverse of a permutation."""
     place = np.empty(len(order), dtype=np.int64)
     place[order] = np.arange(len(order))
     return place

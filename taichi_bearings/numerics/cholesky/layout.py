@@ -1,7 +1,8 @@
-"""Where the numbers of a factorisation lie, in which order fronts are worked on, and the tables that tell kernels.
+"""Decides where the numbers of a factorisation lie and in which order fronts are worked on; makes the kernels' tables.
 
-A subtree with few numbers in its updates is worked on depth by depth, all its fronts of a depth at once: threads share
-those best. Above such groves come the fronts one by one, children before parents: so few updates wait at a time.
+A *grove* is a subtree with few numbers in its updates. It is worked on depth by depth, all its fronts of a depth at
+once: threads share those best. Above the groves fronts are worked on one by one, children before parents, so that few
+updates wait at a time.
 """
 
 from dataclasses import dataclass
@@ -13,13 +14,18 @@ from taichi_bearings.kernels.elimination import HEADER
 from taichi_bearings.numerics.cholesky import tuning
 from taichi_bearings.numerics.cholesky.fronts import Pattern
 
-ENDLESS = 2**62
+ENDLESS = 2**62  # length of the free memory behind all updates
 Integers = TypeVar("Integers", int, np.ndarray)
 
 
 @dataclass(frozen=True)
 class Batch:
-    """Fronts that are worked on at once, the numbers that they have, and the items of the work to assemble them."""
+    """Fronts that are worked on at once.
+
+    fronts : their numbers.
+    numbers : how many doubles they have.
+    items : begin and end among the work items that assemble them; an item is some columns of one front.
+    """
 
     fronts: np.ndarray
     numbers: int
@@ -27,18 +33,24 @@ class Batch:
 
 
 class Layout:
-    """Where everything is among the `size` numbers of a factorisation.
+    """Where everything is among the `size` doubles of a factorisation.
 
-    columns : (fronts,) the own columns of a front, (height, own) in Fortran order. update : (fronts,) that of its
-    border, in panels of SHEET columns from the diagonal down, of update_height rows and less; the first one begins at
-    row `skip` of the front. Only lower triangles count. pivots : (unknowns,).
-    tables : for the kernels. batches : of fronts, children first. stages : begin and end among the branches that can be
-    solved at once, children first. vector : length of right-hand sides and what fronts leave for their borders.
+    columns : (fronts,) where the own columns of a front begin; they are (height, own) in Fortran order.
+    update : (fronts,) where the update of its border begins. It is stored in panels of SHEET_COLUMNS columns from the
+        diagonal down, of update_height rows and less; the first one begins at row `skip` of the front. Only lower
+        triangles are used.
+    pivots : (unknowns,) where the diagonal entries are.
+    tables : the integers that kernels read.
+    batches : of fronts, children first.
+    stages : begin and end among branches of the tree that can be solved at once, children first.
+    vector : length of the right-hand side together with what fronts leave for their borders.
     """
 
     def __init__(self, pattern: Pattern, unit: int = 1, apart: bool = False) -> None:
-        """unit : rows that make a vector; columns begin at multiples of it. apart : threads share what there is to do;
-        else fronts are worked on one by one."""
+        """pattern : symbolic factorisation.
+        unit : rows that make a SIMD vector; columns begin at multiples of it.
+        apart : True if threads share the work; else fronts are worked on one by one.
+        """
         self.own, self.border = pattern.own, pattern.width
         self.height, self.skip = whole(self.own + self.border, unit), self.own // unit * unit
         self.update_height = self.height - self.skip
@@ -82,7 +94,11 @@ class Layout:
         self.tables = np.concatenate([header, *(part.ravel() for part in parts)]).astype(np.int32)
 
     def _work(self, batches: list[np.ndarray], updates: np.ndarray) -> tuple[np.ndarray, list[Batch]]:
-        """Items (n, 3), a front and its first and last column each, and the batches that they belong to."""
+        """Return the items of work that assemble the fronts, and the batches that they belong to.
+
+        batches : fronts of each. updates : (fronts,) doubles of each update.
+        returns : items (n, 3), a front, its first column and its last one; batches.
+        """
         columns = self.own + self.border
         least = np.maximum(1, tuning.ASSEMBLY_NUMBERS // np.maximum(columns, 1))  # columns of an item
         items, found, begin = [], [], 0
@@ -98,19 +114,19 @@ class Layout:
 
 
 def whole(count: np.ndarray, unit: int) -> np.ndarray:
-    """The next multiples of the unit."""
+    """Return the counts rounded up to multiples of the unit."""
     return -(-count // unit) * unit
 
 
 def update_size(border: Integers, height: Integers) -> Integers:
-    """Numbers of the panels of updates with so many columns, and so many rows in the first one."""
+    """Return the doubles of an update stored in panels. border : its columns. height : rows of its first panel."""
     width = tuning.SHEET_COLUMNS
     before = border // width * width
     return before * height - before * (before - width) // 2 + (border - before) * (height - before)
 
 
-def _of_branches(parent: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Sums of (fronts,) values over each front and all below it, (fronts,)."""
+def _sums_of_branches(parent: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Return (fronts,) the sum of the values of each front and of all fronts below it. parent : (fronts,)."""
     total = values.tolist()
     for n, above in enumerate(parent.tolist()):
         if above >= 0:
@@ -119,8 +135,11 @@ def _of_branches(parent: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 def _batches(pattern: Pattern, size: np.ndarray, most: int) -> list[np.ndarray]:
-    """Numbers of fronts that are worked on at once, children first. size : (fronts,), of updates; most : of a grove."""
-    small, grove = (_of_branches(pattern.parent, size) <= most).tolist(), list(range(len(size)))
+    """Return the fronts that are worked on at once, children first.
+
+    size : (fronts,) doubles of each update. most : most doubles in all updates of a grove.
+    """
+    small, grove = (_sums_of_branches(pattern.parent, size) <= most).tolist(), list(range(len(size)))
     for n, above in reversed(list(enumerate(pattern.parent.tolist()))):
         if above >= 0 and small[above]:
             grove[n] = grove[above]
@@ -131,8 +150,10 @@ def _batches(pattern: Pattern, size: np.ndarray, most: int) -> list[np.ndarray]:
 
 
 def _places(parent: np.ndarray, size: np.ndarray, batches: list[np.ndarray]) -> tuple[np.ndarray, int]:
-    """Where updates of this size (fronts,) lie until their parents have taken them, (fronts,), the first place that
-    fits; and how much room all need at a time."""
+    """Return where each update lies until its parent has taken it, (fronts,), and the most doubles in use at a time.
+
+    Memory is taken at the first place that fits. parent, size : (fronts,).
+    """
     places, free, peak = np.empty(len(size), dtype=np.int64), [(0, ENDLESS)], 0  # starts and lengths, never touching
     batch, waiting = np.empty(len(size), dtype=np.int64), [list[tuple[int, int]]() for _ in batches]
     for number, members in enumerate(batches):
@@ -156,10 +177,14 @@ def _places(parent: np.ndarray, size: np.ndarray, batches: list[np.ndarray]) -> 
 
 
 def _stages(pattern: Pattern, entries: np.ndarray) -> list[np.ndarray]:
-    """Branches (n, 2), first front and end of each, that can be solved at once; stage by stage, children first."""
-    small = _of_branches(pattern.parent, entries) <= tuning.BRANCH_SHARE * entries.sum()
+    """Return branches of the tree that can be solved at once: (n, 2) first front and end of each; children first.
+
+    entries : (fronts,) doubles of the own columns of each. Small branches go whole, in the first stage; the fronts
+        above follow depth by depth.
+    """
+    small = _sums_of_branches(pattern.parent, entries) <= tuning.BRANCH_SHARE * entries.sum()
     roots = np.flatnonzero(small & ~((pattern.parent >= 0) & small[pattern.parent]))
-    size, depth = _of_branches(pattern.parent, np.ones_like(entries)), pattern.depth
+    size, depth = _sums_of_branches(pattern.parent, np.ones_like(entries)), pattern.depth
     above = [np.flatnonzero(~small & (depth == level)) for level in range(int(depth[~small].max(initial=-1)), -1, -1)]
     stages = [np.stack([roots + 1 - size[roots], roots + 1], axis=1), *(np.stack([n, n + 1], axis=1) for n in above)]
     return [stage for stage in stages if len(stage)]

@@ -1,4 +1,4 @@
-"""How many numbers a factorisation of a lattice holds, told from its dissection before anything of it is made."""
+"""Predicts how many numbers a factorisation of a lattice holds, from its dissection, before anything of it is made."""
 
 from functools import lru_cache
 
@@ -8,21 +8,23 @@ from taichi_bearings.lattice import Lattice
 from taichi_bearings.numerics.cholesky.dissection import Region, divide
 from taichi_bearings.numerics.cholesky.tuning import GROVE_NUMBERS, LEAF_UNKNOWNS
 
-JOINED = 2.0  # updates of fronts that were joined to save calls over those of the planes of the dissection
+JOINED = 2.0  # measured: updates are that much larger as fronts are joined to save calls
 Tree = tuple[float, float, tuple[float, ...]]
-"""Of a region: numbers of its factor, the most that its updates hold at a time, and its updates by depth."""
+"""Doubles of a region's factor; the most that its updates hold at a time; all its updates by depth, root first."""
 
 
 @lru_cache(maxsize=64)
 def factor_numbers(lattice: Lattice, spin_axes: tuple[int, ...]) -> float:
-    """Numbers of double precision in a factorisation of the free spins: its columns, and its updates at their most.
+    """Return the number of doubles in a factorisation of the free spins: its columns, and its updates at their most.
 
-    Good to some 15 percent, for periodic lattices to a factor of 1.6. spin_axes : components that turn.
+    The prediction is good to some 15 percent, for periodic lattices to a factor of 1.6.
+
+    lattice : whose spheres rotate. spin_axes : axes of the spin components that are unknown.
     """
     shape, known = lattice.free_shape, dict[tuple, Tree]()
 
     def neighbours(region: Region) -> float:
-        """Unknowns outside a region that a contact joins to it: its border once all inside is eliminated."""
+        """Return the number of unknowns outside a region that touch it: its border once it is eliminated."""
         total = 0
         for component, (low, high) in region.items():
             sides = [b - a for a, b in zip(low, high, strict=True)]
@@ -34,6 +36,7 @@ def factor_numbers(lattice: Lattice, spin_axes: tuple[int, ...]) -> float:
         return float(total)
 
     def tree(region: Region) -> Tree:
+        """Return the sizes of a region; regions of one shape and border share them."""
         corner = np.min([low for low, _ in region.values()], axis=0)
         moved = [(c, *np.subtract(box, corner).ravel().tolist()) for c, box in region.items()]
         border = neighbours(region)
@@ -43,6 +46,7 @@ def factor_numbers(lattice: Lattice, spin_axes: tuple[int, ...]) -> float:
         return known[alike]
 
     def divided(region: Region, border: float) -> Tree:
+        """Return the sizes of a region from those of its two halves and their separator."""
         inside, update = unknowns(region), border * (border + 1) / 2
         division = divide(region, len(shape)) if inside > LEAF_UNKNOWNS else None
         if division is None:
@@ -70,5 +74,5 @@ def factor_numbers(lattice: Lattice, spin_axes: tuple[int, ...]) -> float:
 
 
 def unknowns(region: Region) -> float:
-    """Number of the unknowns in a region."""
+    """Return the number of unknowns in a region."""
     return float(sum(np.prod([b - a for a, b in zip(*box, strict=True)]) for box in region.values()))

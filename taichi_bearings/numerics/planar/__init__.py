@@ -1,4 +1,6 @@
-"""Minimum cuts of planar grids (cuts.py), from shortest paths of the dual graph (paths.py), and ties (ties.py)."""
+"""Finds minimum cuts of planar grids (cuts.py) from shortest paths of the dual graph (paths.py), and their ties
+(ties.py).
+"""
 
 from taichi_bearings.numerics.planar.cuts import MinimumCuts, minimum_cuts
 

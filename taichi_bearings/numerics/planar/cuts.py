@@ -6,10 +6,12 @@ outside crosses separate bottom from top, so the lightest cut is the shortest pa
 Flows, 1969; Reif, SIAM J. Comput. 12, 1983). The distances from the left, cut off at the least weight, are the
 potential of a largest flow: across each contact they differ by no more than its weight.
 
-Weights are rounded down to multiples of a unit, 2^-50 to 2^-52 of the least weight, so that every distance that counts
-is an integer below 2^52. Flows then balance without any rounding and are admissible, however many decades the weights
-span, and the least weight is wrong by less than a unit a contact of the cut. So a path of n contacts is proven to be
-the only lightest one where the next is n units longer. Where it is not, the true weights decide (ties.py).
+Weights are rounded down to multiples of a unit, 2^-50 to 2^-52 of the least weight, so that every distance in use is an
+integer below 2^52. Flows then balance without any rounding and are admissible, however many decades the weights span,
+and the least weight is wrong by less than a unit a contact of the cut. So a path of n contacts is proven to be the only
+lightest one where the next is n units longer. Where it is not, the true weights decide (ties.py).
+
+Letters: B grids, w columns, h rows. `inner` are the sideways weights without those of the end rows, (B, w - 1, h - 2).
 """
 
 from collections.abc import Iterator
@@ -27,13 +29,14 @@ BUNDLE_FACES = 2_000_000  # faces that one graph holds: about 0.4 GB
 class MinimumCuts:
     """Minimum cuts of B grids of w columns and h rows, and largest flows, which have the same weight.
 
-    above : (B, w, h), True on the top side of a cut that no other is lighter than; the contacts whose ends differ are
+    above : (B, w, h) True on the top side of a cut that no other is lighter than. The contacts whose ends differ are
         the cut, those without weight apart.
-    sideways_flow, upward_flow : shaped as the weights, towards the higher index; balanced but in the end rows.
-    sideways_tied, upward_tied : True for the contacts with weight that are in some but not in all minimum cuts.
-    weight : (B,), of the flow: that of the cut, less than a unit a contact lower; 0 where contacts with weight do not
-        join bottom and top. next_weight : (B,), of the lightest other cut that leaves either side in one piece, good to
-        the same; equal to `weight` for ties, else larger; NaN where contacts without weight hide it.
+    sideways_flow, upward_flow : shaped as the weights, positive towards the higher index; balanced but in the end rows.
+    sideways_tied, upward_tied : True for contacts with weight that are in some but not in all minimum cuts.
+    weight : (B,) size of the flow, less than a unit a contact below the weight of the cut; 0 where contacts with weight
+        do not join bottom and top.
+    next_weight : (B,) weight of the lightest other cut that leaves either side in one piece, as good as `weight`. It
+        equals `weight` for ties, else it is larger; NaN where contacts without weight hide it.
     """
 
     above: np.ndarray
@@ -46,20 +49,21 @@ class MinimumCuts:
 
     @property
     def tied(self) -> np.ndarray:
-        """Number of contacts in some but not in all minimum cuts, (B,)."""
+        """(B,) number of contacts that are in some but not in all minimum cuts."""
         return np.asarray(sum(np.count_nonzero(tied, axis=(1, 2)) for tied in (self.sideways_tied, self.upward_tied)))
 
     @property
     def unique(self) -> np.ndarray:
-        """True where every other cut is heavier, (B,)."""
+        """(B,) True where every other cut is heavier."""
         return self.tied == 0
 
 
 def minimum_cuts(sideways: np.ndarray, upward: np.ndarray) -> Iterator[tuple[slice, MinimumCuts]]:
-    """Cuts of least weight between the bottom row and the top row of each grid, bundle by bundle.
+    """Yield the cuts of least weight between the bottom row and the top row of each grid, some grids at a time.
 
     sideways : weights (B, w - 1, h) along the rows, none negative; those of the bottom and the top row take no part.
-    yields : the grids of a bundle and their cuts.
+    upward : weights (B, w, h - 1) between the rows.
+    yields : which grids, as a slice, and their cuts.
     """
     batch, columns, rows = upward.shape
     step = max(1, BUNDLE_FACES // ((columns - 1) * rows))
@@ -69,12 +73,13 @@ def minimum_cuts(sideways: np.ndarray, upward: np.ndarray) -> Iterator[tuple[sli
 
 
 def _cuts_of(inner: np.ndarray, upward: np.ndarray) -> MinimumCuts:
-    """The cuts of one bundle; inner : sideways weights without those of the end rows, (B, w - 1, h - 2)."""
+    """Return the cuts of all these grids. inner, upward : weights (B, w - 1, h - 2) and (B, w, h - 1)."""
     unit, path = _fine_paths(inner, upward)
     batch, columns, gaps = upward.shape
     sideways_flow, sideways_tied = (np.zeros((batch, columns - 1, gaps + 1), dtype) for dtype in (float, bool))
     upward_tied, crossed = np.zeros(upward.shape, dtype=bool), path.upward
     weight, next_weight = path.length * unit, np.maximum(path.next_length, path.length) * unit
+    # rounding down takes less than a unit a contact, so a path that is longer by that many units is surely heavier
     unsure = np.flatnonzero(path.next_length < path.length + path.contacts)
     if len(unsure):
         crossed[unsure], sideways_tied[unsure, :, 1:-1], upward_tied[unsure] = equal_paths(
@@ -100,18 +105,20 @@ def _cuts_of(inner: np.ndarray, upward: np.ndarray) -> MinimumCuts:
 
 
 def _any(values: np.ndarray) -> np.ndarray:
-    """(B,) True for the grids in which some of the values are true."""
+    """Return (B,) True for the grids in which some of the values are true."""
     return np.asarray(values.any(axis=(1, 2)))
 
 
 def _fine_paths(inner: np.ndarray, upward: np.ndarray) -> tuple[np.ndarray, ShortestPaths]:
-    """Units (B,), and shortest paths, of 2^50 to 2^52 of them, by weights rounded down to whole units; paths of length
-    0 where the least weight is 0."""
+    """Return units of weight (B,), and shortest paths by weights rounded down to whole units.
+
+    The unit is so fine that a path is 2^50 to 2^52 units long; paths have length 0 where the least weight is 0.
+    """
     at_most = upward.sum(axis=1).min(axis=1)  # the weight of a straight cut
     lightest = np.minimum(*(np.min(of, axis=(1, 2), where=of > 0, initial=np.inf) for of in (inner, upward)))
     lightest[np.isinf(lightest)] = 1.0
     while True:
-        # where a cut of no weight is known, the lightest contact counts at least one unit
+        # where a cut of no weight is known, the lightest contact is at least one unit long
         unit = np.ldexp(1.0, np.where(at_most > 0, np.frexp(at_most)[1] - 52, np.frexp(lightest)[1] - 1))
         path = shortest_paths(np.floor(inner / grids(unit)), np.floor(upward / grids(unit)))
         found = np.sum(inner, axis=(1, 2), where=path.inner) + np.sum(upward, axis=(1, 2), where=path.upward)

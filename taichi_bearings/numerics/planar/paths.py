@@ -1,4 +1,8 @@
-"""Shortest paths of the dual graphs of planar grids, all grids at once, and the shortest path other than these."""
+"""Finds shortest paths of the dual graphs of planar grids, all grids at once, and the next shortest path of each.
+
+Letters: B grids, w columns, h rows. Faces lie between w + 1 columns (outsides included) and h - 1 gaps of rows. `inner`
+are lengths (B, w - 1, h - 2) of the sideways contacts without the end rows, `upward` those (B, w, h - 1) between rows.
+"""
 
 from dataclasses import dataclass
 
@@ -11,9 +15,11 @@ from scipy.sparse.csgraph import dijkstra
 class ShortestPaths:
     """Shortest paths of B dual graphs from the left outside to the right one.
 
-    length, next_length : (B,), of the path and of the shortest other path. contacts : (B,), number that it crosses.
-    from_left : distance of each face from the left outside, (B, w + 1, h - 1), the outsides being the end columns; so
-        far inf on the right, where `length` is meant. from_right : the same from the right outside.
+    length, next_length : (B,) length of the path, and of the shortest other path.
+    contacts : (B,) number of contacts that the path crosses.
+    from_left : (B, w + 1, h - 1) distance of each face from the left outside, the outsides being the end columns. It is
+        inf on the right outside, whose distance is `length`.
+    from_right : (B, w + 1, h - 1) distance of each face from the right outside, likewise.
     inner, upward : masks of the contacts that the path crosses, (B, w - 1, h - 2) and (B, w, h - 1).
     """
 
@@ -26,14 +32,14 @@ class ShortestPaths:
     upward: np.ndarray
 
     def pick(self, which: np.ndarray) -> "ShortestPaths":
-        """Those of some of the grids, by number."""
+        """Return the paths of some of the grids. which : their numbers."""
         return ShortestPaths(*(getattr(self, name)[which] for name in self.__dataclass_fields__))
 
 
 def shortest_paths(inner: np.ndarray, upward: np.ndarray) -> ShortestPaths:
-    """Distances from both outsides by Dijkstra's method, the path, and the shortest other path.
+    """Return the shortest paths from the left to the right outside, distances from both, and the shortest other path.
 
-    inner, upward : lengths (B, w - 1, h - 2) and (B, w, h - 1), whole numbers.
+    inner, upward : lengths (B, w - 1, h - 2) and (B, w, h - 1), whole numbers. Dijkstra's method finds the distances.
 
     The other path leaves the first one at some node and joins it again later on. Let the block of a node be the last
     node of the path on the way to it in the tree of shortest paths. Then the shortest other path uses one contact that
@@ -77,8 +83,13 @@ def shortest_paths(inner: np.ndarray, upward: np.ndarray) -> ShortestPaths:
 def through(
     inner: np.ndarray, upward: np.ndarray, from_left: np.ndarray, from_right: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Lengths of the shortest walks across each contact: rightward, leftward (B, w, h - 1), climbing and falling
-    (B, w - 1, h - 2). From lengths and distances as in :class:`ShortestPaths`."""
+    """Return the lengths of the shortest walks from left to right outside across each contact, in each of its
+    directions.
+
+    inner, upward, from_left, from_right : lengths and distances as in :class:`ShortestPaths`.
+    returns : rightward and leftward across upward contacts (B, w, h - 1); climbing and falling across inner ones
+        (B, w - 1, h - 2).
+    """
     left, right = from_left[:, 1:-1], from_right[:, 1:-1]
     return (
         from_left[:, :-1] + upward + from_right[:, 1:],
@@ -89,7 +100,7 @@ def through(
 
 
 def _dual_graph(inner: np.ndarray, upward: np.ndarray) -> csr_array:
-    """All faces of the grids, column by column, then the left and the right outside, which edges only leave."""
+    """Return the graph of all faces, column by column, then the left and the right outside, which edges only leave."""
     batch, columns, gaps = upward.shape
     shape = (batch, columns - 1, gaps)
     faces = batch * (columns - 1) * gaps
@@ -114,11 +125,12 @@ def _dual_graph(inner: np.ndarray, upward: np.ndarray) -> csr_array:
 def _trace(
     before: np.ndarray, last: np.ndarray, shape: tuple[int, int, int]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Walk back along the paths, all at once.
+    """Walk back along the shortest paths of all grids at once.
 
-    before : predecessor of each face in the tree from the left; last : gap (B,) in which each path ends.
-    returns : masks of the inner and of the upward contacts that are crossed; position of each face on its path, counted
-        from 1, and 0 off it, (faces,); position (B,) of the right outside.
+    before : (faces,) predecessor of each face in the tree from the left. last : (B,) gap in which each path ends. shape
+        : of the faces, (B, w - 1, h - 1).
+    returns : masks of the inner and of the upward contacts that are crossed; position (faces,) of each face on its
+        path, counted from 1, and 0 off it; position (B,) of the right outside.
     """
     batch, across, gaps = shape
     faces = batch * across * gaps
@@ -146,7 +158,11 @@ def _trace(
 
 
 def _blocks(before: np.ndarray, order: np.ndarray) -> np.ndarray:
-    """Position of the last face of the path on the way from the left outside to each face; 0 for the outside itself."""
+    """Return the position on the path of the last face of it on the way from the left outside to each face, 0 for none.
+
+    before : (faces,) predecessors. order : (faces,) position on the path, 0 off it. Each pass of the loop doubles how
+        far back every face looks.
+    """
     faces = len(before)
     ancestor = np.where(order > 0, np.arange(faces, dtype=np.int32), before)
     ancestor = np.append(ancestor, np.int32(faces))
@@ -158,7 +174,7 @@ def _blocks(before: np.ndarray, order: np.ndarray) -> np.ndarray:
 
 
 def grids(values: np.ndarray) -> np.ndarray:
-    """(B,) as (B, 1, 1)."""
+    """Return numbers (B,), one a grid, as (B, 1, 1), to be combined with arrays of contacts."""
     return values[:, None, None]
 
 

@@ -1,13 +1,15 @@
-"""Which contacts belong to every minimum cut of a planar grid, and which to some: exactly, whatever the weights.
+"""Finds contacts that belong to every minimum cut of a planar grid, and to some: exactly, whatever the weights.
 
 Rounded down to whole units, a path of n contacts is known to n units. Of the contacts that a lightest path may cross
 there are seldom many: those on a walk longer than the shortest one by less than what rounding took from that. Among
 them the search is repeated with the weights themselves, as whole numbers of Python, which round nothing.
 
-A contact of a lightest path takes a stretch of the least weight, from the distance of one of its faces to that of the
-other, and all of the path takes every stretch once. Contacts without weight take none: which of them a path crosses
+A contact of a lightest path covers a stretch of the least weight, from the distance of one of its faces to that of the
+other, and all of the path covers every stretch once. Contacts without weight cover none: which of them a path crosses
 makes no difference. So one path is followed, and its own contacts are in all lightest paths unless another contact that
-is in some of them takes a part of the same stretch.
+is in some of them covers a part of the same stretch.
+
+Letters: B grids, w columns, h rows; weights `inner` (B, w - 1, h - 2) and `upward` (B, w, h - 1) as in paths.py.
 """
 
 from bisect import bisect_left, bisect_right
@@ -25,11 +27,12 @@ Step = tuple[int, int, int]  # face that is left, face that is entered, weight o
 def equal_paths(
     inner: np.ndarray, upward: np.ndarray, unit: np.ndarray, path: ShortestPaths
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A lightest path of each grid, and what other lightest ones do not share with it.
+    """Find a lightest path of each grid, and the contacts that are in some but not in all lightest paths.
 
-    inner, upward : weights (B, w - 1, h - 2) and (B, w, h - 1). unit : (B,). path : from these weights, rounded down.
-    returns : mask of the upward contacts of a path that no other is lighter than; masks of the inner and of the upward
-        contacts with weight that are in some but not in all lightest paths.
+    inner, upward : weights (B, w - 1, h - 2) and (B, w, h - 1). unit : (B,) unit to which they were rounded down for
+        `path`, the shortest paths.
+    returns : mask of the upward contacts of a lightest path; masks of the inner and of the upward contacts with weight
+        that are in some but not in all lightest paths.
     """
     contact, ends, weight, shares = _steps_in_doubt(inner, upward, unit, path)
     crossed, tied = np.zeros((2, upward.size + inner.size), dtype=bool)
@@ -53,9 +56,14 @@ def equal_paths(
 def _steps_in_doubt(
     inner: np.ndarray, upward: np.ndarray, unit: np.ndarray, path: ShortestPaths
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[np.ndarray]]:
-    """Steps on walks that are longer than the path by less than a unit a contact: contact, face that is left and face
-    that is entered (2, steps), weight of each; numbers of those of each grid. The outsides are the first faces of the
-    first and of the last column."""
+    """Return the steps on walks that are longer than the path by less than a unit a contact: only those can be as
+    light.
+
+    A step crosses one contact in one direction. Each outside is one face: the first one of the first, or last, column.
+
+    returns : contact (steps,); faces (2, steps), the one that is left and the one that is entered; weight (steps,); and
+        the numbers of the steps of each grid.
+    """
     units = np.floor(inner / grids(unit)), np.floor(upward / grids(unit))
     face = np.arange(path.from_left.size).reshape(path.from_left.shape)
     face[:, 0], face[:, -1] = face[:, 0, :1], face[:, -1, :1]  # each outside is one
@@ -76,7 +84,10 @@ def _steps_in_doubt(
 
 
 def _lightest(steps: list[Step], left: int, right: int) -> tuple[list[int], list[int]]:
-    """Numbers of the steps of a lightest path, and of those that are in some but not in all lightest paths."""
+    """Return the numbers of the steps of a lightest path, and of steps that are in some but not in all lightest paths.
+
+    left, right : faces where paths begin and end.
+    """
     from_left, before = _distances(steps, left)
     from_right, _ = _distances([(head, tail, weight) for tail, head, weight in steps], right)
     own, face = list[int](), right
@@ -84,7 +95,8 @@ def _lightest(steps: list[Step], left: int, right: int) -> tuple[list[int], list
         own.append(before[face])
         face = steps[own[-1]][0]
     own.reverse()
-    spots = [0, *(from_left[steps[number][1]] for number in own)]  # rising
+    # distances at which the path passes from one contact to the next; others that cover a part of a stretch share it
+    spots = [0, *(from_left[steps[number][1]] for number in own)]
     unshared, change, of_path = list[int](), [0] * (len(own) + 1), set(own)
     for number, (tail, head, weight) in enumerate(steps):
         if number not in of_path and weight and from_left[tail] + weight + from_right[head] == spots[-1]:
@@ -98,7 +110,9 @@ def _lightest(steps: list[Step], left: int, right: int) -> tuple[list[int], list
 
 
 def _distances(steps: list[Step], start: int) -> tuple[dict[int, int], dict[int, int]]:
-    """Distances of the faces from `start` by Dijkstra's method, and the last step on the way to each."""
+    """Return the distance of each face from `start`, by Dijkstra's method, and the number of the last step on the way
+    there.
+    """
     onward = defaultdict[int, list[int]](list)
     for number, (tail, _, _) in enumerate(steps):
         onward[tail].append(number)
