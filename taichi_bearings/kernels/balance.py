@@ -2,7 +2,7 @@
 
 A spin component is coupled only across the height and one other axis. The sines of a chain with held ends separate the
 height; what is left is a chain along the other axis for each of them, whose equations are solved from end to end and
-back. A ring is a chain with one more spring, which takes one more sum. docs/decisions/0010 counts why. Every sum runs
+back. A ring is a chain with one more spring, which takes one more sum. docs/decisions.md, 10 counts why. Every sum runs
 in one order, whatever the number of workers or replicas.
 """
 

@@ -5,7 +5,7 @@ On a GPU a block is one site, and a vector its number. (Vectors have no unary mi
 
 The laws of Newton steps are functions of one site; :func:`fill` walks them over a block. The results go to local
 vectors, which are written as a whole: a loop that writes to memory cannot be told from one that changes its own input,
-or even the address of the array, so it would not be turned into SIMD instructions (docs/decisions/0002).
+or even the address of the array, so it would not be turned into SIMD instructions (docs/decisions.md, 2).
 """
 
 from taichi_bearings.compiler import ti

@@ -2,7 +2,7 @@
 
 Waking Taichi's thread pool for every loop costs 50 to 100 microseconds, as much as a whole sweep of 32^3 spheres. So a
 launch wakes it once: each worker keeps its share of the blocks, and they wait for each other by counting arrivals
-(docs/decisions/0003). The shares only decide who computes a value, never the value: any number of workers gives the
+(docs/decisions.md, 3). The shares only decide who computes a value, never the value: any number of workers gives the
 same bits, and one kernel serves them all. On a GPU the same kernel makes a few turns a launch, a thread for each site.
 
 Polling is wasteful when other programs want the cores: a worker that is taken off its core makes the others wait. So

@@ -3,7 +3,7 @@
 Every field is one-dimensional in sites: p = margin + ((r * nx + i) * ny + j) * nz + k. The upper neighbour along an
 axis is p + stride. A sphere on a side has no upper contact there: its coefficient is 0, so what lies at p + stride (the
 other side, the next replica or the margin) does not matter as long as it is finite. Hence kernels have no branch for
-the boundary, treat 2D, 3D and replicas alike, and their inner loops run along memory (docs/decisions/0002). Along a
+the boundary, treat 2D, 3D and replicas alike, and their inner loops run along memory (docs/decisions.md, 2). Along a
 periodic axis the neighbour is stride less a ring of spheres away where the ring closes; only kernels of such lattices
 ask where that is.
 """

@@ -13,7 +13,7 @@ import pytest
 from taichi_bearings import compiler
 
 ROOT = Path(__file__).parents[2]
-LISTED = set(re.findall(r"`(ti\.[\w.]+)`", (ROOT / "docs/decisions/0008-quadrants.md").read_text(encoding="utf-8")))
+LISTED = set(re.findall(r"`(ti\.[\w.]+)`", (ROOT / "docs/decisions.md").read_text(encoding="utf-8")))
 
 
 def full_name(node):

@@ -1,4 +1,4 @@
-"""Thresholds where one way of factorising becomes quicker than another, all measured: see docs/decisions 4 and 11.
+"""Thresholds where one way of factorising becomes quicker than another, all measured: see docs/decisions.md, 4 and 11.
 
 Where nothing else is said a "number" is one double, and an "operation" one addition or multiplication of doubles.
 """
