@@ -1,8 +1,8 @@
 """Taichi, imported here and nowhere else, and only once it is asked for: ``from taichi_bearings.compiler import ti``.
 
 Quadrants, its maintained fork, stands in for it where Taichi is not installed or the environment variable
-TAICHI_BEARINGS_COMPILER says so (docs/decisions.md, 8): it must be known before any kernel is read, and worker processes
-inherit it.
+TAICHI_BEARINGS_COMPILER says so (docs/decisions.md, 8): it must be known before any kernel is read, and worker
+processes inherit it.
 """
 
 import contextlib
