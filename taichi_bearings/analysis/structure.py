@@ -399,7 +399,7 @@ def _interface_slips(scene: Scene) -> np.ndarray:
     laboratory lose the digits of a jump that is small beside them."""
     axes = scene.minimum_spin_axes
     jump = scene.top_spin(axes).reshape(len(axes), -1)[:, scene.lattice.column]
-    return scene.lattice.radius * vector_length(np.where(scene.lattice.felt(axes), jump, 0.0))
+    return scene.lattice.radius * vector_length(np.where(scene.lattice.tangential_mask(axes), jump, 0.0))
 
 
 def self_stress(network: SliplessNetwork, spin_axes: tuple[int, ...]) -> np.ndarray:

@@ -162,7 +162,7 @@ def lattice_system(lattice: Lattice, spin_axes: tuple[int, ...], jump: np.ndarra
     sphere, unknowns = number_free(lattice.shape), int(np.prod(lattice.free_shape)) * len(spin_axes)
     is_top = np.zeros(lattice.shape, dtype=bool)
     is_top[..., -1] = True
-    contact, slot, felt = slipping_components(lattice.felt(spin_axes) & ~lattice.between_driven)
+    contact, slot, felt = slipping_components(lattice.tangential_mask(spin_axes) & ~lattice.between_driven)
     sphere_at = sphere.ravel()[lattice.ends][:, None, contact]
     ends = np.where((sphere_at >= 0) & felt, sphere_at * len(spin_axes) + slot, -1)
     imposed = np.broadcast_to(jump.reshape(len(jump), -1), (len(jump), lattice.sites // lattice.shape[-1]))

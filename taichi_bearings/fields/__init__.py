@@ -1,4 +1,4 @@
-"""The numbers of spheres and contacts, row by row in one array, on the device that runs."""
+"""Memory for the numbers of spheres and contacts, row by row in one array, on the device that runs."""
 
 from taichi_bearings.fields.fields import Fields, FieldSpec, block_size, first_slots, on_device, team_size
 

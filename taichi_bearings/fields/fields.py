@@ -1,4 +1,7 @@
-"""The fields of a scene: one array on the device, a row for each number that a site has."""
+"""The fields of a scene: one array on the device, with a row for each number that a site has.
+
+Letters: C components of a field, R replicas, N shape of the lattice or number of spheres, E contacts.
+"""
 
 from typing import Any
 
@@ -11,23 +14,26 @@ from taichi_bearings.memory import aligned_zeros
 
 FieldSpec = tuple[tuple[str, int], ...]  # (name, number of components); site fields of the flat layout
 
-CPU_BLOCK = 16  # sites a task handles at a time: long enough for SIMD, short enough for registers and for balance
-LEAST_WORKER_NUMBERS = 2_000  # site values a worker must have, or meeting the others would cost more than it saves
-MOST_FIELD_NUMBERS = 2**30  # in all fields of a scene, so that kernels can index them
+CPU_BLOCK = 16  # sites that a CPU works on together: enough for SIMD, few enough for registers and for even shares
+LEAST_WORKER_NUMBERS = 2_000  # with fewer numbers a worker waits longer for the others than it helps
+MOST_FIELD_NUMBERS = 2**30  # most numbers in all fields of a scene, so that kernels can index them
 
 
 def block_size() -> int:
-    """Sites that a kernel works on together: blocks for SIMD on a CPU, one site a thread on a GPU."""
+    """Return how many sites a kernel works on together: a block for SIMD on a CPU, one site a thread on a GPU."""
     return 1 if runtime.current().is_gpu else CPU_BLOCK
 
 
 def number_type() -> np.dtype:
-    """Of every number that kernels work on."""
+    """Return the type of every number that kernels work on, by the precision of the runtime."""
     return np.dtype(np.float64 if runtime.current().precision == "f64" else np.float32)
 
 
 def on_device(values: np.ndarray, kind: str = "") -> Any:
-    """Numbers beside the fields, flat, where kernels read them: on a CPU NumPy's. kind : "i32", or as the fields."""
+    """Copy numbers, flat, to where kernels read them: an array of NumPy on a CPU, of Taichi on a GPU.
+
+    kind : "i32" for whole numbers; if empty the precision of the runtime.
+    """
     running = runtime.current()
     flat = values.ravel().astype(kind.replace("i", "int") or number_type())
     if not running.is_gpu:
@@ -40,20 +46,20 @@ def on_device(values: np.ndarray, kind: str = "") -> Any:
 
 
 def one_block() -> Any:
-    """What kernels get in the place of blocks on a GPU, where they write site by site."""
+    """Return the array that kernels get in the place of blocks on a GPU, where they write site by site."""
     from taichi_bearings.compiler import ti
 
     return ti.Vector.ndarray(1, getattr(ti, runtime.current().precision), 1)
 
 
 def first_slots(spec: FieldSpec) -> dict[str, int]:
-    """The row at which each field begins."""
+    """Return the row at which each field begins."""
     counts = [components for _, components in spec]
     return {name: sum(counts[:n]) for n, (name, _) in enumerate(spec)}
 
 
 class Fields:
-    """Fields of a spec on the sites of a `Layout`, or on the spheres and contacts of `Lists`; all 0 at first.
+    """All fields of a spec on the sites of a `Layout`, or on the spheres and contacts of `Lists`; all 0 at first.
 
     Kernels know the rows of the fields when they are compiled, the length of the rows when they are called: no shape,
     number of replicas or size compiles anything anew. On a CPU the array is NumPy's, which kernels work on in place.
@@ -96,7 +102,7 @@ class Fields:
         return values, None
 
     def load(self, name: str, values: np.ndarray) -> None:
-        """Set a field from (C, R, *N), in lists from (C, 1, N) or (C, 1, E); margins stay."""
+        """Set a field from (C, R, *N), or in lists from (C, 1, N) or (C, 1, E); the margins of its rows stay."""
         first, components, rows = self._place[name]
         given = values.reshape(components, -1)[:, rows.order]
         if self._host is not None:
@@ -107,7 +113,7 @@ class Fields:
         copy_in(self.values, np.ascontiguousarray(given, self.dtype), first + rows.margin, rows.length)
 
     def read(self, name: str) -> np.ndarray:
-        """A field in the shape of :meth:`load`, float64."""
+        """Return a field as float64, in the shape that :meth:`load` takes."""
         first, components, rows = self._place[name]
         if self._host is not None:
             stored = self._inside(name)
@@ -121,15 +127,18 @@ class Fields:
         return found.reshape(components, *rows.shape)
 
     def clear(self, name: str) -> None:
+        """Set a field to 0."""
         _, components, rows = self._place[name]
         self.load(name, np.zeros((components, *rows.shape)))
 
     def view(self, name: str) -> np.ndarray:
-        """A field of a lattice in the memory of a CPU as (C, R, *N), not copied."""
+        """Return a field of a lattice as (C, R, *N) in the memory of a CPU, not copied."""
         return self._inside(name).reshape(-1, *self._place[name][2].shape)
 
     def _inside(self, name: str) -> np.ndarray:
-        """(C, n) the numbers of a field in the memory of a CPU, without margins, in the order of their places."""
+        """Return the numbers of a field (C, n) in the memory of a CPU, without margins, in the order of their
+        places.
+        """
         assert self._host is not None
         first, components, rows = self._place[name]
         whole = self._host[first : first + components * rows.length].reshape(components, rows.length)
@@ -137,7 +146,7 @@ class Fields:
 
 
 def team_size(layout: Any, components: int) -> int:
-    """Workers for kernels that keep `components` numbers a site: 0 on a GPU, else as many threads as pay."""
+    """Return how many workers pay for kernels that keep `components` numbers a site; 0 on a GPU."""
     running = runtime.current()
     if running.is_gpu:
         return 0

@@ -1,4 +1,4 @@
-"""Numbers of spheres and contacts in lists, in an order in which neighbours stand near each other."""
+"""Spheres and contacts of any network in lists, in an order in which neighbours stand near each other in memory."""
 
 from dataclasses import dataclass
 
@@ -10,15 +10,17 @@ from taichi_bearings.fields.fields import FieldSpec, block_size
 from taichi_bearings.lattice.layout import Rows
 
 ListSpec = tuple[FieldSpec, FieldSpec]
-"""(name, numbers) of what each sphere has, and of what each contact has."""
+"""Fields that each sphere has, and fields that each contact has: names and numbers of components."""
 
 
 @dataclass(frozen=True)
 class Lists:
-    """Who touches whom, in memory. sphere, contact : numbers in the packing of those that stand here, by place.
+    """The spheres and contacts of a network as they stand in memory. A *place* is a position there.
 
-    size : lengths of the rows of spheres and contacts, whole blocks. ends : (2 size[1],), places of the first sphere of
-    each contact, then of the second. start, incident : of each sphere its contacts, incident[start[i] : start[i + 1]].
+    sphere, contact : number in the packing of the sphere, or contact, at each place.
+    size : lengths of the rows of spheres and of contacts, in whole blocks.
+    ends : (2 size[1],) places of the first sphere of each contact, then of the second.
+    start, incident : the contacts of the sphere at place i are incident[start[i] : start[i + 1]].
     block : places that a kernel works on together.
     """
 
@@ -32,7 +34,10 @@ class Lists:
 
     @classmethod
     def of(cls, spheres: int, pairs: np.ndarray) -> "Lists":
-        """pairs : (E, 2). Spheres by reverse Cuthill and McKee, contacts by their first sphere there."""
+        """Order spheres by the method of reverse Cuthill and McKee, and contacts by their first sphere in that order.
+
+        spheres : their number. pairs : (E, 2) spheres of each contact.
+        """
         ones, block = np.ones(2 * len(pairs), dtype=np.int8), block_size()
         graph = sparse.csr_array((ones, (pairs.T.ravel(), pairs[:, ::-1].T.ravel())), shape=(spheres, spheres))
         sphere = reverse_cuthill_mckee(graph, symmetric_mode=True)
@@ -51,16 +56,16 @@ class Lists:
 
     @property
     def sites(self) -> int:
-        """Spheres."""
+        """Number of spheres."""
         return len(self.sphere)
 
     @property
     def measures(self) -> np.ndarray:
-        """What kernels must know: the lengths of the rows, and the lists."""
+        """What kernels must know of the lists: the lengths of the rows, and the lists themselves."""
         return np.concatenate([self.size, self.ends, self.start, self.incident])
 
     def parts(self, spec: ListSpec) -> list[tuple[FieldSpec, Rows]]:
-        """Fields of spheres (C, 1, N) and of contacts (C, 1, E)."""
+        """Return the fields of spheres (C, 1, N) and of contacts (C, 1, E), each with the place of its rows."""
         rows = [
             Rows(length, 0, (1, len(order)), order)
             for length, order in zip(self.size, (self.sphere, self.contact), strict=True)

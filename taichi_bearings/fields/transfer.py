@@ -1,17 +1,17 @@
-"""Copy rows between the memory of a GPU and NumPy, and nothing but these rows."""
+"""Copies rows between the memory of a GPU and NumPy, and nothing but these rows."""
 
 from taichi_bearings.compiler import ti
 
 
 @ti.kernel
 def copy_in(values: ti.types.ndarray(ndim=1), rows: ti.types.ndarray(ndim=2), first: int, length: int):
-    """Write rows (C, n) to `values`, from the index `first` on, each `length` after the last."""
+    """Write rows (C, n) to `values`, the first one from the index `first` on, each `length` after the one before."""
     for row, place in ti.ndrange(rows.shape[0], rows.shape[1]):
         values[first + row * length + place] = rows[row, place]
 
 
 @ti.kernel
 def copy_out(values: ti.types.ndarray(ndim=1), rows: ti.types.ndarray(ndim=2), first: int, length: int):
-    """Inverse of :func:`copy_in`."""
+    """Read rows (C, n) from `values`, the inverse of :func:`copy_in`."""
     for row, place in ti.ndrange(rows.shape[0], rows.shape[1]):
         rows[row, place] = values[first + row * length + place]

@@ -1,9 +1,11 @@
 """Torque balance of equal springs: sines along the height, and for each of them a chain of spheres along one side.
 
 A spin component is coupled only across the height and one other axis. The sines of a chain with held ends separate the
-height; what is left is a chain along the other axis for each of them, whose equations are solved from end to end and
-back. A ring is a chain with one more spring, which takes one more sum. docs/decisions.md, 10 counts why. Every sum runs
-in one order, whatever the number of workers or replicas.
+height. What is left is, for each sine, a chain along the other axis, whose equations are solved from end to end and
+back. A ring is a chain with one more spring, which takes one more sum (docs/decisions.md, 10 counts the operations).
+Every sum runs in one order, whatever the number of workers or replicas.
+
+Letters: C spin components, R replicas, N the shape of the lattice, m free spheres along the height.
 """
 
 from taichi_bearings.compiler import ti
@@ -13,19 +15,21 @@ from taichi_bearings.kernels.stencil import Stencil
 from taichi_bearings.kernels.team import LEAST_CHUNK
 from taichi_bearings.lattice.layout import Layout
 
-TILE = 4  # rows and columns of a matrix product that a thread of a GPU sums: 8 numbers read for 16 products
-AHEAD = 4  # spheres of a chain that a thread of a GPU reads before it writes the first of them; on a CPU 1
+TILE = 4  # a thread of a GPU sums so many rows and columns of a matrix product: 8 numbers read for 16 products
+AHEAD = 4  # a thread of a GPU reads so many spheres of a chain before it writes the first of them; on a CPU 1
 
 
 @ti.data_oriented
 class BalanceKernels:
-    """The steps of a solve: sines of the field `pull` in `modes`, chains solved there, sines of that added to the field
-    `potential`. Driven spheres stay as they are.
+    """The steps of a solve: sines of the field `pull` in `modes`, chains solved there, sines of that added to
+    `potential`.
+
+    Driven spheres stay as they are.
 
     modes : (C, R, *N) and a block more.
     sines : (m, m), the modes of the m free spheres along the height.
-    chains : (C, longest side, height + block), the factors of each chain, and after them with periodic axes as many
-        numbers that close it to a ring; rows go on from their begin at the end.
+    chains : (C, longest side, height + block), the factors of each chain; with periodic axes as many numbers follow
+        that close chains to rings. Each row begins once more at its end, for blocks that go on there.
     """
 
     def __init__(self, spec: FieldSpec, stencil: Stencil):
@@ -36,18 +40,18 @@ class BalanceKernels:
         self.closed = tuple(side in stencil.periodic for side in stencil.coupled_sides)
 
     def measures(self, layout: Layout, longest: int) -> tuple[int, ...]:
-        """What the kernels must know of the lattice."""
+        """Return what the kernels must know of the lattice. longest : spheres of the longest chain."""
         _, _, _, stride_x, stride_y, sites = layout.measures
         return layout.sites, stride_x, stride_y, sites, longest
 
     @ti.func
     def height(self, stride_x, stride_y):
-        """Spheres along the height."""
+        """Return the number of spheres along the height."""
         return stride_y if ti.static(self.stencil.dimension == 3) else stride_x
 
     @ti.func
     def chain(self, slot: ti.template(), stride_x, stride_y, sites):
-        """Number of spheres of the chains of a component, and how far they are apart."""
+        """Return the number of spheres in a chain of this component, and their distance in memory."""
         side, stride = sites // stride_x, stride_x
         if ti.static(self.stencil.coupled_sides[slot] == 1):
             side, stride = stride_x // stride_y, stride_y
@@ -57,9 +61,11 @@ class BalanceKernels:
     def sines_of_tile(
         self, given: ti.template(), found: ti.template(), sines: ti.template(), source, target, kept, item, rows, height
     ):
-        """TILE rows and columns of a matrix product: `source` and `target` are the first numbers `given` and `found`.
+        """Sum TILE rows and columns of the product of `given` with the sines, into `found`.
 
+        source, target : index of the first number in `given` and in `found`.
         kept : 1 to add to what is there, 0 to replace it.
+        item : which tile. rows : rows of the matrix. height : spheres along the height.
         """
         free = height - 2
         tile = ti.static(range(TILE))
@@ -96,6 +102,10 @@ class BalanceKernels:
         longest: int,
         weight: float,
     ):
+        """Make the whole solve on a GPU: sines, chains and sines, each in one parallel loop.
+
+        row, margin : layout of the rows. count : sites of all replicas. weight : of the springs along the chains.
+        """
         for item in range(self.components * self.tiles(count, stride_x, stride_y)):
             tiles, height = self.tiles(count, stride_x, stride_y), self.height(stride_x, stride_y)
             slot, tile = item // tiles, item % tiles
@@ -117,13 +127,13 @@ class BalanceKernels:
 
     @ti.func
     def tiles(self, count, stride_x, stride_y):
-        """Tiles of the sines of one component."""
+        """Return the number of tiles in the sines of one component. count : sites of all replicas."""
         height = self.height(stride_x, stride_y)
         return (count // height + TILE - 1) // TILE * ((height - 2 + TILE - 1) // TILE)
 
     @ti.func
     def lines(self, count, stride_x, stride_y, sites):
-        """Chains of all components."""
+        """Return the number of chains of all components. count : sites of all replicas."""
         total = 0
         for slot in ti.static(range(self.components)):
             side, _ = self.chain(slot, stride_x, stride_y, sites)
@@ -132,7 +142,7 @@ class BalanceKernels:
 
     @ti.func
     def write(self, modes: ti.template(), place, row: ti.template(), rest):
-        """Write so many of the numbers of a block, all in one go if it is whole."""
+        """Write the first `rest` numbers of a block to `place`, all in one go if it is whole."""
         if ti.static(self.block == 1):
             modes[place] = row
         elif rest >= self.block:
@@ -147,7 +157,14 @@ class BalanceKernels:
         self, modes: ti.template(), chains: ti.template(), slot: ti.template(), group, count, stride, side, height,
         longest, weight,
     ):  # fmt: skip
-        """Solve a block of chains side by side in place, or as many as are left, from end to end and back."""
+        """Solve a block of neighbouring chains in place, or as many as are left, from end to end and back.
+
+        The factors are those of :func:`taichi_bearings.lattice.laplacian.chain_factors`; rings take away their share of
+        the pull at both ends (`ring_closures` there).
+
+        slot : spin component. group : which block of chains. stride, side : distance and number of the spheres in a
+            chain.
+        """
         across, pitch = (stride + self.block - 1) // self.block, height + self.block
         along = group % across * self.block
         first = slot * count + group // across * stride * side + along
@@ -193,6 +210,7 @@ class BalanceKernels:
         longest: int,
         weight: float,
     ):
+        """Solve all chains on a CPU; each worker takes an equal share of the blocks of chains."""
         for item in range(workers * LEAST_CHUNK):
             if item % LEAST_CHUNK == 0:
                 worker, height = item // LEAST_CHUNK, self.height(stride_x, stride_y)

@@ -2,12 +2,17 @@
 
 Every contact has two interior points of a second-order cone, primal (bound, slip difference) and dual (friction, minus
 force), joined by the Nesterov-Todd scaling W with W^-1 primal = W dual (Nesterov & Todd 1997; Vandenberghe, The CVXOPT
-linear and quadratic cone program solvers, 2010). A contact that is in no cone obeys the law of friction instead.
+linear and quadratic cone program solvers, 2010). A point has a head, its first number, and a tail, the one or two
+others. A contact that is in no cone, called *smooth* here, obeys the law of friction instead.
 
 Numbers lie in rows, one number of every contact a row, contacts with one slipping component before those with two, each
-kind beginning at a multiple of BLOCK. A contact may have numbers of several samples, one after the other: what a law is
-told, such as the length of a step, are four times BLOCK numbers, one for each place of a block. All is in double
-precision, whatever that of the runtime.
+kind beginning at a multiple of BLOCK. A contact may have numbers of several samples, one after the other. What a pass
+takes besides, such as the length of a step, is four times BLOCK numbers, one for each place of a block. All is in
+double precision, whatever that of the runtime.
+
+Functions that make a pass ("laws") have four arguments: `values`, all rows; `at`, places of the state, of the step that
+is read, an object with as many entries as slipping components, and places of the step that is written; `numbers`; and
+m, the contact within its block. They return the numbers that the pass writes, then those of which it finds the sum.
 """
 
 from collections.abc import Callable
@@ -17,32 +22,33 @@ from taichi_bearings.kernels.elimination import LANES, NUMBERS, VECTORS
 from taichi_bearings.kernels.memory import BLOCKS, INTEGERS, fill, places
 
 BLOCK = 16  # contacts that are worked on together
-LEAST_DIVISOR = 1e-140  # of a slip that its size divides
+LEAST_DIVISOR = 1e-140  # smallest size by which a slip is divided; its square is still a normal double
 ENDLESS_STEP = 1e30  # length of a step that never leaves its cone
 
 # Rows of the iterate, and of what `prepare` makes of it: scaling W = weight * rotation by (head, tail), the scaled
 # point, W^-2 in the blocks head-head and head-tail, and the stiffness that is left once the head is eliminated
 FRICTION_ROW, BOUND, SLIP, DUAL, SMOOTH = 0, 1, 2, 4, 6
 WEIGHT, WEIGHT_HEAD, TAIL, POINT_HEAD, POINT_TAIL, DIAGONAL, OFF, STIFFNESS = 7, 8, 9, 11, 12, 14, 15, 17
-# the iterate before, and room for forces
+# the iterate before, and rows for forces
 BOUND_BEFORE, SLIP_BEFORE, DUAL_BEFORE, FORCE = 20, 21, 23, 25
 STATE_ROWS = 27
 # Rows of a step, of which there are two: right-hand side, pull on the spheres, change of slip, bound and dual
 RIGHT_HEAD, RIGHT_TAIL, PULL, CHANGE, BOUND_STEP, DUAL_STEP = 0, 1, 3, 5, 7, 8
 STEP_ROWS = 10
 ROWS = STATE_ROWS + 2 * STEP_ROWS
-# What is found over all contacts. Of a step: how far primal and dual point can go at least; over cones the sums of
-# friction * bound + difference . dual, of its derivatives by either length, and of the mixed one. Of an iterate: the
-# sums of friction * slip, and of what of it the forces do not bear
+# What is found over all contacts. Of a step: the largest lengths that keep all primal and all dual points in the cones
+# (REACH, DUAL_REACH); sums over the cones of the product friction * bound + difference . dual, of its derivatives by
+# either length, and of the mixed derivative. Of an iterate: the power, which is the sum of friction * slip, and the
+# EXCESS of it over the work of the forces
 REACH, DUAL_REACH, PRODUCT, BY_REACH, BY_DUAL_REACH, BY_BOTH = 0, 1, 2, 3, 4, 5
 POWER_FOUND, EXCESS = 2, 3
-LEAST_FOUND, FOUND = 2, 6  # of how many numbers the least is found, and how many there are
-GO_ON, AS_READ, AS_WRITTEN = 0.0, 1.0, 2.0  # what recentring does: its work, or nothing to the one step or the other
+LEAST_FOUND, FOUND = 2, 6  # the least is found of the first two numbers, the sum of the others; there are six
+GO_ON, AS_READ, AS_WRITTEN = 0.0, 1.0, 2.0  # recentring does its work, or keeps the step that is read, or written
 
 
 @ti.func
 def vector(values: ti.template(), at: ti.template(), row: ti.template(), like: ti.template(), m):
-    """The components that stand in the rows from `row` on, as many as `like` has."""
+    """Return the numbers in the rows from `row` on, as many as `like` has entries."""
     return [values[at[row + k] + m] for k in ti.static(range(len(like)))]
 
 
@@ -64,14 +70,14 @@ def size(a: ti.template()):
 
 @ti.func
 def determinant(head, tail: ti.template()):
-    """head^2 - |tail|^2 without cancellation beyond that of head - |tail|."""
+    """Return head^2 - |tail|^2 without cancellation beyond that of head - |tail|."""
     length = size(tail)
     return (head - length) * (head + length)
 
 
 @ti.func
 def rotated(by_head, by_tail: ti.template(), head, tail: ti.template(), sign: ti.template()):
-    """The hyperbolic rotation of a point, or its inverse for sign -1: head first."""
+    """Return a point after the hyperbolic rotation (by_head, by_tail), or its inverse for sign -1: head first."""
     along, share = dot(by_tail, tail), 1.0 / (1.0 + by_head)
     forth = sign * head + along * share
     return [by_head * head + sign * along] + [tail[k] + by_tail[k] * forth for k in ti.static(range(len(tail)))]
@@ -79,7 +85,7 @@ def rotated(by_head, by_tail: ti.template(), head, tail: ti.template(), sign: ti
 
 @ti.func
 def scaled(values: ti.template(), at: ti.template(), head, tail: ti.template(), m, sign: ti.template()):
-    """W point, or for sign -1 W^-1 point: head first."""
+    """Return W times a point, or for sign -1 W^-1 times it: head first."""
     weight = values[at[WEIGHT] + m]
     if ti.static(sign < 0):
         weight = 1.0 / weight
@@ -89,13 +95,13 @@ def scaled(values: ti.template(), at: ti.template(), head, tail: ti.template(), 
 
 @ti.func
 def jordan(a, b: ti.template(), c, d: ti.template()):
-    """(a, b) o (c, d) = (a c + b.d, a d + c b): head first."""
+    """Return the Jordan product (a, b) o (c, d) = (a c + b.d, a d + c b): head first."""
     return [a * c + dot(b, d)] + [a * d[k] + c * b[k] for k in ti.static(range(len(b)))]
 
 
 @ti.func
 def divided(values: ti.template(), at: ti.template(), head, tail: ti.template(), m):
-    """W^-1 x for the x with (scaled point) o x = (head, tail): head first."""
+    """Return W^-1 x for the x with (scaled point) o x = (head, tail): head first."""
     by, by_tail = values[at[POINT_HEAD] + m], vector(values, at, POINT_TAIL, tail, m)
     first, share = (by * head - dot(by_tail, tail)) / determinant(by, by_tail), 1.0 / by
     rest = [(tail[k] - by_tail[k] * first) * share for k in ti.static(range(len(tail)))]
@@ -104,7 +110,7 @@ def divided(values: ti.template(), at: ti.template(), head, tail: ti.template(),
 
 @ti.func
 def aimed(values: ti.template(), at: ti.template(), head, tail: ti.template(), m):
-    """Right-hand side with this head and tail, and the pull of the contact that follows from it."""
+    """Return a right-hand side with this head and tail, and the pull of the contact that follows from it."""
     dual = vector(values, at, DUAL, tail, m)
     off = vector(values, at, OFF, tail, m)
     smooth, share = values[at[SMOOTH] + m] > 0.0, head / values[at[DIAGONAL] + m]
@@ -114,7 +120,7 @@ def aimed(values: ti.template(), at: ti.template(), head, tail: ti.template(), m
 
 @ti.func
 def reach(head, tail: ti.template(), head_step, tail_step: ti.template()):
-    """Largest a for which point + a * step stays in the cone."""
+    """Return the largest a for which point + a * step stays in the cone."""
     # a solves quadratic * a^2 + 2 linear * a + constant = 0; the smallest positive root counts
     quadratic = head_step * head_step - dot(tail_step, tail_step)
     linear = head * head_step - dot(tail, tail_step)
@@ -128,7 +134,7 @@ def reach(head, tail: ti.template(), head_step, tail_step: ti.template()):
 
 @ti.func
 def prepared(values: ti.template(), at: ti.template(), numbers: ti.template(), m):
-    """Everything about the iterate that its steps share, and the aim of the predictor: all products zero."""
+    """Return all that the steps from an iterate share, and the aim of the predictor: all products zero."""
     state, like = at[0], at[2]
     friction, bound = values[state[FRICTION_ROW] + m], values[state[BOUND] + m]
     slip = vector(values, state, SLIP, like, m)
@@ -170,7 +176,9 @@ def prepared(values: ti.template(), at: ti.template(), numbers: ti.template(), m
 
 @ti.func
 def expanded(values: ti.template(), at: ti.template(), numbers: ti.template(), m):
-    """Steps of bound and dual that belong to the change of the slip, how far they may go, and their products."""
+    """Return the steps of bound and dual that belong to the change of the slip, how far they may go, and their
+    products.
+    """
     state, step, like = at[0], at[1], at[2]
     axes = ti.static(range(len(like)))
     smooth = values[state[SMOOTH] + m] > 0.0
@@ -209,7 +217,9 @@ def expanded(values: ti.template(), at: ti.template(), numbers: ti.template(), m
 
 @ti.func
 def corrected(values: ti.template(), at: ti.template(), numbers: ti.template(), m):
-    """Aim at a given product, and mend the second-order error of the predictor (Mehrotra 1992)."""
+    """Return the corrector's right-hand side: aims at a given product, less the predictor's second-order error
+    (Mehrotra 1992).
+    """
     state, step, like = at[0], at[1], at[2]
     axes = ti.static(range(len(like)))
     zero = ti.cast(0.0, ti.f64)
@@ -223,8 +233,11 @@ def corrected(values: ti.template(), at: ti.template(), numbers: ti.template(), 
 
 @ti.func
 def recentred(values: ti.template(), at: ti.template(), numbers: ti.template(), m):
-    """Bring products outside given limits, after steps of two given lengths, closer, by the upper limit at most
-    (Gondzio 1996); or make a step that is good enough once more."""
+    """Return a right-hand side that brings products outside given limits closer to them (Gondzio 1996).
+
+    Products are those after steps of two given lengths; none is lowered by more than the upper limit. Where a step is
+    good enough already, its right-hand side is kept.
+    """
     state, step, like = at[0], at[1], at[2]
     axes = ti.static(range(len(like)))
     along, dual_along, low, high = numbers[m], numbers[BLOCK + m], numbers[2 * BLOCK + m], numbers[3 * BLOCK + m]
@@ -257,7 +270,7 @@ def recentred(values: ti.template(), at: ti.template(), numbers: ti.template(), 
 
 @ti.func
 def taken(values: ti.template(), at: ti.template(), numbers: ti.template(), m):
-    """The iterate after steps of two given lengths, the one before, and what the new one comes to."""
+    """Return the iterate after steps of two given lengths, the iterate before, and power and excess of the new one."""
     state, step, like = at[0], at[1], at[2]
     axes = ti.static(range(len(like)))
     smooth, friction, bound = values[state[SMOOTH] + m] > 0.0, values[state[FRICTION_ROW] + m], values[state[BOUND] + m]
@@ -278,7 +291,10 @@ def taken(values: ti.template(), at: ti.template(), numbers: ti.template(), m):
 
 
 def _numbered(*rows: tuple[int, tuple[int, int]]) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Rows that contacts with one and with two components write. rows : the first one, and how many either kind has."""
+    """Return the rows that contacts with one and with two components write.
+
+    rows : for each quantity the first row, and how many rows either kind of contact has.
+    """
     one, two = (tuple(first + k for first, counts in rows for k in range(counts[kind])) for kind in (0, 1))
     return one, two
 
@@ -302,10 +318,13 @@ def walk(
     values: ti.template(), blocks: ti.template(), found: ti.template(), law: ti.template(), length, block,
     slots: ti.template(), writes: ti.template(), finds: ti.template(), like: ti.template(), numbers: ti.template(),
 ):  # fmt: skip
-    """A law over a block of contacts. slots : of the step that is read and that is written. finds : the numbers, after
-    those that are written, of which it finds the least or the sum, in the same order whatever the samples.
+    """Apply a law to a block of contacts.
 
-    writes : rows of the iterate and of the step, and of neither. like : as many entries as slipping components.
+    slots : of the step that is read, and of the step that is written.
+    writes : rows of the iterate, and of the step, that the law writes.
+    finds : numbers, after those that are written, of which the least or the sum is found, in the same order whatever
+        the samples.
+    like : an object with as many entries as slipping components.
     """
     first = block * BLOCK
     state = places(ti.static(tuple(range(STATE_ROWS))), length, first)
@@ -329,13 +348,17 @@ def walk(
 def _pass(
     law: Callable, iterate: tuple = NO_NUMBERS, step: tuple = NO_NUMBERS, finds: tuple = ()
 ) -> tuple[Callable, Callable]:
-    """Kernels that walk a law over contacts with one slipping component, and with two: each is read by the compiler
-    only where there are such contacts. iterate, step : rows that the law writes, of one component and of two."""
+    """Return kernels that walk a law over contacts with one slipping component, and with two.
+
+    Each is compiled only where there are such contacts. iterate, step : rows that the law writes, of contacts with one
+        and
+    with two components. finds : see :func:`walk`.
+    """
     return _walked(law, (iterate[0], step[0]), finds, (0,)), _walked(law, (iterate[1], step[1]), finds, (0, 1))
 
 
 def _walked(law: Callable, writes: tuple, finds: tuple, like: tuple) -> Callable:
-    """See :func:`walk`."""
+    """Return a kernel that applies a law to blocks of contacts. For the arguments see :func:`walk`."""
 
     @ti.kernel
     def run(
@@ -361,18 +384,19 @@ take = _pass(taken, TAKEN, finds=(POWER_FOUND, EXCESS))
 
 @ti.func
 def nothing(together: ti.template()):
+    """Return zero: a vector for several samples together, else a number."""
     if ti.static(together):
         return ti.Vector.zero(ti.f64, LANES)
     return ti.cast(0.0, ti.f64)
 
 
 def _sums(together: bool) -> Callable:
-    """Kernel that adds numbers up, those of LANES samples or of a sample alone."""
+    """Return a kernel that adds numbers up, those of LANES samples together or of a sample alone."""
     kind = VECTORS if together else NUMBERS
 
     @ti.kernel
     def run(begins: INTEGERS, places: INTEGERS, values: kind, found: kind, first: int, to: int):
-        """found[to + i] = sum over k from begins[i] on of values[first + places[k]]; ~place : to be taken off."""
+        """Set found[to + i] to the sum of values[first + places[k]] over k from begins[i] on; ~place : subtracted."""
         ti.loop_config(serialize=True)
         for i in range(begins.shape[0] - 1):
             total = nothing(together)

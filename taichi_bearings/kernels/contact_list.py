@@ -1,9 +1,12 @@
 """Steps over spheres and contacts that stand in lists: any network, with the laws and numbers of the lattice kernels.
 
-With u = R omega and two unit tangents T of a contact its slip is y = T (u_i + u_j), and its friction pulls both spheres
-by -T f: no side, no sign. A pass over the contacts writes T f, a pass over the spheres gathers it from the contacts of
-each, in the order of a list: no atomics, and the same bits on any number of threads. Both walk in blocks, row by row as
-on lattices; what they gather from elsewhere is near, by the order of the lists (fields/lists.py).
+With u = R omega (radius times spin) and two unit tangents T of a contact its slip is y = T (u_i + u_j), and its
+friction f pulls both spheres by -T f: no side, no sign. A pass over the contacts writes T f. A pass over the spheres
+sums it over the contacts of each, in the order of a list: no atomics, and the same bits on any number of threads. Both
+passes walk in blocks, row by row as on lattices; what they read from elsewhere is near, by the order of the lists
+(fields/lists.py).
+
+Letters: d tangents of a contact, C components of a spin.
 """
 
 from taichi_bearings.compiler import ti
@@ -18,11 +21,13 @@ from taichi_bearings.kernels.team import Sweeps
 
 @ti.data_oriented
 class ListSweeps(Sweeps):
-    """Part 0 walks over the contacts, part 1 over the spheres. d tangents, C components of a spin. What is done with a
-    block stands in a class of its own: `at_contacts`, and for each component `at_spheres`.
+    """A sweep in two parts: part 0 walks over the contacts, part 1 over the spheres.
 
-    Fields of all: of contacts `across` (d C), but for discs, `coefficient`, `viscosity`, and `force`, T f, (C).
-    Measures, `size` : lengths of the rows of spheres and of contacts; the lists of `Lists` follow them in `tables`.
+    Subclasses say what is done with a block: `at_contacts`, and for each spin component `at_spheres`.
+
+    Fields that all have, each of contacts: `across`, the tangents (d C), but for discs; `coefficient`; `viscosity`, if
+    the law has one; `force`, T f (C). Measures, `size` : lengths of the rows of spheres and of contacts; in `tables`
+    the lists of `Lists` follow them.
     """
 
     parts, measures = 2, 2
@@ -48,7 +53,7 @@ class ListSweeps(Sweeps):
 
     @ti.func
     def count(self, part: ti.template(), size: ti.template()):
-        """Blocks of contacts, or of spheres."""
+        """Return the number of blocks of contacts (part 0) or of spheres (part 1)."""
         return size[1 - part] // self.block
 
     @ti.func
@@ -56,7 +61,7 @@ class ListSweeps(Sweeps):
         self, part: ti.template(), values: ti.template(), blocks: ti.template(), tables: ti.template(),
         size: ti.template(), number, numbers: ti.template(), sweep, carried: ti.template(),
     ):  # fmt: skip
-        """A block of contacts, or of spheres."""
+        """Work on the block of contacts, or of spheres, of this number."""
         first = in_range(number * self.block)
         if ti.static(part == 0):
             across = load_each(values, self.on("across", size, first), self.block)
@@ -69,7 +74,7 @@ class ListSweeps(Sweeps):
 
     @ti.func
     def on(self, name: ti.template(), size: ti.template(), first):
-        """Where the numbers of a block of contacts by this name stand."""
+        """Return where the numbers of the field `name` stand for the block of contacts that begins at `first`."""
         return places(self.rows[name], size[1], self.sphere_rows * size[0] + first)
 
     @ti.func
@@ -77,7 +82,9 @@ class ListSweeps(Sweeps):
         self, values: ti.template(), name: ti.template(), across: ti.template(), tables: ti.template(),
         size: ti.template(), first,
     ):  # fmt: skip
-        """T (u_i + u_j) of a block of contacts, for the numbers of the spheres by this name."""
+        """Return T (u_i + u_j) for a block of contacts, where u is the field `name` of the spheres. across : the
+        tangents T.
+        """
         both = [zero(self.block) for _ in self.rows[name]]
         for k in ti.static(range(len(both))):
             row, lower = self.rows[name][k] * size[0], 2 + first
@@ -88,7 +95,7 @@ class ListSweeps(Sweeps):
 
     @ti.func
     def gathered(self, values: ti.template(), row, tables: ti.template(), first):
-        """Of the spheres whose numbers stand in the tables from `first` on."""
+        """Return the numbers, in the row that begins at `row`, of the spheres that `tables` lists from `first` on."""
         if ti.static(self.block == 1):
             return values[in_range(row + tables[first])]
         result = ti.Vector.zero(float, self.block)
@@ -101,6 +108,7 @@ class ListSweeps(Sweeps):
         self, values: ti.template(), blocks: ti.template(), rows: ti.template(), across: ti.template(),
         force: ti.template(),
     ):  # fmt: skip
+        """Write T f for a block of contacts. force : f, by tangent."""
         if ti.static(self.components == 1):
             store_each(values, blocks, rows, self.block, force)
         else:
@@ -109,7 +117,7 @@ class ListSweeps(Sweeps):
 
     @ti.func
     def pull(self, values: ti.template(), row, tables: ti.template(), size: ti.template(), first):
-        """Sum of the forces on a block of spheres, of one component."""
+        """Return one component of the sum of the contact forces on each sphere of a block."""
         if ti.static(self.block == 1):
             return self.pull_on(values, row, tables, size, first)
         result = ti.Vector.zero(float, self.block)
@@ -119,6 +127,7 @@ class ListSweeps(Sweeps):
 
     @ti.func
     def pull_on(self, values: ti.template(), row, tables: ti.template(), size: ti.template(), sphere):
+        """Return one component of the sum of the contact forces on one sphere."""
         total, start = 0.0, 2 + 2 * size[1]
         incident = start + size[0] + 1
         for n in range(incident + tables[start + sphere], incident + tables[start + sphere + 1]):
@@ -133,8 +142,10 @@ def dot(a: ti.template(), b: ti.template()):
 
 @ti.data_oriented
 class CundallStrackLists(SpringsAndSpins, ListSweeps):
-    """As `CundallStrackSteps`, with its constants; `is_free` holds 1 / inertia, 0 of driven spheres, and `work` is of
-    each contact."""
+    """Cundall-Strack steps over lists: fields and constants as in `CundallStrackSteps`, with two differences.
+
+    `is_free` holds 1 / inertia of each sphere, 0 of driven ones; `work` is that of each contact.
+    """
 
     numbers = 8
 
@@ -143,6 +154,7 @@ class CundallStrackLists(SpringsAndSpins, ListSweeps):
         self, values: ti.template(), blocks: ti.template(), tables: ti.template(), first, size: ti.template(),
         across: ti.template(), numbers: ti.template(),
     ):  # fmt: skip
+        """Add up the work of the last step, then stretch the springs and write the forces, for a block of contacts."""
         force = self.on("force", size, first)
         if ti.static(self.tally):
             speed = self.slip(values, "gear_0", across, tables, size, first)
@@ -170,6 +182,7 @@ class CundallStrackLists(SpringsAndSpins, ListSweeps):
         self, values: ti.template(), blocks: ti.template(), c: ti.template(), pull, first, size: ti.template(),
         numbers: ti.template(), sweep,
     ):  # fmt: skip
+        """Step one spin component of a block of spheres."""
         is_free = load(values, in_range(self.rows["is_free"][0] * size[0] + first), self.block)
         old = load_each(values, places(self.gear[c], size[0], first), self.block)
         new = self.motion(old, pull, is_free, numbers[7])
@@ -181,7 +194,10 @@ class CundallStrackLists(SpringsAndSpins, ListSweeps):
 
 @ti.data_oriented
 class DescentLists(ListSweeps):
-    """As `DescentSweeps`, with its constants but no box, which would be wrong where normals are oblique."""
+    """Descent sweeps over lists: fields and constants as in `DescentSweeps`.
+
+    Spins are kept in no box, which would be wrong where normals are oblique.
+    """
 
     repeats, numbers = 2, 9
 
@@ -190,6 +206,9 @@ class DescentLists(ListSweeps):
         self, values: ti.template(), blocks: ti.template(), tables: ti.template(), first, size: ti.template(),
         across: ti.template(), numbers: ti.template(),
     ):  # fmt: skip
+        """Write the friction forces of a block of contacts; add them to the averages if the last constant asks for
+        it.
+        """
         own = load_each(values, self.on("coefficients", size, first), self.block)
         force = self.force_law(self.slip(values, "point", across, tables, size, first), own, numbers[1])
         self.store_force(values, blocks, self.on("force", size, first), across, force)
@@ -202,6 +221,7 @@ class DescentLists(ListSweeps):
         self, values: ti.template(), blocks: ti.template(), c: ti.template(), pull, first, size: ti.template(),
         numbers: ti.template(), sweep,
     ):  # fmt: skip
+        """Move one spin component of a block of spheres down the gradient, and on by its momentum."""
         at = places([self.rows["point"][c], self.rows["inverse_weight"][c]], size[0], first)
         point, weight = load(values, at[0], self.block), load(values, at[1], self.block)
         if ti.static(self.averages):  # noqa: SIM102

@@ -27,7 +27,10 @@ from taichi_bearings.kernels.team import Sweeps
 
 
 class SpringsAndSpins:
-    """The law of one contact and Gear's step of one spin. order, corrector : of Gear's method."""
+    """The law of one contact, and Gear's step of one spin.
+
+    order : spin and derivatives that Gear's method keeps. corrector : its coefficients, one for each of them.
+    """
 
     order: int
     corrector: tuple[float, ...]
@@ -41,13 +44,19 @@ class SpringsAndSpins:
         coefficients: ti.template(),
         numbers: ti.template(),
     ):
-        """Elongation and force of contacts with friction: a spring and a damper that slip together, and beside them
-        the viscosity, if there is one.
+        """Return elongation and force of contacts with friction, after one step.
 
-        moved, speed : differences of the spins, integrated over the step and at its end. before : elongation so far.
-        reach: radius * time step; damping: A_t * radius.
-        kinetic, static: the normal force, times the ratio of static to kinetic friction for `static`.
-        compliance, memory: elongation after a slip, from the force and from the elongation before.
+        A spring and a damper slip together; the viscosity, if there is one, acts beside them.
+
+        moved, speed : differences of the spins, integrated over the step and at its end.
+        before : elongation before the step.
+        coefficients : normal force, and viscosity if there is one.
+        numbers : in this order
+
+        * reach, radius * time step;
+        * stiffness of the spring, and damping, A_t * radius;
+        * kinetic and static friction coefficient, by which the normal force is multiplied;
+        * compliance and memory: after a slip the elongation is compliance * force + memory * elongation before.
         """
         reach, stiffness, damping, kinetic, static, compliance, memory = numbers[:7]
         friction = coefficients[0]
@@ -66,9 +75,10 @@ class SpringsAndSpins:
 
     @ti.func
     def motion(self, old: ti.template(), pull, is_free, response):
-        """One component of spheres: the corrected spin and its derivatives, the prediction and its mean.
+        """Return one component of the spheres' motion: corrected spin and derivatives, the prediction, and its mean.
 
-        old : the spin and its derivatives. response : time step * radius / inertia.
+        old : the spin and its derivatives. pull : torque over the radius. is_free : 0 for driven spheres.
+        response : time step * radius / inertia.
         """
         derivative = old[1]
         for k in ti.static(range(2, self.order)):
@@ -88,18 +98,22 @@ class SpringsAndSpins:
 
 @ti.data_oriented
 class CundallStrackSteps(SpringsAndSpins, Sweeps):
-    """Steps over the fields `gear_0` ... `gear_q`, `predicted`, `is_free`, `force`, `coefficient`, with friction also
-    `integral` and `elongation`, and with damping beside it `viscosity`.
+    """Cundall-Strack steps on a lattice.
+
+    Fields: `gear_0` ... `gear_q`, `predicted`, `is_free`, `force`, `coefficient`; with friction also `integral` and
+    `elongation`; with damping beside it `viscosity`.
 
     gear_n : the n-th derivative of the staggered spin times (time step)^n / n!.
     predicted, integral : the spin extrapolated to the end of the step, and its mean over the step.
     elongation, force : spring stretch and tangential force of each contact, along the difference of the spins. The
-    spins stand at the end of the last step; the force is that at its predicted end.
+        spins stand at the end of the last step; the force is that at its predicted end.
 
-    With fields `work` and `impulse` an energy balance is kept too: sums over the steps, without the last and with it.
-    work : of each sphere's upper contacts: force times spin difference. impulse : forces that pull on a driven sphere.
+    With fields `work` and `impulse` an energy balance is kept too, in sums over the steps:
 
-    Its constants are those of :meth:`spring`, and response: time step * radius / inertia.
+    work : of each sphere's upper contacts, force times spin difference, without the last step.
+    impulse : forces that pull on a driven sphere, with the last step.
+
+    Its constants are the numbers of :meth:`spring`, and response, time step * radius / inertia.
     """
 
     parts, numbers = 2, 8
@@ -119,7 +133,7 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
         # rows of the first component that a step writes; those of the others follow
         moved = [*(f"gear_{n}" for n in range(self.order)), "predicted", "integral"]
         self.moved = tuple(slot[name] for name in moved if name in slot)
-        # the two axes whose contacts each component feels, and the rows of their forces: first ones, then second ones
+        # felt: for each component the two axes whose contacts it makes slip, and the rows of their forces
         felt = [
             [(a, self.force[a][kept.index(c)]) for a, kept in enumerate(stencil.kept) if c in kept]
             for c in range(stencil.components)
@@ -128,7 +142,7 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
 
     @ti.func
     def difference(self, values: ti.template(), rows: ti.template(), row, first, side: ti.template()):
-        """Of the numbers of these rows, those of the upper neighbours minus those of the block of sites itself."""
+        """Return the numbers of these rows at the upper neighbours, minus those at the block of sites itself."""
         up = load_neighbours(values, rows, row, first, side, 1, self.block)
         return minus(up, load_each(values, places(rows, row, first), self.block))
 
@@ -142,7 +156,9 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
         strides: ti.template(),
         numbers: ti.template(),
     ):
-        """Forces of the contacts above the block of sites from `first` on. row: length of a row of numbers."""
+        """Write the forces of the contacts above the block of sites from `first` on. row : length of a row of
+        numbers.
+        """
         if ti.static(self.tally):
             self.add_work(values, blocks, row, first, strides)
         for axis in ti.static(self.stencil.slipping_axes):
@@ -161,7 +177,7 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
 
     @ti.func
     def add_work(self, values: ti.template(), blocks: ti.template(), row, first, strides: ti.template()):
-        """To what the contacts above a block of spheres have taken, add the power at the end of the last step."""
+        """Add the power at the end of the last step to the work of the contacts above a block of spheres."""
         work = in_range(self.slot["work"] * row + first)
         total = load(values, work, self.block)
         for axis in ti.static(self.stencil.slipping_axes):
@@ -173,7 +189,7 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
 
     @ti.func
     def sphere_pass(self, values: ti.template(), blocks: ti.template(), row, first, strides: ti.template(), response):
-        """Spins of one block. A loop over the components at run time is compiled and read once."""
+        """Step the spins of one block. A loop over the components at run time is compiled and read once."""
         is_free = load(values, in_range(self.slot["is_free"] * row + first), self.block)
         for c in range(self.stencil.components):
             pull = zero(self.block)
@@ -194,7 +210,7 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
         self, part: ti.template(), values: ti.template(), blocks: ti.template(), row, first, strides: ti.template(),
         numbers: ti.template(), sweep, carried: ti.template(),
     ):  # fmt: skip
-        """The contacts above a block of sites in the first part of a step, its spheres in the second."""
+        """Work on the contacts above a block of sites in the first part of a step, on its spheres in the second."""
         if ti.static(part == 0):
             self.contact_pass(values, blocks, row, first, strides, numbers)
         else:
@@ -203,7 +219,7 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
 
 @ti.func
 def chosen(options: ti.template(), number):
-    """options[number], for a number that is known at run time."""
+    """Return options[number], for a number that is known only at run time."""
     result = options[0]
     for other in ti.static(range(1, len(options))):
         result = ti.select(number == other, options[other], result)

@@ -21,8 +21,10 @@ from taichi_bearings.kernels.team import Sweeps
 
 @ti.data_oriented
 class DescentSweeps(Sweeps):
-    """Sweeps over the fields `point`, `point_next`, `coefficient`, for a law with two of them `viscosity`,
-    `inverse_weight`, with momentum `spin`, and for averages `spin_sum` and `force_sum`.
+    """Descent sweeps on a lattice.
+
+    Fields: `point`, `point_next`, `coefficient`, `inverse_weight`; for a law with two coefficients `viscosity`; with
+    momentum `spin`; for averages `spin_sum` and `force_sum`.
 
     The k-th sweep since the last restart, with beta = k / (k + 3), or 0 without momentum:
 
@@ -61,7 +63,7 @@ class DescentSweeps(Sweeps):
 
     @ti.func
     def enter(self, values: ti.template(), size: ti.template(), low, numbers: ti.template(), sweep):
-        """Force of the contact below the first site along the height."""
+        """Return the force of the contact below the first site along the height."""
         height = ti.static(self.stencil.height)
         row, first = size[0], in_range(size[1] + low * self.block)
         source = first + (sweep & 1) * self.apart * row
@@ -72,13 +74,18 @@ class DescentSweeps(Sweeps):
 
     @ti.func
     def add(self, total: ti.template(), axis: ti.template(), above: ti.template(), below: ti.template()):
-        """Add what contacts of one axis pull to the components that feel them."""
+        """Add the forces of the contacts of one axis to the components that make them slip.
+
+        above, below : force of the contact with the upper neighbour, and with the lower one.
+        """
         for t in ti.static(range(len(self.stencil.kept[axis]))):
             total[self.stencil.kept[axis][t]] += above[t] - below[t]
 
     @ti.func
     def add_along_the_height(self, total: ti.template(), above: ti.template(), carried: ti.template()):
-        """The same for the height. carried : force of the contact below the block, carried up the column."""
+        """Add the forces of the contacts along the height. carried : force of the contact below the block, from the
+        block before.
+        """
         below = [pushed(above[t], carried[t], self.block) for t in ti.static(range(len(above)))]
         self.add(total, self.stencil.height, above, below)
         for t in ti.static(range(len(above))):
@@ -125,5 +132,5 @@ class DescentSweeps(Sweeps):
 
 @ti.func
 def momentum(age):
-    """beta of the sweep that is this old."""
+    """Return beta for a sweep that is the `age`-th since the last restart."""
     return ti.cast(age, float) / ti.cast(age + 3, float)

@@ -1,13 +1,14 @@
-"""Cholesky factors of a matrix, or of several of one pattern side by side: then each number is a vector, one a matrix.
+"""Cholesky factors of one matrix, or of several of one pattern side by side: then each number is a vector, one lane
+each.
 
-Fronts of the elimination tree, children before parents; numerics/cholesky/layout.py says where they lie. A front is
-stored column by column: m columns of own unknowns with all their n rows, then the update that it leaves for its
-border, b columns in panels of SHEET columns, each of the rows from its own first one on; lower triangles count. Small
-matrices are eliminated here, in one launch; fronts of large ones are gathered here, and eliminated by BLAS. A number
+The fronts of the elimination tree are worked on children before parents; numerics/cholesky/layout.py says where they
+lie. A front is stored column by column: m columns of own unknowns with all their n rows, then the update that it leaves
+for its border, b columns in panels of SHEET columns, each from its diagonal down; only lower triangles are used. Small
+matrices are eliminated here, in one launch; fronts of large ones are assembled here, and eliminated by BLAS. A number
 goes through the same operations in the same order whether its matrix is alone or not.
 
-The innermost loops, and those of `gather`, step by a number that stands in the tables, be it 1: of known step LLVM
-would unroll them eight times over, which takes every process seconds and makes none of them faster.
+The innermost loops, and those of `gather`, step by a number that stands in the tables, although it is 1: if LLVM knew
+the step it would unroll the loops eight times over, which takes every process seconds and makes none of them faster.
 """
 
 from collections.abc import Callable
@@ -21,20 +22,21 @@ LANES = 8  # matrices side by side, or rows of one alone: what an AVX-512 instru
 NUMBERS = ti.types.ndarray(dtype=ti.f64, ndim=1)
 VECTORS = ti.types.ndarray(dtype=ti.types.vector(LANES, ti.f64), ndim=1)
 
-# At the start of the array of integers: the number of fronts, where the other tables begin (places of entries within
-# their fronts; of the border of each front, its rows in the front of the parent, and where they are in vectors; work
-# for `assemble`; branches for substitutions), the columns of a panel of an update, and a 1
+# Positions in the header of the tables, the array of integers: the number of fronts; where the other tables begin
+# (PLACES of entries within their fronts; MAPS, the rows of each border in the front of the parent; SLOTS, where they
+# are in vectors; ITEMS of work for `assemble`; BRANCHES for substitutions); columns of a panel of an update; and a 1
 FRONTS, PLACES, MAPS, SLOTS, ITEMS, BRANCHES, SHEET, STEP, HEADER = 0, 1, 2, 3, 4, 5, 6, 7, 8
-# A row of the table of fronts: own unknowns and border, where columns and update begin, first and last entry, its first
-# child and the next child of its parent, or -1, where its part of maps and slots begins, first own unknown, numbers
-# from one column and one column of the update to the next, the row at which columns of the update begin, and where its
-# border begins in vectors
+# Positions in a row of the table of fronts: number of own unknowns and of the border; where columns and update begin;
+# first and last entry; its first child, and the next child of its parent, or -1; where its part of maps and slots
+# begins; first own unknown; distance from one own column, and from one column of the update, to the next; the row at
+# which columns of the update begin; and where its border begins in vectors
 OWN, BORDER, OWN_COLUMNS, UPDATE, ENTRIES, ENTRIES_END, CHILD, SIBLING, BATCH_SHARE, FIRST_ROW = range(10)
 HEIGHT, UPDATE_HEIGHT, SKIP, REST_HEIGHT, WIDTH = 10, 11, 12, 13, 14
 
 
 @ti.func
 def clear(alone: ti.template(), numbers: ti.template(), begin, end, step):
+    """Set the numbers begin ... end-1 to zero."""
     i = begin
     while i < end:
         if ti.static(alone):
@@ -46,7 +48,7 @@ def clear(alone: ti.template(), numbers: ti.template(), begin, end, step):
 
 @ti.func
 def sheets_before(tables: ti.template(), at, column):
-    """Columns of the update in panels before that of a column of the front."""
+    """Return how many columns of the update stand in the panels before that of a column of the front."""
     before, width = 0, tables[SHEET]
     if column - tables[at + OWN] >= width:  # hardly ever: no division in small fronts
         before = (column - tables[at + OWN]) // width * width
@@ -55,7 +57,7 @@ def sheets_before(tables: ti.template(), at, column):
 
 @ti.func
 def column_of(tables: ti.template(), at, column):
-    """Where row 0 of a column of a front would stand."""
+    """Return where row 0 of a column of a front would stand."""
     own, start = tables[at + OWN], tables[at + OWN_COLUMNS] + column * tables[at + HEIGHT]
     if column >= own:
         before, pitch = sheets_before(tables, at, column), tables[at + UPDATE_HEIGHT]
@@ -72,7 +74,7 @@ def gather(
 ):  # fmt: skip
     """Fill the columns first ... end-1 of a front with its entries and with what its children leave.
 
-    unit : rows that make a vector.
+    alone : one matrix, not LANES. unit : rows that make a vector. at : where the front stands in the tables.
     """
     columns, height, step = tables[at + OWN_COLUMNS], tables[at + HEIGHT], tables[STEP]
     column = first
@@ -106,8 +108,11 @@ def gather(
 
 @ti.func
 def corner(numbers: ti.template(), shape: ti.template(), j, wide: ti.template()):
-    """The lower triangle where `wide` columns from j on meet the diagonal, row by row; of columns to eliminate it is
-    factorised, with inverse pivots, which is what the substitutions need."""
+    """Return the lower triangle where `wide` columns from j on meet the diagonal, row by row.
+
+    What the columns before contribute is taken off. If these are own columns the triangle is factorised, with inverse
+    pivots, which is what the substitutions need. shape : see :func:`panel`.
+    """
     source, end, height, start, pitch, own = shape
     found = [numbers[start + c * pitch + j + r] for r in ti.static(range(wide)) for c in ti.static(range(r + 1))]
     while source < end:
@@ -134,9 +139,9 @@ def block(
     numbers: ti.template(), vectors: ti.template(), unit: ti.template(), shape: ti.template(), j, i,
     first: ti.template(), wide: ti.template(), tall: ti.template(),
 ):  # fmt: skip
-    """Entries of `wide` columns from j on in `tall` vectors from the i-th on, less what the columns before contribute.
+    """Work on `wide` columns from j on in `tall` vectors of rows from the i-th on, below their corner.
 
-    first : the corner of these columns.
+    What the columns before contribute is taken off; own columns are divided by their corner, `first`.
     """
     source, end, height, start, pitch, own = shape
     to = [(start + c * pitch) // unit + i for c in ti.static(range(wide))]
@@ -166,8 +171,8 @@ def panel(
 ):  # fmt: skip
     """Eliminate `wide` columns from j on, or update them: either all are own, or none.
 
-    shape : where the columns before begin and end, of which the own ones count, and numbers from one to the next; the
-    same for these columns, from where row 0 would stand; whether they are own.
+    shape : index where the own columns before begin and end, and the distance between them; index where row 0 of these
+        columns would stand, and the distance between them; True if they are own.
     """
     own, height, begin = tables[at + OWN], tables[at + HEIGHT], tables[at + OWN_COLUMNS]
     pitch = height if j < own else tables[at + UPDATE_HEIGHT] - sheets_before(tables, at, j)
@@ -188,8 +193,11 @@ def panel(
 
 @ti.func
 def reduce(tables: ti.template(), at, numbers: ti.template(), vectors: ti.template(), unit: ti.template()):
-    """Eliminate the own unknowns, PANEL columns at a time. vectors : the numbers, each a vector, or `unit` rows in one;
-    those above the diagonal hold something that nobody reads."""
+    """Eliminate the own unknowns of a front, PANEL columns at a time.
+
+    vectors : the numbers, either each a vector, or `unit` rows in one vector; those above the diagonal hold something
+        that nobody reads.
+    """
     own, rows, j = tables[at + OWN], tables[at + OWN] + tables[at + BORDER], 0
     while j < rows:
         if j + PANEL <= own or (j >= own and j + PANEL <= rows):
@@ -202,7 +210,9 @@ def reduce(tables: ti.template(), at, numbers: ti.template(), vectors: ti.templa
 
 @ti.kernel
 def eliminate(tables: INTEGERS, entries: VECTORS, numbers: VECTORS):
-    """Factorise. A pivot that is not positive leaves an inverse that is not finite, in its matrix alone."""
+    """Factorise LANES matrices. A pivot that is not positive leaves an inverse that is not finite, in its matrix
+    alone.
+    """
     ti.loop_config(serialize=True)
     for front in range(tables[FRONTS]):
         at = HEADER + front * WIDTH
@@ -212,7 +222,7 @@ def eliminate(tables: INTEGERS, entries: VECTORS, numbers: VECTORS):
 
 @ti.kernel
 def eliminate_alone(tables: INTEGERS, entries: NUMBERS, numbers: NUMBERS, vectors: VECTORS):
-    """The same for one matrix. vectors : the numbers, LANES at a time."""
+    """Factorise one matrix. vectors : the numbers, LANES rows in one vector."""
     ti.loop_config(serialize=True)
     for front in range(tables[FRONTS]):
         at = HEADER + front * WIDTH
@@ -221,12 +231,12 @@ def eliminate_alone(tables: INTEGERS, entries: NUMBERS, numbers: NUMBERS, vector
 
 
 def _assembly(serial: bool) -> Callable:
-    """Kernel that fills fronts of one matrix, on one thread or on several."""
+    """Return a kernel that fills fronts of one matrix, on one thread (`serial`) or on several."""
     chunk = 1 if serial else LEAST_CHUNK
 
     @ti.kernel
     def run(tables: INTEGERS, entries: NUMBERS, numbers: NUMBERS, begin: int, end: int):
-        """Items begin ... end-1 of the work: each a front, and its first and last column."""
+        """Fill the items begin ... end-1 of the work: each is a front, its first and its last column."""
         if ti.static(serial):
             ti.loop_config(serialize=True)
         for turn in range(begin * chunk, end * chunk):

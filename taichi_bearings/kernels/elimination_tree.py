@@ -1,4 +1,6 @@
-"""The tree of a Cholesky factor: which column each one leads to, how many numbers it has, and what goes together."""
+"""The elimination tree of a Cholesky factor: the parent of each column, its length, and which columns make up a
+part.
+"""
 
 from taichi_bearings.compiler import ti
 from taichi_bearings.kernels.memory import INTEGERS
@@ -6,11 +8,13 @@ from taichi_bearings.kernels.memory import INTEGERS
 
 @ti.kernel
 def grow(starts: INTEGERS, rows: INTEGERS, parent: INTEGERS, count: INTEGERS, mark: INTEGERS):
-    """parent : (n,), of every column the first row below its diagonal, -1 of none. count : (n,), numbers of a column,
-    from the diagonal down. starts, rows : of the symmetric pattern, compressed. mark : (n,), to work with.
+    """Find the elimination tree (Liu, SIMAX 1990): row k of the factor has entries in the columns on the paths up the
+    tree from the columns in which row k of the matrix has entries.
 
-    Row k of the factor has the columns on the ways up the tree from those where row k of the matrix has entries (Liu,
-    SIMAX 1990).
+    starts, rows : the symmetric pattern, compressed.
+    parent : (n,) result: the first row below the diagonal of each column, -1 for none.
+    count : (n,) result: numbers in each column, from the diagonal down.
+    mark : (n,) scratch.
     """
     ti.loop_config(serialize=True)
     for k in range(parent.shape[0]):
@@ -27,7 +31,11 @@ def grow(starts: INTEGERS, rows: INTEGERS, parent: INTEGERS, count: INTEGERS, ma
 
 @ti.func
 def price(own, border, part, column, update):
-    """See numerics/cholesky/fronts.py."""
+    """Return operations that a part costs: arithmetic, and what numerics/cholesky/tuning.py adds for part, columns and
+    update.
+
+    own, border : columns and later rows of the part. part, column, update : a `Price`.
+    """
     m, b = ti.cast(own, ti.f64), ti.cast(border, ti.f64)
     return m * (b * (b + m) + m * m / 3.0) + part + column * m * (m + b) + update * b * b / 2.0
 
@@ -37,10 +45,12 @@ def join(
     part: ti.f64, column: ti.f64, update: ti.f64, parent: INTEGERS, count: INTEGERS,
     home: INTEGERS, own: INTEGERS, child: INTEGERS, sibling: INTEGERS,
 ):  # fmt: skip
-    """Join columns with those below that they lead to, where that lowers the price.
+    """Join columns with parts below them in the tree where that lowers the price.
 
-    home : (n,), of every column the last one of its part. own, child, sibling : (n,), of this one how many columns
-    there are, the last column of the first part below, and that of the next part with the same one above; -1 of none.
+    part, column, update : a `Price`. parent, count : see :func:`grow`.
+    home : (n,) result: the last column of the part that each column is in.
+    own, child, sibling : (n,) results, for last columns: columns in the part, the last column of its first child, and
+        that of the next child of its parent; -1 for none.
     """
     ti.loop_config(serialize=True)
     for back in range(parent.shape[0]):
@@ -48,6 +58,7 @@ def join(
         home[k], own[k], child[k], sibling[k] = k, 1, -1, -1
         if parent[k] >= 0:
             sibling[k], child[parent[k]] = child[parent[k]], k
+    # from the leaves up: a column takes in one part below it after the other, if both together cost less than apart
     ti.loop_config(serialize=True)
     for k in range(parent.shape[0]):
         alone, below, before = price(1, count[k] - 1, part, column, update), child[k], -1

@@ -1,11 +1,11 @@
 """How kernels reach the numbers of a site: row by row in one array, blocks of neighbouring sites at a time.
 
-Sweeps, splitting and Cundall-Strack steps reckon with vectors: `load` a block, apply a law to it, `store` what it says.
-On a GPU a block is one site, and a vector its number. (Vectors have no unary minus, and no abs.)
+Sweeps, splitting and Cundall-Strack steps work with vectors: they `load` a block, apply a law to it, and `store` the
+result. On a GPU a block is one site, and a vector its number. (Taichi's vectors have no unary minus, and no abs.)
 
 The laws of Newton steps are functions of one site; :func:`fill` walks them over a block. The results go to local
-vectors, which are written as a whole: a loop that writes to memory cannot be told from one that changes its own input,
-or even the address of the array, so it would not be turned into SIMD instructions (docs/decisions.md, 2).
+vectors, which are written as a whole: the compiler cannot tell a loop that writes to memory from one that changes its
+own input, or even the address of the array, so it would not turn it into SIMD instructions (docs/decisions.md, 2).
 """
 
 from taichi_bearings.compiler import ti
@@ -13,27 +13,32 @@ from taichi_bearings.compiler import ti
 VALUES = ti.types.ndarray(ndim=1)
 INTEGERS = ti.types.ndarray(dtype=ti.i32, ndim=1)
 BLOCKS = ti.types.ndarray(dtype=ti.types.vector())  # on a CPU (blocks, sites of a block); on a GPU as VALUES
-OPEN_RING = 2**30  # sites of a ring that does not close
+OPEN_RING = 2**30  # length that stands for an axis that does not close to a ring
 INDEX_MASK = 2**30 - 1  # all indices are below 2^30
 
 
 @ti.func
 def in_range(index):
-    """The same index, in a form that lets the compiler rule out overflow of index + offset:
-    only then does it merge the loads of neighbouring sites into SIMD ones."""
+    """Return the index unchanged, in a form that lets the compiler rule out overflow of index + offset.
+
+    Only then does it merge the loads of neighbouring sites into SIMD ones.
+    """
     return index & INDEX_MASK
 
 
 @ti.func
 def places(rows: ti.template(), length, site):
-    """Where the numbers of a site stand, one a row of `length`; those of the site m further on stand m further on."""
+    """Return where the numbers of a site stand, one in each of the rows; those of the site m further on stand m
+    further on.
+    """
     # as `in_range`, without a call for each row: those would take a sixth of the time to read a pass of a Newton step
     return [(row * length + site) & INDEX_MASK for row in ti.static(rows)]
 
 
 @ti.func
 def load(values: ti.template(), place, block: ti.template()):
-    """The numbers of as many neighbouring sites as a block has, from any place on: a vector, or of one site its number.
+    """Return the numbers of a block of neighbouring sites from any place on: a vector, or one number if a block is one
+    site.
 
     LLVM knows the loop for a copy, and loads the vector with few instructions.
     """
@@ -56,7 +61,7 @@ def store(values: ti.template(), blocks: ti.template(), place, block: ti.templat
 
 @ti.func
 def load_each(values: ti.template(), at: ti.template(), block: ti.template()):
-    """The numbers of a block of sites from each of the places `at` on."""
+    """Return the numbers of a block of sites from each of the places `at` on."""
     return [load(values, place, block) for place in ti.static(at)]
 
 
@@ -71,10 +76,11 @@ def store_each(
 
 @ti.func
 def with_rings(strides: ti.template(), site, ring, periodic: ti.template()):
-    """The strides along the three axes, and with periodic axes after them the number of sites of the ring along each
-    and where in it a site is, counted from the first: :func:`load_neighbours` takes every third of them for an axis.
+    """Return the strides along the three axes; with periodic axes followed by the length of the ring along each axis,
+    and by where in its ring a site is.
 
-    ring : sites of a replica.
+    :func:`load_neighbours` takes every third of these numbers for an axis. ring : sites of a replica, which are those
+    of a ring along x.
     """
     if ti.static(len(periodic) == 0):
         return strides
@@ -89,9 +95,11 @@ def load_neighbours(
     values: ti.template(), rows: ti.template(), row, first, side: ti.template(), way: ti.template(),
     block: ti.template(),
 ):  # fmt: skip
-    """The numbers of the neighbours of a block of sites along an axis: the upper ones (way 1) or the lower ones (-1).
+    """Return the numbers of the neighbours of a block of sites along an axis: the upper ones (way 1) or the lower ones
+    (-1).
 
-    side : stride, and on lattices with periodic axes the sites of a ring, and where in its ring `first` is.
+    side : stride of the axis; on lattices with periodic axes also the sites of a ring, and where in its ring `first`
+        is.
     """
     if ti.static(len(side) == 1):
         return load_each(values, places(rows, row, first + way * side[0]), block)
@@ -100,7 +108,9 @@ def load_neighbours(
 
 @ti.func
 def load_neighbour(values: ti.template(), place, side: ti.template(), way: ti.template(), block: ti.template()):
-    """The same of one number, of which that of the block itself is at `place`."""
+    """Return the number of one neighbour of each site of a block, of one row. place : where that of the block
+    itself is.
+    """
     if ti.static(len(side) == 1):
         return load(values, in_range(place + way * side[0]), block)
     return load_around(values, place, way * side[0], side[1], side[2], block)
@@ -108,7 +118,10 @@ def load_neighbour(values: ti.template(), place, side: ti.template(), way: ti.te
 
 @ti.func
 def load_around(values: ti.template(), place, step, ring, position, block: ti.template()):
-    """The numbers `step` further on in rings, for a block of sites from `place` on that begins at this position."""
+    """Return the numbers `step` further on around rings of length `ring`, for the block of sites from `place` on.
+
+    position : where in its ring the block begins.
+    """
     if ti.static(block == 1):
         return values[place + (position + step) % ring - position]
     result = load(values, in_range(place + step), block)
@@ -123,13 +136,13 @@ def load_around(values: ti.template(), place, step, ring, position, block: ti.te
 
 @ti.func
 def minus(upper: ti.template(), lower: ti.template()):
-    """Differences of vectors."""
+    """Return the differences of two lists of vectors."""
     return [upper[k] - lower[k] for k in ti.static(range(len(upper)))]
 
 
 @ti.func
 def zero(block: ti.template()):
-    """0 for each site of a block."""
+    """Return 0 for each site of a block."""
     if ti.static(block == 1):
         return 0.0
     return ti.Vector.zero(float, block)
@@ -137,7 +150,7 @@ def zero(block: ti.template()):
 
 @ti.func
 def pushed(vector, first, block: ti.template()):
-    """`first`, and then the numbers of a block without the last: those of the sites below, along the height."""
+    """Return `first`, and then the numbers of a block without the last: those of the sites below, along the height."""
     if ti.static(block == 1):
         return first
     return ti.Vector([first] + [vector[m] for m in ti.static(range(block - 1))])
@@ -145,7 +158,7 @@ def pushed(vector, first, block: ti.template()):
 
 @ti.func
 def last(vector, block: ti.template()):
-    """The number of the last site of a block."""
+    """Return the number of the last site of a block."""
     if ti.static(block == 1):
         return vector
     return vector[block - 1]

@@ -1,4 +1,6 @@
-"""The contact step of operator splitting: friction limits the force of each contact, then spheres feel the springs."""
+"""The contact step of operator splitting: friction limits the force of each contact, then springs pull on the
+spheres.
+"""
 
 from taichi_bearings.compiler import ti
 from taichi_bearings.fields import FieldSpec, first_slots
@@ -15,10 +17,12 @@ class ContactStep(Sweeps):
     """A step over the fields of :class:`taichi_bearings.solvers.operator_splitting.OperatorSplittingMethod`.
 
     friction : mu F_n of the contact above each site along each axis, ABSENT_FRICTION where the lattice has none.
-    trial : the force that each contact would need, before friction limits it; V numbers a site, as in Stencil.
-    spring : the force of each spring, weight D(potential) - (trial - 2 limited(trial)).
+    trial : the force that each contact would need, before friction limits it; as many numbers a site as
+        `Stencil.force_components`.
+    spring : the force of each spring, weight D(potential) - (trial - 2 limited(trial)), D the difference across
+        contacts.
     potential : the spins in units of force, penalty * spin; the penalty is part of it, so kernels need not know it.
-    pull : what the springs of its contacts add up to on each sphere.
+    pull : sum of the spring forces on each sphere.
 
     Its constants: weights of the springs sideways and along the height, relaxation.
     """
@@ -27,7 +31,7 @@ class ContactStep(Sweeps):
 
     def __init__(self, spec: FieldSpec, stencil: Stencil):
         super().__init__(stencil.block, stencil.periodic)
-        self.together = 1  # solving for the spins comes between the turns
+        self.together = 1  # solving for the spins comes between two of these steps
         self.slot, self.stencil = first_slots(spec), stencil
         self.potential = stencil.spin_rows(self.slot["potential"])
         self.trial, self.spring = stencil.force_rows(self.slot["trial"]), stencil.force_rows(self.slot["spring"])
@@ -35,7 +39,7 @@ class ContactStep(Sweeps):
 
     @ti.func
     def limited(self, force: ti.template(), friction):
-        """The force itself, bit by bit, if friction can bear it, else the nearest one that it can."""
+        """Return the force itself, bit by bit, if friction can bear it, else the nearest one that it can."""
         if ti.static(len(force) == 1):
             return [clamp(force[0], 0.0 - friction, friction)]
         size = length(force)
@@ -44,9 +48,11 @@ class ContactStep(Sweeps):
 
     @ti.func
     def limit(self, difference: ti.template(), old: ti.template(), own: ti.template(), weight, relaxation):
-        """Trial and spring forces of a block of contacts.
+        """Return trial and spring forces of a block of contacts.
 
         With f the limited old force: trial = f + (1 - relaxation) (trial - f) + relaxation weight D(potential).
+
+        difference : D(potential). old : trial forces before. own : friction.
         """
         is_inside, friction = own >= 0.0, ti.max(own, 0.0)
         force = self.limited(old, friction)
@@ -62,7 +68,7 @@ class ContactStep(Sweeps):
     def limit_block(
         self, values: ti.template(), blocks: ti.template(), row, first, strides: ti.template(), numbers: ti.template()
     ):
-        """New trial forces and springs of the contacts above the block of sites from `first` on."""
+        """Write new trial forces and springs of the contacts above the block of sites from `first` on."""
         for axis in ti.static(self.stencil.slipping_axes):
             here = load_each(values, places(self.potential[axis], row, first), self.block)
             up = load_neighbours(values, self.potential[axis], row, first, strides[axis::3], 1, self.block)
@@ -75,7 +81,7 @@ class ContactStep(Sweeps):
 
     @ti.func
     def gather_block(self, values: ti.template(), blocks: ti.template(), row, first, strides: ti.template()):
-        """What the springs pull on the spheres of the block."""
+        """Write the sum of the spring forces on the spheres of the block."""
         pulls = [zero(self.block) for _ in ti.static(range(self.stencil.components))]
         for axis in ti.static(self.stencil.slipping_axes):
             above = load_each(values, places(self.spring[axis], row, first), self.block)
@@ -89,7 +95,7 @@ class ContactStep(Sweeps):
         self, part: ti.template(), values: ti.template(), blocks: ti.template(), row, first, strides: ti.template(),
         numbers: ti.template(), sweep, carried: ti.template(),
     ):  # fmt: skip
-        """The contacts above a block of sites, then its spheres."""
+        """Work on the contacts above a block of sites in the first part, on its spheres in the second."""
         if ti.static(part == 0):
             self.limit_block(values, blocks, row, first, strides, numbers)
         else:

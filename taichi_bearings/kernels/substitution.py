@@ -1,8 +1,8 @@
-"""Solve with the factor of an elimination tree, of one matrix or of several side by side.
+"""Solves with the factor of an elimination tree, for one matrix or for several side by side.
 
 A vector holds the unknowns in the order of elimination and then, front after front, what each leaves for its border:
-its parent takes that, and nobody writes where another does. So fronts that are not above each other can be solved at
-once, and neither their order nor the number of threads or of matrices leaves a trace.
+its parent takes that, and no front writes where another one does. So fronts of which none is above another can be
+solved at once, and neither their order nor the number of threads or of matrices changes a bit of the result.
 """
 
 from collections.abc import Callable
@@ -36,10 +36,10 @@ from taichi_bearings.kernels.team import LEAST_CHUNK
 
 @ti.func
 def forward(numbers: ti.template(), vector: ti.template(), where: ti.template(), wide: ti.template()):
-    """Solve for `wide` own unknowns, and take what they are from the own ones behind and from the border.
+    """Solve for `wide` own unknowns of a front, and subtract their contribution from its later unknowns and its border.
 
-    where : place of their first pivot, and from one column to the next; row of the first, end of all own; where the
-    border begins, and its length; 1.
+    where : index of their first pivot, and from one column to the next; index of the first unknown, and of the end of
+        the front's own ones; where the border begins, and its length; 1.
     """
     start, height, row, end, rest, border, step = where
     value = [vector[row + c] for c in ti.static(range(wide))]
@@ -66,7 +66,9 @@ def forward(numbers: ti.template(), vector: ti.template(), where: ti.template(),
 
 @ti.func
 def backward(numbers: ti.template(), vector: ti.template(), where: ti.template(), wide: ti.template()):
-    """The same the other way, once border and own unknowns behind are known."""
+    """Solve for `wide` own unknowns of a front, once its later unknowns and its border are known. where : see
+    `forward`.
+    """
     start, height, row, end, rest, border, step = where
     left = [vector[row + c] for c in ti.static(range(wide))]
     i = 0
@@ -94,7 +96,10 @@ def down(
     alone: ti.template(), tables: ti.template(), at, numbers: ti.template(), vector: ti.template(),
     wide: ti.template(),
 ):  # fmt: skip
-    """A front, once its children are done; `wide` unknowns at a time, which leaves no trace in a number."""
+    """Solve forward for one front, once its children are done: `wide` unknowns at a time, which changes no bit.
+
+    alone : one matrix, not LANES. at : where the front stands in the tables.
+    """
     own, border, first, rest = tables[at + OWN], tables[at + BORDER], tables[at + FIRST_ROW], tables[at + REST_HEIGHT]
     height, step = tables[at + HEIGHT], tables[STEP]
     clear(alone, vector, rest, rest + border, step)
@@ -120,7 +125,7 @@ def down(
 
 @ti.func
 def up(tables: ti.template(), at, numbers: ti.template(), vector: ti.template()):
-    """A front, once its parent is done."""
+    """Solve backward for one front, once its parent is done. at : where the front stands in the tables."""
     own, border, first, rest = tables[at + OWN], tables[at + BORDER], tables[at + FIRST_ROW], tables[at + REST_HEIGHT]
     height, step, slots = tables[at + HEIGHT], tables[STEP], tables[SLOTS] + tables[at + BATCH_SHARE]
     i = 0
@@ -140,7 +145,10 @@ def up(tables: ti.template(), at, numbers: ti.template(), vector: ti.template())
 
 
 def _substitution(together: bool) -> Callable:
-    """Kernel that solves in place, forward and backward, on one thread."""
+    """Return a kernel that solves in place, forward and backward, on one thread.
+
+    together : for LANES matrices, not one.
+    """
     kind = VECTORS if together else NUMBERS
 
     @ti.kernel
@@ -160,8 +168,10 @@ substitute, substitute_alone = _substitution(True), _substitution(False)
 
 @ti.kernel
 def substitute_branches(tables: INTEGERS, numbers: NUMBERS, vector: NUMBERS, forth: int, begin: int, end: int):
-    """The same for one matrix on several threads, half of it: branches begin ... end-1 of the tree, each the fronts
-    from one number in the table of branches to the next."""
+    """Solve forward (`forth`) or backward for one matrix on several threads.
+
+    begin, end : branches of the tree; the table of branches holds the first front of each and its end.
+    """
     for item in range(begin * LEAST_CHUNK, end * LEAST_CHUNK):
         if item % LEAST_CHUNK == 0:
             branch = tables[BRANCHES] + 2 * (item // LEAST_CHUNK)

@@ -1,4 +1,4 @@
-"""Lattices and their contacts. NumPy only."""
+"""Lattices and their contacts, with NumPy alone."""
 
 from taichi_bearings.lattice.grid import Lattice
 

@@ -1,14 +1,16 @@
 """The square or cubic lattice of touching spheres and its contacts.
 
 A value on the contacts is a flat array (..., E): all contacts along x, then along y (, then along z), each axis in C
-order of the lower spheres. A vector on the contacts is (C, ..., E), one row a spin component, 0 in the component along
-the contact, which it does not feel. Files and figures have one array an axis instead, one shorter than the lattice
-along it: entry [i, j, k] is the contact of sphere (i, j, k) with its upper neighbour. Along a periodic axis the last
-sphere is followed by the first, so the array is as long as the lattice. `by_axis` and `flat` lead from one form to the
-other.
+order of the lower spheres. A vector on the contacts is (C, ..., E), one row a spin component; it is 0 in the component
+along the contact, at which the contact does not slip. Files and figures have one array an axis instead, one shorter
+than the lattice along it: entry [i, j, k] is the contact of sphere (i, j, k) with its upper neighbour. Along a periodic
+axis the last sphere is followed by the first, so the array is as long as the lattice. `by_axis` and `flat` lead from
+one form to the other.
 
 The last axis is the height; its first and last planes are driven. Spins are kept by component: ``spin_axes`` names the
 components a computation carries, e.g. (2,) in 2D and (0, 1) for a cubic lattice driven in the xy plane.
+
+Letters: C spin components, R replicas (samples), N the shape of the lattice, E contacts.
 """
 
 import math
@@ -22,7 +24,7 @@ import numpy as np
 from taichi_bearings.errors import InputError
 from taichi_bearings.words import shown
 
-Index = tuple[Any, ...]
+Index = tuple[Any, ...]  # what picks spheres out of an array over the lattice
 AXIS_NAMES = ("x", "y", "z")
 MOST_SITES = 2**31 - 1  # Taichi indexes with 32-bit integers and would silently run nothing beyond
 
@@ -57,8 +59,10 @@ class Lattice:
 
     @staticmethod
     def of(contacts: Sequence[np.ndarray]) -> "Lattice":
-        """The lattice that has these contacts, one array (..., *contacts) an axis: as many along a periodic axis, which
-        is of even length, as spheres."""
+        """Return the lattice that has these contacts: one array (..., *contacts) an axis.
+
+        An axis with as many contacts as spheres is periodic if its length is even.
+        """
         *sides, gaps = contacts[-1].shape[-len(contacts) :]
         own = [values.shape[axis - len(contacts)] for axis, values in enumerate(contacts)]
         closed = (axis for axis, side in enumerate(sides) if own[axis] == side and side % 2 == 0)
@@ -89,7 +93,7 @@ class Lattice:
 
     @property
     def free_shape(self) -> tuple[int, ...]:
-        """Free spheres along each axis."""
+        """Number of free spheres along each axis."""
         return (*self.shape[:-1], self.shape[-1] - 2)
 
     @property
@@ -102,26 +106,27 @@ class Lattice:
         return (2,) if self.dimension == 2 else (0, 1, 2)
 
     def contact_shape(self, axis: int) -> tuple[int, ...]:
+        """Return the shape of the contacts along an axis."""
         return tuple(n - (a == axis and a not in self.periodic) for a, n in enumerate(self.shape))
 
     @cached_property
     def spans(self) -> tuple[slice, ...]:
-        """Where the contacts of each axis are in a flat array."""
+        """For each axis, the slice of a flat array that holds its contacts."""
         ends = np.cumsum([math.prod(self.contact_shape(axis)) for axis in range(self.dimension)]).tolist()
         return tuple(slice(begin, end) for begin, end in zip([0, *ends[:-1]], ends, strict=True))
 
     @property
     def all_contacts(self) -> int:
-        """E: number of contacts, those between driven spheres too."""
+        """E, the number of contacts, those between driven spheres too."""
         return int(self.spans[-1].stop)
 
     def by_axis(self, values: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Values (..., E) as one array (..., *contacts) an axis: views."""
+        """Return values (..., E) as one array (..., *contacts) an axis; these are views."""
         head = values.shape[:-1]
         return tuple(values[..., span].reshape(*head, *self.contact_shape(a)) for a, span in enumerate(self.spans))
 
     def flat(self, parts: Sequence[np.ndarray]) -> np.ndarray:
-        """Inverse of :meth:`by_axis`."""
+        """Return one array (..., *contacts) an axis as values (..., E), the inverse of :meth:`by_axis`."""
         head = parts[0].shape[: parts[0].ndim - self.dimension]
         return np.concatenate([part.reshape(*head, -1) for part in parts], axis=-1)
 
@@ -131,8 +136,10 @@ class Lattice:
         return np.repeat(np.arange(self.dimension), [span.stop - span.start for span in self.spans])
 
     def along(self, axis: int) -> tuple[Index, Index]:
-        """Where the lower and the upper spheres of the contacts of `axis` are, in arrays whose last axes are those of
-        the lattice. No sphere is there twice."""
+        """Return indices of the lower and of the upper spheres of all contacts along an axis.
+
+        They are for arrays whose last axes are those of the lattice. Neither holds a sphere twice.
+        """
         if axis in self.periodic:
             low: Any = slice(None)
             high: Any = np.roll(np.arange(self.shape[axis]), -1)
@@ -154,35 +161,35 @@ class Lattice:
         return self.ends[1] // self.shape[-1]
 
     def across(self, component: int) -> "Lattice":
-        """One of the planes that a spin component couples: those across it; all of a square lattice."""
+        """Return one of the planes of spheres across a spin component, which it couples; a square lattice itself."""
         axes = [axis for axis in range(self.dimension) if axis != component]
         closed = tuple(number for number, axis in enumerate(axes) if axis in self.periodic)
         return Lattice(tuple(self.shape[axis] for axis in axes), self.radius, closed)
 
-    def felt(self, spin_axes: tuple[int, ...]) -> np.ndarray:
+    def tangential_mask(self, spin_axes: tuple[int, ...]) -> np.ndarray:
         """(C, E) True for the components that make a contact slip: all but the one along it."""
         return np.array(spin_axes)[:, None] != self.axis
 
     @cached_property
     def parity(self) -> np.ndarray:
-        """s = +1 or -1 by sublattice, shape N: neighbours differ, and a bearing state has equal s * spin."""
+        """s = +1 or -1 by sublattice, shape N: neighbours differ, and in a bearing state all s * spin are equal."""
         return 1 - 2 * (np.indices(self.shape).sum(axis=0) % 2)
 
     @cached_property
     def lower_parity(self) -> np.ndarray:
-        """(E,) that of the lower sphere of each contact."""
+        """(E,) s = +1 or -1 of the lower sphere of each contact."""
         return self.parity.ravel()[self.ends[0]]
 
     @cached_property
     def driven(self) -> np.ndarray:
-        """Number of the driven body of each sphere, shape N: 0 of the bottom, 1 of the top, -1 of free ones."""
+        """Number of the driven body that each sphere belongs to, shape N: 0 bottom, 1 top, -1 none."""
         body = np.full(self.shape, -1)
         body[..., 0], body[..., -1] = 0, 1
         return body
 
     @cached_property
     def is_driven(self) -> np.ndarray:
-        """True for the spheres whose spin is imposed, shape N."""
+        """True for spheres whose spin is imposed, shape N."""
         return self.driven >= 0
 
     @cached_property
@@ -197,33 +204,36 @@ class Lattice:
 
 
 def axis_numbers(names: Sequence[str]) -> tuple[int, ...]:
-    """Of axes that are given by name."""
+    """Return the numbers of axes that are given by name."""
     return tuple(map(AXIS_NAMES.index, names))
 
 
 def tangential(axis: int, spin_axes: tuple[int, ...]) -> tuple[int, ...]:
-    """Positions in `spin_axes` of the components that make a contact along `axis` slip: all but the one along it."""
+    """Return the positions in `spin_axes` of the components that make a contact along `axis` slip: all but the one
+    along it.
+    """
     return tuple(slot for slot, component in enumerate(spin_axes) if component != axis)
 
 
 def laboratory_forces(force: np.ndarray, lattice: Lattice, spin_axes: tuple[int, ...]) -> np.ndarray:
-    """Friction on the upper sphere of each contact in the laboratory frame, of forces along the spin difference.
+    """Return the friction on the upper sphere of each contact in the laboratory frame, from forces along the spin
+    difference.
 
     force : (C, R, E), f. The friction is -s f x n, with n the direction of the contact and s the sign of its lower
-    sphere: it opposes the slip of paper Eq. 2, s R Delta Omega x n.
+        sphere: it opposes the slip of paper Eq. 2, s R Delta Omega x n.
     returns : (R, E, 3); in 2D (R, E), the component along z x n, which is upwards at contacts along x and to the left
-    at contacts along y. The lower sphere feels the opposite force.
+        at contacts along y. The force on the lower sphere is the opposite one.
     """
     if lattice.dimension == 2:
         return -lattice.lower_parity * force[0]
     friction = np.zeros((*force.shape[1:], 3))
-    for slot, span, turned, sign in _turns(lattice, spin_axes):
-        friction[:, span, turned] = sign * force[slot][:, span]
+    for slot, span, across, sign in _laboratory_axes(lattice, spin_axes):
+        friction[:, span, across] = sign * force[slot][:, span]
     return friction
 
 
 def friction_by_axis(friction: np.ndarray, lattice: Lattice) -> tuple[np.ndarray, ...]:
-    """Friction (..., E, 3), in 2D (..., E), as one array (..., *contacts, 3) or (..., *contacts) an axis."""
+    """Return friction (..., E, 3), in 2D (..., E), as one array an axis: (..., *contacts, 3) or (..., *contacts)."""
     if lattice.dimension == 2:
         return lattice.by_axis(friction)
     parts = zip(*map(lattice.by_axis, np.moveaxis(friction, -1, 0)), strict=True)
@@ -231,19 +241,26 @@ def friction_by_axis(friction: np.ndarray, lattice: Lattice) -> tuple[np.ndarray
 
 
 def staggered_forces(friction: np.ndarray, lattice: Lattice, spin_axes: tuple[int, ...]) -> np.ndarray:
-    """Inverse of :func:`laboratory_forces` for the components that `spin_axes` names: (C, R, E)."""
+    """Return forces (C, R, E) along the spin difference from friction in the laboratory: inverse of
+    `laboratory_forces`.
+
+    friction : (R, E, 3), in 2D (R, E). spin_axes : the components that are wanted.
+    """
     if lattice.dimension == 2:
         return -lattice.lower_parity * friction[None]
     force = np.zeros((len(spin_axes), *friction.shape[:-1]))
-    for slot, span, turned, sign in _turns(lattice, spin_axes):
-        force[slot][:, span] = sign * friction[:, span, turned]
+    for slot, span, across, sign in _laboratory_axes(lattice, spin_axes):
+        force[slot][:, span] = sign * friction[:, span, across]
     return force
 
 
-def _turns(lattice: Lattice, spin_axes: tuple[int, ...]) -> Iterator[tuple[int, slice, int, np.ndarray]]:
-    """For each component and the contacts across it the laboratory axis of -e_component x e_axis, and the signs of that
-    and of the lower spheres."""
+def _laboratory_axes(lattice: Lattice, spin_axes: tuple[int, ...]) -> Iterator[tuple[int, slice, int, np.ndarray]]:
+    """Yield, for each spin component and the contacts across it, where its forces go in the laboratory frame.
+
+    yields : position of the component in `spin_axes`; slice of the contacts; axis of -e_component x e_axis; (contacts,)
+        sign of that product times the sign of the lower sphere.
+    """
     for axis, span in enumerate(lattice.spans):
         for slot in tangential(axis, spin_axes):
-            turn = 1 if (spin_axes[slot] - axis) % 3 == 1 else -1
-            yield slot, span, 3 - axis - spin_axes[slot], turn * lattice.lower_parity[span]
+            sign = 1 if (spin_axes[slot] - axis) % 3 == 1 else -1
+            yield slot, span, 3 - axis - spin_axes[slot], sign * lattice.lower_parity[span]

@@ -1,8 +1,10 @@
-"""The one difference operator of a lattice: contacts <- spheres, and its transpose.
+"""The one difference operator of a lattice, from spheres to contacts, and its transpose.
 
 Whole arrays are differenced where they lie: `Lattice.along` says where the two ends of all contacts of an axis are in
 an array over the spheres, and a sum over the contacts of a sphere is written to the same places. Graphs and sparse
 matrices are made from the ends of an array of numbers (`number_free`).
+
+Letters: C spin components, R replicas (samples), N the shape of the lattice, E contacts.
 """
 
 import numpy as np
@@ -11,24 +13,29 @@ from taichi_bearings.lattice.grid import Lattice, tangential
 
 
 def difference(field: np.ndarray, axis: int, lattice: Lattice) -> np.ndarray:
-    """Value at the upper sphere less that at the lower one of each contact of `axis`; the lattice axes of `field` are
-    its last ones."""
+    """Return the value at the upper sphere less that at the lower one, for each contact of `axis`.
+
+    field : its last axes are those of the lattice.
+    """
     low, high = lattice.along(axis)
     return np.asarray(field[high] - field[low])
 
 
 def add_pull(total: np.ndarray, force: np.ndarray, axis: int, lattice: Lattice) -> None:
-    """Minus the transpose of :func:`difference`: the contacts of `axis` pull at their lower spheres, and back."""
+    """Add forces of the contacts of `axis` to their lower spheres and subtract them from the upper ones.
+
+    That is minus the transpose of :func:`difference`. total : changed in place. force : shaped as the contacts.
+    """
     low, high = lattice.along(axis)
     total[low] += force
     total[high] -= force
 
 
 def contact_differences(staggered: np.ndarray, lattice: Lattice, spin_axes: tuple[int, ...]) -> np.ndarray:
-    """Difference of the staggered spins across every contact, without its component along the contact.
+    """Return the difference of the staggered spins across every contact, without its component along the contact.
 
     staggered : (C, R, *N), components as named by `spin_axes`.
-    returns : (C, R, E); R times its length over C is the slip speed (paper Eq. 2).
+    returns : (C, R, E); the radius times its length over C is the slip speed (paper Eq. 2).
     """
     found = np.zeros((*staggered.shape[: staggered.ndim - lattice.dimension], lattice.all_contacts))
     for axis, across in enumerate(lattice.by_axis(found)):
@@ -39,7 +46,7 @@ def contact_differences(staggered: np.ndarray, lattice: Lattice, spin_axes: tupl
 
 
 def torques(force: np.ndarray, lattice: Lattice, spin_axes: tuple[int, ...]) -> np.ndarray:
-    """Sum of the contact forces that pull on each sphere, (C, R, *N): the staggered torque over the radius.
+    """Return the sum of the contact forces that pull on each sphere, (C, R, *N): the staggered torque over the radius.
 
     force : (C, R, E), along the spin difference of the contact.
     """
@@ -51,7 +58,7 @@ def torques(force: np.ndarray, lattice: Lattice, spin_axes: tuple[int, ...]) -> 
 
 
 def weights(coefficient: np.ndarray, lattice: Lattice, spin_axes: tuple[int, ...]) -> np.ndarray:
-    """Sum of the coefficients (R, E) of the contacts that act on each spin component, (C, R, *N)."""
+    """Return the sum of the coefficients (R, E) of the contacts that act on each spin component, (C, R, *N)."""
     total = np.zeros((len(spin_axes), len(coefficient), *lattice.shape))
     for axis, values in enumerate(lattice.by_axis(coefficient)):
         for slot in tangential(axis, spin_axes):
@@ -61,7 +68,7 @@ def weights(coefficient: np.ndarray, lattice: Lattice, spin_axes: tuple[int, ...
 
 
 def number_free(shape: tuple[int, ...]) -> np.ndarray:
-    """Number of each free sphere in C order, -1 for driven ones; an array of this shape."""
+    """Return an array of this shape with the number of each free sphere in C order, -1 for driven ones."""
     free = (*shape[:-1], shape[-1] - 2)
     number = np.full(shape, -1)
     number[..., 1:-1] = np.arange(np.prod(free)).reshape(free)

@@ -1,7 +1,7 @@
 """Eigenvalues and modes of the lattice Laplacian, driven planes held at zero.
 
-A spin component is coupled only by the contacts that are not along it, and along each axis the Laplacian is that of a
-chain: with free ends sideways or closed to a ring, between two resting neighbours along the height.
+A spin component is coupled only by the contacts that are not along it. Along each axis the Laplacian is that of a
+chain: sideways with free ends, or closed to a ring; along the height between two neighbours at rest.
 """
 
 import numpy as np
@@ -10,7 +10,9 @@ from taichi_bearings.lattice.grid import Lattice
 
 
 def chain_modes(side: int, is_held: bool) -> np.ndarray:
-    """Orthonormal modes (side, side) in columns: cosines of a chain with free ends, sines of one with held ends."""
+    """Return orthonormal modes (side, side) in columns: cosines of a chain with free ends, sines of one with held
+    ends.
+    """
     order = np.arange(side)
     if is_held:
         modes = np.sin(np.pi * np.outer(order + 1, order + 1) / (side + 1))
@@ -20,17 +22,20 @@ def chain_modes(side: int, is_held: bool) -> np.ndarray:
 
 
 def chain_eigenvalues(side: int, is_held: bool) -> np.ndarray:
-    """Of these modes, (side,), rising."""
+    """Return the eigenvalues (side,) of the modes of a chain, rising."""
     return 2 - 2 * np.cos(np.pi * (np.arange(1, side + 1) / (side + 1) if is_held else np.arange(side) / side))
 
 
 def ring_eigenvalues(side: int) -> np.ndarray:
-    """Of the waves around a ring of so many spheres, (side,), in the order of a discrete Fourier transform."""
+    """Return the eigenvalues (side,) of the waves around a ring, in the order of a discrete Fourier transform."""
     return 2 - 2 * np.cos(2 * np.pi * np.arange(side) / side)
 
 
 def eigenvalues(lattice: Lattice, component: int) -> np.ndarray:
-    """Of the Laplacian of one spin component, by modes: as many as there are free spheres, 1 along the component."""
+    """Return the eigenvalues of the Laplacian of one spin component, in an array with one axis for each of the lattice.
+
+    Its sides are the numbers of free spheres, but 1 along the component.
+    """
     free = lattice.free_shape
     total = np.zeros((1,) * len(free))
     for axis, side in enumerate(free):
@@ -42,9 +47,12 @@ def eigenvalues(lattice: Lattice, component: int) -> np.ndarray:
 
 
 def chain_factors(side: int, held: np.ndarray, weight: float) -> np.ndarray:
-    """Inverse pivots g (side, len(held)) of a chain of springs `weight`, each of its spheres held by a spring `held`.
+    """Return inverse pivots g (side, len(held)) of a chain of springs.
 
     With them the balance of a chain is x_s = y_s + weight g_s x_s+1 with y_s = g_s (pull_s + weight y_s-1).
+
+    weight : of the springs along the chain. held : of the spring that holds each of its spheres, one value for each
+        chain.
     """
     factors = np.empty((side, len(held)))
     for s in range(side):
@@ -54,9 +62,10 @@ def chain_factors(side: int, held: np.ndarray, weight: float) -> np.ndarray:
 
 
 def ring_closures(side: int, held: np.ndarray, weight: float) -> np.ndarray:
-    """z (side, len(held)): one more spring from end to end of such a chain changes its balance y to y - z (z . pull).
+    """Return z (side, len(held)): one more spring from end to end of a chain changes its balance y to y - z (z . pull).
 
-    Sherman and Morrison's formula with the solution for a pull at both ends, from q + 1/q = 2 + held / weight.
+    That is Sherman and Morrison's formula with the solution for a pull at both ends, a sum of q^s and q^-s with
+    q + 1/q = 2 + held / weight. weight, held : see :func:`chain_factors`.
     """
     decay, s = np.exp(-2 * np.arcsinh(np.sqrt(held / weight) / 2)), np.arange(side)[:, None]
     return (decay ** (s + 1) - decay ** (side - s)) / np.sqrt(weight * (1 - decay**2) * (1 - decay ** (2 * side)))

@@ -6,6 +6,8 @@ other side, the next replica or the margin) does not matter as long as it is fin
 the boundary, treat 2D, 3D and replicas alike, and their inner loops run along memory (docs/decisions.md, 2). Along a
 periodic axis the neighbour is stride less a ring of spheres away where the ring closes; only kernels of such lattices
 ask where that is.
+
+Letters: C components, R replicas, N the shape of the lattice, D = 2 or 3 axes, E contacts.
 """
 
 from dataclasses import dataclass
@@ -18,10 +20,12 @@ from taichi_bearings.lattice.grid import Lattice
 
 
 class Rows(NamedTuple):
-    """Where the numbers of arrays (C, *shape) lie, in C rows.
+    """Where the numbers of an array (C, *shape) lie in memory, in C rows.
 
-    length : from one row to the next. margin : numbers before the first one of a row. order : of each place in a row,
-    the number of what stands there; without one they stand in their order.
+    length : from one row to the next.
+    margin : numbers before the first one of a row.
+    order : for each place in a row, the number of the sphere or contact there; by default they stand in their own
+        order.
     """
 
     length: int
@@ -54,7 +58,7 @@ class Layout:
 
     @property
     def margin(self) -> int:
-        """Sites before the first: whole blocks, so that blocks are aligned in memory."""
+        """Number of sites before the first one: whole blocks, so that blocks are aligned in memory."""
         return -(-max(self.strides[0], 1) // self.block) * self.block
 
     @property
@@ -63,29 +67,35 @@ class Layout:
 
     @property
     def length(self) -> int:
-        """Sites with their margins, and some more: rows of numbers that are so long do not compete for the same few
-        places of the processor's cache, 32 blocks of 16 numbers apart."""
+        """Number of sites with their margins, and some more.
+
+        Rows of just that length do not compete for the same few places of the processor's cache, 32 blocks of 16
+        numbers apart.
+        """
         blocks = self.blocks + 2 * (self.margin // self.block)
         return (blocks + (5 - blocks) % 32) * self.block
 
     @cached_property
     def measures(self) -> tuple[int, int, int, int, int, int]:
-        """What kernels must know: length of a row, margin, blocks, strides along x and along y (in 2D the height), and
-        sites of a replica, which are those of a ring along x."""
+        """What kernels must know: length of a row, margin, blocks, strides along x and along y (in 2D along the
+        height), and sites of a replica, which are those of a ring along x.
+        """
         stride_x, stride_y = (*self.strides, 1)[:2]
         return self.length, self.margin, self.blocks, stride_x, stride_y, self.sites // self.replicas
 
     def parts(self, spec: Any) -> list[tuple[Any, Rows]]:
-        """Fields (C, R, *N) with the place of their rows: here all are alike."""
+        """Return the fields (C, R, *N) with the place of their rows: here all are alike."""
         return [(spec, Rows(self.length, self.margin, (self.replicas, *self.shape)))]
 
     def at_lower_sphere(self, contacts: np.ndarray) -> np.ndarray:
-        """(R, E) -> (D, R, *N): each contact at its lower sphere, 0 where there is none."""
+        """Return values by contact (R, E) as (D, R, *N): each contact at its lower sphere, 0 where there is none."""
         full = np.zeros((len(self.shape), self.replicas, *self.shape))
         for axis, values in enumerate(self.lattice.by_axis(contacts)):
             self.from_lower_sphere(full[axis], axis)[...] = values
         return full
 
     def from_lower_sphere(self, full: np.ndarray, axis: int) -> np.ndarray:
-        """(..., R, *N) -> (..., R, *contacts of axis)."""
+        """Return the part (..., R, *contacts) of values (..., R, *N) at lower spheres that belongs to contacts
+        along an axis.
+        """
         return np.asarray(full[(Ellipsis,) + tuple(map(slice, self.lattice.contact_shape(axis)))])

@@ -69,7 +69,7 @@ def cut_weights(scene: Scene) -> np.ndarray:
     jump = scene.driving.top_in_units(axes)[0].reshape(len(axes), -1)[:, scene.lattice.column]
     if scene.lattice.dimension == 2:
         jump = np.where(jump != 0, 1.0, 0.0)
-    across = vector_length(np.where(scene.lattice.felt(axes), jump, 0.0))
+    across = vector_length(np.where(scene.lattice.tangential_mask(axes), jump, 0.0))
     return scene.law.objective(coefficients, across)
 
 

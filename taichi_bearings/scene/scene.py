@@ -384,7 +384,7 @@ class Scene(Bearing):
         sphere = np.arange(sites).reshape(self.lattice.shape)
         sphere[..., 0], sphere[..., -1] = 0, sites - 1
         body = sphere.ravel()[self.lattice.ends]
-        for replica, felt in product(range(self.replicas), self.lattice.felt(self.minimum_spin_axes)):
+        for replica, felt in product(range(self.replicas), self.lattice.tangential_mask(self.minimum_spin_axes)):
             low, high = body[:, felt & (self.coefficient[replica] > 0)]
             graph = coo_array((np.ones(len(low), dtype=np.int8), (low, high)), shape=(sites, sites))
             label = connected_components(graph, directed=False)[1]

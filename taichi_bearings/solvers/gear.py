@@ -112,7 +112,7 @@ def largest_weighted_eigenvalue(scene: Scene, spin_axes: tuple[int, ...]) -> flo
     lattice, largest, viscosities = scene.lattice, 0.0, scene.viscosities
     if viscosities is None:
         return largest
-    for felt in lattice.felt(spin_axes):
+    for felt in lattice.tangential_mask(spin_axes):
         for weights in viscosities:
             edges = [(*lattice.ends[:, felt], weights[felt])]
             matrix = graph_laplacian(edges, lattice.sites, lattice.is_driven.ravel())

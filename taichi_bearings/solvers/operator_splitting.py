@@ -177,7 +177,7 @@ class OperatorSplittingMethod(Method):
 
     def _limited(self, trial: Forces) -> Forces:
         """The friction f of trial forces, to the last bit as the contact step has it."""
-        scene, alone = self.scene, self.scene.lattice.felt(self.spin_axes).sum(axis=0) == 1
+        scene, alone = self.scene, self.scene.lattice.tangential_mask(self.spin_axes).sum(axis=0) == 1
         limit, size = scene.strength * scene.acting_coefficient, np.sqrt((trial**2).sum(axis=0))
         share = np.divide(limit, size, out=np.ones_like(size), where=size > limit)
         return np.where(alone, np.clip(trial, -limit, limit), trial * share)

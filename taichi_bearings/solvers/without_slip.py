@@ -21,7 +21,7 @@ def without_slip(scene: Scene, final: Progress) -> Progress:
     staggered, axes = final.staggered.copy(), final.spin_axes
     top = scene.top_spin(axes)[..., None]  # (C, *plane, 1), of component k the same all along its layer x_k
     for replica in idle:
-        for slot, felt in enumerate(scene.lattice.felt(axes)):
+        for slot, felt in enumerate(scene.lattice.tangential_mask(axes)):
             with_top = _joined_to_top(scene, felt & (scene.acting_coefficient[replica] > 0))
             staggered[slot, replica] = np.where(with_top, top[slot], 0.0)
     some = np.isin(np.arange(scene.replicas), idle)

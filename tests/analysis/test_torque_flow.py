@@ -210,7 +210,7 @@ def test_self_stress_is_the_null_space_of_balance_with_given_totals(shape, axes)
         state, _ = states(lattice)
         state[(generator.random(state.shape) < share) & (state != DRIVEN)] = SLIPLESS
         rows = []
-        for slot, contact in np.argwhere(lattice.felt(axes) & (state == SLIPLESS)):
+        for slot, contact in np.argwhere(lattice.tangential_mask(axes) & (state == SLIPLESS)):
             force = np.zeros((len(axes), 1, lattice.all_contacts))
             force[slot, 0, contact] = 1.0
             pull = torques(force, lattice, axes)[:, 0]

@@ -14,7 +14,7 @@ def test_gather_and_scatter_are_inverse(shape):
     lattice, axes = scene.lattice, scene.minimum_spin_axes
     system = lattice_system(lattice, axes, np.ones(len(axes)))
     rng, acts = np.random.default_rng(5), ~lattice.between_driven
-    force = rng.standard_normal((len(axes), 2, lattice.all_contacts)) * (lattice.felt(axes) & acts)[:, None]
+    force = rng.standard_normal((len(axes), 2, lattice.all_contacts)) * (lattice.tangential_mask(axes) & acts)[:, None]
     again = np.asfortranarray(np.zeros_like(force))  # in any order in memory
     for replica in range(2):
         vectors = system.gather_vectors(force, replica)

@@ -35,7 +35,7 @@ def test_a_contact_step_equals_sums_over_contacts(shape, direction, periodic, pr
     lattice, axes, layout = scene.lattice, method.spin_axes, method.layout
     potential = 30 * rng.standard_normal((len(axes), 2, *shape))
     difference = contact_differences(potential, lattice, axes)
-    acts = (scene.acting_coefficient > 0) & lattice.felt(axes)[:, None]
+    acts = (scene.acting_coefficient > 0) & lattice.tangential_mask(axes)[:, None]
     trial = 40 * rng.standard_normal(difference.shape) * acts
     fields.load("potential", potential)
     fields.load("trial", method.stencil.forces_at_lower_sphere(trial, layout))

@@ -75,7 +75,7 @@ def test_stored_friction_balances_torques_and_does_the_work_of_the_drive(name, l
 def test_laboratory_friction_turns_back_into_the_same_staggered_forces():
     scene, generator = make_scene((3, 4, 5)), np.random.default_rng(19)
     for axes in ((0, 1), (1,), (0, 1, 2)):
-        felt = scene.lattice.felt(axes)[:, None]
+        felt = scene.lattice.tangential_mask(axes)[:, None]
         force = np.where(felt, generator.normal(size=felt.shape), 0.0)
         back = staggered_forces(laboratory_forces(force, scene.lattice, axes), scene.lattice, axes)
         assert (force == back).all()
@@ -84,7 +84,7 @@ def test_laboratory_friction_turns_back_into_the_same_staggered_forces():
 def test_any_forces_become_balanced_and_admissible_ones():
     scene, generator = make_scene((4, 3, 5), seeds=(5, 6)), np.random.default_rng(23)
     axes = scene.minimum_spin_axes
-    felt = scene.lattice.felt(axes)[:, None]
+    felt = scene.lattice.tangential_mask(axes)[:, None]
     force = np.where(felt, 20 * generator.normal(size=(len(axes), 2, scene.lattice.all_contacts)) + 10, 0.0)
     bound = lower_bound(scene, force, axes)
     certifying = certifying_forces(scene, force, axes, bound)

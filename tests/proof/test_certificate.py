@@ -19,7 +19,7 @@ from tests.scenes import make_scene, minima, name_of, scene_of
 
 
 def random_force(scene, axes, rng, size):
-    felt = scene.lattice.felt(axes)[:, None]
+    felt = scene.lattice.tangential_mask(axes)[:, None]
     return np.where(felt, size * rng.standard_normal((len(axes), scene.replicas, scene.lattice.all_contacts)), 0.0)
 
 
@@ -95,7 +95,7 @@ def test_torques_in_near_balance_are_summed_without_loss(shape):
     scene = make_scene(shape, "viscous")
     axes, lattice = scene.minimum_spin_axes, scene.lattice
     rng = np.random.default_rng(99)
-    felt = lattice.felt(axes)[:, None]
+    felt = lattice.tangential_mask(axes)[:, None]
     force = np.where(felt, 1e9 + rng.standard_normal(felt.shape), 0.0)
     pull = precise_torques(scene, force, axes)
     for slot, component in enumerate(axes):

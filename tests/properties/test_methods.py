@@ -87,7 +87,7 @@ def test_any_spins_and_forces_enclose_the_least_value(scene, seed, start, size):
     """Forces from those of the minimum to any. Spins are the doubles that they are, bounds those of the certificate."""
     rng, axes, least = np.random.default_rng(seed), scene.minimum_spin_axes, truths.least(scene)
     best = staggered_forces(answer_of(scene).friction, scene.lattice, axes)
-    felt = scene.lattice.felt(axes)[:, None]
+    felt = scene.lattice.tangential_mask(axes)[:, None]
     force = best + size * rng.normal(size=best.shape) * np.where(felt, np.abs(best).max(), 0.0)
     spin = scene.staggered_spin(initial_spin(scene, start), axes)
     assert lower_bound(scene, force, axes)[0] <= least.upper
