@@ -1,7 +1,7 @@
 """Gradient descent on the dissipated power, the paper's first method, with step lengths that provably converge.
 
 The metric is diagonal: each spin is divided by the sum of its contacts' coefficients, which bounds the curvature of the
-power by 2 whatever the disorder. The rules (docs/how-methods-work.md has the proofs and rates):
+power by 2 whatever the disorder. The rules (docs/methods.md has the proofs and rates):
 
 * viscous: step 1/2, the inverse of that bound, so the power falls in every step; with momentum the error falls like
   exp(-2 k / sqrt(condition number)) instead of exp(-k / condition number).

@@ -10,7 +10,7 @@ direction method of multipliers, which is Douglas-Rachford splitting, ties z to 
 
 Both halves are exact, so v converges from any start for any rho > 0 and 0 < alpha < 2 (Eckstein and Bertsekas 1992).
 The spring force rho D Omega - (v - 2 f) right after the Poisson step leaves no torque on any free sphere: capped or
-scaled into the friction discs it proves the lower bound. docs/how-methods-work.md has the rules and the measured rates.
+scaled into the friction discs it proves the lower bound. docs/methods.md has the rules and the measured rates.
 
 Contacts along the height carry the drive and slip most, so their springs are four times softer. The stiffness is
 steered by the proven gap, which splits into (P - W) + (W - bound) with W the work that the driven planes would do
