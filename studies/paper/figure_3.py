@@ -14,12 +14,13 @@ from matplotlib import colormaps
 from matplotlib.figure import Figure
 
 from taichi_bearings.analysis.network import SliplessNetwork
-from taichi_bearings.analysis.structure import LatticeStructure
+from taichi_bearings.analysis.structure import Structure
 from taichi_bearings.plots.bearing import SPIN_COLOURS, Sheet, draw_speed_bar, line_on_site, name_cut, speed_of
 from taichi_bearings.plots.page import BELOW, PAGE, middle_planes
 from taichi_bearings.plots.structure import draw_network
 from taichi_bearings.plots.style import GREEN, in_our_style, panels
 from taichi_bearings.runs.settings import RunSettings
+from taichi_bearings.scene.scene import of_lattice
 
 from .claims import Effort
 from .network import PRACTICALLY_ALL, sample_of
@@ -34,7 +35,7 @@ TOWARDS_READER = (1, -1, 1)  # along x for planes across x, against y for those 
 def study(folder: Path, effort: Effort) -> Found:
     """Certified samples of the paper's size, and the spheres of the path of the one that is shown."""
     table, shown = minima(folder, effort)
-    path, scene = shown.network.shortest_path, shown.scene
+    path, scene = shown.network.shortest_path, of_lattice(shown.scene)
     columns = [*path.T, *shown.spin[tuple(path.T)].T]
     spheres = Table(dict(zip(("x", "y", "z", "spin_x", "spin_y", "spin_z"), columns, strict=True)))
     named = {
@@ -55,7 +56,7 @@ def planes(folder: Path, effort: Effort) -> Found:
 
 
 @lru_cache(maxsize=1)  # of both figures
-def minima(folder: Path, effort: Effort) -> tuple[Table, LatticeStructure]:
+def minima(folder: Path, effort: Effort) -> tuple[Table, Structure]:
     """Certified samples of the paper's size, and the first one that spans, else the first."""
     seeds = effort.seeds(min(MOST_SAMPLES, effort.samples))
     chosen = [RunSettings(shape=SHAPE, seed=seed, spin_bottom=SPIN_BOTTOM) for seed in seeds]
@@ -64,12 +65,12 @@ def minima(folder: Path, effort: Effort) -> tuple[Table, LatticeStructure]:
 
 
 @in_our_style
-def draw_plane_cuts(shown: LatticeStructure) -> Figure:
+def draw_plane_cuts(shown: Structure) -> Figure:
     """Spheres coloured by |spin|, slipless contacts of the plane in grey, the path in green, on the upright planes that
     together hold most of the path, or the middle ones if there is none. A circle marks where the path leaves the plane:
     with a dot towards the reader, with a cross away.
     """
-    network, imposed = shown.network, shown.scene.imposed
+    network, imposed = shown.network, of_lattice(shown.scene).imposed
     speed, path = speed_of(shown.spin, *imposed), network.shortest_path
     cuts = planes_of(path) if len(path) else middle_planes(speed.shape)
     tall = float(np.clip(speed.shape[2] / min(speed.shape[:2]), 0.4, 2.0))

@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from taichi_bearings.analysis.network import SliplessNetwork
-from taichi_bearings.analysis.structure import LatticeStructure
+from taichi_bearings.analysis.structure import Structure
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.plots.style import BLUE, DOUBLE, GREEN, GREY, ORANGE, in_our_style, new_figure
 from taichi_bearings.proof.contact_state import ContactState
@@ -30,7 +30,7 @@ THRESHOLDS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10)
 """Slips over R times the imposed jump, which is the largest slip there can be."""
 THRESHOLD = r"slip threshold, $|v|\,/\,(R\,|\Delta\omega|)$"
 COARSE = ("#f2c14e", "#e07a5f", "#b56576")  # of the first thresholds
-VIEWED: dict[str, Callable[[LatticeStructure], Any]] = {
+VIEWED: dict[str, Callable[[Structure], Any]] = {
     "slipless": lambda structure: structure.contacts_in(ContactState.SLIPLESS),
     **{name: ANALYSED[name].of for name in ("spans", "reached_fraction", "spanning_fraction", "domains")},
     "largest_intermediate": ANALYSED["largest_intermediate_domain"].of,
@@ -59,14 +59,14 @@ def names_of(table: Table) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def numbers_of(structure: LatticeStructure) -> dict[str, Any]:
+def numbers_of(structure: Structure) -> dict[str, Any]:
     """The numbers of one sample, and as NAME_seen, for each of VIEWED, a list: by each of THRESHOLDS what a solver
     would have seen that cannot tell tiny slips from none, then by contact states.
 
     At the minimum of a large sample the slips span many decades, so a coarse threshold merges slipping contacts into
     the network and domains into each other.
     """
-    unit = structure.scene.lattice.radius * structure.scene.jump
+    unit = structure.scene.slip_radius * structure.scene.jump
     seen = [*(structure.by_threshold(threshold * unit) for threshold in THRESHOLDS), structure]
     sizes = [of.contacts_in(ContactState.SLIPLESS) for of in seen]  # sets are nested: the same number, the same set
     different = dict(zip(sizes, seen, strict=True))
@@ -74,19 +74,20 @@ def numbers_of(structure: LatticeStructure) -> dict[str, Any]:
     return sample_of(structure) | {f"{name}_seen": [views[size][name] for size in sizes] for name in VIEWED}
 
 
-def sample_of(structure: LatticeStructure) -> dict[str, Any]:
+def sample_of(structure: Structure) -> dict[str, Any]:
     """The numbers of one sample. reached_by_chance : by as many contacts at random places."""
-    scene, network = structure.scene, structure.network
+    network, passed = structure.network, structure.bottlenecks
+    assert passed is not None  # as a lattice has two planes
     analysed = ("spanning_fraction", "domains", "disjoint_paths", "effective_links", "parting_links")
     shared = told(structure, *analysed)
     planes_x, planes_y = network.path_planes
     return shared | {
         "unique": structure.minimum_is_unique is True,
-        "reached_by_chance": reached_by_chance(scene.lattice, shared["slipless_fraction"]),
+        "reached_by_chance": reached_by_chance(network.lattice, shared["slipless_fraction"]),
         "shortest_path": max(len(network.shortest_path) - 1, 0),
         "planes_x": planes_x,
         "planes_y": planes_y,
-        "busiest_link_share": float(structure.bottlenecks.share.max(initial=0.0)),
+        "busiest_link_share": float(passed.share.max(initial=0.0)),
         "plane_spans": bool(any(spans_within_planes(network, axis).any() for axis in (0, 1))),
     }
 

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from taichi_bearings import runtime
-from taichi_bearings.analysis.structure import LatticeStructure, structure_of
+from taichi_bearings.analysis.structure import Structure, structure_of
 from taichi_bearings.errors import BearingsError
 from taichi_bearings.files.scan_file import FAILED
 from taichi_bearings.files.scan_journal import Journal, read_journal
@@ -186,10 +186,10 @@ def _by_worker(unit: Sequence[Part]) -> list[dict[str, Any]]:
     return records
 
 
-Numbers = Callable[[LatticeStructure], dict[str, Any]]
+Numbers = Callable[[Structure], dict[str, Any]]
 
 
-def certified(settings: RunSettings) -> LatticeStructure:
+def certified(settings: RunSettings) -> Structure:
     """Structure of the sample that the settings name, at its certified minimum."""
     return structure_of(solved(build_scene(settings), InteriorPoint(), StopRule(1e-9)))
 
@@ -235,13 +235,14 @@ def drawn(
     }
 
 
-def told(structure: LatticeStructure, *names: str) -> dict[str, Any]:
+def told(structure: Structure, *names: str) -> dict[str, Any]:
     """Numbers of the minimum that studies share, and rows of `bearings analyse` by their names; fractions are of the
     free spheres. intermediate : share of them that are not locked to a driven plane in all components."""
-    cut, free = structure.interface, ~structure.scene.lattice.is_driven
+    cut, free = structure.interface, structure.network.free
+    assert cut is not None  # as a lattice has two planes
     locked = structure.rigid_domains.spheres_of_kind(free)
     numbers = {
-        "side": structure.scene.lattice.shape[0],
+        "side": structure.whole.shape[0],
         "seed": structure.scene.seeds[0],
         "power": structure.power,
         "gap": (structure.power - structure.lower_bound) / structure.power if structure.power else 0.0,

@@ -17,9 +17,10 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, ScalarFormatter
 
-from taichi_bearings.analysis.structure import LatticeStructure
+from taichi_bearings.analysis.structure import Structure
 from taichi_bearings.numerics.minimum_cut import minimum_cut
 from taichi_bearings.plots.style import BLUE, GREY, ORANGE, in_our_style, new_figure, shades
+from taichi_bearings.scene.scene import of_lattice
 
 from .claims import Effort
 from .drawing import draw_deviations, draw_growth, draw_means, mean_and_error, name_sizes
@@ -59,16 +60,17 @@ def cuts(length: int, lowest: float, samples: int, seed: int) -> dict[str, Any]:
     return {"weight": cut.weight.tolist(), "roughness": course.var(axis=(1, 2)).tolist()}
 
 
-def numbers_of(structure: LatticeStructure) -> dict[str, Any]:
+def numbers_of(structure: Structure) -> dict[str, Any]:
     """The minimum of a sample in numbers; power, cut : least power and that of the minimum cut, over F_n R omega_T.
     layers : in how many layers the spin changes, one over the sum of the squares of the shares that each has in the
     change of the mean staggered spin."""
-    scene = structure.scene
+    scene, cut = of_lattice(structure.scene), structure.interface
+    assert cut is not None  # as a lattice has two planes
     unit = scene.normal_force * scene.lattice.radius * scene.jump
     spin = scene.staggered_spin(structure.spin[None], scene.minimum_spin_axes)[:, 0]
     share = np.diff(spin.mean(axis=(0, 1, 2)))
     return told(structure) | {
-        "height": scene.lattice.shape[2], "power": structure.power / unit, "cut": structure.interface.power / unit,
+        "height": scene.lattice.shape[2], "power": structure.power / unit, "cut": cut.power / unit,
         "layers": float(share.sum() ** 2 / (share**2).sum()),
     }  # fmt: skip
 

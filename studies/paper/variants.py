@@ -18,10 +18,11 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from taichi_bearings.analysis.structure import LatticeStructure
+from taichi_bearings.analysis.structure import Structure
 from taichi_bearings.plots.style import BLUE, GREY, in_our_style, new_figure
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.runs.settings import RunSettings
+from taichi_bearings.scene.scene import of_lattice
 
 from .claims import Effort, Share
 from .drawing import draw_row
@@ -74,7 +75,7 @@ def drivings(folder: Path, effort: Effort) -> Found:
 
 
 def samples_of(
-    variants: Variants, seeds: range, numbers: Callable[[LatticeStructure], dict[str, Any]], journal: Path
+    variants: Variants, seeds: range, numbers: Callable[[Structure], dict[str, Any]], journal: Path
 ) -> dict[str, Table]:
     """Numbers of the certified cubes of each variant, of the same seeds, by its name."""
     chosen = [RunSettings(shape=(BULK,) * 3, seed=seed, **variant) for variant in variants.values() for seed in seeds]
@@ -82,7 +83,7 @@ def samples_of(
     return {name: found[each * number : each * (number + 1)] for number, name in enumerate(variants)}
 
 
-def spread_numbers(structure: LatticeStructure) -> dict[str, Any]:
+def spread_numbers(structure: Structure) -> dict[str, Any]:
     """decades : of power of the contacts that slip, None where that is not proven."""
     scene = structure.scene
     power = scene.law.power(scene.material, structure.slip[None])[0][structure.state == ContactState.SLIPPING]
@@ -91,10 +92,10 @@ def spread_numbers(structure: LatticeStructure) -> dict[str, Any]:
     return told(structure) | {"decades": decades}
 
 
-def driven_numbers(structure: LatticeStructure) -> dict[str, Any]:
+def driven_numbers(structure: Structure) -> dict[str, Any]:
     """slipless : 1 for each such contact. power_over_jump : over F_n R times the jump across the height (times the jump
     itself where it has no such part). angle : of the jump, degrees from x."""
-    scene = structure.scene
+    scene = of_lattice(structure.scene)
     jump = np.abs(scene.driving.jump.spin[0])
     unit = scene.normal_force * scene.lattice.radius * (np.hypot(*jump[:2]) or np.linalg.norm(jump))
     return told(structure) | {

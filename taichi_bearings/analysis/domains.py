@@ -21,7 +21,8 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
-from taichi_bearings.analysis.network import SliplessNetwork
+from taichi_bearings.analysis.network import MOST_BODIES, SliplessNetwork
+from taichi_bearings.scene.interface import SAME_STATE
 
 
 class Lock(IntFlag):
@@ -132,6 +133,43 @@ def rigid_domains(network: SliplessNetwork, staggered: np.ndarray, spin_axes: tu
     labels, tied = np.stack([_of_component(network, component, uneven) for component in spin_axes], axis=1)
     above = np.repeat(top, network.shape[-1], axis=1)  # each sphere
     return RigidDomains.of(spin_axes, labels, tied, staggered.reshape(len(spin_axes), -1), above, network.shape)
+
+
+def turning_domains(
+    network: SliplessNetwork, turned: np.ndarray, states: np.ndarray | None, near: float, axes: tuple[int, ...]
+) -> RigidDomains:
+    """Rigid domains of one sample by its spins: spheres of one connected piece of slipless contacts that turn as fast.
+    Those of one piece with a body that turn as it does are locked to it.
+
+    turned : (N, C) s R omega, length/time. states : (2, N, C), what it would be if all turned with the first or with
+    the second of two bodies; None without two bearing states. near : by how much speeds of one domain may differ,
+    length/time. axes : components that are looked at.
+    """
+    piece, whole, largest = network.component, network.whole, np.abs(turned).max(initial=0.0)
+    low, high = np.zeros((2, *turned.shape)) if states is None else states
+    apart = 4 * largest  # with bodies that turn unevenly all is one domain that turns as they do
+    values = np.where(np.abs(turned - low) <= near, -apart, np.where(np.abs(turned - high) <= near, apart, turned))
+    labels = np.stack([_alike(piece, (turned if states is None else values)[:, k], near) for k in axes])
+    held = np.flatnonzero(~whole.free)
+    bodies, body = np.unique(whole.body[held], return_inverse=True)
+    tied = np.zeros((len(axes), len(turned)), dtype=np.int64)
+    for lock, label in zip(tied, labels, strict=True):
+        np.bitwise_or.at(lock, label[held], 1 << np.minimum(body, MOST_BODIES))
+    tied = np.take_along_axis(tied, labels, axis=1)
+    jump = (high - low)[:, axes].T
+    jump[np.abs(jump) <= SAME_STATE * largest] = 0.0  # rounding of states that agree
+    names = ("bottom", "top") if len(bodies) == 2 else tuple(f"body {number}" for number in bodies[:MOST_BODIES])
+    above = (turned - low)[:, axes].T
+    return RigidDomains.of(axes, labels, tied, above, None if states is None else jump, piece.shape, names)
+
+
+def _alike(piece: np.ndarray, values: np.ndarray, near: float) -> np.ndarray:
+    """(N,) one label for the spheres of each piece whose values follow each other by no more than `near`."""
+    order = np.lexsort([values, piece])
+    new = (np.diff(piece[order], prepend=-1) != 0) | (np.diff(values[order], prepend=np.inf) > near)
+    label = np.empty(len(piece), dtype=np.int64)
+    label[order] = np.cumsum(new) - 1
+    return label
 
 
 def refined(labels: np.ndarray) -> np.ndarray:

@@ -1,7 +1,8 @@
 """The structure of one sample, of a lattice or a packing, part by part; a part is computed when it is first asked for.
 
-A lattice is here a packing whose spins are measured from its bottom, so all is said once of a network of contacts; it
-only knows better what its contacts along axes force to turn alike, and which interface is the lightest.
+All is said once of a network of contacts, whose spins a lattice measures from its bottom. Where a network has strides,
+these tell three things that are found by searches else: how high a sphere lies, what contacts along axes force to turn
+alike, and around how many loops torque can circulate.
 
 **Torque.** With signs s by which neighbours differ, s times what a contact pulls with at u = R omega is a current of
 each component, from one of its spheres to the other. No free sphere stores any of it; it enters at the one driven body
@@ -15,7 +16,7 @@ as long as there are loops of slipless contacts around which torque can circulat
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, ClassVar, TypeVar
+from typing import Any
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -23,7 +24,7 @@ from scipy.sparse.csgraph import connected_components, laplacian
 from scipy.sparse.linalg import spsolve
 
 from taichi_bearings.analysis.bottlenecks import Bottlenecks
-from taichi_bearings.analysis.domains import RigidDomains, rigid_domains
+from taichi_bearings.analysis.domains import RigidDomains, rigid_domains, turning_domains
 from taichi_bearings.analysis.network import MOST_BODIES, SliplessNetwork
 from taichi_bearings.analysis.topology import self_stress_of
 from taichi_bearings.numerics.minimum_cut import WEIGHT_ROUNDING
@@ -37,11 +38,10 @@ from taichi_bearings.scene.network import Network
 from taichi_bearings.scene.scene import of_lattice, vector_length
 from taichi_bearings.stages import stage
 
-OF_EVERY_SAMPLE = ("power", "lower_bound", "slipping", "slipless", "tied", "undecided")
-OF_MINIMA = ("minimum_is_unique",)
+OF_THE_RUN = ("power", "lower_bound", "slipping", "slipless", "tied", "undecided", "minimum_is_unique")
+"""Numbers of the run itself that stand before those of the structure."""
 MAY_BE_ABSENT = ("planes_crossed", "winds_x", "winds_y", "spanning_winds_x", "spanning_winds_y", "mean_saturation")
 """Numbers that are left out where they make no sense."""
-Kind = TypeVar("Kind", bound="Structure")
 
 
 @dataclass(frozen=True)
@@ -79,17 +79,15 @@ class Structure:
     lower_bound: float
     threshold: float | None = None
 
-    told: ClassVar[tuple[str, ...]] = OF_EVERY_SAMPLE
-
     @cached_property
     def state(self) -> np.ndarray:
-        """Those between driven spheres stay, whatever the threshold."""
+        """(E,) contact states, by the threshold if there is one; contacts between driven spheres stay what they are."""
         if self.threshold is None:
             return self.found
         return by_threshold(self.slip, self.found, self.threshold)
 
-    def by_threshold(self: Kind, threshold: float) -> Kind:
-        """The same sample by a threshold."""
+    def by_threshold(self, threshold: float) -> "Structure":
+        """The structure of the same sample if contacts count as slipless up to this slip speed, length/time."""
         return replace(self, threshold=threshold)
 
     def contacts_in(self, which: ContactState) -> int:
@@ -107,23 +105,48 @@ class Structure:
         return self.state == ContactState.SLIPLESS
 
     @property
-    def bearing(self) -> Bearing:
+    def states_proven(self) -> bool:
+        """True if the state of every contact is proven to be that of every minimum."""
+        return self.threshold is None and bool(self.answer.states_proven[0])
+
+    @property
+    def minimum_is_unique(self) -> bool | None:
+        """True if no other slips have the least power, False if others have, None if neither is proven."""
+        return self.answer.minimum_is_unique[0] if self.threshold is None else None
+
+    @property
+    def scene(self) -> Bearing:
         """What was solved."""
         return self.answer.scene
 
     @property
     def whole(self) -> Network:
         """All spheres and contacts."""
-        return self.bearing.network
+        return self.scene.network
 
     @property
     def fastest(self) -> float:
-        """The largest imposed R omega, of a lattice R times the largest jump; length/time."""
-        return float(np.linalg.norm(self.bearing.driven_speed, axis=1).max(initial=0.0))
+        """The largest imposed R omega, length/time, of a lattice measured from its bottom."""
+        return float(np.linalg.norm(self.scene.driven_speed, axis=1).max(initial=0.0))
 
     def shown_spin(self, spin: np.ndarray) -> np.ndarray:
-        """Spins of this sample, in the shape they have, less what no contact feels; the same of a packing."""
-        return spin
+        """Spins (..., *N, 3) or (..., *N) as pictures show them, without what no contact feels.
+
+        No contact of a lattice feels by how much a whole layer turns about the height (up to the sign of the
+        sublattice), so a dynamics keeps whatever mean each layer began with. Where both planes have the same mean, free
+        layers get it too; else, in 2D, and without layers, the spins stay as they are.
+        """
+        lattice = self.whole.lattice
+        if lattice is None or lattice.dimension == 2:
+            return spin
+        sign = lattice.parity
+        mean = (sign * spin[..., 2]).mean(axis=(-3, -2), keepdims=True)
+        bottom, top = mean[..., :1], mean[..., -1:]
+        if not np.allclose(bottom, top, rtol=0, atol=1e-12 * self.scene.fastest):
+            return spin
+        shown = spin.copy()
+        shown[..., 1:-1, 2] -= (sign * (mean - bottom))[..., 1:-1]
+        return shown
 
     @property
     def snapshots(self) -> np.ndarray:
@@ -144,15 +167,15 @@ class Structure:
         return SliplessNetwork(self.whole, self.slipless)
 
     @cached_property
-    def bottlenecks(self) -> Any:
-        """Between driven bodies; None with fewer than two of them, or more than MOST_BODIES."""
+    def bottlenecks(self) -> Bottlenecks | None:
+        """Contacts that paths between bodies cannot avoid; None with fewer than two, or more than MOST_BODIES."""
         return Bottlenecks(self.network) if 2 <= len(self.network.held) <= MOST_BODIES else None
 
     @cached_property
     def interface(self) -> Interface | None:
         """The lightest interface of two rigid domains; None where there are no two bearing states."""
         with stage("finding the minimum cut"):
-            return Interface.of(self.bearing)
+            return find_interface(self.scene)
 
     @cached_read_only
     def signs(self) -> tuple[np.ndarray, np.ndarray]:
@@ -163,7 +186,7 @@ class Structure:
     def states(self) -> np.ndarray | None:
         """s u (2, N, C) of all spheres if they turned with the first or with the second of two driven bodies,
         length/time; None where these are in no bearing states."""
-        found = bearing_states(self.bearing)
+        found = bearing_states(self.scene)
         return None if found is None else found[1]
 
     @cached_read_only
@@ -177,27 +200,14 @@ class Structure:
 
     @cached_property
     def rigid_domains(self) -> RigidDomains:
-        """Spheres of one connected piece of slipless contacts that turn as fast, but for their signs. Components that
-        all have alike are left out; those of one piece with a body that turn as it does are locked to it."""
-        u, piece = self.turned, self.network.component
-        largest, states = np.abs(u).max(initial=0.0), self.states
-        near = max(SAME_STATE * largest, 2 * self.slip[self.slipless].max(initial=0.0))
-        low, high = np.zeros((2, *u.shape)) if states is None else states
-        apart = 4 * largest  # with bodies that turn unevenly all is one domain that turns as they do
-        values = np.where(np.abs(u - low) <= near, -apart, np.where(np.abs(u - high) <= near, apart, u))
-        axes = self._slipping_components(near)
-        labels = np.stack([_alike(piece, (u if states is None else values)[:, k], near) for k in axes])
-        held = np.flatnonzero(~self.whole.free)
-        bodies, body = np.unique(self.whole.body[held], return_inverse=True)
-        tied = np.zeros((len(axes), len(u)), dtype=np.int64)
-        for lock, label in zip(tied, labels, strict=True):
-            np.bitwise_or.at(lock, label[held], 1 << np.minimum(body, MOST_BODIES))
-        tied = np.take_along_axis(tied, labels, axis=1)
-        jump = (high - low)[:, axes].T
-        jump[np.abs(jump) <= SAME_STATE * largest] = 0.0  # rounding of states that agree
-        names = ("bottom", "top") if len(bodies) == 2 else tuple(f"body {number}" for number in bodies[:MOST_BODIES])
-        above = (u - low)[:, axes].T
-        return RigidDomains.of(axes, labels, tied, above, None if states is None else jump, piece.shape, names)
+        """Spheres that turn as one, but for the signs of their sublattice: what contacts along the axes of a lattice
+        force to do so; without strides spheres of one connected piece of slipless contacts that turn as fast."""
+        with stage("finding rigid domains"):
+            if self.whole.lattice is not None:
+                axes = self.scene.minimum_spin_axes
+                return rigid_domains(self.network, self.scene.staggered_spin(self.spin[None], axes)[:, 0], axes)
+            near = max(SAME_STATE * np.abs(self.turned).max(initial=0.0), 2 * self.slip[self.slipless].max(initial=0.0))
+            return turning_domains(self.network, self.turned, self.states, near, self._slipping_components(near))
 
     @cached_read_only
     def domain(self) -> np.ndarray:
@@ -215,10 +225,13 @@ class Structure:
 
     @cached_read_only
     def height(self) -> np.ndarray:
-        """(N,) 0 on the first body, 1 on the last one, and between the mean of that of the neighbours; 0 where these
-        two do not reach."""
+        """(N,) 0 on the first body and 1 on the last one: the layer of a lattice; without layers the mean of that of
+        the neighbours, and 0 where these two bodies do not reach."""
+        if self.whole.lattice is not None:
+            *_, layer = np.indices(self.whole.lattice.shape)
+            return np.asarray(layer.ravel() / layer.max())
         node = self.network.body
-        ends, size = node[self.whole.contact[:, self.bearing.acting]], int(node.max()) + 1
+        ends, size = node[self.whole.contact[:, self.scene.acting]], int(node.max()) + 1
         ones = np.ones(ends.shape[1])
         graph = csr_array((np.tile(ones, 2), np.append(ends, ends[::-1], axis=1)), shape=(size, size))
         label = connected_components(graph, directed=False)[1]
@@ -232,7 +245,7 @@ class Structure:
     @cached_property
     def torque_flow(self) -> TorqueFlow:
         """What drives the bodies, and how it goes through the network: layers are those of `height`."""
-        whole, imposed, (odd, sign) = self.whole, self.bearing.driven_speed, self.signs
+        whole, imposed, (odd, sign) = self.whole, self.scene.driven_speed, self.signs
         first, second = whole.contact
         friction, sign = self.friction, np.where(odd, 1, sign)
         pull = friction[:, None] if whole.dimension == 2 else np.cross(whole.normal, friction)
@@ -248,31 +261,35 @@ class Structure:
             drop = sign[first] * (self.height[first] - self.height[second])
             carried = (pull * drop[:, None] * (self.states[1] - self.states[0])[first]).sum(axis=1)
             share = float(carried[self.slipless].sum() / carried.sum()) if carried.sum() else 0.0
-        return TorqueFlow(total[-1] if len(bodies) == 2 else total, power, share)
+        needed = list(self.scene.minimum_spin_axes) if whole.components > 1 else [0]
+        return TorqueFlow(total[-1, needed] if len(bodies) == 2 else total, power, share)
 
     @property
     def mean_saturation(self) -> float | None:
         """Mean share of their friction limit that slipless contacts bear: not-a-number where there are none, None
         without a limit of friction."""
-        if not self.bearing.law.is_rate_independent:
+        if not self.scene.law.is_rate_independent:
             return None
-        limit, size = self.bearing.material[0][0], vector_length(np.atleast_2d(self.friction.T))
+        limit, size = self.scene.material[0][0], vector_length(np.atleast_2d(self.friction.T))
         loaded = self.slipless & (limit > 0)
         return float((size[loaded] / limit[loaded]).mean()) if loaded.any() else np.nan
 
     @cached_property
     def self_stress(self) -> int | None:
         """States of self-stress: how far the forces of slipless contacts are left open; None if rounding hides it."""
-        chosen, every = np.flatnonzero(self.slipless), range(self.whole.components)
-        axes = self.rigid_domains.spin_axes if self.whole.along_axes(chosen) else every
-        return self_stress_of(self.whole, chosen, axes)
+        with stage("counting states of self-stress"):
+            chosen, axes = np.flatnonzero(self.slipless), self.rigid_domains.spin_axes
+            if self.whole.lattice is not None:
+                return int(self_stress(self.network, axes).sum())
+            every = tuple(range(self.whole.components))
+            return self_stress_of(self.whole, chosen, axes if self.whole.along_axes(chosen) else every)
 
     @cached_property
     def numbers(self) -> dict[str, Any]:
         """As `bearings analyse --json` has them, for JSON. Those that are not finite, or of which there are none,
         are None."""
         states = {which.name.lower(): self.contacts_in(which) for which in ContactState}
-        told = {name: states[name] if name in states else getattr(self, name) for name in self.told}
+        told = {name: states[name] if name in states else getattr(self, name) for name in OF_THE_RUN}
         found = {row.name: row.of(self) for row in self._rows()}
         return told | {n: plain(v) for n, v in found.items() if v is not None or n not in MAY_BE_ABSENT}
 
@@ -282,102 +299,27 @@ class Structure:
                 yield from rows
 
 
-class LatticeStructure(Structure):
-    """That of one sample of a lattice; R = 1."""
+def structure_of(answer: Solution, number: int = 0, threshold: float | None = None) -> Structure:
+    """The structure of one sample of an answer, ready to be looked at.
 
-    told = (*OF_EVERY_SAMPLE, *OF_MINIMA)
-
-    @property
-    def scene(self) -> Scene:
-        return of_lattice(self.answer.scene)
-
-    @property
-    def fastest(self) -> float:
-        return self.scene.lattice.radius * self.scene.jump
-
-    def shown_spin(self, spin: np.ndarray) -> np.ndarray:
-        """Spins (..., *N, 3) as pictures show them: about the height, every layer has the mean of the driven planes.
-
-        No contact feels by how much a whole layer turns about the height (up to the sign of the sublattice), so a
-        dynamics keeps whatever mean each layer began with. Where both planes have the same mean, free layers get it
-        too; else, and in 2D, the spins stay as they are.
-        """
-        if self.scene.lattice.dimension == 2:
-            return spin
-        sign = self.scene.lattice.parity
-        staggered = sign * spin[..., 2]
-        mean = staggered.mean(axis=(-3, -2), keepdims=True)
-        bottom, top = mean[..., :1], mean[..., -1:]
-        if not np.allclose(bottom, top, rtol=0, atol=1e-12 * self.scene.fastest):
-            return spin
-        shown = spin.copy()
-        shown[..., 1:-1, 2] -= (sign * (mean - bottom))[..., 1:-1]
-        return shown
-
-    def slips_of(self, spin: np.ndarray) -> np.ndarray:
-        axes = self.scene.lattice.all_spin_axes
-        return self.scene.slips(self.scene.staggered_spin(spin[None], axes), axes)[0]
-
-    @property
-    def states_proven(self) -> bool:
-        """True if `state` is proven to be that of every minimum."""
-        return self.threshold is None and bool(self.answer.states_proven[0])
-
-    @property
-    def minimum_is_unique(self) -> bool | None:
-        """None if it is not known."""
-        return self.answer.minimum_is_unique[0] if self.threshold is None else None
-
-    @cached_property
-    def interface(self) -> Interface:
-        with stage("finding the minimum cut"):
-            return find_interface(self.scene)
-
-    @cached_read_only
-    def states(self) -> np.ndarray:
-        sign, imposed = self.signs[1], self.scene.driven_speed
-        top = (sign[:, None] * imposed).reshape(*self.scene.lattice.shape, -1)[..., -1:, :]
-        high = np.broadcast_to(top, (*self.scene.lattice.shape, imposed.shape[1])).reshape(imposed.shape)
-        return np.stack([np.zeros_like(high), high])
-
-    @cached_property
-    def rigid_domains(self) -> RigidDomains:
-        axes = self.scene.minimum_spin_axes
-        with stage("finding rigid domains"):
-            return rigid_domains(self.network, self.scene.staggered_spin(self.spin[None], axes)[:, 0], axes)
-
-    @cached_read_only
-    def height(self) -> np.ndarray:
-        *_, layer = np.indices(self.scene.lattice.shape)
-        return np.asarray(layer.ravel() / layer.max())
-
-    @cached_property
-    def torque_flow(self) -> TorqueFlow:
-        """That of the components that the driving needs."""
-        flow = super().torque_flow
-        return flow if len(flow.total) == 1 else replace(flow, total=flow.total[list(self.scene.minimum_spin_axes)])
-
-    @cached_property
-    def self_stress(self) -> int:
-        with stage("counting states of self-stress"):
-            return int(self_stress(self.network, self.scene.minimum_spin_axes).sum())
-
-
-def structure_of(answer: Solution, number: int = 0, threshold: float | None = None) -> Any:
-    """One sample of an answer, ready to be looked at: a :class:`LatticeStructure`, of a packing a :class:`Structure`.
-
-    number : of the sample. threshold : as of these.
+    number : of the sample. threshold : as of :class:`Structure`.
     """
     one = answer.sample(number)
-    kind: type[Structure] = Structure if one.scene.network.lattice is None else LatticeStructure
     power, lower_bound = float(one.power[0]), float(one.lower_bound[0])
     of_contacts = (one.slip[0], one.state[0], one.friction[0], one.power_per_contact[0])
-    return kind(one, one.spin[0], *of_contacts, power, lower_bound, threshold)
+    return Structure(one, one.spin[0], *of_contacts, power, lower_bound, threshold)
 
 
-def find_interface(scene: Scene, replica: int = 0) -> Interface:
-    """The cheapest interface of one sample: of the least power, or what else the stationary state minimises."""
-    scene = scene.sample(replica)
+def find_interface(bearing: Bearing, replica: int = 0) -> Interface | None:
+    """The cheapest interface of one sample: of the least power, or what else the stationary state minimises; None where
+    there are no two bearing states, as there are in every lattice.
+
+    replica : number of the sample.
+    """
+    bearing = bearing.sample(replica)
+    if bearing.network.lattice is None:
+        return Interface.of(bearing)
+    scene = of_lattice(bearing)
     weight, cut, unit = cut_weights(scene), cut_of(scene), cut_unit(scene)
     low, high = cut.above[0].ravel()[scene.lattice.ends]
     contacts = (low != high) & (weight[0] > 0) & (scene.jump > 0)  # without a jump nothing slips
@@ -417,12 +359,3 @@ def self_stress(network: SliplessNetwork, spin_axes: tuple[int, ...]) -> np.ndar
         domains = np.unique(network.pieces(carries)[joined])
         states.append(int(carries.sum()) - (len(joined) - len(domains)))
     return np.array(states)
-
-
-def _alike(piece: np.ndarray, values: np.ndarray, near: float) -> np.ndarray:
-    """Label (N,) of the spheres of each piece whose values follow each other by no more than `near`."""
-    order = np.lexsort([values, piece])
-    new = (np.diff(piece[order], prepend=-1) != 0) | (np.diff(values[order], prepend=np.inf) > near)
-    label = np.empty(len(piece), dtype=np.int64)
-    label[order] = np.cumsum(new) - 1
-    return label

@@ -44,7 +44,7 @@ def draw_spins(structure: Structure, page: Page = PAGE, title: str = "", note: s
     slips, movable = structure.state == ContactState.SLIPPING, int((structure.state != ContactState.DRIVEN).sum())
     counted = f"{int(slips.sum()):,} of {movable:,} contacts slip"
     drawn = slips & (slips.sum() <= max(MOST_SLIPS * movable, FEW_SLIPS))
-    system, place, spin = structure.bearing, structure.network.whole, structure.shown_spin(structure.spin)
+    system, place, spin = structure.scene, structure.network.whole, structure.shown_spin(structure.spin)
     if place.lattice is None:
         surface = spin.reshape(place.spheres, -1) * place.radius[:, None]
         speed, label = (
@@ -98,7 +98,7 @@ def draw_power(structure: Structure, page: Page = PAGE) -> Figure:
 
     Where more contacts slip than lines can show, each disc has the colour of the power of its contacts, half of each.
     """
-    system, place = structure.bearing, structure.network.whole
+    system, place = structure.scene, structure.network.whole
     unit, symbol = power_unit(system)
     power = np.where(structure.state == ContactState.SLIPPING, structure.power_per_contact / unit, 0.0)
     if place.lattice is not None and place.dimension == 3:

@@ -17,12 +17,13 @@ from matplotlib.lines import Line2D
 
 from taichi_bearings.analysis.domains import LOCKS, RigidDomains
 from taichi_bearings.analysis.network import SliplessNetwork
-from taichi_bearings.analysis.structure import LatticeStructure, Structure
+from taichi_bearings.analysis.structure import Structure
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.plots import bearing
 from taichi_bearings.plots.bearing import SPIN_COLOURS, Sheet
 from taichi_bearings.plots.page import AXES, BELOW, PAGE, VIEW, Page, View, columns_on, middle_planes
 from taichi_bearings.plots.style import GREEN, GREY, describe, in_our_style, label_in_plain_text, panels, put_title
+from taichi_bearings.scene.scene import of_lattice
 
 FIRST_AHEAD, SECOND_AHEAD = to_rgb("#e8b400"), to_rgb("#0d8a6f")  # one component has followed the top, the other not
 LOCK_COLOURS = {"bottom": colormaps[SPIN_COLOURS](0.0), "top": colormaps[SPIN_COLOURS](1.0)}
@@ -78,7 +79,7 @@ def _draw_domains_of_packing(structure: Structure, page: Page) -> Figure:
         label += "\nyellow, green: one component is ahead" if len(moving) > 1 else ""
         bearing.colour_bar(figure, axes, label, Normalize(0, 1), SPIN_COLOURS, **look)
     kinds = ", ".join(f"{count:,} {kind}" for kind, count in domains.domains_of_kind().items() if count)
-    put_title(figure, f"{describe(structure.bearing)}\n{domains.number:,} rigid domains, locked to: {kinds}", page)
+    put_title(figure, f"{describe(structure.scene)}\n{domains.number:,} rigid domains, locked to: {kinds}", page)
     return figure
 
 
@@ -154,9 +155,9 @@ def draw_network(structure: Structure, page: Page = PAGE) -> Figure:
     the top red.
     """
     network, spin = structure.network, structure.shown_spin(structure.spin)
-    if not isinstance(structure, LatticeStructure):
+    if structure.whole.lattice is None:
         return _draw_network_of_packing(structure, page)
-    (spin_top, spin_bottom), path = structure.scene.imposed, network.shortest_path
+    (spin_top, spin_bottom), path = of_lattice(structure.scene).imposed, network.shortest_path
     speed = bearing.speed_of(spin, spin_top, spin_bottom)
     flat, some = spin.ndim == 2, len(network.ends.T) > 0
     drawn = ["spheres"] * (not flat) + ["contacts"] * (flat or some) + ["path"] * (len(path) > 0)
@@ -190,7 +191,7 @@ def _draw_network_of_packing(structure: Structure, page: Page) -> Figure:
     sheet.paint(axes, bearing.PALE if sheet.is_flat else bearing.PALE * [1, 1, 1, 0.25])
     sheet.draw(axes, network.slipless, colors=GREY, lw=bearing.line_on_site(site, 0.12, 0.3))
     words = f"{network.ends.shape[1]:,} of {structure.movable:,} contacts do not slip"
-    put_title(figure, f"{describe(structure.bearing)}\n{words}", page)
+    put_title(figure, f"{describe(structure.scene)}\n{words}", page)
     return figure
 
 

@@ -87,9 +87,9 @@ def draw_snapshot(
     at, nearest = _nearest(structure.answer, time)
     moment = moment_of(structure, structure.snapshots[nearest], slip_threshold)
     threshold = moment.threshold or 0.0
-    title, note = f"{describe(moment.bearing)}, $t = {mathematics(at)}$", ""
-    if moment.bearing.network.lattice is not None:
-        unit, symbol = driving(moment.bearing)
+    title, note = f"{describe(moment.scene)}, $t = {mathematics(at)}$", ""
+    if moment.scene.network.lattice is not None:
+        unit, symbol = driving(moment.scene)
         title += "" if unit == 1 else rf", ${symbol}\,t = {mathematics(unit * at)}$"
         fastest = moment.fastest
         share = rf" = {mathematics(threshold / fastest, 1)}\,R\,|\Delta\omega|" if fastest else ""
@@ -115,8 +115,8 @@ def moment_of(structure: Structure, spin: np.ndarray, slip_threshold: float | No
     """A sample with the spins of a snapshot: a contact slips that is faster than the threshold of the run, by slip
     alone: friction, which would tell more, is not kept with a snapshot.
 
-    Springs give way, so with them that is at least a thousandth of R times the jump, of packings of the largest imposed
-    R omega, unless the run was asked for `slip_threshold`. spin : laboratory frame, (*N) or (*N, 3), 1/time.
+    Springs give way, so with them that is at least a thousandth of the largest imposed R omega, of a lattice measured
+    from its bottom, unless the run was asked for `slip_threshold`. spin : laboratory frame, (*N) or (*N, 3), 1/time.
     """
     threshold = float(structure.answer.slip_threshold)
     if structure.answer.method.endswith("cundall-strack") and slip_threshold is None:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from taichi_bearings.analysis.structure import LatticeStructure, Structure, structure_of
+from taichi_bearings.analysis.structure import Structure, structure_of
 from taichi_bearings.errors import InputError
 from taichi_bearings.files.whole_file import Finding
 from taichi_bearings.quantities import CONTACTS, SPHERES, found_in
@@ -65,7 +65,7 @@ class PointsAndLines:
 
     @property
     def is_lattice(self) -> bool:
-        return isinstance(self.structure, LatticeStructure)
+        return self.network.lattice is not None
 
 
 def points_and_lines(run: Run, replica: int = 0, analyse: bool = False) -> PointsAndLines:
@@ -77,7 +77,7 @@ def points_and_lines(run: Run, replica: int = 0, analyse: bool = False) -> Point
     if not all(np.isfinite(values).all() for values in (answer.spin, answer.slip)):
         raise InputError("the spins or slips of the run are not finite; there is nothing to draw")
     time = float(answer.history["time"][-1]) if "time" in answer.history else None
-    structure: Structure = structure_of(answer)
+    structure = structure_of(answer)
     if analyse:
         with stage("analysing"):
             drawn = Drawn.computed(structure)
@@ -95,11 +95,10 @@ def _collected(structure: Structure, drawn: Drawn, time: float | None, slip_thre
     spheres, contacts, network, row = dict(drawn.spheres), dict(drawn.contacts), structure.whole, SPHERES["spin"]
     spheres["spin"] = Finding(_in_space(structure.spin[None], network.dimension)[0], row.unit, row.text)
     contacts |= _of_contacts(answer)
-    bearing = structure.bearing
+    bearing = structure.scene
     for quantity, (name, values) in zip(bearing.law.quantities, bearing.named_coefficients.items(), strict=True):
         contacts[name] = Finding(values[0], quantity.unit, f"{quantity.name} coefficient")
-    if isinstance(structure, LatticeStructure):
-        lattice = structure.scene.lattice
+    if (lattice := network.lattice) is not None:
         if (domains := drawn.domains) is not None:
             kind = domains.kind[domains.domain.ravel()].astype(np.uint8)
             spheres["domain_kind"] = Finding(kind, "1", f"what its rigid domain is locked to: {DOMAIN_KINDS}")

@@ -2,13 +2,12 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
 
 from taichi_bearings.analysis.domains import Lock, RigidDomains
-from taichi_bearings.analysis.structure import LatticeStructure, Structure
+from taichi_bearings.analysis.structure import Structure
 from taichi_bearings.errors import FileError
 from taichi_bearings.files.whole_file import Finding
 from taichi_bearings.hdf5 import open_hdf5
@@ -40,7 +39,7 @@ class Drawn:
     def computed(cls, structure: Structure) -> "Drawn":
         """The structure by the contact states of the run, computed now."""
         spheres, contacts = columns_of(structure)
-        domains = structure.rigid_domains if isinstance(structure, LatticeStructure) else None
+        domains = None if structure.whole.lattice is None else structure.rigid_domains
         return cls(spheres, contacts, domains, structure.network.path, True)
 
     @classmethod
@@ -76,7 +75,7 @@ class _Stored:
         count = self.structure.whole.spheres
         if not (domain.dtype.kind in "iu" and domain.min() >= 0 and domain.max() < count):
             raise ValueError("domain holds no labels")
-        domains = self._domains(domain) if isinstance(self.structure, LatticeStructure) else None
+        domains = None if self.structure.whole.lattice is None else self._domains(domain)
         return Drawn(spheres, contacts, domains, self._path(), True)
 
     def get(self, name: str, *shape: int | None) -> np.ndarray:
@@ -91,12 +90,11 @@ class _Stored:
     def _columns(self) -> tuple[dict[str, Finding], dict[str, Finding]]:
         """Columns of the spheres and of the contacts, as structure_report.findings_of has written them."""
         structure, both = self.structure, {row.name for row in ON_SPHERES} & {row.name for row in ON_CONTACTS}
-        if not isinstance(structure, LatticeStructure):
+        if (lattice := structure.whole.lattice) is None:
             names = {row: f"sphere_{row.name}" if row.name in both else row.name for row in ON_SPHERES}
             spheres = {row: self.get(n, structure.whole.spheres) for row, n in names.items() if n in self.group}
             contacts = {r: self.get(r.name, structure.whole.contacts) for r in ON_CONTACTS if r.name in self.group}
             return _findings(spheres), _findings(contacts)
-        lattice = structure.scene.lattice
         names = {
             row: "betweenness/sphere" if row.name in both else IN_FILES.get(row.name, row.name) for row in ON_SPHERES
         }
@@ -111,10 +109,9 @@ class _Stored:
 
     def _domains(self, domain: np.ndarray) -> RigidDomains:
         """The rigid domains of a lattice. domain : (N,) their labels."""
-        structure: Any = self.structure
-        scene, count = structure.scene, int(domain.max()) + 1
+        scene, shape, count = self.structure.scene, self.structure.whole.shape, int(domain.max()) + 1
         axes = scene.minimum_spin_axes
-        spins = scene.staggered_spin(structure.spin[None], axes).reshape(len(axes), *scene.lattice.shape)
+        spins = scene.staggered_spin(self.structure.spin[None], axes).reshape(len(axes), *shape)
         above = np.broadcast_to(spins[..., -1:], spins.shape).reshape(len(axes), -1)
         found, first = np.unique(domain, return_index=True)
         lock = self.get("domains/lock", None, len(axes))[:count]
@@ -123,20 +120,18 @@ class _Stored:
         if len(found) != count or len(lock) != count or lock.min() < 0 or lock.max() > Lock.BOTH:
             raise ValueError("domains/lock does not fit the labels")
         names = [f"component_domain/{AXES[k]}" for k in axes]
-        labels = np.stack([self.get(name, *scene.lattice.shape) for name in names])
-        return RigidDomains(
-            axes, labels, domain.reshape(scene.lattice.shape), spheres, mean, 0.0, lock, above[:, first].T
-        )
+        labels = np.stack([self.get(name, *shape) for name in names])
+        return RigidDomains(axes, labels, domain.reshape(shape), spheres, mean, 0.0, lock, above[:, first].T)
 
     def _path(self) -> np.ndarray:
         """Spheres along the stored path, by number."""
         structure, count = self.structure, self.structure.whole.spheres
         if "path" not in self.group:
             return np.empty(0, dtype=int)
-        if not isinstance(structure, LatticeStructure):
+        if structure.whole.lattice is None:
             path = self.get("path", None)
         else:
-            shape = structure.scene.lattice.shape
+            shape = structure.whole.shape
             places = self.get("path", None, len(shape))
             places = places[(places >= 0).all(axis=1)]  # samples with shorter paths are padded
             path = np.ravel_multi_index(tuple(places.T), shape) if len(places) else np.empty(0, dtype=int)

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from taichi_bearings.analysis.structure import LatticeStructure, Structure
+from taichi_bearings.analysis.structure import Structure
 from taichi_bearings.files.whole_file import Finding
 from taichi_bearings.quantities import Quantity, found_in
 from taichi_bearings.runs.run_file import AXES
@@ -44,7 +44,7 @@ DOMAINS = (
              "what ties each component: 0 neither plane, 1 the bottom, 2 the top, 3 both; components {components}",
              lambda s: s.rigid_domains.lock.astype(np.int8)),
 )
-"""Of a LatticeStructure."""
+"""Columns of a Structure in the file of a lattice, shape (L, D), (domains,) or (domains, C)."""
 # fmt: on
 
 
@@ -61,11 +61,11 @@ def columns_of(structure: Structure) -> tuple[dict[str, Finding], dict[str, Find
 def findings_of(structure: Structure) -> dict[str, Finding]:
     """The structure of one sample as arrays, by their names in the group /analysis."""
     spheres, contacts = columns_of(structure)
-    if not isinstance(structure, LatticeStructure):
+    if (lattice := structure.whole.lattice) is None:
         path = Finding(structure.network.path, "1", "numbers of the spheres along one shortest slipless path")
         renamed = {f"sphere_{n}" if n in contacts else n: column for n, column in spheres.items()}
         return renamed | contacts | {"path": path}
-    domains, lattice = structure.rigid_domains, structure.scene.lattice
+    domains = structure.rigid_domains
     components = ", ".join(AXES[component] for component in domains.spin_axes)
     spheres["betweenness/sphere"] = spheres.pop("betweenness")
     found = {

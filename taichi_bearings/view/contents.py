@@ -88,7 +88,7 @@ def _shown(moments: Moments) -> np.ndarray:
 
 def facts_of(drawn: PointsAndLines) -> dict[str, Any]:
     """Numbers and words of the page, as JSON has them."""
-    structure, states, law = drawn.structure, drawn.contacts["state"].values, drawn.structure.bearing.law
+    structure, states, law = drawn.structure, drawn.contacts["state"].values, drawn.structure.scene.law
     own, fastest, natural, bound = (_of_lattice if drawn.is_lattice else _of_packing)(drawn)
     proven = bool(drawn.contacts["proven"].values[states != ContactState.DRIVEN].all())
     decided = "proven" if proven else f"decided by {'slip and friction' if law.holds else 'slip'}, not proven"
@@ -139,7 +139,7 @@ def _of_lattice(drawn: PointsAndLines) -> tuple[dict[str, Any], float, str, str]
 
 def _of_packing(drawn: PointsAndLines) -> tuple[dict[str, Any], float, str, str]:
     """The same of a packing; for the spin the largest imposed R omega over the median of R."""
-    network, law = drawn.network, drawn.structure.bearing.law
+    network, law = drawn.network, drawn.structure.scene.law
     within, proof = f"within {drawn.answer.gap[0]:.1e}", drawn.answer.findings["proof"][0]
     fastest, bodies = drawn.structure.fastest, network.bodies
     named = [f"driven body {number}" for number in bodies] if len(bodies) == 2 else ["one driven body"] * 2

@@ -8,7 +8,7 @@ import pytest
 from taichi_bearings.analysis.bottlenecks import Bottlenecks
 from taichi_bearings.analysis.domains import rigid_domains
 from taichi_bearings.analysis.network import SliplessNetwork
-from taichi_bearings.analysis.structure import LatticeStructure, self_stress
+from taichi_bearings.analysis.structure import Structure, self_stress
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.runs.structure_report import columns_of
@@ -82,7 +82,7 @@ def of_answer(scene, spin, slip, state, friction):
     known = {"slip": slip[None], "state": state[None], "proven": state[None], "force": np.zeros((1, len(slip)))}
     known |= dict.fromkeys(("objective", "power", "lower_bound"), np.ones(1))
     answer = SimpleNamespace(scene=scene, findings={}, minimum_is_unique=[None], **known)
-    return LatticeStructure(answer, spin, slip, state, friction, slip, 2.0, 1.0)
+    return Structure(answer, spin, slip, state, friction, slip, 2.0, 1.0)
 
 
 def shifted(structure, axis):

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from taichi_bearings.analysis.structure import LatticeStructure, self_stress, structure_of
+from taichi_bearings.analysis.structure import Structure, self_stress, structure_of
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.lattice.grid import laboratory_forces, staggered_forces
 from taichi_bearings.lattice.incidence import torques
@@ -56,7 +56,7 @@ def answer(scene, name, tolerance):
 def drawn(scene, force, state):
     """Structure of a scene with these forces (C, E) and states (E,)."""
     friction = laboratory_forces(force[:, None], scene.lattice, scene.minimum_spin_axes)[0]
-    return LatticeStructure(SimpleNamespace(scene=scene), *np.zeros((2, 1)), state, friction, state, 0.0, 0.0)
+    return Structure(SimpleNamespace(scene=scene), *np.zeros((2, 1)), state, friction, state, 0.0, 0.0)
 
 
 def test_a_single_path_carries_all_the_torque_of_every_gap():

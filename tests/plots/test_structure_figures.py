@@ -13,7 +13,7 @@ from taichi_bearings_studies.paper.figure_3 import draw_plane_cuts
 
 import taichi_bearings as tb
 from taichi_bearings.analysis.network import SliplessNetwork
-from taichi_bearings.analysis.structure import LatticeStructure
+from taichi_bearings.analysis.structure import Structure
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.packing import Packing
 from taichi_bearings.plots.bearing import SPIN_COLOURS, Sheet
@@ -50,9 +50,7 @@ class Case:
         self.spin = scene.laboratory_spin(self.staggered, axes)[0]
         nothing = np.zeros(len(self.network.slipless))
         state = np.where(free, np.where(slips, ContactState.SLIPPING, ContactState.SLIPLESS), ContactState.DRIVEN)
-        self.structure = LatticeStructure(
-            SimpleNamespace(scene=scene), self.spin, nothing, state, nothing, nothing, 0.0, 0.0
-        )
+        self.structure = Structure(SimpleNamespace(scene=scene), self.spin, nothing, state, nothing, nothing, 0.0, 0.0)
 
     def figures(self):
         found = [draw_domains(self.structure), draw_network(self.structure)]
