@@ -1,7 +1,7 @@
 """What a run costs, told before anything is solved: seconds of its solve, its proof and its files, and memory.
 
 Seconds are those of one core of a common server, memory is the most that the process holds at a time, both good to a
-factor of two at most; docs/sizes.md holds them against measured ones.
+factor of two at most; docs/measurements.md holds them against measured ones.
 """
 
 from collections.abc import Sequence
