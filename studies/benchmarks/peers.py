@@ -14,8 +14,8 @@ They read the least power as a conic programme in sparse matrices:
 
     minimise  x.P.x / 2 + q.x   subject to   A x + s = b,   s in {0} x {s >= 0} x second-order cones of three
 
-The first unknowns are those of a packing (`packing/system.py`): velocities u of free spheres, here over R times the
-imposed jump, measured from the bottom. With y = K u + b the slip of a contact, one tangential component or two:
+The first unknowns are those of a packing (`conic/contact_system.py`): velocities u of free spheres, here over R
+times the imposed jump, from the bottom. With y = K u + b the slip of a contact, one tangential component or two:
 
     Coulomb:  minimise sum mu t,      |y| <= t        one component: t - y >= 0, t + y >= 0; two: (t, y) in a cone
     viscous:  minimise sum eta v.v,   y - v = 0
@@ -32,10 +32,10 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
+from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.errors import InputError
 from taichi_bearings.lattice.grid import staggered_forces
 from taichi_bearings.packing.answer import forces_of
-from taichi_bearings.packing.system import System
 from taichi_bearings.proof.certificate import lower_bound
 from taichi_bearings.scene import Scene
 
@@ -52,7 +52,7 @@ class ConicProgramme:
     """
 
     scene: Scene
-    system: System
+    system: ContactSystem
     slips: np.ndarray
     quadratic: sparse.csc_matrix
     linear: np.ndarray
@@ -97,13 +97,13 @@ def conic_programme(scene: Scene) -> ConicProgramme:
         raise InputError(f"the scene has {scene.replicas} replicas; a conic programme describes one")
     if scene.law.holds and scene.law.flows:
         raise InputError(f"law is {scene.law}; only one coefficient a contact can be written as a conic programme")
-    system = System.of(scene)
-    system.matrix.eliminate_zeros()
+    system = ContactSystem.of(scene)
+    system.operator.eliminate_zeros()
     d, count = system.offset.shape
-    live = ((np.diff(system.matrix.indptr) > 0) | (system.offset.ravel() != 0)).reshape(d, count)
+    live = ((np.diff(system.operator.indptr) > 0) | (system.offset.ravel() != 0)).reshape(d, count)
     one = live.sum(axis=0) == 1
     slips = np.concatenate([np.flatnonzero(live & one), np.flatnonzero(live & ~one)])
-    matrix, offset = system.matrix[slips], system.offset.ravel()[slips] / (scene.lattice.radius * (scene.jump or 1.0))
+    matrix, offset = system.operator[slips], system.offset.ravel()[slips] / (scene.lattice.radius * (scene.jump or 1.0))
     coefficient = np.where(live.any(axis=0), scene.coefficient[0, system.contact], 0.0)  # others have no slip to bound
     unknowns, nothing = system.unknowns, np.zeros(system.unknowns)
     if not scene.law.holds:

@@ -22,12 +22,12 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.spatial import cKDTree
 
+from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.errors import InputError
 from taichi_bearings.numerics.double_double import exactly
 from taichi_bearings.packing import Packing
 from taichi_bearings.packing.answer import solve_packing
 from taichi_bearings.packing.planar import least_spins
-from taichi_bearings.packing.system import System
 from taichi_bearings.plots.style import BLUE, GREY, in_our_style, new_figure, shades
 
 from .claims import Effort
@@ -104,8 +104,8 @@ def spins_at_minimum(lattice: str, packing: Packing) -> np.ndarray:
     """Spins (N,) of discs, exactly, or (N, 3) of spheres."""
     if lattice == "cubic":
         return np.asarray(solve_packing(packing, SURE).spin[0])
-    system = System.of(packing)
-    return packing.spins_of(exactly(system.all_spins(least_spins(system))))[0]
+    system = ContactSystem.of(packing)
+    return packing.spins_of(exactly(system.all_spins(least_spins(system, packing))))[0]
 
 
 def draw(lattice: str, size: int, odd: int, bottom: float, samples: int, seed: int) -> dict[str, Any]:

@@ -1,13 +1,18 @@
-"""Contacts of one sample as flat lists: differences, torques, and the weighted Laplacian of the Newton steps.
+"""What there is to find, and the slips that it makes: rows y = K x + b over the contacts that act.
 
-Staggered spins are measured from the bottom plane in units of the imposed jump, forces in units of the sample's mean
-coefficient times the normal force, so that every number is of order one whatever units the scene is in. Vectors across
-the n contacts are (d, n), where d is the most slipping components that one has (equations.md): a contact with fewer has
-them first, and 0 in the others.
+The unknowns x are spins of the free spheres by component. Of a network of any kind the rows lie along the tangents of
+its contacts (:meth:`ContactSystem.of`). Where components do not mix and have no odd loop, signs by which neighbours
+differ make differences of the sums of spins, and a row is that of two unknowns (:meth:`ContactSystem.signed`). Of a
+lattice such rows follow from its strides (:func:`lattice_system`): staggered spins are measured from the bottom plane
+in units of the imposed jump, forces in units of the sample's mean coefficient times the normal force, so that every
+number is of order one whatever units the scene is in.
+
+Letters: R samples, N spheres, E contacts, C spin components; of the n contacts of a system d is the most rows that one
+has (equations.md). Vectors across contacts are (d, n): a contact with fewer rows has them first, and 0 in the others.
 """
 
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, field, replace
+from functools import cached_property, reduce
 from itertools import combinations_with_replacement, product
 from typing import Any
 
@@ -17,18 +22,33 @@ from scipy.sparse.csgraph import connected_components
 
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.lattice.incidence import number_free
+from taichi_bearings.numerics.double_double import add, scaled, two_sum
+from taichi_bearings.numerics.graphs import odd_pieces
+from taichi_bearings.scene.bearing import Bearing
+from taichi_bearings.scene.network import Network
+
+
+def _nothing() -> np.ndarray:
+    """An empty array, of a system that is not that of a whole network."""
+    return np.zeros((0, 0), dtype=np.int64)
 
 
 @dataclass(frozen=True)
 class ContactSystem:
-    """n contacts, each with up to d slipping components, over a vector of unknown spins.
+    """n contacts, each with up to d rows, over a vector of unknown spins.
 
-    offset : (d, n), what the imposed spins add to the differences. felt : (d, n) mask, the components that there are.
+    offset : b, (d, n), what the imposed spins add to the slips. felt : (d, n) mask, the rows that there are.
     ends : (2, d, n), the unknowns whose difference is taken, the one below first; -1 where the spin is imposed. None
-    where the slips are any sums of unknowns: `slips`, (d*n, unknowns), one component of one contact a row.
+    where the slips are any sums of unknowns: `slips`, K, (d*n, unknowns), one row of one contact after the other.
 
-    contact : (n,), the numbers of the contacts in flat arrays, and slot : (d, n), the spin component of each row; place
-    : (D, unknowns), where the spins are. None of a system that is not that of a whole network.
+    What follows is empty or None in a system that is not that of a whole network:
+    contact : (n,), the numbers of the contacts among the E of the network. slot : (d, n), the spin component or the
+    tangent of each row. place : (D, unknowns), where the spins are.
+    network : whose contacts these are; None of a lattice in strides. sphere : (unknowns,), that each belongs to.
+    moved : (N, C), number of each unknown, -1 where the spin is imposed, or held at 0. known : (N, C), spins
+    u = R omega that are no unknowns. sign : (N, C), factors that turn u into unknowns; None for all 1.
+    motions : number of motions without slip before a spin of each was held; None if undecided. kept : what methods have
+    made of the network, for other coefficients on it.
     """
 
     unknowns: int
@@ -39,6 +59,119 @@ class ContactSystem:
     contact: np.ndarray | None = None
     slot: np.ndarray | None = None
     place: np.ndarray | None = None
+    network: Any = None
+    sphere: np.ndarray = field(default_factory=_nothing)
+    moved: np.ndarray = field(default_factory=_nothing)
+    known: np.ndarray = field(default_factory=_nothing)
+    sign: np.ndarray | None = None
+    motions: int | None = None
+    kept: dict[Any, Any] = field(default_factory=dict, compare=False)
+
+    @classmethod
+    def of(cls, bearing: Bearing) -> "ContactSystem":
+        """Rows along the tangents of all contacts that act in parts which touch a driven sphere: those with a
+        coefficient in some sample, and a free end. The unknowns are u of the spheres that these reach."""
+        network, contact = bearing.network, bearing.acting
+        moves = network.reached(contact)
+        contact = contact[moves[network.contact[:, contact]].any(axis=0)]
+        known, wanted, number = network.needed(bearing.driven_speed, contact, moves)
+        moved = _numbered(wanted)
+        if number is None:
+            found = network.motions(network.operator(contact, moved), np.nonzero(wanted)[0], contact, moves)
+            number = found.number if found.number_is_certain else None
+            wanted &= ~np.isin(moved, found.held)
+            moved = _numbered(wanted)
+        spins, sphere = known[network.contact[:, contact]].sum(axis=0), np.nonzero(wanted)[0]
+        offset = np.einsum("tek,ek->te", network.tangents[:, contact], spins)
+        slot = np.broadcast_to(np.arange(len(offset))[:, None], offset.shape)
+        return cls(
+            len(sphere),
+            offset,
+            np.ones(offset.shape, dtype=bool),
+            slips=network.operator(contact, moved),
+            contact=contact,
+            slot=slot,
+            place=np.asarray(network.center[sphere].T),
+            network=network,
+            sphere=sphere,
+            moved=moved,
+            known=known,
+            motions=number,
+        )
+
+    def signed(self) -> "ContactSystem | None":
+        """The same unknowns and contacts, but for those that feel none of them, over signed spins s u, (N, C) signs s;
+        None where components mix or have an odd loop. The difference s_j u_j - s_i u_i of a contact is s_j (u_i + u_j).
+        """
+        network, needed = self.network, np.flatnonzero((self.moved >= 0).any(axis=0))
+        if not network.along_axes(self.contact):
+            return None
+        feels, contact = self.feels, network.contact[:, self.contact]
+        sign = np.ones(self.known.shape)
+        for k in needed:
+            ends = contact[:, feels[:, k]]
+            odd, sign[:, k] = odd_pieces(network.spheres, *ends)
+            if odd[ends].any():
+                return None
+        known = sign * self.known
+        own, slot, felt = slipping_components(feels[:, needed].T)
+        slot, pair = needed[slot], contact[:, own]
+        ends, (first, second) = self.moved[pair[:, None], slot], known[pair[:, None], slot]
+        offset, ends = np.where(felt, second - first, 0.0), np.where(felt, ends, -1)
+        return replace(
+            self, offset=offset, felt=felt, ends=ends, slips=None, contact=self.numbers[own], slot=slot, sign=sign
+        )
+
+    @property
+    def numbers(self) -> np.ndarray:
+        """`contact`, of a system of a whole network."""
+        assert self.contact is not None
+        return self.contact
+
+    @cached_property
+    def across(self) -> np.ndarray:
+        """Tangents (d, n, C) of the contacts."""
+        return np.asarray(self.network.tangents[:, self.contact])
+
+    @cached_property
+    def feels(self) -> np.ndarray:
+        """(n, C), True for the components of spins that move and make a contact slip."""
+        return np.any(self.across, axis=0) & np.any(self.moved >= 0, axis=0)
+
+    def of_contacts(self, bearing: Bearing, sample: int = 0) -> tuple[np.ndarray, ...]:
+        """What the functions of the law take of these contacts in one sample, (n,) each."""
+        return tuple(values[sample, self.contact] for values in bearing.material)
+
+    def in_units(self, speed: float) -> "ContactSystem":
+        """The same with imposed spins in units of a speed."""
+        return replace(self, offset=self.offset / speed, known=self.known / speed)
+
+    def all_spins(self, spins: np.ndarray) -> np.ndarray:
+        """u (N, C) of all spheres from the unknowns (unknowns,)."""
+        own = np.append(spins, 0.0)[self.moved]
+        return np.where(self.moved >= 0, own if self.sign is None else self.sign * own, self.known)
+
+    def to_all_digits(self, spins: np.ndarray) -> np.ndarray:
+        """Slips (d, n) of these spins (unknowns,), to all digits of theirs."""
+        if self.ends is not None:
+            return self.differences(spins)
+        first, second = self.all_spins(spins)[self.network.contact[:, self.contact]]
+        high, low = two_sum(first, second)
+        parts = [scaled(self.across[..., k], (high[:, k], low[:, k])) for k in range(high.shape[1])]
+        return np.asarray(reduce(add, parts)[0])
+
+    def on_contacts(self, forces: np.ndarray) -> np.ndarray:
+        """T^T f, (E, C), of forces (d, n) in the rows; 0 on contacts of the network that are not in the system."""
+        network: Network = self.network
+        found = np.zeros((network.contacts, network.components))
+        if self.sign is None:
+            found[self.contact] = np.einsum("te,tek->ek", forces, self.across)
+            return found
+        second = network.contact[1, self.contact]
+        assert self.slot is not None
+        for row, slot in zip(forces, self.slot, strict=True):
+            found[self.contact, slot] += self.sign[second, slot] * row
+        return found
 
     @cached_property
     def operator(self) -> sparse.csr_array:
@@ -141,6 +274,11 @@ def slipping_components(felt: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.nd
     contact, most = np.flatnonzero(felt.any(axis=0)), felt.sum(axis=0).max(initial=1)
     slot = np.argsort(~felt[:, contact], axis=0, kind="stable")[:most]
     return contact, slot, felt[slot, contact]
+
+
+def _numbered(wanted: np.ndarray) -> np.ndarray:
+    """Number of each True one, -1 of the others."""
+    return np.where(wanted, np.cumsum(wanted).reshape(wanted.shape) - 1, -1)
 
 
 def free_spins(staggered: np.ndarray) -> np.ndarray:

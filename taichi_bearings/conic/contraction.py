@@ -146,13 +146,14 @@ class Contraction:
         return self.system.differences(spins[0]) + self.system.change(spins[1])
 
 
-def order_by_place(system: ContactSystem, place: np.ndarray, own: slice | None = None) -> np.ndarray:
+def order_by_place(system: ContactSystem, place: np.ndarray | None = None, own: slice | None = None) -> np.ndarray:
     """Order of elimination by nested dissection of all unknowns, or of the `own` ones, counted from their first.
 
-    place : (D, unknowns), where they are. What contacts couple tells them apart, so components that a contact does not
-    join are divided each for itself.
+    place : (D, unknowns), where they are; as the system says if None. What contacts couple tells them apart, so
+    components that a contact does not join are divided each for itself.
     """
-    own = own or slice(0, system.unknowns)
+    own, place = own or slice(0, system.unknowns), system.place if place is None else place
+    assert place is not None
     first, second = (end - own.start for end in system.terms()[:2])
     inside = (first >= 0) & (first < own.stop - own.start)
     graph = coupled(np.arange(own.stop - own.start), first[inside], second[inside])

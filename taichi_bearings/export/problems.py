@@ -1,7 +1,7 @@
 """The least power of a run as a problem for other solvers: `bearings export --format cbf` and `fclib`.
 
 Lattices are read as packings. With u = R omega of the free spheres, K u + b the slip of a contact along its tangents
-(packing/system.py), F the force that friction bears and eta the viscosity of a contact, the problem is to
+(conic/contact_system.py), F the force that friction bears and eta the viscosity of a contact, the problem is to
 
     minimise  share * sum_e (F t + eta s / 2)   with   t >= |K u + b|,  s >= |K u + b|^2,
 
@@ -18,9 +18,9 @@ import h5py
 import numpy as np
 from scipy import sparse
 
+from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.errors import InputError
 from taichi_bearings.files.whole_file import write_hdf5, write_text
-from taichi_bearings.packing.system import System
 from taichi_bearings.runs.run_file import opened_to_draw, replica_drawn
 from taichi_bearings.scene import Bearing
 from taichi_bearings.stages import stage
@@ -47,30 +47,31 @@ def export_problem(
 def write_problem(bearing: Bearing, form: str, path: Path) -> dict[str, Any]:
     """Into a file, replacing it; returns what it holds."""
     with stage("writing"):
-        system = System.of(bearing)
-        system.matrix.eliminate_zeros()
-        if not len(system.contact):
+        system = ContactSystem.of(bearing)
+        system.operator.eliminate_zeros()
+        if not len(system.numbers):
             raise InputError(f"{bearing!r} has no contact of a free sphere that can slip; there is nothing to minimise")
         if form == "cbf":
-            write_text(path, cbf(system))
+            write_text(path, cbf(system, bearing))
         elif bearing.law.is_rate_independent:
-            write_hdf5(path, lambda file: write_fclib(file, system))
+            write_hdf5(path, lambda file: write_fclib(file, system, bearing))
         else:
             raise InputError(f"law is {bearing.law}; fclib has friction alone, and cbf all laws")
-    return {"file": str(path), "unknowns": system.unknowns, "contacts": len(system.contact)}
+    return {"file": str(path), "unknowns": system.unknowns, "contacts": len(system.numbers)}
 
 
-def cbf(system: System) -> str:
+def cbf(system: ContactSystem, bearing: Bearing) -> str:
     """The programme: unknowns u, t, s; cones (t, slip), and rotated ones (s, 1/2, slip), contact by contact.
 
     Components of a slip that are 0 whatever the spins are left out, and contacts that have no others.
     """
-    law, (d, count), unknowns = system.bearing.law, system.offset.shape, system.unknowns
-    live = (np.diff(system.matrix.indptr) > 0).reshape(d, count) | (system.offset != 0)
-    forces = (law.holding_force(system.coefficients), law.viscosity(system.coefficients))
+    law, (d, count), unknowns = bearing.law, system.offset.shape, system.unknowns
+    live = (np.diff(system.operator.indptr) > 0).reshape(d, count) | (system.offset != 0)
+    of = system.of_contacts(bearing)
+    forces = (law.holding_force(of), law.viscosity(of))
     held, viscosity = (np.zeros(count) if some is None else np.where(live.any(axis=0), some, 0.0) for some in forces)
     cost = law.share * np.concatenate([np.zeros(unknowns), held, viscosity / 2])
-    rows = sparse.block_diag([system.matrix, sparse.eye_array(2 * count), sparse.csr_array((count, 0))], format="csr")
+    rows = sparse.block_diag([system.operator, sparse.eye_array(2 * count), sparse.csr_array((count, 0))], format="csr")
     constant = np.concatenate([system.offset.ravel(), np.zeros(2 * count), np.full(count, 0.5)])
     order, cones = [], list[str]()
     for force, heads, kind in ((held, [d], "Q"), (viscosity, [d + 1, d + 2], "QR")):  # rows of t; of s and of 1/2
@@ -88,15 +89,15 @@ def cbf(system: System) -> str:
         columns = parts if isinstance(parts, tuple) else (np.flatnonzero(parts), parts[parts != 0])
         lines = zip(*(column.tolist() for column in columns), strict=True)
         items[name] = [len(columns[0]), *(" ".join(map(repr, line)) for line in lines)]
-    notes = f"# taichi_bearings {VERSION}: {system.bearing!r}\n# the optimum is the least {law.minimises}\n"
+    notes = f"# taichi_bearings {VERSION}: {bearing!r}\n# the optimum is the least {law.minimises}\n"
     return notes + "".join("\n".join(["", name, *map(str, lines), ""]) for name, lines in items.items())
 
 
-def write_fclib(file: h5py.File, system: System) -> None:
+def write_fclib(file: h5py.File, system: ContactSystem, bearing: Bearing) -> None:
     """The problem, in the layout of fclib_write_local; local frames are the normal and then the tangents."""
     d, count = system.offset.shape
     turn = np.arange((d + 1) * count).reshape(d + 1, count).T.ravel()
-    slips = sparse.block_array([[None, sparse.eye_array(count)], [system.matrix, None]], format="csr")[turn]
+    slips = sparse.block_array([[None, sparse.eye_array(count)], [system.operator, None]], format="csr")[turn]
     file["fclib_local/spacedim"] = np.array([d + 1], dtype=np.int32)
     nothing = {name: sparse.csc_array((size, size)) for name, size in zip("WR", slips.shape, strict=True)}
     for name, matrix in {"V": slips.tocsc(), **nothing}.items():
@@ -104,8 +105,8 @@ def write_fclib(file: h5py.File, system: System) -> None:
         for key, values in {**sizes, "p": matrix.indptr, "i": matrix.indices}.items():
             file[f"fclib_local/{name}/{key}"] = np.asarray(values, dtype=np.int32)
         file[f"fclib_local/{name}/x"] = matrix.data
-    normal_force = np.broadcast_to(system.bearing.normal_force, system.network.contacts)[system.contact]
+    normal_force = np.broadcast_to(bearing.normal_force, system.network.contacts)[system.contact]
     file["fclib_local/vectors/q"] = np.concatenate([np.zeros(count), system.offset.ravel()])[turn]
     file["fclib_local/vectors/s"] = np.concatenate([np.zeros(system.unknowns), -normal_force])
-    file["fclib_local/vectors/mu"] = system.coefficients[0] / normal_force
-    file["fclib_local/info/title"] = np.bytes_(f"taichi_bearings {VERSION}: {system.bearing!r}")
+    file["fclib_local/vectors/mu"] = system.of_contacts(bearing)[0] / normal_force
+    file["fclib_local/info/title"] = np.bytes_(f"taichi_bearings {VERSION}: {bearing!r}")

@@ -7,11 +7,12 @@ import numpy as np
 from scipy import sparse
 
 from taichi_bearings import runtime
+from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.errors import InputError
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.numerics.double_double import exactly
 from taichi_bearings.packing import planar
-from taichi_bearings.packing.system import Found, System
+from taichi_bearings.packing.found import Found
 from taichi_bearings.proof.contact_state import SATURATED, decided
 from taichi_bearings.proof.judgement import Judgement
 from taichi_bearings.scene import Bearing, Solution, Status
@@ -44,15 +45,15 @@ def solve_packing(packing: Bearing, tolerance: float = 1e-8, method: str = "auto
     runtime.current()
     with one_thread():
         system = _system_of(packing)
-        end = _found(system, method)
+        end = _found(system, packing, system.of_contacts(packing), method)
         with stage("proving"):
-            found = judged(system, end, tolerance)
-        if found.method == "interior-point" and system.packing.law.is_rate_independent:
-            found = _without_contrast(system, found, tolerance)
+            found = judged(system, packing, end, tolerance)
+        if found.method == "interior-point" and packing.law.is_rate_independent:
+            found = _without_contrast(system, packing, found, tolerance)
     return replace(found, seconds=perf_counter() - begun)
 
 
-def _without_contrast(system: System, found: Solution, tolerance: float) -> Solution:
+def _without_contrast(system: ContactSystem, packing: Packing, found: Solution, tolerance: float) -> Solution:
     """The answer, or a better one where frictions are far apart and it is not certified.
 
     A contact that can bear far more than the power over the fastest driven surface hardly slips: that much of its
@@ -61,36 +62,34 @@ def _without_contrast(system: System, found: Solution, tolerance: float) -> Solu
     """
     from taichi_bearings.packing.rolling import rolled  # and with it Taichi's kernels
 
-    held, fastest = system.coefficients[0], float(np.abs(system.offset).max(initial=0.0))
+    held, fastest = system.of_contacts(packing)[0], float(np.abs(system.offset).max(initial=0.0))
     for _ in range(MOST_CAPS):
         most = ENOUGH_FRICTION * float(found.power[0]) / fastest
         capped = held > most
         if found.gap[0] <= tolerance or not capped.any() or not most > 0:
             break
-        weaker = replace(system, coefficients=(np.minimum(held, most),))
-        end = _found(weaker, "interior-point")
+        end = _found(system, packing, (np.minimum(held, most),), "interior-point")
         start = end.spins, np.zeros(system.unknowns) if end.rest is None else np.asarray(end.rest)
-        spins, rounding = rolled(system, start, capped)
-        other = judged(system, replace(end, spins=spins, rest=rounding), tolerance)
+        spins, rounding = rolled(system, packing, start, capped)
+        other = judged(system, packing, replace(end, spins=spins, rest=rounding), tolerance)
         if not (other.gap[0] < found.gap[0] or other.power[0] < LESS_POWER * found.power[0]):
             break
         found = replace(other, iterations=found.iterations + other.iterations)
     return found
 
 
-_last: System | None = None  # of this process
+_last: tuple[Packing, ContactSystem] | None = None  # of this process
 OF_A_NETWORK = ("center", "contact", "driven", "spin", "radius", "normal")
 
 
-def _system_of(packing: Packing) -> System:
-    """That of the last packing, with the coefficients of this one, if they differ in nothing else, as seeds do."""
+def _system_of(packing: Packing) -> ContactSystem:
+    """That of the last packing, if they differ in nothing but their coefficients, as seeds do."""
     global _last
     known = _last
-    if known is None or not _alike(known.packing, packing):
+    if known is None or not _alike(known[0], packing):
         known = _last = None  # its memory is free before another one is found
-        known = _last = System.of(packing)
-    of = tuple(values[0, known.contact] for values in packing.material)
-    return replace(known, bearing=packing, coefficients=of)
+        known = _last = packing, ContactSystem.of(packing)
+    return known[1]
 
 
 def _alike(one: Packing, other: Packing) -> bool:
@@ -98,49 +97,51 @@ def _alike(one: Packing, other: Packing) -> bool:
     return same and np.array_equal(one.acting, other.acting)
 
 
-def _found(system: System, method: str) -> Found:
-    law, of = system.packing.law, system.coefficients
-    exact = law.is_rate_independent and not (system.felt.sum(axis=1) > 1).any()
+def _found(system: ContactSystem, packing: Packing, of: tuple[np.ndarray, ...], method: str) -> Found:
+    """What a method finds where the law takes these numbers `of` the contacts, (A,) each."""
+    law = packing.law
+    exact = law.is_rate_independent and not (system.feels.sum(axis=1) > 1).any()
     able = ["planar-cut"] * exact + ["interior-point" if law.holds else "linear-solver"]
     if method not in ("auto", *able):
         raise InputError(f"method is {shown(method)}, but this packing is solved by {' or '.join(able)}")
     if not system.unknowns or not system.offset.any():
         return Found(np.zeros(system.unknowns), np.zeros_like(system.offset), "linear-solver")
     if exact and method != "interior-point":
-        (high, low), force = planar.least_power(system)
+        (high, low), force = planar.least_power(system, packing)
         return Found(high, force, "planar-cut", rest=low)
     from taichi_bearings.packing.path import followed, viscous_spins  # and with it Taichi's kernels
 
     held, viscosity = (
-        np.zeros(len(system.contact)) if v is None else v for v in (law.holding_force(of), law.viscosity(of))
+        np.zeros(len(system.numbers)) if v is None else v for v in (law.holding_force(of), law.viscosity(of))
     )
     fastest = float(np.abs(system.offset).max())
     if not held.any():
         spins = viscous_spins(system, viscosity)
-        return Found(spins, viscosity * system.difference(spins), "linear-solver", steps=1)
+        return Found(spins, viscosity * system.differences(spins), "linear-solver", steps=1)
     largest = float(max(held.max(), viscosity.max() * fastest))
     units = np.exp2(np.round(np.log2([fastest, largest])))  # dividing by them rounds nothing
     fastest, largest = units.tolist()
-    scaled = replace(system, offset=system.offset / fastest, known=system.known / fastest)
-    end = followed(scaled, held / largest, viscosity * fastest / largest, power_unit=fastest * largest)
+    end = followed(
+        system.in_units(fastest), held / largest, viscosity * fastest / largest, power_unit=fastest * largest
+    )
     rest = None if end.rest is None else end.rest * fastest
     return replace(end, spins=end.spins * fastest, rest=rest, force=end.force * largest)
 
 
-def judged(system: System, found: Found, tolerance: float, moves: bool = False) -> Solution:
+def judged(system: ContactSystem, packing: Packing, found: Found, tolerance: float, moves: bool = False) -> Solution:
     """What was found, with all that is proven of it. moves : it is a motion on its way, so that its spins are kept;
     else, where a state without any slip is proven to exist, they become that state."""
-    packing, law, judgement = system.packing, system.packing.law, judgement_of(system, found)
+    law, judgement = packing.law, judgement_of(system, packing, found)
     if judgement.can_be_judged and judgement.slipless[0] and not moves and (judgement.network.slip.most > 0).any():
-        found = _without_slip(system, found)
-        judgement = judgement_of(system, found)
+        found = _without_slip(system, packing, found)
+        judgement = judgement_of(system, packing, found)
     if not judgement.can_be_judged:
         raise InputError(
             "the spins imposed are too small or too large to be judged; the largest must be above 1e-100 length/time"
         )
     spin, rounding = judgement.spin, judgement.spin_rounding
     force, friction = forces_of(system, np.nan_to_num(found.force, posinf=0.0, neginf=0.0))
-    slip, told = judgement.slip, np.where(judgement.acts, _states(system, found, judgement), DRIVEN)
+    slip, told = judgement.slip, np.where(judgement.acts, _states(system, packing, found, judgement), DRIVEN)
     state, proven = decided(told, judgement.known)
     return Solution(
         scene=packing,
@@ -168,38 +169,37 @@ def judged(system: System, found: Found, tolerance: float, moves: bool = False) 
     )
 
 
-def judgement_of(system: System, found: Found) -> Judgement:
+def judgement_of(system: ContactSystem, packing: Packing, found: Found) -> Judgement:
     """What judges the spins and the forces that were found."""
     u = system.all_spins(found.spins) if found.everywhere is None else found.everywhere
     rest = np.append(np.zeros(system.unknowns) if found.rest is None else found.rest, 0.0)[system.moved]
-    spin, rounding = system.packing.spins_of((np.nan_to_num(u, posinf=0.0, neginf=0.0), rest))
+    spin, rounding = packing.spins_of((np.nan_to_num(u, posinf=0.0, neginf=0.0), rest))
     friction = forces_of(system, np.nan_to_num(found.force, posinf=0.0, neginf=0.0))[1]
-    return Judgement(system.packing, spin, rounding, friction)
+    return Judgement(packing, spin, rounding, friction)
 
 
-def _without_slip(system: System, found: Found) -> Found:
+def _without_slip(system: ContactSystem, packing: Packing, found: Found) -> Found:
     """The state in which no contact slips, as well as sums of two doubles have it; no contact bears anything there."""
     from taichi_bearings.packing.rolling import rolled  # and with it Taichi's kernels
 
     start = exactly(np.zeros(system.unknowns))
-    spins, rest = rolled(system, start, np.ones(len(system.contact), dtype=bool))
+    spins, rest = rolled(system, packing, start, np.ones(len(system.numbers), dtype=bool))
     return replace(found, spins=spins, rest=rest, everywhere=None, force=np.zeros_like(system.offset), slips=None)
 
 
-def forces_of(system: System, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def forces_of(system: ContactSystem, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Sizes (E,) and friction on the second sphere, (E, 3), of discs (E,), along z x n."""
     network = system.network
-    size, vectors = np.zeros(network.contacts), np.zeros((network.contacts, network.components))
+    size, vectors = np.zeros(network.contacts), system.on_contacts(force)
     size[system.contact] = np.linalg.norm(force, axis=0)
-    vectors[system.contact] = np.einsum("te,tek->ek", force, system.across)
     return size, vectors[:, 0] if network.dimension == 2 else np.cross(vectors, network.normal)
 
 
-def _states(system: System, found: Found, judgement: Judgement) -> np.ndarray:
+def _states(system: ContactSystem, packing: Packing, found: Found, judgement: Judgement) -> np.ndarray:
     """States (E,), as slips and margins tell them, of contacts of which nothing is proven."""
-    packing, law = system.packing, system.packing.law
+    law = packing.law
     fastest = float(np.abs(packing.driven_speed).max(initial=0.0))
-    held, slip = law.holding_force(system.coefficients), judgement.slip[0]
+    held, slip = law.holding_force(system.of_contacts(packing)), judgement.slip[0]
     if held is None or not held.any():
         return np.where(slip > 1e-12 * fastest, SLIPPING, SLIPLESS)
     limit = np.asarray(law.holding_force(packing.material))[0]
@@ -219,7 +219,7 @@ def _states(system: System, found: Found, judgement: Judgement) -> np.ndarray:
     return state
 
 
-def tied(system: System, force: np.ndarray, state: np.ndarray) -> np.ndarray:
+def tied(system: ContactSystem, force: np.ndarray, state: np.ndarray) -> np.ndarray:
     """True (A,) for slipping contacts whose slip is not the same at all minima. force : (d, A). state : (A,).
 
     Forces of slipping contacts are the same at all minima, so the slips of two minima differ along them alone. The
@@ -231,9 +231,9 @@ def tied(system: System, force: np.ndarray, state: np.ndarray) -> np.ndarray:
     along = force / np.where(size > 0, size, 1.0)
     across = np.stack([-along[1], along[0]]) if d == 2 else np.zeros((1, count))
     slipping, resting = np.flatnonzero(state == 1), np.flatnonzero(state == 0)
-    rows = [system.matrix[t * count + resting] for t in range(d)]
+    rows = [system.operator[t * count + resting] for t in range(d)]
     if d == 2:
-        parts = (sparse.diags_array(across[t, slipping]) @ system.matrix[t * count + slipping] for t in range(d))
+        parts = (sparse.diags_array(across[t, slipping]) @ system.operator[t * count + slipping] for t in range(d))
         rows.append(sum(parts))
     found = np.zeros(count, dtype=bool)
     slips, moves = sparse.csr_array(sparse.vstack(rows)), np.any(system.moved >= 0, axis=1)
@@ -244,6 +244,6 @@ def tied(system: System, force: np.ndarray, state: np.ndarray) -> np.ndarray:
         found[slipping] = True
         return found
     basis = motions.basis()
-    moved = sum(np.abs(along[t, :, None] * (system.matrix[t * count : (t + 1) * count] @ basis)) for t in range(d))
+    moved = sum(np.abs(along[t, :, None] * (system.operator[t * count : (t + 1) * count] @ basis)) for t in range(d))
     found[slipping] = (moved > MOVED * np.abs(basis).max()).any(axis=1)[slipping]
     return found

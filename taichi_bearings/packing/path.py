@@ -12,14 +12,13 @@ it. A contact that rests slips the less each time; those beyond their friction s
 import threading
 from contextlib import suppress
 from dataclasses import replace
-from functools import reduce
 from typing import Any, cast
 
 import numpy as np
 
 from taichi_bearings.conic.central_path import flowing
 from taichi_bearings.conic.cones import length
-from taichi_bearings.conic.contact_system import ContactSystem, slipping_components
+from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.conic.contraction import order_by_place
 from taichi_bearings.conic.descent import Descent, Sample
 from taichi_bearings.conic.friction_stage import Friction, FrictionStage
@@ -29,9 +28,7 @@ from taichi_bearings.conic.resolution import Surroundings
 from taichi_bearings.interrupts import look_up
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
-from taichi_bearings.numerics.double_double import add, scaled, two_sum
-from taichi_bearings.numerics.graphs import odd_pieces
-from taichi_bearings.packing.system import Found, System
+from taichi_bearings.packing.found import Found
 from taichi_bearings.stages import Step, stage
 
 KEPT_UNKNOWNS = 30_000  # up to which the matrix of a network is kept for its other samples
@@ -45,51 +42,24 @@ SMALL_SPINS = 1e-8  # of what is left to settle
 MOST_STEPS, SLACK = 80, 0.3  # of the path; of the bounds at its start, in mean slips
 
 
-def oblique(system: System) -> ContactSystem:
-    """Contacts over the spins as they are."""
-    contact, slot, felt = slipping_components(np.ones(system.offset.shape, dtype=bool))
-    return ContactSystem(system.unknowns, system.offset, felt, None, system.matrix, contact, slot, system.place)
-
-
-def signed(system: System) -> tuple[ContactSystem, np.ndarray] | None:
-    """Contacts over signed spins U = s u, numbered as those of the system, and s (N, C); None where there are none.
-
-    The difference U_j - U_i of a contact is s_j (u_i + u_j).
-    """
-    network, needed = system.network, np.flatnonzero((system.moved >= 0).any(axis=0))
-    if not network.along_axes(system.contact):
-        return None
-    felt, contact = system.felt, network.contact[:, system.contact]
-    sign = np.ones(system.known.shape)
-    for k in needed:
-        ends = contact[:, felt[:, k]]
-        odd, sign[:, k] = odd_pieces(network.spheres, *ends)
-        if odd[ends].any():
-            return None
-    known = sign * system.known
-    own, slot, felt = slipping_components(felt[:, needed].T)
-    slot, pair = needed[slot], contact[:, own]
-    ends, (first, second) = system.moved[pair[:, None], slot], known[pair[:, None], slot]
-    offset, ends = np.where(felt, second - first, 0.0), np.where(felt, ends, -1)
-    return ContactSystem(system.unknowns, offset, felt, ends, None, own, slot, system.place), sign
-
-
-def viscous_spins(system: System, viscosity: np.ndarray) -> np.ndarray:
+def viscous_spins(system: ContactSystem, viscosity: np.ndarray) -> np.ndarray:
     """Spins (unknowns,) at which viscous forces are in balance: both tangents of a contact are contacts of their own,
     as nothing couples them. viscosity : (A,)."""
     offset = system.offset.reshape(1, -1)
-    rows = ContactSystem(system.unknowns, offset, np.ones(offset.shape, dtype=bool), None, system.matrix)
+    rows = ContactSystem(system.unknowns, offset, np.ones(offset.shape, dtype=bool), None, system.operator)
     matrix = NewtonMatrix(rows, order_by_place(rows, system.place))
     return flowing(rows, np.tile(viscosity, len(system.offset)), matrix, np.zeros(system.unknowns))
 
 
-def followed(system: System, friction: np.ndarray, viscosity: np.ndarray, power_unit: float = 1.0) -> Found:
+def followed(system: ContactSystem, friction: np.ndarray, viscosity: np.ndarray, power_unit: float = 1.0) -> Found:
     """Where the central path and the settling of states lead. friction, viscosity : (A,). power_unit : of the power
     that is told on the way."""
     flows = bool(viscosity.any())
-    contacts, sign, order, matrix = _skeleton(system)
+    contacts, order, matrix = _skeleton(system)
+    sign = contacts.sign
     unit = float(np.exp2(np.round(np.log2((friction + viscosity).mean()))))  # as of lattices
-    strength, viscous = friction[contacts.contact] / unit, viscosity[contacts.contact] / unit
+    own = np.searchsorted(system.numbers, contacts.numbers)
+    strength, viscous = friction[own] / unit, viscosity[own] / unit
     spins = np.zeros(contacts.unknowns)
     with suppress(NotPositiveDefinite):
         spins = flowing(contacts, strength + viscous, matrix, spins)
@@ -113,33 +83,31 @@ def followed(system: System, friction: np.ndarray, viscosity: np.ndarray, power_
     settled, ties, open_ = sample.resolved, None, None
     if settled is None:
         with stage("settling contact states"):
-            spins, dual, slipping, open_ = _settled(system, sample.iterate, matrix)
+            spins, dual, slipping, open_ = _settled(sample.iterate, matrix)
     else:
         spins, dual, slipping = settled.spins, settled.whole_dual, settled.slipping
         ties = settled.ties | settled.at_limit
-    force = _across(system, contacts, sign, -unit * dual)
+    force = along_tangents(system, contacts, -unit * dual)
     rest = None if settled is None else settled.rest
     if sign is not None:
-        own = sign[system.moved >= 0]
-        spins, rest = own * spins, None if rest is None else own * rest
-    slips, opens, tie = (
-        None if of is None else _everywhere(contacts, of, len(friction)) for of in (slipping, open_, ties)
-    )
+        turned = sign[system.moved >= 0]
+        spins, rest = turned * spins, None if rest is None else turned * rest
+    slips, opens, tie = (None if of is None else _everywhere(own, of, len(friction)) for of in (slipping, open_, ties))
     return Found(spins, force, "interior-point", slips, tie, sample.steps, open=opens, rest=rest)
 
 
-_Skeleton = tuple[ContactSystem, np.ndarray | None, np.ndarray, NewtonMatrix]
+_Skeleton = tuple[ContactSystem, np.ndarray, NewtonMatrix]
 
 
-def _skeleton(system: System) -> _Skeleton:
-    """What all samples on a network have in common: contacts, signs, the order of elimination and the matrix. Of small
+def _skeleton(system: ContactSystem) -> _Skeleton:
+    """What all samples on a network have in common: contacts, the order of elimination and the matrix. Of small
     ones, of which there are many, it is made once, by each thread, as numbers of a factorisation are kept in it."""
     name = threading.get_ident(), float(np.abs(system.offset).max(initial=0.0))
     if (found := system.kept.get(name)) is not None:
         return cast(_Skeleton, found)
-    contacts, sign = signed(system) or (oblique(system), None)
-    order = order_by_place(contacts, system.place)
-    made = contacts, sign, order, NewtonMatrix(contacts, order)
+    contacts = system.signed() or system
+    order = order_by_place(contacts)
+    made = contacts, order, NewtonMatrix(contacts, order)
     if system.unknowns < KEPT_UNKNOWNS:
         system.kept.clear()
         system.kept[name] = made
@@ -148,7 +116,7 @@ def _skeleton(system: System) -> _Skeleton:
 
 @np.errstate(all="ignore")
 def _settled(
-    system: System, point: Iterate, matrix: NewtonMatrix
+    point: Iterate, matrix: NewtonMatrix
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, np.ndarray | None]:
     """Spins, minus the forces, and, (n,) masks, which contacts slip and which are open, as of Found; None where nothing
     is settled."""
@@ -157,7 +125,7 @@ def _settled(
     open_, last = slipping, np.inf
     firm, rest = np.where(point.friction > 0, point.friction, 1.0), np.zeros(contacts.unknowns)
     for hold in HOLDS:
-        here = replace(contacts, offset=_slips(system, contacts, spins))
+        here = replace(contacts, offset=contacts.to_all_digits(spins))
         stage = FrictionStage(here, matrix, 1.0, SMALL_SPINS, 1.0)
         with one_thread():
             end = stage.solve(Friction(point.friction, hold * firm, 0.0, point.viscosity), rest, held, rest)
@@ -172,41 +140,28 @@ def _settled(
             open_ = open_ | creeps | (end.slips != slipping)
         if change < SETTLED_FORCE and not open_.any():
             break
-    powers = (_power(system, point, of) for of in (point.spins, spins))
+    powers = (_power(point, of) for of in (point.spins, spins))
     if next(powers) * (1 + WORSE_POWER) < next(powers):  # where many minima tie, springs can lead away from all of them
         return point.spins, point.whole_dual, None, None
     return spins, whole, slipping, open_
 
 
-def _power(system: System, point: Iterate, spins: np.ndarray) -> float:
+def _power(point: Iterate, spins: np.ndarray) -> float:
     """What spins (unknowns,) dissipate, or with viscosity the potential, to all digits of their slips."""
-    slip = length(_slips(system, point.system, spins))
+    slip = length(point.system.to_all_digits(spins))
     damped = 0.0 if point.viscosity is None else float((point.viscosity * slip**2).sum()) / 2
     return float((point.friction * slip).sum()) + damped
 
 
-def _slips(system: System, contacts: ContactSystem, spins: np.ndarray) -> np.ndarray:
-    """Of spins (unknowns,), (d, n), to all digits."""
-    if contacts.ends is not None:
-        return contacts.differences(spins)
-    first, second = system.all_spins(spins)[system.network.contact[:, system.contact]]
-    high, low = two_sum(first, second)
-    parts = [scaled(system.across[..., k], (high[:, k], low[:, k])) for k in range(high.shape[1])]
-    return reduce(add, parts)[0]
+def along_tangents(system: ContactSystem, contacts: ContactSystem, forces: np.ndarray) -> np.ndarray:
+    """Forces (d, A) along the tangents of a system from those in the rows of its `contacts`."""
+    if contacts is system or contacts.sign is None:
+        return forces
+    return np.einsum("tek,ek->te", system.across, contacts.on_contacts(forces)[system.contact])
 
 
-def _across(system: System, contacts: ContactSystem, sign: np.ndarray | None, vectors: np.ndarray) -> np.ndarray:
-    """(d, A), along the tangents."""
-    if sign is None:
-        return vectors
-    second = sign[system.network.contact[1, system.contact]]
-    whole = np.zeros((second.shape[1], 1, len(second)))
-    contacts.scatter_vectors(vectors, whole, 0)
-    return np.einsum("tek,ek,ke->te", system.across, second, whole[:, 0])
-
-
-def _everywhere(contacts: ContactSystem, of: np.ndarray, count: int) -> np.ndarray:
-    """(A,), False for contacts that feel no component which moves."""
+def _everywhere(own: np.ndarray, of: np.ndarray, count: int) -> np.ndarray:
+    """(A,) from what is known of the contacts `own`, (n,); False for contacts that feel no component which moves."""
     whole = np.zeros(count, dtype=of.dtype)
-    whole[contacts.contact] = of
+    whole[own] = of
     return whole

@@ -16,11 +16,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.numerics.double_double import Pair, subtract, two_product
 from taichi_bearings.numerics.exact_flow import exact_flow
 from taichi_bearings.numerics.graphs import odd_pieces, pieces
 from taichi_bearings.numerics.minimum_cut import led_to
-from taichi_bearings.packing.system import System
 from taichi_bearings.scene.packing import Packing
 
 MANTISSA_BITS = 53
@@ -50,21 +50,21 @@ class _Cover:
     rest: int
 
 
-def least_power(system: System) -> tuple[Pair, np.ndarray]:
+def least_power(system: ContactSystem, packing: Packing) -> tuple[Pair, np.ndarray]:
     """Spins (unknowns,) as sums of two doubles, and forces (d, A), balanced but for one rounding, of friction alone
     where no contact feels two components."""
-    component = system.felt.argmax(axis=1)  # (A,); any of contacts that feel none
-    cover, sign = _covered(system, component)
+    component = system.feels.argmax(axis=1)  # (A,); any of contacts that feel none
+    cover, sign = _covered(system, packing, component)
     place = _nested(cover)
-    force = np.zeros(len(system.contact), dtype=object)
+    force = np.zeros(len(component), dtype=object)
     np.add.at(force, cover.contact, cover.sign * _filling(cover, place))
     spins = _spins(cover, place, sign)
     return spins, system.across[:, np.arange(len(component)), component] * (force.astype(float) * cover.unit)
 
 
-def least_spins(system: System) -> np.ndarray:
+def least_spins(system: ContactSystem, packing: Packing) -> np.ndarray:
     """The same spins alone, rounded to doubles, in about half the time."""
-    cover, sign = _covered(system, system.felt.argmax(axis=1))
+    cover, sign = _covered(system, packing, system.feels.argmax(axis=1))
     return _spins(cover, _nested(cover), sign)[0]
 
 
@@ -77,21 +77,21 @@ def _spins(cover: _Cover, place: np.ndarray, sign: np.ndarray) -> Pair:
     return spins, rest
 
 
-def _covered(system: System, component: np.ndarray) -> tuple[_Cover, np.ndarray]:
+def _covered(system: ContactSystem, packing: Packing, component: np.ndarray) -> tuple[_Cover, np.ndarray]:
     """The network of differences; the sign of each unknown (unknowns,)."""
     count = system.unknowns
-    spheres = system.packing.contact[system.contact]
-    feels = np.any(system.felt, axis=1)
+    spheres = packing.contact[system.numbers]
+    feels = np.any(system.feels, axis=1)
     ends = np.where(feels[:, None], system.moved[spheres, component[:, None]], -1)  # (A, 2)
     within, some = np.all(ends >= 0, axis=1), np.any(ends >= 0, axis=1)
     odd, sign = odd_pieces(count, *ends[within].T)
     mirrored = np.where(odd, count + np.cumsum(odd) - 1, -1)
     inner, rim = np.flatnonzero(within), np.flatnonzero(some & ~within)
-    units, unit = _whole(system.packing, system.contact)
+    units, unit = _whole(packing, system.numbers)
     units = np.minimum(units, units[rim].sum())  # no minimum cut holds more
     first, second = ends[inner].T
     own, held = ends[rim].max(axis=1), np.where(ends[rim, 0] < 0, spheres[rim, 0], spheres[rim, 1])
-    twice, pair, u = odd[first], odd[own], _imposed(system, held, component[rim])
+    twice, pair, u = odd[first], odd[own], _imposed(system, packing, held, component[rim])
     single = tuple(np.where(pair, -part, -sign[own] * part) for part in u)
     values, level, opposite = _ordered(*(np.append(part, of[pair]) + 0.0 for part, of in zip(single, u, strict=True)))
     driven = count + int(odd.sum()) + level
@@ -110,9 +110,8 @@ def _covered(system: System, component: np.ndarray) -> tuple[_Cover, np.ndarray]
     return _Cover(len(mirror), *edges, values, opposite, unit / 2, mirror, rest), sign
 
 
-def _imposed(system: System, spheres: np.ndarray, component: np.ndarray) -> Pair:
+def _imposed(system: ContactSystem, packing: Packing, spheres: np.ndarray, component: np.ndarray) -> Pair:
     """u = R omega of spheres (n,), exactly where they are driven; of the others it is chosen, a double."""
-    packing = system.packing
     spin = packing.spin.reshape(system.known.shape)[spheres, component]
     high, low = two_product(np.asarray(packing.radius)[spheres], spin)
     held, known = packing.driven[spheres] >= 0, system.known[spheres, component]

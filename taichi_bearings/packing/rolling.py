@@ -3,19 +3,19 @@
 import numpy as np
 
 from taichi_bearings.conic.cones import isotropic
+from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.conic.contraction import order_by_place
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.numerics.double_double import Pair, add, scaled, subtract, two_product
-from taichi_bearings.packing.path import oblique
-from taichi_bearings.packing.system import System
+from taichi_bearings.scene.packing import Packing
 
 LOOSE = 1e-8  # stiffness of the contacts that may slip, over that of the contacts that are to roll
 MOST_CORRECTIONS = 8
 NONE_IN_PAIRS = 1e-30  # of the fastest imposed surface: slips that sums of two doubles cannot bring down further
 
 
-def rolled(system: System, spins: Pair, rolls: np.ndarray) -> Pair:
+def rolled(system: ContactSystem, packing: Packing, spins: Pair, rolls: np.ndarray) -> Pair:
     """The spins nearest to the given ones, both sums of two doubles (unknowns,), at which the contacts of a mask (A,)
     roll; the given ones where no such are found.
 
@@ -23,28 +23,27 @@ def rolled(system: System, spins: Pair, rolls: np.ndarray) -> Pair:
     correction x solves the least squares K x = -y, softened by the other contacts, which only keep the matrix regular,
     so that slips fall by some orders of magnitude each time, down to the rounding of sums of two doubles.
     """
-    contacts = oblique(system)
-    matrix = NewtonMatrix(contacts, order_by_place(contacts, system.place))
+    matrix = NewtonMatrix(system, order_by_place(system))
     try:
-        matrix.factorise(isotropic(contacts.offset, np.where(rolls, 1.0, LOOSE)))
+        matrix.factorise(isotropic(system.offset, np.where(rolls, 1.0, LOOSE)))
     except NotPositiveDefinite:
         return spins
-    best, least, fastest = spins, np.inf, float(np.abs(system.packing.driven_speed).max(initial=0.0))
+    best, least, fastest = spins, np.inf, float(np.abs(packing.driven_speed).max(initial=0.0))
     for _ in range(MOST_CORRECTIONS):
-        slips = np.where(rolls, slips_in_pairs(system, spins), 0.0)
+        slips = np.where(rolls, slips_in_pairs(system, packing, spins), 0.0)
         size = float(np.abs(slips).max(initial=0.0))
         if not size < least / 2:
             break
         best, least = spins, size
         if size <= NONE_IN_PAIRS * fastest:
             break
-        spins = add(spins, (matrix.solve(contacts.torques(-slips)), np.zeros(system.unknowns)))
+        spins = add(spins, (matrix.solve(system.torques(-slips)), np.zeros(system.unknowns)))
     return best
 
 
-def slips_in_pairs(system: System, spins: Pair) -> np.ndarray:
+def slips_in_pairs(system: ContactSystem, packing: Packing, spins: Pair) -> np.ndarray:
     """(d, A), slips of the contacts along their tangents, to all digits. spins : (unknowns,)."""
-    packing, network = system.packing, system.network
+    network = system.network
     first, second = network.contact[:, system.contact]
     shape = system.known.shape
     held = (packing.driven >= 0)[:, None]

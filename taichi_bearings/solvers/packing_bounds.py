@@ -3,14 +3,14 @@
 import numpy as np
 
 from taichi_bearings.conic.cones import isotropic
+from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.conic.contraction import order_by_place
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.numerics.double_double import exactly
 from taichi_bearings.packing.answer import forces_of, judgement_of
-from taichi_bearings.packing.path import oblique
+from taichi_bearings.packing.found import Found
 from taichi_bearings.packing.rolling import rolled
-from taichi_bearings.packing.system import Found, System
 from taichi_bearings.proof.judgement import Judgement
 from taichi_bearings.scene.packing import Packing
 
@@ -25,17 +25,18 @@ class PackingBounds:
     """
 
     def __init__(self, packing: Packing) -> None:
-        self.packing, self.acting, self.system = packing, packing.acting, System.of(packing)
-        contacts = oblique(self.system)
-        self.matrix = NewtonMatrix(contacts, order_by_place(contacts, self.system.place))
-        self.of_system = np.searchsorted(self.acting, self.system.contact)
+        self.packing, self.acting, self.system = packing, packing.acting, ContactSystem.of(packing)
+        self.matrix = NewtonMatrix(self.system, order_by_place(self.system))
+        self.of_system = np.searchsorted(self.acting, self.system.numbers)
         self.proven, self.witness, self.looked = 0.0, np.zeros((packing.network.components, 1, packing.spheres)), 0
 
     def is_at_rest(self) -> np.ndarray:
         """(1,), True where a state without any slip is proven to exist."""
         system = self.system
-        spins, rest = rolled(system, exactly(np.zeros(system.unknowns)), np.ones(len(system.contact), dtype=bool))
-        judgement = judgement_of(system, Found(spins, np.zeros_like(system.offset), "", rest=rest))
+        spins, rest = rolled(
+            system, self.packing, exactly(np.zeros(system.unknowns)), np.ones(len(system.numbers), dtype=bool)
+        )
+        judgement = judgement_of(system, self.packing, Found(spins, np.zeros_like(system.offset), "", rest=rest))
         return judgement.slipless if judgement.can_be_judged else np.zeros(1, dtype=bool)
 
     def of(self, force: np.ndarray, spins: np.ndarray, whole: bool) -> tuple[float, np.ndarray]:
@@ -79,6 +80,6 @@ class PackingBounds:
     def _balanced(self, force: np.ndarray) -> np.ndarray:
         """Forces (d, A) of the system in balance; as they are where that needs a division by 0."""
         try:
-            return self.matrix.balanced(force, isotropic(force, self.system.coefficients[0]))
+            return self.matrix.balanced(force, isotropic(force, self.system.of_contacts(self.packing)[0]))
         except NotPositiveDefinite:
             return force

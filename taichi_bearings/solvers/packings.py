@@ -13,8 +13,8 @@ from taichi_bearings.kernels.contact_list import CundallStrackLists, DescentList
 from taichi_bearings.kernels.team import Team, made_once
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.packing.answer import judged
+from taichi_bearings.packing.found import Found
 from taichi_bearings.packing.starts import start_of
-from taichi_bearings.packing.system import Found
 from taichi_bearings.proof.contact_state import classify, decided, what_is_proven
 from taichi_bearings.scene import Bearing, Progress, Solution, Status
 from taichi_bearings.scene.packing import Packing
@@ -116,10 +116,10 @@ class OnLists(Method):
         found = Found(
             np.zeros(system.unknowns), proof[:, 0, bounds.of_system], row.name, everywhere=last.staggered[:, 0].T
         )
-        result = judged(system, found, stop.tolerance, row.is_dynamics)
+        result = judged(system, bounds.packing, found, stop.tolerance, row.is_dynamics)
         force, told, slip = result.force.copy(), result.state.copy(), result.slip[0]
         force[:, acting] = vector_length(last.force)
-        loose = np.setdiff1d(acting, system.contact)
+        loose = np.setdiff1d(acting, system.numbers)
         told[0, loose] = np.where(slip[loose] > last.resolution, SLIPPING, SLIPLESS)
         if scene.law.holds:
             now = result.slip[:, acting], last.force, float(np.max(last.resolution))
