@@ -1,4 +1,7 @@
-"""Distribution of the power over the slipping contacts, in logarithmic bins, pooled over samples, with its errors."""
+"""The distribution of power over the slipping contacts: logarithmic bins, pooled over samples, with standard errors.
+
+Letters: S samples, B bins, R replicas, E contacts.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -10,15 +13,17 @@ from taichi_bearings.errors import InputError
 from taichi_bearings.proof.contact_state import ContactState, counts
 
 ENERGY_PER_TIME = "energy/time"
+# states that are counted, in this order
 COUNTED_STATES = (ContactState.SLIPLESS, ContactState.SLIPPING, ContactState.UNDECIDED, ContactState.TIED)
 
 
 @dataclass(frozen=True)
 class SampleCounts:
-    """Slipping contacts of S samples in B bins.
+    """Numbers of slipping contacts of S samples in B bins of power.
 
-    first, bins_per_decade : bin b is [10^((first + b) / bins_per_decade), that of the next).
-    count : (S, B). contacts : (S, 4), those in each of COUNTED_STATES.
+    first, bins_per_decade : bin b begins at the power 10^((first + b) / bins_per_decade), where the one before ends.
+    count : (S, B) slipping contacts in each bin.
+    contacts : (S, 4) contacts in each of COUNTED_STATES.
     """
 
     first: int
@@ -28,23 +33,27 @@ class SampleCounts:
 
     @property
     def edges(self) -> np.ndarray:
-        """(B + 1,) power; none where there is no bin."""
+        """(B + 1,) powers where bins begin and end; empty if there is no bin."""
         bins = self.count.shape[1]
         return 10.0 ** ((self.first + np.arange(bins + 1 if bins else 0)) / self.bins_per_decade)
 
     def of(self, samples: np.ndarray) -> "SampleCounts":
-        """Some of the samples, by number, in the same bins."""
+        """Return the counts of some of the samples, by number, in the same bins."""
         return replace(self, count=self.count[samples], contacts=self.contacts[samples])
 
 
 @dataclass(frozen=True)
 class PowerHistogram:
-    """Contacts pooled over samples.
+    """Distribution of power over the slipping contacts of all samples.
 
-    edges : (B + 1,) power in `units`, evenly spaced in the logarithm. count : (B,) slipping contacts in each bin.
-    standard_error : (B,) of the count. density, density_error : (B,) share of the slipping contacts per decade of
-    power, and its standard error. slipless, tied, undecided : contacts left out of the bins. slip_threshold :
-    length/time, of the coarsest run. samples : pooled. left_out : why other samples are not in it -> how many.
+    edges : (B + 1,) power in `units`, evenly spaced in the logarithm.
+    count : (B,) slipping contacts in each bin. standard_error : (B,) of the count.
+    density, density_error : (B,) share of the slipping contacts per decade of power, and its standard error.
+    slipless, tied, undecided : number of contacts that are in no bin.
+    slip_threshold : length/time, of the coarsest run.
+    samples : how many are pooled.
+    units : of the power.
+    left_out : why other samples are not in it, and how many.
 
     With several samples the errors are those of sums and of ratios of sums over independent samples, so contacts of one
     sample may depend on each other, and samples of one disorder count as one. With one they are those of contacts that
@@ -79,9 +88,9 @@ def count_powers(
     bins_per_decade: int = 5,
     unit: np.ndarray | None = None,
 ) -> SampleCounts:
-    """Contacts of R replicas in bins. power, state : (R, E).
+    """Return the slipping contacts of R replicas in bins. power, state : (R, E).
 
-    unit : (R,) power that counts as 1 in each replica, default 1.
+    unit : (R,) power that is taken for 1 in each replica; default 1.
     """
     replica, contact = np.nonzero((state == ContactState.SLIPPING) & (power > 0))
     scale = np.ones(len(power)) if unit is None else unit
@@ -91,14 +100,16 @@ def count_powers(
     return SampleCounts(first, bins_per_decade, count, counts(state)[:, COUNTED_STATES])
 
 
-MOST_POWER_BINS = 100_000  # more than numbers of any size need
+MOST_POWER_BINS = 100_000  # no spread of floating-point numbers needs more
 
 
 def rebinned(fine: SampleCounts, bins_per_decade: int, unit: np.ndarray) -> SampleCounts:
-    """Counts whose powers are lost, in other bins: powers in multiples of `unit`, (S,), and fewer bins a decade.
+    """Return counts in other bins, for powers that are no longer known one by one.
 
-    Every sample's bins move by whole bins, to the nearest: by half a fine bin too much or too little at worst, by
-    nothing where the unit is 1. InputError is up to the caller: `bins_per_decade` must divide that of `fine`.
+    The new bins are of powers in multiples of `unit`, and fewer a decade. The bins of each sample move by whole fine
+    bins, to the nearest: by half a fine bin too much or too little at worst, and exactly where the unit is 1.
+
+    bins_per_decade : must divide that of `fine`, which callers check. unit : (S,).
     """
     merged = fine.bins_per_decade // bins_per_decade
     move = np.rint(fine.bins_per_decade * np.log10(1 / unit)).astype(int)
@@ -115,8 +126,8 @@ def rebinned(fine: SampleCounts, bins_per_decade: int, unit: np.ndarray) -> Samp
     return SampleCounts(first, bins_per_decade, count, fine.contacts)
 
 
-def together(parts: Sequence[SampleCounts]) -> SampleCounts:
-    """Samples of several sources, of equal `bins_per_decade`, in bins that hold them all."""
+def joined_counts(parts: Sequence[SampleCounts]) -> SampleCounts:
+    """Return the samples of several sources, of equal `bins_per_decade`, in bins that hold them all."""
     filled = [part for part in parts if part.count.shape[1]]
     first = min((part.first for part in filled), default=0)
     bins = max((part.first + part.count.shape[1] for part in filled), default=0) - first
@@ -135,10 +146,11 @@ def pool(
     disorder: np.ndarray | None = None,
     left_out: Mapping[str, int] | None = None,
 ) -> PowerHistogram:
-    """One histogram of all samples. units : what the power is counted in, for the record.
+    """Return one histogram of all samples.
 
-    disorder : (S,) numbers, equal for samples that depend on each other; default: none do. left_out : as in the
-    histogram.
+    units : of the power, for the record.
+    disorder : (S,) equal numbers for samples that depend on each other; by default none do.
+    left_out : see :class:`PowerHistogram`.
     """
     own = of.count if disorder is None else _by_disorder(of.count, disorder)
     samples, count = len(own), of.count.sum(axis=0)
@@ -169,7 +181,7 @@ def pool(
 
 
 def _by_disorder(count: np.ndarray, disorder: np.ndarray) -> np.ndarray:
-    """Counts (S, B) summed over the samples of each disorder (S,)."""
+    """Return counts (S, B) summed over the samples of each disorder (S,)."""
     values, which = np.unique(disorder, return_inverse=True)
     summed = np.zeros((len(values), count.shape[1]), dtype=count.dtype)
     np.add.at(summed, which, count)

@@ -1,10 +1,15 @@
-"""Statistics over the samples of a parameter point: means with their intervals, and the grouping of a table of samples
-by its parameters.
+"""Statistics over samples with the same parameters: means with confidence intervals, and grouping of a table by
+columns.
 
-Samples are independent draws. Fewer than LEAST_SAMPLES have no interval. From FEW_SAMPLES to MANY_SAMPLES it is the
-bias-corrected and accelerated (BCa) bootstrap interval (B. Efron, J. Am. Stat. Assoc. 82, 171, 1987) of a mean or a
-ratio of means, with a fixed seed: the same samples give the same bits. Fewer or more have that of normally distributed
-numbers: with few the bootstrap covers too little, with many the two agree. Measured in docs/histograms.md.
+Samples are independent draws. The interval of a mean, or of a ratio of means, depends on their number:
+
+* fewer than LEAST_SAMPLES have none;
+* from FEW_SAMPLES to MANY_SAMPLES it is the bias-corrected and accelerated (BCa) bootstrap interval (B. Efron, J. Am.
+  Stat. Assoc. 82, 171, 1987), with a fixed seed: the same samples give the same bits;
+* fewer or more have the interval of normally distributed numbers: with few samples the bootstrap covers too little,
+  with many the two agree.
+
+Measured in docs/histograms.md.
 """
 
 import re
@@ -17,14 +22,14 @@ from typing import Any
 import numpy as np
 
 CONFIDENCE = 0.95
-RESAMPLES = 2000
-LEAST_SAMPLES, FEW_SAMPLES, MANY_SAMPLES = 3, 20, 10_000  # samples
-MOST_AT_ONCE = 2**22  # random numbers held at a time
+RESAMPLES = 2000  # draws of a bootstrap
+LEAST_SAMPLES, FEW_SAMPLES, MANY_SAMPLES = 3, 20, 10_000
+MOST_AT_ONCE = 2**22  # random numbers held in memory at a time
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A number and the interval that holds it with confidence CONFIDENCE; NaN ends where no interval can be given."""
+    """A number and the interval that holds it with confidence CONFIDENCE; its ends are NaN where there is none."""
 
     value: float
     low: float
@@ -33,30 +38,33 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Census:
-    """used : samples that are in. left_out : why others are not -> how many, in words that follow a number."""
+    """How many samples were used and how many were not.
+
+    left_out : for each reason, in words that follow a number, how many samples were left out.
+    """
 
     used: int
     left_out: Mapping[str, int] = field(default_factory=dict)
 
     @staticmethod
     def of(reasons: Iterable[str]) -> "Census":
-        """From the reason of each sample to be left out, empty if it is in."""
+        """Return the census of samples, given the reason of each to be left out; "" for those that are used."""
         counts = Counter(reasons)
         return Census(counts.pop("", 0), dict(sorted(counts.items(), key=lambda item: -item[1])))
 
     @property
     def asked(self) -> int:
-        """Samples that were asked for."""
+        """Number of samples that were asked for."""
         return self.used + sum(self.left_out.values())
 
     @property
     def reasons(self) -> str:
-        """``2 failed, 1 not computed yet``; empty if none is left out."""
+        """Reasons in words, such as ``2 failed, 1 not computed yet``; empty if none is left out."""
         return ", ".join(f"{number:,} {reason}" for reason, number in self.left_out.items())
 
     @property
     def share(self) -> str:
-        """``57 of 60 samples``."""
+        """Number of samples in words, such as ``57 of 60 samples``."""
         if not self.left_out:
             return "1 sample" if self.used == 1 else f"all {self.used:,} samples"
         return f"{format(self.used, ',') if self.used else 'none'} of {self.asked:,} samples"
@@ -66,14 +74,14 @@ class Census:
 
 
 def mean_interval(values: np.ndarray) -> Estimate:
-    """Mean of (samples,) numbers with its interval; without width where all are equal."""
+    """Return the mean of numbers (samples,) with its interval, which has no width where all are equal."""
     return ratio_interval(values, np.ones(len(values)))
 
 
 def ratio_interval(numerator: np.ndarray, denominator: np.ndarray) -> Estimate:
-    """Mean of the numerator over the mean of the denominator, with its interval.
+    """Return the mean of the numerator over the mean of the denominator, with its interval.
 
-    numerator, denominator : (samples,) numbers of the same samples, in the same order; the latter of one sign.
+    numerator, denominator : (samples,) numbers of the same samples, in the same order; all denominators of one sign.
     """
     above, below = (np.asarray(values, dtype=float) for values in (numerator, denominator))
     number = len(above)
@@ -90,10 +98,11 @@ def ratio_interval(numerator: np.ndarray, denominator: np.ndarray) -> Estimate:
 
 
 def _student(above: np.ndarray, below: np.ndarray) -> tuple[float, float]:
-    """Interval of a ratio of means of normally distributed pairs (E. C. Fieller, J. R. Stat. Soc. B 16, 175, 1954).
+    """Return the interval of a ratio of means of normally distributed pairs (E. C. Fieller, J. R. Stat. Soc. B 16, 175,
+    1954).
 
-    All ratios r for which Student's t of the pairs' above - r below does not exclude 0. NaN where it does not exclude
-    that the mean below is 0. Where all numbers below are 1 it is Student's interval of a mean.
+    It holds all ratios r for which Student's t of the pairs' above - r below does not exclude 0. It is NaN where that
+    does not exclude that the mean below is 0. Where all numbers below are 1 it is Student's interval of a mean.
     """
     number, means = len(above), np.array([above.mean(), below.mean()])
     from scipy.special import stdtrit  # a tenth of a second that runs do not need
@@ -108,7 +117,7 @@ def _student(above: np.ndarray, below: np.ndarray) -> tuple[float, float]:
 
 
 def _bootstrap(above: np.ndarray, below: np.ndarray) -> tuple[float, float]:
-    """BCa interval of a ratio of means; NaN where some draw divides by nothing."""
+    """Return the BCa interval of a ratio of means; NaN where some draw divides by nothing."""
     from scipy import stats
 
     with warnings.catch_warnings(), np.errstate(all="ignore"):
@@ -124,27 +133,30 @@ def _bootstrap(above: np.ndarray, below: np.ndarray) -> tuple[float, float]:
 
 
 def independent(values: np.ndarray, disorder: np.ndarray) -> np.ndarray:
-    """One number for each disorder: the mean of its samples. values, disorder : (samples,)."""
+    """Return one number for each disorder: the mean of its samples. values, disorder : (samples,)."""
     _, which, number = np.unique(disorder, return_inverse=True, return_counts=True)
     return values if len(number) == len(values) else np.bincount(which, values) / number
 
 
 def groups(columns: Mapping[str, np.ndarray], keys: Sequence[str]) -> dict[tuple[Any, ...], np.ndarray]:
-    """Rows of a table by the values of some of its columns.
+    """Group the rows of a table by the values of some of its columns.
 
-    columns : arrays of equal lengths by name. returns : values of the keys, as Python values -> numbers of the rows in
-    rising order. Values are the same if they are equal to the last bit; not-a-number is one value, None. Groups come in
-    the order of their values: numbers rise, texts too, numbers within them (8x8 before 10x10) by size.
+    columns : arrays of equal lengths by name. keys : names of the columns to group by.
+    returns : for the values of the keys, as Python values, the numbers of the rows in rising order. Values are the same
+        if they are equal to the last bit; not-a-number is one value, None. Groups come in the order of their values:
+        numbers rise, texts too, numbers within texts (8x8 before 10x10) by size.
     """
     rows: dict[tuple[Any, ...], list[int]] = {}
     listed = [[_plain(value) for value in columns[key].tolist()] for key in keys]
     for row in range(len(next(iter(columns.values())))):
         rows.setdefault(tuple(values[row] for values in listed), []).append(row)
-    return {values: np.array(rows[values]) for values in sorted(rows, key=lambda values: [*map(natural, values)])}
+    return {values: np.array(rows[values]) for values in sorted(rows, key=lambda values: [*map(sort_key, values)])}
 
 
-def natural(value: Any) -> tuple[Any, ...]:
-    """What puts values of a column in order: None, then truth values and numbers, then texts with numbers by size."""
+def sort_key(value: Any) -> tuple[Any, ...]:
+    """Return a key that sorts values of a column: None, then truth values and numbers, then texts with numbers by
+    size.
+    """
     if value is None:
         return (0,)
     if not isinstance(value, str):
@@ -154,5 +166,5 @@ def natural(value: Any) -> tuple[Any, ...]:
 
 
 def _plain(value: Any) -> Any:
-    """A value that is equal to itself."""
+    """Return None for not-a-number, and any other value as it is, so that equal values compare equal."""
     return None if value != value else value

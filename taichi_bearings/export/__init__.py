@@ -1,1 +1,1 @@
-"""Runs as files of other programs."""
+"""Writes runs as files of other programs."""

@@ -1,14 +1,22 @@
 """The least power of a run as a problem for other solvers: `bearings export --format cbf` and `fclib`.
 
-Lattices are read as packings. With u = R omega of the free spheres, K u + b the slip of a contact along its tangents
-(conic/contact_system.py), F the force that friction bears and eta the viscosity of a contact, the problem is to
+Lattices are read as packings. With
+
+* u = R omega of the free spheres, radius times spin,
+* K u + b the slip of a contact along its tangents (conic/contact_system.py),
+* F the force that friction bears, and eta the viscosity of a contact,
+
+the problem is to
 
     minimise  share * sum_e (F t + eta s / 2)   with   t >= |K u + b|,  s >= |K u + b|^2,
 
-share 2 with viscosity alone. cbf, the conic benchmark format (https://docs.mosek.com/latest/cmdtools/cbf-format.html),
-says that in cones. fclib (https://frictionalcontactlibrary.github.io, src/fclib.h) has friction alone, as a mixed local
-problem: V^T r + s = 0, velocity = V lambda + q, W = R = 0, r in its cone against the velocity. There lambda is u, then
-for each contact a velocity along its normal: only a given normal force balances it, so that is the normal force.
+where share is 2 with viscosity alone, else 1. cbf, the conic benchmark format
+(https://docs.mosek.com/latest/cmdtools/cbf-format.html), says that in cones. fclib
+(https://frictionalcontactlibrary.github.io, src/fclib.h) has friction alone, as a mixed local problem: V^T r + s = 0,
+velocity = V lambda + q, W = R = 0, r in its cone against the velocity. There lambda is u, followed for each contact by
+a velocity along its normal: only a given normal force balances it, so that is the normal force.
+
+Letters: d tangents of a contact.
 """
 
 from pathlib import Path
@@ -32,9 +40,11 @@ PROBLEM_NAMES = {"cbf": "problem.cbf", "fclib": "problem.hdf5"}
 def export_problem(
     run: str | Path, form: str, out: str | Path | None, force: bool = False, replica: int = 0
 ) -> dict[str, Any]:
-    """Write the problem of one sample of a run, and say what the file holds; arguments as of vtkhdf.export.
+    """Write the problem of one sample of a run, and return what the file holds.
 
-    form : "cbf" or "fclib". Raises InputError for a problem that the format cannot say.
+    run, out, force, replica : see :func:`taichi_bearings.export.vtkhdf.export`. form : "cbf" or "fclib".
+
+    Raises InputError for a problem that the format cannot express.
     """
     with opened_to_draw(run, out, PROBLEM_NAMES[form], force, replica) as (stored, path):
         found, which = stored.sample(replica), replica_drawn(stored, replica)
@@ -45,7 +55,11 @@ def export_problem(
 
 
 def write_problem(bearing: Bearing, form: str, path: Path) -> dict[str, Any]:
-    """Into a file, replacing it; returns what it holds."""
+    """Write the problem of a bearing into a file, replacing it; returns the file and its numbers of unknowns and
+    contacts.
+
+    form : "cbf" or "fclib".
+    """
     with stage("writing"):
         system = ContactSystem.of(bearing)
         system.operator.eliminate_zeros()
@@ -61,7 +75,8 @@ def write_problem(bearing: Bearing, form: str, path: Path) -> dict[str, Any]:
 
 
 def cbf(system: ContactSystem, bearing: Bearing) -> str:
-    """The programme: unknowns u, t, s; cones (t, slip), and rotated ones (s, 1/2, slip), contact by contact.
+    """Return the conic programme as text: unknowns u, t, s; cones (t, slip), and rotated ones (s, 1/2, slip), by
+    contact.
 
     Components of a slip that are 0 whatever the spins are left out, and contacts that have no others.
     """
@@ -73,6 +88,7 @@ def cbf(system: ContactSystem, bearing: Bearing) -> str:
     cost = law.share * np.concatenate([np.zeros(unknowns), held, viscosity / 2])
     rows = sparse.block_diag([system.operator, sparse.eye_array(2 * count), sparse.csr_array((count, 0))], format="csr")
     constant = np.concatenate([system.offset.ravel(), np.zeros(2 * count), np.full(count, 0.5)])
+    # choose the rows of each cone: its heads, t or (s, 1/2), and then the components of the slip that can change
     order, cones = [], list[str]()
     for force, heads, kind in ((held, [d], "Q"), (viscosity, [d + 1, d + 2], "QR")):  # rows of t; of s and of 1/2
         acts = np.flatnonzero(force)
@@ -94,10 +110,10 @@ def cbf(system: ContactSystem, bearing: Bearing) -> str:
 
 
 def write_fclib(file: h5py.File, system: ContactSystem, bearing: Bearing) -> None:
-    """The problem, in the layout of fclib_write_local; local frames are the normal and then the tangents."""
+    """Write the problem in the layout of fclib_write_local; local frames are the normal and then the tangents."""
     d, count = system.offset.shape
-    turn = np.arange((d + 1) * count).reshape(d + 1, count).T.ravel()
-    slips = sparse.block_array([[None, sparse.eye_array(count)], [system.operator, None]], format="csr")[turn]
+    by_contact = np.arange((d + 1) * count).reshape(d + 1, count).T.ravel()  # all components of a contact together
+    slips = sparse.block_array([[None, sparse.eye_array(count)], [system.operator, None]], format="csr")[by_contact]
     file["fclib_local/spacedim"] = np.array([d + 1], dtype=np.int32)
     nothing = {name: sparse.csc_array((size, size)) for name, size in zip("WR", slips.shape, strict=True)}
     for name, matrix in {"V": slips.tocsc(), **nothing}.items():
@@ -106,7 +122,7 @@ def write_fclib(file: h5py.File, system: ContactSystem, bearing: Bearing) -> Non
             file[f"fclib_local/{name}/{key}"] = np.asarray(values, dtype=np.int32)
         file[f"fclib_local/{name}/x"] = matrix.data
     normal_force = np.broadcast_to(bearing.normal_force, system.network.contacts)[system.contact]
-    file["fclib_local/vectors/q"] = np.concatenate([np.zeros(count), system.offset.ravel()])[turn]
+    file["fclib_local/vectors/q"] = np.concatenate([np.zeros(count), system.offset.ravel()])[by_contact]
     file["fclib_local/vectors/s"] = np.concatenate([np.zeros(system.unknowns), -normal_force])
     file["fclib_local/vectors/mu"] = system.of_contacts(bearing)[0] / normal_force
     file["fclib_local/info/title"] = np.bytes_(f"taichi_bearings {VERSION}: {bearing!r}")

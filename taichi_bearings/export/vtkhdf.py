@@ -1,9 +1,11 @@
-"""A stored run as a VTKHDF file, which ParaView and VTK open: `bearings export`.
+"""Writes a stored run as a VTKHDF file, which ParaView and VTK open: `bearings export`.
 
-One PolyData: the spheres are its points, the contacts its lines, and what is known of them point data and cell data
-(https://docs.vtk.org/en/latest/vtk_file_formats/vtkhdf_file_format/index.html). The snapshots of a dynamics are time
-steps and its end the last one; what does not change is written once. The arrays of run.h5 cannot be linked to: there
-each axis has contacts of its own, and VTK wants all lines in one array.
+The file holds one PolyData: the spheres are its points, the contacts its lines, and what is known of them point data
+and cell data (https://docs.vtk.org/en/latest/vtk_file_formats/vtkhdf_file_format/index.html). The snapshots of a
+dynamics are time steps, its end is the last one; what does not change is written once. The arrays of run.h5 cannot be
+linked to: there each axis has contacts of its own, and VTK wants all lines in one array.
+
+Letters: P points, L lines.
 """
 
 from collections.abc import Mapping
@@ -23,17 +25,28 @@ from taichi_bearings.stages import stage
 VTK_NAME = "run.vtkhdf"
 VTK_VERSION = (2, 2)
 TOPOLOGIES = ("Vertices", "Lines", "Polygons", "Strips")
-OF_THE_FILE = ("command", "version")  # attributes
-TOLD = ("method", "status", "law", "power", "lower_bound", "seed", "replica", *OF_THE_FILE)
+FILE_ATTRIBUTES = ("command", "version")  # attributes of a run file that are passed on
+STORED_FACTS = ("method", "status", "law", "power", "lower_bound", "seed", "replica", *FILE_ATTRIBUTES)
 
-UNKNOWN = "; not-a-number in snapshots, with which it is not kept"
-IN_SNAPSHOTS = {"power": UNKNOWN, "force": UNKNOWN, "state": "; in snapshots by slip alone, see snapshot_threshold"}
+UNKNOWN_THEN = "; not-a-number in snapshots, with which it is not kept"
+IN_SNAPSHOTS = {
+    "power": UNKNOWN_THEN,
+    "force": UNKNOWN_THEN,
+    "state": "; in snapshots by slip alone, see snapshot_threshold",
+}
 
 
 @dataclass(frozen=True)
 class Geometry:
-    """sphere : (P,) of each point: all of them, then one for each image. place : (P, 3), length, height along z in 3D
-    and along y in 2D. ends : (L, 2), points of each line. spheres : number of them."""
+    """Points and lines of the file.
+
+    A line across a periodic side leads to an *image*, its second sphere once more, on the other side.
+
+    sphere : (P,) sphere of each point: first all spheres, then one for each image.
+    place : (P, 3) length. The height is along z in 3D and along y in 2D.
+    ends : (L, 2) points of each line.
+    spheres : number of spheres.
+    """
 
     sphere: np.ndarray
     place: np.ndarray
@@ -42,7 +55,9 @@ class Geometry:
 
     @classmethod
     def of(cls, network: Network) -> "Geometry":
-        """Lines across periodic sides lead on to images of their second spheres."""
+        """Return the points and lines of a network. Lines across periodic sides lead to images of their second
+        spheres.
+        """
         place, ends = network.center, network.contact.T.copy()
         reach = network.radius[ends].sum(axis=1)
         step = network.normal * reach[:, None]
@@ -55,7 +70,7 @@ class Geometry:
         return cls(sphere, places, ends, len(place))
 
     def on_points(self, columns: Mapping[str, Finding]) -> dict[str, Finding]:
-        """Columns of the spheres as point data; where there are images they say which points those are."""
+        """Return columns of the spheres as point data; where there are images, a column says which points those are."""
         found = {name: replace(column, values=column.values[self.sphere]) for name, column in columns.items()}
         if len(self.sphere) > self.spheres:
             image = np.arange(len(self.sphere)) >= self.spheres
@@ -66,10 +81,13 @@ class Geometry:
 def export(
     run: str | Path, out: str | Path | None = None, force: bool = False, replica: int = 0, analyse: bool = False
 ) -> dict[str, Any]:
-    """Write one sample of a run directory or its run.h5 for ParaView, and say what the file holds.
+    """Write one sample of a run directory or its run.h5 for ParaView, and return what the file holds.
 
-    out : the file, an earlier one is replaced with `force` only; default: run.vtkhdf in the run directory, which is.
-    analyse : compute the structure; else the file has of it what that of the run holds.
+    out : the file; an earlier one is replaced with `force` only. By default it is run.vtkhdf in the run directory, and
+        an earlier one is replaced.
+    replica : which sample, counted from 0.
+    analyse : compute the structure; otherwise the file has of it what the run file holds.
+
     Raises InputError or FileError before anything is computed.
     """
     out = None if out is None else Path(out)
@@ -78,13 +96,13 @@ def export(
         found = stored.sample(replica)
         drawn = points_and_lines(stored, replica, analyse)
         geometry, moments = Geometry.of(drawn.structure.whole), drawn.moments
-        of_file = {key: found.attributes[key] for key in OF_THE_FILE if key in found.attributes}
+        of_file = {key: found.attributes[key] for key in FILE_ATTRIBUTES if key in found.attributes}
         known = found.summary | of_file | {"replica": replica}
-        told = {key: known[key] for key in TOLD if key in known}
+        facts = {key: known[key] for key in STORED_FACTS if key in known}
         if moments is not None:
-            told["snapshot_threshold"] = moments.threshold
+            facts["snapshot_threshold"] = moments.threshold
         with stage("writing"):
-            write_vtkhdf(path, geometry, drawn.spheres, drawn.contacts, told, moments, drawn.time)
+            write_vtkhdf(path, geometry, drawn.spheres, drawn.contacts, facts, moments, drawn.time)
     steps = 1 if moments is None else len(moments.time) + 1
     counts = {"analysed": drawn.drawn.is_known, "points": geometry.spheres, "lines": len(geometry.ends), "steps": steps}
     images = len(geometry.sphere) - geometry.spheres
@@ -101,9 +119,11 @@ def write_vtkhdf(
     moments: Moments | None = None,
     end: float | None = None,
 ) -> None:
-    """Write the file in full or not at all. attributes : for the group /VTKHDF, where VTK does not look at them.
+    """Write the file in full or not at all.
 
-    moments, end : of a dynamics.
+    spheres, contacts : columns by name.
+    attributes : for the group /VTKHDF, where VTK does not look at them.
+    moments, end : snapshots of a dynamics, and the time of its end.
     """
 
     def fill(file: h5py.File) -> None:
@@ -112,22 +132,22 @@ def write_vtkhdf(
         put_attributes(root, attributes)
         _write_geometry(root, geometry)
         steps = None if moments is None or end is None else _start_steps(root, moments, end)
-        way: dict[str, np.ndarray] = {}  # (steps, rows, ...) of what changes before the end
+        course: dict[str, np.ndarray] = {}  # (steps, rows, ...) of what changes before the end
         if moments is not None:
             unknown = np.full(moments.slip.shape, np.nan)  # power and force are not kept with a snapshot
-            way = {"spin": moments.spin, "slip": moments.slip, "state": moments.state, "power": unknown}
-            way |= {"force": unknown, "proven": np.zeros(moments.slip.shape, contacts["proven"].values.dtype)}
+            course = {"spin": moments.spin, "slip": moments.slip, "state": moments.state, "power": unknown}
+            course |= {"force": unknown, "proven": np.zeros(moments.slip.shape, contacts["proven"].values.dtype)}
         for name, column in geometry.on_points(spheres).items():
-            before = way["spin"][:, geometry.sphere] if name == "spin" and way else None
-            _put(root, steps, "PointData", name, column, before)
+            before = course["spin"][:, geometry.sphere] if name == "spin" and course else None
+            _put_column(root, steps, "PointData", name, column, before)
         for name, column in contacts.items():
-            _put(root, steps, "CellData", name, column, way.get(name))
+            _put_column(root, steps, "CellData", name, column, course.get(name))
 
     write_hdf5(path, fill)
 
 
 def _write_geometry(root: h5py.Group, geometry: Geometry) -> None:
-    """The points, and the contacts as lines between them."""
+    """Write the points, and the contacts as lines between them."""
     _store(root, "Points", geometry.place, "length", "centres of the spheres")
     root["NumberOfPoints"] = [len(geometry.place)]
     for name in TOPOLOGIES:
@@ -139,7 +159,7 @@ def _write_geometry(root: h5py.Group, geometry: Geometry) -> None:
 
 
 def _start_steps(root: h5py.Group, moments: Moments, end: float) -> h5py.Group:
-    """The times, all with the same points and lines."""
+    """Write the times of the steps, all with the same points and lines, and return their group."""
     steps = root.create_group("Steps")
     number = len(moments.time) + 1
     steps.attrs["NSteps"] = number
@@ -152,10 +172,13 @@ def _start_steps(root: h5py.Group, moments: Moments, end: float) -> h5py.Group:
     return steps
 
 
-def _put(
+def _put_column(
     root: h5py.Group, steps: h5py.Group | None, group: str, name: str, column: Finding, before: np.ndarray | None
 ) -> None:
-    """A column of point or cell data, and where each step finds it."""
+    """Write a column of point or cell data, and where each time step finds its rows.
+
+    before : (steps, rows, ...) values at the snapshots, None if they do not change.
+    """
     rows = column.values if before is None else np.concatenate([*before, column.values])
     text = column.description + (IN_SNAPSHOTS.get(name, "") if before is not None else "")
     _store(root.require_group(group), name, rows, column.units, text)
@@ -166,7 +189,7 @@ def _put(
 
 
 def _store(group: h5py.Group, name: str, values: np.ndarray, units: str, description: str) -> None:
-    """A packed array in numbers that VTK knows, with its unit."""
+    """Write a compressed array of a type that VTK knows, with its unit."""
     known = values.astype(np.uint8) if values.dtype == bool else values
     packed = {"compression": "gzip", "shuffle": True} if known.size else {}
     put(group, name, known, units, description, **packed)

@@ -1,1 +1,1 @@
-"""The run file, written and read."""
+"""Files of results, written and read."""

@@ -1,4 +1,4 @@
-"""Distributions of the power per contact as CSV and HDF5."""
+"""Writes distributions of the power per contact as CSV and HDF5."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,10 +10,10 @@ import numpy as np
 from taichi_bearings.analysis.histogram import ENERGY_PER_TIME, PowerHistogram
 from taichi_bearings.files.whole_file import put, write_csv, write_hdf5
 
-Histograms = Mapping[Any, PowerHistogram]  # by the value of the parameter that parts them; {None: ...} if none does
+Histograms = Mapping[Any, PowerHistogram]  # by the value of the parameter that they differ in; {None: ...} for one
 
 
-OF_BINS = {
+OF_BINS = {  # columns of a bin beside its edges
     "count": "slipping contacts in each bin",
     "standard_error": "of the count: over the samples, or Poisson with one sample",
     "density": "share of the slipping contacts per decade of power",
@@ -22,10 +22,10 @@ OF_BINS = {
 
 
 def write_table(path: Path, histograms: Histograms, by: str | None = None) -> None:
-    """CSV with the columns power_low, power_high, count; contacts that are in no bin are counted in the header.
+    """Write a CSV with the columns power_low, power_high, count; its header says how many contacts are in no bin.
 
-    Where several samples are pooled standard_error, density and density_error follow, and with several histograms,
-    which stand below each other, the parameter that parts them.
+    Where several samples are pooled, standard_error, density and density_error follow. Several histograms stand below
+    each other, with the parameter `by` that they differ in as the last column.
     """
     notes = []
     for value, found in histograms.items():
@@ -47,9 +47,10 @@ def write_table(path: Path, histograms: Histograms, by: str | None = None) -> No
 
 
 def write_arrays(path: Path, histograms: Histograms, by: str | None = None) -> None:
-    """HDF5 with the data sets edges, count, standard_error, density and density_error; the rest as attributes.
+    """Write HDF5 with the data sets edges, count, standard_error, density and density_error; the rest as attributes.
 
-    With several histograms all but the edges have a leading axis, along which the data set `value` has the parameter.
+    With several histograms all but the edges have a leading axis, along which the data set `value` holds the parameter
+    `by` that they differ in.
     """
     parts = list(histograms.values())
 

@@ -1,6 +1,6 @@
-"""scan.h5 and scan.csv: one row a sample, and the distribution of power of every sample in bins that all scans share.
+"""Writes and reads scan.h5 and scan.csv: one row a sample, and the distribution of power of every sample.
 
-Readable with plain h5py and pandas:
+The bins of these distributions are the same in all scans. The files are readable with plain h5py and pandas:
 
 * ``/table/<column>``: 1-D, one entry a sample; attributes `units` and `description`. Texts are UTF-8 of variable
   length. The attribute `columns` of ``/table`` has the names in the order of scan.csv. A number that a sample lacks is
@@ -41,9 +41,9 @@ CONTACT_SETS = {  # name -> description, in the order of COUNTED_STATES
 
 
 def dense_histograms(bins: Sequence[Mapping[int, int]], contacts: Mapping[str, Sequence[int]]) -> SampleCounts:
-    """Bins over the range that the samples meet.
+    """Return counts in all bins between the lowest and the highest that the samples have.
 
-    bins : of each sample, the number i of the bin [10^(i/20), 10^((i + 1)/20)) -> slipping contacts.
+    bins : for each sample, slipping contacts by the number i of the bin [10^(i/20), 10^((i + 1)/20)).
     contacts : by the names of CONTACT_SETS, one number a sample.
     """
     met = [number for sample in bins for number in sample]
@@ -57,9 +57,9 @@ def dense_histograms(bins: Sequence[Mapping[int, int]], contacts: Mapping[str, S
 
 
 def column(values: Sequence[Any], units: str, description: str) -> Finding:
-    """A column from Python values: texts, truth values, whole numbers or numbers; None where a sample has none.
+    """Return a column from Python values: texts, truth values, whole numbers or numbers; None where a sample has none.
 
-    Truth values of which a sample has none stay as they are, in an object array, for :func:`write_scan`.
+    Truth values with gaps stay as they are, in an object array, for :func:`write_scan`.
     """
     present = [value for value in values if value is not None]
     if any(isinstance(value, str) for value in present):
@@ -77,12 +77,14 @@ TRUTHS_WITH_GAPS = "1 true, 0 false, not-a-number where a sample has none"
 
 
 def is_of_truths(values: np.ndarray) -> bool:
-    """Whether a column holds truth values of which some samples have none."""
+    """Return True if a column holds truth values and some samples have none."""
     return values.dtype == object and not any(isinstance(value, str) for value in values)
 
 
 def as_stored(values: np.ndarray) -> np.ndarray:
-    """A column (samples,) as scan.h5 holds it: truth values with gaps as 1, 0 and NaN, all others as they are."""
+    """Return a column (samples,) as scan.h5 holds it: truth values with gaps as 1, 0 and NaN, all others as they
+    are.
+    """
     return values.astype(float) if is_of_truths(values) else values
 
 
@@ -91,7 +93,8 @@ def write_scan(
 ) -> None:
     """Write scan.h5 and then scan.csv, each in full or not at all.
 
-    columns : (samples,) numbers or texts each, as of :func:`column`, empty in scan.csv where a sample has no value.
+    columns : numbers or texts (samples,) by name, made by :func:`column`; empty in scan.csv where a sample has no
+        value.
     attributes : `scan`, `scanned`, versions and whatever else.
     """
 
@@ -129,7 +132,7 @@ def write_scan(
 class StoredScan:
     """A scan as read back; every array has one entry a sample, in the order of scan.csv.
 
-    attributes : of the root. scanned : names of the columns that were varied, in their order.
+    path : its scan.h5. attributes : of the root. scanned : names of the columns that were varied, in their order.
     table : columns by name; texts are object arrays of str.
     histograms : distributions of power.
     """
@@ -141,7 +144,7 @@ class StoredScan:
     histograms: SampleCounts
 
     def __post_init__(self) -> None:
-        """FileError for tables that no scan leaves, where what reads them would fail."""
+        """Raise FileError for a table that no scan writes, before what reads it fails."""
         table, counts = self.table, self.histograms
 
         def refuse(words: str) -> NoReturn:
@@ -178,7 +181,7 @@ class StoredScan:
 
     @property
     def reasons(self) -> np.ndarray:
-        """(samples,) why each has no result, in words that follow a number; empty texts for those that have one."""
+        """(samples,) why a sample has no result, in words that follow a number; "" for those that have one."""
         words = {FAILED: "failed", MISSING: "not computed yet"}
         return np.array([words.get(status, "") for status in self.table["status"]], dtype=object)
 

@@ -1,8 +1,8 @@
 """The journal of a scan: one line a finished sample, appended and synchronised, so that no kill loses any of them.
 
-A line is JSON, ``{"crc32": "01234567", "sample": {...}}``, with the checksum of what follows ``"sample": ``. A last
-line that a kill or a full disk has torn is dropped; a line that has changed since is named, its sample is missing, and
-it goes when the journal is next opened for appending.
+A line is JSON, ``{"crc32": "01234567", "sample": {...}}``, with the checksum of what follows ``"sample": ``. An
+incomplete last line, left by a kill or a full disk, is dropped. A line that has changed since is named in a warning:
+its sample is missing, and the line goes when the journal is next opened for appending.
 """
 
 import contextlib
@@ -24,17 +24,19 @@ from taichi_bearings.scene.solution import is_crossed
 JOURNAL_NAME = "samples.jsonl"
 RECORD_HEAD = '{"crc32": "%08x", "sample": '
 RECORD_HEAD_LENGTH = len(RECORD_HEAD % 0)
-TEXT_SCALARS = {"status", "method", "law", "shape", "proof", "version", "warnings", "error"}  # that are no numbers
+TEXT_SCALARS = {"status", "method", "law", "shape", "proof", "version", "warnings", "error"}  # values that are texts
 OWN_COLUMN_NAMES = {"sample", "method_found", "slip_threshold_found"}  # names that the table keeps for itself
-MOST_JOURNAL_BINS = 10_000  # powers of 1e-500 to 1e500, more than numbers have
-MOST_SCALARS = 300  # of a sample; a solve with its structure leaves some 80
+MOST_JOURNAL_BINS = 10_000  # largest number of a bin: powers of 1e-500 to 1e500, more than doubles have
+MOST_SCALARS = 300  # most values of a sample; a solve with its structure has some 80
 
 
 def _line(text: bytes) -> bytes:
+    """Return the line of the journal for a sample in JSON."""
     return (RECORD_HEAD % zlib.crc32(text)).encode() + text + b"}\n"
 
 
 def _is_whole(line: bytes) -> bool:
+    """Return True if the checksum of a line fits its content."""
     return line == _line(line[RECORD_HEAD_LENGTH:-2])
 
 
@@ -44,12 +46,16 @@ def _has_key(record: Any) -> bool:
 
 @lru_cache(maxsize=4096)
 def _names_a_column(name: str) -> bool:
+    """Return True if a value of this name can become a column of the table."""
     return name not in OWN_COLUMN_NAMES and re.fullmatch(r"[A-Za-z]\w{0,99}", name, re.ASCII) is not None
 
 
 def is_sample(sample: Any) -> bool:
-    """Key, scalars and bins, of the kinds and sizes that a solve leaves: a number of a bin may ask for no memory, a
-    lower bound lies above what it bounds by no more than rounding. ValueError for a text that is no Unicode."""
+    """Return True if key, scalars and bins have the kinds and sizes that a solve leaves.
+
+    So no number of a bin asks for much memory, and no lower bound lies above what it bounds by more than rounding.
+    ValueError for a text that is no Unicode.
+    """
     if not _has_key(sample):
         return False
     scalars, bins = sample.get("scalars"), sample.get("bins")
@@ -70,8 +76,10 @@ def is_sample(sample: Any) -> bool:
 
 
 def read_journal(path: Path, fits: Callable[[Any], bool] = _has_key) -> dict[str, dict[str, Any]]:
-    """Samples by their key; of several lines with one key the last. Damaged lines, and those with something that is no
-    such sample, are named in a warning."""
+    """Return the samples by their key; of several lines with one key the last counts.
+
+    Damaged lines are named in a warning, and so are lines whose content does not satisfy `fits`.
+    """
     samples: dict[str, dict[str, Any]] = {}
     for number, line in enumerate(read_lines(path), start=1):
         sample = None
@@ -98,8 +106,11 @@ class Journal:
             self._file = opened(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
 
     def _drop_damaged_lines(self) -> int:
-        """Leave nothing but whole lines in the file, in one move, and no other name of it; their bytes. A torn end goes
-        on a full disk too."""
+        """Leave nothing but whole lines in the file, in one move, and return their bytes. It has no other name
+        afterwards.
+
+        An incomplete last line can be dropped on a full disk, too.
+        """
         whole = b"".join(line for line in read_lines(self.path) if _is_whole(line))
         if not self.path.exists():
             return 0
@@ -113,7 +124,7 @@ class Journal:
         return len(whole)
 
     def append(self, samples: Sequence[Mapping[str, Any]]) -> None:
-        """Write samples down for good. On a full disk FileError, and the samples that found room are kept."""
+        """Write samples down for good. On a full disk FileError; samples that did fit on it are kept."""
         lines = b"".join(_line(json.dumps(sample, allow_nan=False).encode()) for sample in samples)
         try:
             write_all(self._file, lines)

@@ -1,4 +1,4 @@
-"""Files that are there in full or not at all, and HDF5 that is read only as it was written."""
+"""Writes files in full or not at all, and reads HDF5 only if it is as it was written."""
 
 import contextlib
 import csv
@@ -21,24 +21,24 @@ from taichi_bearings.plain_files import let_go, new_file, real_path, refuse_link
 from taichi_bearings.words import shown
 
 Buffer = bytes | memoryview
-EMPTY: Mapping[str, Any] = MappingProxyType({})
+NO_ATTRIBUTES: Mapping[str, Any] = MappingProxyType({})
 
 
 def make_folder(path: Path) -> None:
-    """A folder and those above it, unless it is there; WriteError if that fails."""
+    """Make a folder and those above it, unless it is there; WriteError if that fails."""
     with writing(path):
         path.mkdir(parents=True, exist_ok=True)
 
 
 def refuse_ending(out: Path | None, *endings: str) -> None:
-    """InputError for a file that is asked for under another ending."""
+    """Raise InputError if the file that is asked for has another ending than these."""
     if out is not None and out.suffix not in endings:
         names = " or ".join(filter(None, (", ".join(endings[:-1]), endings[-1])))
         raise InputError(f"out is {str(out)!r}; it must end in {names}")
 
 
 def refuse_standing(paths: Iterable[Path], force: bool = False) -> None:
-    """FileError for the first of these files that exists, unless `force`."""
+    """Raise FileError for the first of these files that exists, unless `force`."""
     standing = [] if force else [path for path in paths if path.exists()]
     if standing:
         raise FileError(f"{standing[0]} already exists; choose another --out or add --force")
@@ -61,12 +61,12 @@ def replace_file(path: Path, content: Buffer) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Text in UTF-8, line ends as they are."""
+    """Write text in UTF-8, line ends as they are."""
     replace_file(path, text.encode())
 
 
 def write_csv(path: Path, names: Sequence[str], rows: Iterable[Sequence[Any]], notes: Sequence[str] = ()) -> None:
-    """A line of names and the rows below it, floating-point numbers with all their digits.
+    """Write a line of names and the rows below it, floating-point numbers with all their digits.
 
     notes : lines that go before, each after "# ".
     """
@@ -76,7 +76,7 @@ def write_csv(path: Path, names: Sequence[str], rows: Iterable[Sequence[Any]], n
     writer.writerow(names)
 
     def harmless(cell: Any) -> Any:
-        """Numbers as they are; before a text that spreadsheets would take for a formula an apostrophe."""
+        """Return numbers as they are; a text that spreadsheets would take for a formula gets an apostrophe in front."""
         if isinstance(cell, str) and cell.startswith(("=", "+", "-", "@", "\t", "\r")):
             try:
                 float(cell)
@@ -88,9 +88,11 @@ def write_csv(path: Path, names: Sequence[str], rows: Iterable[Sequence[Any]], n
     write_text(path, text.getvalue())
 
 
-def write_hdf5(path: Path, fill: Callable[[h5py.File], None], attributes: Mapping[str, Any] = EMPTY) -> None:
-    """Replace `path` in one move by a file of these attributes and of what `fill` puts into it, with checksums;
-    WriteError if that fails."""
+def write_hdf5(path: Path, fill: Callable[[h5py.File], None], attributes: Mapping[str, Any] = NO_ATTRIBUTES) -> None:
+    """Replace `path` in one move by an HDF5 file with checksums; WriteError if that fails.
+
+    fill : puts the content into the file. attributes : of the file.
+    """
 
     with _new_hdf5(path) as file:
         put_attributes(file, attributes)
@@ -100,7 +102,7 @@ def write_hdf5(path: Path, fill: Callable[[h5py.File], None], attributes: Mappin
 
 @contextlib.contextmanager
 def _new_hdf5(path: Path) -> Iterator[h5py.File]:
-    """The file is built in memory first: on a full disk HDF5 itself fails in ways that cannot be caught."""
+    """Open a new HDF5 file in memory, and write it when the block ends: on a full disk HDF5 itself fails badly."""
     whole = io.BytesIO()
     with h5py.File(whole, "w", libver=("v108", "v108")) as file:  # attributes beyond 64 KB: lists of many samples
         yield file
@@ -109,16 +111,18 @@ def _new_hdf5(path: Path) -> Iterator[h5py.File]:
 
 
 def layout_of(kind: str) -> dict[str, Any]:
-    """Attributes that tell a "run", a "scan" or a "checkpoint"."""
+    """Return the attributes that mark a file as a "run", a "scan" or a "checkpoint"."""
     return {"schema": f"taichi_bearings.{kind}", "schema_version": LAYOUT}
 
 
 @contextlib.contextmanager
 def read_hdf5(path: Path, kind: str, changed: list[str] | None = None) -> Iterator[h5py.File]:
-    """The open file, its checksums checked; FileError if it cannot be read, is of another kind or version, or changed,
-    and for an InputError inside: what it holds cannot be.
+    """Open a file whose checksums are right.
 
-    kind : as of :func:`layout_of`. changed : as of :func:`open_checked`.
+    FileError if it cannot be read, is of another kind or version, or was changed, and for an InputError inside the
+    block: what the file holds is then impossible.
+
+    kind : see :func:`layout_of`. changed : see :func:`open_checked`.
     """
     try:
         with open_checked(path, f"a {kind}", changed) as file:
@@ -159,7 +163,7 @@ def write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
 
 @dataclass(frozen=True)
 class Finding:
-    """An array with its unit and what it is."""
+    """An array with its unit and a description."""
 
     values: np.ndarray
     units: str
@@ -167,14 +171,17 @@ class Finding:
 
 
 def put(group: h5py.Group, name: str, values: Any, unit: str, text: str, **packing: Any) -> None:
-    """A data set with its unit and what it is."""
+    """Write a data set with its unit and a description (`text`)."""
     stored = group.create_dataset(name, data=values, **packing)
     stored.attrs["units"], stored.attrs["description"] = unit, text
 
 
 def put_attributes(group: h5py.Group, values: Mapping[str, Any]) -> None:
-    """Attributes of a group or a file: nothing becomes "", and not-a-number within a list of numbers; what is not UTF-8
-    in a text, such as the name of a file, is escaped."""
+    """Write attributes of a group or a file.
+
+    None becomes "", and not-a-number within a list of numbers; bytes of a text that are not UTF-8, such as in the name
+    of a file, are escaped.
+    """
     for key, value in values.items():
         if isinstance(value, list) and None in value:
             value = [np.nan if item is None else item for item in value]
@@ -185,5 +192,5 @@ def put_attributes(group: h5py.Group, values: Mapping[str, Any]) -> None:
 
 
 def attributes_of(group: h5py.Group) -> dict[str, Any]:
-    """Attributes as they were put: numbers of Python, texts, arrays."""
+    """Return attributes as they were put: numbers of Python, texts, arrays."""
     return {key: value.item() if isinstance(value, np.generic) else value for key, value in group.attrs.items()}

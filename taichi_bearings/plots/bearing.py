@@ -1,6 +1,9 @@
-"""A bearing on paper: discs and contacts of a lattice, of a plane through it or of a packing, and a block from outside.
+"""Draws a bearing on paper: discs and contacts of a lattice, of a plane through it or of a packing, or a block of
+spheres.
 
-A plane has its first index to the right and its second one up. Lines are as wide as a site on paper asks for.
+A plane has its first axis to the right and its second one up. Widths of lines follow from how large a disc is on paper.
+A *site* is the distance between the centres of two neighbouring discs on paper, in points. Letters: N discs, E
+contacts.
 """
 
 from dataclasses import dataclass
@@ -19,23 +22,28 @@ from taichi_bearings.plots.style import label_in_plain_text, larger_spin, new_fi
 from taichi_bearings.scene.network import Network
 
 SPIN_COLOURS = "coolwarm"
-MOST_DISCS = 2_500  # beyond, a plane is an image
-MOST_LINES = 5_000  # beyond, lines are dots in files of vectors too
-BAR = 0.75  # inches of a colour bar with its label
-LEAST_HEIGHT = 0.6  # of a panel, of its width, beside which a colour bar has room for its labels
-PALE = np.array([0.93, 0.93, 0.93, 1.0])  # of discs that only carry contacts
+MOST_DISCS = 2_500  # a plane of more discs is drawn as an image
+MOST_LINES = 5_000  # more lines are drawn as pixels in PDF and SVG, too
+BAR = 0.75  # width in inches of a colour bar with its label
+LEAST_HEIGHT = 0.6  # least height over width of a panel beside which the labels of a colour bar fit
+PALE = np.array([0.93, 0.93, 0.93, 1.0])  # colour of discs that only carry contacts
 
 
 @dataclass(frozen=True)
 class Sheet:
     """N discs and E contacts as they lie on paper.
 
-    sphere : (N,) their numbers in the bearing. place : (N, 2), radius : (N,), rim : (N,) points, of the discs. depth :
-    (N,), towards the reader.
-    ends : (2, E) discs of each contact. way : (2, E, 2), from each of the two to the middle of the contact; over a
-    periodic side both lead outwards. wall : (E,), half of a line across. contact : (E,), their numbers in the bearing.
-    corners : (2, 2), lowest and highest of what is shown. pitch : between two discs. grid : discs along each axis of a
-    plane of a lattice, none elsewhere; rows : of these the driven ones.
+    sphere : (N,) number of each disc in the bearing.
+    place, radius : (N, 2) and (N,) of the discs. rim : (N,) width of their outline, points.
+    depth : (N,) distance towards the reader.
+    ends : (2, E) discs of each contact.
+    way : (2, E, 2) from each of the two discs to the middle of the contact; over a periodic side both lead outwards.
+    wall : (E,) half the length of a line across the contact.
+    contact : (E,) number of each contact in the bearing.
+    corners : (2, 2) lowest and highest point of the picture.
+    pitch : distance between the centres of two neighbouring discs.
+    grid : number of discs along each axis of a plane of a lattice; empty for anything else. rows : the driven rows of
+        it.
     """
 
     sphere: np.ndarray
@@ -54,7 +62,9 @@ class Sheet:
 
     @classmethod
     def of_lattice(cls, lattice: Lattice, plane: tuple[int, int] | None = None, view: View = VIEW) -> "Sheet":
-        """A flat lattice, the plane (axis, index) of a cubic one, or all of that as it is seen."""
+        """Return the sheet of a flat lattice, of the plane (axis, index) of a cubic one, or of all of a cubic one
+        from `view`.
+        """
         across, index = plane or (-1, 0)
         center = np.argwhere(np.ones(lattice.shape, dtype=bool))
         inside = center[:, across] == index if plane else np.ones(lattice.sites, dtype=bool)
@@ -73,7 +83,7 @@ class Sheet:
 
     @classmethod
     def of_network(cls, network: Network, view: View = VIEW) -> "Sheet":
-        """All spheres and contacts, as they are seen; driven spheres have a rim."""
+        """Return the sheet of all spheres and contacts as seen from `view`; driven spheres have a rim."""
         radius, ends = network.radius, network.contact
         (place, depth), (normal, _) = _seen(network.center, view), _seen(network.normal, view)
         way = radius[ends][..., None] * np.stack([normal, -normal])
@@ -89,21 +99,22 @@ class Sheet:
 
     @property
     def is_flat(self) -> bool:
+        """True if no disc lies in front of another one."""
         return not np.ptp(self.depth)
 
     def site(self, width: float, height: float = np.inf) -> float:
-        """Points between the centres of two discs, on so many inches."""
+        """Return the distance between the centres of two discs in points, if the picture fits into so many inches."""
         return 72 * float((np.array([width, height]) / np.diff(self.corners, axis=0)[0]).min()) * self.pitch
 
     def frame(self, axes: Any) -> None:
-        """The limits of the picture, without ticks."""
+        """Set the limits of the picture, without ticks."""
         (x0, y0), (x1, y1) = self.corners
         axes.set(xlim=(x0, x1), ylim=(y0, y1), aspect="equal", xticks=[], yticks=[])
         for side in axes.spines.values():
             side.set_visible(False)
 
     def paint(self, axes: Any, colour: np.ndarray) -> None:
-        """Draw the discs from the back to the front, in colours of the scale. colour : (N, 4), or (4,) of all."""
+        """Draw the discs from the back to the front. colour : (N, 4), or (4,) for all."""
         edge = "0.75" if not self.is_flat and colour.shape == (4,) else "black"  # pale ones only carry contacts
         colour = np.broadcast_to(colour, (len(self.place), 4))
         self.frame(axes)
@@ -120,16 +131,18 @@ class Sheet:
             axes.add_collection(discs)
 
     def box_driven(self, axes: Any) -> None:
-        """Boxes around the driven rows of a plane of a lattice."""
+        """Draw boxes around the driven rows of a plane of a lattice."""
         for y in self.rows:
             width = 0.8 if self.grid[1] <= 50 else 0.4
             axes.add_patch(Rectangle((-0.55, y - 0.55), self.grid[0] + 0.1, 1.1, fill=False, lw=width))
 
     def lines(self, chosen: np.ndarray, across: bool = False) -> tuple[np.ndarray, np.ndarray]:
-        """Lines (n, 2, 2) along some contacts, between the two centres, or across them, between the two discs; and the
-        contact of each. One over a periodic side has half a line at either side, or a line across at both.
+        """Return lines (n, 2, 2) for some contacts, and the contact of each line.
 
-        chosen : bool, of all contacts of the bearing.
+        A line leads from centre to centre, or, with `across`, between the two discs at right angles to that. A contact
+        over a periodic side has half a line at either side, or a line across at both.
+
+        chosen : True for these contacts, of all contacts of the bearing.
         """
         which = np.flatnonzero(chosen[self.contact])
         which = which[np.argsort(self.depth[self.ends[:, which]].mean(axis=0), kind="stable")]
@@ -147,7 +160,9 @@ class Sheet:
         return np.stack([first, np.concatenate([stop, start[1, over]])], axis=1), twice
 
     def draw(self, axes: Any, chosen: np.ndarray, across: bool = False, **look: Any) -> None:
-        """These lines. look : arrays have an entry for each contact of the bearing."""
+        """Draw the lines of :meth:`lines`. look : arguments of LineCollection; arrays have an entry for each
+        contact.
+        """
         lines, which = self.lines(chosen, across)
         which = self.contact[which]
         look = {name: value[which] if isinstance(value, np.ndarray) else value for name, value in look.items()}
@@ -155,7 +170,7 @@ class Sheet:
 
 
 def _seen(points: np.ndarray, view: View) -> tuple[np.ndarray, np.ndarray]:
-    """Places (..., 2) on paper and depths (...) of points (..., 2 or 3)."""
+    """Return places (..., 2) on paper and depths (...) of points (..., 2 or 3)."""
     if points.shape[-1] == 2:
         return points.astype(float), np.zeros(points.shape[:-1])
     seen = view.seen(points)
@@ -163,8 +178,10 @@ def _seen(points: np.ndarray, view: View) -> tuple[np.ndarray, np.ndarray]:
 
 
 def one_panel(network: Network, page: Page) -> tuple[Figure, Any, Sheet, float, dict[str, Any]]:
-    """A figure of a flat lattice or a packing: its axes, what lies on them, points of a site, and where a colour bar
-    has room."""
+    """Make a figure with one panel for a flat lattice or a packing.
+
+    returns : the figure, its axes, the sheet of discs, the size of a site in points, and where a colour bar fits.
+    """
     lattice = network.lattice
     sheet = Sheet.of_network(network, page.view or VIEW) if lattice is None else Sheet.of_lattice(lattice)
     wide, tall = np.diff(sheet.corners, axis=0)[0]
@@ -179,39 +196,41 @@ def one_panel(network: Network, page: Page) -> tuple[Figure, Any, Sheet, float, 
 
 
 def line_on_site(site: float, share: float, least: float = 0.4, most: float = 1.5) -> float:
-    """Width of a line that takes a share of a site, in points."""
+    """Return the width in points of a line that takes a share of a site, within limits."""
     return float(np.clip(share * site, least, most))
 
 
 def speed_of(spin: np.ndarray, spin_top: float, spin_bottom: float) -> np.ndarray:
-    """|spin| over the larger imposed spin, shape N; spin : N or (*N, 3), laboratory frame."""
+    """Return |spin| over the larger imposed spin, shape N. spin : N or (*N, 3), laboratory frame; N : shape of the
+    lattice.
+    """
     length = np.abs(spin) if spin.ndim == 2 else np.linalg.norm(spin, axis=-1)
     speed: np.ndarray = length / (max(abs(spin_top), abs(spin_bottom)) or 1.0)
     return speed
 
 
 def draw_speed_bar(figure: Any, axes: Any, spin_top: float, spin_bottom: float, **look: Any) -> None:
-    """The colour bar of spheres coloured by :func:`speed_of`."""
+    """Draw the colour bar of spheres that are coloured by :func:`speed_of`."""
     label = rf"$|\omega|\,/\,{larger_spin(spin_top, spin_bottom)}$"
     colour_bar(figure, axes, label, Normalize(0, 1), SPIN_COLOURS, **look)
 
 
 def colour_bar(figure: Any, axes: Any, label: str, norm: Normalize, colours: str, **look: Any) -> None:
-    """What the colours of a map say."""
+    """Draw a bar that says what the colours of a map mean."""
     bar = figure.colorbar(ScalarMappable(norm, colours), ax=axes, label=label, **{"shrink": 0.8, "pad": 0.02, **look})
     if isinstance(norm, LogNorm):
         label_in_plain_text(bar.ax.xaxis if bar.orientation == "horizontal" else bar.ax.yaxis)
 
 
 def name_cut(axes: Any, axis: int, index: int, before: str = "", after: str = "") -> None:
-    """Title and axes of the plane `index` across `axis`."""
+    """Set title and axis labels of the plane `index` across `axis`."""
     axes.set_title(f"{before}${AXES[axis]} = {index}${after}")
     right, up = (name for name in AXES if name != AXES[axis])
     axes.set(xlabel=f"${right}$", ylabel=f"${up}$")
 
 
 def paint_block(axes: Any, colour: np.ndarray, view: View = VIEW) -> None:
-    """The spheres of a cubic lattice from outside, the driven planes in boxes; colour : (nx, ny, nz, 4)."""
+    """Draw a cubic lattice from outside, the driven planes in boxes. colour : (nx, ny, nz, 4) of its spheres."""
     outside = np.zeros(colour.shape[:3], dtype=bool)
     for axis in range(3):
         np.moveaxis(outside, axis, 0)[-1 if view.faces(axis) else 0] = True
@@ -226,31 +245,31 @@ def paint_block(axes: Any, colour: np.ndarray, view: View = VIEW) -> None:
 
 
 def box_edges(low: Any, high: Any) -> np.ndarray:
-    """The twelve edges (12, 2, 3) of an upright box."""
+    """Return the twelve edges (12, 2, 3) of an upright box."""
     corners = np.array([[(low, high)[n >> a & 1][a] for a in range(3)] for n in range(8)], dtype=float)
     return corners[[(n, n | 1 << axis) for n, axis in EDGES]]
 
 
 EDGES = [(n, axis) for n in range(8) for axis in range(3) if not n >> axis & 1]
-"""Edges of a box: their first corner, bit a of which says whether it is at the end of axis a, and their axis."""
+"""Edges of a box: first corner, as a number whose bit a is 1 at the upper end of axis a; and axis of the edge."""
 
 
 def are_near(view: View, lid: bool) -> np.ndarray:
-    """True for those of the twelve edges of a box that bound a side which faces the reader.
+    """Return True for those of the twelve edges of a box that bound a side which faces the reader.
 
-    lid : whether its lid, or its floor where that faces the reader, is open to the view.
+    lid : True if its lid can be seen, or its floor where that faces the reader.
     """
     sides = range(3 if lid else 2)
     return np.array([any((n >> a & 1) == view.faces(a) for a in sides if a != axis) for n, axis in EDGES])
 
 
 def plane_box(shape: tuple[int, ...], z: int) -> tuple[np.ndarray, np.ndarray]:
-    """Lowest and highest corner of the box around the spheres of one layer."""
+    """Return the lowest and the highest corner of the box around the spheres of one layer."""
     return np.array([-0.5, -0.5, z - 0.5]), np.array([shape[0] - 0.5, shape[1] - 0.5, z + 0.5])
 
 
 def frame_block(axes: Any, shape: tuple[int, ...], view: View = VIEW) -> None:
-    """Boxes around the driven planes of a cubic lattice, seen from outside, and the limits of the picture."""
+    """Draw boxes around the driven planes of a cubic lattice, seen from outside, and set the limits of the picture."""
     for z in (0, shape[2] - 1):
         edges = view.seen(box_edges(*plane_box(shape, z)))[..., :2]
         axes.add_collection(LineCollection(list(edges), colors="black", lw=0.5, zorder=1))
@@ -258,7 +277,7 @@ def frame_block(axes: Any, shape: tuple[int, ...], view: View = VIEW) -> None:
 
 
 def limit_block(axes: Any, shape: tuple[int, ...], view: View) -> None:
-    """The limits of a picture of a whole cubic lattice, without axes."""
+    """Set the limits of a picture of a whole cubic lattice, without axes."""
     corners = view.seen(box_edges((-0.5,) * 3, np.array(shape) - 0.5)).reshape(-1, 3)
     low, high = corners[:, :2].min(axis=0), corners[:, :2].max(axis=0)
     margin = 0.02 * (high - low).max()
@@ -267,7 +286,7 @@ def limit_block(axes: Any, shape: tuple[int, ...], view: View) -> None:
 
 
 def paint_spheres(axes: Any, centre: np.ndarray, colour: np.ndarray, radius: float = 0.5) -> None:
-    """Shaded spheres as one image, later ones in front; centre : (n, 2) as seen. colour : (n, 4)."""
+    """Draw shaded spheres as one image, later ones in front. centre : (n, 2) as seen. colour : (n, 4)."""
     (x0, x1), (y0, y1) = axes.get_xlim(), axes.get_ylim()
     pixel = max(x1 - x0, y1 - y0) / 1000
     light = lit_sphere(max(5, round(2 * radius / pixel)))
@@ -286,7 +305,7 @@ def paint_spheres(axes: Any, centre: np.ndarray, colour: np.ndarray, radius: flo
 
 
 def lit_sphere(pixels: int = 96) -> np.ndarray:
-    """Diffuse light, gloss and opacity of a unit sphere seen from the front, (pixels, pixels, 3)."""
+    """Return diffuse light, gloss and opacity of a unit sphere seen from the front, (pixels, pixels, 3)."""
     x, y = np.meshgrid(*2 * (np.linspace(-1.0, 1.0, pixels),))
     square = x**2 + y**2
     z = np.sqrt(np.clip(1 - square, 0, None))

@@ -1,4 +1,4 @@
-"""Curves: how a run went, the distribution of power over the contacts, and numbers of the samples of a scan."""
+"""Draws curves: how a run went, the distribution of power over the contacts, and numbers of the samples of a scan."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -23,15 +23,17 @@ ACCOUNTS = {
     "kinetic": (style.GREEN, "--"),
     "spring": (style.GREY, (0, (4, 1, 1, 1))),
 }
-MOST_DECADES = 6  # on each side of zero
+MOST_DECADES = 6  # decades of an axis on each side of zero
 MOST_TICKS = 9
-LEAST_DECADES = 30.0  # from the first to the last step, for a logarithmic axis
+LEAST_RATIO = 30.0  # of the last to the first iteration or time, from which an axis is logarithmic
 
 
 @style.in_our_style
 def draw_history(answer: Solution, page: Page = PAGE) -> Figure:
-    """Power and lower bound, and below it their relative gap, against iterations (or time, for a dynamics), of every
-    sample or replica. InputError for a method without steps."""
+    """Draw power and lower bound, and below them their relative gap, of every sample or replica.
+
+    They are drawn against iterations, or time for a dynamics. InputError for a method without steps.
+    """
     courses = courses_of(answer)
     if not courses:
         steps = counted(_steps(answer.sample(0)), "step")
@@ -54,7 +56,7 @@ def draw_history(answer: Solution, page: Page = PAGE) -> Figure:
         has_gap, decades = has_gap or bool(shown.any()), max(decades, x[-1] / x[started][0])
     top.set(ylabel=over("P", symbol, "energy / time"))
     top.legend([above, below], ["power", "proven lower bound"], frameon=True, framealpha=0.85, edgecolor="none")
-    bottom.set(xscale="log" if decades > LEAST_DECADES else "linear", yscale="log" if has_gap else "linear")
+    bottom.set(xscale="log" if decades > LEAST_RATIO else "linear", yscale="log" if has_gap else "linear")
     name = time_label(spin_symbol) if is_dynamics else "iteration"
     bottom.set(xlabel=name, ylabel=r"gap, $(P - P_\mathrm{low})\,/\,P$")
     style.label_in_plain_text(*[axis for axis in (bottom.xaxis, bottom.yaxis) if axis.get_scale() == "log"])
@@ -64,20 +66,23 @@ def draw_history(answer: Solution, page: Page = PAGE) -> Figure:
 
 
 def courses_of(solution: Solution) -> list[Solution]:
-    """The answers, or of packings each replica's, where there is more to show than a start and an answer."""
+    """Return the solutions whose course can be drawn: one for all samples of a lattice, each replica's of a packing.
+
+    Solutions that hold no more than a start and an answer are left out.
+    """
     whole, replicas = solution.scene.network.lattice is not None, solution.scene.replicas
     each = [solution] if whole or replicas == 1 else [solution.sample(number) for number in range(replicas)]
     return [one for one in each if _steps(one) > 1]
 
 
 def _steps(solution: Solution) -> int:
-    """That the history kept, of several packings that of all."""
+    """Return the number of steps that the history kept; of several packings that of all together."""
     return int((solution.history.get("iteration", np.zeros(0)) > 0).sum())
 
 
 @style.in_our_style
 def draw_energy(solution: Solution, page: Page = PAGE) -> Figure:
-    """The four accounts of one sample, and below them what they leave unexplained, against time.
+    """Draw the four energy accounts of one sample, and below them the share that they leave unexplained, against time.
 
     An account that is negative at times is drawn as such: the axis is then linear around 0 and logarithmic beyond.
     InputError if the run keeps no energy balance.
@@ -110,7 +115,7 @@ def draw_energy(solution: Solution, page: Page = PAGE) -> Figure:
 
 
 def _scale(axes: Any, energy: np.ndarray) -> None:
-    """Logarithmic, or if some energy is negative linear around 0 and logarithmic beyond, with ticks that have room."""
+    """Make the axis logarithmic, or if some energy is negative linear around 0 and logarithmic beyond."""
     size = np.abs(energy[energy != 0])
     if not len(size):
         return
@@ -127,7 +132,7 @@ def _scale(axes: Any, energy: np.ndarray) -> None:
 
 
 POWER_SYMBOL = "P_{ij}"
-MATHEMATICS = {
+MATHEMATICS = {  # symbols of the units of histograms
     "F_n R omega_T": r"F_n R\,\omega_T",
     "the mean power of a contact of the sample": r"\langle P_{ij} \rangle",
 }
@@ -135,7 +140,9 @@ MATHEMATICS = {
 
 @style.in_our_style
 def draw_histogram(histogram: PowerHistogram, page: Page = PAGE) -> Figure:
-    """Number of slipping contacts against their power, logarithmic, with standard errors; no empty bins."""
+    """Draw the number of slipping contacts against their power, both logarithmic, with standard errors; no empty
+    bins.
+    """
     figure = style.plain_figure(page.inches("single"), 2.2, page.dpi)
     axes = figure.add_subplot()
     axes.set(xscale="log", yscale="log", xlabel=_label(histogram), ylabel="slipping contacts per bin")
@@ -158,7 +165,11 @@ def draw_histogram(histogram: PowerHistogram, page: Page = PAGE) -> Figure:
 
 @style.in_our_style
 def draw_overlay(histograms: Mapping[Any, PowerHistogram], by: str, page: Page = PAGE) -> Figure:
-    """Share of the slipping contacts per decade of their power, with bands of a standard error up and down."""
+    """Draw the share of slipping contacts per decade of their power, one curve a histogram, with bands of a standard
+    error.
+
+    histograms : by the value of the parameter that parts them. by : its name.
+    """
     rows = -(-len(histograms) // (1 if len(histograms) < 9 else 2))
     width = page.inches("double") if page.width is not None or len(histograms) > 8 else 5.0
     figure = style.new_figure(width, 3.0 + 0.15 * rows, page.dpi)
@@ -177,27 +188,33 @@ def draw_overlay(histograms: Mapping[Any, PowerHistogram], by: str, page: Page =
 
 
 def _centre(histogram: PowerHistogram) -> np.ndarray:
+    """Return the middle of each bin on a logarithmic scale."""
     return np.sqrt(histogram.edges[:-1] * histogram.edges[1:])
 
 
 def _label(histogram: PowerHistogram) -> str:
+    """Return the label of the axis of power."""
     if histogram.units == ENERGY_PER_TIME:
         return f"power of a contact, ${POWER_SYMBOL}$ (energy / time)"
     return "power of a contact, " + over(POWER_SYMBOL, MATHEMATICS[histogram.units], "")
 
 
 def _outside(histogram: PowerHistogram) -> str:
+    """Return how many contacts are in no bin, in words."""
     return ", ".join([f"{histogram.slipless:,} slipless", *other_contacts(histogram.tied, histogram.undecided)])
 
 
 MARKERS = "osD^vP*X"
 MOST_NAMED_TICKS = 8  # values of a logarithmic axis that are named one by one
-BESIDE = 0.5  # of the distance of two names on an axis, over which curves stand beside each other
+BESIDE = 0.5  # share of the distance between two named ticks over which the points of several curves are spread
 
 
 @dataclass(frozen=True)
 class Curve:
-    """x, y : (P,) points. low, high : (P,) ends of the bars; not-a-number where there are none."""
+    """Points with bars.
+
+    label : for the legend. x, y : (P,) points. low, high : (P,) ends of the bars; not-a-number where there are none.
+    """
 
     label: str
     x: np.ndarray
@@ -208,7 +225,11 @@ class Curve:
 
 @dataclass(frozen=True)
 class Look:
-    """log : the axes that are logarithmic, of "x", "y", "xy". ticks : names at x = 0, 1, ... if x has no numbers."""
+    """Words and axes of a figure of a scan.
+
+    legend : title of the legend. log : logarithmic axes, "x", "y" or "xy". ticks : names at x = 0, 1, ... if x has no
+        numbers.
+    """
 
     x_label: str
     y_label: str
@@ -220,7 +241,7 @@ class Look:
 
 @style.in_our_style
 def draw_scan(curves: Sequence[Curve], look: Look, page: Page = PAGE) -> Figure:
-    """Points with bars, joined along each curve where x has numbers."""
+    """Draw points with bars, joined along each curve where x has numbers."""
     width = page.inches("single")
     entries = len(curves) if len(curves) > 1 else 0
     longest = max(len(curve.label) for curve in curves)
@@ -243,9 +264,10 @@ def draw_scan(curves: Sequence[Curve], look: Look, page: Page = PAGE) -> Figure:
     axes.set(xlabel=look.x_label, ylabel=look.y_label)
     values = np.unique(np.concatenate([curve.x for curve in curves]))
     if look.ticks:
+        # names are slanted where they do not fit side by side
         long = sum(map(len, look.ticks)) + 2 * len(look.ticks) > style.LETTERS_AN_INCH * (width - 0.8)
-        turned: dict[str, Any] = {"rotation": 30, "ha": "right", "rotation_mode": "anchor"} if long else {}
-        axes.set_xticks(range(len(look.ticks)), [as_text(tick) for tick in look.ticks], **turned)
+        slanted: dict[str, Any] = {"rotation": 30, "ha": "right", "rotation_mode": "anchor"} if long else {}
+        axes.set_xticks(range(len(look.ticks)), [as_text(tick) for tick in look.ticks], **slanted)
         axes.set_xlim(-0.5, len(look.ticks) - 0.5)
     elif "x" in look.log and len(values) <= MOST_NAMED_TICKS:
         axes.set_xticks(values, [f"{value:g}" for value in values])

@@ -1,4 +1,4 @@
-"""How a figure is printed: its width and resolution, and from where and where through a cubic lattice is seen."""
+"""How a figure is printed: width and resolution, from where a cubic lattice is seen, and which planes of it are cut."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,21 +13,24 @@ JOURNAL_WIDTHS = {"single": 8.6, "double": 17.8}  # widths of a journal's column
 INCH = 2.54  # cm
 NARROWEST_PAGE, WIDEST_PAGE = 4.0, 60.0  # cm
 AXES = "xyz"
-MOST_PLANES = 12
-BROAD, NARROW = 1.9, 1.6  # inches of a panel with a long title, and of one with a short
+MOST_PLANES = 12  # most cuts in a figure
+BROAD, NARROW = 1.9, 1.6  # least width in inches of a panel with a long title, and with a short one
 BELOW: dict[str, Any] = {"location": "bottom", "aspect": 30}  # a colour bar below the panels
 
 
 @dataclass(frozen=True)
 class View:
-    """From where a lattice is seen, without perspective; degrees. azimuth : from x towards y."""
+    """From where a lattice is seen, without perspective; degrees.
+
+    elevation : above the xy plane. azimuth : from x towards y.
+    """
 
     elevation: float = 22.0
     azimuth: float = -55.0
 
     @cached_property
     def matrix(self) -> np.ndarray:
-        """Rows: to the right, up, towards the reader."""
+        """Rotation from the lattice to the reader; its rows point to the right, up, and towards the reader."""
         angles = np.deg2rad([self.elevation, self.azimuth])
         (sin_e, sin_a), (cos_e, cos_a) = np.sin(angles), np.cos(angles)
         return np.array([
@@ -37,26 +40,30 @@ class View:
         ])  # fmt: skip
 
     def seen(self, points: np.ndarray) -> np.ndarray:
-        """Points (..., 3) of the lattice as the reader has them: to the right, up, nearer."""
+        """Return points (..., 3) of the lattice as the reader sees them: to the right, up, towards the reader."""
         placed: np.ndarray = points @ self.matrix.T
         return placed
 
     def faces(self, axis: int) -> bool:
-        """True if the side at the end of this axis faces the reader, False if the one at its beginning does."""
+        """Return True if the side at the upper end of this axis faces the reader, False if the one at its lower end
+        does.
+        """
         return bool(self.matrix[2, axis] > 0)
 
 
 VIEW = View()
-Planes = tuple[tuple[int, int], ...]
+Planes = tuple[tuple[int, int], ...]  # axis and index of each cut
 
 
 @dataclass(frozen=True)
 class Page:
     """How a figure is printed.
 
-    width : cm; None for the column that suits the figure. dpi : dots an inch of all that is not lines and letters.
-    planes : (axis, index) of the cuts to show of a cubic lattice, view : from where; none for what suits the figure.
-    title : whether words stand above it.
+    width : cm; None for the column that suits the figure.
+    dpi : dots an inch of all that is not lines and letters.
+    planes : (axis, index) of the cuts through a cubic lattice; empty for those that suit the figure.
+    view : from where it is seen; None for what suits the figure.
+    title : whether the figure has a title.
     """
 
     width: float | None = None
@@ -66,7 +73,9 @@ class Page:
     title: bool = True
 
     def inches(self, column: str) -> float:
-        """Width of the figure, of the column of this name unless another is asked for."""
+        """Return the width of the figure, that of this column unless another width was chosen. column : "single" or
+        "double".
+        """
         return (JOURNAL_WIDTHS[column] if self.width is None else self.width) / INCH
 
 
@@ -74,7 +83,7 @@ PAGE = Page()
 
 
 def read_width(text: str) -> float:
-    """Centimetres, or the name of a column; InputError for what is neither."""
+    """Return the centimetres that a text names, as a number or as a column; InputError if it names none."""
     if text in JOURNAL_WIDTHS:
         return JOURNAL_WIDTHS[text]
     try:
@@ -88,7 +97,7 @@ def read_width(text: str) -> float:
 
 
 def read_plane(text: str) -> tuple[int, int]:
-    """(axis, index) of a plane such as x=3; InputError."""
+    """Return (axis, index) of a plane such as x=3; InputError if the text names no plane."""
     axis, _, index = text.replace(" ", "").partition("=")
     if axis not in tuple(AXES) or not index.isdecimal():
         raise InputError(f"plane is {text!r}; it must be an axis and the number of a plane, such as x=3, y=0 or z=5")
@@ -96,7 +105,7 @@ def read_plane(text: str) -> tuple[int, int]:
 
 
 def read_view(text: str) -> View:
-    """Elevation and azimuth such as 22,-55; InputError."""
+    """Return the view of an elevation and azimuth such as 22,-55; InputError if the text names none."""
     try:
         elevation, azimuth = text.split(",")
         return View(_within(elevation, -90, 90), _within(azimuth, -360, 360))
@@ -107,6 +116,7 @@ def read_view(text: str) -> View:
 
 
 def _within(text: str, low: float, high: float) -> float:
+    """Return the number in a text; ValueError if it is none, or not from low to high."""
     number = float(text)
     if not low <= number <= high:
         raise ValueError
@@ -114,12 +124,12 @@ def _within(text: str, low: float, high: float) -> float:
 
 
 def middle_planes(shape: tuple[int, ...]) -> Planes:
-    """The planes across y and x through the middle of a cubic lattice."""
+    """Return the planes across y and x through the middle of a cubic lattice."""
     return (1, shape[1] // 2), (0, shape[0] // 2)
 
 
 def check_planes(planes: Planes, shape: tuple[int, ...]) -> None:
-    """InputError for a plane that the lattice does not have, or too many."""
+    """Raise InputError for a plane that the lattice does not have, or for too many planes."""
     if len(planes) > MOST_PLANES:
         raise InputError(f"plane is given {len(planes)} times; a figure shows at most {MOST_PLANES}")
     for axis, index in planes:
@@ -132,5 +142,8 @@ def check_planes(planes: Planes, shape: tuple[int, ...]) -> None:
 
 
 def columns_on(page: Page, number: int, least: float = BROAD) -> int:
-    """How many of some panels stand beside each other on a page of two columns, each at least so many inches wide."""
+    """Return how many of these panels stand beside each other on a page of two columns.
+
+    number : of panels. least : inches that a panel needs.
+    """
     return max(1, min(number, int(page.inches("double") / least)))

@@ -1,4 +1,4 @@
-"""How fast the spheres of a run turn, and where its power is dissipated (paper Figs. 1, 3a and 4)."""
+"""Draws how fast the spheres of a run rotate, and where its power is dissipated (paper Figs. 1, 3a and 4)."""
 
 from typing import Any
 
@@ -26,18 +26,19 @@ from taichi_bearings.plots.style import (
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene.scene import of_lattice
 
-# share of more contacts than a few: lines at nearly all would hide the spins and say nothing
+# slipping contacts are drawn up to this share, or this number: lines at nearly all would hide the spins
 MOST_SLIPS, FEW_SLIPS = 0.9, 1_000
 POWER_COLOURS = "viridis_r"  # what dissipates most stands out on paper
-FAINT_SHARE = 0.02  # share of the contacts that are below the range of the colours
+FAINT_SHARE = 0.02  # share of the slipping contacts whose power is below the range of the colours
 
 
 @in_our_style
 def draw_spins(structure: Structure, page: Page = PAGE, title: str = "", note: str = "") -> Figure:
-    """|spin| over the larger imposed spin, of a packing R |spin| over the largest such, as colour; slipping contacts in
-    black, of cubic lattices in cuts. If many slip, and nearly all, or it is no plane, they are counted alone.
+    """Draw how fast spheres rotate, in colours, and slipping contacts as black lines; cubic lattices also in cuts.
 
-    Turns of whole layers that no contact feels are left out (`Structure.shown_spin`).
+    The colour is |spin| over the larger imposed spin; of a packing R |spin| over the largest imposed R |spin|. Where
+    nearly all of many contacts slip, or the picture is not flat, slipping contacts are not drawn but counted in the
+    title. Rotations of whole layers that no contact depends on are left out (`Structure.shown_spin`).
 
     note : what black lines mean.
     """
@@ -63,21 +64,21 @@ def draw_spins(structure: Structure, page: Page = PAGE, title: str = "", note: s
         figure, axes, sheet, site, look = bearing.one_panel(place, page)
         drawn = drawn & sheet.is_flat
         _paint(axes, sheet, colour.reshape(-1, 4), drawn, site)
-    told = counted if slips.any() and not drawn.any() else note or f"{counted}, in black"
-    put_title(figure, f"{title or describe(system)}\n{told}", page)
+    words = counted if slips.any() and not drawn.any() else note or f"{counted}, in black"
+    put_title(figure, f"{title or describe(system)}\n{words}", page)
     bearing.colour_bar(figure, figure.axes, label, Normalize(0, 1), SPIN_COLOURS, **look)
     return figure
 
 
 def _paint(axes: Any, sheet: Sheet, colour: np.ndarray, slips: np.ndarray, site: float) -> None:
-    """Discs of one plane and the slipping contacts between them."""
+    """Draw the discs of one plane and the slipping contacts between them. site : points between two discs."""
     sheet.paint(axes, colour)
     sheet.box_driven(axes)
     sheet.draw(axes, slips, across=True, colors="black", lw=bearing.line_on_site(site, 0.15))
 
 
 def _draw_block(lattice: Lattice, colour: np.ndarray, slips: np.ndarray, page: Page) -> Figure:
-    """The block of spheres from outside, and cuts with the slipping contacts."""
+    """Draw the block of spheres from outside, and cuts with the slipping contacts."""
     shape = lattice.shape
     planes = page.planes or middle_planes(shape)
     tall = float(np.clip(shape[2] / max(shape[:2]), 0.5, 2.0))
@@ -93,10 +94,9 @@ def _draw_block(lattice: Lattice, colour: np.ndarray, slips: np.ndarray, page: P
 
 @in_our_style
 def draw_power(structure: Structure, page: Page = PAGE) -> Figure:
-    """The slipping contacts by their power; of a cubic lattice those of two cuts, and the power of each layer of the
-    height.
+    """Draw the slipping contacts, coloured by their power; of a cubic lattice two cuts, and the power of each layer.
 
-    Where more contacts slip than lines can show, each disc has the colour of the power of its contacts, half of each.
+    Where more contacts slip than lines can show, each disc has the colour of half the power of all its contacts.
     """
     system, place = structure.scene, structure.network.whole
     unit, symbol = power_unit(system)
@@ -111,7 +111,7 @@ def draw_power(structure: Structure, page: Page = PAGE) -> Figure:
             norm = _draw_lines(axes, sheet, power, site)
         else:
             shown = np.bincount(sheet.ends.ravel(), np.tile(power / 2, 2), len(sheet.place))
-            norm = _norm(shown)
+            norm = _power_scale(shown)
             sheet.paint(axes, np.where((shown > 0)[:, None], colormaps[POWER_COLOURS](norm(shown)), bearing.PALE))
         label = over("P_{ij}" if lines else "P_i", symbol, "energy / time")
         bearing.colour_bar(figure, axes, label, norm, POWER_COLOURS, extend="min", **look)
@@ -119,7 +119,8 @@ def draw_power(structure: Structure, page: Page = PAGE) -> Figure:
     return figure
 
 
-def _norm(power: np.ndarray) -> LogNorm:
+def _power_scale(power: np.ndarray) -> LogNorm:
+    """Return the logarithmic scale of colours for these powers."""
     slipping = power[power > 0]
     if not len(slipping):
         return LogNorm(1e-1, 1)
@@ -127,16 +128,19 @@ def _norm(power: np.ndarray) -> LogNorm:
 
 
 def _draw_lines(axes: Any, sheet: Sheet, power: np.ndarray, site: float) -> LogNorm:
-    """Draw slipping contacts, coloured by their power: as lines across them, where the two surfaces slip past each
-    other, or, where spheres lie behind each other, as lines between the centres."""
-    norm = _norm(power)
+    """Draw slipping contacts, coloured by their power, and return the scale of colours.
+
+    In a flat picture they are lines across the contact, where the two surfaces slip past each other; where spheres lie
+    behind each other they are lines between the centres.
+    """
+    norm = _power_scale(power)
     look: dict[str, Any] = {"array": power, "cmap": POWER_COLOURS, "norm": norm}
     sheet.draw(axes, power > 0, across=sheet.is_flat, lw=bearing.line_on_site(site, 0.3, 0.8, 3.0), **look)
     return norm
 
 
 def _draw_cuts(lattice: Lattice, power: np.ndarray, page: Page, symbol: str) -> Figure:
-    """Planes of a cubic lattice, and the power of the contacts in each layer and to the next one."""
+    """Draw planes of a cubic lattice, and the power of the contacts within each layer and to the next one."""
     shape = lattice.shape
     planes, nz = page.planes or middle_planes(shape), shape[-1]
     tall = float(np.clip(nz / max(shape[:2]), 0.5, 2.0))

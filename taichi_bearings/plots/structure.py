@@ -1,8 +1,10 @@
-"""Rigid domains and the slipless network: where they are, how they turn, and a path from bottom to top (paper Figs. 3b
-and 3c, and its intermediate bearing states).
+"""Draws rigid domains and the slipless network: where they are, how they rotate, and a path from bottom to top.
 
-Colours of domains say how one turns between the two driven planes, in every component that the driving needs: 0 with
-the bottom, 1 with the top. With two components the values panel is the key to the colours.
+These are paper Figs. 3b and 3c, and its intermediate bearing states. The *turn* of a domain says how it rotates between
+the two driven planes: 0 with the bottom, 1 with the top, one number for each component that the driving needs. Colours
+of domains show it; with two components the panel of all turns is the key to the colours.
+
+Letters: C spin components, E contacts, N spheres.
 """
 
 from functools import partial
@@ -25,10 +27,10 @@ from taichi_bearings.plots.page import AXES, BELOW, PAGE, VIEW, Page, View, colu
 from taichi_bearings.plots.style import GREEN, GREY, describe, in_our_style, label_in_plain_text, panels, put_title
 from taichi_bearings.scene.scene import of_lattice
 
-FIRST_AHEAD, SECOND_AHEAD = to_rgb("#e8b400"), to_rgb("#0d8a6f")  # one component has followed the top, the other not
+FIRST_AHEAD, SECOND_AHEAD = to_rgb("#e8b400"), to_rgb("#0d8a6f")  # first, or second, component alone as of the top
 LOCK_COLOURS = {"bottom": colormaps[SPIN_COLOURS](0.0), "top": colormaps[SPIN_COLOURS](1.0)}
-MARKS = dict(zip(LOCKS, "v^Dsdo", strict=True))
-OF_A_KEY = 2.2  # inches that the values need
+MARKS = dict(zip(LOCKS, "v^Dsdo", strict=True))  # marker of each kind of domain
+KEY_WIDTH = 2.2  # least width in inches of the panel of turns
 DOMAIN_LETTERS = "bcdefghijklmnopqrstuvwxyz"
 NO_PATH = "no path from bottom to top"
 PANELS = {"spheres": "from outside", "contacts": "slipless contacts", "path": "spheres of the path, their spins"}
@@ -37,7 +39,7 @@ REACHED_COLOURS = {"bottom": colormaps[SPIN_COLOURS](0.05), "top": colormaps[SPI
 
 @in_our_style
 def draw_domains(structure: Structure, page: Page = PAGE) -> Figure:
-    """2D: discs by domain. 3D: the block from outside and cuts. Below: how they turn.
+    """Draw the spheres coloured by rigid domain, in 3D from outside and in cuts, and how the domains rotate.
 
     Black lines are boundaries of rigid domains. Black dots mark spheres that are locked in some components only.
     """
@@ -48,7 +50,7 @@ def draw_domains(structure: Structure, page: Page = PAGE) -> Figure:
     shape, colour = of.shape, colour_of_turn(domains.turn)[domains.domain]
     planes = () if len(shape) == 2 else page.planes or middle_planes(shape)
     tall = float(np.clip(shape[-1] / max(shape[:-1]), 0.8, 1.5))
-    figure, (block, *cuts, values), width = panels(page, 2 + len(planes), (0.85 * tall, 0.6), least=OF_A_KEY)
+    figure, (block, *cuts, values), width = panels(page, 2 + len(planes), (0.85 * tall, 0.6), least=KEY_WIDTH)
     if planes:
         bearing.paint_block(block, colour, page.view or VIEW)
     else:
@@ -63,8 +65,11 @@ def draw_domains(structure: Structure, page: Page = PAGE) -> Figure:
 
 
 def _draw_domains_of_packing(structure: Structure, page: Page) -> Figure:
-    """With two bodies in bearing states as they turn between them, blue as the first and red as the second, else each
-    of the largest in a colour of its own."""
+    """Draw the rigid domains of a packing.
+
+    With two bodies in bearing states the colour is the turn between them, blue as the first and red as the second.
+    Otherwise each of the largest domains has a colour of its own.
+    """
     domains = structure.rigid_domains
     figure, axes, sheet, _, look = bearing.one_panel(structure.network.whole, page)
     moving = np.flatnonzero(domains.jump.any(axis=0))
@@ -84,8 +89,10 @@ def _draw_domains_of_packing(structure: Structure, page: Page) -> Figure:
 
 
 def colour_of_turn(turn: np.ndarray) -> np.ndarray:
-    """Colour (..., 4) of turn (..., C): blue with the bottom, red with the top; yellow or green as the first or the
-    second component is nearer to the top than the other."""
+    """Return the colour (..., 4) of turns (..., C): blue with the bottom, red with the top.
+
+    Yellow or green is mixed in as the first or the second component is nearer to the top than the other.
+    """
     turn = np.clip(turn, 0.0, 1.0)
     colour: np.ndarray = colormaps[SPIN_COLOURS](turn.mean(axis=-1))
     ahead = turn[..., 0] - turn[..., -1]
@@ -96,7 +103,9 @@ def colour_of_turn(turn: np.ndarray) -> np.ndarray:
 
 
 def _paint(axes: Any, sheet: Sheet, colour: np.ndarray, structure: Structure, width: float) -> None:
-    """The spheres of a sheet by domain, on so many inches; of discs walls between domains. colour : (N, 4)."""
+    """Draw the spheres of a sheet by domain, on so many inches; between discs of two domains a line. colour : (N,
+    4).
+    """
     domains = structure.rigid_domains
     site, (first, second) = sheet.site(width), domains.domain.ravel()[structure.network.whole.contact]
     sheet.paint(axes, colour.reshape(-1, 4)[sheet.sphere])
@@ -109,7 +118,7 @@ def _paint(axes: Any, sheet: Sheet, colour: np.ndarray, structure: Structure, wi
 
 
 def _draw_values(axes: Any, domains: RigidDomains) -> None:
-    """Every domain at its turn: two components against each other, or one against the number of spheres."""
+    """Draw every domain at its turn: one component against the other, or a single one against the number of spheres."""
     turn, margin = domains.turn, 0.04
     along = np.linspace(-margin, 1 + margin, 200)
     plane = turn.shape[1] > 1
@@ -147,12 +156,14 @@ def _draw_values(axes: Any, domains: RigidDomains) -> None:
 
 @in_our_style
 def draw_network(structure: Structure, page: Page = PAGE) -> Figure:
-    """3D: the spheres from outside; slipless contacts in grey and one shortest path in green; the spheres of the path
-    with their spins. 2D: the last two. Packings: their slipless contacts.
+    """Draw the slipless contacts and a shortest path through them from bottom to top.
 
-    Of more contacts than can be told apart those on the sides behind the path are drawn: nothing hides it then.
-    Where no path joins bottom and top the figure says so, and contacts joined to the bottom are blue, those joined to
-    the top red.
+    In 3D there are three panels: the spheres from outside; slipless contacts in grey and the path in green; the spheres
+    of the path with their spins. In 2D there are the last two. Of a packing its slipless contacts are drawn.
+
+    Where there are more contacts than can be told apart, only those on the sides behind the path are drawn: nothing
+    hides it then. Where no path joins bottom and top the figure says so, and contacts joined to the bottom are blue,
+    those joined to the top red.
     """
     network, spin = structure.network, structure.shown_spin(structure.spin)
     if structure.whole.lattice is None:
@@ -185,7 +196,7 @@ def draw_network(structure: Structure, page: Page = PAGE) -> Figure:
 
 
 def _draw_network_of_packing(structure: Structure, page: Page) -> Figure:
-    """The slipless contacts of a packing over its spheres."""
+    """Draw the slipless contacts of a packing over its spheres."""
     network = structure.network
     figure, axes, sheet, site, _ = bearing.one_panel(network.whole, page)
     sheet.paint(axes, bearing.PALE if sheet.is_flat else bearing.PALE * [1, 1, 1, 0.25])
@@ -196,7 +207,7 @@ def _draw_network_of_packing(structure: Structure, page: Page) -> Figure:
 
 
 def contact_colours(network: SliplessNetwork) -> np.ndarray:
-    """Colour (E, 4) of each slipless contact."""
+    """Return the colour (E, 4) of each slipless contact."""
     colour = np.tile(to_rgba(GREY), (network.ends.shape[1], 1))
     if not network.spans:
         piece = network.component.ravel()
@@ -207,7 +218,7 @@ def contact_colours(network: SliplessNetwork) -> np.ndarray:
 
 
 def behind(lattice: Lattice, view: View) -> np.ndarray:
-    """True (E,) for contacts within the sides of a cubic lattice that are farthest from the reader."""
+    """Return True (E,) for contacts within the sides of a cubic lattice that are farthest from the reader."""
     far = np.array([0 if view.faces(axis) else n - 1 for axis, n in enumerate(lattice.shape)])
     on_side = np.argwhere(np.ones(lattice.shape, dtype=bool)) == far
     inside: np.ndarray = on_side[lattice.ends].all(axis=0).any(axis=1)
@@ -215,7 +226,7 @@ def behind(lattice: Lattice, view: View) -> np.ndarray:
 
 
 def _draw_contacts(axes: Any, network: SliplessNetwork, view: View, width: float) -> str:
-    """The contacts and the path on so many inches; returns which contacts are drawn, in words, if not all."""
+    """Draw the contacts and the path on so many inches; returns in words which contacts are drawn, if not all."""
     lattice, chosen, words = network.lattice, network.slipless, ""
     sheet = Sheet.of_lattice(lattice, view=view)
     colour = np.ones((lattice.all_contacts, 4))
@@ -246,8 +257,7 @@ def _draw_contacts(axes: Any, network: SliplessNetwork, view: View, width: float
 
 
 def _draw_turning(axes: Any, network: SliplessNetwork, spin: np.ndarray, speed: np.ndarray, view: View) -> None:
-    """The spheres of the path from the back to the front, an arrow of the spin from each centre, and the path's shadow
-    on the bottom."""
+    """Draw the spheres of the path from the back to the front, with an arrow for each spin, and the path's shadow."""
     path, lattice, shape = network.shortest_path, network.lattice, network.lattice.shape
     of_path, sheet = tuple(path.T), Sheet.of_lattice(network.lattice, view=view)
     colour = colormaps[SPIN_COLOURS](speed[of_path])

@@ -1,6 +1,6 @@
-"""One look for all figures, of matplotlib's Figure objects: neither its settings nor its backend are ever changed.
+"""Gives all figures one look, through matplotlib's Figure objects: its global settings and backend are never changed.
 
-And what quantities are called and counted in on their axes, and what a figure says of its system.
+It also names quantities and their units on axes, and says in titles what system a figure shows.
 """
 
 import io
@@ -22,7 +22,7 @@ from taichi_bearings.scene import Bearing
 from taichi_bearings.scene.scene import of_lattice
 
 RC: dict[Any, Any] = {
-    # points on paper; nothing is smaller than 7 but indices
+    # sizes in points on paper; only indices are smaller than 7
     **dict.fromkeys(("font.size", "axes.titlesize", "axes.labelsize", "figure.titlesize"), 8),
     **dict.fromkeys(("xtick.labelsize", "ytick.labelsize", "legend.fontsize", "legend.title_fontsize"), 7),
     **dict.fromkeys(("axes.linewidth", "xtick.major.width", "ytick.major.width"), 0.6),
@@ -35,40 +35,40 @@ RC: dict[Any, Any] = {
     **{"pdf.fonttype": 42, "ps.fonttype": 42, "svg.fonttype": "none"},
 }
 BLUE, ORANGE, GREEN, GREY = "#2060a8", "#d0702a", "#3a8f4c", "#8a8a8a"
-TALLER = 1.5  # height of a panel over several columns, of that of the others
+TALLER = 1.5  # height of a panel over several columns, relative to the others
 SCREEN_DPI = 100  # dots an inch of the figures in notebooks
-LETTERS_AN_INCH, TITLE_LINE = 16, 0.14  # of a title, and inches of a line of it
-IN_DOLLARS = re.compile(r"(?<!\\)\$.*?(?<!\\)\$")
+LETTERS_AN_INCH, TITLE_LINE = 16, 0.14  # letters of a title in an inch, and height of its lines in inches
+IN_DOLLARS = re.compile(r"(?<!\\)\$.*?(?<!\\)\$")  # mathematics within a text
 OF_THE_PROCESS = (
     "animation", "backend", "date", "docstring", "interactive", "keymap", "savefig.directory", "timezone", "tk",
     "toolbar", "webagg",
 )  # fmt: skip
-"""How the settings begin that no figure depends on."""
+"""First parts of the names of settings that no figure depends on."""
 PLAIN_RC = {key: value for key, value in rcParamsDefault.items() if not key.startswith(OF_THE_PROCESS)}
-in_our_style = rc_context(PLAIN_RC | RC)  # decorates what makes a figure: nobody's matplotlibrc changes it
+in_our_style = rc_context(PLAIN_RC | RC)  # decorates functions that make figures, so that no matplotlibrc changes them
 
 
 class NotebookFigure(Figure):
-    """A figure that notebooks show, whether or not pyplot is there."""
+    """A figure that notebooks show, whether or not pyplot is loaded."""
 
     def _repr_png_(self) -> tuple[bytes, dict[str, int]]:
-        """Of the resolution of a screen, and fine on one with twice as many dots."""
+        """Return a PNG and its size for the screen; it has twice as many dots, to be sharp on fine screens."""
         printed, self.dpi = self.dpi, 2 * SCREEN_DPI
         try:
             width, height = (int(SCREEN_DPI * inches) for inches in self.get_size_inches())
-            return _drawn(self, "png"), {"width": width, "height": height}
+            return _file_content(self, "png"), {"width": width, "height": height}
         finally:
             self.dpi = printed
 
     def draw(self, renderer: Any) -> None:
-        """Lay out twice: titles above axes of a fixed aspect know their place only then."""
+        """Lay out twice: titles above axes of a fixed aspect have their final place only then."""
         if engine := self.get_layout_engine():
             engine.execute(self)
         super().draw(renderer)
 
     @in_our_style
     def savefig(self, *args: Any, **look: Any) -> None:
-        """As of any figure, with letters as letters."""
+        """Save as any figure does, with letters as letters."""
         super().savefig(*args, **look)
 
 
@@ -76,7 +76,7 @@ DOUBLE, SINGLE = PAGE.inches("double"), PAGE.inches("single")
 
 
 def new_figure(width: float = SINGLE, height: float = 2.5, dpi: float = PAGE.dpi) -> Figure:
-    """An empty figure, width and height in inches on paper, laid out so that nothing overlaps."""
+    """Return an empty figure, laid out so that nothing overlaps. width, height : inches on paper."""
     figure = NotebookFigure(figsize=(width, height), dpi=dpi, layout="constrained")
     figure.get_layout_engine().set(w_pad=0.03, h_pad=0.03)  # type: ignore[union-attr, call-arg]
     return figure
@@ -85,11 +85,15 @@ def new_figure(width: float = SINGLE, height: float = 2.5, dpi: float = PAGE.dpi
 def panels(
     page: Page, number: int, row: tuple[float, float], more: float = 0.0, least: float = BROAD, widest: str = "double"
 ) -> tuple[Figure, list[Any], float]:
-    """A figure of so many panels in rows, their axes, and the width that each has, in inches. The first panel takes the
-    columns that would stay empty.
+    """Return a figure of panels in rows, their axes, and the width of each in inches.
 
-    row : height of a row, as a share of the width of a panel, and inches to add. more : inches beside the rows.
-    least : inches that a panel needs. widest : column of the page that no panel exceeds.
+    The first panel takes the columns that would stay empty.
+
+    number : of panels.
+    row : height of a row as a share of the width of a panel, and inches to add.
+    more : inches to add to the height of the figure.
+    least : inches that a panel needs.
+    widest : column of the page that no panel exceeds in width.
     """
     columns = columns_on(page, number, least)
     wide = 1 - number % -columns
@@ -102,15 +106,19 @@ def panels(
 
 
 def plain_figure(width: float = SINGLE, height: float = 2.5, dpi: float = PAGE.dpi) -> Figure:
-    """An empty figure for plain axes, in inches: with margins that are known, so that nothing is laid out anew."""
+    """Return an empty figure for plain axes. Its margins are known, so that nothing has to be laid out. Sizes in
+    inches.
+    """
     figure = NotebookFigure(figsize=(width, height), dpi=dpi)
     figure.subplots_adjust(left=0.6 / width, right=1 - 0.08 / width, bottom=0.40 / height, top=1 - 0.08 / height)
     return figure
 
 
 def put_title(figure: Figure, words: str, page: Page = PAGE) -> None:
-    """Words above a figure, if its page has a title: broken where they are too long, but never inside mathematics or
-    before a per cent sign. The paper grows by their lines."""
+    """Put a title above a figure, if its page has one; the figure grows by its lines.
+
+    Long lines are broken, but never inside mathematics or before a per cent sign.
+    """
     if not page.title:
         return
     joined = IN_DOLLARS.sub(lambda found: found[0].replace(" ", "\0"), words.replace(" %", "\u00a0%"))
@@ -127,7 +135,7 @@ SUPERSCRIPTS = str.maketrans("-0123456789", "\u207b\u2070\u00b9\u00b2\u00b3\u207
 
 
 class PlainLogFormatter(LogFormatter):
-    """Labels of a logarithmic axis in plain text, which is drawn ten times faster than mathematics."""
+    """Formats labels of a logarithmic axis in plain text, which is drawn ten times faster than mathematics."""
 
     def __call__(self, value: float, position: int | None = None) -> str:
         if not super().__call__(value, position):
@@ -138,24 +146,24 @@ class PlainLogFormatter(LogFormatter):
 
 
 def label_in_plain_text(*axes: Any) -> None:
-    """Label logarithmic axes in plain text; within a decade some of the ticks between, too."""
+    """Label logarithmic axes in plain text, and within a decade some of the minor ticks, too."""
     for axis in axes:
         axis.set_major_formatter(PlainLogFormatter())
         axis.set_minor_formatter(PlainLogFormatter(minor_thresholds=(1, 0.4)))
 
 
 def shades(number: int) -> list[Any]:
-    """Colours of curves in an order, dark to light."""
+    """Return colours for curves that have an order, dark to light."""
     return [colormaps["viridis"](0.85 * k / max(number - 1, 1)) for k in range(number)]
 
 
-MOST_VECTOR = 2**20  # bytes of a PDF that is written where no file is named
+MOST_VECTOR = 2**20  # bytes; a larger PDF gives way to a PNG where the user named no file
 ENDINGS = (".png", ".pdf", ".svg")
 
 
 @in_our_style
-def _drawn(figure: Figure, kind: str) -> bytes:
-    """The file of a figure, "png", "pdf" or "svg"."""
+def _file_content(figure: Figure, kind: str) -> bytes:
+    """Return the content of the file of a figure. kind : "png", "pdf" or "svg"."""
     drawn = io.BytesIO()
     if kind == "png":
         FigureCanvasAgg(figure).print_png(drawn)  # draws once, savefig twice
@@ -165,30 +173,32 @@ def _drawn(figure: Figure, kind: str) -> bytes:
 
 
 def save_small(figure: Figure, stem: Path) -> Path:
-    """Write `stem`.pdf, or `stem`.png where the former had more than MOST_VECTOR bytes; returns which."""
-    drawn, ending = _drawn(figure, "pdf"), "pdf"
+    """Write `stem`.pdf, or `stem`.png if the former had more than MOST_VECTOR bytes; returns which."""
+    drawn, ending = _file_content(figure, "pdf"), "pdf"
     if len(drawn) > MOST_VECTOR:
-        drawn, ending = _drawn(figure, "png"), "png"
+        drawn, ending = _file_content(figure, "png"), "png"
     path = stem.with_name(f"{stem.name}.{ending}")
     replace_file(path, drawn)
     return path
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write a PNG (or PDF, SVG by its ending), in full or not at all; FileError if that cannot be done."""
-    replace_file(path, _drawn(figure, path.suffix[1:]))
+    """Write a PNG, PDF or SVG, by its ending, in full or not at all; FileError if that cannot be done."""
+    replace_file(path, _file_content(figure, path.suffix[1:]))
 
 
-SPEED_OF = {True: r"\omega_T", False: r"\omega_B"}
+SPEED_OF = {True: r"\omega_T", False: r"\omega_B"}  # symbol of the spin of the top (True) and of the bottom
 
 
 def _spaced(unit: str) -> str:
-    """A unit as figures print it; nothing for pure numbers."""
+    """Return a unit as figures print it; nothing for pure numbers."""
     return "" if unit == "1" else unit.replace("/", " / ").replace("*", " · ")
 
 
 def describe(scene: Bearing, sample: int | None = 0) -> str:
-    """Sizes, law and source of a sample, or of all samples, in words for a title; of a packing sizes and law."""
+    """Return size, law and source of a sample in words for a title; of a packing size and law. sample : None for
+    all samples.
+    """
     network = scene.network
     if network.lattice is None:
         what = "discs" if network.dimension == 2 else "spheres"
@@ -200,18 +210,18 @@ def describe(scene: Bearing, sample: int | None = 0) -> str:
 
 
 def mathematics(value: float, digits: int = 6) -> str:
-    """A number to so many digits within mathematics, 5e-12 as a power of ten."""
+    """Return a number to so many digits as mathematics, 5e-12 as a power of ten."""
     mantissa, power, exponent = f"{value:.{digits}g}".partition("e")
     return mantissa + (rf"\times10^{{{int(exponent)}}}" if power else "")
 
 
 def larger_spin(spin_top: float, spin_bottom: float) -> str:
-    """Symbol of the larger imposed spin."""
+    """Return the symbol of the larger imposed spin."""
     return SPEED_OF[abs(spin_top) >= abs(spin_bottom)]
 
 
 def driving(scene: Bearing) -> tuple[float, str]:
-    """The imposed spin that times and powers are counted in, 1/time, and its symbol; of packings 1 and an empty one."""
+    """Return the imposed spin that is the unit of times and powers, 1/time, and its symbol; of packings 1 and ""."""
     if scene.network.lattice is None:
         return 1.0, ""
     top, bottom = of_lattice(scene).imposed
@@ -219,7 +229,7 @@ def driving(scene: Bearing) -> tuple[float, str]:
 
 
 def power_unit(scene: Bearing) -> tuple[float, str]:
-    """What powers are counted in, energy/time, and its symbol; 1 and an empty one without friction, or of packings."""
+    """Return the unit of power, energy/time, and its symbol; 1 and "" without friction, or of packings."""
     spin, symbol = driving(scene)
     if scene.network.lattice is None or not scene.law.holds:
         return 1.0, ""
@@ -227,34 +237,35 @@ def power_unit(scene: Bearing) -> tuple[float, str]:
 
 
 def time_label(symbol: str) -> str:
+    """Return the label of an axis of time. symbol : of the spin that is its unit, or ""."""
     return rf"time, ${symbol}\,t$" if symbol else "time"
 
 
 def energy_unit(scene: Bearing) -> tuple[float, str]:
-    """What energies are counted in, and its symbol; 1 and an empty one without friction, or of packings."""
+    """Return the unit of energy, and its symbol; 1 and "" without friction, or of packings."""
     if scene.network.lattice is None or not scene.law.holds:
         return 1.0, ""
     return scene.strength * scene.slip_radius, r"F_n R"
 
 
 def over(symbol: str, unit: str, without: str) -> str:
-    """A quantity over its unit as mathematics. without : the words for the unit where it has no symbol."""
+    """Return a quantity over its unit as mathematics. without : words for the unit where it has no symbol."""
     if not unit:
         return f"${symbol}$ ({without})"
     return rf"${symbol}\,/\,({unit})$" if "R" in unit else rf"${symbol}\,/\,{unit}$"
 
 
 SYMBOLS = {name: (row.symbol, _spaced(row.unit)) for name, row in COLUMNS.items() if row.symbol}
-"""Symbol and unit of the columns of a scan; the others are called by their names in words."""
+"""Symbol and unit of those columns of a scan that have a symbol; the others are called by their names."""
 
 
 def as_text(words: object) -> str:
-    """Words from a file as a figure shows them: a dollar sign in them begins no mathematics."""
+    """Return words from a file as a figure shows them: a dollar sign in them begins no mathematics."""
     return str(words).replace("$", r"\$")
 
 
 def column_label(name: str) -> str:
-    """A column of a scan, or the means of one over another, on an axis."""
+    """Return the label of an axis for a column of a scan, or for the mean of one column over that of another, "a/b"."""
     parts = name.split("/")
     if not all(part in SYMBOLS for part in parts):
         unit = _spaced(COLUMNS[name].unit) if name in COLUMNS else ""

@@ -15,9 +15,9 @@ from taichi_bearings.analysis.histogram import (
     PowerHistogram,
     SampleCounts,
     count_powers,
+    joined_counts,
     pool,
     rebinned,
-    together,
 )
 from taichi_bearings.analysis.statistics import Census, groups
 from taichi_bearings.errors import FileError, InputError, printable
@@ -161,7 +161,7 @@ def pooled(
     laws = sorted({str(law) for source in sources for law in source.column("law")})
     if len(laws) > 1 and by != "law":
         raise InputError(f"the runs have different laws ({', '.join(laws)}); pool runs of one law, or add --by law")
-    counts = together([source.counts(bins_per_decade, source.unit(normalise)) for source in sources])
+    counts = joined_counts([source.counts(bins_per_decade, source.unit(normalise)) for source in sources])
     threshold = np.concatenate([source.numbers("slip_threshold") for source in sources])
     disorder = numbered(name for source in sources for name in source.disorder())
     reasons = np.concatenate([source.reasons for source in sources])

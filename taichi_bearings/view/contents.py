@@ -1,4 +1,4 @@
-"""What the page of a run holds: numbers for people, and arrays as small as a picture needs them."""
+"""Collects what the page of a run holds: numbers for people, and arrays as small as a picture needs them."""
 
 from typing import Any
 
@@ -15,21 +15,24 @@ from taichi_bearings.scene.scene import of_lattice
 from taichi_bearings.version import VERSION
 from taichi_bearings.words import other_contacts
 
-MOST_BYTES = 64e6  # of snapshots in a page: beyond, only some are shown
-BOTTLENECKS = 200  # busiest contacts that are shown as such
-CUT, PATH = 1, 2  # bits of `flags`
-COLOUR_RANGE = (0.12, 0.95)  # of a map of colours that is seen on white
+MOST_BYTES = 64e6  # if the snapshots of a page took more, only some of them are shown
+BOTTLENECKS = 200  # number of busiest contacts that are shown as such
+CUT, PATH = 1, 2  # bits of the array `flags`: the contact is on the cut, on the path
+COLOUR_RANGE = (0.12, 0.95)  # part of a colour map that can be seen on white
 SLICES = 40  # steps of a slider along each axis of a packing
 AROUND = 6  # neighbours that enclose a sphere of a cubic lattice
 ALONE = ["an island", "touches no slipless contact"]
 KEPT = {"slip": "f4", "power": "f4", "force": "f4", "coefficient": "f4", "viscosity": "f4", "normal_force": "f4"}
 KEPT |= {"betweenness": "f4", "state": "u1"}
-"""Columns of the contacts that a page holds where a run has them."""
+"""Columns of the contacts that a page holds where a run has them, and the type of their numbers."""
 
 
 def arrays_of(drawn: PointsAndLines) -> dict[str, np.ndarray]:
-    """What is drawn, by name: float32 has the six digits that the page shows. What a lattice repeats packs well:
-    vectors are written one axis after the other, ends as differences. The distance of two sites of a lattice is 1."""
+    """Return the arrays that are drawn, by name.
+
+    float32 has the six digits that the page shows. Arrays take a form that compresses well: vectors are written one
+    axis after the other, ends of contacts as differences. The distance of two sites of a lattice is 1.
+    """
     network = drawn.network
     center, radius, ends = network.center - network.center[0], network.radius, network.contact.T
     if drawn.is_lattice:
@@ -44,9 +47,9 @@ def arrays_of(drawn: PointsAndLines) -> dict[str, np.ndarray]:
         "second": (ends[:, 1] - ends[:, 0]).astype(np.int32),
         "normal": network.normal.T.astype(np.float32),
         "spin": _shown_spins(drawn, spheres["spin"][None])[0].astype(np.float32),
-        "map_spin": _colours(SPIN_COLOURS, 0.0, 1.0),
-        "map_power": _colours(POWER_COLOURS, *COLOUR_RANGE),
-        "map_share": _colours("plasma_r", *COLOUR_RANGE),
+        "map_spin": _colour_map(SPIN_COLOURS, 0.0, 1.0),
+        "map_power": _colour_map(POWER_COLOURS, *COLOUR_RANGE),
+        "map_share": _colour_map("plasma_r", *COLOUR_RANGE),
     }
     if drawn.drawn.is_known:
         label = spheres["domain"]
@@ -61,38 +64,41 @@ def arrays_of(drawn: PointsAndLines) -> dict[str, np.ndarray]:
         turn = colour_of_turn(domains.turn)[spheres["domain"], :3]
         found |= {"kind": spheres["domain_kind"], "turn": np.round(255 * turn).astype(np.uint8)}
     if (moments := drawn.moments) is not None:
-        chosen = _shown(moments)
+        chosen = _shown_snapshots(moments)
         ways = {"snapshot_spin": _shown_spins(drawn, moments.spin), "snapshot_slip": moments.slip}
         found |= {name: values[chosen].astype(np.float32) for name, values in ways.items()}
     return found
 
 
 def _shown_spins(drawn: PointsAndLines, spins: np.ndarray) -> np.ndarray:
-    """Spins (S, N, 3) of the sample less what no contact feels, as :meth:`Structure.shown_spin` says."""
+    """Return spins (S, N, 3) of a sample without components that no contact depends on (:meth:`Structure.shown_spin`).
+
+    S is the number of snapshots, N of spheres.
+    """
     if not drawn.is_lattice or drawn.network.dimension == 2:
         return spins
     shape = drawn.structure.spin.shape
     return drawn.structure.shown_spin(spins.reshape(len(spins), *shape)).reshape(spins.shape)
 
 
-def _colours(name: str, first: float, last: float) -> np.ndarray:
+def _colour_map(name: str, first: float, last: float) -> np.ndarray:
     return np.round(255 * colormaps[name](np.linspace(first, last, 256))[:, :3]).astype(np.uint8)
 
 
-def _shown(moments: Moments) -> np.ndarray:
-    """The snapshots that are shown: all, or as many at even distances as a page can hold."""
+def _shown_snapshots(moments: Moments) -> np.ndarray:
+    """Return the numbers of the snapshots that are shown: all, or as many at even distances as a page can hold."""
     each = 4 * (moments.spin[0].size + moments.slip[0].size)
     most = max(2, int(MOST_BYTES / each))
     return np.unique(np.linspace(0, len(moments.time) - 1, min(most, len(moments.time))).round().astype(int))
 
 
 def facts_of(drawn: PointsAndLines) -> dict[str, Any]:
-    """Numbers and words of the page, as JSON has them."""
+    """Return numbers and words of the page, in types that JSON has."""
     structure, states, law = drawn.structure, drawn.contacts["state"].values, drawn.structure.scene.law
     own, fastest, natural, bound = (_of_lattice if drawn.is_lattice else _of_packing)(drawn)
     proven = bool(drawn.contacts["proven"].values[states != ContactState.DRIVEN].all())
     decided = "proven" if proven else f"decided by {'slip and friction' if law.holds else 'slip'}, not proven"
-    told = f"{drawn.answer.method}: {drawn.answer.status.value}; P = {structure.power:.6g}{natural}, {bound}"
+    answer = f"{drawn.answer.method}: {drawn.answer.status.value}; P = {structure.power:.6g}{natural}, {bound}"
     tied, undecided = (structure.contacts_in(kind) for kind in (ContactState.TIED, ContactState.UNDECIDED))
     keys = ("coefficient", "viscosity")[: len(law.quantities)]
     return {
@@ -100,7 +106,7 @@ def facts_of(drawn: PointsAndLines) -> dict[str, Any]:
         **_ends_of_scales(drawn, fastest),
         **_snapshots(drawn.moments),
         "version": VERSION,
-        "subtitle": f"{told}; contact states {decided}",
+        "subtitle": f"{answer}; contact states {decided}",
         "open": ", ".join(other_contacts(tied, undecided)),
         "proven": proven,
         "analysed": drawn.drawn.is_known,
@@ -115,11 +121,13 @@ def facts_of(drawn: PointsAndLines) -> dict[str, Any]:
 
 
 def _of_lattice(drawn: PointsAndLines) -> tuple[dict[str, Any], float, str, str]:
-    """What the page says of lattices alone, the largest imposed spin, the power in its natural unit, and its bound."""
+    """Return what the page says of a lattice alone; its largest imposed spin; its power in its natural unit; its
+    bound.
+    """
     scene, gap = of_lattice(drawn.answer.scene), float(drawn.answer.gap[0])
     lattice, unit = scene.lattice, scene.strength * scene.lattice.radius * abs(scene.imposed[0])
     natural = f" = {drawn.structure.power / unit:.6g} Fₙ R ω_T" if scene.law.is_rate_independent and unit > 0 else ""
-    bound = f"{_minimised(scene.law)}proven within {gap:.1e}" if np.isfinite(gap) else "without a proven bound"
+    bound = f"{_name_of_minimum(scene.law)}proven within {gap:.1e}" if np.isfinite(gap) else "without a proven bound"
     own = {
         "title": f"{'×'.join(map(str, lattice.shape))} {scene.law}{scene.closed}, {scene.source}",
         "shape": list(lattice.shape),
@@ -138,12 +146,14 @@ def _of_lattice(drawn: PointsAndLines) -> tuple[dict[str, Any], float, str, str]
 
 
 def _of_packing(drawn: PointsAndLines) -> tuple[dict[str, Any], float, str, str]:
-    """The same of a packing; for the spin the largest imposed R omega over the median of R."""
+    """Return what the page says of a packing alone; its largest imposed R omega over the median radius; ""; its
+    bound.
+    """
     network, law = drawn.network, drawn.structure.scene.law
     within, proof = f"within {drawn.answer.gap[0]:.1e}", drawn.answer.findings["proof"][0]
     fastest, bodies = drawn.structure.fastest, network.bodies
     named = [f"driven body {number}" for number in bodies] if len(bodies) == 2 else ["one driven body"] * 2
-    bound = _minimised(law) + (f"proven {within}" if proof == "proven" else f"{within}, {proof}")
+    bound = _name_of_minimum(law) + (f"proven {within}" if proof == "proven" else f"{within}, {proof}")
     what = "discs" if network.dimension == 2 else "spheres"
     own = {
         "title": f"{network.spheres:,} {what}, {drawn.structure.movable:,} contacts, {law}",
@@ -162,7 +172,8 @@ def _of_packing(drawn: PointsAndLines) -> tuple[dict[str, Any], float, str, str]
     return own, fastest / _median(network.radius), "", bound
 
 
-def _minimised(law: Law) -> str:
+def _name_of_minimum(law: Law) -> str:
+    """Return the name of what the law minimises, with "its", if that is not the power."""
     return "" if law.minimises == "power" else f"its {law.minimises} "
 
 
@@ -171,9 +182,9 @@ def _median(radius: np.ndarray) -> float:
 
 
 def _ends_of_scales(drawn: PointsAndLines, fastest: float) -> dict[str, Any]:
-    """fastest : the largest imposed spin, of a sphere of median size."""
+    """Return where the scales of colours end. fastest : the largest imposed spin, of a sphere of median size."""
     moments, end = drawn.moments, drawn.spheres["spin"].values[None]
-    spins = _shown_spins(drawn, end if moments is None else moments.spin[_shown(moments)])
+    spins = _shown_spins(drawn, end if moments is None else moments.spin[_shown_snapshots(moments)])
     speed = np.linalg.norm(spins, axis=-1) * (drawn.network.radius / _median(drawn.network.radius))
     shares = drawn.contacts["betweenness"].values if "betweenness" in drawn.contacts else np.zeros(1)
     return {
@@ -185,9 +196,9 @@ def _ends_of_scales(drawn: PointsAndLines, fastest: float) -> dict[str, Any]:
 
 
 def _snapshots(moments: Moments | None) -> dict[str, Any]:
-    """Those that are shown."""
+    """Return the times of the snapshots that are shown, and which are left out."""
     if moments is None:
         return {"times": [], "left_out": "", "snapshot_threshold": 0.0}
-    chosen = _shown(moments)
+    chosen = _shown_snapshots(moments)
     some = "" if len(chosen) == len(moments.time) else f" shown, evenly chosen from {len(moments.time)}"
     return {"times": moments.time[chosen].tolist(), "left_out": some, "snapshot_threshold": moments.threshold}

@@ -1,4 +1,6 @@
-"""A stored run as a page, `bearings view`: one HTML file that holds all that it shows and the library that draws it."""
+"""Writes a stored run as a page, `bearings view`: one HTML file with all that it shows and the library that draws
+it.
+"""
 
 import base64
 import gzip
@@ -21,17 +23,20 @@ from taichi_bearings.view.contents import arrays_of, facts_of
 
 PAGE_NAME = "view.html"
 SCRIPTS = ("words", "squares", "sample", "picture", "legend", "pointing", "controls", "start")
-NUMBER_TYPES = {"float32": "f4", "int32": "i4", "uint8": "u1"}
+NUMBER_TYPES = {"float32": "f4", "int32": "i4", "uint8": "u1"}  # types of arrays in a page, and their short names
 
 
 def view(
     run: str | Path, out: str | Path | None = None, force: bool = False, replica: int = 0, analyse: bool = False
 ) -> dict[str, Any]:
-    """Write the page of one sample of a run directory or its run.h5, and say where it is, how large, and whether it
-    shows the structure of the sample.
+    """Write the page of one sample of a run directory or its run.h5, and return facts about it.
 
-    out : the file, an earlier one is replaced with `force` only; default: view.html in the run directory, which is.
-    analyse : compute the structure; else the page has of it what the file of the run holds.
+    out : the file; an earlier one is replaced with `force` only. By default it is view.html in the run directory, and
+        an earlier one is replaced.
+    replica : which sample, counted from 0.
+    analyse : compute the structure; otherwise the page has of it what the run file holds.
+    returns : the file, its size, the number of snapshots, and whether it shows the structure.
+
     Raises InputError or FileError before anything is computed.
     """
     out = None if out is None else Path(out)
@@ -46,8 +51,10 @@ def view(
 
 
 def page_of(facts: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> str:
-    """The text of a page that needs nothing else, of what :mod:`taichi_bearings.view.contents` finds."""
-    packed, places = _together(arrays)
+    """Return the text of a page that needs no other file. facts, arrays : what :mod:`taichi_bearings.view.contents`
+    finds.
+    """
+    packed, places = _joined_bytes(arrays)
     words = json.dumps({**facts, "arrays": places}, allow_nan=False).replace("<", "\\u003c")
     parts = {
         "TITLE": html.escape(str(facts["title"])),
@@ -55,26 +62,28 @@ def page_of(facts: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> str:
         "VERSION": VERSION,
         "LICENCE": _text("three.LICENSE.txt"),
         "SCRIPT": "\n".join(_text(f"{name}.js") for name in SCRIPTS),
-        "LIBRARY": _packed(_text("three.js").encode()),
+        "LIBRARY": _compressed_text(_text("three.js").encode()),
         "FACTS": words,
-        "ARRAYS": _packed(packed),
+        "ARRAYS": _compressed_text(packed),
     }
     return re.sub("@@([A-Z]+)@@", lambda found: parts[found[1]], _text("index.html"))  # once: texts may look like that
 
 
 def _text(name: str) -> str:
+    """Return the text of a file of the page."""
     return (files("taichi_bearings.view") / "page" / name).read_text(encoding="utf-8")
 
 
-def _packed(content: bytes) -> str:
+def _compressed_text(content: bytes) -> str:
+    """Return bytes compressed and as text (gzip, base64)."""
     return base64.b64encode(gzip.compress(content, mtime=0)).decode()
 
 
-def _together(arrays: Mapping[str, np.ndarray]) -> tuple[bytes, list[dict[str, Any]]]:
-    """All arrays one after the other, little-endian, those with longer numbers first, and where each lies."""
-    together, places = b"", []
+def _joined_bytes(arrays: Mapping[str, np.ndarray]) -> tuple[bytes, list[dict[str, Any]]]:
+    """Return all arrays as bytes, one after the other, and where each lies: little-endian, longer numbers first."""
+    joined, places = b"", []
     for name, values in sorted(arrays.items(), key=lambda item: -item[1].dtype.itemsize):
         kind = NUMBER_TYPES[values.dtype.name]
-        places.append({"name": name, "kind": kind, "offset": len(together), "length": values.size})
-        together += np.ascontiguousarray(values, dtype=f"<{kind}").tobytes()
-    return together, places
+        places.append({"name": name, "kind": kind, "offset": len(joined), "length": values.size})
+        joined += np.ascontiguousarray(values, dtype=f"<{kind}").tobytes()
+    return joined, places

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from taichi_bearings.analysis.histogram import SampleCounts, count_powers, pool, rebinned, together
+from taichi_bearings.analysis.histogram import SampleCounts, count_powers, joined_counts, pool, rebinned
 from taichi_bearings.proof.contact_state import ContactState
 
 
@@ -38,7 +38,7 @@ def test_nothing_that_slips_makes_no_bins():
     power, state = np.ones((2, 5)), np.zeros((2, 5), dtype=int)
     found = pool(count_powers(power, state), 1e-9)
     assert (found.slipping, found.slipless, len(found.edges), len(found.count)) == (0, 10, 0, 0)
-    both = together([count_powers(power, state), count_powers(*contacts(1))])
+    both = joined_counts([count_powers(power, state), count_powers(*contacts(1))])
     assert both.count[:2].sum() == 0
     assert both.count[2:].sum() == sum(len(values) for values in slipping(*contacts(1)))
 
@@ -67,7 +67,7 @@ def test_errors_are_the_spread_of_repeated_histograms():
         return level * rng.lognormal(0, 1.0, (40, 200)), np.ones((40, 200), dtype=int)
 
     found = [count_powers(*drawn(), bins_per_decade=1) for _ in range(200)]
-    lined_up = [pool(together([part, *found]).of(np.arange(40)), 1e-9) for part in found]
+    lined_up = [pool(joined_counts([part, *found]).of(np.arange(40)), 1e-9) for part in found]
     count = np.array([histogram.count for histogram in lined_up])
     common = count.mean(axis=0) > 500
     stated = np.array([histogram.standard_error for histogram in lined_up]).mean(axis=0)
