@@ -43,7 +43,7 @@ def command(runs: tuple[Path, ...], normalise: str, by: str | None, as_json: boo
     """Distribution of the power per contact, pooled over all samples of runs and scans: CSV, HDF5 and a figure.
 
     Only slipping contacts are binned; slipless, tied and undecided ones are counted in the header. Errors are standard
-    errors over the samples, or the roots of the counts where there is but one sample. docs/histograms.md says more.
+    errors over the samples, or the roots of the counts where there is but one sample. docs/figures.md says more.
 
     \b
     Examples:

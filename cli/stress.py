@@ -39,7 +39,7 @@ def command(
 
     Writes stress.csv (one row a cell), summary.json, and a map for each axis (PNG and PDF).
     Finished cells are kept in the folder: the same command goes on after a kill, and judges them anew. Exit code 1 if
-    an answer is wrong without saying so, or a cell crashes; docs/stress.md says what is tried and how it is judged.
+    an answer is wrong without saying so, or a cell crashes; docs/limits.md says what is tried and how it is judged.
 
     \b
     Examples:
