@@ -96,7 +96,7 @@ def driven_numbers(structure: Structure) -> dict[str, Any]:
     """slipless : 1 for each such contact. power_over_jump : over F_n R times the jump across the height (times the jump
     itself where it has no such part). angle : of the jump, degrees from x."""
     scene = of_lattice(structure.scene)
-    jump = np.abs(scene.driving.jump.spin[0])
+    jump = np.abs(scene.driving.difference.spin[0])
     unit = scene.normal_force * scene.lattice.radius * (np.hypot(*jump[:2]) or np.linalg.norm(jump))
     return told(structure) | {
         "slipless": structure.network.slipless.astype(int).tolist(),

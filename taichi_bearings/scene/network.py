@@ -17,6 +17,7 @@ from scipy import sparse
 
 from taichi_bearings.dissection import dissected
 from taichi_bearings.lattice import Lattice
+from taichi_bearings.lattice.incidence import contact_differences, torques
 from taichi_bearings.numerics.graphs import odd_pieces, pieces
 from taichi_bearings.numerics.motions import Motions, Parts, slipless_motions
 from taichi_bearings.read_only import cached_read_only, read_only
@@ -95,6 +96,11 @@ class Network:
         return self.body < 0
 
     @cached_read_only
+    def is_driven(self) -> np.ndarray:
+        """True for the spheres whose spin is imposed, in the shape that arrays over the spheres have."""
+        return ~self.free if self.lattice is None else self.lattice.is_driven
+
+    @cached_read_only
     def bodies(self) -> np.ndarray:
         """Numbers of the driven bodies."""
         return np.unique(self.body[~self.free])
@@ -102,7 +108,7 @@ class Network:
     @cached_read_only
     def has_free_end(self) -> np.ndarray:
         """(E,) True for the contacts that can slip: those that do not join two driven spheres."""
-        return self.free[self.contact].any(axis=0)
+        return self.free[self.contact].any(axis=0) if self.lattice is None else ~self.lattice.between_driven
 
     @cached_read_only
     def tangents(self) -> np.ndarray:
@@ -157,17 +163,26 @@ class Network:
     def whole_transposed(self) -> sparse.csr_array:
         return self.whole.T.tocsr()
 
-    def differences(self, u: np.ndarray) -> np.ndarray:
-        """y = K u, (d, R, E), of u = R omega (C, R, N)."""
-        columns = np.moveaxis(u, 2, 0).reshape(-1, u.shape[1])
-        shape = self.dimension - 1, self.contacts, u.shape[1]
+    def differences(self, spins: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
+        """Vectors (d, R, E) across all contacts, whose length is the slip.
+
+        spins : (C, R, *N). Of a lattice staggered spins with components as named by `spin_axes`, whose differences are
+        taken by strides; else u = R omega in all components, and y = K u.
+        """
+        if self.lattice is not None:
+            return contact_differences(spins, self.lattice, spin_axes)
+        columns = np.moveaxis(spins, 2, 0).reshape(-1, spins.shape[1])
+        shape = self.dimension - 1, self.contacts, spins.shape[1]
         return (self.whole @ columns).reshape(shape).transpose(0, 2, 1)
 
-    def torques(self, force: np.ndarray) -> np.ndarray:
-        """sum T^T f, (C, R, N), of forces (d, R, E) along the tangents; over the radius."""
+    def pulls(self, force: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
+        """Minus the transpose of :meth:`differences`: sums of the contact forces (d, R, E) that pull on each sphere,
+        (C, R, *N)."""
+        if self.lattice is not None:
+            return torques(force, self.lattice, spin_axes)
         columns = np.moveaxis(force, 1, 2).reshape(-1, force.shape[1])
         shape = self.spheres, self.components, force.shape[1]
-        return (self.whole_transposed @ columns).reshape(shape).transpose(1, 2, 0)
+        return -(self.whole_transposed @ columns).reshape(shape).transpose(1, 2, 0)
 
     def largest_eigenvalue(self, weight: np.ndarray, inertia: np.ndarray) -> float:
         """No eigenvalue of M^-1 K^T W K over the free spheres is larger. weight : W, (E,). inertia : M, (N,).

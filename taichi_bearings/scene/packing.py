@@ -16,17 +16,17 @@ import numpy as np
 
 from taichi_bearings.errors import FileError, InputError, WriteError
 from taichi_bearings.numerics.double_double import Pair, divide, exactly
-from taichi_bearings.numerics.graphs import odd_pieces
 from taichi_bearings.options import SEED, SHAPE, finite_number
 from taichi_bearings.plain_files import writing
-from taichi_bearings.read_only import cached_read_only, read_only
+from taichi_bearings.read_only import read_only
 from taichi_bearings.scene import checks, geometry
 from taichi_bearings.scene.array_files import read_arrays
-from taichi_bearings.scene.bearing import Bearing, as_one_driving
+from taichi_bearings.scene.bearing import Bearing
 from taichi_bearings.scene.disorder import Distribution, Draw
+from taichi_bearings.scene.driving import Driving
 from taichi_bearings.scene.generators import random_packing, space_filling
 from taichi_bearings.scene.generators.lattices import KINDS, Built, built, driven_bodies
-from taichi_bearings.scene.law import COULOMB, LAWS, Coefficients, Law, law_named
+from taichi_bearings.scene.law import COULOMB, LAWS, Law, law_named
 from taichi_bearings.scene.network import Network
 from taichi_bearings.scene.readers.found import TOLERANCE, Sides, completed, from_centers
 from taichi_bearings.scene.readers.found import told as contacts_told
@@ -143,60 +143,23 @@ class Packing(Bearing):
         assert self.normal is not None
         return Network(self.center, np.asarray(self.radius), self.contact.T, self.normal, self.driven)
 
+    @cached_property
+    def driving(self) -> Driving:
+        """The spins that are imposed on driven spheres."""
+        return Driving(self.network, self.spin, self.network.contact[:, self.acting])
+
     @property
     def dimension(self) -> int:
         return self.center.shape[1]
-
-    @cached_read_only
-    def material(self) -> Coefficients:
-        """As laws want them, (R, E) each: a friction times the normal force; force or force * time / length."""
-        pairs = zip(self.law.quantities, (self.friction, self.viscosity), strict=False)
-        of = (np.asarray(v) * (self.normal_force if quantity.is_friction else 1.0) for quantity, v in pairs)
-        return tuple(values.reshape(self.replicas, -1) for values in of)
 
     @property
     def named_coefficients(self) -> dict[str, np.ndarray]:
         given = {"coefficient": self.friction, "viscosity": self.viscosity}
         return {name: np.reshape(v, (self.replicas, -1)) for name, v in given.items() if v is not None}
 
-    @property
-    def coefficient(self) -> np.ndarray:
-        """(R, E), forces, or with the law "viscous" damping."""
-        return self.material[0]
-
     def slip_speeds(self, spin: np.ndarray) -> np.ndarray:
         """(E,) of spins (N, 3), of discs (N,); length/time."""
         return self.network.slips(spin.reshape(self.spheres, -1) * self.network.radius[:, None])
-
-    def differences(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """(d, R, E) along the tangents of the contacts."""
-        return self.network.differences(staggered)
-
-    def pulls(self, force: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        return -self.network.torques(force)
-
-    def absolute(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        return staggered
-
-    def staggered_spin(self, spin: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """u = R omega (C, R, N): they are carried as they are."""
-        u = spin.reshape(len(spin), self.spheres, -1) * self.network.radius[:, None]
-        return self.impose_driving(np.moveaxis(u, 2, 0).copy(), spin_axes)
-
-    def impose_driving(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        held = self.is_driven
-        staggered[..., held] = self.driven_speed[held].T[:, None]
-        return staggered
-
-    def box(self, spin_axes: tuple[int, ...]) -> np.ndarray:
-        return np.zeros((2, len(spin_axes)))
-
-    def clip_to_box(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """The same: no box holds the spins of a minimum where normals are oblique."""
-        return staggered
-
-    def laboratory_spin(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        return np.stack([self.spins_of(exactly(u.T))[0] for u in np.moveaxis(staggered, 1, 0)])
 
     def spins_of(self, u: Pair) -> Pair:
         """Spins (N, 3), of discs (N,), of u = R omega (N, C); those of driven spheres bit by bit as imposed."""
@@ -230,59 +193,12 @@ class Packing(Bearing):
         vars(found).update(jump=self.jump or float(np.abs(spins).max(initial=0.0)), is_cut_off=at_rest)
         return found
 
-    @cached_property
-    def is_cut_off(self) -> np.ndarray:
-        """(R,), nothing is known."""
-        return np.zeros(self.replicas, dtype=bool)
-
-    @cached_read_only
-    def driven_speed(self) -> np.ndarray:
-        """u = R omega of driven spheres, (N, C) with C = 3, of discs 1; 0 on free ones; length/time. Sizes of a
-        component that differ by no more than 4 units in the last place are one driving, the least of them."""
-        u = self.spin.reshape(self.spheres, -1) * np.asarray(self.radius)[:, None]
-        return as_one_driving(np.where((self.driven >= 0)[:, None], u, 0.0))
-
-    @property
-    def minimum_spin_axes(self) -> tuple[int, ...]:
-        """All of them."""
-        return tuple(range(self.network.components))
-
-    @cached_property
-    def jump(self) -> float:
-        """Diagonal of the box of the imposed u, with the signs of a sublattice where there are two, else of both."""
-        held = ~self.network.free
-        if not held.any():
-            return 0.0
-        odd, sign = odd_pieces(self.spheres, *self.network.contact[:, self.acting])
-        turned = (sign[:, None] * self.driven_speed)[held]
-        both = np.concatenate([turned, -turned[odd[held]]])
-        return float(np.linalg.norm(both.max(axis=0) - both.min(axis=0)))
-
-    def imposed_spins(self) -> Pair:
-        return self.spin, np.zeros_like(self.spin)
-
-    @property
-    def is_top(self) -> np.ndarray:
-        """(N,) True for the spheres of the body of the largest number."""
-        return np.asarray(self.driven == max(self.driven.max(), 0))
-
-    @property
-    def sides(self) -> tuple[float, float]:
-        """The largest R omega of the last body, the top, and of all others, length/time."""
-        speed, top = np.linalg.norm(self.driven_speed, axis=1), self.is_top
-        return float(speed[top].max(initial=0.0)), float(speed[~top].max(initial=0.0))
-
     def with_top(self, strength: float) -> "Packing":
-        top = self.is_top.reshape(-1, *(1,) * (self.spin.ndim - 1))
+        top = self.driving.is_top.reshape(-1, *(1,) * (self.spin.ndim - 1))
         return replace(self, spin=np.where(top, strength, 1.0) * self.spin)
 
     def with_friction_alone(self) -> "Packing":
         return replace(self, law=COULOMB, viscosity=None)
-
-    @cached_property
-    def fastest(self) -> float:
-        """The largest imposed R omega, length/time."""
-        return float(np.linalg.norm(self.driven_speed, axis=1).max(initial=0.0))
 
     @classmethod
     def together(cls, samples: Sequence["Packing"]) -> "Packing":
@@ -298,18 +214,10 @@ class Packing(Bearing):
         stacked = {name: None if of[0] is None else read_only(np.stack(of)) for name, of in changes.items()}
         return first._with(**stacked, seeds=tuple(one.seed for one in samples))
 
-    def sample(self, number: int) -> "Packing":
-        """One of the samples alone."""
-        if self.replicas == 1:
-            return self
+    def _as_samples(self, pick: int | slice, seeds: tuple[int, ...]) -> "Packing":
         given = {name: getattr(self, name) for name in OF_SAMPLES}
-        one = {name: None if values is None else values[number] for name, values in given.items()}
-        return self._with(**one, seed=self.seeds[number], seeds=(self.seeds[number],))
-
-    def first(self, count: int) -> "Packing":
-        if count == self.replicas:
-            return self
-        return Packing.together([self.sample(number) for number in range(count)])
+        some = {name: None if values is None else values[pick] for name, values in given.items()}
+        return self._with(**some, seed=seeds[0], seeds=seeds)
 
     def _with(self, **changes: Any) -> "Packing":
         """The same with other values of fields, which are not checked."""
@@ -467,12 +375,6 @@ class Packing(Bearing):
             stored = read_arrays(path, group[: len(NEEDED)], group[len(NEEDED) :])
             found = {name.rpartition("/")[2]: values for name, values in stored.items()}
         return checks.columns_as_rows(found)
-
-    def arrays(self) -> dict[str, np.ndarray]:
-        """What a file holds, by name."""
-        given = {name: getattr(self, name) for name in (*NEEDED, *OPTIONAL)}
-        given["schematic"] = [1] if self.schematic else None
-        return {name: np.asarray(value) for name, value in given.items() if value is not None}
 
     def save(self, path: str | Path) -> Path:
         """Write the arrays into a new file, npz or HDF5 by its name; WriteError if it is there or cannot be written."""

@@ -3,34 +3,27 @@
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from itertools import product
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
 from taichi_bearings.errors import InputError
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.lattice.grid import AXIS_NAMES, MOST_SITES, axis_numbers
-from taichi_bearings.lattice.incidence import contact_differences, torques
-from taichi_bearings.numerics.double_double import Pair, add
 from taichi_bearings.options import COUNT, SEED, SHAPE, finite_number
-from taichi_bearings.read_only import cached_read_only
 from taichi_bearings.scene.array_files import own_array
-from taichi_bearings.scene.bearing import Bearing, as_one_driving
+from taichi_bearings.scene.bearing import Bearing
 from taichi_bearings.scene.bearing import vector_length as vector_length
 from taichi_bearings.scene.disorder import Distribution, Draw, draw_coefficients
-from taichi_bearings.scene.driving import Driving
+from taichi_bearings.scene.driving import Planes
 from taichi_bearings.scene.exact_driving import ExactDriving
-from taichi_bearings.scene.law import COULOMB, LAWS, Coefficients, Law, check_law, law_named
+from taichi_bearings.scene.law import COULOMB, LAWS, Law, check_law, law_named
+from taichi_bearings.scene.network import Network
 from taichi_bearings.words import html_table, shown
-
-if TYPE_CHECKING:
-    from taichi_bearings.scene.network import Network
 
 LEAST_DIRECTION = 1e-100  # least part of a direction that counts
 LEAST_COEFFICIENT, MOST_COEFFICIENT = 1e-15, 1e15
-# of the mean coefficient: what stands for an absent contact where a method must divide by it
-ABSENT_COEFFICIENT = 1e-12
+ALIKE = ("lattice", "network", "driving", "exact_driving")  # of all samples of a scene: found once
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -229,10 +222,8 @@ class Scene(Bearing):
         return Lattice((along_x[0] + (0 not in closed), *along_x[1:]), self.radius, closed)
 
     @cached_property
-    def network(self) -> "Network":
+    def network(self) -> Network:
         """Who touches whom; it makes arrays of the spheres and contacts when it is asked for them."""
-        from taichi_bearings.scene.network import Network  # and with it SciPy, which takes a third of a second
-
         return Network.of(self.lattice)
 
     @cached_property
@@ -247,24 +238,12 @@ class Scene(Bearing):
 
     @cached_property
     def named_coefficients(self) -> dict[str, np.ndarray]:
-        """Those of the law, (R, E) each, by their name in files, in the order of the law."""
         beside = {"viscosity": self._of_contacts(self.viscosity)} if self.viscosity else {}
         return {"coefficient": self.coefficient, **beside}
 
-    def sample(self, number: int) -> "Scene":
-        """One of the samples alone."""
-        if self.replicas == 1:
-            return self
-        return self._picked(number, self.seeds[number : number + 1])
-
-    def some(self, pick: slice) -> "Scene":
-        """Several of the samples, of a scene with more than one."""
-        return self._picked(pick, self.seeds[pick])
-
-    def _picked(self, pick: int | slice, seeds: tuple[int, ...]) -> "Scene":
-        found = object.__new__(Scene)  # nothing is to be checked again, nor found again what the driving alone decides
-        alike = ("lattice", "driving", "exact_driving", "minimum_spin_axes", "smallest_jump")
-        vars(found).update({name: getattr(self, name) for name in (*(item.name for item in fields(self)), *alike)})
+    def _as_samples(self, pick: int | slice, seeds: tuple[int, ...]) -> "Scene":
+        found = object.__new__(Scene)
+        vars(found).update({name: getattr(self, name) for name in (*(item.name for item in fields(self)), *ALIKE)})
         vars(found).update(
             coefficients=tuple(values[pick] for values in self.coefficients),
             viscosity=tuple(values[pick] for values in self.viscosity),
@@ -273,15 +252,15 @@ class Scene(Bearing):
         return found
 
     @cached_property
-    def driving(self) -> Driving:
+    def driving(self) -> Planes:
         """What is imposed on the two planes."""
         if self.top is not None and self.bottom is not None:
-            return Driving.by_states(self.lattice, self.top, self.bottom)
-        return Driving.by_spins(self.lattice, self.spin_top, self.spin_bottom, self.direction)
+            return Planes.by_states(self.lattice, self.top, self.bottom)
+        return Planes.by_spins(self.lattice, self.spin_top, self.spin_bottom, self.direction)
 
     @cached_property
     def exact_driving(self) -> ExactDriving:
-        """The same to 300 digits, as proofs take it."""
+        """What is imposed to 300 digits, as proofs take it."""
         if self.top is not None and self.bottom is not None:
             return ExactDriving.by_states(self.lattice, self.top, self.bottom)
         return ExactDriving.by_spins(self.lattice, self.spin_top, self.spin_bottom, self.direction)
@@ -289,21 +268,7 @@ class Scene(Bearing):
     @property
     def imposed(self) -> tuple[float, float]:
         """Spins of top and bottom, 1/time; where states are imposed, their largest sizes on the planes."""
-        return (self.spin_top, self.spin_bottom) if self.top is None else self.driving.largest_spins
-
-    @property
-    def is_drawn(self) -> bool:
-        return bool(self.drawn)
-
-    def imposed_spins(self) -> Pair:
-        every = self.lattice.all_spin_axes
-        staggered = np.zeros((len(every), 1, *self.lattice.shape))
-        spin, rest = self.sample(0).laboratory_pair(self.impose_driving(staggered, every), None, every)
-        return spin[0], rest[0]
-
-    @property
-    def sides(self) -> tuple[float, float]:
-        return self.imposed
+        return self.driving.sides
 
     def with_top(self, strength: float) -> "Scene":
         if self.top is None:
@@ -313,23 +278,6 @@ class Scene(Bearing):
     def with_friction_alone(self) -> "Scene":
         return replace(self, law=COULOMB, viscosity=())
 
-    @property
-    def fastest(self) -> float:
-        """The larger of their sizes, 1/time."""
-        return max(map(abs, self.imposed))
-
-    @cached_property
-    def minimum_spin_axes(self) -> tuple[int, ...]:
-        """Components the minimum needs.
-
-        Where top and bottom agree, the staggered spin is constant (equations.md, 3). Nor is the component along the
-        height of a cubic lattice ever needed: contacts along it do not feel it, so it is constant in each layer.
-        """
-        every, height = self.lattice.all_spin_axes, self.lattice.height_axis
-        jumps = [bool(jump.any()) for jump in self.driving.imposed_on_top(every)[0]]
-        needed = tuple(k for k, jump in zip(every, jumps, strict=True) if jump and k != height)
-        return needed or self.lattice.all_spin_axes[:1]  # no frustration: one component, to have something to show
-
     def top_spin(self, spin_axes: tuple[int, ...]) -> np.ndarray:
         """Staggered spin of the top plane, (C, *plane), 1/time; that of the bottom is 0.
 
@@ -337,151 +285,6 @@ class Scene(Bearing):
         Where the driving is nearly equal, slips are then not lost in the rounding of the spins.
         """
         return self.driving.imposed_on_top(spin_axes)[0]
-
-    def box(self, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """(2, C) lower and upper ends of the interval in which a minimiser has each component (equations.md, 4)."""
-        top = self.top_spin(spin_axes).reshape(len(spin_axes), -1)
-        return np.stack([top.min(axis=1, initial=0.0), top.max(axis=1, initial=0.0)])
-
-    @property
-    def jump(self) -> float:
-        """|difference of the imposed staggered spins|, the largest on the plane, 1/time: the natural unit of them."""
-        return self.driving.largest_jump
-
-    @cached_property
-    def smallest_jump(self) -> float:
-        """The same of the component that a minimum needs and that differs least; 0 without frustration."""
-        return float(np.abs(self.box(self.minimum_spin_axes)).max(axis=0).min())
-
-    @property
-    def strength(self) -> float:
-        """Factor that turns a friction coefficient into a contact force; 1 for the damping of the viscous law."""
-        return self.normal_force if self.law.quantities[0].is_friction else 1.0
-
-    @cached_read_only
-    def acting_coefficient(self) -> np.ndarray:
-        """(R, E) the coefficients with 0 for contacts between two driven spheres, which take no part."""
-        return self._acting(self.coefficient)
-
-    @cached_read_only
-    def idle(self) -> np.ndarray:
-        """(R, E) True for contacts that take no part: between two driven spheres, or absent."""
-        return self.lattice.between_driven | (self.coefficient == 0)
-
-    @property
-    def slip_radius(self) -> float:
-        return self.lattice.radius
-
-    @cached_read_only
-    def is_cut_off(self) -> np.ndarray:
-        """(R,), True where absent contacts leave the two driven planes unconnected: no contact need slip then."""
-        if (self.coefficient > 0).all():
-            return np.zeros(self.replicas, dtype=bool)
-        from scipy.sparse import coo_array
-        from scipy.sparse.csgraph import connected_components
-
-        sites, joined = self.lattice.sites, np.zeros(self.replicas, dtype=bool)
-        sphere = np.arange(sites).reshape(self.lattice.shape)
-        sphere[..., 0], sphere[..., -1] = 0, sites - 1
-        body = sphere.ravel()[self.lattice.ends]
-        for replica, felt in product(range(self.replicas), self.lattice.tangential_mask(self.minimum_spin_axes)):
-            low, high = body[:, felt & (self.coefficient[replica] > 0)]
-            graph = coo_array((np.ones(len(low), dtype=np.int8), (low, high)), shape=(sites, sites))
-            label = connected_components(graph, directed=False)[1]
-            joined[replica] |= label[0] == label[-1]
-        return ~joined
-
-    @cached_read_only
-    def positive_coefficient(self) -> np.ndarray:
-        """(R, E) the coefficients, with ABSENT_COEFFICIENT for absent contacts: for methods whose arithmetic needs each
-        sphere held. Answers are judged without them."""
-        mean = self.coefficient.mean(axis=1, keepdims=True)
-        return np.where(self.coefficient == 0, ABSENT_COEFFICIENT * np.where(mean > 0, mean, 1.0), self.coefficient)
-
-    def _acting(self, values: np.ndarray) -> np.ndarray:
-        return np.where(self.lattice.between_driven, 0.0, values)
-
-    @cached_read_only
-    def driven_speed(self) -> np.ndarray:
-        """u = R omega (N, C) of the components that a minimum needs, measured from the bottom: 0 but on the top."""
-        axes = self.minimum_spin_axes
-        u = np.zeros((*self.lattice.shape, 3))
-        top = self.lattice.parity[..., -1, None] * np.moveaxis(self.top_spin(axes), 0, -1)
-        u[..., -1, list(axes)] = self.lattice.radius * top
-        return as_one_driving(u.reshape(-1, 3) if self.lattice.dimension == 3 else u[..., 2].reshape(-1, 1))
-
-    @cached_read_only
-    def material(self) -> Coefficients:
-        """What the functions of the law take for all contacts, (R, E) each; 0 between two driven spheres."""
-        held, *beside = self.named_coefficients.values()
-        return (self.strength * self._acting(held), *map(self._acting, beside))
-
-    @property
-    def is_driven(self) -> np.ndarray:
-        return self.lattice.is_driven
-
-    def differences(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        return contact_differences(staggered, self.lattice, spin_axes)
-
-    def pulls(self, force: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        return torques(force, self.lattice, spin_axes)
-
-    def absolute(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        return staggered + self.driving.bottom_state(spin_axes)[0]
-
-    def laboratory_spin(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Spins as one sees them: (R, *N) in 2D, (R, *N, 3) in 3D, 1/time.
-
-        Components left out go linearly from bottom to top, which is constant where the two agree.
-        """
-        return self.laboratory_pair(staggered, None, spin_axes)[0]
-
-    def laboratory_pair(self, staggered: np.ndarray, rest: np.ndarray | None, spin_axes: tuple[int, ...]) -> Pair:
-        """The same in twice the precision: spins, and what their rounding leaves out.
-
-        rest : (C, R, *N), what is to be added to the staggered spins, if anything; of the driven planes it is known.
-        """
-        every = self.lattice.all_spin_axes
-        high = np.empty((len(every), self.replicas, *self.lattice.shape))
-        low, top = np.zeros_like(high), self.driving.imposed_on_top(every)
-        for slot, component in enumerate(every):
-            if component in spin_axes:
-                high[slot] = staggered[spin_axes.index(component)]
-                if rest is not None:
-                    low[slot] = rest[spin_axes.index(component)]
-            else:
-                high[slot] = np.linspace(0.0, top[0][slot], self.lattice.shape[-1], axis=-1)
-            low[slot][..., -1] = np.where(top[0][slot] != 0, top[1][slot], low[slot][..., -1])
-        bottom = self.driving.bottom_state(every)
-        pair = [part * self.lattice.parity for part in add((high, low), bottom)]
-        spin, rounding = (
-            p[0] if self.lattice.dimension == 2 else np.ascontiguousarray(np.moveaxis(p, 0, -1)) for p in pair
-        )
-        return spin, rounding
-
-    def staggered_spin(self, spin: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Inverse of :meth:`laboratory_spin`: (C, R, *N) with the driven planes set to their imposed values."""
-        if self.lattice.dimension == 2:
-            staggered = (spin * self.lattice.parity)[None].astype(np.float64)
-        else:
-            staggered = np.moveaxis((spin * self.lattice.parity[..., None])[..., list(spin_axes)], -1, 0)
-            staggered = np.ascontiguousarray(staggered, dtype=np.float64)
-        staggered -= self.driving.bottom_state(spin_axes)[0]
-        return self.impose_driving(staggered, spin_axes)
-
-    def impose_driving(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """The same staggered spins (C, R, *N), changed in place: the driven planes carry their imposed values."""
-        staggered[..., 0], staggered[..., -1] = 0.0, self.top_spin(spin_axes)[:, None]
-        return staggered
-
-    def clip_to_box(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Staggered spins (C, R, *N) in the interval of the driven values (equations.md, 4).
-
-        A minimiser lies there, and clipping never raises the power.
-        """
-        low, high = self.box(spin_axes)
-        shape = (-1, *(1,) * (staggered.ndim - 1))
-        return np.clip(staggered, low.reshape(shape), high.reshape(shape))
 
 
 def imposed_direction(given: Any) -> tuple[float, float, float]:
