@@ -13,7 +13,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from taichi_bearings import compiler, devices
+from taichi_bearings import compiler, devices, walks
 from taichi_bearings.errors import DeviceError
 from taichi_bearings.words import meant
 
@@ -159,6 +159,8 @@ def start(arch: str = "cpu", precision: str = "f64", threads: int = 0, debug: bo
             offline_cache_file_path=str(kept or Path(__file__).parent),  # at its end it makes sure that this is there
         )
     ti.lang.impl.current_cfg().cpu_max_num_threads = MOST_THREADS  # a part of the name of every cached kernel
+    if kept is not None and compiler.name() == "taichi":
+        walks.keep(ti, kept.parent / "walks")
     _current, _owner, _program = wanted, os.getpid(), running_program()
     return wanted
 
