@@ -29,11 +29,11 @@ from typing import Any
 COMPILER = (1, 7, 4)  # version of Taichi whose inner functions are known here
 KERNELS = "taichi_bearings.kernels"  # the package whose functions may be kept
 MOST_FILES = 600  # in the folder; beyond, the half that was written first goes
-PLACES = ("offline_cache_file_path",)  # settings of the compiler that no walk depends on
+UNRELATED = ("offline_cache_file_path",)  # settings of the compiler that no walk depends on
 # calls of the core that leave nothing behind but what they find, and those of them that find no object of the core
 QUERIES = ("get_", "shape", "element_type", "item of")
 ASIDE = ("is_", "set_dbg_info", "ast_builder", "get_shape", "get_raw_address", "to_string", "size")
-PLAIN = bool, int, float, str, type(None)
+SIMPLE = bool, int, float, str, type(None)
 COMPILER_MODULES = "taichi.lang."
 LIST, ITEM = "list of", "item of"  # steps of a walk that are no calls of the core
 GIVEN, CONSTANT, RESULT = range(3)  # where a value of a walk comes from
@@ -218,14 +218,14 @@ class _Record:
         self._places[id(result)] = RESULT, number
         if isinstance(result, (list, tuple)):
             for n, item in enumerate(result):
-                if type(item) not in PLAIN:
+                if type(item) not in SIMPLE:
                     self._steps.append((ITEM, [(RESULT, number), self._constant((PLAINLY, n))], (), True))
                     self._places[id(item)] = RESULT, len(self._steps) - 1
 
     def _place(self, value: Any) -> tuple[int, int]:
         """Where a value is found when the walk is repeated. Raises Unkept."""
         kind = type(value)
-        if kind in PLAIN:
+        if kind in SIMPLE:
             return self._constant((PLAINLY, value))
         if kind in self._given:
             return self._given[kind]
@@ -295,7 +295,7 @@ def _is_ours(module: str) -> bool:
 
 def _named(value: Any, above: tuple) -> Any:
     """A value that encloses a kernel as numbers and texts, the same in every process. Raises Unkept."""
-    if type(value) in PLAIN:
+    if type(value) in SIMPLE:
         return value
     if isinstance(value, types.ModuleType):
         return value.__name__
@@ -333,7 +333,7 @@ def _names_in(code: types.CodeType) -> set[str]:
 def _value_at(module: str, name: str) -> str:
     """A number or text as it stands in a module; of others what they are called."""
     value = getattr(sys.modules.get(module), name, None)
-    if isinstance(value, (*PLAIN, tuple)):
+    if isinstance(value, (*SIMPLE, tuple)):
         return repr(value)
     return f"{type(value).__name__} {getattr(value, '__module__', '')} {getattr(value, '__qualname__', '')}"
 
@@ -347,7 +347,9 @@ def _surroundings() -> list[str]:
 
 def _settings(config: Any) -> list[str]:
     """The settings of the compiler."""
-    names = [name for name, value in vars(type(config)).items() if isinstance(value, property) and name not in PLACES]
+    names = [
+        name for name, value in vars(type(config)).items() if isinstance(value, property) and name not in UNRELATED
+    ]
     return [f"{name} {getattr(config, name)}" for name in names]
 
 
