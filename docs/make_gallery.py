@@ -1,4 +1,4 @@
-"""The pictures of gallery.md: runs the commands of that page in a folder of its own, and copies the figures here."""
+"""Draws the pictures of the gallery in packings.md: runs its commands in a new folder and copies the figures here."""
 
 import shlex
 import shutil
@@ -11,7 +11,7 @@ HERE = Path(__file__).parent
 
 
 def make() -> None:
-    page = (HERE / "gallery.md").read_text(encoding="utf-8")
+    page = (HERE / "packings.md").read_text(encoding="utf-8").partition("## Gallery")[2]
     with tempfile.TemporaryDirectory() as folder:
         shutil.copytree(HERE.parent / "examples", Path(folder) / "examples")
         for line in page.splitlines():
