@@ -111,7 +111,7 @@ def measure(shape: tuple[int, ...], rounds: int, steps: int) -> Found:
             found = {name: Times(np.array(each)) for name, each in in_turns(calls, rounds).items()}
         for name, times in found.items():
             yield {
-                "what": name, "shape": shape, "components": method.stencil.components, **times.row,  # of ours
+                "what": name, "shape": shape, "components": len(method.spin_axes), **times.row,  # of ours
                 "contact_updates": scene.lattice.contacts / times.seconds,
                 **({} if name == OURS else {"ratio": times.over(found[OURS])}),
             }  # fmt: skip

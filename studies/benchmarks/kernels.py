@@ -89,7 +89,7 @@ def _candidate(name: str, method: Any, scene: Scene, start: str) -> Candidate:
         began = time.perf_counter()
         method.begin(scene, spin)
         took.append(time.perf_counter() - began)
-    return Candidate(name, method.advance, method.stencil.components, max(took[0] - took[1], 0.0))
+    return Candidate(name, method.advance, len(method.spin_axes), max(took[0] - took[1], 0.0))
 
 
 def draw_throughput(rows: Sequence[Mapping[str, Any]]) -> Figure:

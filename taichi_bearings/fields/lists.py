@@ -11,6 +11,8 @@ from taichi_bearings.lattice.layout import Rows
 
 ListSpec = tuple[FieldSpec, FieldSpec]
 """Fields that each sphere has, and fields that each contact has: names and numbers of components."""
+AnySpec = FieldSpec | ListSpec
+"""Fields of a lattice, or of lists."""
 
 
 @dataclass(frozen=True)

@@ -181,7 +181,7 @@ def work_and_bound(scene: Scene, balanced: Forces, spin_axes: tuple[int, ...]) -
     return work, np.maximum(bound, 0.0)
 
 
-def relative_gap(scene: Scene, objective: np.ndarray, bound: np.ndarray) -> np.ndarray:
+def relative_gap(scene: Bearing, objective: np.ndarray, bound: np.ndarray) -> np.ndarray:
     """(objective - lower bound) / objective, (R,); NaN where either is not a number, so that nothing follows from it.
 
     Without a jump, or where absent contacts cut the bottom from the top, the least objective is 0 and a relative gap

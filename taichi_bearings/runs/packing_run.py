@@ -13,6 +13,7 @@ from taichi_bearings.errors import DeviceError, InputError
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.options import options_of
 from taichi_bearings.packing import solve_packing
+from taichi_bearings.packing.starts import start_of
 from taichi_bearings.proof.contact_state import by_threshold, decided, what_is_proven
 from taichi_bearings.runs.settings import OF_SIDES, SIZES, RunSettings
 from taichi_bearings.runs.solved import Run
@@ -20,7 +21,7 @@ from taichi_bearings.runs.torque import refuse_driven, under_torque
 from taichi_bearings.scene import Bearing, Solution, Status
 from taichi_bearings.scene.array_files import read_arrays, read_coefficients
 from taichi_bearings.scene.initial_spins import STARTS
-from taichi_bearings.scene.packing import Packing
+from taichi_bearings.scene.packing import Packing, of_packing
 from taichi_bearings.scene.readers.found import TOLERANCE, Sides, completed
 from taichi_bearings.solvers.table import METHODS, InteriorPoint, MethodOptions, row_of_packing
 from taichi_bearings.stages import stage
@@ -180,7 +181,7 @@ ON_DEVICE = ("arch", "precision", "threads")
 
 def solved_packing(settings: RunSettings, packing: Bearing, start: Any = None, **others: Any) -> Solution:
     """The answer of the method that the settings name. start : instead of the one that they name. others : density,
-    monitors and checkpoints of :func:`follow_packing`."""
+    monitors and checkpoints of :func:`_stepped`."""
     row, given = row_of_packing(settings.method), settings.given
     device = {key: given[key] for key in ON_DEVICE if key in given}
     if row is None:
@@ -190,15 +191,11 @@ def solved_packing(settings: RunSettings, packing: Bearing, start: Any = None, *
             runtime.start(threads=threads)
         found = solve_packing(packing, settings.tolerance, settings.method)
     else:
-        from taichi_bearings.solvers.packings import follow_packing  # and with it Taichi's kernels
-        from taichi_bearings.solvers.recording import Recording
-        from taichi_bearings.solvers.stopping import StopRule
-
         method = row(**{key: value for key in options_of(row) if (value := getattr(settings, key)) is not None})
         if device:
             runtime.start(**device)
-        first, stop = settings.initial if start is None else start, StopRule.of(settings)
-        found = follow_packing(packing, method, first, stop, Recording.of(settings), **others)
+        first = settings.initial if start is None else start
+        found = _stepped(packing, method, first, settings, **others)
     if settings.torque is not None and found.status is not Status.INTERRUPTED:
         free = replace(settings, torque=None, slip_threshold=None)
         found = under_torque(found, settings.torque, lambda other: solved_packing(free, other, **others))
@@ -207,3 +204,28 @@ def solved_packing(settings: RunSettings, packing: Bearing, start: Any = None, *
     told, known = by_threshold(found.slip, found.state, threshold), what_is_proven(found.state, found.proven)
     state, proven = decided(told, known, is_present=True)
     return replace(found, state=state, proven=proven, slip_threshold=threshold)
+
+
+def _stepped(
+    packing: Bearing,
+    options: MethodOptions,
+    start: str | np.ndarray,
+    settings: RunSettings,
+    density: Any = None,
+    monitors: Sequence[Any] = (),
+    checkpoints: Any = None,
+) -> Solution:
+    """A dynamics or descent of a packing. start : as of `start_of`. density : as of `Packing.inertias`. monitors,
+    checkpoints : as of `solvers.drive.solve`."""
+    from taichi_bearings.solvers.drive import solve  # and with it Taichi's kernels
+    from taichi_bearings.solvers.dynamics import Dynamics
+    from taichi_bearings.solvers.recording import Recording
+    from taichi_bearings.solvers.stopping import StopRule
+
+    method = options.build()
+    if isinstance(method, Dynamics):
+        method.density = density
+    elif density is not None:
+        raise InputError(f"density is given, but {options.name} has no use for it; dynamics have")
+    spin = packing.laboratory_spin(start_of(of_packing(packing), start), packing.minimum_spin_axes)
+    return solve(packing, method, spin, StopRule.of(settings), monitors, None, Recording.of(settings), checkpoints)

@@ -406,3 +406,9 @@ def _states(given: dict[str, Any], dimension: int) -> np.ndarray:
 
 def _in_space(place: np.ndarray) -> np.ndarray:
     return place if place.shape[1] == 3 else np.column_stack([place, np.zeros(len(place))])
+
+
+def of_packing(bearing: Bearing) -> Packing:
+    """Return the same, where packings alone are spoken of."""
+    assert isinstance(bearing, Packing)
+    return bearing

@@ -6,24 +6,24 @@ dynamical run proves its own gap.
 """
 
 from collections.abc import Mapping
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 
 from taichi_bearings.errors import InputError
-from taichi_bearings.fields import team_size
-from taichi_bearings.kernels.cundall_strack import CundallStrackSteps
-from taichi_bearings.kernels.team import Sweeps, Team, made_once
-from taichi_bearings.scene import Energy, Progress, Scene
-from taichi_bearings.solvers.dynamics import WATCH_NAMES, SpringDynamics, inertia_of, replica_sum
+from taichi_bearings.fields import Fields
+from taichi_bearings.fields.lists import AnySpec
+from taichi_bearings.scene import Bearing, Energy, Progress, Scene
+from taichi_bearings.scene.scene import of_lattice
+from taichi_bearings.solvers.dynamics import WATCH_NAMES, SpringDynamics, replica_sum
 from taichi_bearings.solvers.gear import (
     GEAR_COEFFICIENTS,
     Modes,
     laplacian_spectrum,
     largest_laplacian_eigenvalue,
     largest_stable_step,
-    largest_weighted_eigenvalue,
 )
+from taichi_bearings.solvers.on_strides import fastest_modes, inertia_of
 from taichi_bearings.solvers.table import CundallStrack
 
 DEFAULT_STEP = 0.8  # of the stability bound
@@ -39,17 +39,18 @@ class CundallStrackMethod(SpringDynamics):
 
     kept = WATCH_NAMES
     same_force, checks = 1e-12, (100, 16, 0.0)
-    stepping = CundallStrackSteps
     resumable = False
     before_last: dict[str, np.ndarray] | None = None
     books_before: tuple[np.ndarray, ...] | None = None  # work, injected, power and pull of contacts before that step
 
-    def begin(self, scene: Scene, spin: np.ndarray) -> None:
+    def begin(self, scene: Bearing, spin: np.ndarray) -> None:
         super().begin(scene, spin)
+        scene = self.scene
         options, beside, replicas = self.options, scene.viscosity_beside_friction, scene.replicas
         # over the radius, as the force of the device law
-        self.use(self.needed(), None if beside is None else scene.slip_radius * beside)
-        bound = self._largest_step()
+        self.contacts.use(self.needed(), None if beside is None else scene.slip_radius * beside)
+        bound = largest_step(options, scene.law.holds, *self.contacts.fastest_modes(self.inertia))
+        self.unit_inertia = self.contacts.unit_inertia(self.inertia)
         self.stability_bound = bound if np.isfinite(bound) else 1.0  # where nothing acts any step is right
         if (options.time_step or 0.0) > self.stability_bound:
             given, most = options.time_step, self.stability_bound
@@ -59,28 +60,20 @@ class CundallStrackMethod(SpringDynamics):
         self._load_gear(scene.staggered_spin(spin, self.spin_axes))
         is_free = np.where(scene.is_driven, 0.0, self.unit_inertia / self.inertia)
         self.fields.load("is_free", np.broadcast_to(is_free, (1, replicas, *scene.network.shape)))
-        self.team, self.steps = self._kernels(GEAR_COEFFICIENTS[options.gear_order])
+        self.team, self.steps = self.contacts.springs(GEAR_COEFFICIENTS[options.gear_order])
         self.steps.compile(self.fields, self.team)
 
-    def needed(self) -> Any:
+    @property
+    def fields(self) -> Fields:
+        """The numbers of all spheres and contacts."""
+        return self.contacts.fields
+
+    def needed(self) -> AnySpec:
         """The fields of the steps."""
         energy, holds, order = self.options.energy, self.scene.law.holds, self.options.gear_order
         moved = [*(f"gear_{n}" for n in range(order + 1)), "predicted", *["integral"] * holds, *["impulse"] * energy]
         spheres = dict.fromkeys(moved, len(self.spin_axes)) | {"is_free": 1}
-        return self.specified(spheres, ["force", *["elongation"] * holds, *["work"] * energy])
-
-    @property
-    def unit_inertia(self) -> float:
-        """Inertia of a sphere whose field `is_free` holds 1."""
-        return self.inertia
-
-    def _largest_step(self) -> float:
-        return stability_bound(self.scene, self.spin_axes, self.options)
-
-    def _kernels(self, corrector: tuple[float, ...]) -> tuple[Team, Sweeps]:
-        numbers = self.stencil.components + self.stencil.force_components
-        team = Team(team_size(self.fields.layout, numbers))
-        return team, made_once(self.stepping, self.spec, self.stencil, corrector)
+        return self.contacts.specified(spheres, ["force", *["elongation"] * holds, *["work"] * energy])
 
     def _load_gear(self, staggered: np.ndarray) -> None:
         """Spins and their derivatives at the start, from the equation of motion. Without those of the sticking springs
@@ -98,7 +91,7 @@ class CundallStrackMethod(SpringDynamics):
         if scene.law.holds:
             self.fields.load("integral", _mean_of(derivatives))
         if options.energy:
-            self._load_force(forces[0])
+            self.contacts.load_force(forces[0])
             self.open_books(staggered)
             self.power_at_start = self._contact_power(forces[0], staggered)
             self.pull_at_start = self.pulls(forces[0])
@@ -175,7 +168,7 @@ class CundallStrackMethod(SpringDynamics):
         ends = self.iteration + steps == self._steps_to(self.end)
         shorter = ends and (self.iteration + steps) * self.time_step > self.end * (1 + SAME_STEP)
         if whole := steps - int(shorter):
-            self.steps.run(self.fields, self.team, whole, self.numbers(self.time_step))
+            self.contacts.run(self.team, self.steps, whole, self.numbers(self.time_step))
             self.iteration += whole
             self.time = self.iteration * self.time_step
         if shorter:
@@ -207,7 +200,7 @@ class CundallStrackMethod(SpringDynamics):
         if self.scene.law.holds:
             corrected = self.fields.read("integral") - _mean_of(old)
             self.fields.load("integral", _mean_of(new) + corrected / share)
-        self.steps.run(self.fields, self.team, 1, self.numbers(span))
+        self.contacts.run(self.team, self.steps, 1, self.numbers(span))
         self.iteration += 1
         self.last_span = span
 
@@ -217,11 +210,13 @@ class CundallStrackMethod(SpringDynamics):
 
     def motion(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         staggered = self.spins()
-        force = self.read_forces("force") if self.iteration else self.damping_force(staggered)
-        return staggered, force, self.read_forces("elongation") if self.scene.law.holds else np.zeros_like(force)
+        force = self.contacts.read_forces("force") if self.iteration else self.damping_force(staggered)
+        stretch = self.contacts.read_forces("elongation") if self.scene.law.holds else np.zeros_like(force)
+        return staggered, force, stretch
 
     def findings(self, last: Progress) -> dict[str, np.ndarray]:
-        modes = sticking_modes(self.scene, self.spin_axes, self.options, self.start_spin, self.stability_bound)
+        scene = of_lattice(self.scene)
+        modes = sticking_modes(scene, self.spin_axes, self.options, self.start_spin, self.stability_bound)
         of, replicas = (self.options.gear_order, self.time_step, self.iteration), self.scene.replicas
         found = {"step_error": modes.error(*of), "accurate_time_step": modes.accurate_step(*of)}
         return super().findings(last) | {name: np.full(replicas, value) for name, value in found.items()}
@@ -257,13 +252,14 @@ class CundallStrackMethod(SpringDynamics):
         work = replica_sum(self.fields.read("work")) + (power - self.power_at_start) / 2
         return reach * work, -reach * replica_sum(pull * driven)
 
-    def _load_force(self, force: np.ndarray) -> None:
-        self.fields.load("force", self.stencil.forces_at_lower_sphere(force, self.fields.layout))
-
     def is_believed(self, found: Progress) -> bool:
-        """With mu_s > mu_k, where the certificate need not agree, only after the driven planes could have stretched the
-        springs to slipping."""
-        return self.time >= self._loading_time() if self.options.static_ratio > 1 else super().is_believed(found)
+        """By the best bound so far. Where none can be proven, and with mu_s > mu_k, where the certificate need not
+        agree, only after the driven planes could have stretched the springs to slipping."""
+        if self.contacts.has_no_bound and not self.scene.network.contacts:
+            return True
+        if self.contacts.has_no_bound or self.options.static_ratio > 1:
+            return self.time >= self._loading_time()
+        return super().is_believed(replace(found, lower_bound=self.contacts.best_bound(found.lower_bound)))
 
     def _loading_time(self) -> float:
         """Time in which the driven planes stretch a spring ten times as far as the strongest contact can hold."""
@@ -280,9 +276,7 @@ def _mean_of(derivatives: list[np.ndarray]) -> np.ndarray:
 
 def stability_bound(scene: Scene, spin_axes: tuple[int, ...], options: CundallStrack) -> float:
     """Largest stable time step while all contacts stick, from the stiffest mode of this lattice; slipping is softer."""
-    over = scene.slip_radius**2 / inertia_of(scene, options)
-    decay = over * largest_weighted_eigenvalue(scene, spin_axes) if scene.law.flows else 0.0
-    return largest_step(options, scene.law.holds, decay, over * largest_laplacian_eigenvalue(scene.lattice, spin_axes))
+    return largest_step(options, scene.law.holds, *fastest_modes(scene, spin_axes, inertia_of(scene, options)))
 
 
 def largest_step(options: CundallStrack, holds: bool, decay: float, stiffest: float) -> float:

@@ -12,12 +12,14 @@ from taichi_bearings import leaving, runtime
 from taichi_bearings.errors import DeviceError, FileError, InputError
 from taichi_bearings.interrupts import GivenUp, Interrupt, while_wanted
 from taichi_bearings.proof.certificate import Forces, relative_gap
-from taichi_bearings.scene import Bearing, Progress, Scene, Solution, Status
+from taichi_bearings.scene import Bearing, Progress, Solution, Status
+from taichi_bearings.scene.scene import of_lattice
 from taichi_bearings.solvers.answer import answered, known_states, named
+from taichi_bearings.solvers.contacts import Ended
 from taichi_bearings.solvers.dynamics import Dynamics
 from taichi_bearings.solvers.method import Method
 from taichi_bearings.solvers.recording import Recorder, Recording
-from taichi_bearings.solvers.stopping import StopRule
+from taichi_bearings.solvers.stopping import StopRule, ended_as
 from taichi_bearings.solvers.table import JUDGED_SECONDS
 from taichi_bearings.stages import stage
 
@@ -65,7 +67,7 @@ class Checkpoints:
 
 
 def solve(
-    scene: Any,
+    scene: Bearing,
     method: Method,
     spin: np.ndarray,
     stop: StopRule | None = None,
@@ -76,7 +78,7 @@ def solve(
 ) -> Solution:
     """Run `method` on `scene` from the laboratory spins `spin` until `stop` says so.
 
-    scene : a lattice, or a packing with the contacts that act alone, without a slip threshold.
+    scene : a lattice, or a packing without a slip threshold.
     slip_threshold : length/time; contacts slipping less count as slipless. Default: what the method can resolve.
     recording : for a dynamics. checkpoints : for a method that `resumes`.
     Ctrl-C ends the run with status INTERRUPTED and everything reached so far, unless the answer is reached already;
@@ -93,7 +95,7 @@ def solve(
             method.begin(scene, spin)
         if interrupt.heard:  # nothing is reached yet
             raise KeyboardInterrupt
-        course = Course(scene, method, stop or StopRule(), recording or Recording(), checkpoints, interrupt)
+        course = Course(method, stop or StopRule(), recording or Recording(), checkpoints, interrupt)
         with leaving.saving():  # what is reached from here on
             with stage("solving") as solving:
                 course.follow([solving.tell, *monitors])
@@ -140,16 +142,15 @@ class Course:
 
     def __init__(
         self,
-        scene: Any,
-        method: Any,
+        method: Method,
         stop: StopRule,
         recording: Recording,
         checkpoints: Checkpoints | None,
         interrupt: Interrupt,
     ) -> None:
-        self.scene, self.method, self.stop, self.recording = scene, method, stop, recording
+        self.scene, self.method, self.stop, self.recording = method.scene, method, stop, recording
         self.checkpoints, self.interrupt = checkpoints, interrupt
-        self.best, self.recorder = _Best(scene, method), Recorder(scene, recording)
+        self.best, self.recorder = _Best(method), Recorder(method.scene, recording)
         self.target, self.launch = 0, 64  # iteration of the next look at the progress; iterations at a time
         self.began = self.called = self.written_at = time.perf_counter()
         if isinstance(method, Dynamics):
@@ -252,27 +253,21 @@ class Course:
         self.checkpoints.write(self.method.state() | self.recorder.state() | self.best.state() | own)
         self.written_at = time.perf_counter()
 
-    def ended_as(self, found: Solution) -> Status:
-        """How it ended, for an answer that is not proven: a motion is at rest where next to nothing is left of a power
-        whose least value is 0, and of which no bound can be a part."""
-        if self.status is not Status.CERTIFIED:
-            return self.status
-        at_rest = isinstance(self.method, Dynamics) and bool((found.lower_bound == 0).any())
-        return Status.STATIONARY if at_rest else Status.STALLED
-
     def answer(self, threshold: float | None) -> Solution:
         """What the best state and the best forces amount to, and how the course came there."""
         history, snapshots, last, seconds = self.recorder.history(), self.recorder.snapshots(), self.last, self.seconds
-        of_packing = self.method.answered(self) if isinstance(self.method, Method) else None
+        best, status, options = self.best, self.status, self.method.options
+        ended = Ended(status, best.progress, best.bound, best.proof, last.iteration, self.stop, options)
+        of_packing = self.method.contacts.answered(ended)
         if of_packing is not None:
             return replace(of_packing, seconds=seconds, history=history, snapshots=snapshots)
-        scene, best, status = self.scene, self.best, self.status
+        scene = of_lattice(self.scene)
         findings = self.method.findings(last) if isinstance(self.method, Dynamics) else best.progress.findings
         final = replace(best.progress, iteration=last.iteration, ended=last.ended, findings=findings)
         found, judgement = answered(scene, self.method, final, best.proof, best.bound, threshold)
         if status in (Status.CERTIFIED, Status.STALLED):
             certified = (found.gap <= self.stop.tolerance).all()
-            status = Status.CERTIFIED if certified else self.ended_as(found)
+            status = Status.CERTIFIED if certified else ended_as(status, found, isinstance(self.method, Dynamics))
         moves = isinstance(self.method, Dynamics) and not scene.law.flows
         has_ended, known = moves and threshold is None and status is Status.CERTIFIED, None
         with suppress(GivenUp), self.interrupt.at_once(self.stop.seconds - self._seconds_of_this_call):
@@ -294,8 +289,8 @@ class _Best:
     proof : forces (C, R, E) from which that bound follows.
     """
 
-    def __init__(self, scene: Scene, method: Any) -> None:
-        self.scene, self.method, self.keeps_best = scene, method, not isinstance(method, Dynamics)
+    def __init__(self, method: Method) -> None:
+        self.scene, self.method, self.keeps_best = method.scene, method, not isinstance(method, Dynamics)
         self.progress: Progress
         self.proof: Forces = np.zeros(0)  # none yet
         self.bound = np.zeros(0)  # none yet

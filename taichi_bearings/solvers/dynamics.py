@@ -10,7 +10,7 @@ import numpy as np
 
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.proof.certificate import relative_gap
-from taichi_bearings.scene import Energy, Progress, Scene
+from taichi_bearings.scene import Bearing, Energy, Progress
 from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.solvers.method import Method
 
@@ -20,18 +20,12 @@ WATCH_NAMES = tuple(f"rest.{name}" for name in ("iteration", "time", "quiet_chec
 ENERGY_NAMES = ("work", "injected", "energy_at_start")
 
 
-def inertia_of(scene: Scene, options: Any) -> float:
-    """The one that is given, or m R^2 / 2 of a disc or 2 m R^2 / 5 of a sphere."""
-    usual = options.mass * scene.slip_radius**2 * (0.5 if scene.lattice.dimension == 2 else 0.4)
-    return float(options.inertia or usual)
-
-
 def replica_sum(values: np.ndarray) -> np.ndarray:
     """(R,) from (T, R, ...): the sum over everything but the replicas."""
     return values.sum(axis=(0, *range(2, values.ndim)))
 
 
-def saturated(scene: Scene, force: np.ndarray, slip: np.ndarray, tolerance: float) -> tuple[np.ndarray, float]:
+def saturated(scene: Bearing, force: np.ndarray, slip: np.ndarray, tolerance: float) -> tuple[np.ndarray, float]:
     """How many contacts (R,) bear all the friction they can, to a relative tolerance, and so slip; and the largest slip
     speed of one that holds, length/time: by less a contact is not known to slip. That is at most REST_SLIP of the
     imposed jump, so that contacts which slip plainly are told from the first step on.
@@ -99,31 +93,20 @@ class Dynamics(Method):
     kept : what its further course depends on, by name, beside the clock; WATCH_NAMES and ENERGY_NAMES if it has them.
     rest_gap : proven gap from which a stationary state is believed to be one.
     time : simulated time. aim : the next one at which a state is wanted. end : the one at which the run ends, infinity
-    if it has none. halted : it cannot make another step.
+    if it has none. halted : it cannot make another step. density : of the spheres of a packing, as of
+    `Packing.inertias`; it is set before the method begins.
     """
 
     resumes = True
     kept: ClassVar[tuple[str, ...]] = ()
     rest_gap: ClassVar = 1e-4
     aim = end = np.inf
+    density: Any = None
 
-    def begin(self, scene: Scene, spin: np.ndarray) -> None:
+    def begin(self, scene: Bearing, spin: np.ndarray) -> None:
         super().begin(scene, spin)
-        self.inertia = self.inertias(scene)
+        self.inertia = self.contacts.inertias(self.options, self.density)
         self.iteration, self.time, self.halted = 0, 0.0, False
-
-    def carried(self, scene: Scene, spin: np.ndarray) -> tuple[int, ...]:
-        """Components a dynamics needs: those of the minimum, and any in which these laboratory spins (R, *N, 3) start
-        unlike the driven planes."""
-        needed = scene.minimum_spin_axes
-        if scene.lattice.dimension == 2:
-            return needed
-        full = scene.staggered_spin(spin, scene.lattice.all_spin_axes)
-        return tuple(k for k in scene.lattice.all_spin_axes if k in needed or full[k].any())
-
-    def inertias(self, scene: Scene) -> Any:
-        """Of the free spheres."""
-        return inertia_of(scene, self.options)
 
     def aim_at(self, time: float) -> None:
         """The next simulated time at which a state is wanted; infinity for none.
@@ -139,7 +122,8 @@ class Dynamics(Method):
     def state(self) -> dict[str, np.ndarray]:
         """Everything that the further course depends on."""
         values = ((name, attrgetter(name)(self)) for name in ("iteration", "time", *self.kept))
-        return {name: np.array(value, np.int64 if isinstance(value, tuple) else None) for name, value in values}
+        own = {name: np.array(value, np.int64 if isinstance(value, tuple) else None) for name, value in values}
+        return own | self.contacts.state()
 
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
         """Go on from such a state; called after `begin`."""
@@ -147,6 +131,7 @@ class Dynamics(Method):
             *path, last = name.split(".")
             owner: Any = reduce(getattr, path, self)
             setattr(owner, last, _like(getattr(owner, last), state[name]))
+        self.contacts.restore(state)
 
     def findings(self, last: Progress) -> dict[str, np.ndarray]:
         """What else is found, by name, (R,) each. last : the state at the end."""
@@ -205,7 +190,7 @@ class SpringDynamics(Dynamics):
     same_force: ClassVar[float]
     checks: ClassVar[tuple[int, int, float]]
 
-    def begin(self, scene: Scene, spin: np.ndarray) -> None:
+    def begin(self, scene: Bearing, spin: np.ndarray) -> None:
         super().begin(scene, spin)
         self.rest = RestWatch(*self.checks, np.full(scene.replicas, np.inf))
 

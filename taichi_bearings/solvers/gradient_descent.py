@@ -20,12 +20,8 @@ import numpy as np
 
 from taichi_bearings import runtime
 from taichi_bearings.errors import InputError
-from taichi_bearings.fields import team_size
-from taichi_bearings.kernels.contact import FORCES
-from taichi_bearings.kernels.descent import DescentSweeps
-from taichi_bearings.kernels.team import Sweeps, Team, made_once
-from taichi_bearings.lattice.incidence import weights
-from taichi_bearings.scene import Progress, Scene
+from taichi_bearings.fields import Fields
+from taichi_bearings.scene import Bearing, Progress
 from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.solvers.method import Method
 from taichi_bearings.solvers.table import GradientDescent
@@ -44,26 +40,26 @@ class GradientDescentMethod(Method):
 
     resumes = True
     numbers_kept = ("iteration", "age", "width", "step_length", "epoch_start", "epoch_length", "averaged")
-    points: tuple[str, ...] = ("point", "point_next")
-    forces: tuple[str, ...] = ()
 
     def __init__(self, options: GradientDescent) -> None:
         super().__init__(options)
         self.momentum = options.momentum
 
-    def begin(self, scene: Scene, spin: np.ndarray) -> None:
+    def begin(self, scene: Bearing, spin: np.ndarray) -> None:
         super().begin(scene, spin)
+        scene, contacts = self.scene, self.contacts
         beside = scene.viscosity_beside_friction  # in units of the coefficients:
         self.viscosity = None if beside is None else scene.slip_radius / scene.strength * beside
         self.averages = scene.law.holds and not self.momentum
-        names = [*self.points, "inverse_weight"] + self.momentum * ["spin"] + self.averages * ["spin_sum"]
+        names = [*contacts.points, "inverse_weight"] + self.momentum * ["spin"] + self.averages * ["spin_sum"]
         spheres = dict.fromkeys(names, len(self.spin_axes))
-        self.use(self.specified(spheres, [*self.forces, *(["force_sum"] if self.averages else [])]), self.viscosity)
+        of_contacts = [*contacts.forces, *(["force_sum"] if self.averages else [])]
+        contacts.use(contacts.specified(spheres, of_contacts), self.viscosity)
         self._load_spins(scene.clip_to_box(scene.staggered_spin(spin, self.spin_axes), self.spin_axes))
         box = np.zeros((2, 3))  # lower and upper ends
         box[:, : len(self.spin_axes)] = scene.box(self.spin_axes)
         self.box = box.ravel().tolist()
-        self.team, self.sweeps = self._kernels()
+        self.team, self.sweeps = contacts.descents()
         self.sweeps.compile(self.fields, self.team)
         jump = scene.jump or 1.0
         precision = np.float64 if runtime.current().precision == "f64" else np.float32
@@ -75,14 +71,10 @@ class GradientDescentMethod(Method):
         self._load_weights()
         self._begin_epoch(FIRST_EPOCH)
 
-    def _kernels(self) -> tuple[Team, Sweeps]:
-        team = Team(team_size(self.fields.layout, self.stencil.components))
-        if self.scene.law.name not in FORCES:
-            raise InputError(
-                f"law is {self.scene.law.name!r}; gradient-descent needs its force on the device, as a row of "
-                "FORCES in taichi_bearings.kernels.contact"
-            )
-        return team, made_once(DescentSweeps, self.spec, self.stencil, self.scene.law.name)
+    @property
+    def fields(self) -> Fields:
+        """The numbers of all spheres and contacts."""
+        return self.contacts.fields
 
     def _load_weights(self) -> None:
         """The metric: friction, and so much of the viscosity as makes the curvature of both at this stage even."""
@@ -98,7 +90,7 @@ class GradientDescentMethod(Method):
             bounds = scene.slip_radius * slopes
         if self.viscosity is not None:
             bounds = bounds + reach * self.viscosity
-        weight = self.weights(bounds)
+        weight = self.contacts.weights(bounds)
         weight[..., scene.is_driven] = 0.0
         self.fields.load("inverse_weight", np.divide(1.0, weight, out=np.zeros_like(weight), where=weight > 0))
 
@@ -108,12 +100,8 @@ class GradientDescentMethod(Method):
         low, high = self.scene.box(self.spin_axes)
         return 3 * self.scene.slip_radius * float(np.linalg.norm(np.subtract(high, low)))
 
-    def weights(self, bounds: np.ndarray) -> np.ndarray:
-        """Sums (C, R, *N) of these numbers (R, E) of the contacts that act on each spin component."""
-        return weights(bounds, self.scene.lattice, self.spin_axes)
-
     def _load_spins(self, staggered: np.ndarray) -> None:
-        for name in self.points + (("spin",) if self.momentum else ()):
+        for name in self.contacts.points + (("spin",) if self.momentum else ()):
             self.fields.load(name, staggered)
 
     def _begin_epoch(self, length: int) -> None:
@@ -133,7 +121,7 @@ class GradientDescentMethod(Method):
         averaging = self.averages and self.iteration >= self.epoch_start + self.epoch_length // 2
         step, sharpness = self._step_and_sharpness()
         numbers = (step, sharpness, *self.box, float(averaging))
-        self.sweeps.run(self.fields, self.team, pairs, numbers, first=self.age // 2)
+        self.contacts.run(self.team, self.sweeps, pairs, numbers, first=self.age // 2)
         self.iteration += 2 * pairs
         if self.momentum:
             self.age += 2 * pairs
@@ -147,7 +135,8 @@ class GradientDescentMethod(Method):
 
     def state(self) -> dict[str, np.ndarray]:
         numbers = {name: np.array(getattr(self, name)) for name in self.numbers_kept}
-        return {name: self.fields.read(name) for name in self._changing} | numbers | {"last_smooth": self.last_smooth}
+        fields = {name: self.fields.read(name) for name in self._changing}
+        return fields | numbers | {"last_smooth": self.last_smooth} | self.contacts.state()
 
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
         for name in self._changing:
@@ -155,6 +144,7 @@ class GradientDescentMethod(Method):
         for name in self.numbers_kept:
             setattr(self, name, type(getattr(self, name))(state[name]))
         self.last_smooth = np.array(state["last_smooth"])
+        self.contacts.restore(state)
 
     def _step_and_sharpness(self) -> tuple[float, float]:
         if not self.scene.law.holds:
@@ -165,7 +155,7 @@ class GradientDescentMethod(Method):
         scene = self.scene
         if self.averaged:
             staggered = scene.impose_driving(self.fields.read("spin_sum") / self.averaged, self.spin_axes)
-            force = self.read_forces("force_sum") * (scene.strength / self.averaged)
+            force = self.contacts.read_forces("force_sum") * (scene.strength / self.averaged)
         else:
             staggered = scene.impose_driving(self.fields.read("spin" if self.momentum else "point"), self.spin_axes)
             force = self.forces_at(staggered, self.width)
@@ -173,7 +163,7 @@ class GradientDescentMethod(Method):
         resolution = scene.slip_radius * min(creep, LARGE_SLIP * scene.jump)  # no slip is told from rest below it
         found = self.judged(staggered, force, iteration=self.iteration, resolution=resolution)
         if self.momentum:
-            self._steer(staggered, found.objective, found.lower_bound)
+            self._steer(staggered, found.objective, self.contacts.best_bound(found.lower_bound))
         elif self.averages and self.iteration >= self.epoch_start + self.epoch_length:
             self._load_spins(staggered)
             self.step_length /= math.sqrt(2)

@@ -37,7 +37,7 @@ from taichi_bearings.numerics.cholesky import Engine, NotPositiveDefinite, disse
 from taichi_bearings.numerics.double_double import Pair, exactly, multiply
 from taichi_bearings.proof.certificate import largest_unbalanced_torque, lower_bound, work_and_bound
 from taichi_bearings.proof.contact_state import ContactState, all_slipless
-from taichi_bearings.scene import Progress, Scene
+from taichi_bearings.scene import Bearing, Progress, Scene
 from taichi_bearings.solvers.method import Method
 from taichi_bearings.solvers.table import InteriorPoint
 
@@ -81,13 +81,15 @@ def _made(thread: int, lattice: Lattice, spin_axes: tuple[int, ...], jump: bytes
 class InteriorPointMethod(Descent, Method):
     """See the module docstring. An iteration is one Newton step of every replica that is not yet done."""
 
+    scene: Scene
     resumes = True
 
     def __init__(self, options: InteriorPoint) -> None:
         self.options = options
 
-    def begin(self, scene: Scene, spin: np.ndarray) -> None:
-        self.scene, self.spin_axes = scene, scene.minimum_spin_axes
+    def begin(self, scene: Bearing, spin: np.ndarray) -> None:
+        Method.begin(self, scene, spin)
+        scene = self.scene
         top, self.unit = scene.driving.top_in_units(self.spin_axes), float(scene.driving.unit[0][0])
         self.frustrated = bool(top[0].any())
         self.system, order, matrix = _skeleton(scene.lattice, self.spin_axes, top[0].tobytes())
@@ -126,7 +128,7 @@ class InteriorPointMethod(Descent, Method):
         return Sample(start, unit, firm=firm if firm is not None and firm.any() else None)
 
     @property
-    def iteration(self) -> int:
+    def iteration(self) -> int:  # type: ignore[override]
         return max(sample.steps for sample in self.samples)
 
     def state(self) -> dict[str, np.ndarray]:

@@ -18,7 +18,7 @@ from taichi_bearings.lattice.incidence import add_pull, difference
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.numerics.double_double import two_sum
 from taichi_bearings.numerics.graph_laplacian import factorised, graph_laplacian
-from taichi_bearings.scene import Progress, Scene
+from taichi_bearings.scene import Bearing, Progress, Scene
 from taichi_bearings.solvers.method import Method
 
 BUNDLE_SITES = 250_000  # spheres that are solved for together: about 0.1 GB in planes of 64 x 64
@@ -31,8 +31,11 @@ Planes = tuple[np.ndarray, np.ndarray]  # replica and layer of each plane of a b
 class LinearSolverMethod(Method):
     """See the module docstring. An iteration is one bundle of planes, solved to round-off."""
 
-    def begin(self, scene: Scene, spin: np.ndarray) -> None:
+    scene: Scene
+
+    def begin(self, scene: Bearing, spin: np.ndarray) -> None:
         super().begin(scene, spin)
+        scene = self.scene
         self.spin = scene.clip_to_box(scene.staggered_spin(spin, self.spin_axes), self.spin_axes)
         self.rest = np.zeros_like(self.spin)
         self.bundles = [(slot, planes) for slot in range(len(self.spin_axes)) for planes in self._planes(slot)]

@@ -1,41 +1,40 @@
 """What every method offers to the common loop in drive.py."""
 
-from typing import Any, ClassVar
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from taichi_bearings.fields import Fields, FieldSpec, block_size
-from taichi_bearings.kernels.stencil import Stencil
-from taichi_bearings.lattice.layout import Layout
-from taichi_bearings.proof.certificate import Forces, largest_unbalanced_torque, lower_bound
-from taichi_bearings.scene import Progress, Scene, Solution
+from taichi_bearings.proof.certificate import Forces
+from taichi_bearings.scene import Bearing, Progress
 from taichi_bearings.scene.scene import vector_length
+from taichi_bearings.solvers.contacts import Contacts
+
+if TYPE_CHECKING:
+    from taichi_bearings.solvers.table import MethodOptions
 
 
 class Method:
     """One way to reach the state of least dissipation: its steps and what they mean, nothing else.
 
     A method never prints, times, opens a file or decides when to stop. options : the row of the table that it was built
-    from. What it asks of its contacts is answered here for lattices, for packings in solvers/packings.py.
+    from. scene, contacts : what it steps, and what it asks of the contacts of that. iteration : how many were made.
     """
 
     resumes: ClassVar[bool] = False
     """Whether its `state()` holds all that the further course depends on, for `restore` to go on from."""
-    scene: Scene
+    scene: Bearing
+    contacts: Contacts
+    iteration: int
     spin_axes: tuple[int, ...]
-    spec: Any
-    fields: Any
 
-    def __init__(self, options: Any) -> None:
-        self.options = options
+    def __init__(self, options: "MethodOptions") -> None:
+        self.options: Any = options
 
-    def begin(self, scene: Scene, spin: np.ndarray) -> None:
+    def begin(self, scene: Bearing, spin: np.ndarray) -> None:
         """Take a scene, and laboratory spins to start from; load the fields, if any, and compile the kernels."""
-        self.scene, self.spin_axes = scene, self.carried(scene, spin)
-
-    def carried(self, scene: Scene, spin: np.ndarray) -> tuple[int, ...]:
-        """Spin components that are carried."""
-        return scene.minimum_spin_axes
+        self.contacts = contacts_of(scene, spin, self.options.is_dynamics)
+        self.scene, self.spin_axes = self.contacts.scene, self.contacts.spin_axes
 
     def next_check(self, iteration: int) -> int:
         """Iteration at which to look at the progress next."""
@@ -49,9 +48,13 @@ class Method:
         """Where the method stands, judged by the certificate; the only device-to-host read."""
         raise NotImplementedError
 
-    def answered(self, course: Any) -> Solution | None:
-        """The solution of a course through a packing; None for a lattice, whose best state drive.py answers with."""
-        return None
+    def state(self) -> dict[str, np.ndarray]:
+        """Everything that the further course depends on, of a method that `resumes`."""
+        raise NotImplementedError
+
+    def restore(self, state: Mapping[str, np.ndarray]) -> None:
+        """Go on from such a state; called after `begin`."""
+        raise NotImplementedError
 
     def differences(self, staggered: np.ndarray) -> np.ndarray:
         """(C, R, *N) -> (C, R, E); the slip over the radius."""
@@ -82,58 +85,28 @@ class Method:
 
     def proven_by(self, force: Forces) -> np.ndarray:
         """Lower bound (R,) that follows from forces (C, R, E) which were looked at before."""
-        return lower_bound(self.scene, force, self.spin_axes)
+        return self.contacts.proven_by(force)
 
     def judged(self, staggered: np.ndarray, force: Forces, proof: Forces | None = None, **more: Any) -> Progress:
         """Progress of spins (C, R, *N) and contact forces (C, R, E), with what follows from them: what is minimised,
         its lower bound from `proof`, or from the forces themselves if None, and the torque that the forces leave."""
-        scene, axes = self.scene, self.spin_axes
-        return Progress(
-            staggered=staggered,
-            spin_axes=axes,
-            force=force,
-            objective=scene.objective(staggered, axes),
-            lower_bound=lower_bound(scene, force if proof is None else proof, axes),
-            largest_balance_residual=largest_unbalanced_torque(scene, force, axes),
-            proof=proof,
-            **more,
-        )
+        return self.contacts.judged(staggered, force, proof, **more)
 
     def by_plane(self, values: np.ndarray, component: int) -> np.ndarray:
         """View (R, planes, m, n) of spins or contacts (R, ...): one plane a layer along the component, height last."""
-        return values[:, None] if self.scene.lattice.dimension == 2 else np.moveaxis(values, 1 + component, 1)
+        return values[:, None] if self.scene.network.dimension == 2 else np.moveaxis(values, 1 + component, 1)
 
-    def specified(self, spheres: dict[str, int], contacts: list[str]) -> Any:
-        """Fields with these numbers a sphere, and of these names a contact, and what the law has of each."""
-        dimension, forces = self.scene.lattice.dimension, self.stencil_of(1).force_components
-        counts = {"coefficient": dimension, "viscosity": dimension, "work": 1}
-        return (*spheres.items(), *((name, counts.get(name, forces)) for name in (*contacts, *self.of_law)))
 
-    @property
-    def of_law(self) -> list[str]:
-        """Fields of the coefficients of the law."""
-        return ["coefficient", *(["viscosity"] if self.scene.viscosity_beside_friction is not None else [])]
+def contacts_of(scene: Bearing, spin: np.ndarray, moves: bool) -> Contacts:
+    """The contacts of a scene, in the memory where it has them.
 
-    def stencil_of(self, block: int) -> Stencil:
-        return Stencil(self.spin_axes, self.scene.lattice.dimension, block, self.scene.lattice.periodic)
+    spin : laboratory spins to start from. moves : the spins are those of a motion, which may begin in components that
+    no minimum needs.
+    """
+    if scene.network.lattice is not None:
+        from taichi_bearings.solvers.on_strides import OnStrides
 
-    def on_device(self, spec: FieldSpec) -> Fields:
-        """Fields of a spec, on the device that runs."""
-        lattice = self.scene.lattice
-        return Fields(Layout(self.scene.replicas, lattice.shape, block_size(), lattice.periodic), spec)
+        return OnStrides(scene, spin, moves)
+    from taichi_bearings.solvers.on_lists import OnLists  # and with it what judges packings
 
-    def use(self, spec: Any, viscosity: np.ndarray | None) -> None:
-        """Fields of a spec, with the coefficients of the contacts loaded.
-
-        viscosity : beside friction, (R, E), in the units of the kernels.
-        """
-        self.spec, self.fields = spec, self.on_device(spec)
-        layout = self.fields.layout
-        self.stencil = self.stencil_of(layout.block)
-        self.fields.load("coefficient", layout.at_lower_sphere(self.scene.acting_coefficient))
-        if viscosity is not None:
-            self.fields.load("viscosity", layout.at_lower_sphere(viscosity))
-
-    def read_forces(self, name: str) -> np.ndarray:
-        """Forces or elongations (C, R, E) in a field."""
-        return self.stencil.forces_of_contacts(self.fields.read(name), self.fields.layout)
+    return OnLists(scene, spin)

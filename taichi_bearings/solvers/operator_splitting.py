@@ -45,9 +45,10 @@ from taichi_bearings.proof.certificate import (
     saturation,
     work_and_bound,
 )
-from taichi_bearings.scene import Progress, Scene
+from taichi_bearings.scene import Bearing, Progress, Scene
 from taichi_bearings.scene.initial_spins import linear_spin
 from taichi_bearings.solvers.method import Method
+from taichi_bearings.solvers.on_strides import OnStrides
 
 RELAXATION = 1.9  # alpha
 HEIGHT_WEIGHT = 0.25  # stiffness of springs along the height over that of the others
@@ -75,26 +76,29 @@ class OperatorSplittingMethod(Method):
     springs of each sphere before the Poisson step.
     """
 
+    scene: Scene
+    contacts: OnStrides
     resumes = True
     changing = ("trial", "spring", "potential", "pull")  # fields that iterations and looks change
 
-    def begin(self, scene: Scene, spin: np.ndarray) -> None:
+    def begin(self, scene: Bearing, spin: np.ndarray) -> None:
         super().begin(scene, spin)
+        scene = self.scene
         dimension, components = scene.lattice.dimension, len(self.spin_axes)
         spheres = scene.lattice.sites * scene.replicas
         refuse_beyond(BYTES_A_SPHERE * spheres, f"{self.options.name} of {spheres:,} spheres")
-        forces = self.stencil_of(1).force_components
+        forces = self.contacts.stencil_of(1).force_components
         of_contacts = ("friction", dimension), ("trial", forces), ("spring", forces)
         spec = (*of_contacts, ("potential", components), ("pull", components))
-        self.fields = self.on_device(spec)
+        self.fields = self.contacts.on_device(spec)
         self.layout = self.fields.layout
-        self.stencil = self.stencil_of(self.layout.block)
+        self.stencil = self.contacts.stencil_of(self.layout.block)
         self.weights = (1.0,) * scene.lattice.height_axis + (HEIGHT_WEIGHT,)
         self.weight = np.array(self.weights)[scene.lattice.axis]
         self.balance = TorqueBalance(spec, self.stencil, self.weights, self.fields)
-        self.contacts = made_once(ContactStep, spec, self.stencil)
+        self.contact_step = made_once(ContactStep, spec, self.stencil)
         self.team = Team(team_size(self.layout, sum(components for _, components in spec)))
-        self.contacts.compile(self.fields, self.team)
+        self.contact_step.compile(self.fields, self.team)
         self._load(scene.clip_to_box(scene.staggered_spin(spin, self.spin_axes), self.spin_axes))
 
     def _load(self, staggered: np.ndarray) -> None:
@@ -138,7 +142,7 @@ class OperatorSplittingMethod(Method):
                 self.iteration += 1
 
     def _step_contacts(self, relaxation: float) -> None:
-        self.contacts.run(self.fields, self.team, 1, (self.weights[0], self.weights[-1], relaxation))
+        self.contact_step.run(self.fields, self.team, 1, (self.weights[0], self.weights[-1], relaxation))
 
     def progress(self) -> Progress:
         """`force` is the limited friction f; the torque it leaves is reported and vanishes with the gap."""

@@ -15,18 +15,21 @@ from taichi_bearings.numerics.planar import minimum_cuts
 from taichi_bearings.numerics.rings import ring_cuts
 from taichi_bearings.proof.certificate import largest_unbalanced_torque, work_and_bound
 from taichi_bearings.proof.contact_state import ContactState, all_slipless
-from taichi_bearings.scene import Progress, Scene
+from taichi_bearings.scene import Bearing, Progress, Scene
 from taichi_bearings.solvers.method import Method
 
 
 class PlanarCutMethod(Method):
     """See the module docstring. The only iteration cuts all grids."""
 
-    def begin(self, scene: Scene, spin: np.ndarray) -> None:
+    scene: Scene
+
+    def begin(self, scene: Bearing, spin: np.ndarray) -> None:
         super().begin(scene, spin)
+        scene = self.scene
         (self.component,) = self.spin_axes
         self.staggered = scene.staggered_spin(spin, self.spin_axes)
-        self.force, self.state = np.zeros((1, *scene.coefficient.shape)), all_slipless(scene)
+        self.force, self.states = np.zeros((1, *scene.coefficient.shape)), all_slipless(scene)
         self.top = self.by_plane(scene.top_spin(self.spin_axes)[..., None], self.component)[0, :, 0, 0]  # (planes,)
         planes = len(self.top)
         self.tied = np.zeros((scene.replicas, planes), dtype=np.int64)
@@ -65,7 +68,7 @@ class PlanarCutMethod(Method):
         """Friction and states of the contacts along `axis`; those that slip at some minima only are tied."""
         friction = flow * (np.sign(self.top[where[1], None, None]) * self.scene.normal_force)
         self.by_plane(self.scene.lattice.by_axis(self.force[0])[axis], self.component)[where] = friction
-        states = self.by_plane(self.scene.lattice.by_axis(self.state)[axis], self.component)
+        states = self.by_plane(self.scene.lattice.by_axis(self.states)[axis], self.component)
         states[where] = np.where(tied, ContactState.TIED, np.where(cut, ContactState.SLIPPING, states[where]))
 
     def progress(self) -> Progress:
@@ -85,7 +88,7 @@ class PlanarCutMethod(Method):
             resolution=float(np.finfo(np.float64).eps) * scene.lattice.radius * scene.fastest,
             largest_balance_residual=largest_unbalanced_torque(scene, self.force, axes),
             exhausted=cut,
-            state=self.state.copy() if cut else None,
+            state=self.states.copy() if cut else None,
             settled=np.full(scene.replicas, cut),  # also where the start has the least power, less a rounding
             states_believed=unique if cut else None,
             findings=findings if cut and self.top.any() else {},

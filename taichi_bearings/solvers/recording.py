@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from taichi_bearings.errors import FileError
-from taichi_bearings.scene import Progress, Scene, Snapshots
+from taichi_bearings.scene import Bearing, Progress, Snapshots
 
 MOST_TIMES = 1_000_000
 SAME_TIME = 1e-9  # relative distance below which two simulated times are the same
@@ -61,7 +61,7 @@ def parse_times(text: str) -> np.ndarray:
 class Recorder:
     """History and snapshots as they grow."""
 
-    def __init__(self, scene: Scene, recording: Recording) -> None:
+    def __init__(self, scene: Bearing, recording: Recording) -> None:
         self._scene, self.recording = scene, recording
         self._columns: dict[str, list] = {}
         self._snapshot_times: list[float] = []

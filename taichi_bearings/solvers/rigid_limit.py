@@ -17,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 
 from taichi_bearings.conic.proximal import ProximalSteps, Step
-from taichi_bearings.scene import Progress, Scene
+from taichi_bearings.scene import Bearing, Progress, Scene
 from taichi_bearings.solvers.dynamics import ENERGY_NAMES, Dynamics, replica_sum
 
 FIRST_ERROR_SHARE = 0.1  # of the error tolerance, in relaxation times
@@ -41,9 +41,11 @@ class RigidLimitMethod(Dynamics):
     )  # fmt: skip
 
     rest_gap = 1e-9
+    scene: Scene
 
-    def begin(self, scene: Scene, spin: np.ndarray) -> None:
+    def begin(self, scene: Bearing, spin: np.ndarray) -> None:
         super().begin(scene, spin)
+        scene = self.scene
         self.staggered = scene.staggered_spin(spin, self.spin_axes)
         spread = [float(values.max() - values.min()) for values in self.staggered]
         self.unit = max(spread) or 1.0

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from taichi_bearings.proof.certificate import relative_gap
-from taichi_bearings.scene import Progress, Scene, Status
+from taichi_bearings.scene import Bearing, Progress, Solution, Status
 
 UNLIMITED = 2**62  # iterations
 
@@ -36,7 +36,7 @@ class StopRule:
 
     def judge(
         self,
-        scene: Scene,
+        scene: Bearing,
         progress: Progress,
         objective: np.ndarray,
         bound: np.ndarray,
@@ -64,3 +64,12 @@ class StopRule:
         if elapsed >= self.seconds:
             return Status.TIME_LIMIT
         return None
+
+
+def ended_as(status: Status, found: Solution, is_dynamics: bool) -> Status:
+    """How a course ended whose answer is not proven, though its loop had this status: a motion is at rest where next to
+    nothing is left of a power whose least value is 0, and of which no bound can be a part."""
+    if status is not Status.CERTIFIED:
+        return status
+    at_rest = is_dynamics and bool((found.lower_bound == 0).any())
+    return Status.STATIONARY if at_rest else Status.STALLED

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from functools import partial
 from math import inf, prod
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+from typing import TYPE_CHECKING, ClassVar, TypeVar
 
 from taichi_bearings.errors import InputError
 from taichi_bearings.options import (
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     from taichi_bearings.solvers.method import Method
 
 MOST_FACTORISED = 120_000  # spheres of a cubic lattice up to which a factorisation pays and fits (about 48^3)
-MINIMISES = "taichi_bearings.packing.answer:solve_packing"  # finds minima of packings by several methods
 SPLITTING_TOLERANCE = 3e-5  # tolerance that operator splitting reaches sooner than the interior-point method
 
 
@@ -77,8 +76,9 @@ material = partial(option, laws=attrgetter("holds"))  # of contacts that bear a 
 class MethodOptions:
     """A method and its options. The facts of a method are class variables, its options the fields.
 
-    name : for --method. implementation : "module:class", which is called with the options. of_packings : the same
-    for lists of contacts, "" where there is none, or what finds minima. is_dynamics : it steps in time.
+    name : for --method. implementation : "module:class", which is called with the options. steps_packings : it steps
+    the contacts of packings too. minimises_packings : packing/answer.py finds minima of packings by this name.
+    is_dynamics : it steps in time.
     keeps_checkpoints : of lattices it can go on from a checkpoint. cpu_only : it works in the memory of the CPU, in
     double precision whatever is asked.
     alike_in_a_block : spheres up to which it gives a seed the same bits alone and beside others, and gains by it.
@@ -87,7 +87,8 @@ class MethodOptions:
 
     name: ClassVar[str]
     implementation: ClassVar[str]
-    of_packings: ClassVar[str] = ""
+    steps_packings: ClassVar[bool] = False
+    minimises_packings: ClassVar[bool] = False
     is_dynamics: ClassVar[bool] = False
     keeps_checkpoints: ClassVar[bool] = False
     needs_taichi: ClassVar[bool] = True
@@ -103,16 +104,10 @@ class MethodOptions:
 
     def build(self) -> "Method":
         """What does the work, ready for :func:`taichi_bearings.solvers.drive.solve`."""
-        return self._load(self.implementation)
-
-    def build_for_packing(self) -> Any:
-        """The same for lists of contacts."""
-        return self._load(self.of_packings)
-
-    def _load(self, place: str) -> Any:
-        module, _, attribute = place.partition(":")
+        module, _, attribute = self.implementation.partition(":")
         with warnings.catch_warnings():  # SciPy adds filters of its own
-            return getattr(importlib.import_module(module), attribute)(self)
+            built: Method = getattr(importlib.import_module(module), attribute)(self)
+        return built
 
     @classmethod
     def refusal(cls, scene: "Scene") -> str:
@@ -164,7 +159,7 @@ class PlanarCut(MethodOptions):
 
     name = "planar-cut"
     implementation = "taichi_bearings.solvers.planar_cut:PlanarCutMethod"
-    of_packings = MINIMISES
+    minimises_packings = True
     needs_taichi = False
     alike_in_a_block = inf
     colour, marker = "#0072B2", "o"
@@ -195,7 +190,7 @@ class InteriorPoint(MethodOptions):
     name = "interior-point"
     keeps_checkpoints = True
     implementation = "taichi_bearings.solvers.interior_point:InteriorPointMethod"
-    of_packings = MINIMISES
+    minimises_packings = True
     cpu_only = True
     alike_in_a_block = 5_000
     colour, marker = "#D55E00", "^"
@@ -242,7 +237,7 @@ class LinearSolver(MethodOptions):
 
     name = "linear-solver"
     implementation = "taichi_bearings.solvers.linear_solver:LinearSolverMethod"
-    of_packings = MINIMISES
+    minimises_packings = True
     needs_taichi = False
     colour, marker = "#CC79A7", "v"
     solves = _laws(lambda law: not law.holds)
@@ -260,7 +255,7 @@ class GradientDescent(MethodOptions):
     name = "gradient-descent"
     keeps_checkpoints = True
     implementation = "taichi_bearings.solvers.gradient_descent:GradientDescentMethod"
-    of_packings = "taichi_bearings.solvers.packings:GradientDescentOfPacking"
+    steps_packings = True
     colour, marker = "#E69F00", "P"
     solves = staticmethod(_descends)
 
@@ -338,7 +333,7 @@ class CundallStrack(Motion):
 
     name = "cundall-strack"
     implementation = "taichi_bearings.solvers.cundall_strack:CundallStrackMethod"
-    of_packings = "taichi_bearings.solvers.packings:CundallStrackOfPacking"
+    steps_packings = True
     colour, marker = "#8C6BB1", ">"
     solves = _laws()
 
@@ -384,9 +379,10 @@ def fastest(scene: "Scene", tolerance: float, on_gpu: bool) -> type[MethodOption
 def row_of_packing(method: str) -> type[MethodOptions] | None:
     """The row of a dynamics or descent, None for what finds minima; InputError for a method that packings lack."""
     row = METHODS.get(method)
-    if method != "auto" and (row is None or not row.of_packings):
-        allowed = ["auto", *(name for name, built in METHODS.items() if built.of_packings)]
+    able = [name for name, built in METHODS.items() if built.steps_packings or built.minimises_packings]
+    if method not in ("auto", *able):
+        allowed = ["auto", *able]
         raise InputError(
             f"method is {shown(method)}; of a packing it can be {', '.join(allowed)}{meant(method, allowed)}"
         )
-    return None if row is None or row.of_packings == MINIMISES else row
+    return row if row is not None and row.steps_packings else None

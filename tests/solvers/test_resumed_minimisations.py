@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
+import taichi_bearings as tb
 from taichi_bearings.errors import FileError
+from taichi_bearings.packing.starts import start_of as spins_of_packing
 from taichi_bearings.scene import Status
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers.drive import Checkpoints, solve
@@ -22,6 +24,13 @@ CASES = [
 ]
 
 
+def start_of(scene):
+    """Laboratory spins to start from, of a lattice or of a packing."""
+    if isinstance(scene, tb.Packing):
+        return scene.laboratory_spin(spins_of_packing(scene, "linear"), scene.minimum_spin_axes)
+    return initial_spin(scene, "linear")
+
+
 def stopped(scene, row, stop, looks, resume=None):
     """A solve that is unwanted after so many looks, and the last checkpoint of it."""
     kept, heard = [], []
@@ -31,16 +40,34 @@ def stopped(scene, row, stop, looks, resume=None):
         return len(heard) >= looks
 
     checkpoints = Checkpoints(0.0, lambda arrays: kept.append({n: np.array(v) for n, v in arrays.items()}), resume)
-    spin = initial_spin(scene, "linear")
-    return solve(scene, row.build(), spin, stop, [unwanted], checkpoints=checkpoints), kept[-1]
+    return solve(scene, row.build(), start_of(scene), stop, [unwanted], checkpoints=checkpoints), kept[-1]
 
 
 @pytest.mark.usefixtures("taichi_runtime", "needs_f64")
 @pytest.mark.parametrize("replicas", [1, 2])
 @pytest.mark.parametrize(("row", "law", "shape", "tolerance", "looks"), CASES, ids=lambda value: str(value)[:30])
 def test_a_minimisation_that_goes_on_comes_to_the_same_bits(row, law, shape, tolerance, looks, replicas):
-    scene, stop = make_scene(shape, law, seeds=tuple(range(5, 5 + replicas))), StopRule(tolerance)
-    whole = solve(scene, row.build(), initial_spin(scene, "linear"), stop)
+    goes_on_to_the_same_bits(make_scene(shape, law, seeds=tuple(range(5, 5 + replicas))), row, tolerance, looks)
+
+
+PACKED = [
+    (GradientDescent(), "coulomb", "fcc", 1e-3, 4),
+    (GradientDescent(), "coulomb-viscous", "triangular", 1e-4, 6),
+    (GradientDescent(), "viscous", "bcc", 1e-8, 3),
+    (GradientDescent(momentum=False), "coulomb", "triangular", 3e-2, 20),
+]
+
+
+@pytest.mark.usefixtures("taichi_runtime", "needs_f64")
+@pytest.mark.parametrize(("row", "law", "kind", "tolerance", "looks"), PACKED, ids=lambda value: str(value)[:30])
+def test_a_descent_of_a_packing_that_goes_on_comes_to_the_same_bits(row, law, kind, tolerance, looks):
+    cells = (5, 5) if kind == "triangular" else (2, 2, 3)
+    goes_on_to_the_same_bits(tb.Packing.lattice(kind, cells, seed=3, law=law, spin_bottom=0.3), row, tolerance, looks)
+
+
+def goes_on_to_the_same_bits(scene, row, tolerance, looks):
+    stop = StopRule(tolerance)
+    whole = solve(scene, row.build(), start_of(scene), stop)
     assert whole.status is Status.CERTIFIED
     part, arrays = stopped(scene, row, stop, looks)
     if part.status is not Status.INTERRUPTED:  # done at its first looks

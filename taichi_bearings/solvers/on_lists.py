@@ -1,0 +1,180 @@
+"""The contacts of any packing as methods step them: in lists, with forces along two tangents, and bounds by exact
+arithmetic."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from taichi_bearings.fields import Fields, team_size
+from taichi_bearings.fields.lists import Lists, ListSpec
+from taichi_bearings.kernels.contact_list import CundallStrackLists, DescentLists
+from taichi_bearings.kernels.team import Sweeps, Team, made_once
+from taichi_bearings.numerics.blas import one_thread
+from taichi_bearings.packing.answer import judged
+from taichi_bearings.packing.found import Found
+from taichi_bearings.proof.certificate import Forces
+from taichi_bearings.proof.contact_state import classify, decided, what_is_proven
+from taichi_bearings.scene import Bearing, Progress, Solution, Status
+from taichi_bearings.scene.packing import Packing, of_packing
+from taichi_bearings.scene.scene import vector_length
+from taichi_bearings.scene.solution import SLIPLESS, SLIPPING, UNDECIDED
+from taichi_bearings.solvers.contacts import Contacts, Ended
+from taichi_bearings.solvers.packing_bounds import PackingBounds
+from taichi_bearings.solvers.stopping import ended_as
+
+LOOK_AGAIN = 1.2  # times the iterations after which bounds that cost a factorisation were looked for
+
+
+class OnLists(Contacts):
+    """The contacts of one sample of a packing. Fields hold of each the force as a vector, and what is along its two
+    tangents T.
+
+    scene : all contacts that act, and no others. bounds : what is proven of the packing.
+    """
+
+    scene: Packing
+    spec: ListSpec
+    points, forces = ("point",), ("force",)
+
+    def __init__(self, bearing: Bearing, spin: np.ndarray) -> None:
+        packing = of_packing(bearing)
+        self.spin_axes = packing.minimum_spin_axes
+        with one_thread():
+            self.bounds = PackingBounds(packing)
+            staggered = packing.staggered_spin(spin, self.spin_axes)
+            self.scene = packing.as_stepped(staggered, self.bounds.is_at_rest())
+
+    @property
+    def across(self) -> np.ndarray:
+        """The tangents T, (d, E, C)."""
+        return self.scene.network.tangents
+
+    def specified(self, spheres: dict[str, int], contacts: list[str]) -> ListSpec:
+        tangents, _, components = self.across.shape
+        counts: dict[str, int] = {"force": components, "coefficient": 1, "viscosity": 1, "work": 1}
+        counts["across"] = 6 if components == 3 else 0
+        names = (*contacts, *self.of_law, "across")
+        return tuple(spheres.items()), tuple((name, counts.get(name, int(tangents))) for name in names)
+
+    def use(self, spec: Any, viscosity: np.ndarray | None) -> None:
+        network = self.scene.network
+        self.spec, self.fields = spec, Fields(Lists.of(network.spheres, network.contact.T), spec)
+        if network.components == 3:
+            self.fields.load("across", self.across.transpose(0, 2, 1).reshape(6, 1, -1))
+        self.fields.load("coefficient", self.scene.acting_coefficient[None])
+        if viscosity is not None:
+            self.fields.load("viscosity", viscosity[None])
+
+    def _sweeps(self, kind: Callable[..., Sweeps], corrector: tuple[float, ...]) -> tuple[Team, Sweeps]:
+        """Workers, and kernels of a kind with this corrector of Gear's method, if any."""
+        team = Team(team_size(self.fields.layout, sum(count for _, count in self.spec[0])))
+        return team, made_once(kind, self.spec, self.scene.law.name, corrector)
+
+    def springs(self, corrector: tuple[float, ...]) -> tuple[Team, Sweeps]:
+        return self._sweeps(CundallStrackLists, corrector)
+
+    def descents(self) -> tuple[Team, Sweeps]:
+        return self._sweeps(DescentLists, ())
+
+    def run(self, team: Team, sweeps: Sweeps, turns: int, numbers: tuple[float, ...], first: int = 0) -> None:
+        sweeps.run(self.fields, team, turns, numbers, first=first)
+
+    def read_forces(self, name: str) -> np.ndarray:
+        found = self.fields.read(name)
+        return np.einsum("kre,tek->tre", found, self.across) if name == "force" else found
+
+    def load_force(self, force: np.ndarray) -> None:
+        self.fields.load("force", np.einsum("tre,tek->kre", force, self.across))
+
+    def weights(self, bounds: np.ndarray) -> np.ndarray:
+        """At each sphere sum b_e P_e with P = T^T T is no larger than the diagonal matrix of its rows' sizes."""
+        network = self.scene.network
+        rows = np.abs(np.einsum("tek,tel->ekl", self.across, self.across)).sum(axis=2) * bounds[0][:, None]
+        total = np.zeros((network.spheres, network.components))
+        for end in network.contact:
+            np.add.at(total, end, rows)
+        return total.T[:, None]
+
+    def inertias(self, options: Any, density: Any) -> np.ndarray:
+        return self.scene.inertias(options.mass, options.inertia, density)
+
+    def unit_inertia(self, inertia: Any) -> float:
+        return 1.0
+
+    def fastest_modes(self, inertia: Any) -> tuple[float, float]:
+        """Bounds that are proven, by Collatz and Wielandt."""
+        network, viscosities = self.scene.network, self.scene.viscosities
+        decay = 0.0 if viscosities is None else network.largest_eigenvalue(viscosities[0], inertia)
+        return decay, network.largest_eigenvalue(np.ones(network.contacts), inertia)
+
+    @property
+    def has_no_bound(self) -> bool:
+        return not self.bounds.proven > 0
+
+    def best_bound(self, bound: np.ndarray) -> np.ndarray:
+        return np.maximum(bound, self.bounds.proven)
+
+    def proven_by(self, force: Forces) -> np.ndarray:
+        with one_thread():
+            return np.array([self.bounds.again(force)])
+
+    def judged(self, staggered: np.ndarray, force: Forces, proof: Forces | None, **more: Any) -> Progress:
+        scene, bounds, axes = self.scene, self.bounds, self.spin_axes
+        objective = scene.objective(staggered, axes)
+        whole = not bounds.looked < more["iteration"] < LOOK_AGAIN * bounds.looked
+        bounds.looked = more["iteration"] if whole else bounds.looked
+        with one_thread():
+            bound, proof = bounds.of(force if proof is None else proof, staggered, whole)
+        bound = min(bound, float(objective[0]))
+        bounds.take(bound, staggered)
+        left = np.abs(scene.pulls(force, axes))[..., ~scene.is_driven].max(initial=0.0)
+        return Progress(
+            staggered=staggered, spin_axes=axes, force=force, objective=objective, proof=proof,
+            lower_bound=np.array([bound]), largest_balance_residual=np.array([left]), **more,
+        )  # fmt: skip
+
+    def state(self) -> dict[str, np.ndarray]:
+        """The best bound, the spins beside which it was proven, and when bounds were last looked for."""
+        bounds = self.bounds
+        return {
+            "bounds.proven": np.array(bounds.proven),
+            "bounds.witness": np.array(bounds.witness),
+            "bounds.looked": np.array(bounds.looked),
+        }
+
+    def restore(self, state: Mapping[str, np.ndarray]) -> None:
+        bounds = self.bounds
+        bounds.proven, bounds.looked = float(state["bounds.proven"]), int(state["bounds.looked"])
+        bounds.witness = np.array(state["bounds.witness"])
+
+    def answered(self, ended: Ended) -> Solution:
+        """The best state and the best forces; `force`, the states of a dynamics, and those of parts that nothing drives
+        are those of now."""
+        scene, bounds, row, stop, last = self.scene, self.bounds, ended.options, ended.stop, ended.best
+        system, acting = bounds.system, bounds.acting
+        with one_thread():
+            value, forces = bounds.of(last.force if last.proof is None else last.proof, last.staggered, whole=True)
+            proof = forces if value > ended.bound[0] else ended.proof
+            found = Found(
+                np.zeros(system.unknowns), proof[:, 0, bounds.of_system], row.name, everywhere=last.staggered[:, 0].T
+            )
+            result = judged(system, bounds.packing, found, stop.tolerance, row.is_dynamics)
+        force, told, slip = result.force.copy(), result.state.copy(), result.slip[0]
+        force[:, acting] = vector_length(last.force)
+        loose = np.setdiff1d(acting, system.numbers)
+        told[0, loose] = np.where(slip[loose] > last.resolution, SLIPPING, SLIPLESS)
+        if scene.law.holds:
+            now = result.slip[:, acting], last.force, float(np.max(last.resolution))
+            told[:, acting] = classify(scene, *now)
+        if not scene.law.holds:  # sum eta |slip - that of the minimum|^2 is no more than what is open of the power
+            left = max(result.objective[0] - result.lower_bound[0], 0.0)
+            apart = np.sqrt(left / scene.acting_coefficient[0])
+            told[0, acting[slip[acting] <= apart]] = UNDECIDED
+        cut_short = np.isfinite(stop.duration) and ended.status in (Status.STEP_LIMIT, Status.TIME_LIMIT)
+        certified = result.status is Status.CERTIFIED and not cut_short
+        status = result.status if certified else ended_as(ended.status, result, row.is_dynamics)
+        moves, known = row.is_dynamics and not scene.law.flows, what_is_proven(result.state, result.proven)
+        state, proven = decided(told, known, moves, has_ended=moves and result.status is Status.CERTIFIED)
+        return replace(result, status=status, iterations=ended.iterations, force=force, state=state, proven=proven)

@@ -1,0 +1,136 @@
+"""The contacts of a lattice as methods step them: neighbours are a stride apart, transforms balance their forces."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from taichi_bearings.errors import InputError
+from taichi_bearings.fields import Fields, FieldSpec, block_size, team_size
+from taichi_bearings.kernels.stencil import Stencil
+from taichi_bearings.lattice.incidence import weights
+from taichi_bearings.lattice.layout import Layout
+from taichi_bearings.proof.certificate import Forces, largest_unbalanced_torque, lower_bound
+from taichi_bearings.scene import Bearing, Progress, Scene
+from taichi_bearings.scene.scene import of_lattice
+from taichi_bearings.solvers.contacts import Contacts
+from taichi_bearings.solvers.gear import largest_laplacian_eigenvalue, largest_weighted_eigenvalue
+
+if TYPE_CHECKING:
+    from taichi_bearings.kernels.team import Sweeps, Team
+
+
+class OnStrides(Contacts):
+    """The contacts of all samples of a lattice, side by side."""
+
+    scene: Scene
+    spec: FieldSpec
+    points, forces = ("point", "point_next"), ()
+
+    def __init__(self, scene: Bearing, spin: np.ndarray, moves: bool) -> None:
+        self.scene = of_lattice(scene)
+        self.spin_axes = _moving_axes(self.scene, spin) if moves else scene.minimum_spin_axes
+
+    def specified(self, spheres: dict[str, int], contacts: list[str]) -> FieldSpec:
+        dimension, forces = self.scene.lattice.dimension, self.stencil_of(1).force_components
+        counts = {"coefficient": dimension, "viscosity": dimension, "work": 1}
+        return (*spheres.items(), *((name, counts.get(name, forces)) for name in (*contacts, *self.of_law)))
+
+    def stencil_of(self, block: int) -> Stencil:
+        """Constants that kernels over blocks of so many sites are compiled for."""
+        return Stencil(self.spin_axes, self.scene.lattice.dimension, block, self.scene.lattice.periodic)
+
+    def on_device(self, spec: FieldSpec) -> Fields:
+        """Return fields of a spec, on the device that runs."""
+        lattice = self.scene.lattice
+        return Fields(Layout(self.scene.replicas, lattice.shape, block_size(), lattice.periodic), spec)
+
+    def use(self, spec: Any, viscosity: np.ndarray | None) -> None:
+        self.spec, self.fields = spec, self.on_device(spec)
+        layout = self.fields.layout
+        self.stencil = self.stencil_of(layout.block)
+        self.fields.load("coefficient", layout.at_lower_sphere(self.scene.acting_coefficient))
+        if viscosity is not None:
+            self.fields.load("viscosity", layout.at_lower_sphere(viscosity))
+
+    def read_forces(self, name: str) -> np.ndarray:
+        return self.stencil.forces_of_contacts(self.fields.read(name), self.fields.layout)
+
+    def load_force(self, force: np.ndarray) -> None:
+        self.fields.load("force", self.stencil.forces_at_lower_sphere(force, self.fields.layout))
+
+    def springs(self, corrector: tuple[float, ...]) -> "tuple[Team, Sweeps]":
+        from taichi_bearings.kernels.cundall_strack import CundallStrackSteps  # methods without sweeps need no Taichi
+        from taichi_bearings.kernels.team import Team, made_once
+
+        team = Team(team_size(self.fields.layout, self.stencil.components + self.stencil.force_components))
+        return team, made_once(CundallStrackSteps, self.spec, self.stencil, corrector)
+
+    def descents(self) -> "tuple[Team, Sweeps]":
+        from taichi_bearings.kernels.contact import FORCES
+        from taichi_bearings.kernels.descent import DescentSweeps
+        from taichi_bearings.kernels.team import Team, made_once
+
+        team, law = Team(team_size(self.fields.layout, self.stencil.components)), self.scene.law.name
+        if law not in FORCES:
+            raise InputError(
+                f"law is {law!r}; gradient-descent needs its force on the device, as a row of "
+                "FORCES in taichi_bearings.kernels.contact"
+            )
+        return team, made_once(DescentSweeps, self.spec, self.stencil, law)
+
+    def run(self, team: "Team", sweeps: "Sweeps", turns: int, numbers: tuple[float, ...], first: int = 0) -> None:
+        sweeps.run(self.fields, team, turns, numbers, first=first)
+
+    def weights(self, bounds: np.ndarray) -> np.ndarray:
+        """Sums (C, R, *N) of these numbers (R, E) of the contacts that act on each spin component."""
+        return weights(bounds, self.scene.lattice, self.spin_axes)
+
+    def inertias(self, options: Any, density: Any) -> float:
+        """The one that is given, or m R^2 / 2 of a disc or 2 m R^2 / 5 of a sphere; not over the radius."""
+        return inertia_of(self.scene, options)
+
+    def unit_inertia(self, inertia: Any) -> float:
+        return float(inertia)
+
+    def fastest_modes(self, inertia: Any) -> tuple[float, float]:
+        return fastest_modes(self.scene, self.spin_axes, inertia)
+
+    def proven_by(self, force: Forces) -> np.ndarray:
+        return lower_bound(self.scene, force, self.spin_axes)
+
+    def judged(self, staggered: np.ndarray, force: Forces, proof: Forces | None, **more: Any) -> Progress:
+        scene, axes = self.scene, self.spin_axes
+        return Progress(
+            staggered=staggered,
+            spin_axes=axes,
+            force=force,
+            objective=scene.objective(staggered, axes),
+            lower_bound=lower_bound(scene, force if proof is None else proof, axes),
+            largest_balance_residual=largest_unbalanced_torque(scene, force, axes),
+            proof=proof,
+            **more,
+        )
+
+
+def inertia_of(scene: Scene, options: Any) -> float:
+    """Return the moment of inertia that is given, or m R^2 / 2 of a disc or 2 m R^2 / 5 of a sphere."""
+    usual = options.mass * scene.slip_radius**2 * (0.5 if scene.lattice.dimension == 2 else 0.4)
+    return float(options.inertia or usual)
+
+
+def fastest_modes(scene: Scene, spin_axes: tuple[int, ...], inertia: float) -> tuple[float, float]:
+    """As of `Contacts`: of viscosity the largest eigenvalue of the weighted Laplacian, raised by what Lanczos' method
+    may miss; of contacts that stick the known one of the lattice."""
+    over = scene.slip_radius**2 / inertia
+    decay = over * largest_weighted_eigenvalue(scene, spin_axes) if scene.law.flows else 0.0
+    return decay, over * largest_laplacian_eigenvalue(scene.lattice, spin_axes)
+
+
+def _moving_axes(scene: Scene, spin: np.ndarray) -> tuple[int, ...]:
+    """The components that a motion needs: those of the minimum, and any in which these laboratory spins (R, *N, 3)
+    start unlike the driven planes."""
+    needed, every = scene.minimum_spin_axes, scene.lattice.all_spin_axes
+    if scene.lattice.dimension == 2:
+        return needed
+    full = scene.staggered_spin(spin, every)
+    return tuple(k for k in every if k in needed or full[k].any())
