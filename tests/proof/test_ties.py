@@ -41,7 +41,7 @@ def kinds(solution):
     ((3, 3, 4), 3, [37, 14, 0, 0]), ((3, 3, 4), 124, [30, 17, 4, 0]), ((5, 5, 5), 3, [149, 64, 7, 0]),
 ])  # fmt: skip
 def test_what_is_proven_is_what_contacts_are_called(shape, seed, expected):
-    """Of the slipless contacts 3, 0 and 4 bear all their friction (docs/ties.md)."""
+    """Of the slipless contacts 3, 0 and 4 bear all their friction (docs/certificates.md)."""
     solution = minimum(shape, seed)
     assert kinds(solution) == expected
     numbers = Answered(solution, 1e-8, None)
@@ -91,7 +91,7 @@ def test_friction_that_differs_in_its_last_digit_ties_nothing():
 
 def test_friction_at_its_limit_by_hand():
     """A sphere that slips on the bottom, friction 5, between two that turn with the top, is pulled by 3 along x and by
-    4 along y: at friction 3 the contact that feels x is at its limit and rests, below it slips (docs/ties.md)."""
+    4 along y: at friction 3 the contact that feels x is at its limit and rests, below it slips (certificates.md)."""
     for friction, state in (
         (2.75, SLIPPING),
         (3.0, UNDECIDED),  # it rests, but rounding hides that
