@@ -27,7 +27,7 @@ from taichi_bearings.plots.bearing import SPIN_COLOURS, Sheet, colour_bar
 from taichi_bearings.plots.style import BLUE, DOUBLE, GREY, ORANGE, in_our_style, new_figure
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene import Scene, Solution
-from taichi_bearings.scene.initial_spins import cut_of, cut_unit, cut_weights
+from taichi_bearings.scene.interface import cut_of, cut_unit, cut_weights
 from taichi_bearings.scene.scene import of_lattice
 from taichi_bearings.solvers import GradientDescent, InteriorPoint, LinearSolver, PlanarCut
 from taichi_bearings.solvers.stopping import StopRule

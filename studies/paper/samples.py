@@ -24,7 +24,8 @@ from taichi_bearings.scans.engine import LocalEngine, failure, run_samples
 from taichi_bearings.scans.estimate import bytes_of, paying_workers, seconds_of, units_of
 from taichi_bearings.scans.plan import read_plan, sample_key
 from taichi_bearings.scene import Scene, Solution
-from taichi_bearings.scene.initial_spins import cut_of, initial_spin
+from taichi_bearings.scene.initial_spins import initial_spin
+from taichi_bearings.scene.interface import cut_of
 from taichi_bearings.solvers import CundallStrack, InteriorPoint, MethodOptions, RigidLimit
 from taichi_bearings.solvers.drive import solve, uninterrupted
 from taichi_bearings.solvers.recording import Recording

@@ -27,15 +27,13 @@ from taichi_bearings.analysis.bottlenecks import Bottlenecks
 from taichi_bearings.analysis.domains import RigidDomains, rigid_domains, turning_domains
 from taichi_bearings.analysis.network import MOST_BODIES, SliplessNetwork
 from taichi_bearings.analysis.topology import self_stress_of
-from taichi_bearings.numerics.minimum_cut import WEIGHT_ROUNDING
 from taichi_bearings.proof.contact_state import ContactState, by_threshold
 from taichi_bearings.quantities import STRUCTURE, Quantity, plain
 from taichi_bearings.read_only import cached_read_only
-from taichi_bearings.scene import Bearing, Scene, Solution
-from taichi_bearings.scene.initial_spins import cut_of, cut_unit, cut_weights
-from taichi_bearings.scene.interface import SAME_STATE, Interface, bearing_states
+from taichi_bearings.scene import Bearing, Solution
+from taichi_bearings.scene.interface import SAME_STATE, Interface, bearing_states, find_interface
 from taichi_bearings.scene.network import Network
-from taichi_bearings.scene.scene import of_lattice, vector_length
+from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.stages import stage
 
 OF_THE_RUN = ("power", "lower_bound", "slipping", "slipless", "tied", "undecided", "minimum_is_unique")
@@ -308,40 +306,6 @@ def structure_of(answer: Solution, number: int = 0, threshold: float | None = No
     power, lower_bound = float(one.power[0]), float(one.lower_bound[0])
     of_contacts = (one.slip[0], one.state[0], one.friction[0], one.power_per_contact[0])
     return Structure(one, one.spin[0], *of_contacts, power, lower_bound, threshold)
-
-
-def find_interface(bearing: Bearing, replica: int = 0) -> Interface | None:
-    """The cheapest interface of one sample: of the least power, or what else the stationary state minimises; None where
-    there are no two bearing states, as there are in every lattice.
-
-    replica : number of the sample.
-    """
-    bearing = bearing.sample(replica)
-    if bearing.network.lattice is None:
-        return Interface.of(bearing)
-    scene = of_lattice(bearing)
-    weight, cut, unit = cut_weights(scene), cut_of(scene), cut_unit(scene)
-    low, high = cut.above[0].ravel()[scene.lattice.ends]
-    contacts = (low != high) & (weight[0] > 0) & (scene.jump > 0)  # without a jump nothing slips
-    power = unit * float(cut.weight[0])
-    if scene.law.minimises != "power":
-        power = float(scene.law.power(scene.material, _interface_slips(scene)[None])[0, contacts].sum())
-    return Interface(
-        power,
-        contacts,
-        cut.above[0],
-        cut.between[0],
-        unit * float(cut.lower_bound[0]) * (1 - WEIGHT_ROUNDING),
-        unit * float(cut.next_weight[0]),
-    )
-
-
-def _interface_slips(scene: Scene) -> np.ndarray:
-    """(E,) slips of contacts on an interface of two rigid domains, length/time; of the jump itself, as spins in the
-    laboratory lose the digits of a jump that is small beside them."""
-    axes = scene.minimum_spin_axes
-    jump = scene.top_spin(axes).reshape(len(axes), -1)[:, scene.lattice.column]
-    return scene.lattice.radius * vector_length(np.where(scene.lattice.tangential_mask(axes), jump, 0.0))
 
 
 def self_stress(network: SliplessNetwork, spin_axes: tuple[int, ...]) -> np.ndarray:

@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 
 from taichi_bearings.lattice import Lattice
+from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.numerics.double_double import (
     Pair,
     add,
@@ -38,6 +39,7 @@ from taichi_bearings.numerics.graphs import odd_pieces, pieces
 from taichi_bearings.read_only import cached_read_only
 from taichi_bearings.scene.network import Network
 
+EVEN_RESIDUAL = 1e-12  # of the torques of the spins at even viscosities, relative
 SAME_DRIVING = 4  # units in the last place, up to which imposed speeds are one
 
 
@@ -49,8 +51,8 @@ class Driving:
     def __init__(self, network: Network, spin: np.ndarray, contact: np.ndarray) -> None:
         """Take a network whose spheres are driven.
 
-        spin : (N, 3), of discs (N,), 1/time; imposed on driven spheres, ignored on others. contact : (2, n), the
-        spheres of the contacts that act.
+        spin : (N, 3), of discs (N,), 1/time; imposed on driven spheres, ignored on others. contact : (n,), numbers of
+        the contacts that act.
         """
         self.network, self.spin, self.contact = network, spin, contact
 
@@ -117,7 +119,7 @@ class Driving:
         held = ~self.network.free
         if not held.any():
             return 0.0
-        odd, sign = odd_pieces(self.network.spheres, *self.contact)
+        odd, sign = odd_pieces(self.network.spheres, *self.network.contact[:, self.contact])
         turned = (sign[:, None] * self.speed)[held]
         both = np.concatenate([turned, -turned[odd[held]]])
         return float(np.linalg.norm(both.max(axis=0) - both.min(axis=0)))
@@ -199,6 +201,20 @@ class Driving:
             part[0] if len(every) == 1 else np.ascontiguousarray(np.moveaxis(part, 0, -1)) for part in pair
         )
         return self.as_given(spin, rounding)
+
+    def evenly(self) -> np.ndarray:
+        """Carried spins (C, 1, *N) of all components, of least power with the same viscosity at all contacts that act:
+        by conjugate gradients, which need no factor of a matrix, as that is large and a GPU has none."""
+        from scipy.sparse.linalg import cg
+
+        network = self.network
+        every = np.arange(network.spheres * network.components).reshape(-1, network.components)
+        moved, whole = np.repeat(network.free, network.components), network.operator(self.contact, every)
+        matrix, given = whole[:, moved], np.where(moved, 0.0, self.speed.ravel())
+        found = given.copy()
+        with one_thread():  # sums do not depend on the number of threads
+            found[moved], _ = cg(matrix.T @ matrix, -(matrix.T @ (whole @ given)), rtol=EVEN_RESIDUAL)
+        return self.impose(found.reshape(-1, network.components).T[:, None].copy(), self.every)
 
     def as_given(self, spin: np.ndarray, rounding: np.ndarray) -> Pair:
         """The same spins and roundings, changed in place: those of driven spheres bit by bit as they were given."""
@@ -322,6 +338,11 @@ class Planes(Driving):
         """What spheres carry in a component that is not carried: it goes linearly from bottom to top, which is constant
         where the two agree."""
         return np.linspace(0.0, self.imposed_on_top((component,))[0][0], self.lattice.shape[-1], axis=-1)
+
+    def evenly(self) -> np.ndarray:
+        """Carried spins (C, 1, *N), linear in the height: the viscous answer without disorder."""
+        height = np.linspace(0.0, 1.0, self.lattice.shape[-1])
+        return self.imposed_on_top(self.every)[0][:, None, ..., None] * height
 
     def as_given(self, spin: np.ndarray, rounding: np.ndarray) -> Pair:
         return spin, rounding

@@ -10,8 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from taichi_bearings.numerics.minimum_cut import graph_cut, number_bodies
-from taichi_bearings.scene.bearing import Bearing
+from taichi_bearings.numerics.exact_cuts import with_exact_ties
+from taichi_bearings.numerics.minimum_cut import WEIGHT_ROUNDING, MinimumCut, graph_cut, minimum_cut, number_bodies
+from taichi_bearings.scene.bearing import Bearing, vector_length
+from taichi_bearings.scene.scene import Scene, of_lattice
 
 SAME_STATE = 1e-9  # of the largest R omega, by which spins may miss a bearing state
 ACROSS = 1e-12  # of the jump, what rounding leaves of it across a normal along it
@@ -136,3 +138,93 @@ def _slack(bearing: Bearing, contact: np.ndarray, across: np.ndarray, states: np
     of = tuple(values[0, contact] for values in bearing.material)
     near, far = (bearing.law.objective(of, np.maximum(across[contact] + by, 0.0)) for by in (-off, off))
     return float((far - near).sum())
+
+
+def find_interface(bearing: Bearing, replica: int = 0) -> Interface | None:
+    """The cheapest interface of one sample: of the least power, or what else the stationary state minimises; None where
+    there are no two bearing states, as there are in every lattice.
+
+    replica : number of the sample.
+    """
+    bearing = bearing.sample(replica)
+    if bearing.network.lattice is None:
+        return Interface.of(bearing)
+    scene = of_lattice(bearing)
+    weight, cut, unit = cut_weights(scene), cut_of(scene), cut_unit(scene)
+    low, high = cut.above[0].ravel()[scene.lattice.ends]
+    contacts = (low != high) & (weight[0] > 0) & (scene.jump > 0)  # without a jump nothing slips
+    power = unit * float(cut.weight[0])
+    if scene.law.minimises != "power":
+        power = float(scene.law.power(scene.material, _interface_slips(scene)[None])[0, contacts].sum())
+    return Interface(
+        power,
+        contacts,
+        cut.above[0],
+        cut.between[0],
+        unit * float(cut.lower_bound[0]) * (1 - WEIGHT_ROUNDING),
+        unit * float(cut.next_weight[0]),
+    )
+
+
+def _interface_slips(scene: Scene) -> np.ndarray:
+    """(E,) slips of contacts on an interface of two rigid domains, length/time; of the jump itself, as spins in the
+    laboratory lose the digits of a jump that is small beside them."""
+    axes = scene.minimum_spin_axes
+    jump = scene.top_spin(axes).reshape(len(axes), -1)[:, scene.lattice.column]
+    return scene.lattice.radius * vector_length(np.where(scene.lattice.tangential_mask(axes), jump, 0.0))
+
+
+def cut_of(scene: Scene) -> MinimumCut:
+    """The lightest interface between spheres that turn with the bottom and spheres that turn with the top."""
+    weight, rounding = scene.lattice.by_axis(cut_weights(scene)), cut_rounding(scene)
+    cut = minimum_cut(weight, rounding)
+    return with_exact_ties(cut, weight, rounding) if rounding or scene.periodic else cut
+
+
+def cut_rounding(scene: Scene) -> float:
+    """Share by which the weights of :func:`cut_weights` may miss the exact ones; 0 of discs with one coefficient, which
+    is the weight."""
+    return 0.0 if scene.lattice.dimension == 2 and len(scene.law.quantities) == 1 else WEIGHT_ROUNDING
+
+
+def _cut_speed(scene: Scene) -> float:
+    """Unit of the jump, 1/time: of discs the jump itself, if there is one."""
+    if scene.lattice.dimension == 2 and scene.jump:
+        return scene.jump
+    return float(scene.driving.unit[0][0])
+
+
+def cut_weights(scene: Scene) -> np.ndarray:
+    """Share of each contact in the objective of such an interface, over :func:`cut_unit`; (R, E).
+
+    A contact of the interface slips by R |J x n|, J the jump of the imposed states at its place and n its axis. Of J
+    only the components that a minimum needs count: the one along the height can change from bottom to top layer by
+    layer, where no contact feels it. Viscous contacts weigh by the square of their slip, and viscosities beside a
+    friction by their share in it. How far rounding takes them from the exact ones says :func:`cut_rounding`.
+    """
+    unit = _cut_speed(scene)
+    units = (1.0, scene.lattice.radius * unit / scene.normal_force)
+    coefficients = tuple(unit * values for unit, values in zip(units, scene.named_coefficients.values(), strict=False))
+    axes = scene.minimum_spin_axes
+    jump = scene.driving.top_in_units(axes)[0].reshape(len(axes), -1)[:, scene.lattice.column]
+    if scene.lattice.dimension == 2:
+        jump = np.where(jump != 0, 1.0, 0.0)
+    across = vector_length(np.where(scene.lattice.tangential_mask(axes), jump, 0.0))
+    return scene.law.objective(coefficients, across)
+
+
+def cut_unit(scene: Scene) -> float:
+    """Objective of an interface over its weight: strength * R unit with friction, else (R unit)^2; energy/time."""
+    speed = scene.lattice.radius * _cut_speed(scene)
+    return scene.strength * (speed if scene.law.holds else speed**2)
+
+
+def spins_of_two_domains(bearing: Bearing) -> np.ndarray | None:
+    """Carried spins (C, R, *N), in the components that a minimum needs, of the two rigid domains beside the lightest
+    interface of each sample; None where there are no two bearing states."""
+    if bearing.network.lattice is not None:
+        scene = of_lattice(bearing)
+        return np.where(cut_of(scene).above, scene.top_spin(scene.minimum_spin_axes)[:, None, ..., None], 0.0)
+    cuts = [Interface.of(bearing.sample(number)) for number in range(bearing.replicas)]
+    spins = [cut.spins.T for cut in cuts if cut is not None]
+    return np.stack(spins, axis=1) if len(spins) == len(cuts) else None

@@ -146,7 +146,7 @@ class Packing(Bearing):
     @cached_property
     def driving(self) -> Driving:
         """The spins that are imposed on driven spheres."""
-        return Driving(self.network, self.spin, self.network.contact[:, self.acting])
+        return Driving(self.network, self.spin, self.acting)
 
     @property
     def dimension(self) -> int:

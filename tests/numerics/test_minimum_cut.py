@@ -11,7 +11,7 @@ from scipy.ndimage import label
 
 from taichi_bearings.numerics import minimum_cut as module
 from taichi_bearings.numerics.minimum_cut import flow_cut, largest_flow, minimum_cut, next_cut, weight_of_cut
-from taichi_bearings.scene.initial_spins import cut_weights
+from taichi_bearings.scene.interface import cut_weights
 from tests.kernels.twins import neighbours
 from tests.scenes import make_scene
 

@@ -15,7 +15,6 @@ from taichi_bearings.analysis.network import SliplessNetwork
 from taichi_bearings.checksums import ATTRIBUTE
 from taichi_bearings.errors import DeviceError, FileError, InputError
 from taichi_bearings.packing import Packing
-from taichi_bearings.packing.starts import start_of
 from taichi_bearings.quantities import STRUCTURE
 from taichi_bearings.runs.figures import draw_figure
 from taichi_bearings.runs.verify import verify
@@ -188,7 +187,7 @@ def test_a_torque_just_above_what_is_proven_to_be_held_is_verified(tmp_path):
 
 def test_the_cut_start_the_threshold_and_the_histogram_are_those_of_the_lattice(tmp_path):
     scene, packing = pair((4, 4, 5), 1, spin_bottom=0.1)
-    start = start_of(packing, "minimum-cut")[:, 0].T / np.asarray(packing.radius)[:, None]
+    start = initial_spin(packing, "minimum-cut")[0]
     assert start == pytest.approx(initial_spin(scene, "minimum-cut")[0].reshape(-1, 3))
     threshold = 0.1 * np.sqrt(0.5)
     expected, found = (solve(system, slip_threshold=threshold) for system in (scene, packing))

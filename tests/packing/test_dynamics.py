@@ -199,7 +199,7 @@ def test_neighbours_stand_near_each_other_whatever_the_order_was():
     [
         ({"method": "rigid-limit"}, "method is 'rigid-limit'; of a packing it can be auto, planar-cut"),
         ({"method": "cundall-strack", "start": "nearby"}, "start is 'nearby'"),
-        ({"method": "cundall-strack", "start": np.zeros(4)}, r"start has shape \(4,\); it must be \(27, 3\)"),
+        ({"method": "cundall-strack", "start": np.zeros(4)}, r"spin in start has shape \(4,\); it must be \(27, 3\)"),
         ({"method": "cundall-strack", "density": -1.0}, "density"),
         ({"method": "gradient-descent", "density": 1.0}, "density is given, but gradient-descent has no use for it"),
         ({"method": tb.CundallStrack(inertia=1.0), "density": 1.0}, "inertia is 1 and density is given"),

@@ -10,7 +10,8 @@ from taichi_bearings_studies.paper.samples import solved
 
 from taichi_bearings.numerics.minimum_cut import flow_cut, next_cut
 from taichi_bearings.scene import Scene
-from taichi_bearings.scene.initial_spins import cut_of, cut_weights, initial_spin
+from taichi_bearings.scene.initial_spins import initial_spin
+from taichi_bearings.scene.interface import cut_of, cut_weights
 from taichi_bearings.solvers import GradientDescent, LinearSolver, PlanarCut
 from taichi_bearings.solvers.stopping import StopRule
 from tests.tables import rows_of

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from taichi_bearings.analysis.structure import find_interface
-from taichi_bearings.scene.initial_spins import cut_of, initial_spin
+from taichi_bearings.scene.initial_spins import initial_spin
+from taichi_bearings.scene.interface import cut_of
 from taichi_bearings.solvers import InteriorPoint
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule

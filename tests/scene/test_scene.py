@@ -9,6 +9,7 @@ from taichi_bearings.lattice import Lattice
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.disorder import Distribution, draw_coefficients
 from taichi_bearings.scene.initial_spins import STARTS, initial_spin
+from tests.packing.twins import pair
 from tests.scenes import make_scene
 
 
@@ -111,3 +112,14 @@ def test_distributions_have_their_mean(text, mean):
 def test_nonsense_distributions_are_refused(text):
     with pytest.raises(InputError):
         Distribution.parse(text)
+
+
+@pytest.mark.parametrize("start", STARTS)
+@pytest.mark.parametrize("shape", [(4, 4, 5), (5, 6)], ids=str)
+def test_a_lattice_and_the_packing_of_its_kind_start_alike(shape, start):
+    """By strides and bearing states, and by a list of contacts and conjugate gradients: free spheres turn alike."""
+    scene, packing = pair(shape, 3, spin_bottom=0.25, **({"direction": (0.6, 0.8, 0.0)} if len(shape) == 3 else {}))
+    spins = [initial_spin(one, start)[0].reshape(packing.spin.shape) for one in (scene, packing)]
+    free = packing.driven < 0
+    assert spins[0][free] == pytest.approx(spins[1][free], abs=1e-9)
+    assert (np.ptp(spins[0][free]) > 0) == (start != "zero")
