@@ -1,4 +1,4 @@
-"""Frustrated bearings on square and cubic lattices, solved on CPU and GPU, with proven error bounds.
+"""Frustrated bearings on square and cubic lattices and packings, solved on CPU and GPU, with proven error bounds.
 
     import taichi_bearings as tb
 
@@ -7,8 +7,9 @@
     course = tb.solve(scene, tb.CundallStrack(stiffness=1e6), start="random", duration=10)
     net = tb.analyse(best)
 
-Scene : what is solved, or Packing, any network. solve, solve_many : to a :class:`Result`. load : one from a file.
-analyse : what it is made of.
+Scene : a lattice to solve; Packing : any network of spheres.
+solve, solve_many : give the state of least power as a :class:`Result`. load : reads a Result from a file.
+analyse : finds rigid domains, slipless networks and cuts of a Result.
 """
 
 from typing import TYPE_CHECKING, Any
@@ -38,7 +39,7 @@ OF_API = ("Packing", "Result", "Scene", "analyse", "load", "solve", "solve_many"
 
 
 def __getattr__(name: str) -> Any:
-    """The front door, loaded when it is first used: importing the package takes no time."""
+    """Load a public name when it is first used: importing the package takes no time."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     import importlib

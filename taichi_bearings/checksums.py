@@ -1,10 +1,10 @@
-"""Checksums of what an HDF5 file holds, in the file itself: a number that has changed since is not read as a result.
+"""Checksums of what an HDF5 file holds, in the file itself, so that numbers that were changed are not read as results.
 
 The attribute `sha256` of the root is JSON text, name -> SHA-256 in hexadecimal digits: ``contact/x/slip`` for a data
 set (:func:`digest_of_array`), ``path@attribute`` for an attribute of a group, ``attribute`` for one of the root
-(:func:`digest_of_attribute`). A group that was added later, `/analysis`, has such an attribute of its own.
-Files from before have none and are read unchecked. Who changes a file on purpose removes the attribute, or writes it
-anew with :func:`seal`; what others add is not looked at.
+(:func:`digest_of_attribute`). A group that was added later, `/analysis`, has such an attribute of its own. Files of
+old versions have none and are read unchecked. Whoever changes a file on purpose removes the attribute, or writes it
+anew with :func:`seal`; what others add to a file is not checked.
 """
 
 import contextlib
@@ -25,7 +25,10 @@ ATTRIBUTE = "sha256"
 
 
 def digest_of_array(values: np.ndarray) -> str:
-    """Of kind and shape, such as ``<f8 (3, 4, 5)``, and the bytes in C order; for texts their list as JSON instead."""
+    """Return the checksum of type and shape, such as ``<f8 (3, 4, 5)``, and of the bytes in C order.
+
+    Of texts the list as JSON takes the place of the bytes.
+    """
     digest = hashlib.sha256(f"{values.dtype.str} {values.shape}".encode())
     if values.dtype == object:
         digest.update(json.dumps(values.tolist(), default=bytes.decode).encode())
@@ -35,17 +38,17 @@ def digest_of_array(values: np.ndarray) -> str:
 
 
 def digest_of_attribute(value: Any) -> str:
-    """Of a number, a text or a list as JSON; of what else there can be, as text."""
+    """Return the checksum of a number, a text or a list as JSON, of anything else as text."""
     return hashlib.sha256(json.dumps(np.asarray(value).tolist(), default=str).encode()).hexdigest()
 
 
 def _digest(item: Any, attribute: str | None) -> str:
-    """Of an attribute, or of a data set where none is named."""
+    """Return the checksum of an attribute of `item`, or, if None is named, of `item` itself, a data set."""
     return digest_of_array(np.asarray(item[()])) if attribute is None else digest_of_attribute(item.attrs[attribute])
 
 
 def _parts(group: h5py.Group) -> Iterator[tuple[str, Any, str | None]]:
-    """All data sets in a group, and the attributes of the groups: name, data set or group, and attribute."""
+    """Yield all data sets in a group, and the attributes of its groups: name, data set or group, attribute or None."""
     items: list[tuple[str, Any]] = [("", group)]
     group.visititems(lambda path, item: items.append((path, item)))
     for path, item in items:
@@ -61,8 +64,12 @@ def seal(group: h5py.Group) -> None:
 
 
 def changed_in(path: Path, group: h5py.Group) -> Iterator[str]:
-    """Names of what is not what it was when it was written, in the open file `path` or a group of it; FileError where
-    its checksums are none. What is missing altogether is for those to notice who need it."""
+    """Yield the names of what was changed since it was written, in an open file or a group of it.
+
+    FileError where the table of checksums is unreadable. What is missing altogether is noticed by whoever reads it.
+
+    path : of the file, for the error.
+    """
     digests = parse_json(str(group.attrs.get(ATTRIBUTE, "{}")))
     if not isinstance(digests, dict):
         raise FileError(f"{path} is damaged or was changed: its {ATTRIBUTE} is no table of checksums")
@@ -73,8 +80,12 @@ def changed_in(path: Path, group: h5py.Group) -> Iterator[str]:
 
 @contextlib.contextmanager
 def open_checked(path: Path, kind: str = "an HDF5 file", changed: list[str] | None = None) -> Iterator[h5py.File]:
-    """Yield a file open for reading, as open_hdf5 does. Raises FileError, too, for a layout of another version, and if
-    something is not what it was when it was written, unless `changed` is a list: then its name is put there."""
+    """Open a file for reading as `open_hdf5` does, and check its checksums.
+
+    kind : what it is read as, for errors.
+    changed : a list that takes the names of what was changed; without it a change raises FileError, as does a layout of
+        another version.
+    """
     with open_hdf5(path, kind) as file:
         found = file.attrs.get("schema_version", LAYOUT)
         if found not in READ_LAYOUTS:

@@ -1,4 +1,4 @@
-"""How to cite the program and the paper whose systems it solves: CITATION.cff, as it stands or as BibTeX."""
+"""Says how to cite the program and the paper whose systems it solves: CITATION.cff, as it stands or as BibTeX."""
 
 import re
 from pathlib import Path
@@ -12,17 +12,22 @@ BIBTEX = {  # a key of the file -> a field of BibTeX
 
 
 def cff() -> str:
-    """The file."""
+    """Return the content of CITATION.cff."""
     return CITATION_FILE.read_text(encoding="utf-8")
 
 
 def bibtex(text: str) -> str:
-    """Its two entries: the program and the paper. text : a CITATION.cff, one line a value, names without quotes."""
+    """Return two BibTeX entries: the program and the paper. text : a CITATION.cff, one line a value, names without
+    quotes.
+    """
     program, _, paper = text.partition("\npreferred-citation:\n")
     return _entry(program, "taichi_bearings", "software") + "\n" + _entry(dedent(paper), "frustrated_bearings", "misc")
 
 
 def _entry(block: str, key: str, kind: str) -> str:
+    """Return one BibTeX entry. block : its lines of CITATION.cff. key : by which it is cited. kind : @software or
+    @misc.
+    """
     known = dict(re.findall(r"^([a-z-]+): (\S.*)$", block, re.MULTILINE))
     people = re.findall(r"^ *- (?:family-)?name.*\n(?: +[a-z-]+: .*\n?)*", block, re.MULTILINE)
     names = [dict(re.findall(r"([a-z-]+): (.+)", person)) for person in people]

@@ -1,6 +1,6 @@
-"""Taichi, imported here and nowhere else, and only once it is asked for: ``from taichi_bearings.compiler import ti``.
+"""Imports Taichi, here and nowhere else, and only when it is asked for: ``from taichi_bearings.compiler import ti``.
 
-Quadrants, its maintained fork, stands in for it where Taichi is not installed or the environment variable
+Quadrants, its maintained fork, takes its place where Taichi is not installed or the environment variable
 TAICHI_BEARINGS_COMPILER says so (docs/decisions.md, 8): it must be known before any kernel is read, and worker
 processes inherit it.
 """
@@ -24,7 +24,7 @@ from typing import Any
 from taichi_bearings.errors import DeviceError
 
 VARIABLE = "TAICHI_BEARINGS_COMPILER"
-LOCKED = 300.0  # seconds after which a lock of the compiler is one that a killed process has left
+LOCKED = 300.0  # seconds; an older lock of the compiler is one that a killed process has left
 KERNEL_CACHES = {"taichi": "taichi/ticache", "quadrants": "quadrants/qdcache"}  # compiler -> folder below the cache
 QUIET = {
     "ENABLE_TAICHI_HEADER_PRINT": "0",
@@ -36,8 +36,10 @@ QUIET = {
 
 
 def name() -> str:
-    """The package that compiles the kernels of this process: the one that the environment names, else the first that is
-    installed. DeviceError if it is unknown or not installed."""
+    """Return the package that compiles the kernels of this process.
+
+    It is the one that the environment names, else the first that is installed. DeviceError if it is unknown or missing.
+    """
     installed = [compiler for compiler in KERNEL_CACHES if importlib.util.find_spec(compiler) is not None]
     chosen = os.environ.get(VARIABLE) or (installed or ["taichi"])[0]
     if chosen not in KERNEL_CACHES:
@@ -50,8 +52,11 @@ def name() -> str:
 
 
 def cache_folder() -> Path | None:
-    """Where compiled kernels are kept: below the user's cache, or in a temporary folder if that cannot be written or
-    others can; None where that holds for both. What a killed compiler has locked there is unlocked."""
+    """Return where compiled kernels are kept.
+
+    That is below the user's cache, or in a temporary folder if that cannot be written, or others can write there; None
+    where the same holds for the temporary folder. Locks that a killed compiler has left there are removed.
+    """
     home = _cache_home()
     if home is None:
         return None
@@ -64,6 +69,7 @@ def cache_folder() -> Path | None:
 
 
 def _cache_home() -> Path | None:
+    """Return the folder of the user's caches, or a temporary one, whichever is safe; None if neither is."""
     if "XDG_CACHE_HOME" in os.environ:
         home = Path(os.environ["XDG_CACHE_HOME"])
     else:
@@ -82,8 +88,11 @@ def _cache_home() -> Path | None:
 
 
 def _is_ours(folder: Path) -> bool:
-    """True if `folder` and the cache in it are the user's own, nobody else can write there, and this process can:
-    checked by doing it, since access bits lie to root. It is made if it is missing."""
+    """Return True if `folder` and the cache in it are the user's own, nobody else can write there, and this process
+    can.
+
+    That is found by writing, since access bits do not bind root. The folder is made if it is missing.
+    """
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         inside = folder / Path(KERNEL_CACHES[name()]).name
@@ -102,13 +111,15 @@ def _is_ours(folder: Path) -> bool:
 
 @cache
 def _warn_of_cache(place: Path) -> None:
-    """Once in a process."""
+    """Warn that the cache is no folder, once in a process."""
     words = "bearings: %s is no folder; compiled kernels are kept in a temporary folder instead"
     logging.getLogger(__name__).warning(words, place)
 
 
 def _is_private(status: os.stat_result) -> bool:
-    """True for what nobody but this user can write; a group may if it has the user's name, as on many systems."""
+    """Return True for what nobody but this user can write; a group may if it has the user's name, as on many
+    systems.
+    """
     if not hasattr(os, "getuid"):
         return True
     if status.st_uid != os.getuid() or status.st_mode & stat.S_IWOTH:
@@ -127,7 +138,7 @@ def _is_private(status: os.stat_result) -> bool:
 
 @contextlib.contextmanager
 def environment() -> Iterator[None]:
-    """What the compiler reads when it is imported and started; afterwards the environment is as before."""
+    """Set, inside the block, the environment that the compiler reads when it is imported and started."""
     before, home = os.environ.copy(), _cache_home()
     cache = {"XDG_CACHE_HOME": str(home or os.devnull)}  # without a home folder it would abort
     os.environ.update(QUIET | before | cache)
@@ -160,8 +171,11 @@ def __getattr__(attribute: str) -> Any:
 
 @contextlib.contextmanager
 def _lines_found_quickly() -> Iterator[None]:
-    """The compiler asks `inspect` for the line that defines each kernel, be it that of a class, and `inspect` would go
-    through all modules each time."""
+    """Replace `inspect.getframeinfo` inside the block by a quick one.
+
+    The compiler asks `inspect` for the line that defines each kernel, and `inspect` would go through all modules each
+    time.
+    """
 
     def line_of(frame: Any) -> tuple[None, None, None, list[str]]:
         return None, None, None, [linecache.getline(frame.f_code.co_filename, frame.f_lineno)]
@@ -175,9 +189,14 @@ def _lines_found_quickly() -> Iterator[None]:
 
 
 def _read_functions_once(reader: Any) -> None:
-    """Taichi reads a function from its file on wherever a kernel calls it, and notes anew where each expression stands.
-    Here it is read once, or as often as it calls itself, and the notes are kept: every process reads all its kernels
-    before it finds the compiled ones, and this takes half the time. Quadrants is left as it is."""
+    """Have Taichi read each function of a kernel once, which halves the time that every process takes to read its
+    kernels.
+
+    Taichi reads a function from its file wherever a kernel calls it, and notes each time where every expression stands.
+    Here
+    it is read once, or as often as it calls itself, and the notes are kept. Quadrants is left as it is. reader : the
+        module of Taichi that reads kernels.
+    """
     read, walk, variables = reader._get_tree_and_ctx, reader.transform_tree, reader._get_global_vars
     context, found = reader.ASTTransformerContext, reader.ASTTransformerContext.get_pos_info
     free: dict[Any, list[Any]] = {}  # function -> its trees of which none is being walked, file, lines, first line
@@ -207,8 +226,10 @@ def _read_functions_once(reader: Any) -> None:
 
 
 class _Unwrapped:
-    """For each expression of a kernel Taichi notes the lines that it stands in, wrapped to 80 columns: to wrap none of
-    them halves the time to read a kernel, which every process does before it finds the compiled one."""
+    """Stands in for the TextWrapper with which Taichi wraps the source lines of each expression, and wraps nothing.
+
+    That halves the time to read a kernel, which every process does before it finds the compiled one.
+    """
 
     def __init__(self, width: int) -> None:
         pass

@@ -1,4 +1,4 @@
-"""Which GPUs there are, asked of their drivers: Taichi tells neither their names nor if they have double precision."""
+"""Asks drivers which GPUs there are: Taichi says neither what they are called nor if they have double precision."""
 
 import ctypes
 import platform
@@ -8,7 +8,10 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Device:
-    """name : as its driver calls it. has_f64 : it computes in double precision. is_software : it is the CPU."""
+    """One GPU, or what acts as one.
+
+    name : as its driver calls it. has_f64 : it computes in double precision. is_software : it is the CPU in fact.
+    """
 
     name: str
     has_f64: bool = True
@@ -16,7 +19,7 @@ class Device:
 
 
 def find(arch: str) -> list[Device]:
-    """The devices that a backend of Taichi could use, none where there is no driver."""
+    """Return the devices that a backend of Taichi could use; none where there is no driver."""
     try:
         return {"cuda": _cuda, "vulkan": _vulkan, "metal": _metal}[arch]()
     except OSError:  # no such library here
@@ -42,7 +45,7 @@ def _metal() -> list[Device]:
     return [Device(f"GPU of this Mac ({platform.processor() or platform.machine()})", has_f64=False)]
 
 
-# places in VkPhysicalDeviceProperties and VkPhysicalDeviceFeatures, in bytes, and VK_PHYSICAL_DEVICE_TYPE_CPU
+# offsets in VkPhysicalDeviceProperties and VkPhysicalDeviceFeatures, in bytes, and VK_PHYSICAL_DEVICE_TYPE_CPU
 DEVICE_TYPE, DEVICE_NAME, NAME_LENGTH, SHADER_FLOAT64, SOFTWARE = 16, 20, 256, 39 * 4, 4
 
 

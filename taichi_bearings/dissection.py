@@ -1,8 +1,10 @@
-"""Nested dissection of a graph whose nodes have places: an order in which elimination fills in little.
+"""Nested dissection of a graph whose nodes have coordinates: an order in which elimination fills in little.
 
-A region is halved across an axis. The least set of nodes that meets every edge between the two halves, a least cover of
-a bipartite graph (König), separates what is left of them and is eliminated last: across the axis where it is smallest.
-All regions of a level are worked on at once.
+A region is halved across an axis. The smallest set of nodes that meets every edge between the two halves, a least
+vertex cover of a bipartite graph (König), separates what is left of them and is eliminated last. Of all axes the one
+with the smallest separator is taken. All regions of a level are worked on at once.
+
+Letters: n nodes, d coordinates.
 """
 
 from __future__ import annotations
@@ -18,28 +20,29 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components, maxi
 
 @dataclass(frozen=True)
 class Part:
-    """One of the parts of a graph. nodes : its own, which touch none outside it but in the parts above it.
+    """One part of a divided graph.
 
-    children : numbers of the parts that it separates, all before its own.
+    nodes : numbers of its own nodes. Their neighbours are in the part itself, in parts above it, or in parts below it.
+    children : numbers of the parts that it separates, all smaller than its own.
     """
 
     nodes: np.ndarray
     children: list[int]
 
 
-KEPT_DIVISIONS, MOST_KEPT_NODES = (
-    8,
-    200_000,
-)  # divisions that are kept, the last ones used, and nodes of graphs up to which
+KEPT_DIVISIONS = 8  # so many divisions are kept in memory, those used last
+MOST_KEPT_NODES = 200_000  # the division of a graph with more nodes is not kept
 _kept: dict[bytes, list[Part]] = {}
 _keeping = Lock()
 
 
 def dissected(graph: sparse.csc_array | sparse.csr_matrix, place: np.ndarray, leaf: int) -> list[Part]:
-    """Parts of a symmetric graph (n, n) whose nodes have these coordinates (d, n), children before parents.
+    """Return the parts of a symmetric graph (n, n), children before parents.
 
-    leaf : nodes of a region that is not divided. The same graph at the same places is divided once: methods and proofs
-    of one network, and of samples that share it, ask again and again.
+    place : (d, n) coordinates of the nodes. leaf : a region of no more nodes is not divided.
+
+    The same graph at the same places is divided once: methods and proofs of one network, and of samples that share it,
+    ask for it again and again.
     """
     if graph.shape[0] > MOST_KEPT_NODES:
         return _divided(graph, place, leaf)
@@ -57,7 +60,7 @@ def dissected(graph: sparse.csc_array | sparse.csr_matrix, place: np.ndarray, le
 
 
 def _divided(graph: sparse.csc_array | sparse.csr_matrix, place: np.ndarray, leaf: int) -> list[Part]:
-    """As :func:`dissected`."""
+    """Divide the graph; see :func:`dissected`."""
     count = graph.shape[0]
     second = np.repeat(np.arange(count), np.diff(graph.indptr))
     once = graph.indices > second
@@ -89,7 +92,11 @@ def _divided(graph: sparse.csc_array | sparse.csr_matrix, place: np.ndarray, lea
 def _best_cut(
     first: np.ndarray, second: np.ndarray, region: np.ndarray, ordered: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Masks (n,): the upper half of each region of active nodes, and the separator of the halves."""
+    """Return for each region of active nodes the masks (n,) of its upper half and of the separator of its halves.
+
+    first, second : nodes of each edge. region : (n,) region of each node. ordered : active nodes in order along each
+        axis.
+    """
     halved = np.stack([_upper_half(along, region) for along in ordered])
     covers = np.stack([_least_cover(*_across(first, second, upper), len(region)) for upper in halved])
     sizes = [np.bincount(region[cover], minlength=int(region.max()) + 1) for cover in covers]
@@ -98,7 +105,10 @@ def _best_cut(
 
 
 def _upper_half(ordered: np.ndarray, region: np.ndarray) -> np.ndarray:
-    """Mask (n,) of the active nodes, given in their order along an axis, beyond the median of their region."""
+    """Return the mask (n,) of active nodes beyond the median of their region.
+
+    ordered : active nodes in their order along an axis. region : (n,) region of each node.
+    """
     own = region[ordered]
     order = np.argsort(own.astype(np.uint16) if own.max() < 2**16 else own, kind="stable")
     size = np.bincount(own)
@@ -109,7 +119,7 @@ def _upper_half(ordered: np.ndarray, region: np.ndarray) -> np.ndarray:
 
 
 def _across(first: np.ndarray, second: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Lower and upper node of the edges that are cut between the two halves of a region."""
+    """Return the lower and the upper node of each edge that joins the two halves of a region."""
     at = np.flatnonzero(upper[first] != upper[second])
     first, second = first[at], second[at]
     swapped = upper[first]
@@ -117,8 +127,11 @@ def _across(first: np.ndarray, second: np.ndarray, upper: np.ndarray) -> tuple[n
 
 
 def _least_cover(low: np.ndarray, high: np.ndarray, count: int) -> np.ndarray:
-    """Mask (count,) of fewest nodes that meet every edge from a node of one side to one of the other: a minimum cut of
-    flow 1 through each node. It is the same whatever the largest flow; SciPy's own matchings can take minutes."""
+    """Return the mask (count,) of fewest nodes that meet every edge from a node of one side to one of the other.
+
+    It is found as a minimum cut with flow 1 through each node, and is the same whatever the largest flow; SciPy's own
+    matchings can take minutes. low, high : nodes of each edge.
+    """
     (lower, begin), (upper, end) = (_numbered(side, count) for side in (low, high))
     below, above = len(lower), len(upper)
     source, sink = below + above, below + above + 1
@@ -139,14 +152,19 @@ def _least_cover(low: np.ndarray, high: np.ndarray, count: int) -> np.ndarray:
 
 
 def _numbered(nodes: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """The different ones of these nodes, in order, and of each node its number among them. count : of all nodes."""
+    """Return the distinct ones of these nodes, in order, and for each node its number among them. count : of all
+    nodes.
+    """
     there = np.zeros(count, dtype=bool)
     there[nodes] = True
     return np.flatnonzero(there), (np.cumsum(there) - 1)[nodes]
 
 
 def _in_postorder(parent: np.ndarray, part: np.ndarray) -> list[Part]:
-    """Parts in an order in which few that are done wait for their parents."""
+    """Return the parts in an order in which few finished ones wait for their parents.
+
+    parent : the part above each, or -1. part : part of each node.
+    """
     children: list[list[int]] = [[] for _ in parent]
     for child in np.flatnonzero(parent >= 0):
         children[parent[child]].append(int(child))

@@ -1,11 +1,14 @@
 """Exceptions that a user may see: each message is one sentence that names the offending value."""
 
-MOST_LETTERS = 1000
+MOST_LETTERS = 1000  # of a message; the middle of a longer one is left out
 
 
 class BearingsError(Exception):
-    """Base of all errors raised on purpose by this package. As a text it is one line that does nothing to a terminal:
-    control characters, which names and files may hold, are escaped, and the middle of a long one is left out."""
+    """Base of all errors raised on purpose by this package.
+
+    Its text is one line that does nothing to a terminal: control characters, which names and files may hold, are
+    escaped, and the middle of a long text is left out.
+    """
 
     def __str__(self) -> str:
         text = super().__str__()
@@ -15,21 +18,25 @@ class BearingsError(Exception):
 
 
 def printable(text: str) -> str:
-    """A text as one line that does nothing to a terminal or a table: control characters and line ends are escaped."""
+    """Return a text as one line that does nothing to a terminal or a table: control characters and line ends are
+    escaped.
+    """
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
 class InputError(BearingsError):
-    """A value that cannot be used; the message names it and says what is allowed."""
+    """Raised for a value that cannot be used; the message names it and says what is allowed."""
 
 
 class DeviceError(InputError):
-    """The requested device, precision or thread count is not available here."""
+    """Raised if the requested device, precision or number of threads is not available here."""
 
 
 class FileError(InputError):
-    """A file that is missing, damaged, of an unknown layout, or in the way."""
+    """Raised for a file that is missing, damaged, of an unknown layout, or in the way."""
 
 
 class WriteError(FileError):
-    """A file that cannot be written: no room, no permission, or gone. Nothing is wrong with what was to be written."""
+    """Raised for a file that cannot be written: no room, no permission, or gone. What was to be written is not to
+    blame.
+    """

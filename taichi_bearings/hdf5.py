@@ -1,7 +1,7 @@
-"""HDF5 files from anywhere, which are data and nothing else: what one claims to hold is looked at before it is read.
+"""Opens HDF5 files from anywhere safely: what a file claims to hold is checked before it is read.
 
-Some damaged files the HDF5 library never finishes reading, deaf to everything. A file that may be one of them is opened
-and looked through with Ctrl-C and SIGTERM at their default action, so that a command can be left.
+Some damaged files keep the HDF5 library reading for ever, deaf to signals. A file that may be one of them is opened and
+checked with Ctrl-C and SIGTERM at their default action, so that a command can be left.
 """
 
 import contextlib
@@ -24,7 +24,8 @@ LAYOUT = 2  # version of all files of the package
 READ_LAYOUTS = (1, LAYOUT)  # versions that are read
 UNREADABLE = (OSError, KeyError, ValueError, TypeError, AttributeError, IndexError, RuntimeError)
 """What HDF5 and NumPy raise at damaged files."""
-GZIP_FACTOR, UNPACKED_BYTES = 1032, 2**20  # bytes that gzip makes of one, at most; what may be claimed without any
+GZIP_FACTOR = 1032  # most bytes that gzip can make of one
+UNPACKED_BYTES = 2**20  # a data set may claim so many bytes whatever is stored
 FILTERS = {1: "gzip", 2: "shuffle", 3: "fletcher32", 32000: "lzf"}
 HEAP = b"GCOL\1\0\0\0"  # how a heap of texts begins
 NO_LOCKS = {errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP}  # what a file system without locks says
@@ -32,11 +33,12 @@ NO_LOCKS = {errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP}  # what a file system 
 
 @contextlib.contextmanager
 def open_hdf5(path: Path, kind: str = "an HDF5 file") -> Iterator[h5py.File]:
-    """Yield the file, open for reading.
+    """Open a file for reading, as a context.
 
-    path : a regular file. kind : what it is read as, for people.
-    Raises FileError for a file that leads out of itself or claims more than it can hold, and for what a damaged one
-    makes HDF5 and NumPy raise inside.
+    path : a regular file. kind : what it is read as, for errors.
+
+    Raises FileError for a file that leads out of itself or claims more than it can hold, and for whatever a damaged one
+    makes HDF5 and NumPy raise inside the block.
     """
     try:
         with opened(path) as file:  # a regular file
@@ -54,8 +56,10 @@ def open_hdf5(path: Path, kind: str = "an HDF5 file") -> Iterator[h5py.File]:
 
 
 def _has_whole_heaps(path: Path) -> bool:
-    """False if what is free in a heap of texts in the file has no length, or an object reaches beyond its heap: HDF5
-    2.0 may then read on for ever."""
+    """Return False if free space in a heap of texts has no length, or an object reaches beyond its heap.
+
+    HDF5 2.0 may then read on for ever.
+    """
     with (
         opened(path) as file,
         contextlib.suppress(ValueError),  # an empty file cannot be mapped
@@ -75,8 +79,10 @@ def _has_whole_heaps(path: Path) -> bool:
 
 
 def file_at(path: Path) -> h5py.File:
-    """Open an HDF5 file for reading, without a lock where the file system has none: this program replaces a file in one
-    move, and never writes into one that others may be reading."""
+    """Open an HDF5 file for reading, without a lock where the file system has none.
+
+    That is safe since this program replaces a file in one move, and never writes into one that others may be reading.
+    """
     try:
         return h5py.File(path, "r")
     except OSError as error:
@@ -87,7 +93,7 @@ def file_at(path: Path) -> h5py.File:
 
 
 def reason_against(file: h5py.File, size: int) -> str:
-    """Say why the data of an open file must not be read, in words; empty if they can be. size : of the file, bytes."""
+    """Return in words why an open file must not be read; "" if it can be. size : of the file, bytes."""
     try:
         return _strange(file, size)
     except UNREADABLE as error:
@@ -95,7 +101,9 @@ def reason_against(file: h5py.File, size: int) -> str:
 
 
 def _strange(file: h5py.File, size: int) -> str:
-    """Say what in a file of so many bytes leads out of it, is of a strange kind or claims too much; or nothing."""
+    """Return what in a file of so many bytes leads out of it, is of an unknown kind or claims too much; "" for
+    nothing.
+    """
     links: list[tuple[bytes, int]] = []
     file.id.links.visit(lambda name, link: links.append((name, link.type)), info=True)
     if leads_out := [name.decode() for name, kind in links if kind == h5py.h5l.TYPE_EXTERNAL]:
@@ -118,7 +126,7 @@ def _strange(file: h5py.File, size: int) -> str:
 
 
 def _strange_attribute(name: str, item: h5py.HLObject) -> str:
-    """Say which attribute of a group or data set is neither a number nor a text; empty if all are."""
+    """Return which attribute of a group or data set is neither a number nor a text; "" if all are."""
     plain = (*PLAIN, h5py.Reference, h5py.RegionReference)  # as of scales, which are never followed
     for key in list(item.attrs):
         with contextlib.suppress(TypeError):  # a kind that NumPy has no name for
@@ -130,7 +138,7 @@ def _strange_attribute(name: str, item: h5py.HLObject) -> str:
 
 
 def _strange_data(name: str, item: h5py.Dataset) -> str:
-    """Say why a data set is none of numbers or texts in this file, packed by a known filter; empty if it is one."""
+    """Return why a data set is no array of numbers or texts in this file, packed by a known filter; "" if it is one."""
     if item.is_virtual or item.external:
         return f"{name} in it lies in other files, which are not read"
     settings = item.id.get_create_plist()
@@ -146,7 +154,7 @@ PLAIN: tuple[type, ...] = (bytes, int, float, np.generic, np.ndarray, h5py.Empty
 
 
 def _is_plain(value: object, plain: tuple[type, ...]) -> bool:
-    """True for these kinds, texts in UTF-8, and lists of them."""
+    """Return True for values of these types, texts in UTF-8, and lists of them."""
     if isinstance(value, np.ndarray) and value.dtype == object:
         return all(_is_plain(item, plain) for item in value.ravel())
     if isinstance(value, str):

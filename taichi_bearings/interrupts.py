@@ -1,7 +1,10 @@
-"""Ctrl-C, a batch queue's SIGTERM and limits of time: how work that takes long hears of them and ends without loss.
+"""How work that takes long hears of Ctrl-C, a batch queue's SIGTERM and limits of time, and ends without loss.
 
-Python tells its main thread of a signal between two of its own steps. What may be torn out of anything then ends at
-once (`heard_at_once`). What must not be half done looks up where it may end (`look_up`, inside `while_wanted`).
+Python runs the handler of a signal in its main thread, between two of its own steps. There are two kinds of work:
+
+* What may be broken off anywhere ends at once (`heard_at_once`).
+* What must not be half done *looks up* at places where it may end (`look_up`, inside `while_wanted`).
+
 A command that does not end by these means is ended by :mod:`taichi_bearings.leaving`.
 """
 
@@ -20,12 +23,12 @@ from typing import Any
 from taichi_bearings import leaving
 from taichi_bearings.leaving import SIGNALS
 
-SOON = 0.02  # seconds
-IMPATIENCE = 5.0  # seconds
+SOON = 0.02  # seconds until an interrupt that was swallowed is raised again
+IMPATIENCE = 5.0  # seconds; a second Ctrl-C that comes later than this ends the process
 
 
 class GivenUp(KeyboardInterrupt):
-    """Work has ended because it is no longer wanted; what it had reached before is whole."""
+    """Raised in work that is no longer wanted; what it had reached before is whole."""
 
 
 _ended: ContextVar[Callable[[], bool] | None] = ContextVar("ended", default=None)
@@ -33,7 +36,7 @@ _ended: ContextVar[Callable[[], bool] | None] = ContextVar("ended", default=None
 
 @contextmanager
 def while_wanted(ended: Callable[[], bool]) -> Iterator[None]:
-    """Work inside that looks up is given up once `ended` says so."""
+    """Give up work inside the block that looks up once `ended` returns True."""
     before = _ended.set(ended)
     try:
         yield
@@ -42,7 +45,7 @@ def while_wanted(ended: Callable[[], bool]) -> Iterator[None]:
 
 
 def look_up() -> None:
-    """In long loops, where nothing is half done: GivenUp if the work is no longer wanted."""
+    """Raise GivenUp if the work is no longer wanted; called in long loops, where nothing is half done."""
     ended = _ended.get()
     if ended is not None and ended():
         raise GivenUp
@@ -50,7 +53,9 @@ def look_up() -> None:
 
 @contextmanager
 def handled(handler: Callable[[int, FrameType | None], Any] | signal.Handlers) -> Iterator[None]:
-    """Have Ctrl-C and SIGTERM handled so; threads other than the main one do not hear of them."""
+    """Have this handler hear of Ctrl-C and SIGTERM inside the block; in threads other than the main one nothing
+    changes.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -64,7 +69,7 @@ def handled(handler: Callable[[int, FrameType | None], Any] | signal.Handlers) -
 
 @contextmanager
 def awaited() -> Iterator[threading.Event]:
-    """Ctrl-C and SIGTERM change nothing inside but set the event."""
+    """Hold Ctrl-C and SIGTERM off inside the block: they only set the event that it gets."""
     heard = threading.Event()
     with leaving.saving(), handled(lambda *_: heard.set()):
         yield heard
@@ -72,10 +77,10 @@ def awaited() -> Iterator[threading.Event]:
 
 @contextmanager
 def unheard_by_children() -> Iterator[None]:
-    """Processes that are started inside never hear of Ctrl-C and SIGTERM: this one ends them.
+    """Start processes inside that never hear of Ctrl-C and SIGTERM: this process ends them.
 
-    This one hears of them afterwards, also where another thread was told: a start that is cut short leaves a process
-    that waits for what to do, finds nothing and prints a traceback.
+    This process hears of such signals after the block, also where another thread got them. A start that is cut short
+    would leave a process that waits for its task, finds nothing and prints a traceback.
     """
     if not hasattr(signal, "pthread_sigmask"):
         yield
@@ -95,7 +100,9 @@ def unheard_by_children() -> Iterator[None]:
 
 
 def is_loading(frame: FrameType | None) -> bool:
-    """True while a module is loaded: compiled ones swallow an exception then, or make something else of it."""
+    """Return True while a module is being loaded: compiled modules then swallow an exception, or make another one
+    of it.
+    """
     while frame is not None:
         if frame.f_code.co_filename.startswith("<frozen importlib"):
             return True
@@ -104,9 +111,9 @@ def is_loading(frame: FrameType | None) -> bool:
 
 
 def again_soon(is_wanted: Callable[[], bool] = lambda: True) -> None:
-    """Have Ctrl-C handled once more in a moment: what the handler raised would be swallowed now, or was.
+    """Send Ctrl-C once more in a moment, because what the handler raises would be swallowed now, or was.
 
-    is_wanted : asked then; False where it is too late.
+    is_wanted : asked at that moment; False if it is too late.
     """
 
     def ring() -> None:
@@ -127,7 +134,7 @@ def again_soon(is_wanted: Callable[[], bool] = lambda: True) -> None:
 
 
 def interrupt(_: int, frame: FrameType | None) -> None:
-    """Handle a signal by ending what is under way, or soon if a module is being loaded."""
+    """Handle a signal by ending what is under way, or in a moment if a module is being loaded."""
     if is_loading(frame):
         again_soon()
     else:
@@ -135,33 +142,35 @@ def interrupt(_: int, frame: FrameType | None) -> None:
 
 
 def ignored() -> None:
-    """For a process of our own that is about to end."""
+    """Ignore Ctrl-C and SIGTERM, in a process of our own that is about to end."""
     for number in SIGNALS:
         signal.signal(number, signal.SIG_IGN)
 
 
 def heard_at_once() -> None:
-    """For a process of our own: Ctrl-C and SIGTERM end what is under way."""
+    """Have Ctrl-C and SIGTERM end what is under way, in a process of our own."""
     for number in SIGNALS:
         signal.signal(number, interrupt)
 
 
 def always_heard() -> None:
-    """For the process of a command: as :func:`heard_at_once`, and sure to end where an interrupt is swallowed or where
-    Python cannot hear of it."""
+    """Have Ctrl-C and SIGTERM end what is under way in the process of a command, whatever that is.
+
+    It also ends where an interrupt is swallowed, or where Python cannot hear of it.
+    """
     heard_at_once()
     leaving.watch()
     unraisable, in_thread = sys.unraisablehook, threading.excepthook
 
     def swallowed(what: Any) -> None:
-        """Hear of what a destructor or a callback could not raise."""
+        """Handle what a destructor or a callback could not raise."""
         if what.exc_type is not None and issubclass(what.exc_type, KeyboardInterrupt):
             again_soon()
         elif not leaving.heard():  # what is torn down does not matter
             unraisable(what)
 
     def failed(what: Any) -> None:
-        """Hear of what a thread raises."""
+        """Handle what a thread raises."""
         if not leaving.heard():
             in_thread(what)
 
@@ -169,9 +178,10 @@ def always_heard() -> None:
 
 
 class Interrupt:
-    """Hears Ctrl-C or a batch queue's SIGTERM without being torn out of a step.
+    """Hears Ctrl-C or a batch queue's SIGTERM without breaking off a step.
 
-    A second one ends the process, unless it comes so soon that the step cannot have ended.
+    A second signal ends the process, unless it comes so soon that the step cannot have ended. heard : a signal has
+        come.
     """
 
     def __init__(self) -> None:
@@ -187,7 +197,7 @@ class Interrupt:
 
     @contextmanager
     def at_once(self, seconds: float = math.inf) -> Iterator[None]:
-        """What is inside ends with GivenUp where it is, by an interrupt or after so many seconds."""
+        """End what is inside the block with GivenUp wherever it is, by an interrupt or after so many seconds."""
         timer = threading.Timer(min(seconds, threading.TIMEOUT_MAX), self._end)
         try:
             if threading.current_thread() is threading.main_thread() and seconds < math.inf:

@@ -1,4 +1,4 @@
-"""Kernels that are started again and again with the same arguments."""
+"""Starts kernels quickly that are started again and again with the same arguments."""
 
 import logging
 from collections.abc import Callable
@@ -12,11 +12,11 @@ from taichi_bearings.compiler import ti
 
 
 def prepared(kernel: Any, *arguments: np.ndarray | int) -> Callable[[], None]:
-    """``kernel(*arguments)``, to be called often. It sees what is in the arrays then; they have one index.
+    """Return a function that calls ``kernel(*arguments)``, quickly; it sees what is in the arrays, of one index, then.
 
-    Taichi looks at all arguments anew for every start, for 0.1 ms, in which a pass over the contacts of a small sample
-    could be done. What it finds out is kept here, by its inner functions; where the compiler has others, the kernel is
-    started as ever, and a warning says that small samples take longer.
+    Taichi inspects all arguments at every start, which takes 0.1 ms, in which a pass over the contacts of a small
+    sample could be done. Its findings are kept here, through its inner functions. Where the compiler has others, the
+    kernel is started in the ordinary way, and a warning says that small samples take longer.
     """
     runtime.current()  # starts it
     is_fork = _is_fork()
@@ -52,12 +52,13 @@ def prepared(kernel: Any, *arguments: np.ndarray | int) -> Callable[[], None]:
 
 @cache
 def _is_fork() -> bool:
+    """Return True if the compiler is Quadrants, the fork of Taichi."""
     return compiler.name() == "quadrants"
 
 
 @cache
 def _warn_of_slow_starts() -> None:
-    """Once in a process."""
+    """Warn that starts are slow, once in a process."""
     logging.getLogger(__name__).warning(
         "bearings: kernels of this version of %s cannot be prepared once, so each start takes 0.1 ms more: the results "
         "are the same, but small samples can take many times as long",

@@ -1,4 +1,4 @@
-"""How the process of a command ends by Ctrl-C or SIGTERM, whatever it is doing; a program that imports us never does.
+"""Ends the process of a command at Ctrl-C or SIGTERM, whatever it is doing; a program that imports us is never ended.
 
 Python runs the handler of a signal in its main thread, between two of its own steps. So a handler is deaf inside a long
 call of a library, and some code swallows what a handler raises: modules that are being loaded, destructors, callbacks.
@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
-EXIT_CODE = 130  # exit code
+EXIT_CODE = 130  # of an interrupted command, as shells have it
 GRACE, GLANCE = 1.0, 0.05  # seconds until a process is ended that does not end itself, and between two looks at it
 NOTHING_KEPT = "interrupted; nothing is kept but what was complete"
 AS_BEFORE = "\r\x1b[2K\x1b[?25h"  # a terminal without a line of progress, and with its cursor
@@ -26,7 +26,7 @@ _temporary = set[str]()
 _sentences = [NOTHING_KEPT]
 _saving = 0
 _heard = threading.Event()
-_own_signals = 0  # that this process has sent itself and that nobody else has meant
+_own_signals = 0  # signals that this process has sent to itself and that have not come yet
 _watched = False
 _last_word = threading.Lock()  # whoever holds it ends the process
 
@@ -44,7 +44,7 @@ def saving() -> Iterator[None]:
 
 @contextlib.contextmanager
 def saying(sentence: str) -> Iterator[None]:
-    """Have this sentence said of what is kept where the process is ended inside."""
+    """Have this sentence, on what is kept, printed if the process is ended inside the block."""
     _sentences.append(sentence)
     try:
         yield
@@ -63,19 +63,19 @@ def forget_temporary(path: Path) -> None:
 
 
 def heard() -> bool:
-    """Return whether this process has been told to end."""
+    """Return True if this process has been told to end."""
     return _heard.is_set()
 
 
 def disregard_next() -> None:
-    """Do not take the next signal for the wish of a person: this process is about to send it to itself."""
+    """Mark the next signal as one that this process is about to send to itself, not the wish of a person."""
     global _own_signals
     if _watched:
         _own_signals += 1
 
 
 def _is_own() -> bool:
-    """Return whether a signal that has come is one that this process has sent itself."""
+    """Return True if a signal that has come is one that this process has sent to itself."""
     global _own_signals
     if _own_signals == 0:
         return False
@@ -85,8 +85,11 @@ def _is_own() -> bool:
 
 @contextlib.contextmanager
 def by_default() -> Iterator[None]:
-    """Have a signal end the command's process inside as the system does by default, even in a call of a library that
-    never returns and lets no other thread work. Where something is being saved nothing changes."""
+    """Let signals end the command's process inside the block as the system does by default.
+
+    That works even in a call of a library that never returns and lets no other thread work. Where something is being
+    saved nothing changes.
+    """
     if not _watched or _saving or threading.current_thread() is not threading.main_thread():
         yield
         return

@@ -1,4 +1,4 @@
-"""What can be given: an option is declared once, by the run, the method or the law that owns it."""
+"""Options: what can be given, each declared once, by the run, the method or the law that owns it."""
 
 import math
 from collections.abc import Callable, Collection, Mapping
@@ -13,7 +13,11 @@ from taichi_bearings.words import meant, shown
 
 
 class Kind:
-    """How a value is read and what is allowed, in words that complete "it must be ..."."""
+    """How a value is read, and which values are allowed.
+
+    read : turns a given value into the one that is kept; ValueError, TypeError, KeyError or OverflowError if it cannot.
+    allowed : words that complete "it must be ...". metavar : what stands for the value in help texts.
+    """
 
     known: Collection[str] = ()  # words that it is one of, if it is
 
@@ -21,7 +25,7 @@ class Kind:
         self.read, self.allowed, self.metavar = read, allowed, metavar
 
     def named(self, name: str, value: Any) -> Any:
-        """The value as it is kept; InputError names it and what is allowed."""
+        """Return the value as it is kept; InputError names the option, the value and what is allowed."""
         try:
             return self.read(value)
         except (ValueError, TypeError, KeyError, OverflowError):
@@ -36,6 +40,11 @@ class Kind:
 
 
 def numbers(convert: Callable[[Any], Any], counts: tuple[int, ...]) -> Callable[[Any], Any]:
+    """Return a function that reads several numbers from a text such as 32,32,32 or 32x32x32, or from a list.
+
+    convert : reads each of them. counts : how many there may be.
+    """
+
     def read(value: Any) -> tuple:
         parts = value.replace("x", ",").split(",") if isinstance(value, str) else list(value)
         if len(parts) not in counts:
@@ -46,7 +55,9 @@ def numbers(convert: Callable[[Any], Any], counts: tuple[int, ...]) -> Callable[
 
 
 def plain(value: Any) -> Any:
-    """A scalar of NumPy as a number of Python; ValueError for arrays and masked numbers."""
+    """Return a scalar of NumPy as a number of Python, any other value as it is; ValueError for arrays and masked
+    numbers.
+    """
     if not hasattr(value, "item"):
         return value
     if getattr(value, "ndim", 0) or getattr(value, "mask", False):
@@ -55,6 +66,7 @@ def plain(value: Any) -> Any:
 
 
 def integer(value: Any) -> int:
+    """Return a value as a whole number; ValueError for truth values and numbers that are not whole."""
     value = plain(value)
     number = int(value)
     if isinstance(value, bool) or (not isinstance(value, str) and number != value):
@@ -63,6 +75,7 @@ def integer(value: Any) -> int:
 
 
 def real(value: Any) -> float:
+    """Return a value as a float; ValueError for truth values and not-a-number."""
     value = plain(value)
     if isinstance(value, bool):
         raise ValueError
@@ -73,6 +86,7 @@ def real(value: Any) -> float:
 
 
 def _signed(value: Any) -> float:
+    """Return a value as a float that is 0 or of a size between LEAST_NUMBER and MOST_NUMBER; else ValueError."""
     number = real(value)
     if number and not LEAST_NUMBER <= abs(number) <= MOST_NUMBER:
         raise ValueError
@@ -80,12 +94,18 @@ def _signed(value: Any) -> float:
 
 
 def _truth(value: Any) -> bool:
+    """Return a truth value, or that of the texts "true" and "false"; KeyError for others."""
     if isinstance(value, bool):
         return value
     return {"true": True, "false": False}[str(value).lower()]
 
 
 def bounded(convert: Callable[[Any], Any], low: float, high: float = math.inf, open_low: bool = False) -> Callable:
+    """Return a function that reads a number by `convert`; ValueError if it is not from low to high.
+
+    open_low : low itself is not allowed.
+    """
+
     def read(value: Any) -> Any:
         number = convert(value)
         if not (low < number if open_low else low <= number) or not number <= high:
@@ -96,11 +116,12 @@ def bounded(convert: Callable[[Any], Any], low: float, high: float = math.inf, o
 
 
 def whole(least: int, most: int) -> Kind:
-    """A whole number in this range."""
+    """Return the kind of whole numbers in this range."""
     return Kind(bounded(integer, least, most), f"a whole number from {least:,} to {most:,}", "N")
 
 
 def _text(value: Any) -> str:
+    """Return a text that is not empty and can be written in UTF-8; else ValueError."""
     if not isinstance(value, str) or not value:
         raise ValueError
     value.encode()  # UnicodeEncodeError, a ValueError, for what is not UTF-8 and so cannot be written down
@@ -108,7 +129,9 @@ def _text(value: Any) -> str:
 
 
 def finite_number(name: str, value: Any) -> float:
-    """A real number of Python or NumPy as a float; InputError for texts, truth values and what no float holds."""
+    """Return a real number of Python or NumPy as a float; InputError for anything else, truth values and infinities
+    too.
+    """
     try:
         number = plain(value)
         if isinstance(number, Real) and not isinstance(number, bool) and math.isfinite(float(number)):
@@ -119,12 +142,13 @@ def finite_number(name: str, value: Any) -> float:
 
 
 class OneOf(Kind):
-    """One of some names. table : of more of them, which can grow."""
+    """The kind of values that are one of some names. table : holds more names, and can grow."""
 
     def __init__(self, *names: str, table: Mapping[str, Any] = MappingProxyType({})) -> None:
         self.names, self.table = names, table
 
     def read(self, value: Any) -> str:
+        """Return the value if it is one of the names; else ValueError."""
         if value not in self.known:
             raise ValueError
         return value
@@ -158,11 +182,14 @@ TRUTH = Kind(_truth, "true or false", "")
 class Option:
     """One thing that can be given.
 
-    default : None where it is left to what uses it. unit : "1" for a pure number.
-    methods, laws : True for a method or law that uses it; None for all. dimensions : of the lattices that use it.
-    of_solving : it says how a system is solved, not which one it is.
-    not_scanned : why a scan cannot vary it: it changes no result; empty if it can.
-    unset : wherever a run is described None stands for the default, as if it were not given.
+    default : None where it is left to whatever uses the option.
+    kind, help : how it is read, and a sentence on what it means.
+    unit : "1" for a pure number.
+    methods, laws : return True for a method, or law, that uses it; None if all do.
+    dimensions : of the lattices that use it.
+    of_solving : it says how a system is solved, not which system.
+    not_scanned : why a scan cannot vary it, since it changes no result; "" if it can.
+    unset : None stands for the default, wherever a run is described, as if the option were not given.
     rare : few need it, so `--help` leaves it to `--help-all`.
     """
 
@@ -179,25 +206,28 @@ class Option:
     rare: bool = False
 
     def read(self, name: str, value: Any) -> Any:
-        """The value as it is kept; InputError names it and what is allowed."""
+        """Return the value as it is kept; InputError names the option, the value and what is allowed."""
         return None if value is None and self.default is None else self.kind.named(name, value)
 
 
 def option(default: Any, kind: Kind, help: str, **facts: Any) -> Any:
-    """A field of a dataclass that is an :class:`Option`, whose other facts can be given by name."""
+    """Return a field of a dataclass that is an :class:`Option`. facts : further attributes of the Option by name."""
     return field(default=default, metadata={"option": Option(default, kind, help, **facts)})
 
 
-how = partial(option, of_solving=True)
+how = partial(option, of_solving=True)  # an option that says how a system is solved
 
 
 def options_of(owner: Any) -> dict[str, Option]:
-    """The options that a dataclass declares, by name."""
+    """Return the options that a dataclass declares, by name."""
     return {item.name: item.metadata["option"] for item in fields(owner) if "option" in item.metadata}
 
 
 def chosen(option: str, names: str | None, table: Collection[str]) -> tuple[str, ...]:
-    """Names of a table, separated by commas; all of them for None. InputError names the option."""
+    """Return those names of a table that are listed, separated by commas; all of them for None.
+
+    option : named in the InputError for a name that the table does not have.
+    """
     found = tuple(table) if names is None else tuple(dict.fromkeys(names.split(",")))
     for name in found:
         if name not in table:

@@ -1,4 +1,4 @@
-"""Regular files and nothing else: read within a limit, made new, locked. No link, pipe or device stands in for one.
+"""Reads, makes and locks regular files and nothing else: no link, pipe or device stands in for one.
 
 Whoever reads or writes a file that others may have put there goes through here (HDF5: :mod:`taichi_bearings.hdf5`).
 """
@@ -18,19 +18,24 @@ from typing import IO, Any
 from taichi_bearings import leaving
 from taichi_bearings.errors import FileError, WriteError
 
-OPEN_FLAGS = (
-    getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
-)  # waits for no pipe
+# opening never waits for the other end of a pipe
+OPEN_FLAGS = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
 NO_LINK = getattr(os, "O_NOFOLLOW", 0)
-MOST_JSON = 2**24  # bytes of a summary or report
+MOST_JSON = 2**24  # bytes of a summary or report that are read
 MOST_PARTS = 200_000  # lists and tables in it
 MOST_LINE = 2**20  # bytes of a line of a journal
-CLAIMED_FACTOR, CLAIMED_BYTES = 16, 2**25  # bytes that may be claimed for each one that is there, and in any case
+CLAIMED_FACTOR, CLAIMED_BYTES = (
+    16,
+    2**25,
+)  # a file may claim to hold so many times its own bytes, or so many in any case
 
 
 @contextlib.contextmanager
 def writing(what: object, inside: bool = False) -> Iterator[None]:
-    """WriteError for an OSError within: `what` cannot be written, or, `inside` a folder, what the error names."""
+    """Turn an OSError inside the block into a WriteError: `what` cannot be written.
+
+    inside : `what` is a folder; the error names what in it cannot be written.
+    """
     try:
         yield
     except OSError as error:
@@ -39,7 +44,9 @@ def writing(what: object, inside: bool = False) -> Iterator[None]:
 
 
 def opened(path: Path, flags: int = os.O_RDONLY) -> IO[bytes]:
-    """A regular file, unbuffered where it is written; OSError if there is none, FileError if it is something else."""
+    """Open a regular file, unbuffered if it is for writing; OSError if there is none, FileError if it is something
+    else.
+    """
     strange = FileError(f"{path} is not a regular file")
     try:
         descriptor = os.open(path, flags | OPEN_FLAGS, 0o666)
@@ -57,18 +64,20 @@ def opened(path: Path, flags: int = os.O_RDONLY) -> IO[bytes]:
 
 
 def real_path(path: Path) -> Path:
-    """Where a name leads to, all links followed; links that lead nowhere or in a circle as far as they go."""
+    """Return where a name leads, all links followed; links that lead nowhere or in a circle are followed as far as
+    they go.
+    """
     return Path(os.path.realpath(path))
 
 
 def refuse_link_out(path: Path) -> None:
-    """WriteError for a link to another folder: what a folder holds decides over nothing outside of it."""
+    """Raise WriteError for a link to another folder: what lies in a folder must not change anything outside of it."""
     if path.is_symlink() and real_path(path).parent != real_path(path.parent):
         raise WriteError(f"{path} is a link out of its folder, and nothing is written through it; remove it first")
 
 
 def read_whole(path: Path, most: int) -> bytes:
-    """The content of a regular file; FileError if it is longer than that or cannot be read."""
+    """Return the content of a regular file; FileError if it is longer than `most` bytes or cannot be read."""
     try:
         with opened(path) as file:
             content = file.read(most + 1)
@@ -80,7 +89,9 @@ def read_whole(path: Path, most: int) -> bytes:
 
 
 def read_lines(path: Path) -> Generator[bytes, None, None]:
-    """The lines of a regular file with their ends; of one that is too long nothing but an end. None without a file."""
+    """Yield the lines of a regular file with their ends; of a line that is too long only its end; nothing without a
+    file.
+    """
     try:
         with opened(path) as file:
             while line := file.readline(MOST_LINE):
@@ -96,7 +107,7 @@ def read_lines(path: Path) -> Generator[bytes, None, None]:
 
 
 def read_json(path: Path) -> Any:
-    """What a file of JSON holds; FileError if it is none, or takes much memory."""
+    """Return what a file of JSON holds; FileError if it is no JSON, or would take much memory."""
     try:
         return parse_json(read_whole(path, MOST_JSON).decode())
     except (ValueError, RecursionError) as error:
@@ -104,14 +115,14 @@ def read_json(path: Path) -> Any:
 
 
 def parse_json(text: str) -> Any:
-    """What a text of JSON holds; ValueError or RecursionError if it is none, or takes much memory."""
+    """Return what a text of JSON holds; ValueError or RecursionError if it is no JSON, or would take much memory."""
     if len(text) > MOST_JSON or text.count("[") + text.count("{") > MOST_PARTS:
         raise ValueError("it is too long, or has too many lists and tables")
     return json.loads(text)
 
 
 def new_file(path: Path) -> tuple[IO[bytes], Path]:
-    """An empty file beside `path`, made new and locked, and its name; :func:`remove_leftovers` knows what it is."""
+    """Return an empty file beside `path`, made new and locked, and its name, by which `remove_leftovers` knows it."""
     while True:
         name = path.with_name(f".{path.name[:40]}.partial-{os.getpid()}-{secrets.token_hex(3)}")
         leaving.add_temporary(name)
@@ -122,7 +133,7 @@ def new_file(path: Path) -> tuple[IO[bytes], Path]:
 
 
 def write_all(file: IO[bytes], content: bytes | memoryview) -> None:
-    """Write to an unbuffered file, for good."""
+    """Write all of the content to an unbuffered file, and have the disk keep it."""
     written = 0
     while written < len(content):
         written += file.write(content[written:])
@@ -130,13 +141,15 @@ def write_all(file: IO[bytes], content: bytes | memoryview) -> None:
 
 
 def let_go(file: IO[bytes]) -> None:
-    """Before a file that we hold open is renamed or removed: Windows wants it closed, other systems keep it locked."""
+    """Prepare for renaming or removing a file that we hold open: Windows wants it closed, other systems keep it
+    locked.
+    """
     if sys.platform == "win32":
         file.close()
 
 
 def remove(path: Path) -> None:
-    """Whatever is there under this name goes, and nothing that a link leads to."""
+    """Remove whatever has this name, and nothing that a link leads to."""
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path, ignore_errors=True)
     else:
@@ -156,7 +169,10 @@ def remove_leftover(path: Path) -> None:
 
 @contextlib.contextmanager
 def locked(path: Path, what: str) -> Iterator[bool]:
-    """Hold a lock file, which is there as long; FileError if another process does. False where there are no locks."""
+    """Hold a lock file inside the block; FileError if another process holds it.
+
+    The value of the block is False where the file system has no locks. what : named in the error.
+    """
     refuse_link_out(path)
     while True:
         with writing(path.parent):
@@ -180,8 +196,10 @@ def locked(path: Path, what: str) -> Iterator[bool]:
 
 
 def lock(file: IO[bytes]) -> bool | None:
-    """Take the system's lock of a file, which ends with the process: False if another one has it, None where this file
-    system has no locks."""
+    """Take the system's lock of a file, which ends with the process.
+
+    returns : False if another process has it, None where this file system has no locks.
+    """
     try:
         if sys.platform == "win32":
             import msvcrt
@@ -197,7 +215,7 @@ def lock(file: IO[bytes]) -> bool | None:
 
 
 def is_at(file: IO[bytes], path: Path) -> bool:
-    """True if an open file is the one at `path`; Windows lets nobody remove an open file."""
+    """Return True if an open file is the one at `path`; always on Windows, which lets nobody remove an open file."""
     try:
         return sys.platform == "win32" or os.path.samestat(os.fstat(file.fileno()), path.lstat())
     except OSError:

@@ -1,5 +1,7 @@
-"""What is being done, how far it is and how long it will take, on one line: of a terminal, or below the cell of a
-notebook. Silent in a pipe."""
+"""Shows what is being done, how far it is and how long it will take, on one line.
+
+The line stands in a terminal, or below the cell of a notebook; in a pipe there is none.
+"""
 
 import math
 import sys
@@ -15,30 +17,31 @@ import numpy as np
 from taichi_bearings.stages import Stage, Step, listener
 from taichi_bearings.words import counted
 
-BETWEEN = "loading"  # what the time outside all stages is called
+BETWEEN = "loading"  # name of the time outside all stages
 QUIET_SECONDS = 0.4  # seconds until the line appears: what takes no longer needs none
 REFRESH, REFRESH_NOTEBOOK = 8, 3  # times a second that the line is written anew
-WINDOW = 3.0  # the pace is that since this part of the time
-FARTHEST = 5.0  # times as long as what has been seen is foretold at most
-LEAST_TOLD = 0.05  # seconds that are worth a word in the sum of times
+WINDOW = 3.0  # the pace is measured without the first third of the time, in which kernels may be compiled
+FARTHEST = 5.0  # no time left is shown that is more than so many times the time so far
+LEAST_LISTED = 0.05  # seconds that are listed in the sum of times
 
 
 def in_notebook() -> bool:
-    """Whether a kernel of Jupyter runs this, and shows what it displays."""
+    """Return True if a kernel of Jupyter runs this, and shows what it displays."""
     shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
     return hasattr(shell, "kernel")
 
 
 def is_seen() -> bool:
-    """Whether there is a notebook or a terminal that shows a line."""
+    """Return True if there is a notebook or a terminal that shows a line."""
     return in_notebook() or (sys.stderr is not None and sys.stderr.isatty())
 
 
 class TerminalLine:
-    """One line on stderr, no longer than the terminal is wide, that is written anew until the end; if it is a terminal.
-    In a notebook a line below the cell, empty in the end.
+    """One line on stderr, if that is a terminal, that is written anew until the context ends.
 
-    line : what it says, asked for at each writing.
+    It is no longer than the terminal is wide. In a notebook it is a line below the cell, empty in the end.
+
+    line : returns the text; called at each writing.
     """
 
     def __init__(self, line: Callable[[], str]) -> None:
@@ -70,7 +73,7 @@ class TerminalLine:
 
 
 def _live(line: Callable[[], str]) -> Any:
-    """The line on a terminal."""
+    """Return the line on a terminal, as a context."""
     from rich.console import Console
     from rich.live import Live
     from rich.spinner import Spinner
@@ -88,14 +91,14 @@ def _live(line: Callable[[], str]) -> Any:
 
 
 class Display:
-    """Listens to the stages of some work: a line says what is under way; `times` says where the time went.
+    """Listens to the stages of some work: shows on a line what is under way, and measures where the time goes.
 
-    stages : those under way, outermost first. seconds : wall time by name, without that of stages inside, in the order
-    in which they first began.
+    stages : those under way, outermost first.
+    seconds : wall time by name, without that of stages inside, in the order in which they first began.
     """
 
     def __init__(self, since: float | None = None) -> None:
-        """since : when the time begins, by time.perf_counter()."""
+        """since : when the time begins, by time.perf_counter(); None for now."""
         self.stages, self.seconds = list[Stage](), {BETWEEN: 0.0}
         self._since = time.perf_counter() if since is None else since
         self._context = ExitStack()
@@ -109,27 +112,32 @@ class Display:
         self._context.close()
 
     def begin(self, new: Stage) -> None:
+        """Hear that a stage begins."""
         self.book()
         self.stages.append(new)
         self.seconds.setdefault(new.name, 0.0)
 
     def end(self, old: Stage) -> None:
+        """Hear that a stage ends, and those inside it."""
         self.book()
         del self.stages[self.stages.index(old) :]
 
     def book(self) -> None:
-        """Count the time until now."""
+        """Add the time until now to the innermost stage."""
         now = time.perf_counter()
         self.seconds[self.stages[-1].name if self.stages else BETWEEN] += now - self._since
         self._since = now
 
     def hear(self, stage: Stage) -> None:
+        """Hear that a stage reports where it stands."""
         if stage.report is not None:
             stage.done.append((time.perf_counter() - stage.began, share_of(stage.report)[0]))
 
     def line(self) -> str:
-        """Stages under way, outermost first, with what is known of them; the innermost one is always timed."""
-        now, stages, told = time.perf_counter(), list(self.stages), list[str]()
+        """Return the stages under way, outermost first, with what is known of each; the innermost one is always
+        timed.
+        """
+        now, stages, lines = time.perf_counter(), list(self.stages), list[str]()
         for stage in stages:
             is_innermost = stage is stages[-1]
             if stage.total == 1 and not is_innermost:
@@ -143,23 +151,23 @@ class Display:
                 elif is_innermost and now - stage.began >= 1:
                     words.append(f"{duration(now - stage.began)} so far")
                 words += [] if stage.report is None else [standing(stage.report)]
-            told.append(", ".join(words))
-        return " · ".join(told) or BETWEEN
+            lines.append(", ".join(words))
+        return " · ".join(lines) or BETWEEN
 
     def times(self) -> str:
-        """All the time since it began, and its parts."""
+        """Return in words all the time since it began, and its parts."""
         self.book()
-        parts = [f"{name} {seconds:.1f}" for name, seconds in self.seconds.items() if seconds >= LEAST_TOLD]
+        parts = [f"{name} {seconds:.1f}" for name, seconds in self.seconds.items() if seconds >= LEAST_LISTED]
         return f"{sum(self.seconds.values()):.1f} s: {', '.join(parts)}"
 
 
 def displayed(wanted: bool = True) -> AbstractContextManager[Any]:
-    """Shows how far the work inside is, if that is wanted and seen, and nobody does so already."""
+    """Return a context that shows how far the work inside is, if that is wanted and seen, and not shown already."""
     return Display() if wanted and is_seen() and listener.get() is None else nullcontext()
 
 
 def standing(report: Any) -> str:
-    """Where a solve stands, by what it reports: a `Step` or a solvers.drive.Report."""
+    """Return in words where a solve stands. report : a `Step` or a solvers.drive.Report."""
     if isinstance(report, Step):
         return f"{counted(report.iteration, 'iteration')}, P = {report.power:.8g}, gap {report.gap:.1e}"
     progress = report.progress
@@ -169,8 +177,11 @@ def standing(report: Any) -> str:
 
 
 def forecast(stage: Stage) -> tuple[float, str]:
-    """Seconds that were left when a stage was last heard of, at the pace of the last two thirds of its time, infinite
-    where that is not known; and for a solve in words until what. Of work without a pace, what was expected of it."""
+    """Return the seconds that were left when a stage last reported, and in words what that time leads to.
+
+    The pace is that of the last two thirds of its time; infinite where it is not known. Work without a pace has the
+    time that was expected of it.
+    """
     seconds, report = (stage.done[-1][0] if stage.done else 0.0), stage.report
     left = seconds_left([point for point in stage.done if point[0] >= seconds / WINDOW])  # the first part may compile
     if report is None:
@@ -181,7 +192,9 @@ def forecast(stage: Stage) -> tuple[float, str]:
 
 
 def share_of(report: Any) -> tuple[float, str]:
-    """How much of a solve is done, and what ends it; not-a-number where that says nothing of the time."""
+    """Return which share of a solve is done, and in words what ends it; not-a-number where the share says nothing
+    of the time.
+    """
     gap = float(np.max(report.gap))
     if isinstance(report, Step):
         return _by_decades(gap, report.aim), f"gap {report.aim:.0e}"
@@ -196,12 +209,17 @@ def share_of(report: Any) -> tuple[float, str]:
 
 
 def _by_decades(gap: float, aim: float) -> float:
-    """How much is done where the gap falls by like factors in like times; not-a-number where that is not known."""
+    """Return the share that is done if the gap falls by equal factors in equal times; not-a-number where that is
+    not known.
+    """
     return math.log(gap) / math.log(aim) if 0 < aim < gap < 1 else math.nan
 
 
 def seconds_left(points: Sequence[tuple[float, float]]) -> float:
-    """Time left from (seconds, share of the work that was done then) on, at their pace; infinite if it is not known."""
+    """Return the time left after the last of these points, at their pace; infinite if it is not known.
+
+    points : seconds, and the share of the work that was done then.
+    """
     if len(points) < 3:
         return math.inf
     (began, before), (seconds, share) = points[0], points[-1]
@@ -209,7 +227,7 @@ def seconds_left(points: Sequence[tuple[float, float]]) -> float:
 
 
 def duration(seconds: float) -> str:
-    """Seconds for people."""
+    """Return seconds in words."""
     if seconds < 100:
         return f"{max(seconds, 0):.0f} s"
     if seconds < 6000:

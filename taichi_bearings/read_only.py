@@ -1,4 +1,4 @@
-"""Arrays that cannot be written into: what is said of an answer holds for its arrays as they are."""
+"""Makes arrays that cannot be written into, so that what is said of an answer stays true of its arrays."""
 
 from collections.abc import Callable, Mapping
 from functools import cached_property, wraps
@@ -10,7 +10,7 @@ Value = TypeVar("Value")
 
 
 def read_only(value: Value) -> Value:
-    """The same value, whose arrays, also those in tuples, lists and mappings, can no longer be written into."""
+    """Return the same value; its arrays, also those in tuples, lists and mappings, can no longer be written into."""
     if isinstance(value, np.ndarray):
         value.setflags(write=False)
     elif isinstance(value, (tuple, list)):
@@ -23,7 +23,9 @@ def read_only(value: Value) -> Value:
 
 
 def cached_read_only(of: Callable[[Any], Value]) -> "cached_property[Value]":
-    """A property that is computed once, and whose arrays cannot be written into. of : the method that computes it."""
+    """Return a property that is computed once, and whose arrays cannot be written into. of : the method that
+    computes it.
+    """
 
     @wraps(of)
     def found(owner: Any) -> Value:

@@ -1,7 +1,7 @@
-"""The only owner of the Taichi runtime: which device, which precision, how many threads.
+"""Owns the Taichi runtime: which device, which precision, how many threads.
 
-Taichi keeps one global runtime per process; starting it twice would invalidate every field. :func:`start` is free to
-repeat with the same choice and refuses a different one.
+Taichi keeps one global runtime per process; starting it twice would invalidate every field. :func:`start` can be called
+again with the same choice and refuses a different one.
 """
 
 import contextlib
@@ -17,15 +17,18 @@ from taichi_bearings import compiler, devices, walks
 from taichi_bearings.errors import DeviceError
 from taichi_bearings.words import meant
 
-GPUS = ("cuda", "metal", "vulkan")  # as auto tries them
+GPUS = ("cuda", "metal", "vulkan")  # in the order in which auto tries them
 ARCHITECTURES = ("cpu", "cuda", "vulkan", "metal", "auto")
 PRECISIONS = ("f64", "f32")
-MOST_THREADS = 64  # that a kernel shares its work among
+MOST_THREADS = 64  # most threads that a kernel shares its work among
 
 
 @dataclass(frozen=True)
 class Runtime:
-    """What the running Taichi runtime was started with."""
+    """What the running Taichi runtime was started with.
+
+    arch : cpu, cuda, vulkan or metal. precision : f64 or f32. threads : on a CPU.
+    """
 
     arch: str
     precision: str
@@ -42,21 +45,21 @@ class Runtime:
 
 _current: Runtime | None = None
 _owner: int | None = None
-_program: Any = None  # what the compiler has started for us
+_program: Any = None  # the compiler's own object that we have started
 
 
 def available_threads() -> int:
-    """Number of processors this process may run on."""
+    """Return the number of processors that this process may run on."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
-HOST = Runtime("cpu", "f64", available_threads())  # where methods run that need no Taichi
+HOST = Runtime("cpu", "f64", available_threads())  # of methods that need no Taichi
 
 
 def usable(arch: str, precision: str = "f64") -> list[devices.Device]:
-    """The GPUs of one make that can compute in this precision; none where Taichi does not support them."""
+    """Return the GPUs of one make that can compute in this precision; none where Taichi does not support them."""
     found = [device for device in devices.find(arch) if device.has_f64 or precision != "f64"]
     if not found:
         return []
@@ -67,15 +70,16 @@ def usable(arch: str, precision: str = "f64") -> list[devices.Device]:
 
 
 def automatic_arch(precision: str = "f64") -> str:
-    """The make of the first real GPU that can compute in this precision, else "cpu"."""
+    """Return the make of the first real GPU that can compute in this precision, else "cpu"."""
     real = (arch for arch in GPUS if any(not device.is_software for device in usable(arch, precision)))
     return next(real, "cpu")
 
 
 def current() -> Runtime:
-    """The running runtime; starts the default one (cpu, f64, all threads) if there is none.
+    """Return the running runtime; if there is none, start the default one (cpu, f64, all threads).
 
-    Raises DeviceError if other code has replaced ours."""
+    Raises DeviceError if other code has replaced ours.
+    """
     if _current is None:
         return start()
     refuse_changed()
@@ -83,7 +87,7 @@ def current() -> Runtime:
 
 
 def running_program() -> Any:
-    """What the compiler runs in this process, be it ours or started by other code; None where nothing runs."""
+    """Return what the compiler runs in this process, started by us or by other code; None where nothing runs."""
     state = vars(_language().get_runtime())
     return state["_prog"] if "_prog" in state else state.get("prog")
 
@@ -99,8 +103,10 @@ OWN_PROCESS = "solve in a new process, or by taichi_bearings.solve_many, whose w
 
 
 def refuse_changed() -> None:
-    """DeviceError if other code has reset or restarted the compiler since we have started it: what our kernels and
-    arrays live in is gone then. To ask before each launch takes less than a microsecond."""
+    """Raise DeviceError if other code has reset or restarted the compiler since we have started it.
+
+    Our kernels and arrays are gone then. Asking before each launch takes less than a microsecond.
+    """
     if _program is not None and running_program() is not _program:
         begun = f"after taichi_bearings had started it with {_current}"
         raise DeviceError(
@@ -109,14 +115,23 @@ def refuse_changed() -> None:
 
 
 def start(arch: str = "cpu", precision: str = "f64", threads: int = 0, debug: bool = False) -> Runtime:
-    """Start Taichi once per process.
+    """Start Taichi once per process, and return what it was started with.
 
-    arch : "cpu", "cuda", "vulkan" or "metal" (an error where there is none, never a silent fall-back), or "auto" (a
-    real GPU if there is one).
-    precision : "f64" or "f32", the type of every field.
-    threads : CPU threads, 0 for all that this process may use.
+    Parameters
+    ----------
+    arch : str "cpu", "cuda", "vulkan" or "metal" (an error where there is none, never a silent fall-back), or "auto" (a
+        real GPU if there is one).
+    precision : str
+        "f64" or "f32", the type of every field.
+    threads : int
+        CPU threads, 0 for all that this process may use.
+    debug : bool
+        Have Taichi check indices.
 
-    Raises DeviceError if the device is absent, or if the runtime already runs with another choice.
+    Raises
+    ------
+    DeviceError
+        If the device is absent, or if the runtime already runs with another choice.
     """
     global _current, _owner, _program
     if precision not in PRECISIONS:
@@ -166,7 +181,7 @@ def start(arch: str = "cpu", precision: str = "f64", threads: int = 0, debug: bo
 
 
 def wait() -> None:
-    """Until a GPU has done all that it was told to; a CPU has."""
+    """Wait until a GPU has done all its work; on a CPU there is nothing to wait for."""
     if _current is not None and _current.is_gpu:
         from taichi_bearings.compiler import ti
 
@@ -175,7 +190,7 @@ def wait() -> None:
 
 @contextlib.contextmanager
 def _out_of_memory() -> Iterator[None]:
-    """MemoryError for what Taichi says then."""
+    """Turn what Taichi raises without enough memory into MemoryError."""
     try:
         yield
     except RuntimeError as error:
@@ -185,7 +200,7 @@ def _out_of_memory() -> Iterator[None]:
 
 
 def refuse_absent(arch: str, precision: str) -> None:
-    """DeviceError, with the reason in one sentence, for a device that is not here or has not this precision."""
+    """Raise DeviceError, with the reason in one sentence, for a device that is not here or lacks this precision."""
     if arch not in ARCHITECTURES:
         raise DeviceError(f"arch is {arch!r}; allowed are {', '.join(ARCHITECTURES)}{meant(arch, ARCHITECTURES)}")
     if arch not in GPUS or usable(arch, precision):

@@ -1,8 +1,8 @@
-"""What is being done right now: stages within stages, each named where its work begins.
+"""Says what is being done right now: stages within stages, each named where its work begins.
 
-`with stage("drawing")` stands around work that takes long, `for seed in each(seeds, "sample")` where there is much of a
-kind. Who wants to know, as a terminal does, is the `listener`. Where nobody listens, in another thread or process too,
-a stage is nothing.
+`with stage("drawing")` stands around work that takes long, `for seed in each(seeds, "sample")` where there are many
+equal parts. Whoever shows progress, such as a terminal, is the `listener`. Without a listener, as in another thread or
+process, a stage does nothing.
 """
 
 import time
@@ -17,12 +17,14 @@ Item = TypeVar("Item")
 
 @dataclass
 class Stage:
-    """Some work under way. name : what it is, as in "drawing". began : by time.perf_counter().
+    """Some work under way.
 
+    name : what it is, as in "drawing".
     number, total : which part of how many is under way; 0 where there are none.
+    began : by time.perf_counter().
     done : (seconds since it began, share of the work that was done then) at the start of each part, if that is known.
-    report : what the work itself tells of where it stands, if it does. expected : seconds that it takes as far as
-    anybody can tell beforehand; 0 where nobody can.
+    report : what the work says of where it stands, if it does.
+    expected : seconds that it is estimated to take; 0 if unknown.
     """
 
     name: str
@@ -34,7 +36,7 @@ class Stage:
     expected: float = 0.0
 
     def tell(self, report: Any) -> None:
-        """Let whoever listens know where this stage stands."""
+        """Report to the listener where this stage stands."""
         self.report = report
         if who := listener.get():
             who.hear(self)
@@ -42,10 +44,10 @@ class Stage:
 
 @dataclass(frozen=True)
 class Step:
-    """Where a descent stands that nothing but its gap ends.
+    """Where a descent stands that ends at a given gap.
 
-    iteration : steps so far. power, gap : reached by them. aim : gap at which it ends, to which the gap falls by like
-    factors in like times.
+    iteration : steps so far. power, gap : reached by them. aim : gap at which it ends; the gap falls by equal factors
+        in equal times.
     """
 
     iteration: int
@@ -55,12 +57,12 @@ class Step:
 
 
 listener: ContextVar[Any] = ContextVar("listener", default=None)
-"""What hears of all stages, or None: `begin` and `end` of each, and `hear` whenever one tells where it stands."""
+"""Hears of all stages, or is None; its methods are `begin` and `end` of a stage, and `hear` of a report."""
 
 
 @contextmanager
 def stage(name: str, expected: float = 0.0) -> Iterator[Stage]:
-    """The work inside is called `name`. expected : see :class:`Stage`."""
+    """Name the work inside the block. expected : see :class:`Stage`."""
     new, who = Stage(name, expected=expected), listener.get()
     if who:
         who.begin(new)
@@ -72,9 +74,9 @@ def stage(name: str, expected: float = 0.0) -> Iterator[Stage]:
 
 
 def each(items: Sequence[Item], name: str, work: Callable[[Item], float] | None = None) -> Iterator[Item]:
-    """The items one after another; the stage says which of how many is under way.
+    """Yield the items one after another; the stage says which of how many is under way.
 
-    work : of an item, in any unit, where that is roughly known; `alike` where all take the same.
+    work : returns the work of an item, in any unit, where that is roughly known; `alike` where all take the same.
     """
     shares = [] if work is None else [work(item) for item in items]
     with stage(name) as under_way:
@@ -89,5 +91,5 @@ def each(items: Sequence[Item], name: str, work: Callable[[Item], float] | None 
 
 
 def alike(_: object) -> float:
-    """The work of each of many that take about the same time."""
+    """Return the work of each of many items that take about the same time."""
     return 1.0

@@ -1,4 +1,4 @@
-"""Lines of texts that others have written, plain or packed; one that may have lost its end is never taken for whole."""
+"""Reads lines of texts that others have written, plain or packed; a text that may have lost its end is refused."""
 
 import bz2
 import io
@@ -17,14 +17,14 @@ PACKERS: dict[bytes, Callable[[], Any]] = {
     b"BZh": bz2.BZ2Decompressor,
     b"\xfd7zXZ\0": lzma.LZMADecompressor,
 }
-"""By the first bytes of a packed file what unpacks one stream of it."""
+"""For the first bytes of a packed file, what unpacks one stream of it."""
 READ_AT_ONCE = 2**20  # packed bytes that are read at a time
 UTF_8, UTF_16 = b"\xef\xbb\xbf", (b"\xff\xfe", b"\xfe\xff")  # marks of the byte order
 NUMBER = re.compile(rb"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d{1,5})?")
 
 
 class CutOff(FileError):
-    """A text that ends within a line, or within the stream that it is packed in. line : where it ends."""
+    """Raised for a text that ends within a line, or within the stream that it is packed in. line : where it ends."""
 
     def __init__(self, path: Path, line: int, why: str) -> None:
         self.line = line
@@ -32,8 +32,7 @@ class CutOff(FileError):
 
 
 def read_text_lines(path: Path) -> Generator[bytes, None, None]:
-    """The lines of a text, plain or packed by gzip, bzip2 or xz, each with its end; a mark of the byte order is left
-    out.
+    """Yield the lines of a text, plain or packed by gzip, bzip2 or xz, each with its end, without a byte order mark.
 
     Raises CutOff where a line has no end or a packed stream stops within itself, after all lines that are whole: a
     number there may have lost its last digits. Raises FileError for what cannot be read, is damaged, or is no text.
@@ -66,7 +65,7 @@ def read_text_lines(path: Path) -> Generator[bytes, None, None]:
 
 
 class _Unpacker(io.RawIOBase):
-    """The content of a packed file of any number of streams. is_torn : true once it has ended within one."""
+    """The content of a packed file of any number of streams. is_torn : True once it has ended within a stream."""
 
     def __init__(self, file: IO[bytes], make: Callable[[], Any]) -> None:
         self.file, self.make, self.is_torn = file, make, False
@@ -95,13 +94,15 @@ class _Unpacker(io.RawIOBase):
 
 
 def is_table(path: str | Path) -> bool:
-    """True for the name of a table of text, packed or not."""
+    """Return True for the name of a table of text, packed or not."""
     name = Path(path).name.lower()
     return any(name.removesuffix(ending).endswith(".csv") for ending in (".gz", ".bz2", ".xz"))
 
 
 def number_of(word: bytes) -> float:
-    """A number as C, Fortran (1.5D-01) or Python print it; not-a-number and infinities too. ValueError for others."""
+    """Return a number as C, Fortran (1.5D-01) or Python print it; not-a-number and infinities too. ValueError for
+    others.
+    """
     if NUMBER.fullmatch(word):
         return float(word.replace(b"D", b"e").replace(b"d", b"e"))
     if word.lower().lstrip(b"+-") in (b"nan", b"inf", b"infinity"):

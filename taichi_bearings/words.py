@@ -1,17 +1,17 @@
-"""Numbers and mistyped words in sentences for people."""
+"""Puts numbers, values and mistyped words into sentences for people."""
 
 import difflib
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-LIKE_LETTERS = 0.6  # share of the letters that a mistyped word has in common with what was meant
-MOST_SHOWN, LEAST_SHOWN = 100, 8  # letters of a value in a sentence: at most, and at its end if it is longer
+LIKE_LETTERS = 0.6  # least share of the letters that a mistyped word has in common with what was meant
+MOST_SHOWN, LEAST_SHOWN = 100, 8  # most letters of a value in a sentence; letters at the end of one that is shortened
 MOST_ROWS = 20  # of a table in a notebook
-LEAST_LETTERS = 3  # of a word that is taken for the beginning of another
+LEAST_LETTERS = 3  # a shorter word is not taken for the beginning of another
 
 
 def counted(number: int, what: str) -> str:
-    """How many of what, `what` in the singular.
+    """Return a number with a noun, which is given in the singular.
 
     >>> counted(1, "iteration"), counted(1200, "sample")
     ('1 iteration', '1,200 samples')
@@ -20,7 +20,7 @@ def counted(number: int, what: str) -> str:
 
 
 def shown(value: Any) -> str:
-    """A value that somebody gave, for the sentence that refuses it: as in Python, without the middle if it is long.
+    """Return a value as Python writes it, without the middle if it is long, for the sentence that refuses it.
 
     >>> shown("1,1"), shown(10**400)
     ("'1,1'", '1000000000000000...00000000')
@@ -34,7 +34,7 @@ def shown(value: Any) -> str:
 
 
 def meant(word: object, known: Iterable[str]) -> str:
-    """The end of a sentence that refuses a word: the one of the known words that was likely meant; empty if none is.
+    """Return the end of a sentence that refuses a word: the known word that was likely meant; "" if there is none.
 
     >>> meant("interior_pont", ["planar-cut", "interior-point"]), meant("gradient", ["gradient-descent"])
     ("; did you mean 'interior-point'?", "; did you mean 'gradient-descent'?")
@@ -49,7 +49,9 @@ def meant(word: object, known: Iterable[str]) -> str:
 
 
 def html_table(title: str, rows: Iterable[Sequence[object]], head: Sequence[str] = ()) -> str:
-    """A title, such as a `repr`, and a table for notebooks; without a head its rows are a name and a value, if short.
+    """Return a title, such as a `repr`, and a table as HTML for notebooks.
+
+    Without a head, rows are a name and a value, and rows whose value is long are left out.
 
     >>> html_table("<Scene>", [("law", "<b>")])
     '<p>Scene</p><table><tr><th>law</th><td>&lt;b&gt;</td></tr></table>'
@@ -74,7 +76,7 @@ def _folded(word: object) -> str:
 
 
 def other_contacts(tied: int, undecided: int) -> list[str]:
-    """Words for the contacts that neither slip nor rest at every minimum; none if there are none.
+    """Return how many contacts are tied (slip at some minima only) and undecided, in words; nothing where none are.
 
     >>> other_contacts(56, 1), other_contacts(0, 0)
     (['56 tied', '1 undecided'], [])
@@ -83,22 +85,22 @@ def other_contacts(tied: int, undecided: int) -> list[str]:
 
 
 def driving_words(values: Mapping[str, Any]) -> str:
-    """What closes and drives a run, by name as its options are, as the end of a list; empty where that is as usual.
+    """Return periodic axes and driving of a run as the end of a list, named as its options; "" where none was given.
 
     >>> driving_words({"periodic": ["x", "y"], "top": [1.0, 1.0, 0.0, 0.2], "bottom": [0.5], "driven": None})
     ', periodic x,y, top 1,1,0;0.2, bottom 0.5'
     """
-    told = []
+    words = []
     for name in ("periodic", "top", "bottom", "driven"):
         value = values.get(name)
         parts = [f"{part:g}" if isinstance(part, float | int) else part for part in listed(value)]
         if value:
-            told.append(f", {name} {','.join(parts[:3])}{';' * (len(parts) > 3)}{';'.join(parts[3:])}")
-    return "".join(told)
+            words.append(f", {name} {','.join(parts[:3])}{';' * (len(parts) > 3)}{';'.join(parts[3:])}")
+    return "".join(words)
 
 
 def sized(values: Mapping[str, Any]) -> str:
-    """How large what was solved is.
+    """Return the size of what was solved.
 
     >>> sized({"shape": [10, 10]}), sized({"shape": None, "spheres": 256})
     ('10x10', '256 spheres,')
@@ -109,5 +111,5 @@ def sized(values: Mapping[str, Any]) -> str:
 
 
 def listed(value: Any) -> list[Any]:
-    """One value or several."""
+    """Return a list as it is, one value as a list."""
     return list(value) if isinstance(value, (list, tuple)) else [value]

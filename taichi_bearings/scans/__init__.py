@@ -1,1 +1,1 @@
-"""Many runs: plan, workers, tables, figures."""
+"""Scans: many runs from one plan, solved by workers, and the tables and figures made of them."""

@@ -1,10 +1,10 @@
-"""Solving the samples of a scan on a Dask cluster, by the same worker processes as on this machine.
+"""Solves the samples of a scan on a Dask cluster, by the same worker processes as on this machine.
 
 Every thread of a Dask worker keeps one process of its own, as those of a :class:`LocalEngine` do. So a sample gets a
-fresh main thread and a Taichi runtime of one thread wherever it is solved, and the same bits; one that hangs, aborts or
-runs out of memory ends that process, not the Dask worker, which stays in touch with its scheduler however long a sample
-takes. A Dask worker that is lost with its machine costs what it was at: Dask gives that to another one, and if it is
-lost again the scan tries it once more.
+fresh main thread and a Taichi runtime of one thread wherever it is solved, and the same bits. A sample that hangs,
+aborts or runs out of memory ends that process, not the Dask worker, which stays in touch with its scheduler however
+long a sample takes. If a Dask worker is lost with its machine, Dask gives its samples to another one; if that is lost
+too, the scan tries them once more.
 """
 
 import contextlib
@@ -25,14 +25,16 @@ if TYPE_CHECKING:
     from distributed import Client
 
 CONNECT = 5.0  # seconds to wait for a scheduler
-UNITS_AHEAD = 2  # units at a time for each thread, so that the next one is there when one is done
+UNITS_AHEAD = 2  # units submitted for each thread, so that the next one is there when one is done
 LOOK = 1.0  # seconds between two counts of the workers
-LONELY = 10.0  # seconds without any worker after which that is said
+LONELY = 10.0  # seconds without any worker after which a warning says so
 
 
 def connected(scheduler: str | None) -> "contextlib.AbstractContextManager[Client | None]":
-    """The client of the Dask cluster whose scheduler has this address, such as ``tcp://node:8786``, or which has
-    written this file (``dask scheduler --scheduler-file``); None for None.
+    """Connect to a Dask cluster; the client is a context, None where no scheduler is given.
+
+    scheduler : address of its scheduler, such as ``tcp://node:8786``, or the file that this has written (``dask
+        scheduler --scheduler-file``).
 
     Raises InputError if Dask is not installed, if the file names no address, or if nobody answers there.
     """
@@ -59,7 +61,7 @@ def connected(scheduler: str | None) -> "contextlib.AbstractContextManager[Clien
 
 
 def _address(scheduler: str) -> str:
-    """An address as it is, or the one in a scheduler file; FileError for a file that cannot be read or has none."""
+    """Return an address as it is, or the one in a scheduler file; FileError for a file without a readable address."""
     path = Path(scheduler)
     if path.suffix != ".json" and not path.is_file():
         return scheduler
@@ -71,9 +73,9 @@ def _address(scheduler: str) -> str:
 
 
 class DaskEngine(LocalEngine):
-    """The threads of the workers of a Dask cluster instead; `workers` are those at most so far.
+    """An engine whose workers are the threads of the workers of a Dask cluster.
 
-    client : of the cluster. work, allowed : as in :class:`LocalEngine`.
+    `workers` is the largest number of them so far. client : of the cluster. work, allowed : as in :class:`LocalEngine`.
     """
 
     def __init__(self, client: "Client", work: Work, allowed: Callable[[Unit], float] = lambda unit: math.inf) -> None:
@@ -96,7 +98,7 @@ class DaskEngine(LocalEngine):
         return len(self.running) < UNITS_AHEAD * self._threads
 
     def sent(self, unit: Unit) -> Unit:
-        """With its files named in full, since workers run elsewhere."""
+        """Return a unit with full names of its files, since workers run elsewhere."""
         named = []
         for sample in unit:
             names: dict[str, Any] = {name: str(Path(file).absolute()) for name, file in files_of(sample.settings)}
@@ -112,6 +114,6 @@ class DaskEngine(LocalEngine):
         return found
 
     def close(self) -> None:
-        with contextlib.suppress(Exception):  # a scheduler that is lost needs no telling
+        with contextlib.suppress(Exception):  # the scheduler may be lost
             self.executor.shutdown(wait=False)
             self.client.run(end_solvers, self.name, on_error="ignore")

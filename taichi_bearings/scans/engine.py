@@ -1,7 +1,8 @@
-"""Solving many samples in worker processes, of which any may fail: that costs the sample it was at and nothing else.
+"""Solves many samples in worker processes; if one of these fails, only the sample that it was solving is lost.
 
-An engine takes units of work (a few samples each) and tells what became of them; :func:`run_samples` decides what to do
-about units that fail, for every engine alike. Workers are started by spawn: a fork hangs in Taichi.
+An engine takes *units* of work (a few samples each) and returns their *records*, or the reason why there are none.
+:func:`run_samples` decides what to do about units that fail, for every engine alike. Workers are started by spawn: a
+fork hangs in Taichi.
 """
 
 import contextlib
@@ -30,20 +31,20 @@ from taichi_bearings.interrupts import unheard_by_children
 from taichi_bearings.memory import keep_freed
 
 Unit = tuple[Any, ...]
-"""Tasks that can be pickled: samples of a scan, or scenes that somebody has made. Each has key, label and settings."""
-Record = dict[str, Any]  # of a task, as in sample.solve_samples
-Work = Callable[[Sequence[Any]], list[Record]]
-TRIES = 2  # of each sample
-HOPELESS = 10  # workers that end one after the other without any result
+"""Tasks that can be pickled: samples of a scan, or scenes that a user has made. Each has key, label and settings."""
+Record = dict[str, Any]  # result of a task as JSON, see sample.solve_samples
+Work = Callable[[Sequence[Any]], list[Record]]  # solves the tasks of a unit
+TRIES = 2  # how often each sample is tried
+HOPELESS = 10  # if so many workers end one after the other, before there is any result, the scan gives up
 LOOK_SECONDS = 0.2  # seconds between looks at what else is going on
 IDLE_SECONDS = 60.0  # seconds without work after which a worker ends
-OF_DASK = {"KilledWorker": "its Dask workers were lost", "CancelledError": "Dask has cancelled it"}
-LONGEST_WAIT = 2e6  # seconds; more would be more milliseconds than the system counts
+DASK_REASONS = {"KilledWorker": "its Dask workers were lost", "CancelledError": "Dask has cancelled it"}
+LONGEST_WAIT = 2e6  # seconds; the system counts milliseconds in 31 bits
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a unit: a record of each sample, or the reason why there is none."""
+    """What became of a unit: a record of each sample, or the reason why there are none."""
 
     unit: Unit
     records: list[Record] | None
@@ -51,7 +52,7 @@ class Outcome:
 
 
 def failure(task: Any, reason: Exception | str) -> Record:
-    """The record of a sample that has no result."""
+    """Return the record of a sample that has no result, for this reason."""
     words = str(reason) if isinstance(reason, (str, BearingsError)) else f"{type(reason).__name__}: {reason}"
     if isinstance(reason, Exception):
         logging.getLogger(__name__).debug("sample %s", task.label, exc_info=reason)
@@ -60,10 +61,11 @@ def failure(task: Any, reason: Exception | str) -> Record:
 
 
 def run_samples(units: Sequence[Unit], engine: "LocalEngine") -> Iterator[list[Record]]:
-    """Solve all units; gives records of finished samples, failed ones too, as they come, and often none of them.
+    """Solve all units; yields lists of records as samples finish or fail, and an empty list at each look in between.
 
-    A unit that fails as a whole is split into its samples; a sample that fails is named and tried once more, at the end
-    and alone, so that it has all memory for itself.
+    A unit that fails as a whole is split into its samples. A sample that fails is named in a warning and tried once
+    more, at the end and alone, so that it has all memory for itself.
+
     Raises BearingsError if worker after worker ends without any result, WriteError if results cannot be written.
     """
     waiting, last, tries = deque(units), deque[Unit](), Counter[str]()
@@ -104,10 +106,11 @@ def run_samples(units: Sequence[Unit], engine: "LocalEngine") -> Iterator[list[R
 
 
 class LocalEngine:
-    """Threads of this program, each of which has a process that solves, as it is needed.
+    """Threads of this program, each of which has a process that solves, started when it is needed.
 
-    work : solves a unit in a process; a function that can be pickled. workers : units at most that have been or can be
-    in work at a time. allowed : seconds that a unit may take.
+    work : solves a unit in a process; a function that can be pickled.
+    workers : most units that are in work at a time.
+    allowed : seconds that a unit may take.
     """
 
     def __init__(self, work: Work, workers: int, allowed: Callable[[Unit], float] = lambda unit: math.inf) -> None:
@@ -118,23 +121,24 @@ class LocalEngine:
 
     @property
     def running(self) -> list[Unit]:
-        """Units that were submitted and of which nothing has been collected yet."""
+        """Units that were submitted and whose outcome has not been collected yet."""
         return list(self._units.values())
 
     @property
     def has_room(self) -> bool:
-        """True if a unit can be submitted that would be begun at once, or soon."""
+        """True if a unit that is submitted now is begun at once, or soon."""
         return len(self._units) < self.workers
 
     def sent(self, unit: Unit) -> Unit:
-        """A unit as workers get it."""
+        """Return a unit as workers get it."""
         return unit
 
     def submit(self, unit: Unit) -> None:
+        """Have a unit solved."""
         self._units[self.executor.submit(solve_unit, self.sent(unit), self.name, self.work, self.allowed)] = unit
 
     def collect(self, seconds: float) -> list[Outcome]:
-        """What has become of units since; waits for that, but no longer than `seconds`."""
+        """Return the outcomes that have come since; waits for the first of them, but no longer than `seconds`."""
         found, (done, _) = list[Outcome](), wait(self._units, seconds, FIRST_COMPLETED)
         for future in done:
             unit = self._units.pop(future)
@@ -142,7 +146,7 @@ class LocalEngine:
                 found.append(Outcome(unit, *future.result()))
             except Exception as error:
                 kind = type(error).__name__
-                found.append(Outcome(unit, None, OF_DASK.get(kind, f"{kind}: {error}")))
+                found.append(Outcome(unit, None, DASK_REASONS.get(kind, f"{kind}: {error}")))
         return found
 
     def close(self) -> None:
@@ -153,19 +157,19 @@ class LocalEngine:
 
 Solved = tuple[list[Record] | None, str]  # the records of a unit, or the reason why there are none
 _solvers: dict[tuple[str, int], "_Solver"] = {}  # of this process, by engine and thread
-_ended: set[str] = set()  # engines that are closed
-_alone = threading.Lock()  # processes are started and ended one by one: each start looks after all others
+_closed: set[str] = set()  # names of engines that are closed
+_one_at_a_time = threading.Lock()  # processes are started and ended one by one: each start looks after all others
 
 
 def solve_unit(unit: Unit, engine: str, work: Work, allowed: Callable[[Unit], float]) -> Solved:
-    """Have the process of this thread solve a unit for the engine of this name."""
+    """Let the process of this thread solve a unit for the engine of this name."""
     return _solvers.setdefault((engine, threading.get_ident()), _Solver(engine, work)).solve(unit, allowed(unit))
 
 
 def end_solvers(engine: str) -> None:
-    """End the processes of an engine; the threads that listen to them hear of it."""
-    with _alone:
-        _ended.add(engine)
+    """End the processes of an engine; the threads that wait for their answers then see that."""
+    with _one_at_a_time:
+        _closed.add(engine)
         for key in [key for key in list(_solvers) if key[0] == engine]:
             if (process := _solvers.pop(key).process) is not None:
                 process.kill()
@@ -174,8 +178,11 @@ def end_solvers(engine: str) -> None:
 
 @dataclass
 class _Solver:
-    """A process that solves units one by one. It starts with the first of them, and anew if it has ended, or for
-    another device: a process can have one Taichi runtime."""
+    """A process that solves units one by one.
+
+    It is started with the first of them, and again if it has ended, or for another device: a process can have one
+    Taichi runtime only.
+    """
 
     engine: str
     work: Work
@@ -183,9 +190,10 @@ class _Solver:
     _device: tuple[str, str, int] | None = None
 
     def solve(self, unit: Unit, seconds: float) -> Solved:
+        """Return the records of a unit, or the reason why there are none within so many seconds."""
         settings = unit[0].settings
         device = (settings.arch, settings.precision, settings.threads)
-        if self.process is not None and (self._device != device or self._heard(0)):  # it has ended meanwhile
+        if self.process is not None and (self._device != device or self._has_answer(0)):  # it has ended meanwhile
             self._end()
         try:
             if self.process is None:
@@ -193,7 +201,7 @@ class _Solver:
                 self._device = device
             with contextlib.suppress(BrokenPipeError, ConnectionResetError):
                 self._pipe.send(unit)
-            if not self._heard(seconds):
+            if not self._has_answer(seconds):
                 self._end()
                 return None, f"no result within {seconds:g} s"
             records, is_healthy = self._pipe.recv()
@@ -203,15 +211,19 @@ class _Solver:
             self._end()
         return records, ""
 
-    def _heard(self, seconds: float) -> bool:
-        """Whether the process says something within so many seconds, or ends."""
+    def _has_answer(self, seconds: float) -> bool:
+        """Return True if the process sends something within so many seconds, or ends."""
         return bool(multiprocessing.connection.wait([self._pipe], min(seconds, LONGEST_WAIT)))
 
     def _start(self) -> None:
         context = multiprocessing.get_context("spawn")
         multiprocessing.current_process().daemon = False  # where Dask has set this, no process could be started
-        with _alone, _main_left_out(), unheard_by_children():  # the tracker starts without the working folder too
-            if self.engine in _ended:
+        with (
+            _one_at_a_time,
+            _main_left_out(),
+            unheard_by_children(),
+        ):  # the tracker starts without the working folder too
+            if self.engine in _closed:
                 raise EOFError
             self._pipe, theirs = context.Pipe()
             process = context.Process(target=serve, args=(theirs, self.work), daemon=True, name="bearings-worker")
@@ -221,8 +233,8 @@ class _Solver:
         self._pipe.recv()  # that it has started
 
     def _end(self) -> str:
-        """Ends the process, and says how it ended."""
-        with _alone:
+        """End the process, and return in words how it ended."""
+        with _one_at_a_time:
             process, self.process = self.process, None
             if process is None:
                 return "no worker could be started"
@@ -243,21 +255,25 @@ class _Solver:
 
 @contextlib.contextmanager
 def _main_left_out() -> Iterator[None]:
-    """Processes that are started within do not run the user's script again, which needs no guard against that, nor
-    modules of the working folder, which Python would look for first (3.10 still does)."""
-    told, before = spawn.get_preparation_data, os.environ.get("PYTHONSAFEPATH")
-    spawn.get_preparation_data = lambda name: {k: v for k, v in told(name).items() if not k.startswith("init_main_")}
+    """Start processes that do not run the user's script again, so that it needs no guard against that.
+
+    Nor do they load modules from the working folder, where Python 3.10 would look first.
+    """
+    preparation, before = spawn.get_preparation_data, os.environ.get("PYTHONSAFEPATH")
+    spawn.get_preparation_data = lambda name: {
+        k: v for k, v in preparation(name).items() if not k.startswith("init_main_")
+    }
     os.environ["PYTHONSAFEPATH"] = "1"
     try:
         yield
     finally:
-        spawn.get_preparation_data = told
+        spawn.get_preparation_data = preparation
         del os.environ["PYTHONSAFEPATH"]
         os.environ.update({} if before is None else {"PYTHONSAFEPATH": before})
 
 
 def serve(pipe: Connection, work: Work) -> None:
-    """The life of a worker: solve units as they come, until the pipe or the parent ends or nothing has come for long.
+    """Work as a worker: solve units as they come, until the pipe or the parent ends or nothing has come for long.
 
     After an exception the process is not trusted any more: it hands over what it has and ends.
     """
@@ -276,7 +292,7 @@ def serve(pipe: Connection, work: Work) -> None:
 
 
 def _end_with_parent() -> None:
-    """A worker whose scan was killed must not go on for hours."""
+    """End this worker when its parent has ended, so that a killed scan leaves no process behind."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()

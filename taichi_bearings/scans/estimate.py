@@ -1,7 +1,7 @@
-"""What a scan costs: a model of the seconds of a sample, corrected by what the samples that are done have taken.
+"""Estimates what a scan costs, by a model of the seconds of a sample and by what finished samples have taken.
 
 The model gives times on one core of a common server, good to a factor of three; docs/scans.md has the table. It serves
-`--dry-run`, makes units of work that are worth sending to a worker, and with :class:`WorkLeft` tells the time left.
+`--dry-run`, makes units of work that are worth sending to a worker, and with :class:`WorkLeft` foretells the time left.
 """
 
 import math
@@ -20,19 +20,22 @@ from taichi_bearings.solvers.table import JUDGED_SECONDS
 WORKER_START = 1.0  # seconds to start a worker, its imports included
 OVERHEAD = 5e-4  # seconds to summarise a sample and write it down
 UNIT_SECONDS = 1.0  # estimated work that is sent to a worker at a time
-BLOCK_SAMPLES = 24  # samples of which an interior point steps eight at once: where one is done, another takes its place
-MOST_IN_A_UNIT = 256
-MOST_SITES_IN_A_UNIT = 200_000
+BLOCK_SAMPLES = 24  # samples of a unit for the interior point, which steps eight at once: others follow those done
+MOST_IN_A_UNIT = 256  # samples
+MOST_SITES_IN_A_UNIT = 200_000  # spheres of all its samples
 KIND_KEYS = (
     "method", "law", "distribution", "viscosity", "shape", "direction", "tolerance", "settle", "time_limit", "duration",
     "stiffness", "time_step", "error_tolerance", "arch", "precision", "packing", "driven",
 )  # fmt: skip
-"""Settings of which the time of a sample depends most."""
-BEGUN = 0.1  # share of all work, done, from which on a time left is known, or where most of the rest is of known kinds
+"""Settings on which the time of a sample depends most."""
+BEGUN = 0.1  # a time left is given once so much of the work is done, or earlier if most of the rest is of known kinds
 
 
 def seconds_of(settings: RunSettings, structure: bool = False) -> float:
-    """Time to solve one sample; infinite where it is not known, as for dynamics and packings."""
+    """Return the time to solve one sample; infinite where it is not known, as for dynamics and packings.
+
+    structure : it is analysed, too.
+    """
     solve = None if settings.is_packing else row_of(settings).seconds(settings.shape, settings.tolerance)
     if solve is None:
         return math.inf
@@ -41,12 +44,12 @@ def seconds_of(settings: RunSettings, structure: bool = False) -> float:
 
 
 def seconds_beside(settings: RunSettings, structure: bool = False) -> float:
-    """Time that a sample takes beside its solve."""
+    """Return the time that a sample takes beside its solve. structure : it is analysed, too."""
     return OVERHEAD + (0.06 + 6e-5 * spheres_of(settings) if structure else 0.0)
 
 
 def bytes_of(settings: RunSettings) -> float:
-    """Memory of a worker that solves such samples."""
+    """Return the memory of a worker that solves such samples."""
     sites = spheres_of(settings)
     if settings.is_packing:
         return PROCESS_BYTES + OBLIQUE_BYTES * sites
@@ -56,13 +59,16 @@ def bytes_of(settings: RunSettings) -> float:
 
 
 def kind_of(settings: RunSettings) -> tuple[Any, ...]:
-    """The same for samples that take about the same time."""
+    """Return a key that is equal for samples that take about the same time."""
     return tuple(getattr(settings, name, None) for name in KIND_KEYS)
 
 
 def units_of(samples: Sequence[Sample], structure: bool = False, workers: int = 1) -> list[tuple[Sample, ...]]:
-    """The samples in units of work: as many of like settings as take about a second or gain by being solved
-    together, but as much for every worker. One of each kind comes first, so that all are soon known to take how long.
+    """Return the samples in units of work.
+
+    A unit has as many samples of like settings as take about a second, or gain by being solved together, but no more
+    than leaves as much for every worker. One unit of each kind comes first, so that the times of all kinds are soon
+    known.
     """
     units = []
     for group in groups_of(samples):
@@ -79,14 +85,16 @@ def units_of(samples: Sequence[Sample], structure: bool = False, workers: int = 
 
 
 def seconds_in_all(samples: Sequence[Sample], workers: int, structure: bool = False) -> float:
-    """Time that samples take so many workers, of which the longest sample has one of its own; infinite if unknown."""
+    """Return the time in which so many workers solve the samples, infinite if unknown; no less than the longest one
+    takes.
+    """
     each = [(len(group), seconds_of(group[0].settings, structure)) for group in groups_of(samples)]
     shared = math.fsum(number * seconds for number, seconds in each) / workers
     return max([shared, *(seconds for _, seconds in each)])
 
 
 def paying_workers(samples: Sequence[Sample], most: int, structure: bool = False) -> int:
-    """How many workers the work pays for, each of which takes a second to start."""
+    """Return how many workers the work pays for, each of which takes a second to start."""
     return max(1, int(min(most, len(samples), seconds_in_all(samples, 1, structure) / WORKER_START)))
 
 
@@ -94,8 +102,10 @@ def paying_workers(samples: Sequence[Sample], most: int, structure: bool = False
 class Kind:
     """Samples that take about the same time.
 
-    cost : estimated seconds of one; where there is no estimate, spheres times simulated time. remaining : samples
-    without a result. done, seconds : samples with one, and what they have taken.
+    method : that solves them.
+    cost : estimated seconds of one; where there is no estimate, spheres times simulated time.
+    remaining : number without a result.
+    done, seconds : number of those with a result, and the time that these have taken.
     """
 
     method: str
@@ -106,10 +116,12 @@ class Kind:
 
 
 class WorkLeft:
-    """The work that is left of a scan: the samples of each kind are taken to need what those that are done have taken;
-    where none is, their cost times the ratio of measured seconds to cost of their method so far.
+    """The work that is left of a scan.
 
-    structure : samples are analysed too.
+    The remaining samples of a kind are expected to take what those that are done have taken; if none is done, their
+    estimated cost times the ratio of measured seconds to cost that their method has had so far.
+
+    structure : samples are analysed, too.
     """
 
     def __init__(self, samples: Sequence[Sample], structure: bool = False) -> None:
@@ -122,7 +134,7 @@ class WorkLeft:
             self.kinds.setdefault(kind_of(settings), Kind(name, cost)).remaining += len(group)
 
     def finish(self, sample: Sample, record: Record) -> None:
-        """A sample needs no more work."""
+        """Take a sample off the work, and learn from its time."""
         kind, seconds = self.kinds[kind_of(sample.settings)], record["scalars"].get("seconds")
         kind.remaining -= 1
         if seconds is not None:
@@ -130,8 +142,12 @@ class WorkLeft:
             kind.seconds += seconds + seconds_beside(sample.settings, self.structure)
 
     def seconds_left(self, running: Sequence[Unit], workers: int, elapsed: float) -> float | None:
-        """Time left at the pace so far, which machines and all that is done beside solving set; None while what is
-        measured says too little of what is to come. running : in work, which count as half done. elapsed : seconds."""
+        """Return the time left at the pace so far; None while too little is measured.
+
+        The pace includes how fast machines are and all that is done beside solving.
+
+        running : units in work, which are taken to be half done. elapsed : seconds since the start.
+        """
         pace = defaultdict[str, list[float]](lambda: [0.0, 0.0])  # by method, of what is done: seconds and cost
         for kind in self.kinds.values():
             pace[kind.method][0] += kind.seconds

@@ -1,4 +1,6 @@
-"""Any number of a scan against any of its parameters, with error bars, as figure and table: `bearings plot scan`."""
+"""Draws any number of a scan against any of its parameters, with error bars, as figure and table: `bearings plot
+scan`.
+"""
 
 import itertools
 import math
@@ -34,26 +36,28 @@ from taichi_bearings.scans.stored_scans import (
 )
 from taichi_bearings.words import meant
 
-SIZE = "L"
-REASON = "left out"  # column of why a sample is in no point; empty for one that is
+SIZE = "L"  # name of the height of the lattice as a column
+REASON = "left out"  # column with the reason why a sample is in no point; empty for samples that are in one
 MOST_CURVES = 24
 DRAWN_COLUMNS = ("plot_x", "plot_y", "plot_low", "plot_high")
 Point = dict[str, Any]
-"""Samples of equal parameters, as the table beside the figure has them.
+"""All samples of equal parameters, as one row of the table beside the figure.
 
-x. number : disorders of each system, each counted once. mean, standard_error, or ratio; low, high : statistics of y.
+x : the parameter. number : of different disorders. mean, standard_error, or ratio; low, high : statistics of y.
 DRAWN_COLUMNS : x, y and the ends of the bar as drawn; not-a-number where no sample is left. CENSUS_COLUMNS : how many
 samples are in it, of how many that the scan asks for here, and why others are not.
 """
-Points = dict[tuple[Any, ...], list[Point]]  # by the values of the parting columns
+Points = dict[tuple[Any, ...], list[Point]]  # by the values of the columns that part the curves
 
 
 @dataclass(frozen=True)
 class Request:
     """What a figure of a scan shows.
 
-    y : a column, or A/B for the mean of A over the mean of B. x : a column. by : columns whose values part the curves.
-    where : conditions KEY=VALUE on the samples. log : "", "x", "y" or "xy".
+    y : a column, or A/B for the mean of A over the mean of B. x : a column.
+    by : columns; each combination of their values is a curve.
+    where : conditions KEY=VALUE on the samples.
+    log : logarithmic axes: "", "x", "y" or "xy".
 
     L, where the scan has no column of that name, is the height of the lattice: the last number of its shape.
     """
@@ -66,7 +70,7 @@ class Request:
 
     @property
     def stem(self) -> str:
-        """Name of the files."""
+        """Name of the files, without ending."""
         return "_".join([self.y.replace("/", "_over_"), "against", self.x, *(f"by_{key}" for key in self.by)])
 
 
@@ -80,9 +84,12 @@ def plot_scan(
 ) -> list[Path]:
     """Draw a figure of a scan and write the numbers behind it beside it as CSV; returns both paths.
 
-    out : PNG, PDF or SVG; default: a PDF into the directory of the scan, where an earlier one is replaced.
-    tell : hears how many of how many samples are in the figure, and in each curve that lacks some.
+    out : PNG, PDF or SVG; by default a PDF in the directory of the scan, where an earlier one is replaced.
+    force : replace a file that stands there.
+    tell : called with sentences that say how many of how many samples are in the figure, and in each curve that lacks
+        some.
     page : how it is printed.
+
     Raises InputError or FileError before anything is written.
     """
     scan = open_scan(path)
@@ -104,7 +111,7 @@ def plot_scan(
 
 
 def columns_of(scan: StoredScan, request: Request) -> dict[str, np.ndarray]:
-    """The table of the samples that meet the conditions, with a result or not, their sizes as L, and REASON."""
+    """Return the table of all samples that meet the conditions, with a result or not, and the columns L and REASON."""
     table = dict(scan.table)
     if SIZE not in table and "shape" in table:
         heights = [int(text.split("x")[-1]) if text else math.nan for text in table["shape"].tolist()]
@@ -141,7 +148,7 @@ def columns_of(scan: StoredScan, request: Request) -> dict[str, np.ndarray]:
 
 
 def points_of(columns: Mapping[str, np.ndarray], request: Request) -> Points:
-    """Statistics of y at each value of x and of the parting columns, in their order; some sample must have both."""
+    """Return statistics of y at each value of x, for each curve; InputError if no sample has both x and y."""
     names, terms = request.y.split("/"), list[np.ndarray]()
     for name in names:
         if columns[name].dtype == object:
@@ -179,7 +186,7 @@ def points_of(columns: Mapping[str, np.ndarray], request: Request) -> Points:
 
 
 def _reasons(scan: StoredScan, table: Mapping[str, np.ndarray], request: Request) -> np.ndarray:
-    """(samples,) why each is in no point; empty texts for those that are."""
+    """Return for each sample (samples,) why it is in no point; "" for samples that are in one."""
     reasons = np.full(scan.samples, "", dtype=object)
     for name in (request.x, *request.y.split("/")):
         values = table[name]
@@ -191,8 +198,11 @@ def _reasons(scan: StoredScan, table: Mapping[str, np.ndarray], request: Request
 
 
 def _statistics(terms: Sequence[np.ndarray], x: float) -> Point:
-    """Statistics of a number of the samples, or of the ratio of the means of two; and what is drawn at x: the point and
-    the ends of its bar, of a mean its standard error, if it has enough samples for one."""
+    """Return the statistics of one point, and what is drawn at x: the point and the ends of its bar.
+
+    terms : one number of the samples, for its mean and standard error, or two for the ratio of their means and its
+        interval. Too few samples have no bar.
+    """
     values, number = terms[0], len(terms[0])
     if len(terms) == 2:
         found = ratio_interval(values, terms[1])
@@ -207,7 +217,7 @@ def _statistics(terms: Sequence[np.ndarray], x: float) -> Point:
 
 
 def curves_of(points: Points, request: Request) -> list[Curve]:
-    """A curve for each value of the parting columns."""
+    """Return a curve for each combination of values of the columns that part the curves."""
     if len(points) > MOST_CURVES:
         raise InputError(f"{', '.join(request.by)} make {len(points)} curves; a figure has at most {MOST_CURVES}")
     curves = []
@@ -219,7 +229,7 @@ def curves_of(points: Points, request: Request) -> list[Curve]:
 
 
 def look_of(scan: StoredScan, columns: Mapping[str, np.ndarray], points: Points, request: Request) -> Look:
-    """Labels, and a title that says what was averaged over."""
+    """Return the labels, and a title that says what was averaged over."""
     used = {request.x, *request.by, *(condition.partition("=")[0] for condition in request.where)}
     used |= {"shape"} if SIZE in used else set()
     over = [key for key in scan.scanned if key in columns and key not in used and len(groups(columns, [key])) > 1]
@@ -241,7 +251,7 @@ def look_of(scan: StoredScan, columns: Mapping[str, np.ndarray], points: Points,
 
 
 def rows_of(points: Points, request: Request) -> tuple[list[str], list[list[Any]]]:
-    """The points as a table: parameters, then whatever else a point has."""
+    """Return the points as names of columns and rows: parameters, then whatever else a point has."""
     rows = [[*part, *point.values()] for part, own in points.items() for point in own]
     _, *others = next(iter(points.values()))[0]
     cells = [["" if isinstance(v, float) and math.isnan(v) else v for v in row] for row in rows]

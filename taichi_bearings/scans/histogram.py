@@ -1,4 +1,7 @@
-"""The power per contact of runs and scans, pooled over their samples: `bearings histogram`."""
+"""Pools the power per contact of runs and scans over their samples: `bearings histogram`.
+
+Letters: S samples with a result.
+"""
 
 import hashlib
 from collections import Counter
@@ -36,18 +39,21 @@ from taichi_bearings.stages import each, stage
 from taichi_bearings.words import meant
 
 POWER_UNITS = {"none": ENERGY_PER_TIME, "mean": "the mean power of a contact of the sample"}
-"""What the power of a contact is counted in, by `--normalise`."""
-MOST_GROUPS = 24
+"""Unit of the power of a contact for each choice of `--normalise`."""
+MOST_GROUPS = 24  # most histograms in a figure
 
 
 @dataclass(frozen=True)
 class Source:
     """The samples of a run or a scan.
 
-    path : of its file. reasons : (asked,) why each sample has no result; empty texts for the S that have one.
-    whole_column : values (asked,) of a scalar by its name, or InputError. contacts : (S,) not between driven spheres.
-    counts : of their power, given bins a decade and the unit (S,). disorder : (S,) names, equal for samples
-    of one disorder in one system. is_scan : powers are known by their bins alone.
+    path : of its file.
+    reasons : (asked,) why each sample has no result; "" for the S that have one.
+    whole_column : returns the values (asked,) of a scalar by its name, or raises InputError.
+    contacts : (S,) number of contacts that are not between driven spheres.
+    counts : returns the distributions of power, given bins a decade and the unit of power (S,).
+    disorder : returns names (S,), equal for samples of one disorder in one system.
+    is_scan : True if powers are known by their bins alone.
     """
 
     path: Path
@@ -60,22 +66,22 @@ class Source:
 
     @property
     def samples(self) -> np.ndarray:
-        """Numbers (S,) of the samples that have a result."""
+        """(S,) numbers of the samples that have a result."""
         return np.flatnonzero(self.reasons == "")
 
     def column(self, name: str) -> np.ndarray:
-        """Values (S,) of a scalar; InputError if there is no such scalar."""
+        """Return the values (S,) of a scalar; InputError if there is no such scalar."""
         return self.whole_column(name)[self.samples]
 
     def numbers(self, name: str) -> np.ndarray:
-        """Values (S,) of a scalar that is a number; FileError if it is none."""
+        """Return the values (S,) of a scalar that is a number; FileError if it is none."""
         values = self.column(name)
         if values.dtype.kind not in "biuf":
             raise FileError(f"{self.path} is damaged or was changed: its {name} is no number")
         return values.astype(float)
 
     def unit(self, normalise: str) -> np.ndarray:
-        """Power that counts as 1, (S,)."""
+        """Return the power (S,) that is the unit. normalise : a key of POWER_UNITS."""
         if normalise == "none":
             return np.ones(len(self.samples))
         mean = self.numbers("power") / np.maximum(self.contacts, 1)
@@ -83,11 +89,11 @@ class Source:
 
 
 def read_source(path: Path) -> Source:
-    """A run directory, the directory of a scan, or their HDF5 files; FileError if it is none of them."""
-    return _of_scan(open_scan(path)) if is_scan(path) else _of_run(read_run(path))
+    """Read a run directory, the directory of a scan, or their HDF5 files; FileError if it is none of them."""
+    return _source_of_scan(open_scan(path)) if is_scan(path) else _source_of_run(read_run(path))
 
 
-def _of_scan(scan: StoredScan) -> Source:
+def _source_of_scan(scan: StoredScan) -> Source:
     table, own = scan.table, np.flatnonzero(scan.reasons == "")
 
     def column(name: str) -> np.ndarray:
@@ -96,7 +102,7 @@ def _of_scan(scan: StoredScan) -> Source:
         return table[name]
 
     def disorder() -> list[Any]:
-        document = parse_toml(str(scan.attributes["scan"]))  # what it says of all samples alike
+        document = parse_toml(str(scan.attributes["scan"]))  # keys that all samples share
         alike = RunSettings(**{key: value for key, value in document.items() if key in RunSettings.keys()})
         return disorder_of({name: values[own] for name, values in table.items()}, alike)
 
@@ -105,7 +111,7 @@ def _of_scan(scan: StoredScan) -> Source:
     return Source(scan.path, scan.reasons, column, contacts, partial(rebinned, fine), disorder, is_scan=True)
 
 
-def _of_run(run: Run) -> Source:
+def _source_of_run(run: Run) -> Source:
     assert run.path is not None
     settings, path, given = run.settings, file_of(run.path), list[tuple[np.ndarray, ...]]()
     attributes, power, state = run.attributes, run.solution.power_per_contact, run.solution.state
@@ -118,7 +124,7 @@ def _of_run(run: Run) -> Source:
     known = {*attributes, *RunSettings.keys()} - {"scene", "command", *(["shape"] if run.is_packing else [])}
 
     def column(name: str) -> np.ndarray:
-        """An attribute or setting: of the run, or of each replica."""
+        """Return an attribute or a setting of each replica."""
         if name not in known:
             raise InputError(f"{path} has no {name!r}; it has {', '.join(sorted(known))}{meant(name, known)}")
         if name in ("shape", "direction"):
@@ -133,7 +139,7 @@ def _of_run(run: Run) -> Source:
         return np.array(values, dtype=object if any(isinstance(item, str) for item in values) else None)
 
     def disorder() -> list[Any]:
-        """By the seed, or by the coefficients where they were given."""
+        """Return names by the seed, or by the coefficients where they were given."""
         table = {"seed": settings.seed + np.arange(replicas), "method": np.full(replicas, run.solution.method)}
         if given:
             digests = [hashlib.sha256(b"".join(v.tobytes() for v in values)).hexdigest() for values in given]
@@ -148,10 +154,11 @@ def _of_run(run: Run) -> Source:
 def pooled(
     sources: Sequence[Source], bins_per_decade: int = 5, normalise: str = "none", by: str | None = None
 ) -> dict[Any, PowerHistogram]:
-    """Histograms in the same bins by the values of `by`, in their order; {None: histogram} without it.
+    """Return histograms in the same bins by the values of `by`, in their order; {None: histogram} without it.
 
     normalise : a key of POWER_UNITS. Powers of a run are binned anew. Those of a scan are known by the bin, 20 a
         decade: `bins_per_decade` must divide 20, and where samples have different units each moves by whole such bins.
+    by : a column that tells the histograms apart.
     """
     if any(source.is_scan for source in sources) and BINS_PER_DECADE % bins_per_decade:
         raise InputError(f"bins_per_decade is {bins_per_decade}; for a scan it must be 1, 2, 4, 5, 10 or 20")
@@ -191,11 +198,15 @@ def histogram(
     page: Page = PAGE,
     ending: str = "png",
 ) -> dict[str, Any]:
-    """Pool the histograms of runs and scans, write power_histogram.csv, .h5 and a figure into `out`, and return the
-    report that `--json` prints.
+    """Pool the histograms of runs and scans, and write power_histogram.csv, .h5 and a figure; returns the report of
+    `--json`.
 
-    paths : run directories and scans. out : folder; None for a new one. force : replace what stands there.
-    bins_per_decade, normalise, by : see :func:`pooled`. page : how the figure is printed. ending : png, pdf or svg.
+    paths : run directories and scans.
+    out : folder; None for a new one.
+    force : replace what stands there.
+    bins_per_decade, normalise, by : see :func:`pooled`.
+    page : how the figure is printed.
+    ending : png, pdf or svg.
 
     Raises InputError or FileError before anything is written.
     """
@@ -221,7 +232,7 @@ def histogram(
 
 
 def _report(histograms: Histograms, by: str | None) -> dict[str, Any]:
-    """Numbers for `--json`; those of all histograms together and, with `by`, of each."""
+    """Return the numbers for `--json`: of all histograms together and, with `by`, of each."""
     parts = list(histograms.values())
     edges = parts[0].edges
     report = _numbers_of(parts) | {
@@ -235,8 +246,11 @@ def _report(histograms: Histograms, by: str | None) -> dict[str, Any]:
 
 
 def _numbers_of(parts: Sequence[PowerHistogram]) -> dict[str, Any]:
-    """Contacts and samples; `asked`, samples that were asked for; `left_out`, why some are not pooled -> how many;
-    `census`, in words."""
+    """Return numbers of contacts and samples in these histograms.
+
+    `asked` is the number of samples that were asked for, `left_out` has the reasons why some are not pooled and how
+    many, `census` says it in words.
+    """
     names = ("slipping", "slipless", "tied", "undecided", "samples")
     counted = {name: sum(getattr(part, name) for part in parts) for name in names}
     census = Census(counted["samples"], sum((Counter(part.left_out) for part in parts), Counter()))

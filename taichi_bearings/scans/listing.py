@@ -1,4 +1,4 @@
-"""What the run and scan folders below a folder hold, from their summaries and journals alone: `bearings list`."""
+"""Lists what the run and scan folders below a folder hold, from summaries and journals alone: `bearings list`."""
 
 import contextlib
 import re
@@ -17,9 +17,9 @@ from taichi_bearings.scans.plan import count_samples
 from taichi_bearings.words import counted, driving_words, listed, sized
 
 RUN_KIND, SCAN_KIND = "run", "scan"
-OF_A_RUN = ("run.h5", "summary.json", "checkpoint.h5")  # files that hold its results
+RUN_FILES = ("run.h5", "summary.json", "checkpoint.h5")  # files that hold its results
 RECORD = re.compile(rb'\{"crc32": "[0-9a-f]{8}", "sample": \{"key": "([^"]+)".*?"status": "([^"]*)"')
-TOLD_OF_RUNS = {  # with their kinds, and whether None will do
+SUMMARY_KEYS = {  # keys of a summary that are listed: their type, and whether None is allowed
     "law": (str, False), "method": (str, False), "seed": (int, False), "status": (str, False), "power": (float, True),
     "shape": (int, True), "spheres": (int, True), "gap": (float, True), "power_normalised": (float, True),
     "states_proven": (bool, True), "coefficients": (str, True), "periodic": (str, True), "top": (float, True),
@@ -30,9 +30,12 @@ LARGEST_NUMBER = 1e300
 
 @dataclass(frozen=True)
 class Entry:
-    """One folder. kind : "run" or "scan". values : by name, of a run as its summary has them, of a scan scanned keys
-    and samples. modified : when its results were written, seconds since 1970. problem : why it cannot be told what it
-    holds.
+    """One folder.
+
+    kind : "run" or "scan".
+    values : by name; of a run as its summary has them, of a scan the scanned keys and numbers of samples.
+    modified : when its results were written, seconds since 1970.
+    problem : why its content cannot be read; "" if it can.
     """
 
     path: str
@@ -42,22 +45,23 @@ class Entry:
     problem: str = ""
 
     def as_dict(self) -> dict[str, Any]:
-        """All of it as JSON can hold it."""
+        """Return all of it in types that JSON has."""
         found = asdict(self)
         found |= found.pop("values")
         return found | {"modified": time.strftime("%Y-%m-%dT%H:%M:%S", time.localtime(self.modified))}
 
     def words(self) -> str:
-        """What it holds, in a line."""
+        """Return in a line what the folder holds."""
         if self.problem:
             return f"cannot be read: {self.problem}"
         return _words_of_scan(self.values) if self.kind == SCAN_KIND else _words_of_run(self.values)
 
 
 def entries(folder: Path) -> list[Entry]:
-    """The runs and scans in a folder, or the one that it is itself, newest first; InputError for what is no folder.
+    """Return the runs and scans in a folder, or the one that it is itself, newest first; InputError for what is no
+    folder.
 
-    Folders that are neither are left out, and what lies deeper is not looked for.
+    Folders that are neither are left out, and their subfolders are not searched.
     """
     if not folder.is_dir():
         raise InputError(f"{folder} is not a folder; name one that holds runs or scans")
@@ -69,30 +73,32 @@ def entries(folder: Path) -> list[Entry]:
 
 
 def _kind_of(path: Path) -> str:
-    """Run, scan, or an empty text."""
-    if any((path / name).is_file() for name in OF_A_RUN):
+    """Return "run", "scan" or ""."""
+    if any((path / name).is_file() for name in RUN_FILES):
         return RUN_KIND
     return SCAN_KIND if (path / "scan.h5").is_file() or journals_in(path) else ""
 
 
 def _entry(path: Path) -> Entry | None:
-    """None for what is neither a run nor a scan; a folder that cannot be read is said to be so."""
+    """Return the entry of a folder; None for what is neither a run nor a scan. Its problem says why it cannot be
+    read.
+    """
     kind, values, problem, times = "", {}, "", [0.0]
     try:
         kind = _kind_of(path)
         if not kind:
             return None
-        for file in (*(path / name for name in (*OF_A_RUN, "scan.h5")), *journals_in(path)):
+        for file in (*(path / name for name in (*RUN_FILES, "scan.h5")), *journals_in(path)):
             with contextlib.suppress(FileNotFoundError):  # not there, or on its way to another name
                 times.append(file.stat().st_mtime)
-        values = _of_scan(path) if kind == SCAN_KIND else _of_run(path)
+        values = _values_of_scan(path) if kind == SCAN_KIND else _values_of_run(path)
     except (BearingsError, OSError) as error:
         problem = str(error) if isinstance(error, BearingsError) else error.strerror or str(error)
     return Entry(str(path), kind or "folder", values, max(times), problem)
 
 
-def _of_run(path: Path) -> dict[str, Any]:
-    """What its summary says."""
+def _values_of_run(path: Path) -> dict[str, Any]:
+    """Return what the summary of a run says."""
     has_summary, has_run = ((path / name).is_file() for name in ("summary.json", "run.h5"))
     if not has_summary and not has_run:
         return {"status": "unfinished"}
@@ -101,14 +107,16 @@ def _of_run(path: Path) -> dict[str, Any]:
     summary = read_json(path / "summary.json")
     if not isinstance(summary, dict):
         raise InputError("its summary.json is no object")
-    for name, (kind, can_lack) in TOLD_OF_RUNS.items():
+    for name, (kind, can_lack) in SUMMARY_KEYS.items():
         if not _fits(summary.get(name), kind, can_lack):
             raise InputError(f"its summary.json has no usable {name}")
-    return {name: summary.get(name) for name in TOLD_OF_RUNS}
+    return {name: summary.get(name) for name in SUMMARY_KEYS}
 
 
 def _fits(value: Any, kind: type, can_lack: bool) -> bool:
-    """True for a value of a kind, or a list of them; whole numbers are numbers. can_lack : None will do."""
+    """Return True for a value of this type, or a list of such values; whole numbers are numbers. can_lack : None is
+    allowed.
+    """
     kinds, parts = {float, int} if kind is float else {kind}, listed(value)
     return bool(parts) and all(
         can_lack if part is None else type(part) in kinds and (kind is not float or abs(part) < LARGEST_NUMBER)
@@ -116,8 +124,8 @@ def _fits(value: Any, kind: type, can_lack: bool) -> bool:
     )
 
 
-def _of_scan(path: Path) -> dict[str, Any]:
-    """What is scanned, how many samples it asks for, and how many its journals have, those that failed apart."""
+def _values_of_scan(path: Path) -> dict[str, Any]:
+    """Return what is scanned, how many samples the scan asks for, and how many its journals have, by status."""
     asked, scanned, fixed = count_samples(path / "scan.toml")
     last: dict[bytes, bytes] = {}
     for journal in journals_in(path):
@@ -125,10 +133,10 @@ def _of_scan(path: Path) -> dict[str, Any]:
         last.update((found[1], found[2]) for line in lines if (found := RECORD.match(line)))
     states = Counter(status.decode(errors="replace") for status in last.values())
     failed = states.pop(FAILED, 0)
-    told = {name: fixed.get(name) for name in ("shape", "law", "method", "seed")}
-    told = {name: value if _fits(value, int, True) else str(value) for name, value in told.items()}
+    shared = {name: fixed.get(name) for name in ("shape", "law", "method", "seed")}
+    shared = {name: value if _fits(value, int, True) else str(value) for name, value in shared.items()}
     samples = {"samples_asked": asked, "samples_done": states.total(), "samples_failed": failed}
-    return {**told, "scanned": list(scanned), **samples, "statuses": dict(states)}
+    return {**shared, "scanned": list(scanned), **samples, "statuses": dict(states)}
 
 
 def _words_of_run(values: Mapping[str, Any]) -> str:

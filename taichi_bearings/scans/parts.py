@@ -1,7 +1,7 @@
 """Parts of a scan for job arrays: which samples each has, the journals that they leave in one folder, what is missing.
 
-Parts run at the same time on machines that share nothing but the folder, so none writes what another one does: each has
-a lock and a journal of its own, and the table is made of all journals afterwards.
+Parts run at the same time on machines that share nothing but the folder, so no part writes what another one writes:
+each has a lock and a journal of its own, and the table is made of all journals afterwards.
 """
 
 import re
@@ -24,14 +24,14 @@ MOST_PARTS_OF_SCAN = 100_000
 
 @dataclass(frozen=True)
 class Part:
-    """Part `number` of a scan in `of` parts, counted from 1."""
+    """Part `number`, counted from 1, of a scan that is divided into `of` parts."""
 
     of: int
     number: int
 
     @staticmethod
     def parse(text: str) -> "Part":
-        """From ``i/n``; InputError if that is no part."""
+        """Return the part that ``i/n`` names; InputError if it names none."""
         found = re.fullmatch(r"([0-9]{1,6})/([0-9]{1,6})", text)
         if found is None or not 1 <= int(found[1]) <= int(found[2]) <= MOST_PARTS_OF_SCAN:
             raise InputError(
@@ -48,23 +48,23 @@ class Part:
 
 
 def part_numbers(plan: ScanPlan, of: int) -> dict[str, int]:
-    """Which part in `of` parts each sample belongs to, by its key.
+    """Return by the key of each sample which part it belongs to. of : number of parts.
 
     Samples that differ in the seed only are shared out evenly, seeds that follow each other together, since those can
-    be solved as one block. What is left over goes to the next parts in turn, large lattices first and otherwise in no
+    be solved as one block. What is left over goes to the next parts in order, large lattices first and otherwise in no
     order, so that the parts have like amounts of work however the scan orders its keys.
     """
     groups = sorted(groups_of(plan.samples), key=lambda group: (-spheres_of(group[0].settings), group[0].key))
     numbers: dict[str, int] = {}
     for group in groups:
         first = len(numbers)
-        for turn, indices in enumerate(np.array_split(np.arange(len(group)), min(of, len(group)))):
-            numbers.update((group[index].key, (first + turn) % of + 1) for index in indices)
+        for place, indices in enumerate(np.array_split(np.arange(len(group)), min(of, len(group)))):
+            numbers.update((group[index].key, (first + place) % of + 1) for index in indices)
     return numbers
 
 
 def part_of(plan: ScanPlan, part: Part | None) -> ScanPlan:
-    """The samples of one part, in the order of the plan; all of them for None."""
+    """Return the plan of one part alone, in the order of the plan; the whole plan for None."""
     if part is None:
         return plan
     numbers = part_numbers(plan, part.of)
@@ -72,19 +72,22 @@ def part_of(plan: ScanPlan, part: Part | None) -> ScanPlan:
 
 
 def journals_in(folder: Path) -> list[Path]:
-    """The journals in a folder, of parts before that of the scan itself."""
+    """Return the journals in a folder, those of parts before that of the scan itself."""
     files = folder.iterdir() if folder.is_dir() else ()
     return sorted(file for file in files if file.name == JOURNAL_NAME or JOURNAL.fullmatch(file.name))
 
 
 def journal_bytes(folder: Path) -> int | None:
-    """Bytes in the journals of a folder, which only ever grow; None if it has none."""
+    """Return the bytes in the journals of a folder, which only ever grow; None if it has no journal."""
     sizes = [file.stat().st_size for file in journals_in(folder) if file.is_file()]
     return sum(sizes) if sizes else None
 
 
 def read_journals(folder: Path) -> dict[str, dict[str, Any]]:
-    """Records by sample of all journals in a folder; of several a result before a failure, then the fullest."""
+    """Return the records of all journals in a folder by the key of the sample.
+
+    Of several records of a sample a result wins over a failure, then the one with most numbers, then the later one.
+    """
     records: dict[str, dict[str, Any]] = {}
     for file in journals_in(folder):
         for key, record in read_journal(file, is_sample).items():
@@ -94,18 +97,20 @@ def read_journals(folder: Path) -> dict[str, dict[str, Any]]:
 
 
 def is_failed(record: Mapping[str, Any]) -> bool:
-    """True for a sample without a result."""
+    """Return True for the record of a sample without a result."""
     return record["scalars"]["status"] == FAILED
 
 
 def is_analysed(record: Mapping[str, Any]) -> bool:
-    """True for a sample with the numbers of `bearings analyse`."""
+    """Return True for the record of a sample with the numbers of `bearings analyse`."""
     return "power_minimum_cut" in record["scalars"]
 
 
 def incomplete_parts(plan: ScanPlan, folder: Path, records: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Of the numbers of parts into which the journals of a folder divide the scan: `part`, i/n, and `missing`, how many
-    of its samples have no result."""
+    """Return which parts lack samples, for each number of parts that the names of journals in the folder speak of.
+
+    returns : `part`, as i/n, and `missing`, how many of its samples have no result.
+    """
     found = []
     for of in sorted({int(match[1]) for file in journals_in(folder) if (match := JOURNAL.fullmatch(file.name))}):
         numbers = part_numbers(plan, of)

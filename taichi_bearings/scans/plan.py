@@ -1,4 +1,8 @@
-"""Which samples a scan consists of: a TOML file with the keys of a run, and lists, ranges and grids of them."""
+"""Reads which samples a scan consists of: a TOML file with the keys of a run, and lists, ranges and grids of them.
+
+*Wishes* (`runs.settings.WISHES`) are options of the scan itself that change no result, such as keeping full states. An
+*axis* of the grid is a key, or several keys that advance together.
+"""
 
 import hashlib
 import itertools
@@ -26,7 +30,7 @@ from taichi_bearings.runs.settings import (
 )
 from taichi_bearings.scene.initial_spins import STARTS
 
-MOST_SAMPLES = 5_000_000
+MOST_SAMPLES = 5_000_000  # of a scan
 RANGES = (
     "{ start, stop } with an optional step (stop excluded), or { start, stop, number } with spacing = "
     '"linear" or "log" (both ends included)'
@@ -37,7 +41,8 @@ RANGES = (
 class Sample:
     """One point of a scan.
 
-    key : 16 hexadecimal digits, the same for all samples with the same result. settings : replicas is 1.
+    key : 16 hexadecimal digits, the same for all samples with the same result.
+    settings : of a run of this sample alone (replicas is 1).
     point : the scanned keys and their values, in the order of the file.
     """
 
@@ -47,20 +52,22 @@ class Sample:
 
     @property
     def label(self) -> str:
-        """The sample for people: ``seed = 3, spin_bottom = 0.1 (0123456789abcdef)``."""
+        """The sample in words: ``seed = 3, spin_bottom = 0.1 (0123456789abcdef)``."""
         words = ", ".join(f"{name} = {written(value)}" for name, value in self.point.items())
         return f"{words} ({self.key})" if words else self.key
 
 
 def _wishes_in(document: dict[str, Any]) -> dict[str, Any]:
-    """The wishes of a scan file by name, whose other keys stay in `document`; InputError for values not allowed."""
+    """Take the wishes out of a scan file and return them by name; InputError for values that are not allowed."""
     return {name: item.read(name, document.pop(name)) for name, item in WISHES.items() if name in document}
 
 
 @dataclass(frozen=True)
 class ScanPlan:
-    """The samples of a scan, no two with the same key. scanned : keys that vary. settings : the scan as TOML, but for
-    the wishes. wishes : those of WISHES about which it says something."""
+    """The samples of a scan, no two with the same key.
+
+    scanned : keys that vary. settings : the scan as TOML, without the wishes. wishes : those that were given, by name.
+    """
 
     scanned: tuple[str, ...]
     samples: tuple[Sample, ...]
@@ -73,7 +80,7 @@ class ScanPlan:
         return toml_text(self.wishes) + self.settings
 
     def going_on_in(self, folder: Path) -> "ScanPlan":
-        """The plan with what the scan in a folder was asked for before, where this one says nothing."""
+        """Return the plan with the wishes that the scan in a folder was given before, where this plan has none."""
         file = folder / "scan.toml"
         known = _wishes_in(read_toml(file)) if file.is_file() else {}
         known |= self.wishes
@@ -81,7 +88,7 @@ class ScanPlan:
 
 
 def groups_of(samples: Sequence[Sample]) -> list[list[Sample]]:
-    """The samples whose settings differ in nothing but the seed, together; otherwise in their order."""
+    """Return the samples in groups whose settings differ in nothing but the seed, otherwise in their order."""
     groups: dict[tuple[Any, ...], list[Sample]] = {}
     for sample in samples:
         alike = tuple(value for name, value in vars(sample.settings).items() if name != "seed")
@@ -90,7 +97,9 @@ def groups_of(samples: Sequence[Sample]) -> list[list[Sample]]:
 
 
 def written(value: Any) -> Any:
-    """A value of a setting as a table holds it: a list such as a shape becomes ``10x10``, one of axes ``x,y``."""
+    """Return the value of a setting as a table holds it: a list such as a shape becomes ``10x10``, one of axes
+    ``x,y``.
+    """
     if isinstance(value, tuple):
         return ("," if all(isinstance(part, str) for part in value) else "x").join(
             format(part, ".12g") if isinstance(part, float) else str(part) for part in value
@@ -99,14 +108,15 @@ def written(value: Any) -> Any:
 
 
 def read_plan(path: Path, overrides: Sequence[str] = (), wishes: Mapping[str, Any] = MappingProxyType({})) -> ScanPlan:
-    """The plan that a scan file describes.
+    """Return the plan that a scan file describes.
 
-    path : TOML; keys of `run` for all samples, those of WISHES, and a table ``[scan]`` with a list or a
-        range for each key that varies. The samples are the grid over all of them, the last key fastest; keys in one
-        table ``[[scan.zip]]`` advance together and count as one axis. Without ``[scan]`` there is one sample.
+    path : TOML; keys of `run` for all samples, wishes, and a table ``[scan]`` with a list or a range for each key that
+        varies. The samples are the grid over all of them, the last key fastest; keys in one table ``[[scan.zip]]``
+        advance together and are one axis. Without ``[scan]`` there is one sample.
     overrides : ``key=value`` fixes a key for all samples, ``scan.key=list or range`` scans it; values as in TOML, other
         words are texts.
-    wishes : some of WISHES; they win over the file and the overrides.
+    wishes : by name; they win over the file and the overrides.
+
     Raises InputError in one sentence.
     """
     document, axes = _read(path, overrides)
@@ -128,11 +138,11 @@ def read_plan(path: Path, overrides: Sequence[str] = (), wishes: Mapping[str, An
     return ScanPlan(scanned, tuple(_samples(path, document, scanned, _points(axes))), text, own)
 
 
-Axis = dict[str, Any]  # keys that advance together, with what is given for each
+Axis = dict[str, Any]  # keys that advance together, with the list or range of each
 
 
 def _read(path: Path, overrides: Sequence[str] = ()) -> tuple[dict[str, Any], list[Axis]]:
-    """Keys for all samples; and the axes of the grid, those of single keys first."""
+    """Return the keys that all samples share, and the axes of the grid, those of single keys first."""
     refuse_run(path)
     if path.suffix in (".h5", ".hdf5"):
         raise FileError(f"{path} holds results and describes no scan; `bearings scan {path.parent}` goes on with one")
@@ -157,7 +167,9 @@ def _read(path: Path, overrides: Sequence[str] = ()) -> tuple[dict[str, Any], li
 
 
 def count_samples(path: Path) -> tuple[int, tuple[str, ...], dict[str, Any]]:
-    """How many samples a scan file asks for, over which keys, and the keys that all have alike; no sample is built."""
+    """Return how many samples a scan file asks for, the scanned keys, and the keys that all share; no sample is
+    built.
+    """
     document, axes = _read(path)
     return math.prod(map(len, _points(axes))), tuple(key for axis in axes for key in axis), document
 
@@ -165,6 +177,7 @@ def count_samples(path: Path) -> tuple[int, tuple[str, ...], dict[str, Any]]:
 def _samples(
     path: Path, document: Mapping[str, Any], scanned: tuple[str, ...], axes: Sequence[Sequence[tuple[Any, ...]]]
 ) -> Iterator[Sample]:
+    """Yield the samples of the grid. axes : values of the keys of each axis, point by point."""
     base: RunSettings | None = None
     met: dict[str, Mapping[str, Any]] = {}
     for parts in itertools.product(*axes):
@@ -183,7 +196,7 @@ def _samples(
 
 
 def _points(axes: Sequence[Axis]) -> list[list[tuple[Any, ...]]]:
-    """The values of the keys of each axis at its points; not too many in all, and no list of more is made."""
+    """Return the values of the keys of each axis, point by point; InputError for more samples than MOST_SAMPLES."""
     points: list[list[tuple[Any, ...]]] = []
     for axis in axes:
         columns, most = dict[str, list[Any]](), MOST_SAMPLES // math.prod(map(len, points))
@@ -208,7 +221,9 @@ def _points(axes: Sequence[Axis]) -> list[list[tuple[Any, ...]]]:
 
 
 def _range(key: str, table: Mapping[str, Any]) -> tuple[float, Callable[[int], Any]]:
-    """How many values a range has, and each by its number from 0. Whole numbers stay whole."""
+    """Return how many values a range has, and a function that gives each by its number from 0. Whole numbers stay
+    whole.
+    """
     get: Any = table.get
     is_spaced = "number" in table
     form = {"start", "stop", "number", "spacing"} if is_spaced else {"start", "stop", "step"}
@@ -233,13 +248,16 @@ def _range(key: str, table: Mapping[str, Any]) -> tuple[float, Callable[[int], A
 
 
 def files_of(settings: RunSettings) -> list[tuple[str, str]]:
-    """The keys that name files, with these names."""
+    """Return the keys of the settings that name files, with these names."""
     return [(name, file) for name in NAMED_FILES if (file := getattr(settings, name)) not in (None, *STARTS)]
 
 
 def sample_key(settings: RunSettings) -> str:
-    """Hash of what may shape the result of a sample: the settings that differ from their defaults, files by their
-    content. An option that is added later renames no sample."""
+    """Return a hash of all that may shape the result of a sample.
+
+    That is the settings that differ from their defaults, files by their content. So an option that is added to the
+    program later renames no sample.
+    """
     table = settings_table()
     values = {key: value for key, value in settings.given.items() if not table[key].not_scanned}
     values |= {name: content_of(file) for name, file in files_of(settings)}
@@ -248,7 +266,7 @@ def sample_key(settings: RunSettings) -> str:
 
 
 def content_of(name: str) -> str:
-    """Hash of a file's content; of a run directory, of its run.h5."""
+    """Return a hash of a file's content; of a run directory, of its run.h5."""
     path = file_of(Path(name))
     if not path.is_file():
         raise FileError(f"{name} does not exist or is not a file")
@@ -269,7 +287,7 @@ def _content(name: str, path: Path, *_: int) -> str:
 
 
 def spheres_of(settings: RunSettings) -> int:
-    """Spheres of a sample; FileError for a packing that cannot be read."""
+    """Return the number of spheres of a sample; FileError for a packing that cannot be read."""
     packing = settings.packing
     return math.prod(settings.shape) if packing is None else _spheres(packing, content_of(packing))
 
@@ -282,7 +300,7 @@ def _spheres(name: str, _: str) -> int:
 
 
 def _text(document: Mapping[str, Any], axes: Sequence[Axis]) -> str:
-    """The scan as TOML, with what --set has changed."""
+    """Return the scan as TOML, with what --set has changed."""
     text, is_zipped = toml_text(document), False
     for number, axis in enumerate(axes):
         is_zipped |= len(axis) > 1

@@ -1,5 +1,7 @@
-"""What workers solve: samples of a scan, one by one, or many seeds at once where that changes no bit; and scenes that
-somebody has made."""
+"""Solves what workers are given: samples of a scan, one by one or many seeds at once, and scenes that a user has made.
+
+Seeds are solved together only where that changes no bit of their results.
+"""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -31,12 +33,13 @@ class Interrupted(SystemExit):
 def solve_samples(samples: Sequence[Sample], analyse: bool = False, states: Path | None = None) -> list[dict[str, Any]]:
     """Solve samples and return a record of each, in their order.
 
-    analyse : the numbers of `bearings analyse` too. states : folder for the full states.
+    analyse : compute the numbers of `bearings analyse`, too.
+    states : folder for the full states.
 
     A record is valid JSON: `key`; `scalars`, the summary of `bearings run` for that sample alone, nothing but numbers
     and texts; `bins`, number of the power bin -> slipping contacts. A sample that raises gives a record whose status is
-    failed, with the reason as `error`, and `final` if another try is pointless; or `unwritten`, if it is the disk that
-    failed and not the sample. Then those after it are not tried either.
+    failed, with the reason as `error`, and `final` if another try is pointless. If the disk failed and not the sample,
+    the record has `unwritten`, and the samples after it are not tried.
     """
     records: dict[str, dict[str, Any]] = {}
     with one_thread():
@@ -56,7 +59,9 @@ def solve_samples(samples: Sequence[Sample], analyse: bool = False, states: Path
 
 
 def _blocks(samples: Sequence[Sample]) -> Iterator[list[Sample]]:
-    """Samples that can be solved as one block of replicas: their seeds follow each other, and nothing else differs."""
+    """Yield samples that can be solved as one block of replicas: their seeds are consecutive, and nothing else
+    differs.
+    """
     for group in groups_of(samples):
         settings = group[0].settings
         ends_early = settings.time_limit is not None or getattr(settings, "settle", None) is False
@@ -72,7 +77,7 @@ def _blocks(samples: Sequence[Sample]) -> Iterator[list[Sample]]:
 
 
 def _solve_block(block: Sequence[Sample], analyse: bool, states: Path | None) -> list[dict[str, Any]]:
-    """Records of a block, whose packings are alone."""
+    """Return the records of a block; the block of a packing is one sample."""
     first = block[0].settings
     files = [file for _, file in files_of(first)]
     if files and sample_key(first) != block[0].key:
@@ -94,7 +99,9 @@ def _solve_block(block: Sequence[Sample], analyse: bool, states: Path | None) ->
 
 
 def _record(key: str, run: Any, analyse: bool) -> dict[str, Any]:
-    """Numbers and texts alone, and the shape as a table holds it; what is not finite is None."""
+    """Return the record of a sample: numbers and texts alone, the shape as a table holds it; what is not finite is
+    None.
+    """
     answer = run.solution
     scalars = run.numbers | run.settings.driving | {"slip_threshold": answer.slip_threshold}
     if analyse:
@@ -103,21 +110,23 @@ def _record(key: str, run: Any, analyse: bool) -> dict[str, Any]:
         scalars |= structure_of(answer).numbers
     counts = count_powers(answer.power_per_contact, answer.state, BINS_PER_DECADE)
     bins = {str(number): many for number, many in enumerate(counts.count[0].tolist(), start=counts.first) if many}
-    told = {name: plain(value) for name, value in scalars.items()}
-    told["shape"] = "x".join(map(str, told["shape"] or ())) or []  # packings have none
-    told["warnings"] = "; ".join(told["warnings"]) or []  # no column where there is nothing to say
-    told = {name: value for name, value in told.items() if value is None or isinstance(value, (bool, int, float, str))}
-    return {"key": key, "scalars": told, "bins": bins}
+    record = {name: plain(value) for name, value in scalars.items()}
+    record["shape"] = "x".join(map(str, record["shape"] or ())) or []  # packings have none
+    record["warnings"] = "; ".join(record["warnings"]) or []  # no column where there is nothing to say
+    record = {
+        name: value for name, value in record.items() if value is None or isinstance(value, (bool, int, float, str))
+    }
+    return {"key": key, "scalars": record, "bins": bins}
 
 
 def state_path(folder: Path, key: str) -> Path:
-    """The file of a sample's full state, in the layout of run.h5."""
+    """Return the file of a sample's full state, in the layout of run.h5."""
     return folder / f"{key}.h5"
 
 
 @dataclass(frozen=True)
 class JobTask:
-    """One of many jobs. key : which, counted from 0. scene : a Scene or a Packing. job : what solves it."""
+    """One of many jobs. key : its number, counted from 0. scene : a Scene or a Packing. job : what solves it."""
 
     key: str
     scene: Bearing
@@ -133,8 +142,10 @@ class JobTask:
 
 
 def solve_tasks(tasks: Sequence[JobTask]) -> list[dict[str, Any]]:
-    """In a worker, with one thread where the settings leave that open: a record of each, with its `run`, or why there
-    is none."""
+    """Solve jobs in a worker, with one thread each where the settings leave that open; returns a record of each.
+
+    A record has the `run`, or the reason why there is none.
+    """
     records = []
     with one_thread():
         for task in tasks:
@@ -147,7 +158,9 @@ def solve_tasks(tasks: Sequence[JobTask]) -> list[dict[str, Any]]:
 
 
 def solve_all(tasks: Sequence[JobTask], workers: int) -> Iterator[Run]:
-    """The answers as they come, of the very scenes that were given; BearingsError for the first that has none."""
+    """Yield the answers as they come, each for the very scene that was given; BearingsError for the first that has
+    none.
+    """
     with closing(LocalEngine(solve_tasks, workers)) as engine:
         for records in run_samples([(task,) for task in tasks], engine):
             for record in records:

@@ -1,4 +1,6 @@
-"""A scan from its plan: solve what is missing, write every sample down as it comes, and collect them in scan.h5."""
+"""Runs a scan from its plan: solves what is missing, writes every sample down as it comes, and collects all in
+scan.h5.
+"""
 
 import logging
 import math
@@ -32,17 +34,18 @@ from taichi_bearings.scene import Status
 if TYPE_CHECKING:
     from distributed import Client
 
-REWRITE = 60.0  # seconds between two writings of scan.h5 while a scan runs, at least
+REWRITE = 60.0  # least seconds between two writings of scan.h5 while a scan runs
 REACHED_STATUS = [status.value for status in Status if status.reached]
-LEAST_ALLOWED, ALLOWED = 600.0, 100.0  # seconds that any sample may take, and how many times its estimate
+LEAST_ALLOWED, ALLOWED = 600.0, 100.0  # a sample may take so many seconds, or so many times its estimate if more
 
 
 @dataclass
 class ScanProgress:
-    """Where a scan stands. done : samples with a result, those of earlier calls (`before`) included; failed : others.
+    """Where a scan stands.
 
-    running : samples in work, the first of each unit. seconds : since the start of this call. seconds_left : None while
-    they are not known.
+    total, done : samples in all, and with a result; `before` of these are of earlier calls. failed : samples without.
+    running : samples in work, the first of each unit.
+    seconds : since the start of this call. seconds_left : None while it is not known.
     """
 
     total: int
@@ -65,7 +68,8 @@ Monitor = Callable[[ScanProgress], None]
 def missing_samples(
     plan: ScanPlan, folder: Path, part: parts.Part | None = None
 ) -> tuple[list[Sample], dict[str, Record]]:
-    """The samples, of one part or of all, that a folder lacks or that have failed there; and the records that it has.
+    """Return the samples, of one part or of all, that a folder lacks or that have failed there; and the records that it
+    has.
 
     FileError if the folder holds samples that the plan does not ask for, or is something else altogether.
     """
@@ -91,7 +95,7 @@ def missing_samples(
         try:
             read_run(state)
         except FileError as error:
-            _say(f"a kept state counts as missing: {error}")
+            _warn(f"a kept state counts as missing: {error}")
             return False
         return True
 
@@ -99,8 +103,12 @@ def missing_samples(
 
 
 def refuse_unused(plan: ScanPlan, folder: Path, is_here: bool = False) -> None:
-    """InputError for what no method and no law of a scan uses although it is given, which is only said where the scan
-    goes on; and for samples that cannot be. is_here : they are solved on this machine."""
+    """Raise InputError for a given setting that no method and no law of the scan uses, and for samples that cannot be
+    solved.
+
+    Where the scan goes on in its folder, an unused setting is named in a warning only. is_here : solved on this
+        machine.
+    """
     found, used = dict[str, str](), set[str]()
     for group in groups_of(plan.samples):  # all but their seeds alike
         settings = group[0].settings
@@ -116,11 +124,13 @@ def refuse_unused(plan: ScanPlan, folder: Path, is_here: bool = False) -> None:
     for sentence in (sentence for key, sentence in found.items() if key not in used):
         if not (folder / "scan.toml").is_file():
             raise InputError(sentence)
-        _say(f"{sentence}: it changes nothing here")
+        _warn(f"{sentence}: it changes nothing here")
 
 
 def estimate(plan: ScanPlan, folder: Path, workers: int = 0, part: parts.Part | None = None) -> dict[str, Any]:
-    """What a scan would do, without doing it: `samples`, `missing`, `workers`, `seconds` (None: unknown), `bytes`."""
+    """Return what a scan would do: `samples`, `missing`, `workers`, `seconds` (None: unknown), `bytes`. Nothing is
+    solved.
+    """
     refuse_unused(plan, folder)
     plan = plan.going_on_in(folder)
     missing, _ = missing_samples(plan, folder, part)
@@ -153,13 +163,16 @@ def scan(
 ) -> dict[str, Any]:
     """Solve the samples of a plan that `folder` lacks, and write scan.h5, scan.csv and scan.toml there.
 
-    Where the plan has no wishes those count that the folder was asked for before, and samples that lack what is asked
-    for are solved again; without a time for a sample it is 100 times what is expected, at least 600 s, and no limit for
-    dynamics.
-    workers : processes at most; 0 for one a processor. client : of a Dask cluster that solves; default: processes on
-    this machine.
-    engine : where to solve instead of either. part : solve those samples alone, and write nothing but their journal.
-    returns : the report of `--json`. Ctrl-C and SIGTERM end it; finished samples are kept.
+    Options that the plan does not mention (its wishes, see plan.py) are those that the folder was given before. Samples
+    that lack something that is asked for are solved again. By default a sample may take 100 times the expected time, at
+    least 600 s; there is no limit for dynamics.
+
+    workers : most processes; 0 for one a processor.
+    monitor : called now and then with the progress.
+    engine : where to solve; None for processes on this machine, or the Dask cluster of `client`.
+    part : solve those samples alone, and write nothing but their journal.
+    returns : the report of `--json`. Ctrl-C and SIGTERM end the scan; finished samples are kept.
+
     Raises InputError or FileError before anything is computed.
     """
     plan = plan.going_on_in(folder)
@@ -185,6 +198,7 @@ def merge(plan: ScanPlan, folder: Path) -> dict[str, Any]:
     """Write scan.h5 and scan.csv from the journals of all parts of a scan in `folder`, be they complete or not.
 
     returns : the report of :func:`scan`, and `incomplete_parts`, the parts that lack samples and how many.
+
     Raises FileError if the folder has no samples of this scan.
     """
     if not folder.is_dir():
@@ -217,12 +231,12 @@ def _allowed(unit: Unit, sample_timeout: float | None, analyse: bool) -> float:
     return max(LEAST_ALLOWED, ALLOWED * sum(cost.seconds_of(sample.settings, analyse) for sample in unit))
 
 
-def _say(text: str) -> None:
+def _warn(text: str) -> None:
     logging.getLogger(__name__).warning("bearings: %s", text)
 
 
 class _Course:
-    """A scan on its way: what it has, and who wants to hear of it."""
+    """A scan under way: its records so far, its progress and its monitor."""
 
     def __init__(
         self, plan: ScanPlan, folder: Path, part: parts.Part | None = None, monitor: Monitor = lambda _: None
@@ -240,7 +254,7 @@ class _Course:
         self.removed: list[Path] = []
 
     def follow(self, engine: LocalEngine, journal: Journal, stopped: threading.Event) -> None:
-        """Have the missing samples solved and written down, until all are or it is stopped."""
+        """Have the missing samples solved and written down, until all are done or `stopped` is set."""
         analyse, missing = bool(self.plan.wishes.get("analyse")), list(self.missing.values())
         units, work = cost.units_of(missing, analyse, engine.workers or 1), cost.WorkLeft(missing, analyse)
         for finished in run_samples(units, engine):
@@ -260,6 +274,7 @@ class _Course:
                 self.due = written + max(REWRITE, 50 * (written - began))
 
     def _keep(self, finished: Sequence[Record], work: cost.WorkLeft, journal: Journal) -> None:
+        """Write finished samples into the journal and count them; a failure replaces no result."""
         news = [record for record in finished if not (parts.is_failed(record) and self._has_result(record["key"]))]
         journal.append(news)
         self.records |= {record["key"]: record for record in news}
@@ -268,7 +283,7 @@ class _Course:
             work.finish(sample, record)
             if parts.is_failed(record):
                 self.progress.failed += 1
-                _say(f"sample {sample.label} failed: {record['scalars']['error']}")
+                _warn(f"sample {sample.label} failed: {record['scalars']['error']}")
             else:
                 self.progress.done += 1
                 del self.missing[sample.key]
@@ -277,8 +292,12 @@ class _Course:
         return key in self.records and not parts.is_failed(self.records[key])
 
     def _write(self, removes: bool = False) -> None:
-        """scan.h5 and scan.csv, each in full or not at all; rows in the order of the plan. They name the bytes of the
-        journals that have the records: of this one all, of others what was there at the start."""
+        """Write scan.h5 and scan.csv, each in full or not at all, rows in the order of the plan.
+
+        They name the bytes of the journals whose records they hold: of this journal all, of others what was there at
+        the start.
+        removes : remove figures that are out of date first.
+        """
         journals = self.others + (self.journal.stat().st_size if self.journal.exists() else 0)
         self.removed = outdated_figures(self.folder, journals) if removes else []
         for figure in self.removed:
@@ -287,7 +306,7 @@ class _Course:
         write_scan(self.folder, columns, histograms, attributes_of(self.plan, journals))
 
     def write_files(self) -> None:
-        """Once all is done; figures of the scan as it was before go."""
+        """Write the files once all is done; figures of the scan as it was before are removed."""
         if self.files:
             with awaited():
                 self._write(removes=True)

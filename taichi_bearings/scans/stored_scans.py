@@ -1,5 +1,7 @@
-"""The table of a scan: made of the records of its samples, and read as it stands in its folder, be the scan running,
-killed or complete. Commands read scans in no other way."""
+"""Makes the table of a scan of the records of its samples, and reads it from a folder.
+
+The scan there may be running, killed or complete. Commands read scans in no other way.
+"""
 
 import logging
 from collections.abc import Iterable, Mapping
@@ -32,16 +34,24 @@ from taichi_bearings.scene import Scene
 from taichi_bearings.scene.law import COULOMB
 from taichi_bearings.version import VERSION
 
-DRAWN = ("seed", "coefficients")  # what a disorder comes from
+DRAWN = ("seed", "coefficients")  # settings that a disorder comes from
 CENSUS_COLUMNS = ("used", "asked", "left_out")  # the last ones of the table beside a figure of a scan
 FIRST_COLUMNS = ("power", "lower_bound", "gap", "status", "method", "slipping", "slipless", "seconds")
-"""What comes after the scanned keys."""
-OF_A_SPANNING_NETWORK = {"shortest_path", "mean_distance", "busiest_link_share"}
-OF_SETTINGS = ("law", "shape", "seed", "spin_top", "spin_bottom", "normal_force", "radius")  # known without a result
+"""Columns that come after the scanned keys."""
+OF_A_SPANNING_NETWORK = {"shortest_path", "mean_distance", "busiest_link_share"}  # exist if bottom and top are joined
+SETTING_COLUMNS = (
+    "law",
+    "shape",
+    "seed",
+    "spin_top",
+    "spin_bottom",
+    "normal_force",
+    "radius",
+)  # known without a result
 
 
 def is_scan(path: Path) -> bool:
-    """True for the folder of a scan, with or without scan.h5, and for a scan.h5."""
+    """Return True for the folder of a scan, with or without scan.h5, and for a scan.h5."""
     if path.is_dir():
         return (path / "scan.h5").is_file() or journal_bytes(path) is not None
     try:
@@ -52,7 +62,7 @@ def is_scan(path: Path) -> bool:
 
 
 def open_scan(path: Path) -> StoredScan:
-    """The scan in a folder or beside a scan.h5, a row for each sample that it asks for; nothing is written.
+    """Return the scan in a folder or beside a scan.h5, with a row for each sample that it asks for; nothing is written.
 
     scan.h5 is taken if it is complete and holds what the journals hold. Otherwise the table is made of the journals,
     and samples that are not computed yet are in it as missing. Raises FileError if there is neither.
@@ -65,7 +75,7 @@ def open_scan(path: Path) -> StoredScan:
     if journals is None or file.name != "scan.h5":
         return read_scan(path)
     try:
-        stored, why = read_scan(file), "is older than the samples beside it"
+        stored, why = read_scan(file), ""
     except FileError as error:
         stored, why = None, str(error)
     scan = folder / "scan.toml"
@@ -80,7 +90,8 @@ def open_scan(path: Path) -> StoredScan:
     except BearingsError as error:
         if stored is None:
             raise FileError(f"{why}; and its journal cannot be used: {error}") from None
-        logging.getLogger(__name__).warning("bearings: %s %s, which cannot be used: %s", file, why, error)
+        words = "bearings: %s is out of date and the journals beside it cannot be read (%s); %s is used as it is"
+        logging.getLogger(__name__).warning(words, file, error, file.name)
         return stored
     attributes = attributes_of(plan, journals)
     table = {name: as_stored(item.values) for name, item in columns_of(plan, records).items()}
@@ -88,7 +99,9 @@ def open_scan(path: Path) -> StoredScan:
 
 
 def outdated_figures(folder: Path, journals: int) -> list[Path]:
-    """Figures in the folder of a scan, and the tables beside them, unless scan.h5 is of journals of so many bytes."""
+    """Return figures in the folder of a scan, and the tables beside them; none if scan.h5 is made of journals of
+    this size.
+    """
     try:
         if read_scan(folder).attributes.get("journals") == journals:
             return []
@@ -102,13 +115,14 @@ def outdated_figures(folder: Path, journals: int) -> list[Path]:
 
 
 def attributes_of(plan: ScanPlan, journals: int) -> dict[str, Any]:
-    """What a table says of itself. journals : bytes of those that it was made from."""
+    """Return the attributes of a table. journals : bytes of the journals that it was made from."""
     known = {"scan": plan.text, "scanned": list(plan.scanned), "asked": len(plan.samples), "journals": journals}
     return {**known, "taichi_bearings": VERSION, **versions()}
 
 
 def columns_of(plan: ScanPlan, records: Mapping[str, Mapping[str, Any]]) -> dict[str, Finding]:
-    """The scanned keys, then FIRST_COLUMNS, then whatever else the records hold; one row a sample that has a record.
+    """Return the scanned keys, then FIRST_COLUMNS, then whatever else the records hold; one row a sample that has a
+    record.
 
     A result that bears the name of a scanned key and may differ from it is called ``<name>_found``.
     """
@@ -129,27 +143,30 @@ def columns_of(plan: ScanPlan, records: Mapping[str, Mapping[str, Any]]) -> dict
 
 
 def _scalars(sample: Sample, record: Mapping[str, Any]) -> dict[str, Any]:
-    """Numbers and texts of a sample: those of its record, and of its settings what a record without result lacks."""
+    """Return numbers and texts of a sample: those of its record, and of its settings those that a failed record
+    lacks.
+    """
     found, settings = dict(record["scalars"]), sample.settings
-    known = set(OF_SETTINGS if settings.packing is None else ("law", "seed")) - found.keys()
+    known = set(SETTING_COLUMNS if settings.packing is None else ("law", "seed")) - found.keys()
     if settings.is_packing and (settings.top, settings.bottom) != (None, None):
         known -= set(Scene.BY_SPINS)
-    return found | {name: written(getattr(settings, name)) for name in OF_SETTINGS if name in known}
+    return found | {name: written(getattr(settings, name)) for name in SETTING_COLUMNS if name in known}
 
 
 def histograms_of(plan: ScanPlan, records: Mapping[str, Mapping[str, Any]]) -> SampleCounts:
-    """Distributions of power, one row a sample as in :func:`columns_of`."""
+    """Return the distributions of power, one row a sample as in :func:`columns_of`."""
     chosen = [records[sample.key] for sample in plan.samples if sample.key in records]
     bins = [{int(number): many for number, many in record["bins"].items()} for record in chosen]
     return dense_histograms(bins, {name: [r["scalars"].get(name) or 0 for r in chosen] for name in CONTACT_SETS})
 
 
 def disorder_of(columns: Mapping[str, np.ndarray], settings: RunSettings | None = None) -> list[tuple[Any, ...]]:
-    """Names of the disorder of each row of a table of samples, equal for those of one disorder in one system.
+    """Return names of the disorder of each row of a table of samples, equal for those of one disorder in one system.
 
     Such samples depend on each other: they differ at most in how they were solved and in settings that their methods or
-    laws know nothing of. Where a table has no seeds every row is alone. settings : of all rows, where no column says
-    them; needed to compare the names of several tables.
+    laws do not use. Where a table has no seeds no two rows are equal.
+
+    settings : of all rows, where no column has them; needed to compare the names of several tables.
     """
     rows, table = len(next(iter(columns.values()))), settings_table()
     of_system = [key for key, item in table.items() if key not in DRAWN and not item.of_solving]
@@ -171,6 +188,6 @@ def disorder_of(columns: Mapping[str, np.ndarray], settings: RunSettings | None 
 
 
 def numbered(names: Iterable[Any]) -> np.ndarray:
-    """Equal numbers for equal names."""
+    """Return equal numbers for equal names."""
     place: dict[Any, int] = {}
     return np.array([place.setdefault(name, len(place)) for name in names], dtype=np.int64)

@@ -96,7 +96,7 @@ def test_a_scan_whose_file_is_gone_is_read_from_its_table_or_refused(folder, cap
         journal.write(b"torn")
     (folder / "scan.toml").unlink()
     assert open_scan(folder).samples == 12
-    assert "is older than the samples beside it" in caplog.text
+    assert "is out of date and the journals beside it cannot be read" in caplog.text
     shutil.copy(folder / "scan.h5", folder.parent)
     assert open_scan(folder.parent / "scan.h5").samples == 12
     (folder / "scan.h5").unlink()
