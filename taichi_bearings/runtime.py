@@ -117,21 +117,13 @@ def refuse_changed() -> None:
 def start(arch: str = "cpu", precision: str = "f64", threads: int = 0, debug: bool = False) -> Runtime:
     """Start Taichi once per process, and return what it was started with.
 
-    Parameters
-    ----------
-    arch : str "cpu", "cuda", "vulkan" or "metal" (an error where there is none, never a silent fall-back), or "auto" (a
+    arch : "cpu", "cuda", "vulkan" or "metal" (an error where there is none, never a silent fall-back), or "auto" (a
         real GPU if there is one).
-    precision : str
-        "f64" or "f32", the type of every field.
-    threads : int
-        CPU threads, 0 for all that this process may use.
-    debug : bool
-        Have Taichi check indices.
+    precision : "f64" or "f32", the type of every field.
+    threads : CPU threads, 0 for all that this process may use.
+    debug : have Taichi check indices.
 
-    Raises
-    ------
-    DeviceError
-        If the device is absent, or if the runtime already runs with another choice.
+    Raises DeviceError if the device is absent, or if the runtime already runs with another choice.
     """
     global _current, _owner, _program
     if precision not in PRECISIONS:
