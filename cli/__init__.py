@@ -1,5 +1,5 @@
-"""The `bearings` command: parse, call one function, print, exit code. Installed as `taichi_bearings_cli`."""
+"""The `bearings` command: reads options, calls one function, prints, exits. Installed as `taichi_bearings_cli`."""
 
 import time
 
-STARTED = time.perf_counter()  # what Python itself needs before and after, a tenth of a second, is nobody's
+STARTED = time.perf_counter()  # when times begin; a tenth of a second that Python needs before is not counted

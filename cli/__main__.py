@@ -1,4 +1,4 @@
-"""The console script, and python -m taichi_bearings_cli: Ctrl-C is heard before anything large is loaded."""
+"""The console script, and python -m taichi_bearings_cli: listens to Ctrl-C before anything large is loaded."""
 
 import os
 import signal
@@ -9,7 +9,7 @@ BEFORE = "bearings: interrupted before a first result was reached; nothing is ke
 
 
 def _end(*_: object) -> NoReturn:
-    """End a process that has done nothing yet."""
+    """End a process that has computed nothing yet."""
     os.write(2, f"{BEFORE}\n".encode())
     os._exit(130)
 

@@ -1,4 +1,4 @@
-"""bearings analyse"""
+"""The command `bearings analyse`."""
 
 from pathlib import Path
 from typing import Any
@@ -6,30 +6,34 @@ from typing import Any
 import click
 from taichi_bearings_cli.options import answer, json_option, out_options, run_argument, title_option
 from taichi_bearings_cli.progress import Display
-from taichi_bearings_cli.report import rows_told, solved
+from taichi_bearings_cli.report import lines_of, solved
 
 REPORTED = ("power", "slipless", "slipping", "tied", "undecided", "minimum_is_unique")
-"""What the report begins with, by the names of columns."""
+"""Columns with which the report begins."""
 
 
 @click.command()
 @run_argument
 @click.option(
     "--threshold", type=float, default=None, metavar="SPEED",
-    help="Count contacts that slip no faster as slipless. [default: the contact states of the run]",
+    help="Treat contacts that slip no faster than this as not slipping. [default: the contact states of the run]",
 )  # fmt: skip
-@click.option("--replica", type=click.IntRange(0), default=0, help="Which replica of a block of seeds is drawn.")
+@click.option(
+    "--replica", type=click.IntRange(0), default=0, help="Which replica of a block of seeds is drawn, counted from 0."
+)
 @click.option("--figures/--no-figures", default=True, help="Draw the figures. [default: on]")
 @title_option
 @out_options("Folder for analysis.h5 and figures. [default: into the run]", force="Replace existing files in --out.")
 @json_option
 def command(run: Path, as_json: bool, **asked: Any) -> None:
-    """Structure of RUN, a run directory or its run.h5: what slips, what does not, and how that hangs together.
+    """Find the structure of RUN, a run directory or its run.h5: which contacts slip, and what the others hold together.
+
+    A contact is slipless if the two spheres roll on each other without slip.
 
     \b
     minimum cut   the lightest interface of two rigid domains, its power and how far below it the run is
     network       slipless contacts: what they reach, whether and by how many paths they join bottom and top
-    domains       spheres that slipless contacts make turn alike, and the driven plane they are locked to
+    domains       spheres that slipless contacts make rotate alike, and the driven plane they are locked to
     bottlenecks   the contacts that most of the shortest paths use
     forces        friction of the slipless contacts and the torque that flows from top to bottom
 
@@ -48,7 +52,7 @@ def command(run: Path, as_json: bool, **asked: Any) -> None:
 
 
 def describe(report: dict[str, Any], times: str) -> str:
-    """The report for people, section by section. times : where the time went."""
+    """Return the report in words, section by section. times : where the time went, in words."""
     from taichi_bearings.quantities import COLUMNS, STRUCTURE
     from taichi_bearings.words import listed
 
@@ -61,7 +65,7 @@ def describe(report: dict[str, Any], times: str) -> str:
     if len(seeds) > 1:
         lines.append(f"{len(seeds)} samples, seeds {seeds[0]} ... {seeds[-1]}: mean, least, largest; or how many")
     for title, rows in {"contacts": [COLUMNS[name] for name in REPORTED], **STRUCTURE}.items():
-        found = rows_told(rows, report)
+        found = lines_of(rows, report)
         if title == "bottlenecks" and not any(listed(report["spans"])):
             found = ["none: slipless contacts do not join bottom and top"]
         lines += [title, *(f"  {line}" for line in found)] if found else []

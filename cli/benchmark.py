@@ -1,4 +1,4 @@
-"""bearings benchmark"""
+"""The command `bearings benchmark`."""
 
 from pathlib import Path
 from typing import Any
@@ -9,9 +9,9 @@ from taichi_bearings_cli.options import Choice, answer, json_option, out_options
 from taichi_bearings_cli.progress import Display
 
 PARTS = {"throughput": "kernels", "peers": "methods,scans,dynamics", "accuracy": "methods", "speed": None}
-"""What is measured, and the parts that this is; None for those that --parts names."""
+"""What can be measured, and the parts that it consists of; None for those that --parts names."""
 USED_BY = {"precision": "kernels"} | dict.fromkeys(("law", "seed", "methods", "peers", "time_limit"), "methods")
-"""Options of one part alone."""
+"""Options that belong to one part alone, and that part."""
 
 
 @click.command()
@@ -20,11 +20,17 @@ USED_BY = {"precision": "kernels"} | dict.fromkeys(("law", "seed", "methods", "p
 @click.option("--law", multiple=True, metavar="LAW", help="methods: coulomb, viscous or coulomb-viscous; repeatable.")
 @click.option("--seed", default="0", show_default=True, metavar="N", help="methods: seed of the disorder.")
 @click.option("--methods", metavar="NAME[,NAME...]", help="methods: those to compare. [default: all]")
-@click.option("--peers/--no-peers", default=True, show_default=True, help="methods: Clarabel and SCS too, if there.")
-@click.option("--time-limit", metavar="SECONDS", help="methods: of each. [default: 10, --quick 1, --full 60]")
-@click.option("--precision", metavar="f64|f32", help="kernels: one only. [default: both, --quick f64]")
-@click.option("--shape", multiple=True, metavar="NX,NY[,NZ]", help="Instead of the usual ones; repeatable.")
-@click.option("--threads", metavar="N[,N...]", help="CPUs. [default: 1 and all; --full: 1, 2, 4 ...]")
+@click.option(
+    "--peers/--no-peers", default=True, show_default=True, help="methods: Clarabel and SCS too, if installed."
+)
+@click.option(
+    "--time-limit", metavar="SECONDS", help="methods: limit for each of them. [default: 10, --quick 1, --full 60]"
+)
+@click.option("--precision", metavar="f64|f32", help="kernels: precision. [default: both, --quick f64]")
+@click.option(
+    "--shape", multiple=True, metavar="NX,NY[,NZ]", help="Lattice to measure on instead of the usual ones; repeatable."
+)
+@click.option("--threads", metavar="N[,N...]", help="Numbers of CPU threads. [default: 1 and all; --full: 1, 2, 4 ...]")
 @click.option("--quick", "budget", flag_value="quick", help="Small lattices, some minutes at most.")
 @click.option("--full", "budget", flag_value="full", help="Up to 128,128,128 and 4096,4096; hours.")
 @out_options("Folder for the files. [default: outputs/<time>-benchmark-<id>]")
@@ -43,10 +49,10 @@ def command(
                 the same certificate; without --shape 10x10, 32x32, 10x10x10 and 16x16x16 Coulomb, 32x32 and 10x10x10
                 viscous
 
-    Times are medians of rounds that time everything once, wall and processor, compilation apart.
-    Writes report.md, for each part a CSV (of methods a row a checkpoint), and figures of kernels and methods. Peers
-    that are not installed are named. Lattices that do not fit into the memory are left out. Exit code 1 if two runs
-    contradict each other: one proves more than the other's power.
+    Times are medians of rounds that time everything once, wall and processor, without compilation. Writes report.md, a
+    CSV for each part (of methods one row a checkpoint), and figures of kernels and methods. Programs that are not
+    installed, and lattices that do not fit into memory, are left out and named. Exit code 1 if two runs contradict each
+    other: one proves more than the other's power.
 
     \b
     Examples:

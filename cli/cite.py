@@ -1,13 +1,19 @@
-"""bearings cite"""
+"""The command `bearings cite`."""
 
 import click
 from taichi_bearings_cli.options import Choice
 
 
 @click.command()
-@click.option("--format", "form", type=Choice(["bibtex", "cff"]), default="bibtex", help="[default: bibtex]")
+@click.option(
+    "--format",
+    "form",
+    type=Choice(["bibtex", "cff"]),
+    default="bibtex",
+    help="Format of the citation. [default: bibtex]",
+)
 def command(form: str) -> None:
-    """How to cite the program, and the paper whose systems it solves.
+    """Print how to cite the program, and the paper whose systems it solves.
 
     \b
     Examples:

@@ -1,4 +1,4 @@
-"""bearings export"""
+"""The command `bearings export`."""
 
 from pathlib import Path
 
@@ -19,15 +19,22 @@ from taichi_bearings_cli.progress import Display
 @run_argument
 @replica_option
 @analyse_option
-@click.option("--format", "form", type=Choice(["vtkhdf", "cbf", "fclib"]), default="vtkhdf", help="[default: vtkhdf]")
-@out_options("The file. [default: run.vtkhdf, problem.cbf or problem.hdf5 in the run directory]", "FILE",
+@click.option(
+    "--format",
+    "form",
+    type=Choice(["vtkhdf", "cbf", "fclib"]),
+    default="vtkhdf",
+    help="Format of the file. [default: vtkhdf]",
+)
+@out_options("File to write. [default: run.vtkhdf, problem.cbf or problem.hdf5 in the run directory]", "FILE",
              "Replace an existing file.")  # fmt: skip
 @json_option
 def command(run: Path, replica: int, analyse: bool, form: str, out: Path | None, force: bool, as_json: bool) -> None:
-    """RUN, a run directory or its run.h5, as a VTKHDF file for ParaView 5.12 or later; or its least power as a problem
-    for solvers, in the conic benchmark format (cbf) or as the frictional contact library has it (fclib). VTKHDF has
+    """Write RUN, a run directory or its run.h5, as a VTKHDF file for ParaView 5.12 or later; or its least power as a
+    problem for other solvers, in the conic benchmark format (cbf) or as the frictional contact library has it (fclib).
 
     \b
+    VTKHDF has
     points  the spheres: spin; with periodic sides also images of the first ones behind the last. Of a run that
             was analysed: rigid domain and what that is locked to, piece of the slipless network, betweenness,
             side of the minimum cut
@@ -35,7 +42,7 @@ def command(run: Path, replica: int, analyse: bool, form: str, out: Path | None,
             betweenness, on the minimum cut, on the path, on the backbone
     steps   the snapshots of a dynamics and its end
 
-    docs/figures.md says more.
+    docs/pictures.md says more.
 
     \b
     Examples:

@@ -1,4 +1,4 @@
-"""bearings histogram"""
+"""The command `bearings histogram`."""
 
 from pathlib import Path
 from typing import Any
@@ -21,18 +21,18 @@ from taichi_bearings_cli.progress import Display
 @click.argument("runs", nargs=-1, required=True, metavar="RUN...|SCAN...", type=FILE_PATH)
 @click.option(
     "--bins-per-decade", type=click.IntRange(1, 100), default=5, show_default=True,
-    help="Width of the bins; with a scan 1, 2, 4, 5, 10 or 20.",
+    help="Number of bins a decade of power; with a scan 1, 2, 4, 5, 10 or 20.",
 )  # fmt: skip
 @click.option(
     "--normalise", type=Choice(["none", "mean"]), default="none", show_default=True,
-    help="Count power in the mean power of the contacts of each sample.",
+    help="mean: power in units of the mean power of a contact of its sample.",
 )  # fmt: skip
 @click.option(
-    "--by", metavar="KEY", default=None, help="Overlay the histograms of each value of this column or setting."
+    "--by", metavar="KEY", default=None, help="Overlay one histogram for each value of this column or setting."
 )
 @click.option(
     "--format", "ending", type=Choice(["png", "pdf", "svg"]), default="png", show_default=True,
-    help="Of the figure.",
+    help="Format of the figure.",
 )  # fmt: skip
 @width_option
 @dpi_option
@@ -40,10 +40,12 @@ from taichi_bearings_cli.progress import Display
 @out_options("Folder for the files. [default: outputs/<time>-histogram-<id>]")
 @json_option
 def command(runs: tuple[Path, ...], normalise: str, by: str | None, as_json: bool, **asked: Any) -> None:
-    """Distribution of the power per contact, pooled over all samples of runs and scans: CSV, HDF5 and a figure.
+    """Draw the distribution of the power per contact, pooled over all samples of runs and scans: CSV, HDF5 and a
+    figure.
 
-    Only slipping contacts are binned; slipless, tied and undecided ones are counted in the header. Errors are standard
-    errors over the samples, or the roots of the counts where there is but one sample. docs/figures.md says more.
+    Only slipping contacts are in bins; the header says how many are slipless (they do not slip at any minimum), tied
+    (they slip at some minima only) and undecided. Errors are standard errors over the samples, or the square roots of
+    the counts if there is a single sample. docs/histograms.md says more.
 
     \b
     Examples:

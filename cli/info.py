@@ -1,4 +1,4 @@
-"""bearings info"""
+"""The command `bearings info`."""
 
 from dataclasses import asdict
 from pathlib import Path
@@ -12,10 +12,10 @@ from taichi_bearings_cli.options import FILE_PATH, answer, json_option
 @click.argument("packing", required=False, type=FILE_PATH)
 @json_option
 def command(packing: Path | None, as_json: bool) -> None:
-    """Versions, devices, precision and cache; or what the file PACKING holds, before anything is solved.
+    """Show versions, devices, precision and cache; or what the file PACKING holds, before anything is solved.
 
-    Of a packing: its parts, odd loops, and how many motions without any slip it has, which tells whether a bearing
-    state exists. docs/packings.md says more.
+    Of a packing it shows its connected parts, odd loops, and how many motions without any slip it has, which tells
+    whether a bearing state exists. docs/packings.md says more.
 
     \b
     Examples:

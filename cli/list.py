@@ -1,4 +1,4 @@
-"""bearings list"""
+"""The command `bearings list`."""
 
 import json
 from pathlib import Path
@@ -11,10 +11,10 @@ from taichi_bearings_cli.options import FILES, json_option
 @click.argument("folder", metavar="[DIR]", type=FILES, default="outputs")
 @json_option
 def command(folder: str, as_json: bool) -> None:
-    """Runs and scans in DIR [default: outputs], newest first: what they hold, how they ended and when.
+    """List runs and scans in DIR [default: outputs], newest first: what they hold, how they ended and when.
 
-    It reads summaries and journals alone, so it says what these say; `bearings verify` checks it. A folder that cannot
-    be read is named with the reason.
+    Only summaries and journals are read, so the list says what these say; `bearings verify` checks a run. A folder that
+    cannot be read is named with the reason.
 
     \b
     Examples:

@@ -15,22 +15,22 @@ from taichi_bearings.errors import BearingsError
 from taichi_bearings.version import VERSION
 from taichi_bearings.words import meant
 
-COMMANDS = {  # name -> (module, one line for --help)
-    "run": "Solve one scene, or a block of seeds, and write a run directory.",
-    "scan": "A parameter scan over many scenes, resumable, on all processors.",
-    "verify": "What is rigorously true of a run, judged anew from its file.",
-    "analyse": "Minimum cut, slipless network, rigid domains, bottlenecks and forces of a run.",
-    "histogram": "Distribution of the power per contact of runs and scans.",
-    "plot": "One figure from a run or a scan.",
-    "list": "Runs and scans in a folder, with what they hold.",
-    "view": "An interactive 3D page of a run, in one HTML file.",
-    "export": "A file of a run for ParaView, or of its problem for other solvers.",
-    "movie": "A film of the snapshots of a dynamics.",
-    "reproduce": "Figures of the paper, with a verdict for each of its claims.",
-    "benchmark": "Measure speed and accuracy, beside the machine and other programs.",
-    "stress": "Where the numbers end: every method at extreme inputs, judged by exact truths.",
-    "cite": "How to cite the program and its paper.",
-    "info": "Versions, devices, precision and cache.",
+COMMANDS = {  # name -> one line for --help
+    "run": "Solve one system, or one for each of several seeds, and write a run directory.",
+    "scan": "Solve systems over a grid of parameters, on all processors; can be resumed.",
+    "verify": "Check what the file of a run proves about its power and its contacts.",
+    "analyse": "Find minimum cut, slipless network, rigid domains, bottlenecks and forces of a run.",
+    "histogram": "Draw the distribution of the power per contact of runs and scans.",
+    "plot": "Draw one figure from a run or a scan.",
+    "list": "List the runs and scans in a folder, with what they hold.",
+    "view": "Make an interactive 3D page of a run, in one HTML file.",
+    "export": "Write a run as a file for ParaView, or its problem for other solvers.",
+    "movie": "Make a film of the snapshots of a dynamics.",
+    "reproduce": "Draw the figures of the paper, with a verdict for each of its claims.",
+    "benchmark": "Measure speed and accuracy, beside other programs.",
+    "stress": "Try every method at extreme inputs, judged by exact truths.",
+    "cite": "Print how to cite the program and its paper.",
+    "info": "Show versions, devices, precision and cache; or what a packing file holds.",
 }
 GROUPS = {
     "Solve": ("run", "scan"),
@@ -44,7 +44,10 @@ INTERRUPTED = f"bearings: {leaving.NOTHING_KEPT}"
 
 
 class LazyGroup(click.Group):
-    """Lists the commands without importing them, so that --help answers at once; suggests the one that was meant."""
+    """A group that lists its commands without importing them, so that --help answers at once.
+
+    For an unknown command it suggests the one that was likely meant.
+    """
 
     def resolve_command(self, context: click.Context, words: list[str]) -> Any:
         if words and words[0] not in COMMANDS and not words[0].startswith("-"):
@@ -68,7 +71,10 @@ class LazyGroup(click.Group):
 @click.command(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
 @click.version_option(VERSION, prog_name="bearings", message="%(prog)s %(version)s")
 def bearings() -> None:
-    """Frustrated bearings: touching spheres on a lattice, their state of least dissipation and the dynamics to it.
+    """Solve frustrated bearings: touching spheres whose driven planes rotate differently, so that contacts must slip.
+
+    The state of least dissipated power is found with a proven bound, and the dynamics that leads to it. A contact is
+    slipless if the two spheres roll on each other without slip.
 
     \b
     Example:
@@ -83,8 +89,8 @@ def main() -> None:
     os.environ.setdefault(
         "HDF5_USE_FILE_LOCKING", "FALSE"
     )  # files are replaced in one move; some systems have no locks
-    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # its font cache is not the user's business
-    if os.path.lexists("matplotlibrc"):  # of a stranger, perhaps: some settings start programs
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # users need no messages on its font cache
+    if os.path.lexists("matplotlibrc"):  # perhaps a stranger's file: some settings start programs
         click.echo("bearings: the matplotlibrc of this folder is not read; MATPLOTLIBRC can name one that is", err=True)
         here = os.getcwd()
         os.chdir(os.sep)
@@ -110,7 +116,7 @@ def main() -> None:
 
 
 def _interrupted(sentence: str) -> int:
-    """Say that a command was interrupted, and end its process at once if it is our own; give the exit code."""
+    """Say that a command was interrupted, end its process at once if it is our own, and return the exit code."""
     interrupts.ignored()
     leaving.end_now(sentence)
     click.echo(sentence, err=True)
@@ -118,7 +124,9 @@ def _interrupted(sentence: str) -> int:
 
 
 def _exit_code() -> int:
-    """Of the command that the arguments of this process name, once it is done and every error is said."""
+    """Run the command that the arguments of this process name, print its error if there is one, and return the exit
+    code.
+    """
     try:
         code = bearings.main(standalone_mode=False)
     except click.ClickException as error:

@@ -1,4 +1,4 @@
-"""bearings movie"""
+"""The command `bearings movie`."""
 
 from pathlib import Path
 
@@ -9,16 +9,17 @@ from taichi_bearings_cli.progress import Display
 
 @click.command()
 @run_argument
-@click.option("--fps", type=float, default=4.0, show_default=True, help="Snapshots shown in a second.")
+@click.option("--fps", type=float, default=4.0, show_default=True, help="Number of snapshots shown in a second.")
 @replica_option
 @title_option
-@out_options("MP4 or GIF. [default: movie.mp4 in the run directory]", "FILE", "Replace an existing file.")
+@out_options("MP4 or GIF to write. [default: movie.mp4 in the run directory]", "FILE", "Replace an existing file.")
 @json_option
 def command(run: Path, fps: float, replica: int, title: bool, out: Path | None, force: bool, as_json: bool) -> None:
-    """A film of the snapshots of RUN, a run directory or its run.h5: the spins, and what slips, one after the other.
+    """Make a film of the snapshots of RUN, a run directory or its run.h5: spins and slipping contacts, one after the
+    other.
 
     The run is a dynamics with --snapshots. MP4 needs ffmpeg; without it the film is a GIF. Each snapshot is shown for
-    the same time, whatever time lies between them: its title has it.
+    the same time, whatever the simulated time between them, which stands in its title.
 
     \b
     Example:

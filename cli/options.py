@@ -1,4 +1,4 @@
-"""Options shared by commands; those of a run come from the one table in runs/settings.py."""
+"""Options that commands share; those of a run come from the one table in runs/settings.py."""
 
 import json
 from collections.abc import Callable, Mapping
@@ -17,7 +17,7 @@ from taichi_bearings.words import meant
 
 
 class Text(click.types.StringParamType):
-    """A text that others read. The shell completes it to one of the names, or, where there are none, to a file."""
+    """The type of a text option; the shell completes it to one of the names or, without names, to a file."""
 
     def __init__(self, *names: str) -> None:
         self.names = names
@@ -29,14 +29,14 @@ class Text(click.types.StringParamType):
 
 
 class FileName(Text):
-    """A path. An option whose text is empty counts as not given."""
+    """The type of a path; an option with an empty text is treated as not given."""
 
     def convert(self, value: Any, parameter: click.Parameter | None, context: click.Context | None) -> Any:
         return Path(value) if value or isinstance(parameter, click.Argument) else None
 
 
 class Choice(click.Choice):
-    """A choice of words that suggests the one that was mistyped."""
+    """A choice of words that suggests the one that was likely meant by a mistyped word."""
 
     def convert(self, value: Any, parameter: click.Parameter | None, context: click.Context | None) -> Any:
         try:
@@ -46,14 +46,14 @@ class Choice(click.Choice):
             raise
 
 
-FILES, FILE_PATH = Text(), FileName()  # names as they were typed, and as paths
+FILES, FILE_PATH = Text(), FileName()  # types of names of files: as they were typed, and as paths
 
 
 class SettingsCommand(click.Command):
-    """A command that takes all settings of a run beside options of its own. Values stay text: RunSettings reads them.
+    """A command that takes all settings of a run beside options of its own.
 
-    Its help has a section for what is solved, for how, and for files; then the options that only some methods have.
-    `--help` leaves out what few need, `--help-all` has everything.
+    Values stay texts, which RunSettings reads. Its help has sections for what is solved, for how, for files, and for
+    the options of some methods only. `--help` leaves out what few need, `--help-all` has everything.
     """
 
     def get_params(self, context: click.Context) -> list[click.Parameter]:
@@ -78,11 +78,11 @@ class SettingsCommand(click.Command):
                 formatter.write_dl(records)
 
 
-EVERYTHING = "taichi_bearings_cli.everything"  # key of what a context knows: whether its help leaves nothing out
+EVERYTHING = "taichi_bearings_cli.everything"  # key in a context's `meta`: True if its help leaves nothing out
 
 
 def _show_everything(context: click.Context, _: click.Parameter, asked: bool) -> None:
-    """Print the help with all options, and exit, if that is asked for."""
+    """Print the help with all options, and exit, if `asked`."""
     if asked:
         context.meta[EVERYTHING] = True
         click.echo(context.get_help())
@@ -90,7 +90,7 @@ def _show_everything(context: click.Context, _: click.Parameter, asked: bool) ->
 
 
 def _section_of(item: Option | None) -> str:
-    """The section of the help that lists an option; None: it is no setting of a run."""
+    """Return the section of the help that lists an option; None stands for an option that is no setting of a run."""
     if item is None:
         return "Files and output"
     owners = users_of(item)[0]
@@ -101,7 +101,7 @@ def _section_of(item: Option | None) -> str:
 
 @lru_cache(maxsize=8)
 def _settings_options(_: tuple[str, ...]) -> list[click.Option]:
-    """The settings as options, by the names of methods and laws, on which they depend."""
+    """Return the settings as options. The argument, names of methods and laws, only makes the cache depend on these."""
     options = []
     for key, item in settings_table().items():
         laws = users_of(item)[1]
@@ -127,7 +127,7 @@ def _click_option(key: str, item: Option, text: str) -> click.Option:
 
 
 def options_in(table: Mapping[str, Option]) -> list[click.Parameter]:
-    """The options of a table; values stay text."""
+    """Return the options of a table; their values stay texts."""
     return [_click_option(key, item, item.help) for key, item in table.items()]
 
 
@@ -138,12 +138,12 @@ def _shown(default: object) -> str:
 
 
 def answer(report: Mapping[str, Any], as_json: bool, words: Callable[[], str]) -> None:
-    """Print what a command has found: one JSON object, or words for people."""
+    """Print what a command has found: one JSON object, or what `words` returns."""
     click.echo(json.dumps(report, allow_nan=False) if as_json else words() + replica_shown(report))
 
 
 def replica_shown(report: Mapping[str, Any]) -> str:
-    """The end of a sentence that says which of several replicas a report is of; empty where there is only one."""
+    """Return the end of a sentence that says which of several replicas a report is of; "" if there is only one."""
     if "replicas" not in report or not isinstance(report.get("replica"), int):
         return ""
     return f"; this is replica {report['replica']} of {report['replicas']}, counted from 0, which --replica chooses"
@@ -151,7 +151,7 @@ def replica_shown(report: Mapping[str, Any]) -> str:
 
 run_argument = click.argument("run", metavar="RUN", type=FILE_PATH)
 replica_option = click.option(
-    "--replica", type=click.IntRange(0), default=0, help="Which replica of a block of seeds, from 0."
+    "--replica", type=click.IntRange(0), default=0, help="Which replica of a block of seeds, counted from 0."
 )
 analyse_option = click.option(
     "--analyse", is_flag=True,
@@ -165,15 +165,15 @@ width_option = click.option(
 )
 dpi_option = click.option(
     "--dpi", type=click.IntRange(30, 2400), default=300, show_default=True,
-    help="Dots an inch of PNG, and of pictures in others.",
+    help="Resolution in dots an inch of PNG, and of images inside PDF and SVG.",
 )  # fmt: skip
-title_option = click.option("--title/--no-title", default=True, help="Words above figures. [default: on]")
+title_option = click.option("--title/--no-title", default=True, help="Titles above figures. [default: on]")
 
 
 def out_options(
     out: str, metavar: str = "DIR", force: str = "Replace existing files.", kind: click.ParamType = FILE_PATH
 ) -> Callable[[Any], Any]:
-    """The options --out and --force with these words of help."""
+    """Return a decorator that adds the options --out and --force with these help texts."""
 
     def with_options(command: Any) -> Any:
         command = click.option("--force", is_flag=True, help=force)(command)

@@ -1,4 +1,4 @@
-"""bearings plot"""
+"""The command `bearings plot`."""
 
 from pathlib import Path
 from typing import Any
@@ -24,18 +24,34 @@ PLOT_KINDS = ("spins", "power", "history", "energy", *STRUCTURE_KINDS, "scan")
 @run_argument
 @replica_option
 @click.option(
-    "--time", type=float, default=None, help="spins: the snapshot nearest to this simulated time, and what slips in it."
+    "--time",
+    type=float,
+    default=None,
+    help="spins: draw the snapshot nearest to this simulated time, with the contacts that slip in it.",
 )
-@click.option("--y", metavar="COLUMN[/COLUMN]", default=None, help="scan: a number, or the ratio of the means of two.")
-@click.option("--x", metavar="COLUMN", default=None, help="scan: what it is drawn against.")
-@click.option("--by", metavar="COLUMN", multiple=True, help="scan: a curve for each value. May be repeated.")
-@click.option("--where", metavar="KEY=VALUE", multiple=True, help="scan: only these samples. May be repeated.")
-@click.option("--log", type=Choice(["x", "y", "xy"]), default=None, help="scan: logarithmic axes.")
+@click.option(
+    "--y",
+    metavar="COLUMN[/COLUMN]",
+    default=None,
+    help="scan: column to draw, or A/B for the ratio of the means of two.",
+)
+@click.option("--x", metavar="COLUMN", default=None, help="scan: column that it is drawn against.")
+@click.option(
+    "--by", metavar="COLUMN", multiple=True, help="scan: draw one curve for each value of this column. May be repeated."
+)
+@click.option(
+    "--where", metavar="KEY=VALUE", multiple=True, help="scan: use only samples with this value. May be repeated."
+)
+@click.option("--log", type=Choice(["x", "y", "xy"]), default=None, help="scan: which axes are logarithmic.")
 @width_option
 @dpi_option
 @title_option
-@click.option("--plane", "planes", metavar="AXIS=N", multiple=True, help="3D: a cut to show, as y=5. May be repeated.")
-@click.option("--view", metavar="ELEVATION,AZIMUTH", default=None, help="3D: from where, in degrees, as 22,-55.")
+@click.option(
+    "--plane", "planes", metavar="AXIS=N", multiple=True, help="3D: a plane to show, such as y=5. May be repeated."
+)
+@click.option(
+    "--view", metavar="ELEVATION,AZIMUTH", default=None, help="3D: from where it is seen, in degrees, such as 22,-55."
+)
 @out_options(
     "PNG, PDF or SVG. [default: KIND.pdf in the run directory; KIND.png if the PDF had more than 1 MB]", "FILE",
     "Replace an existing file.",
@@ -52,14 +68,14 @@ def command(kind: str, run: Path, replica: int, time: float | None, out: Path | 
     and the figures of `bearings analyse`:
 
     \b
-    domains      rigid domains: where they are and how they turn
-    network      slipless contacts, a path from bottom to top and its spins
+    domains      rigid domains: where they are and how they rotate
+    network      contacts without slip, a path through them from bottom to top, and its spins
 
     and, with the directory of a scan as RUN,
 
     \b
-    scan         any column of scan.csv, or L, against any other, with error bars; the points are
-                 written beside the figure as CSV, with how many of how many samples are in each
+    scan         any column of scan.csv, or L (the height), against any other, with error bars; the points
+                 are written beside the figure as CSV, with how many of how many samples are in each
 
     \b
     Examples:
@@ -97,6 +113,7 @@ def command(kind: str, run: Path, replica: int, time: float | None, out: Path | 
 
 
 def _plot_run(kind: str, run: Path, replica: int, time: float | None, out: Path | None, force: bool, page: Any) -> None:
+    """Draw a figure of a run, write it, and print its path."""
     from taichi_bearings.files.whole_file import refuse_ending
     from taichi_bearings.plots.style import ENDINGS, save, save_small
     from taichi_bearings.runs.figures import draw_figure

@@ -1,4 +1,4 @@
-"""What a terminal shows while a command works; silent in a pipe."""
+"""Shows on a terminal how far a command is; in a pipe there is nothing to see."""
 
 import os
 import shutil
@@ -15,12 +15,13 @@ from taichi_bearings_cli import STARTED
 from taichi_bearings import progress
 from taichi_bearings.progress import TerminalLine, duration
 
-Display = partial(progress.Display, STARTED)  # whose times are those of the process
+Display = partial(progress.Display, STARTED)  # its times begin with the process
 
 
 def in_lines(text: str, err: bool = False) -> str:
-    """A report as it is printed: on a terminal lines that are too long for it are broken between words, and what
-    follows is indented."""
+    """Return a report as it is printed: on a terminal long lines are broken between words, and what follows is
+    indented.
+    """
     stream = sys.stderr if err else sys.stdout  # None where it is closed
     if stream is None or not stream.isatty():
         return text
@@ -40,20 +41,20 @@ class ScanDisplay(TerminalLine):
     def __init__(self) -> None:
         self.progress: Any = None
         super().__init__(lambda: "reading" if self.progress is None else describe_scan(self.progress, samples=True))
-        self.is_logged, self.told = False, time.monotonic()
+        self.is_logged, self.last_line = False, time.monotonic()
         with suppress(OSError, ValueError, AttributeError):  # the log of a batch queue is a regular file
             self.is_logged = stat.S_ISREG(os.fstat(sys.stderr.fileno()).st_mode)
 
     def __call__(self, progress: Any) -> None:
         self.progress = progress
-        if self.is_logged and time.monotonic() - self.told >= HEARTBEAT:
-            self.told = time.monotonic()
+        if self.is_logged and time.monotonic() - self.last_line >= HEARTBEAT:
+            self.last_line = time.monotonic()
             stamp = time.strftime("%Y-%m-%d %H:%M:%S")
             print(f"{stamp}  {describe_scan(progress)}", file=sys.stderr, flush=True)
 
 
 def describe_scan(progress: Any, samples: bool = False) -> str:
-    """Where a scan stands, in one line. samples : what is being solved too."""
+    """Return in one line where a scan stands. samples : name the samples that are being solved, too."""
     words = [f"{progress.done:,} of {progress.total:,} samples"]
     words += [f"{progress.failed:,} failed"] if progress.failed else []
     words += [f"{progress.rate:.3g}/s"] if progress.rate else []

@@ -1,4 +1,4 @@
-"""What commands have found, for people: rows of the tables of quantities, a line each."""
+"""Puts what commands have found into words: rows of the tables of quantities, a line each."""
 
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -8,24 +8,27 @@ from taichi_bearings.words import driving_words, listed, sized
 
 
 def solved(report: Mapping[str, Any]) -> str:
-    """What was solved by which method: ``10x10 coulomb, planar-cut``."""
+    """Return what was solved by which method, such as ``10x10 coulomb, planar-cut``."""
     return f"{sized(report)} {report['law']}, {report['method']}{driving_words(report)}"
 
 
 def ends(report: Mapping[str, Any]) -> str:
-    """How the samples ended, each way once."""
+    """Return how the samples ended, each status once."""
     return ", ".join(sorted(set(listed(report["status"]))))
 
 
-def rows_told(rows: Iterable[Quantity], report: Mapping[str, Any]) -> list[str]:
-    """The numbers that a report has of these rows; of several samples mean, least and largest, or of how many."""
+def lines_of(rows: Iterable[Quantity], report: Mapping[str, Any]) -> list[str]:
+    """Return a line for each of these quantities that a report has.
+
+    Of several samples a line has mean, least and largest value, or how many samples something is true of.
+    """
     several = isinstance(report.get("seed"), list)
-    told = ((row.text, report[row.name]) for row in rows if row.name in report)
-    return [line for text, value in told for line in (_of_several if several else _of_one)(text, value)]
+    found = ((row.text, report[row.name]) for row in rows if row.name in report)
+    return [line for text, value in found for line in (_of_several if several else _of_one)(text, value)]
 
 
 def _of_several(text: str, value: Any) -> list[str]:
-    """Nothing for lists and tables."""
+    """Return a line on the values of several samples; nothing for lists and tables."""
     found = listed(value)
     values = [one for one in found if one is not None]
     if not values or isinstance(values[0], (dict, list)):
@@ -38,7 +41,7 @@ def _of_several(text: str, value: Any) -> list[str]:
 
 
 def _of_one(text: str, value: Any) -> list[str]:
-    """A number, list or table; nothing where there is none."""
+    """Return lines on one number, list or table; nothing where there is none."""
     if value is None or value == []:
         return []
     if isinstance(value, list) and isinstance(value[0], dict):
@@ -49,7 +52,7 @@ def _of_one(text: str, value: Any) -> list[str]:
 
 
 def _shown(value: Any, digits: int = 6) -> str:
-    """For people: entries of a table that are 0 are left out."""
+    """Return a value in words; entries of a table that are 0 are left out."""
     if isinstance(value, dict):
         return ", ".join(f"{name} {_shown(entry)}" for name, entry in value.items() if entry)
     if isinstance(value, list):

@@ -1,4 +1,4 @@
-"""bearings reproduce"""
+"""The command `bearings reproduce`."""
 
 from pathlib import Path
 from typing import Any
@@ -13,9 +13,9 @@ from taichi_bearings_cli.progress import Display
 @click.option("--seed", type=click.IntRange(0, 2**62), default=0, show_default=True, help="First seed of all samples.")
 @click.option(
     "--samples", type=click.IntRange(1, 100_000), default=None,
-    help="Samples that a statistical claim may take. [default: 200, with --quick 20]",
+    help="Number of samples for each statistical claim. [default: 200, with --quick 20]",
 )  # fmt: skip
-@click.option("--quick", is_flag=True, help="Within five minutes: fewer samples, sizes and iterations.")
+@click.option("--quick", is_flag=True, help="Take five minutes: fewer samples, sizes and iterations.")
 @title_option
 @out_options("Folder for the files. [default: outputs/<time>-reproduce-<id>]")
 @json_option
@@ -30,8 +30,8 @@ def command(
     as_json: bool,
     **asked: bool,
 ) -> None:
-    """Figures of the paper and a verdict for each of its claims about them. FIGURE is one of these; without
-    one, all but questions beyond the paper.
+    """Draw figures of the paper, with a verdict for each of its claims about them. FIGURE is one of these; without
+    one, all but the questions beyond the paper are drawn.
 
     \b
     fig1  stationary states of 10x10 discs, viscous and Coulomb, and how often the interface of the two bearing states
@@ -82,7 +82,7 @@ def command(
 
 
 def describe(report: dict[str, Any], times: str) -> str:
-    """The claims with their verdicts, for people."""
+    """Return the claims with their verdicts, in words."""
     lines = list[str]()
     for found in report["figures"].values():
         for claim in found["claims"]:

@@ -1,4 +1,4 @@
-"""bearings run"""
+"""The command `bearings run`."""
 
 from collections.abc import Callable
 from functools import partial
@@ -8,7 +8,7 @@ from typing import Any
 import click
 from taichi_bearings_cli.options import FILES, SettingsCommand, answer, json_option, out_options, title_option
 from taichi_bearings_cli.progress import Display, in_lines
-from taichi_bearings_cli.report import ends, rows_told, solved
+from taichi_bearings_cli.report import ends, lines_of, solved
 from taichi_bearings_cli.verify import describe as describe_verdict
 
 from taichi_bearings.progress import duration
@@ -16,12 +16,12 @@ from taichi_bearings.quantities import COLUMNS
 from taichi_bearings.words import counted, listed, other_contacts
 
 OF_A_SAMPLE = ("power", "gap", "proof", "slipping", "slipless", "tied", "undecided", "unproven", "contacts")
-LAST_TOLD = (
+LAST_COLUMNS = (
     "driven_power", "slipless_motions", "largest_slipless_slip", "smallest_slipping_slip",
     "power_normalised", "yields", "yield_torque_lower_bound", "yield_torque", "amplitude",
     "time", "duration",
 )  # fmt: skip
-"""Columns that a report ends with, where it has them."""
+"""Columns with which a report ends, where it has them."""
 
 
 @click.command(cls=SettingsCommand)
@@ -29,11 +29,13 @@ LAST_TOLD = (
 @out_options(
     "Run directory. [default: outputs/<time>-run-<id>]", force="Replace an existing run directory.", kind=FILES
 )
-@click.option("--resume", metavar="RUN", type=FILES, help="Go on with a run that has a checkpoint, in its directory.")
+@click.option(
+    "--resume", metavar="RUN", type=FILES, help="Go on with a run that has a checkpoint, and keep its directory."
+)
 @click.option(
     "--verify", is_flag=True, help="Check the written file as `bearings verify` does; exit code 1 if it fails."
 )
-@click.option("--dry-run", is_flag=True, help="Only say the method, and the time and memory to expect; solve nothing.")
+@click.option("--dry-run", is_flag=True, help="Solve nothing; print the method, and the time and memory to expect.")
 @title_option
 @json_option
 @click.pass_context
@@ -48,14 +50,14 @@ def command(
     as_json: bool,
     **options: Any,
 ) -> None:
-    """Solve one scene (or a block of seeds) and write a run directory.
+    """Find the state of least power of one system (or of one for each of several seeds), and write a run directory.
 
     SCENE.toml holds the same keys as the options, dashes as underscores; options win. A run directory or its run.h5
     serves too: it is run again. The directory gets run.h5, summary.json, scene.toml, power_histogram.csv and figures.
     Ctrl-C saves what was reached. With --checkpoint-every even a killed run can be resumed, to the same bits.
 
     \b
-    Exit codes: 0 reached, 1 not reached (the result is written), 2 bad input, 130 interrupted.
+    Exit codes: 0 tolerance or duration reached, 1 not reached (the result is written), 2 bad input, 130 interrupted.
 
     \b
     Examples:
@@ -68,7 +70,7 @@ def command(
     is_dry, verdict = options.pop("dry_run"), None
     given = {key: value for key, value in options.items() if value is not None}
     if is_dry:
-        return _tell_cost(scene, resume, given, as_json)
+        return _print_cost(scene, resume, given, as_json)
     with Display() as display:
         try:
             solve, place = _task(scene, out, force, resume, given)
@@ -86,8 +88,8 @@ def command(
         click.echo(in_lines(f"bearings: warning: {sentence}", err=True), err=True)
 
     def words() -> str:
-        told = describe(summary, display.times())
-        return in_lines(f"{told}\n{describe_verdict(verdict)}" if verdict else told)
+        report = describe(summary, display.times())
+        return in_lines(f"{report}\n{describe_verdict(verdict)}" if verdict else report)
 
     answer(summary | ({"verification": verdict} if verdict else {}), as_json, words)
     if found.interrupted:
@@ -98,7 +100,7 @@ def command(
     context.exit(0 if reached and is_there and (verdict is None or verdict["verified"]) else 1)
 
 
-def _tell_cost(scene: str | None, resumed: str | None, given: dict[str, Any], as_json: bool) -> None:
+def _print_cost(scene: str | None, resumed: str | None, given: dict[str, Any], as_json: bool) -> None:
     """Print what the run would take."""
     from taichi_bearings.errors import InputError
     from taichi_bearings.runs.run import cost
@@ -110,7 +112,7 @@ def _tell_cost(scene: str | None, resumed: str | None, given: dict[str, Any], as
 
 
 def describe_cost(report: dict[str, Any]) -> str:
-    """What a run would take, for people."""
+    """Return what a run would take, in words."""
     step, steps, seconds = report["seconds_per_step"], report["steps"], report["seconds"]
     words = (
         "not known before: it ends where its tolerance is reached" if seconds is None else f"about {duration(seconds)}"
@@ -123,7 +125,7 @@ def describe_cost(report: dict[str, Any]) -> str:
 
 
 def _idle_seed(settings: Any, given: dict[str, Any]) -> list[str]:
-    """What is to be said of a --seed that draws nothing."""
+    """Return sentences for a --seed from which nothing is drawn."""
     if "seed" not in given or not settings.is_packing:
         return []
     from taichi_bearings.runs.packing_run import idle_seed
@@ -134,8 +136,9 @@ def _idle_seed(settings: Any, given: dict[str, Any]) -> list[str]:
 def _task(
     scene: str | None, out: str | None, force: bool, resumed: str | None, given: dict[str, Any]
 ) -> tuple[Callable[..., Any], str | None]:
-    """What solves the scene of a file with these options, or goes on with a run; and where its directory is asked to
-    be."""
+    """Return a function that solves the scene with these options, or goes on with a run; and the directory asked
+    for.
+    """
     from taichi_bearings.errors import InputError
     from taichi_bearings.runs.run import resume, run
 
@@ -149,7 +152,7 @@ def _task(
 
 
 def _settings(scene: str | None, given: dict[str, Any]) -> tuple[Any, str | None]:
-    """The settings of a scene file with these options, and the directory that the file names."""
+    """Return the settings of a scene file with these options, and the directory that the file names."""
     from taichi_bearings.errors import InputError
     from taichi_bearings.runs.run_file import refuse_scan
     from taichi_bearings.runs.settings import RunSettings, read_toml
@@ -171,7 +174,7 @@ def _settings(scene: str | None, given: dict[str, Any]) -> tuple[Any, str | None
 
 
 def describe(summary: dict[str, Any], times: str) -> str:
-    """A short summary for people. times : where the time went."""
+    """Return a short summary of a run in words. times : where the time went, in words."""
     drawn, is_packing, seeds = summary["coefficients"] is None, summary["shape"] is None, listed(summary["seed"])
     driven = f", {summary['driven_spheres']:,} of them driven" if is_packing else ""
     lines = [f"{solved(summary)}{driven}: {ends(summary)}"]
@@ -185,7 +188,7 @@ def describe(summary: dict[str, Any], times: str) -> str:
         label = "" if len(seeds) == 1 and (is_packing or not drawn) else f"{kind} {name}: "
         lines.append(f"  {label}{_of_a_sample(summary, *found)}")
     lines += [f"  {len(seeds)} samples, mean, least, largest; or how many:"] if len(seeds) > 1 else []
-    lines += [f"  {line}" for line in rows_told(map(COLUMNS.__getitem__, LAST_TOLD), summary)]
+    lines += [f"  {line}" for line in lines_of(map(COLUMNS.__getitem__, LAST_COLUMNS), summary)]
     device = f" on {summary['arch']}, {summary['precision']}" if "arch" in summary else ""
     lines += [
         f"  {counted(sum(listed(summary['iterations'])), 'iteration')}{device}; {times}",
@@ -198,7 +201,7 @@ def describe(summary: dict[str, Any], times: str) -> str:
 def _of_a_sample(
     summary: dict[str, Any], power: Any, gap: Any, proof: str | None, slipping: int, slipless: int, *others: Any
 ) -> str:
-    """A line on one sample: its power, how far that is proven, how many contacts slip, and of how many that is proven.
+    """Return a line on one sample: power, proven gap, how many contacts slip, and how many of these states are proven.
 
     summary : of the run. The other arguments are the sample's columns in the order of OF_A_SAMPLE; None where a number
     is not finite or not known.

@@ -1,4 +1,4 @@
-"""bearings scan"""
+"""The command `bearings scan`."""
 
 from pathlib import Path
 from typing import Any
@@ -19,29 +19,33 @@ from taichi_bearings.words import counted
     "--set", "overrides", multiple=True, metavar="KEY=VALUE",
     help="Fix a key of run for all samples, or scan it with scan.KEY=LIST or RANGE; wins over the file. Repeatable.",
 )  # fmt: skip
-@click.option("--workers", type=click.IntRange(1), default=None, help="Processes at most. [default: processors]")
+@click.option(
+    "--workers", type=click.IntRange(1), default=None, help="Largest number of processes. [default: one a processor]"
+)
 @click.option(
     "--scheduler", metavar="ADDRESS", default=None,
-    help="Solve on the workers of the Dask scheduler there, such as tcp://node:8786, or of its scheduler file.",
+    help="Solve on a Dask cluster: address of its scheduler, such as tcp://node:8786, or its scheduler file.",
 )  # fmt: skip
 @click.option("--part", metavar="I/N", default=None, help="Solve part I of N alone, as in a job array; then --merge.")
-@click.option("--merge", is_flag=True, help="Solve nothing: write scan.h5 and scan.csv of all parts in the folder.")
-@click.option("--dry-run", is_flag=True, help="Only print the number of samples, and the time and memory to expect.")
+@click.option("--merge", is_flag=True, help="Solve nothing; write scan.h5 and scan.csv from all parts in the folder.")
+@click.option(
+    "--dry-run", is_flag=True, help="Solve nothing; print the number of samples, and the time and memory to expect."
+)
 @click.option(
     "--out", metavar="DIR", type=FILE_PATH,
-    help="Folder of the scan; one that is there is completed. [default: outputs/<time>-scan-<id>]",
+    help="Folder of the scan; a scan that it holds is completed. [default: outputs/<time>-scan-<id>]",
 )  # fmt: skip
 @json_option
 @click.pass_context
 def command(context: click.Context, scan: Path, dry_run: bool, as_json: bool, **asked: Any) -> None:
-    """Solve many scenes: SCAN is a TOML file with keys of `run` and a table [scan] with a list or a range for each key
-    that varies; or the folder of a scan, which goes on there.
+    """Solve many systems. SCAN is a TOML file with keys of `run` and a table [scan] with a list or a range for each key
+    that varies; or the folder of a scan, which is continued.
 
     The folder gets scan.csv and scan.h5, one row a sample: the scanned keys, power, lower_bound, gap, status, ... and
-    the distribution of power. The same scan into the same folder again does only what is missing or has failed; a scan
-    that asks for more samples extends it. What was asked for once (--analyse, --keep-states, --sample-timeout; keys of
-    the file too) is done ever after, and samples that lack it are solved again. A sample that fails is tried twice,
-    named, and costs nothing else.
+    the distribution of power. The same scan into the same folder again solves only what is missing or has failed; a
+    scan with more samples extends it. The options --analyse, --keep-states and --sample-timeout, which can stand in the
+    file too, apply whenever the scan is continued; samples that lack what they ask for are solved again. A sample that
+    fails is tried twice and named; the others go on.
 
     \b
     Exit codes: 0 all reached, 1 a sample failed or stopped short, 2 bad input, 130 interrupted (what is done is kept).
@@ -95,7 +99,7 @@ def command(context: click.Context, scan: Path, dry_run: bool, as_json: bool, **
 
 
 def _without_folder(scan: Path) -> InputError:
-    """Why parts of this scan cannot be solved or merged: nothing says in which folder."""
+    """Return the error for a scan of which parts cannot be solved or merged, since no folder is named."""
     if scan.suffix != ".toml" and not scan.exists():  # the name of a folder, mistyped
         return InputError(
             f"there is no {scan}; --part and --merge need the folder of a scan, or its file and --out DIR"
@@ -104,7 +108,7 @@ def _without_folder(scan: Path) -> InputError:
 
 
 def describe_estimate(expected: dict[str, Any]) -> str:
-    """What a scan would do, for people."""
+    """Return what a scan would do, in words."""
     lines = [f"{counted(expected['samples'], 'sample')} over {', '.join(expected['scanned']) or 'nothing'}"]
     if expected["missing"] < expected["samples"]:
         lines[0] += f", of which {expected['missing']:,} are missing"
@@ -115,7 +119,7 @@ def describe_estimate(expected: dict[str, Any]) -> str:
 
 
 def describe(report: dict[str, Any]) -> str:
-    """The report for people."""
+    """Return the report in words."""
     done, failed, missing, lacking = (report[name] for name in ("done", "failed", "missing", "lacking"))
     again, incomplete = f"bearings scan {report['scan']}", report.get("incomplete_parts", [])
     now = f"{report['solved_now']:,} of them now, " if report["solved_now"] < done else ""
@@ -138,6 +142,6 @@ def describe(report: dict[str, Any]) -> str:
         f"{counted(unanalysed, 'sample')} without the numbers of --analyse that the others have; "
         f"{again} --analyse adds them": unanalysed,
         f"{again} does what is missing or has failed": failed or missing or lacking,
-        f"removed, for they showed the scan as it was before: {removed}": removed,
+        f"removed figures that showed an earlier state of the scan: {removed}": removed,
     }
     return "\n".join([*(line for line, is_worth in lines.items() if is_worth), *report["files"]])

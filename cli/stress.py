@@ -1,4 +1,4 @@
-"""bearings stress"""
+"""The command `bearings stress`."""
 
 from pathlib import Path
 
@@ -8,19 +8,25 @@ from taichi_bearings_cli.progress import Display
 
 
 @click.command()
-@click.option("--quick", is_flag=True, help="Two or three values an axis on smaller samples: about a minute.")
-@click.option("--only", metavar="AXIS[,AXIS...]", help="Axes to try. [default: all]")
+@click.option(
+    "--quick", is_flag=True, help="Quick version: two or three values per parameter, smaller samples, about a minute."
+)
+@click.option("--only", metavar="AXIS[,AXIS...]", help="Parameters (axes) to try. [default: all]")
 @click.option("--method", metavar="NAME[,NAME...]", help="Methods to stress. [default: all, and auto]")
 @click.option("--law", metavar="LAW[,LAW...]", help="Laws to try. [default: all]")
-@click.option("--seed", default=0, show_default=True, metavar="N", type=click.IntRange(0), help="Of the samples.")
+@click.option(
+    "--seed", default=0, show_default=True, metavar="N", type=click.IntRange(0), help="First seed of the samples."
+)
 @click.option("--time-limit", type=click.FloatRange(0, min_open=True), metavar="SECONDS",
-              help="For a solve; some axes take a multiple. [default: 2, 1 with --quick]")  # fmt: skip
-@click.option("--workers", default=0, metavar="N", type=click.IntRange(0), help="Processes. [default: one a processor]")
+              help="Limit for a solve; some axes take a multiple. [default: 2, 1 with --quick]")  # fmt: skip
+@click.option(
+    "--workers", default=0, metavar="N", type=click.IntRange(0), help="Number of processes. [default: one a processor]"
+)
 @click.option(
     "--out",
     metavar="DIR",
     type=FILE_PATH,
-    help="Folder; goes on with what it holds. [default: outputs/<time>-stress-<id>]",
+    help="Folder of the report; what it holds is continued. [default: outputs/<time>-stress-<id>]",
 )
 @json_option
 @click.pass_context
@@ -35,11 +41,12 @@ def command(
     as_json: bool,
     **of_cells: int,
 ) -> None:
-    """Where the numbers end: every method, law, dimension, precision and device at extreme inputs, judged by truths.
+    """Try every method, law, dimension, precision and device at extreme inputs, judged by exact truths.
 
-    Writes stress.csv (one row a cell), summary.json, and a map for each axis (PNG and PDF).
-    Finished cells are kept in the folder: the same command goes on after a kill, and judges them anew. Exit code 1 if
-    an answer is wrong without saying so, or a cell crashes; docs/limits.md says what is tried and how it is judged.
+    Each axis is a parameter that is taken to its extremes; a cell is one of its values for one method, law and device.
+    Writes stress.csv (one row a cell), summary.json, and a map for each axis (PNG and PDF). Finished cells are kept in
+    the folder: the same command continues after a kill, and judges them again. Exit code 1 if an answer is wrong
+    without saying so, or a cell crashes; docs/stress.md says what is tried and how it is judged.
 
     \b
     Examples:

@@ -1,4 +1,4 @@
-"""bearings verify"""
+"""The command `bearings verify`."""
 
 from pathlib import Path
 from typing import Any
@@ -18,10 +18,10 @@ from taichi_bearings.words import listed
 @json_option
 @click.pass_context
 def command(context: click.Context, run: Path, as_json: bool) -> None:
-    """What is rigorously true of RUN, a run directory or its run.h5, from that file alone.
+    """Check what RUN, a run directory or its run.h5, proves: from that file alone.
 
     Power, bounds and contact states are judged anew from the spins and the friction in the file, with a bound on every
-    rounding, and what the file says is held against them: so are its checksums, and coefficients that are drawn from
+    rounding, and compared with what the file says. Its checksums are compared too, and coefficients that are drawn from
     seeds. That finds damage and edits. docs/proofs.md says what is proven and what is trusted.
 
     \b
@@ -41,7 +41,7 @@ def command(context: click.Context, run: Path, as_json: bool) -> None:
 
 
 def describe(report: dict[str, Any], times: str = "") -> str:
-    """The verdict for people. times : where the time went."""
+    """Return the verdict in words. times : where the time went, in words."""
     law = LAWS[report["law"]]
     shape = "x".join(map(str, report["shape"])) if report["shape"] else f"packing of {report['spheres']:,} spheres,"
     origin = "those of the seed" if report["coefficients"] == "drawn" else "as the file gives them"

@@ -1,4 +1,4 @@
-"""bearings view"""
+"""The command `bearings view`."""
 
 from pathlib import Path
 
@@ -11,16 +11,17 @@ from taichi_bearings_cli.progress import Display
 @run_argument
 @replica_option
 @analyse_option
-@click.option("--open", "opened", is_flag=True, help="Show it in the browser at once.")
-@out_options("The page. [default: view.html in the run directory]", "FILE", "Replace an existing file.")
+@click.option("--open", "opened", is_flag=True, help="Open the page in the browser at once.")
+@out_options("Page to write. [default: view.html in the run directory]", "FILE", "Replace an existing file.")
 @json_option
 def command(run: Path, replica: int, analyse: bool, opened: bool, out: Path | None, force: bool, as_json: bool) -> None:
-    """An interactive 3D page of RUN, a run directory or its run.h5: one HTML file for any browser, without a network.
+    """Make an interactive 3D page of RUN, a run directory or its run.h5: one HTML file for any browser, without a
+    network.
 
     Spheres, slipless network and slipping contacts are layers to switch; of a run that was analysed, or with --analyse,
     so are minimum cut, rigid domains, a path and the bottlenecks. Slice them, move the slip threshold and the least
-    power, point at a sphere or a contact for its numbers, and play the snapshots of a dynamics.
-    docs/figures.md says more.
+    power, point at a sphere or a contact for its numbers, and play the snapshots of a dynamics. docs/pictures.md says
+    more.
 
     \b
     Example:
