@@ -42,7 +42,7 @@ def command(run: Path, replica: int, analyse: bool, form: str, out: Path | None,
             betweenness, on the minimum cut, on the path, on the backbone
     steps   the snapshots of a dynamics and its end
 
-    docs/pictures.md says more.
+    docs/figures.md says more.
 
     \b
     Examples:

@@ -45,7 +45,7 @@ def command(runs: tuple[Path, ...], normalise: str, by: str | None, as_json: boo
 
     Only slipping contacts are in bins; the header says how many are slipless (they do not slip at any minimum), tied
     (they slip at some minima only) and undecided. Errors are standard errors over the samples, or the square roots of
-    the counts if there is a single sample. docs/histograms.md says more.
+    the counts if there is a single sample. docs/figures.md says more.
 
     \b
     Examples:

@@ -46,7 +46,7 @@ def command(
     Each axis is a parameter that is taken to its extremes; a cell is one of its values for one method, law and device.
     Writes stress.csv (one row a cell), summary.json, and a map for each axis (PNG and PDF). Finished cells are kept in
     the folder: the same command continues after a kill, and judges them again. Exit code 1 if an answer is wrong
-    without saying so, or a cell crashes; docs/stress.md says what is tried and how it is judged.
+    without saying so, or a cell crashes; docs/limits.md says what is tried and how it is judged.
 
     \b
     Examples:

@@ -20,7 +20,7 @@ def command(run: Path, replica: int, analyse: bool, opened: bool, out: Path | No
 
     Spheres, slipless network and slipping contacts are layers to switch; of a run that was analysed, or with --analyse,
     so are minimum cut, rigid domains, a path and the bottlenecks. Slice them, move the slip threshold and the least
-    power, point at a sphere or a contact for its numbers, and play the snapshots of a dynamics. docs/pictures.md says
+    power, point at a sphere or a contact for its numbers, and play the snapshots of a dynamics. docs/figures.md says
     more.
 
     \b
