@@ -1,7 +1,8 @@
 """Estimates what a scan costs, by a model of the seconds of a sample and by what finished samples have taken.
 
-The model gives times on one core of a common server, good to a factor of three; docs/measurements.md has the table. It serves
-`--dry-run`, makes units of work that are worth sending to a worker, and with :class:`WorkLeft` foretells the time left.
+The model gives times on one core of a common server, good to a factor of three (docs/measurements.md). It
+serves `--dry-run`, makes units of work that are worth sending to a worker, and with :class:`WorkLeft` foretells the
+time left.
 """
 
 import math
