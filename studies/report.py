@@ -1,4 +1,4 @@
-"""What all studies write: tables of words, and the machine that numbers come from."""
+"""Writes what all studies report: tables, numbers in words, and the machine that numbers come from."""
 
 import os
 import platform
@@ -11,7 +11,7 @@ from taichi_bearings.version import VERSION
 
 
 def markdown(rows: Sequence[Sequence[str]]) -> str:
-    """A table, the first row with the titles, its columns padded so that it reads as plain text too."""
+    """Return a table, its columns padded so that it reads as plain text too. rows : the first one has the titles."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = [rows[0], ["-" * width for width in widths], *rows[1:]]
     padded = ([word.ljust(width) for word, width in zip(line, widths, strict=True)] for line in lines)
@@ -19,11 +19,12 @@ def markdown(rows: Sequence[Sequence[str]]) -> str:
 
 
 def short(value: float) -> str:
-    """Three digits, never a power of ten."""
+    """Return a number with three digits, never as a power of ten."""
     return f"{value:,.0f}" if value >= 1000 else f"{value:.3g}"
 
 
 def duration(seconds: float | None) -> str:
+    """Return seconds with a unit that suits them; a dash for None."""
     if seconds is None:
         return "–"
     unit, scale = ("s", 1.0) if seconds >= 1 else ("ms", 1e3) if seconds >= 1e-3 else ("us", 1e6)
@@ -31,11 +32,12 @@ def duration(seconds: float | None) -> str:
 
 
 def scaled(rate: float) -> str:
+    """Return a rate in millions."""
     return f"{short(rate / 1e6)} M"
 
 
 def processor() -> str:
-    """The name of this machine's processor."""
+    """Return the name of this machine's processor."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError):
@@ -45,12 +47,12 @@ def processor() -> str:
 
 
 def load() -> float | None:
-    """How many processes want a processor now; None where the system does not tell."""
+    """Return how many processes want a processor now; None where the system does not say."""
     return os.getloadavg()[0] if hasattr(os, "getloadavg") else None
 
 
 def environment() -> dict[str, str]:
-    """The machine and the programs, in words; nothing that names the machine or its owner."""
+    """Return the machine and the programs, in words; nothing that names the machine or its owner."""
     return {
         "taichi_bearings": VERSION,
         **versions(),

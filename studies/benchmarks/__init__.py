@@ -1,1 +1,1 @@
-"""Run time against error, throughput, and other solvers to compare with."""
+"""Benchmarks: run time against error, throughput, and other solvers to compare with."""

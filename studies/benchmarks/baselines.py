@@ -1,4 +1,4 @@
-"""The same sweep by other means: the best NumPy that we could write, and plain C compiled on the spot."""
+"""The sweep of our kernels by other means: the best NumPy that we could write, and plain C compiled on the spot."""
 
 import ctypes
 import os
@@ -15,17 +15,17 @@ from taichi_bearings.lattice.layout import Layout
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.initial_spins import initial_spin
 
-SHARPNESS = 1e12  # contacts with a smaller difference than its inverse do not slip
-LEAST_SQUARE = {8: 1e-300, 4: 1e-30}  # by the size of a number
+SHARPNESS = 1e12  # contacts whose spin difference is less than 1 / SHARPNESS do not slip
+LEAST_SQUARE = {8: 1e-300, 4: 1e-30}  # stands in for 0 under a square root, by the bytes of a number
 SOURCE = Path(__file__).parent / "others" / "sweep.c"
 COMPILERS = ("cc", "gcc", "clang")
 FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-w", "-shared", "-fPIC")
 
 
 class Arrays:
-    """Flat arrays of a scene in the layout of the kernels, a row each: spins, friction and, of each sphere, the step.
+    """Flat arrays of a scene in the layout of the kernels: spins, friction and, for each sphere, the step of a sweep.
 
-    kept : for each axis, the spin components that its contacts feel.
+    kept : for each axis, the spin components that make its contacts slip.
     """
 
     def __init__(self, scene: Scene, precision: str) -> None:
@@ -40,7 +40,7 @@ class Arrays:
         self.step = self._rows(1e-3 / weight)
 
     def _rows(self, values: np.ndarray) -> np.ndarray:
-        """(C, 1, *N) -> (C, length), zero in the margins."""
+        """Return values (C, 1, *N) as (C, length), zero in the margins."""
         margin, sites = self.layout.margin, self.layout.sites
         sides = ((0, 0), (margin, self.layout.length - margin - sites))
         return np.pad(values.reshape(len(values), -1), sides).astype(self.dtype)
@@ -49,9 +49,9 @@ class Arrays:
 class NumpySweep:
     """The Coulomb subgradient sweep in vectorised NumPy, as fast as we could write it.
 
-    Every operation runs over one contiguous stretch, in place, with no temporaries; one square root and one division a
-    contact, none where a contact has one component. (Written with slices of three-dimensional arrays it takes 1.2 to
-    1.6 times as long.)
+    Every operation runs over one contiguous stretch, in place, with no temporaries; there is one square root and one
+    division for each contact with two components, none for one with a single component. (Written with slices of
+    three-dimensional arrays it takes 1.2 to 1.6 times as long.)
     """
 
     def __init__(self, arrays: Arrays) -> None:
@@ -111,7 +111,7 @@ class NumpySweep:
 
 
 class CSweep:
-    """The same sweep in C, each contact reckoned with from both of its ends; pairs of sweeps."""
+    """The Coulomb subgradient sweep in C; each contact is computed from both of its ends. Sweeps are made in pairs."""
 
     def __init__(self, arrays: Arrays, folder: Path) -> None:
         """folder : for the machine code. Raises OSError where it cannot be made or loaded."""
@@ -135,14 +135,14 @@ class CSweep:
 
 
 def find_compiler() -> str | None:
-    """The C compiler of this machine."""
+    """Return the C compiler of this machine, or None."""
     named = [os.environ["CC"]] if os.environ.get("CC") else []
     return next((found for name in (*named, *COMPILERS) if (found := shutil.which(name))), None)
 
 
 @lru_cache
 def compiled(options: tuple[str, ...], folder: Path) -> Path:
-    """The shared library of sweep.c with these options. Raises OSError where it cannot be made."""
+    """Return the shared library of sweep.c with these options. Raises OSError where it cannot be made."""
     compiler = find_compiler()
     if compiler is None:
         raise FileNotFoundError("no C compiler was found")

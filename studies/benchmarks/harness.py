@@ -1,8 +1,9 @@
-"""One harness for all benchmarks: what is compared is warmed up and timed in turns, several times; the median counts.
+"""One harness for all benchmarks: everything is warmed up and then timed in turns, several times; the median is
+reported.
 
-A drift of the machine meets all alike that way. Wall time says what a user waits for, processor time what is left of it
-where other programs share the machine. What was measured is a row, a dictionary of plain values; a list has one value
-a checkpoint of a run. Measurements go on in processes of their own: the compiler's runtime is one a process. Rows
+A drift of the machine meets all alike that way. Wall time is what a user waits for; processor time is what that would
+be if no other program shared the machine. A measurement is a row, a dictionary of plain values; a list has one value
+for each checkpoint of a run. Measurements run in processes of their own: a process has one compiler runtime. Rows
 become tables, CSV, JSON and figures by one writer.
 """
 
@@ -27,15 +28,15 @@ from ..report import duration, environment, load, markdown, scaled, short
 
 T = TypeVar("T")
 Row = dict[str, Any]
-Found = Iterator[Row | str]  # a text says what is left out, and why
-LONGEST = 2**20  # repetitions in one call
+Found = Iterator[Row | str]  # rows; a text says what is left out, and why
+LONGEST = 2**20  # most repetitions in one call
 TEXT = "report.md"
 TARGETS = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10)  # proven gaps whose times the table lists
 
 
 @dataclass(frozen=True)
 class Times:
-    """Seconds of one of many, (rounds,) in their order: the wall's, and the processor's of all threads if known."""
+    """Seconds that one repetition took in each round: wall time, and processor time of all threads if it is known."""
 
     wall: np.ndarray
     processor: np.ndarray | None = None
@@ -45,7 +46,7 @@ class Times:
         return float(np.median(self.wall))
 
     def alone(self, threads: int) -> "Times":
-        """As if no other program were on the machine: the processor's time of what has one thread."""
+        """Return the times as if no other program were on the machine: with one thread its processor time is that."""
         return self if threads > 1 or self.processor is None else Times(self.processor)
 
     @property
@@ -55,37 +56,40 @@ class Times:
         return {"seconds": self.seconds, **ends, **known, "rounds": len(self.wall)}
 
     def over(self, other: "Times") -> float:
-        """How many times as long as the other, the median of the rounds."""
+        """Return how many times as long as the other it takes: the median over the rounds."""
         return float(np.median(self.wall / other.wall))
 
 
 def in_turns(calls: Mapping[str, Callable[[int], T]], rounds: int) -> dict[str, list[T]]:
-    """What each call, which hears the number of the round, gives in every round, in turns with the others."""
+    """Return what each call gives in every round. Calls, which get the number of the round, are made in turns."""
     found: dict[str, list[T]] = {}
-    for turn in range(rounds):
+    for number in range(rounds):
         for name, call in calls.items():
-            found.setdefault(name, []).append(call(turn))
+            found.setdefault(name, []).append(call(number))
     return found
 
 
 def timed(calls: Mapping[str, Callable[[int], None]], rounds: int, slice_seconds: float) -> dict[str, Times]:
     """Time each call, which repeats something a number of times, `rounds` times in turns with the others.
 
-    slice_seconds : what one call should take about, unless a single repetition takes longer.
+    slice_seconds : about how long one call should take, unless a single repetition takes longer.
     """
     clocked = {name: partial(_clocked, call, _enough(call, slice_seconds)) for name, call in calls.items()}
     return {name: Times(*np.array(pairs).T) for name, pairs in in_turns(clocked, rounds).items()}
 
 
 def _clocked(call: Callable[[int], None], number: int, _: int = 0) -> tuple[float, float]:
-    """Wall and processor time of one of so many repetitions."""
+    """Return wall and processor time of one of so many repetitions."""
     began, at = time.perf_counter(), time.process_time()
     call(number)
     return (time.perf_counter() - began) / number, (time.process_time() - at) / number
 
 
 def _enough(call: Callable[[int], None], seconds: float) -> int:
-    """Repetitions that take about so long; finding out warms up. A single time could be that of another program."""
+    """Return how many repetitions take about so long; finding out warms up.
+
+    The least of three times is used, since a single one could be that of another program.
+    """
     call(2)
     number = 2
     while number < LONGEST:
@@ -100,9 +104,10 @@ def _enough(call: Callable[[int], None], seconds: float) -> int:
 class Plan:
     """How much is measured.
 
-    shapes, precisions, slice_seconds : of the kernels, and about how long a call that is timed takes. scenes : (shape,
-    law) that every method solves, each for at most `seconds`. scanned : lattice -> samples of a round. moved : lattices
-    of the dynamics; `steps` of each code in each round. methods, peers : which methods, and whether conic solvers too.
+    shapes, precisions, slice_seconds : of the kernels; the last is about how long a timed call takes.
+    scenes : (shape, law) that every method solves, each for at most `seconds`.
+    scanned : samples of a round, by lattice. moved : lattices of the dynamics; `steps` time steps in each round.
+    methods, peers : which methods are measured, and whether conic solvers are, too.
     """
 
     shapes: tuple[tuple[int, ...], ...]
@@ -124,9 +129,11 @@ class Plan:
 class Benchmark:
     """One thing that is measured: a row of the table of benchmarks.
 
-    title : what, in a sentence. tasks : of a plan, the name of each and what finds its rows.
-    missing : peers that are not here -> how to install them.
-    faults : sentences on rows that contradict each other. figure : of the rows.
+    title : a sentence on it.
+    tasks : returns, for a plan, the name of each task and a function that finds its rows.
+    missing : returns how to install other programs that are not here, by name.
+    faults : returns sentences on rows that contradict each other.
+    figure : draws the rows.
     """
 
     title: str
@@ -138,7 +145,10 @@ class Benchmark:
 
 @dataclass
 class Report:
-    """What was measured, by the name of the benchmark. notes : what was left out and why. missing : peer -> why."""
+    """What was measured, by the name of the benchmark.
+
+    notes : what was left out and why. missing : other programs that are not here, and why.
+    """
 
     rows: dict[str, list[Row]] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
@@ -148,7 +158,7 @@ class Report:
 
 
 def measure(chosen: Mapping[str, Benchmark], plan: Plan) -> Report:
-    """All that is asked for; Ctrl-C ends it and keeps what was measured until then."""
+    """Measure all that is asked for; Ctrl-C ends it and keeps what was measured until then."""
     report = Report(missing={name: why for one in chosen.values() for name, why in one.missing().items()})
     tasks = [(name, words, rows) for name, one in chosen.items() for words, rows in one.tasks(plan)]
     try:
@@ -166,6 +176,7 @@ def measure(chosen: Mapping[str, Benchmark], plan: Plan) -> Report:
 
 
 def _take(report: Report, name: str, found: Row | str) -> None:
+    """Put a row, or a text on what is left out, into the report."""
     if isinstance(found, str):
         report.notes += [] if found in report.notes else [found]
     else:
@@ -173,7 +184,7 @@ def _take(report: Report, name: str, found: Row | str) -> None:
 
 
 def elsewhere(find: Callable[..., Found], *arguments: Any) -> Found:
-    """What `find` yields in a process of its own, as it comes."""
+    """Yield what `find` yields, from a process of its own, as it comes."""
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
     with unheard_by_children():
@@ -192,7 +203,7 @@ def elsewhere(find: Callable[..., Found], *arguments: Any) -> Found:
 
 
 def _serve(pipe: Connection, find: Callable[..., Found], arguments: Sequence[Any]) -> None:
-    """In that process."""
+    """Send all that `find` yields through the pipe, in that process."""
     try:
         for found in find(*arguments):
             pipe.send(found)
@@ -202,12 +213,14 @@ def _serve(pipe: Connection, find: Callable[..., Found], arguments: Sequence[Any
 
 
 def machine() -> dict[str, Any]:
-    """The machine, what runs on it, and how busy it is."""
+    """Return the machine, what runs on it, and how busy it is."""
     return {**environment(), "load": load()}
 
 
 def text(chosen: Mapping[str, Benchmark], report: Report, here: Mapping[str, Any]) -> str:
-    """For people: the machine, a table a benchmark, then what was left out and what is missing."""
+    """Return the report in words: the machine, a table for each benchmark, then what was left out and what is
+    missing.
+    """
     parts = [f"{here['processor']}, {here['threads']}; load {here['load']}"]
     parts += [f"### {name}\n{chosen[name].title}.\n\n{_table(rows)}" for name, rows in report.rows.items()]
     notes = [*report.faults, *report.notes, *(f"Without {name}: {why}" for name, why in report.missing.items())]
@@ -225,11 +238,11 @@ COLUMNS: dict[str, tuple[str, Callable[[Any], str]]] = {
     "seconds_compile": ("compile", duration),
     "ratio": ("this program is", lambda ratio: f"{short(ratio)} times as fast"),
 }  # fmt: skip
-"""What tables show of a row, by its key: the title of the column, and the words for a value."""
+"""For each key of a row that tables show: the title of the column, and how a value is written."""
 
 
 def _table(rows: Sequence[Row]) -> str:
-    """The rows beneath each other, with all columns that some of them have; lists are left to the CSV."""
+    """Return rows as a table, with all columns that some of them have; lists are left to the CSV."""
     shown = [
         {key: of for key, of in (row | row.get("seconds_to", {})).items() if not isinstance(of, list)} for row in rows
     ]
@@ -240,7 +253,7 @@ def _table(rows: Sequence[Row]) -> str:
 
 
 def write(folder: Path, chosen: Mapping[str, Benchmark], report: Report, here: Mapping[str, Any]) -> list[Path]:
-    """The tables, all numbers of each benchmark, and its figure if it has one; returns what was written."""
+    """Write the tables, all numbers of each benchmark, and its figure if it has one; returns the paths."""
     written = [folder / TEXT]
     write_text(written[0], text(chosen, report, here))
     notes = [f"{name}: {value}" for name, value in here.items()]
@@ -257,7 +270,7 @@ def write(folder: Path, chosen: Mapping[str, Benchmark], report: Report, here: M
 
 
 def _lines(row: Row) -> Iterator[Row]:
-    """A line a checkpoint where a row has lists; a lattice reads 10x10, and what has parts is left to the JSON."""
+    """Yield the lines of a CSV for a row: one a checkpoint where it has lists. What has parts is left to the JSON."""
     plain = {key: "x".join(map(str, of)) if isinstance(of, tuple) else of for key, of in row.items()}
     lists = {key: of for key, of in plain.items() if isinstance(of, list)}
     same = {key: "" if of is None else of for key, of in plain.items() if not isinstance(of, (list, dict))}
@@ -266,7 +279,7 @@ def _lines(row: Row) -> Iterator[Row]:
 
 
 def as_json(report: Report, here: Mapping[str, Any], files: Sequence[Path]) -> dict[str, Any]:
-    """The object of `--json`."""
+    """Return the object of `--json`."""
     return {
         "machine": here, **report.rows, "left_out": report.notes,
         "contradictions": report.faults, "peers_missing": report.missing, "interrupted": report.interrupted,

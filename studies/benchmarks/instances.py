@@ -2,9 +2,9 @@
 
     python -m taichi_bearings_studies.benchmarks.instances FOLDER --most 10 --peers 10
 
-writes NAME.cbf and NAME.hdf5 (fclib) up to 10^3, and table.csv: bounds on the optimum, how near they are, how many
-contact states are not proven, our time, and what Clarabel and SCS find at 1e-8, where they are installed, and in which
-time. An instance that the table has is left alone, so that large ones can follow another day.
+writes NAME.cbf and NAME.hdf5 (fclib) up to 10^3, and table.csv: bounds on the optimum, their relative distance, how
+many contact states are not proven, our time, and what Clarabel and SCS find at 1e-8, where they are installed, and in
+which time. An instance that the table has is left alone, so that large ones can follow another day.
 """
 
 import argparse
@@ -29,12 +29,13 @@ KINDS: dict[str, dict[str, Any]] = {
     "bimodal": {"distribution": "bimodal:0.1,1,0.5"},  # many ties
     "equal": {"distribution": "constant:0.5"},  # whole layers tie
 }
-CLOSEST, ASKED_OF_PEERS, LONGEST = 1e-14, 1e-8, 3600.0  # relative gaps; seconds
+CLOSEST, ASKED_OF_PEERS = 1e-14, 1e-8  # relative gaps that we, and other solvers, are asked for
+LONGEST = 3600.0  # seconds that another solver may take
 COLUMNS = ("name", "unknowns", "contacts", "power", "lower_bound", "gap", "unproven", "seconds", "processor")
 
 
 def instances() -> dict[str, Scene]:
-    """By name; the side is the seed, so that no two share their friction."""
+    """Return the problems by name; the side of the lattice is the seed, so that no two share their friction."""
     return {
         f"{kind}-{side}": Scene.random((side, side, side), seed=side, **options)
         for side in SIDES
@@ -43,14 +44,16 @@ def instances() -> dict[str, Scene]:
 
 
 def made(name: str, scene: Scene, folder: Path, peers: int) -> dict[str, Any]:
-    """Write the files of an instance; its row. peers : largest side that they are asked for."""
+    """Write the files of an instance, and return its row of the table. peers : largest side that other solvers are
+    given.
+    """
     write_problem(scene, "fclib", folder / f"{name}.hdf5")
-    told = write_problem(scene, "cbf", folder / f"{name}.cbf")
+    written = write_problem(scene, "cbf", folder / f"{name}.cbf")
     began, used = time.perf_counter(), time.process_time()
     found = solve(scene, method="interior-point", tolerance=CLOSEST, threads=1)  # at 64^3 it takes an hour
     row = {
         "name": name,
-        **{key: told[key] for key in ("unknowns", "contacts")},
+        **{key: written[key] for key in ("unknowns", "contacts")},
         **{key: getattr(found, key) for key in ("power", "lower_bound", "gap")},
         "unproven": found.summary["unproven"],
         "seconds": round(time.perf_counter() - began, 3),
@@ -77,7 +80,7 @@ def main() -> None:
     if table.exists():
         with table.open(encoding="utf-8", newline="") as file:
             rows = list(csv.DictReader(file))
-    solve(Scene.random((3, 3, 3)), threads=1)  # what is compiled first counts for none
+    solve(Scene.random((3, 3, 3)), threads=1)  # compiles kernels, so that no instance pays for that
     for name, scene in instances().items():
         if scene.lattice.shape[0] <= asked.most and name not in {row["name"] for row in rows}:
             rows.append(made(name, scene, asked.folder, asked.peers))

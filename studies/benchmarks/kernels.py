@@ -1,4 +1,4 @@
-"""How fast sweeps, time steps and splitting iterations are, beside the best NumPy and plain C for the same sweep."""
+"""Measures how fast sweeps, time steps and splitting iterations are, beside the best NumPy and plain C for a sweep."""
 
 import tempfile
 import time
@@ -25,13 +25,13 @@ from .baselines import Arrays, CSweep, NumpySweep
 from .harness import Found, Plan, Row, timed
 
 NUMPY, C = "NumPy sweep", "C sweep"
-BYTES = {2: 800.0, 3: 1800.0}  # a sphere at most while all candidates of a lattice are there, by its dimension
+BYTES = {2: 800.0, 3: 1800.0}  # most memory a sphere, with all candidates of a lattice, by its dimension
 SPARE = 0.8  # share of the free memory that a lattice may take
-FOREVER = 2**40  # sweeps
+FOREVER = 2**40  # sweeps: more than are ever made
 
 
 class Candidate(NamedTuple):
-    """Something that is timed. call : repeats it."""
+    """Something that is timed. call : repeats it so many times. components : of the spins that it computes."""
 
     name: str
     call: Callable[[int], None]
@@ -40,7 +40,7 @@ class Candidate(NamedTuple):
 
 
 def measure(plan: Plan, precision: str, threads: int) -> Found:
-    """The rows of all lattices, in the process that calls it; a text for a lattice that is left out."""
+    """Yield the rows of all lattices, measured in this process; a text for a lattice that is left out."""
     runtime.start("cpu", precision, threads)
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         for shape in plan.shapes:
@@ -53,7 +53,9 @@ def measure(plan: Plan, precision: str, threads: int) -> Found:
 
 
 def _of_shape(plan: Plan, scene: Scene, precision: str, threads: int, folder: Path) -> Iterator[Row]:
-    """All candidates of a lattice in the same rounds; a sweep of others beside ours."""
+    """Yield a row for each candidate of a lattice, timed in the same rounds; other programs' sweeps are compared
+    with ours.
+    """
     candidates = list(_candidates(scene, precision, folder))
     found = timed({str(n): one.call for n, one in enumerate(candidates)}, plan.rounds, plan.slice_seconds)
     plain = found["0"].alone(threads)
@@ -68,7 +70,7 @@ def _of_shape(plan: Plan, scene: Scene, precision: str, threads: int, folder: Pa
 
 
 def _candidates(scene: Scene, precision: str, folder: Path) -> Iterator[Candidate]:
-    """All with their kernels compiled, the plain sweep first."""
+    """Yield all candidates with their kernels compiled, the plain sweep first."""
     plain = GradientDescentMethod(GradientDescent(momentum=False))
     yield _candidate("sweep", plain, scene, "random")
     plain.epoch_length = FOREVER  # stay in the part of the epoch that does not average
@@ -83,7 +85,9 @@ def _candidates(scene: Scene, precision: str, folder: Path) -> Iterator[Candidat
 
 
 def _candidate(name: str, method: Any, scene: Scene, start: str) -> Candidate:
-    """With the seconds that beginning took longer than beginning again: to compile, or to load from a cache."""
+    """Return a method as candidate, with the time that its first start took longer: to compile, or to load from a
+    cache.
+    """
     spin, took = initial_spin(scene, start), []
     for _ in range(2):
         began = time.perf_counter()
@@ -93,8 +97,11 @@ def _candidate(name: str, method: Any, scene: Scene, start: str) -> Candidate:
 
 
 def draw_throughput(rows: Sequence[Mapping[str, Any]]) -> Figure:
-    """Contacts a second by spheres, in the first precision and with the fewest threads, a curve a kernel and number of
-    components of discs or spheres."""
+    """Draw contacts a second against the number of spheres, a curve for each kernel, kind of body and number of
+    components.
+
+    Rows are those of the first precision and with the fewest threads.
+    """
     precision, threads = rows[0]["precision"], min(row["threads"] for row in rows)
     points: dict[str, list[tuple[float, float]]] = {}
     for row in rows:

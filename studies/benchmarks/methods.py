@@ -1,14 +1,14 @@
-"""Run time against error: every method, and general conic solvers, on the same scenes and by the same ruler.
+"""Measures run time against error: every method, and general conic solvers, on the same scenes and by the same measure.
 
 Each method runs as far as it gets within the time limit; its checks are the points of its curve. A conic solver gives
 no checks that the certificate could judge, so it runs once for each tolerance asked for. What is quick runs again, in
-turns; the run of the median time counts.
+turns with the others; the run of the median time is reported.
 
 * The time is wall time with the set-up of the scene and without compilation: each method first makes a step on the
   scene, which compiles its kernels, and then starts afresh. What the first start took longer is its compile time.
-* The least power is known to lie between the best lower bound and the best power of all runs; the reference is that
-  bound, and the width of the interval is the reference's own gap. (power - reference) / power is thus an upper bound of
-  the true error: it never falls below the gap of the reference, and says no more than that where it comes near it.
+* The least power lies between the best lower bound and the best power of all runs. The reference is that bound, and the
+  width of the interval is the reference's own gap. (power - reference) / power is thus an upper bound of the true
+  error: it never falls below the gap of the reference, and says no more than that where it comes near it.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -36,23 +36,25 @@ from taichi_bearings.solvers.stopping import UNLIMITED, StopRule
 from .harness import TARGETS, Found, Row, in_turns
 from .peers import TOLERANCES, ConicProgramme, Peer, conic_programme, find_peers
 
-TIGHTEST = 1e-14  # asked of every method; rounding ends it earlier
+TIGHTEST = 1e-14  # gap asked of every method; rounding ends it earlier
 SLACK = 1e-13  # relative rounding of a power; a bound that is higher than a power by more is wrong
-ROUND_OFF = float(np.finfo(np.float64).eps)  # the least relative error that double precision can tell
-BRIEF = 3.0  # seconds of a run from which it is not made again
-MOST_OF_PEERS = 20_000  # spheres up to which conic solvers are asked: beyond they take minutes and gigabytes
+ROUND_OFF = float(np.finfo(np.float64).eps)  # the least relative error that double precision can resolve
+BRIEF = 3.0  # seconds; a run that takes longer is made once only
+MOST_OF_PEERS = 20_000  # for more spheres conic solvers take minutes and gigabytes, and are left out
 SPARE = 0.7  # share of the free memory that may be taken
-PEERS = {"clarabel": ("black", "s"), "scs": ("#8a8a8a", "X")}
-PEER_DASHES = ("--", ":", "-.")  # by the linear solver
-MOST_MARKERS = 12  # a curve, so that long histories stay lines
-FEWEST_JOINED = 4  # looks at a method from which on a line joins them: fewer are no course
+PEERS = {"clarabel": ("black", "s"), "scs": ("#8a8a8a", "X")}  # colour and marker
+PEER_DASHES = ("--", ":", "-.")  # one for each linear solver
+MOST_MARKERS = 12  # on a curve, so that long histories stay lines
+FEWEST_JOINED = 4  # so many points or more are joined by a line
 MOST_COLUMNS = 3
-LEAST = 1e-17  # below anything that double precision can tell
+LEAST = 1e-17  # lower end of the grey band, below all errors in double precision
 
 
 def measure(settings: RunSettings, names: Sequence[str], with_peers: bool, rounds: int) -> Found:
-    """A row a method and a conic solver on the scene of the settings, each for at most its time limit (a conic solver:
-    each tolerance), in the process that calls it; a text for a method that is left out."""
+    """Yield a row for each method and conic solver on the scene of the settings; a text for a method that is left out.
+
+    Each gets at most the time limit (a conic solver: for each tolerance), in this process.
+    """
     runtime.start("cpu", "f64", settings.threads)
     scene = build_scene(settings)
     label, sites = f"{'x'.join(map(str, settings.shape))} {settings.law}", scene.lattice.sites
@@ -86,8 +88,10 @@ def measure(settings: RunSettings, names: Sequence[str], with_peers: bool, round
 
 
 def _by_method(scene: Scene, name: str, options: MethodOptions, seconds: float, _: int = 0) -> Row:
-    """The history of a method with its default options; power is what it would return, or the potential where the law
-    minimises that."""
+    """Return the history of a method with its default options.
+
+    power : what the method would return, or the potential where the law minimises that.
+    """
     spin = initial_spin(scene, "linear")
     first = uninterrupted(solve(scene, options.build(), spin, StopRule(TIGHTEST, iterations=1)))
     solution = uninterrupted(solve(scene, options.build(), spin, StopRule(TIGHTEST, UNLIMITED, seconds)))
@@ -104,7 +108,7 @@ def _by_method(scene: Scene, name: str, options: MethodOptions, seconds: float, 
 
 
 def _by_peer(peer: Peer, programme: ConicProgramme, seconds: float, threads: int, _: int = 0) -> Row:
-    """A conic solver at one tolerance after another, until it fails to reach one within the time limit."""
+    """Return what a conic solver reaches at one tolerance after another, until it fails within the time limit."""
     answers, asked = [], []
     for tolerance in TOLERANCES:
         answers.append(peer.solve(programme, tolerance, seconds, threads))
@@ -116,13 +120,13 @@ def _by_peer(peer: Peer, programme: ConicProgramme, seconds: float, threads: int
 
 
 def relative(power: Sequence[float], bound: Sequence[float] | float) -> list[float]:
-    """(power - bound) / power of each; what double precision cannot tell counts as its rounding."""
+    """Return (power - bound) / power of each, or the rounding of doubles if that is larger."""
     high = np.array(power)
     return np.maximum((high - np.array(bound)) / high, ROUND_OFF).tolist()
 
 
 def judged(rows: Sequence[Row]) -> list[Row]:
-    """The rows of a scene with proven gaps, errors that they cannot exceed, and the times to reach TARGETS."""
+    """Return the rows of a scene with proven gaps, errors that they cannot exceed, and the times to reach TARGETS."""
     reference, found = max(max(row["lower_bound"]) for row in rows), []
     open_gap = relative([min(min(row["power"]) for row in rows)], reference)[0]
     for row in rows:
@@ -139,7 +143,7 @@ def judged(rows: Sequence[Row]) -> list[Row]:
 
 
 def contradictions(rows: Sequence[Row]) -> list[str]:
-    """Runs that prove a bound above the power of another one: a bug in one of them."""
+    """Return sentences on runs that prove a bound above the power of another one: a bug in one of them."""
     found = []
     for of_scene in _by_scene(rows):
         least = min(of_scene, key=lambda row: min(row["power"]))
@@ -163,9 +167,10 @@ def _by_scene(rows: Sequence[Row]) -> Iterator[list[Row]]:
 
 @in_our_style
 def draw_accuracy(rows: Sequence[Row]) -> Figure:
-    """Error above and proven gap below against the wall time, log-log, a column a scene; wrapped after three scenes.
+    """Draw error above and proven gap below against the wall time, log-log, a column a scene; wrapped after three
+    scenes.
 
-    rows : of :func:`judged`. Errors in the grey band, below the gap of the reference, are not resolved.
+    rows : as `judged` returns them. Errors in the grey band, below the gap of the reference, are not resolved.
     """
     scenes = list(_by_scene(rows))
     columns = min(len(scenes), MOST_COLUMNS)
@@ -198,7 +203,7 @@ def draw_accuracy(rows: Sequence[Row]) -> Figure:
 
 
 def looks_of(rows: Sequence[Row]) -> dict[str, dict[str, Any]]:
-    """Colour, marker and dashes of each method, and of each conic solver with each of its linear solvers."""
+    """Return colour, marker and dashes of each method, and of each conic solver with each of its linear solvers."""
     looks: dict[str, dict[str, Any]] = {}
     for what, method in {row["what"]: row["method"] for row in rows}.items():
         if method in PEERS:

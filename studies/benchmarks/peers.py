@@ -1,4 +1,4 @@
-"""General conic solvers on the same scene: Clarabel (interior point) and SCS (operator splitting), by our ruler.
+"""General conic solvers on the same scene: Clarabel (interior point) and SCS (operator splitting), judged as we are.
 
 Both are optional (`pip install taichi-bearings[peers]`). Each is run with every linear solver that it has here:
 
@@ -39,7 +39,7 @@ from taichi_bearings.packing.answer import forces_of
 from taichi_bearings.proof.certificate import lower_bound
 from taichi_bearings.scene import Scene
 
-TOLERANCES = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12)  # asked for, one after another
+TOLERANCES = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12)  # that peers are asked for, one after another
 HOW_TO_INSTALL = "not installed; pip install taichi-bearings[peers]"
 
 
@@ -47,8 +47,8 @@ HOW_TO_INSTALL = "not installed; pip install taichi-bearings[peers]"
 class ConicProgramme:
     """Matrices as in the module docstring; rows of A: `equalities`, then `inequalities`, then three a cone.
 
-    slips : numbers of the slips that there are, among the d A of the system: contacts of one component, then the first
-    of two, then the second.
+    slips : number of each row's slip among the d A slips of the system: contacts of one component, then the first
+        component of contacts of two, then the second.
     """
 
     scene: Scene
@@ -63,7 +63,9 @@ class ConicProgramme:
     cones: int = 0
 
     def spins(self, x: np.ndarray) -> np.ndarray:
-        """Staggered spins (C, 1, *N) of a solution x: finite, in the interval of the driven ones, and driven."""
+        """Return staggered spins (C, 1, *N) of a solution x: finite, between the spins of the planes, and with
+        these imposed.
+        """
         scene, axes, lattice = self.scene, self.scene.minimum_spin_axes, self.scene.lattice
         own = self.system.all_spins(scene.jump * np.nan_to_num(x[: self.system.unknowns]))
         own = lattice.parity[..., None] * own.reshape(*lattice.shape, -1)
@@ -71,7 +73,7 @@ class ConicProgramme:
         return scene.impose_driving(scene.clip_to_box(staggered, axes), axes)
 
     def forces(self, z: np.ndarray) -> np.ndarray:
-        """Contact forces (C, 1, E) of the multipliers z of the rows."""
+        """Return contact forces (C, 1, E) from the multipliers z of the rows."""
         scene, pairs = self.scene, self.inequalities // 2
         if not scene.law.holds:
             along = scene.lattice.radius * scene.jump / 2 * z
@@ -84,7 +86,7 @@ class ConicProgramme:
         return staggered_forces(friction[None], scene.lattice, scene.minimum_spin_axes)
 
     def with_friction(self, scene: Scene) -> "ConicProgramme":
-        """The Coulomb programme of another sample of the same lattice and driving: nothing but the costs changes."""
+        """Return the Coulomb programme of another sample of the same lattice and driving: only the costs change."""
         linear = self.linear.copy()
         costs = linear[self.system.unknowns :]
         costs[costs > 0] = scene.coefficient[0, self.system.contact][costs > 0]
@@ -92,7 +94,7 @@ class ConicProgramme:
 
 
 def conic_programme(scene: Scene) -> ConicProgramme:
-    """The least power of `scene`, which must have one replica, as a conic programme."""
+    """Return the least power of `scene`, which must have one replica, as a conic programme."""
     if scene.replicas != 1:
         raise InputError(f"the scene has {scene.replicas} replicas; a conic programme describes one")
     if scene.law.holds and scene.law.flows:
@@ -142,8 +144,11 @@ def conic_programme(scene: Scene) -> ConicProgramme:
 
 @dataclass(frozen=True)
 class Answer:
-    """What a peer returned. power, lower_bound : of its spins and forces by the certificate, energy/time. done : it
-    says that it reached the tolerance."""
+    """What a peer returned.
+
+    power, lower_bound : of its spins and forces, by the certificate, energy/time.
+    done : it says that it reached the tolerance.
+    """
 
     power: float
     lower_bound: float
@@ -167,7 +172,9 @@ class Peer:
         return f"{self.name} ({self.linear_solver})"
 
     def solve(self, programme: ConicProgramme, tolerance: float, seconds: float, threads: int = 0) -> Answer:
-        """Solve to `tolerance` within `seconds`; threads : 0 for all, as far as the solver can be told."""
+        """Solve to `tolerance` within `seconds`, and judge the answer. threads : 0 for all, as far as the solver
+        can be told.
+        """
         began = time.perf_counter()
         x, z, iterations, status, done = self.run(programme, tolerance, seconds, threads)
         took = time.perf_counter() - began
@@ -176,7 +183,7 @@ class Peer:
         return Answer(float(power), float(bound), took, iterations, status, done)
 
     def run(self, programme: ConicProgramme, tolerance: float, seconds: float, threads: int) -> Raw:
-        """The same without judging the answer."""
+        """Solve to `tolerance` within `seconds`, without judging the answer."""
         return _RUNS[self.name](programme, self.linear_solver, tolerance, seconds, threads)
 
 
@@ -228,8 +235,10 @@ LINEAR_SOLVERS = {"clarabel": ("qdldl", "faer", "mkl"), "scs": ("qdldl", "mkl")}
 
 
 def find_peers() -> tuple[list[Peer], dict[str, str]]:
-    """The peers that work here, seen by trying them on six discs, and why the others do not: name or name with linear
-    solver -> reason."""
+    """Return the peers that work here, and for the others the reason why they do not.
+
+    All are tried on six discs. The reasons are by name, or by name and linear solver.
+    """
     here: list[Peer] = []
     missing: dict[str, str] = {}
     for peer in (Peer(name, solver) for name, solvers in LINEAR_SOLVERS.items() for solver in solvers):

@@ -1,8 +1,8 @@
-"""Samples a second of a scan: ours to proven states, in the workers of `bearings scan`; beside it Clarabel in as many
-processes of the same kind, which solves to the same tolerance and proves nothing.
+"""Measures samples a second of a scan: ours to proven states, in the workers of `bearings scan`, beside Clarabel.
 
-Both take the same samples, in turns; the workers are warm. For Clarabel only what differs between samples is made anew:
-its matrices are kept.
+Clarabel runs in as many processes of the same kind, solves to the same tolerance and proves nothing. Both take the same
+samples, in turns; the workers are warm. For Clarabel only what differs between samples is built again: its matrices are
+kept.
 """
 
 import time
@@ -26,12 +26,12 @@ from taichi_bearings.stages import stage
 from .harness import Found, Times, in_turns
 from .peers import ConicProgramme, Peer, conic_programme, find_peers
 
-TOLERANCE = 1e-8
+TOLERANCE = 1e-8  # relative gap asked of both
 OURS = "this program, states proven"
 
 
 def samples_of(shape: tuple[int, ...], first: int, number: int) -> list[Sample]:
-    """Samples of the paper's scene with seeds from `first` on, as a scan plans them."""
+    """Return samples of the paper's scene with seeds from `first` on, as a scan plans them."""
     seeds = range(first, first + number)
     chosen = [RunSettings(shape=shape, seed=seed, tolerance=TOLERANCE, threads=1) for seed in seeds]
     return [Sample(sample_key(settings), settings, {"seed": settings.seed}) for settings in chosen]
@@ -43,7 +43,7 @@ def _template(shape: tuple[int, ...]) -> ConicProgramme:
 
 
 def solve_by_peer(samples: Sequence[Sample], peer: Peer) -> list[dict[str, Any]]:
-    """One sample after another, with matrices that all of its lattice share."""
+    """Solve one sample after another by another solver, with matrices that all samples of a lattice share."""
     found = []
     for one in samples:
         programme = _template(one.settings.shape).with_friction(build_scene(one.settings))
@@ -53,7 +53,7 @@ def solve_by_peer(samples: Sequence[Sample], peer: Peer) -> list[dict[str, Any]]
 
 
 def contenders(shape: tuple[int, ...]) -> dict[str, Work]:
-    """Who solves samples, and how: ours, and Clarabel with its quickest linear solver, as far as it is installed."""
+    """Return functions that solve samples: ours, and Clarabel with its quickest linear solver, if that is installed."""
 
     def seconds(peer: Peer) -> float:
         began = time.perf_counter()
@@ -68,7 +68,7 @@ def contenders(shape: tuple[int, ...]) -> dict[str, Work]:
 
 
 def measure(shape: tuple[int, ...], number: int, rounds: int, workers: int) -> Found:
-    """Rounds in which every contender solves the same `number` samples, one contender after another.
+    """Yield rows of rounds in which every contender solves the same `number` samples, one contender after another.
 
     Raises BearingsError if a sample has no result.
     """
@@ -77,7 +77,9 @@ def measure(shape: tuple[int, ...], number: int, rounds: int, workers: int) -> F
         engines = {name: stack.enter_context(closing(LocalEngine(work, workers))) for name, work in known.items()}
 
         def solve(turn: int, name: str, most: int | None = None) -> tuple[float, float]:
-            """Seconds a sample, and share of the samples with all states proven, of so many units at most."""
+            """Return seconds a sample, and the share of samples with all states proven. most : units that are
+            solved.
+            """
             samples = samples_of(shape, turn * number, number)
             units = units_of(samples, workers=workers) if name == OURS else [(one,) for one in samples]
             began = time.perf_counter()

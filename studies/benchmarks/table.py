@@ -1,4 +1,4 @@
-"""The table of benchmarks, what commands measure, and how much."""
+"""The table of benchmarks: what commands measure, and how much."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
@@ -94,9 +94,9 @@ def planned(
     precision: str | None = None,
     **of_methods: Any,
 ) -> Plan:
-    """A plan with these lattices in every part, if there are any, and these laws; InputError for bad ones.
+    """Return a plan with these lattices and laws in every part, if there are any; InputError for bad ones.
 
-    of_methods : seed, methods, peers and time_limit, of run time against error.
+    budget : "quick", "full" or None. of_methods : seed, methods, peers and time_limit, for run time against error.
     """
     plan = PLANS[budget or "usual"]
     if precision is not None:
@@ -121,9 +121,10 @@ def planned(
 
 
 def chosen_threads(text: str | None, full: bool) -> tuple[int, ...]:
-    """Thread counts, separated by commas; for None one and all, and those in between in doubles if there is time.
+    """Return thread counts that a text lists, separated by commas; for None 1 and all, with `full` also those in
+    between.
 
-    InputError for others than this process may use.
+    InputError for more than this process may use.
     """
     most = runtime.available_threads()
     between = {2**k for k in range(most.bit_length())} if full else set()

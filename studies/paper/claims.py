@@ -1,9 +1,13 @@
 """A claim of the paper, what was found, and the verdict. Sentences, limits and rules of a figure: claims/FIGURE.toml.
 
-A claim there has `claim`, `finding`, `paper` (else "not given"), `ours`, `uncertainty` and `after_data`, sentences with
-named numbers; `limits`; and expressions in what the study names: `let`, more names, each in those before; `numbers`,
-what the report keeps for programs, names too; the rules `holds`, `refined`, `samples` and `needed`; `when`, whether it
-can be told at all; `cases`, the names of each case of which it is told.
+In that file a claim has
+
+* `claim`, `finding`, `paper` (by default "not given"), `ours`, `uncertainty` and `after_data`: sentences with named
+  numbers;
+* `limits`: numbers;
+* expressions in what the study names: `let`, more names, each of which may use those before; `numbers`, which the
+  report keeps for programs and which are names too; the rules `holds`, `refined`, `samples` and `needed`; `when`,
+  whether it can be judged at all; `cases`, the names of each case, if it is judged for several.
 """
 
 import math
@@ -32,16 +36,16 @@ KINDS = {
     "samples": "holds for the samples drawn, and by their number for most others",
     "theorem": "follows from the equations; the samples check the program, not the claim",
 }
-"""What a verdict rests on."""
+"""Grounds on which a verdict can rest."""
 CONFIDENCE = 0.95
-SAMPLES, QUICK_SAMPLES = 200, 20  # seeds that a statistical claim may take, by default
-MOST_DIGITS = 12  # of a share
-LEAST_EXPONENT = -4  # decimal exponent below which numbers are written with one
+SAMPLES, QUICK_SAMPLES = 200, 20  # default numbers of seeds for a statistical claim
+MOST_DIGITS = 12  # after the point of a share
+LEAST_EXPONENT = -4  # numbers with a smaller decimal exponent are written with it
 ROUND_OFF = 1e-12  # relative difference that numbers of samples may have by rounding alone
 
 
 def share(value: float, digits: int = 1) -> str:
-    """A share as percent; one that is not quite all, or not quite nothing, gets the digits to say so.
+    """Return a share as percent; one that is not quite all, or not quite nothing, gets the digits to say so.
 
     >>> share(0.5), share(0.99996), share(1.0), share(2e-5)
     ('50.0%', '99.996%', '100.0%', '0.002%')
@@ -53,9 +57,9 @@ def share(value: float, digits: int = 1) -> str:
 
 
 def with_error(value: float, error: float) -> str:
-    """A value and its error to the same place: that of the first digit of the error, of the second if the first is 1.
+    """Return a value and its error with digits up to the first one of the error, or the second if the first is 1.
 
-    Without an error (not-a-number or 0) the value alone.
+    Without an error (not-a-number or 0) only the value is returned.
 
     >>> with_error(135.278, 41.2), with_error(0.51972, 0.0121), with_error(2.0, 0.577), with_error(1.0, math.nan)
     ('140 +- 40', '0.520 +- 0.012', '2.0 +- 0.6', '1')
@@ -72,11 +76,14 @@ def with_error(value: float, error: float) -> str:
 
 @dataclass(frozen=True)
 class Claim:
-    """claim : what the paper says. finding : what came out, and by which criterion. numbers : the same for programs.
+    """A claim with what was found.
 
+    claim : what the paper says. finding : what came out, and by which criterion.
     confirmed : it holds. refined : it holds with a condition or a correction, which the finding states.
-    samples : how many it was judged by. samples_needed : fewer say nothing. kind : what the verdict rests on, one of
-    KINDS. paper, ours : the number of the paper and the one found, in a few words. uncertainty : of ours.
+    numbers : of the finding, for programs.
+    samples : how many it was judged by. samples_needed : fewer allow no verdict.
+    kind : what the verdict rests on, one of KINDS.
+    paper, ours : the number of the paper and the one found, in a few words. uncertainty : of ours.
     chosen_after_the_data : limits and choices of the criterion that were made with results in view, if any.
     """
 
@@ -102,7 +109,7 @@ class Claim:
         return "refined" if self.refined else "confirmed"
 
     def as_dict(self) -> dict[str, Any]:
-        """As the report has it."""
+        """Return the claim as reports have it."""
         found = {name: value for name, value in vars(self).items() if name not in ("confirmed", "refined")}
         if self.verdict == "too few samples":
             needed = counted(self.samples_needed, "such sample")
@@ -112,29 +119,34 @@ class Claim:
 
 @dataclass(frozen=True)
 class Effort:
-    """seed : first seed of all samples. samples : seeds that a statistical claim may take. quick : the short form, with
-    fewer iterations and sizes too."""
+    """How much is computed.
+
+    seed : first seed of all samples. samples : number of seeds for a statistical claim.
+    quick : the short form, with fewer iterations and sizes, too.
+    """
 
     seed: int = 0
     samples: int = SAMPLES
     quick: bool = False
 
     def seeds(self, number: int) -> range:
-        """So many, from the first on."""
+        """Return so many seeds, from the first on."""
         return range(self.seed, self.seed + number)
 
 
 @dataclass(frozen=True)
 class Share:
-    """A share of all samples, as a number of those drawn shows it. least, most : the exact interval (Clopper, Pearson),
-    each end at the confidence CONFIDENCE."""
+    """A share of all samples, estimated from those drawn.
+
+    least, most : the exact interval (Clopper, Pearson), each end at the confidence CONFIDENCE.
+    """
 
     hits: int
     samples: int
 
     @classmethod
     def of(cls, hits: Any) -> "Share":
-        """Of booleans, one a sample."""
+        """Return the share of True among booleans, one a sample."""
         return cls(int(np.sum(hits)), len(hits))
 
     @property
@@ -148,8 +160,10 @@ class Share:
         return float(betaincinv(self.hits + 1, misses, CONFIDENCE)) if misses else 1.0
 
     def needed_for(self, limit: float) -> int:
-        """Number of samples from which such a share tells on which side of `limit`, within (0, 1), it is; no more than
-        there are if it does already."""
+        """Return how many samples a share like this needs to show on which side of `limit`, within (0, 1), it is.
+
+        If it shows that already, that is the number of its samples.
+        """
         number = max(self.samples, 1)
         while True:
             scaled = Share(round(self.hits / max(self.samples, 1) * number), number)
@@ -172,13 +186,15 @@ class Share:
 
 
 def every(samples: int) -> str:
-    """What it says of all samples that each of so many does something, in words."""
+    """Return in words what it says of all samples that each of `samples` does something."""
     return "no sample" if not samples else f"in at least {share(Share(samples, samples).least)} of all, exact binomial"
 
 
 def interval_of(values: Any) -> str:
-    """The uncertainty in words: of a Share; of a mean over samples Student's t for few and for many, else a bootstrap
-    (BCa)."""
+    """Return the uncertainty in words, of a Share or of a mean over samples.
+
+    For few and for many samples it is Student's t, else a bootstrap (BCa).
+    """
     if isinstance(values, Share):
         return values.interval
     number, found = len(values), mean_interval(np.asarray(values, dtype=float))
@@ -189,7 +205,7 @@ def interval_of(values: Any) -> str:
 
 
 def mean(values: Sequence[float] | np.ndarray) -> str:
-    """Mean and standard error, for people; without the latter if the samples are too few for one."""
+    """Return mean and standard error in words; without the error if the samples are too few for one."""
     found = np.asarray(values, dtype=float)
     if len(found) < LEAST_SAMPLES or np.ptp(found) <= ROUND_OFF * np.abs(found).max():
         return with_error(found.mean(), np.nan)
@@ -197,7 +213,7 @@ def mean(values: Sequence[float] | np.ndarray) -> str:
 
 
 def span(values: np.ndarray) -> str:
-    """The least and the largest value, for people."""
+    """Return the least and the largest value in words."""
     return f"{values.min():.4f} ... {values.max():.4f}" if len(values) > 1 else f"{values[0]:.4f}"
 
 
@@ -211,11 +227,15 @@ WRITTEN: dict[str, Callable[[Any], str]] = {
 
 
 class _Sentences(string.Formatter):
-    """Sentences of a claim: a number is {name}, or {name:way format}.
+    """Formats sentences of a claim: a number is {name}, or {name:way format}.
 
-    ways : those of REDUCED and then a format, those of WRITTEN; count WORD, 3 words; list, its parts in the format that
-    follows; by, of numbers by name or by the side of cubes, in the format that follows; by COLUMN, of that of a table;
-    each PHRASE, of numbers by name the sentence of that name among the phrases of the claim, there `it` or by names.
+    Ways are
+
+    * those of REDUCED, and then a format; those of WRITTEN;
+    * `count WORD`: 3 words;
+    * `list`: its parts in the format that follows;
+    * `by`: numbers by name, or by the side of cubes, in the format that follows; `by COLUMN`: a table by that column;
+    * `each PHRASE`: for each of several numbers the phrase of that name in the claim, filled with `it` or with names.
     """
 
     def __init__(self, phrases: Mapping[str, str], named: Mapping[str, Any]) -> None:
@@ -251,29 +271,33 @@ class _Sentences(string.Formatter):
 
 @lru_cache
 def sentences(figure: str) -> dict[str, dict[str, Any]]:
-    """The claims of a figure by name, as its file has them."""
+    """Return the claims of a figure by name, as its file has them."""
     return read_toml(Path(__file__).parent / "claims" / f"{figure}.toml")
 
 
 def claims_of(figure: str, named: Mapping[str, Any]) -> list[Claim]:
-    """The claims of a figure with their verdicts: those that its numbers can say something about, in their order."""
+    """Return the claims of a figure with their verdicts, in their order; those that its numbers say nothing of are
+    left out.
+    """
     return [claim for name in sentences(figure) for claim in judged(f"{figure}.{name}", **named)]
 
 
 def judge(claim: str, /, **named: Any) -> Claim:
-    """The claim FIGURE.NAME with its verdict, of what is named."""
+    """Return the claim FIGURE.NAME with its verdict. named : the values that its sentences and rules use."""
     (found,) = judged(claim, **named)
     return found
 
 
 def judged(claim: str, /, **named: Any) -> list[Claim]:
-    """The same, none where the numbers say nothing of it, several where it is told of each of several cases."""
+    """Return the claim FIGURE.NAME with its verdict, once for each of its cases; empty if the numbers say nothing
+    of it.
+    """
     figure, _, name = claim.partition(".")
-    told = {"paper": "not given"} | sentences(figure)[name]
-    scope = {"np": np, "Share": Share, "span": span, **told.get("limits", {}), **named}
+    text = {"paper": "not given"} | sentences(figure)[name]
+    scope = {"np": np, "Share": Share, "span": span, **text.get("limits", {}), **named}
 
     def rule(key: str, default: Any = None) -> Any:
-        found = told.get(key, default)
+        found = text.get(key, default)
         return eval(found, scope) if isinstance(found, str) else found
 
     if not rule("when", True):
@@ -281,12 +305,12 @@ def judged(claim: str, /, **named: Any) -> list[Claim]:
     found = []
     for case in rule("cases", [{}]):
         scope |= case
-        for key, expression in told.get("let", {}).items():
+        for key, expression in text.get("let", {}).items():
             scope[key] = eval(expression, scope)
         numbers = rule("numbers", {})
         scope |= numbers
-        written = _Sentences(told.get("phrases", {}), scope)
-        words = {key: written.fill(told[key]) for key in ("claim", "finding", "paper", "ours", "uncertainty")}
+        written = _Sentences(text.get("phrases", {}), scope)
+        words = {key: written.fill(text[key]) for key in ("claim", "finding", "paper", "ours", "uncertainty")}
         found.append(
             Claim(
                 **words,
@@ -295,15 +319,15 @@ def judged(claim: str, /, **named: Any) -> list[Claim]:
                 numbers=_plain(numbers),
                 samples=int(rule("samples")),
                 samples_needed=int(rule("needed", 1)),
-                kind=told.get("kind", "samples"),
-                chosen_after_the_data=written.fill(told.get("after_data", "")) if rule("chosen", True) else "",
+                kind=text.get("kind", "samples"),
+                chosen_after_the_data=written.fill(text.get("after_data", "")) if rule("chosen", True) else "",
             )
         )
     return found
 
 
 def _plain(value: Any) -> Any:
-    """Of numbers in arrays, lists and by names what JSON can hold."""
+    """Return numbers in arrays, lists and mappings in types that JSON has."""
     if isinstance(value, Mapping):
         return {str(key): _plain(part) for key, part in value.items()}
     if isinstance(value, list | tuple | np.ndarray):

@@ -25,22 +25,27 @@ from .sweeps import crossings
 
 FRICTION = (0.1, 1.0)  # uniform, the paper's
 HELD = 1e3  # friction that the ends of a path cannot cross
-WIDTH = 2.5  # half the height beside a held path, over L^(2/3): seven standard deviations of its middle
-BLOCK = 100  # samples that are kept together
-AT_ONCE = 2**20  # places of all samples that are drawn together, or one sample
-SIZES = dict.fromkeys((8, 12, 16, 24, 32, 48, 64), 500) | {  # length of held cuts -> samples for each of the effort's
+WIDTH = 2.5  # half the height of the lattice over L^(2/3): seven standard deviations of a held path's middle
+BLOCK = 100  # samples whose numbers are kept together
+AT_ONCE = 2**20  # most discs of all samples that are drawn together, unless one sample has more
+# length of held cuts -> samples for each sample of the effort
+SIZES = dict.fromkeys((8, 12, 16, 24, 32, 48, 64), 500) | {
     96: 250, 128: 250, 192: 200, 256: 200, 384: 100, 512: 100, 768: 50, 1024: 50,
 }  # fmt: skip
 QUICK_SIZES = dict.fromkeys((8, 12, 16, 24, 32, 48), 500)
 TALL, QUICK_TALL = (16, 64, 256, 1024), (16, 64, 256)  # heights of free scenes of length FREE
-FREE, OF_FREE = 16, 500  # the latter for each of the effort's samples
+FREE, OF_FREE = 16, 500  # length of free cuts, and samples of them for each sample of the effort
 LONG, QUICK_LONG = 96, 32  # length of cuts whose weights are compared with the law of Tracy and Widom
 TRACY_WIDOM, GUMBEL = -0.2241, -1.1395  # skewness of E
 THETA = 1 / 3  # of directed polymers; the next term of the variance goes like L^-THETA
 
 
 def draw(kind: str, length: int, height: int, samples: int, seed: int) -> dict[str, Any]:
-    """Weights of the minimum cuts of a block, in units of the largest friction, and where they cross the middle."""
+    """Return the weights of the minimum cuts of some samples, in units of the largest friction, and where they cross
+    the middle.
+
+    kind : "held" if both ends of the cut are, else "free". length, height : of the lattice.
+    """
     rng = np.random.default_rng([seed, length, height])
     found: dict[str, list[float]] = {"weight": [], "middle": []}
     at_once = max(1, AT_ONCE // (length * height))
@@ -57,7 +62,7 @@ def draw(kind: str, length: int, height: int, samples: int, seed: int) -> dict[s
 
 
 def study(folder: Path, effort: Effort) -> Found:
-    """Cuts with held ends, by their length, and with free ends, by the height."""
+    """Find cuts with held ends, by their length, and with free ends, by the height."""
     sizes, tall, long = (QUICK_SIZES, QUICK_TALL, QUICK_LONG) if effort.quick else (SIZES, TALL, LONG)
     points = {("held", size, 2 * int(WIDTH * size ** (2 / 3)) + 3): several for size, several in sizes.items()}
     points |= {("free", FREE, height): OF_FREE for height in tall}
@@ -80,7 +85,7 @@ def study(folder: Path, effort: Effort) -> Found:
 
 
 def row_of(point: tuple[Any, ...], found: dict[str, np.ndarray]) -> dict[str, Any]:
-    """A point in numbers: mean and standard deviations, and the skewness of the weight with its error."""
+    """Return a point in numbers: mean and standard deviations, and the skewness of the weight with its error."""
     numbers = (len(found["weight"]), found["weight"].mean(), found["weight"].std(), found["middle"].std())
     names = ("ends", "length", "height", "samples", "mean_weight", "sd_weight", "sd_middle", "skewness", "its_error")
     return dict(zip(names, (*point, *numbers, *skewness(found["weight"])), strict=True))
@@ -88,8 +93,10 @@ def row_of(point: tuple[Any, ...], found: dict[str, np.ndarray]) -> dict[str, An
 
 @in_our_style
 def draw_exponents(of: Any) -> Figure:
-    """(a) standard deviations of the weight and of the height in the middle of held cuts against their length, with the
-    fitted laws; (b) skewness of the weight, held ends against the length and free ends against the height."""
+    """Draw (a) standard deviations of weight and middle height of held cuts against their length, with the fitted laws.
+
+    (b) is the skewness of the weight, of held cuts against the length and of free ones against the height.
+    """
     figure = new_figure(7.1, 2.8)
     left, right = figure.subplots(1, 2)
     further = f",\nwith the next term {of.further.value:.3f} ± {of.further.total:.3f}"

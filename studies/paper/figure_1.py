@@ -37,20 +37,20 @@ from .claims import Effort
 from .samples import Found, Table, joined, relax, solved
 
 SHAPE, CUBE = (10, 10), (10, 10, 10)
-PAPER_OTHERS = 17 / 1000  # of the paper's samples did not end at the minimum cut
-CHEAP = 5  # times as many samples as asked for, of what takes milliseconds each
+PAPER_OTHERS = 17 / 1000  # share of the paper's samples that did not end at the minimum cut
+CHEAP = 5  # factor of the number of samples where each takes milliseconds
 CUBES = 5  # viscous samples in 3D
 FEW = 20  # samples of each further distribution or driving, and of those followed in time
-SAME = 1e-9  # relative difference up to which the weights of cuts count as the same
+SAME = 1e-9  # relative difference up to which weights of cuts are taken for equal
 DESCENT = 40_000  # iterations of gradient descent with momentum
-VISIBLE = 0.1  # of the jump: contacts that slip more count as slipping at the end of a descent
+VISIBLE = 0.1  # share of the jump: contacts that slip more are said to slip visibly at the end of a descent
 DISTRIBUTIONS = ("lognormal:0.4,1", "power-law:0.001,1,-1", "bimodal:0.1,1,0.5")
 BOTTOMS = (0.5, -0.5)  # spin of the bottom over that of the top
 STARTS = ("random", "zero")
 
 
 def study(folder: Path, effort: Effort) -> Found:
-    """Viscous states, minimum cuts with the descents to them, minima without cuts, and relaxations."""
+    """Compute viscous states, minimum cuts with the descents to them, minima without cuts, and relaxations."""
     draw = partial(Scene.random, seed=effort.seed)
     few = partial(draw, SHAPE, replicas=min(FEW, effort.samples))
     with stage("viscous states"):
@@ -85,13 +85,13 @@ def study(folder: Path, effort: Effort) -> Found:
 
 
 def contacts_between(scene: Scene, above: np.ndarray) -> np.ndarray:
-    """Contacts (R, E) whose ends lie on different sides (R, *N)."""
+    """Return contacts (R, E) whose ends lie on different sides (R, *N)."""
     low, high = above.reshape(len(above), scene.lattice.sites)[:, scene.lattice.ends].swapaxes(0, 1)
     return np.asarray(low != high)
 
 
 def cuts_of(minimum: Solution, cut: MinimumCut, by_flow: MinimumCut) -> Table:
-    """The exact Coulomb minima of a 2D scene by shortest paths beside the same cuts by flows.
+    """Return the exact Coulomb minima of a 2D scene by shortest paths beside the same cuts by flows.
 
     distance : weight of the second cut over that of the minimum cut, less 1. spread : largest relative difference of
     the power, its bound by friction forces and those of the flow. same_cut : path and flow cut the same contacts.
@@ -116,23 +116,26 @@ def cuts_of(minimum: Solution, cut: MinimumCut, by_flow: MinimumCut) -> Table:
 
 
 def visible(scene: Scene, ended: Solution) -> np.ndarray:
-    """Contacts (R, E) that slip visibly where a descent has ended."""
+    """Return contacts (R, E) that slip visibly where a descent has ended."""
     return np.asarray(ended.slip > VISIBLE * scene.lattice.radius * scene.jump)
 
 
 def beside_descent(exact: Table, cut: MinimumCut, ended: Solution) -> Table:
-    """With the excess of the power where a descent has ended, relative, and whether other contacts slip visibly there
-    than those of the cut."""
+    """Return the table with two more columns on the end of a descent.
+
+    excess : relative excess of its power. differs : other contacts slip visibly there than those of the cut.
+    """
     scene = of_lattice(ended.scene)
     differs = (visible(scene, ended) != contacts_between(scene, cut.above)).any(axis=1)
     return exact | {"excess": ended.power / exact.power - 1, "differs": differs}
 
 
 def beside_cut(scene: Scene) -> Table:
-    """Minima by the interior-point method beside the minimum cuts of the same scene.
+    """Return minima by the interior-point method beside the minimum cuts of the same scene.
 
-    spread : largest relative difference of the cut's power and both proven bounds. differing : contacts that slip but
-    are not of the cut, or the other way round. proven : the states of all contacts.
+    spread : largest relative difference of the cut's power and both proven bounds. differing : number of contacts that
+        slip
+    but are not of the cut, or the other way round. proven : the states of all contacts are.
     """
     solution, cut = solved(scene, InteriorPoint(), StopRule(1e-10)), cut_of(scene)
     power, slips = cut_unit(scene) * cut.weight, solution.state == ContactState.SLIPPING
@@ -147,14 +150,16 @@ def beside_cut(scene: Scene) -> Table:
 
 
 def spins_of(solution: Solution, shown: int) -> Table:
-    """The discs of one sample, spins over that of the top."""
+    """Return the discs of one sample with their spins over that of the top."""
     spin = solution.spin[shown]
     x, y = np.indices(spin.shape).reshape(2, -1)
     return Table({"seed": [solution.scene.seeds[shown]] * spin.size, "x": x, "y": y, "spin_over_top": spin.ravel()})
 
 
 def viscous_numbers(solution: Solution) -> dict[str, Any]:
-    """Least and largest slip of the contacts of all samples that can slip, over R times the jump; least rise."""
+    """Return least and largest slip of the contacts of all samples that can slip, over R times the jump, and the
+    least rise.
+    """
     scene = of_lattice(solution.scene)
     slips = solution.slip[:, ~scene.lattice.between_driven] / (scene.lattice.radius * scene.jump)
     numbers = {"least_slip": float(slips.min()), "largest_slip": float(slips.max())}
@@ -162,7 +167,9 @@ def viscous_numbers(solution: Solution) -> dict[str, Any]:
 
 
 def least_rise(scene: Scene, spin: np.ndarray) -> float:
-    """Least difference of the mean staggered spin from a layer to the next, over the jump, towards the top."""
+    """Return the least difference of the mean staggered spin from a layer to the next, over the jump, towards the
+    top.
+    """
     axes = scene.minimum_spin_axes
     top = scene.top_spin(axes).reshape(len(axes), -1)[:, 0]
     staggered = scene.staggered_spin(spin, axes)
@@ -172,8 +179,11 @@ def least_rise(scene: Scene, spin: np.ndarray) -> float:
 
 
 def two_boundaries(exact: Table, cut: MinimumCut, ended: Solution) -> Table:
-    """Of the samples whose descent differs: whether what slips visibly is within the lightest two cuts, whether some of
-    the second cut alone does, and whether flows that spare a contact of the cut find the second as heavy."""
+    """Return the samples whose descent differs from the cut, with three more columns.
+
+    within : all that slips visibly is of the lightest two cuts. at_second : some contact of the second cut alone does.
+    same : flows that spare a contact of the cut find the second one as heavy.
+    """
     scene, chosen = of_lattice(ended.scene), np.flatnonzero(exact.differs)
     weight = scene.lattice.by_axis(cut_weights(scene)[chosen])
     pick = MinimumCut(*(getattr(cut, name)[chosen] for name in MinimumCut.__dataclass_fields__))
@@ -188,16 +198,21 @@ def two_boundaries(exact: Table, cut: MinimumCut, ended: Solution) -> Table:
 
 
 def apart_from_cut(scene: Scene) -> dict[str, float]:
-    """Largest distance, over the jump, of the spins where Cundall-Strack dynamics ends from the two domains of the
-    minimum cut, by the start."""
+    """Return how far the spins at the end of Cundall-Strack dynamics are from the minimum cut's domains, by the start.
+
+    It is the largest distance of any spin, over the jump.
+    """
     cut = np.where(cut_of(scene).above, scene.spin_top, scene.spin_bottom)
     return {start: float(np.abs(relax(scene, start).last[0] - cut).max() / scene.jump) for start in STARTS}
 
 
 @in_our_style
 def draw_configurations(of: Any) -> Figure:
-    """(a) viscous and (b) Coulomb spins as colour, the minimum cut in black; (c) samples by the distance of their cuts,
-    and whether descent ended elsewhere."""
+    """Draw (a) viscous and (b) Coulomb spins as colour, the minimum cut in black; (c) the distance of cuts of all
+    samples.
+
+    (c) also marks samples whose descent ended elsewhere.
+    """
     figure = new_figure(DOUBLE, 2.5)
     parts: Any = figure.subfigures(1, 2, width_ratios=(2.1, 1.1), wspace=0.05)
     panels, sheet = parts[0].subplots(1, 2), Sheet.of_lattice(Lattice(of.above.shape))

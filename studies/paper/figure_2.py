@@ -28,16 +28,16 @@ SHAPE, LARGER = (3, 3, 3), (6, 6, 6)
 STARTS = {"random": "random spins", "minimum-cut": "the minimum cut"}
 RUNS, RIGID_RUNS = 8, 3  # samples that are followed in time, by Cundall-Strack dynamics and without springs
 LARGER_SAMPLES = 20
-STIFFER, STIFFER_STEPS = 10.0, 30_000  # factor of the damping; all loads have been taken up by then
+STIFFER, STIFFER_STEPS = 10.0, 30_000  # factor of the damping; steps after which springs bear all loads
 SPRINGS: Any = tuple({"color": colour, "lw": 1.3} for colour in (BLUE, ORANGE))  # by the start
 RIGID: Any = tuple({"color": colour, "lw": 0.8, "ls": (0, (4, 1.5))} for colour in ("#0b2545", "#6b2d00"))
 DRAWN_RADIUS = 0.36  # of the spacing: touching spheres would hide those behind
 SEEN = View(20, -60)
-ARROW, LEAST_ARROW = 0.84, 0.02  # length of that of the imposed spin, and the spin that has none
+ARROW, LEAST_ARROW = 0.84, 0.02  # length of the arrow of the imposed spin; smaller spins have no arrow
 
 
 def study(folder: Path, effort: Effort) -> Found:
-    """Samples followed from both starts, and the minima of more."""
+    """Follow samples from both starts, and find the minima of more samples."""
     draw = partial(Scene.random, seed=effort.seed)
     scene, rigid_scene = (draw(SHAPE, replicas=min(most, effort.samples)) for most in (RUNS, RIGID_RUNS))
     stiff = CundallStrack(damping=STIFFER * CundallStrack().damping)
@@ -63,8 +63,11 @@ def study(folder: Path, effort: Effort) -> Found:
 def names_of(
     runs: Sequence[Run], stiffer: Sequence[Run], rigid: Sequence[Run], minima: Table, larger: Table
 ) -> dict[str, Any]:
-    """What the claims name; followed, rigidly : the minima of the samples that are followed. place : of the sample
-    shown, of those that are followed the first whose minimum is below its minimum cut, else the first."""
+    """Return the values that the claims use, by name.
+
+    followed, rigidly : minima of the samples that are followed. place : number of the sample shown, the first of those
+    followed whose minimum is below its minimum cut, else the first.
+    """
     samples, rigid_samples = (of[0].power.shape[1] for of in (runs, rigid))
     pairs = [
         {"start": STARTS[run.start], "run": run, "stiff": stiff, "hard": hard,
@@ -80,19 +83,19 @@ def names_of(
 
 
 def apart(run: Run, other: Run) -> float:
-    """Largest difference of the spins at the end, but for what is free."""
+    """Return the largest difference of the spins at the end, without the parts that are free."""
     return float(np.abs(without_idle_spin(run.last) - without_idle_spin(other.last)).max())
 
 
 def course_of(run: Run, seeds: Sequence[int], minima: Table) -> Table:
-    """The power against time, a row a sample and time."""
+    """Return the power against time, a row a sample and time."""
     samples, over = run.power.shape[1], {"power_over_initial": run.power / run.power[0]}
     over["power_over_minimum"] = run.power / minima.power[:samples]
     return curves(seeds[:samples], time=run.time, power=run.power, **over)
 
 
 def without_idle_spin(staggered: np.ndarray) -> np.ndarray:
-    """Staggered spins (3, R, nx, ny, nz) less the mean of each free layer about the height.
+    """Return staggered spins (3, R, nx, ny, nz) less the mean of each free layer about the height.
 
     That part makes no contact slip and never changes (equations.md, 3).
     """
@@ -103,7 +106,9 @@ def without_idle_spin(staggered: np.ndarray) -> np.ndarray:
 
 
 def intermediate_spheres(scene: Scene, spin: np.ndarray) -> np.ndarray:
-    """Number (R,) of free spheres that turn neither with the bottom nor with the top, to 1e-3 of the jump."""
+    """Return the number (R,) of free spheres that rotate neither with the bottom nor with the top, to 1e-3 of the
+    jump.
+    """
     axes = scene.minimum_spin_axes
     staggered = scene.staggered_spin(spin, axes)
     apart = [
@@ -115,7 +120,7 @@ def intermediate_spheres(scene: Scene, spin: np.ndarray) -> np.ndarray:
 
 @in_our_style
 def draw_relaxation(of: Any) -> Figure:
-    """Above P/P_0, below its excess over the minimum, both against time; beside them the spins at both ends.
+    """Draw P/P_0 above and its excess over the minimum below, both against time; beside them the spins at both ends.
 
     P_0 is the initial power of the first. An inset enlarges the end around the power of the minimum cut. Spins are of
     the dynamics with springs: staggered, in units of the larger imposed one, and less the mean of each free layer about
@@ -142,6 +147,7 @@ def draw_relaxation(of: Any) -> Figure:
 
 
 def _draw_curves(figure: Any, courses: Sequence[Any], least_power: float, cut_power: float) -> None:
+    """Draw power and excess of all relaxations. courses : time, power and line style of each."""
     top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(1.3, 1))
     inset = top.inset_axes((0.57, 0.46, 0.42, 0.5))
     initial = courses[0][1][0]
@@ -170,7 +176,7 @@ def _draw_curves(figure: Any, courses: Sequence[Any], least_power: float, cut_po
 
 
 def _draw_spheres(axes: Any, spin: np.ndarray) -> None:
-    """Shaded spheres from the back to the front with their spins as arrows, the driven planes in boxes."""
+    """Draw shaded spheres from the back to the front with their spins as arrows, the driven planes in boxes."""
     shape, spins = spin.shape[:-1], spin.reshape(-1, 3)
     frame_block(axes, shape, SEEN)
     seen, length = SEEN.seen(np.argwhere(np.ones(shape, dtype=bool))), np.linalg.norm(spins, axis=1)

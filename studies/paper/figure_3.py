@@ -1,8 +1,9 @@
 """Figures 3 and 4 of the paper: a 10x10x10 sample with omega_T = 10 omega_B, its slipless network and a path through
-it; and the same sample along the planes that hold most of the path.
+it.
 
-The paper shows one sample. Shown here is the first seed whose slipless contacts join bottom and top; what holds for how
-many samples, and for other sizes, is the business of paper/network.py.
+Fig. 4 has the same sample along the planes that hold most of the path. The paper shows one sample. Shown here is the
+first seed whose slipless contacts join bottom and top; paper/network.py asks for how many samples, and for which sizes,
+the same holds.
 """
 
 from functools import lru_cache
@@ -28,12 +29,12 @@ from .samples import Found, Table, certified, measured
 
 SHAPE, SPIN_BOTTOM = (10, 10, 10), 0.1
 MOST_SAMPLES = 40
-PLANES = 3
-TOWARDS_READER = (1, -1, 1)  # along x for planes across x, against y for those across y, along z for those across z
+PLANES = 3  # most planes of Fig. 4
+TOWARDS_READER = (1, -1, 1)  # sign, for planes across x, y and z, of the direction of that axis towards the reader
 
 
 def study(folder: Path, effort: Effort) -> Found:
-    """Certified samples of the paper's size, and the spheres of the path of the one that is shown."""
+    """Find certified samples of the paper's size, and the spheres of the path of the one that is shown."""
     table, shown = minima(folder, effort)
     path, scene = shown.network.shortest_path, of_lattice(shown.scene)
     columns = [*path.T, *shown.spin[tuple(path.T)].T]
@@ -46,7 +47,7 @@ def study(folder: Path, effort: Effort) -> Found:
 
 
 def planes(folder: Path, effort: Effort) -> Found:
-    """Fig. 4: which contacts of the path the planes drawn hold."""
+    """Find for Fig. 4 which contacts of the path lie in the planes drawn."""
     table, shown = minima(folder, effort)
     path = shown.network.shortest_path
     chosen = planes_of(path) if len(path) else ()
@@ -57,7 +58,7 @@ def planes(folder: Path, effort: Effort) -> Found:
 
 @lru_cache(maxsize=1)  # of both figures
 def minima(folder: Path, effort: Effort) -> tuple[Table, Structure]:
-    """Certified samples of the paper's size, and the first one that spans, else the first."""
+    """Return certified samples of the paper's size, and the first one that spans, else the first."""
     seeds = effort.seeds(min(MOST_SAMPLES, effort.samples))
     chosen = [RunSettings(shape=SHAPE, seed=seed, spin_bottom=SPIN_BOTTOM) for seed in seeds]
     table = measured(chosen, sample_of, folder / "fig3.jsonl")
@@ -66,9 +67,10 @@ def minima(folder: Path, effort: Effort) -> tuple[Table, Structure]:
 
 @in_our_style
 def draw_plane_cuts(shown: Structure) -> Figure:
-    """Spheres coloured by |spin|, slipless contacts of the plane in grey, the path in green, on the upright planes that
-    together hold most of the path, or the middle ones if there is none. A circle marks where the path leaves the plane:
-    with a dot towards the reader, with a cross away.
+    """Draw the upright planes that together hold most of the path, or the middle ones if there is no path.
+
+    Spheres are coloured by |spin|, slipless contacts of the plane grey, the path green. A circle marks where the path
+    leaves the plane: with a dot towards the reader, with a cross away.
     """
     network, imposed = shown.network, of_lattice(shown.scene).imposed
     speed, path = speed_of(shown.spin, *imposed), network.shortest_path
@@ -88,8 +90,10 @@ def draw_plane_cuts(shown: Structure) -> Figure:
 
 
 def planes_of(path: np.ndarray) -> tuple[tuple[int, int], ...]:
-    """(axis, index) of up to three upright planes, each holding most contacts of the path (L, 3) that the ones before
-    do not hold."""
+    """Return (axis, index) of up to three upright planes, each with most contacts of the path that those before lack.
+
+    path : (L, 3) spheres of the path.
+    """
     step, lower = np.diff(path, axis=0), np.minimum(path[:-1], path[1:])
     shown, chosen = np.zeros(len(step), dtype=bool), []
     for _ in range(PLANES):
@@ -106,7 +110,9 @@ def planes_of(path: np.ndarray) -> tuple[tuple[int, int], ...]:
 
 
 def leaves_of(network: SliplessNetwork, axis: int, index: int) -> np.ndarray:
-    """(m, 3) places in the plane `index` across `axis` where the path leaves it, +1 towards the reader or -1 away."""
+    """Return places in the plane `index` across `axis` where the path leaves it, and +1 towards the reader or -1
+    away, (m, 3).
+    """
     lattice = network.lattice
     ends = lattice.ends[:, network.on_path & (lattice.axis == axis)]
     leaves = []
@@ -118,6 +124,7 @@ def leaves_of(network: SliplessNetwork, axis: int, index: int) -> np.ndarray:
 
 
 def _draw_plane(axes: Any, sheet: Sheet, speed: np.ndarray, network: SliplessNetwork, site: float) -> None:
+    """Draw one plane. site : points between two discs."""
     sheet.paint(axes, colormaps[SPIN_COLOURS](speed).reshape(-1, 4))
     sheet.box_driven(axes)
     sheet.draw(axes, network.slipless, colors="0.35", lw=line_on_site(site, 0.1, 0.3), zorder=2)
@@ -127,6 +134,7 @@ def _draw_plane(axes: Any, sheet: Sheet, speed: np.ndarray, network: SliplessNet
 
 
 def _mark_leaves(axes: Any, leaves: np.ndarray, site: float) -> None:
+    """Draw circles where the path leaves the plane. leaves : as `leaves_of` returns them."""
     size = float(np.clip(0.75 * site, 3.0, 9.0))
     axes.plot(*leaves[:, :2].T, "o", mfc="white", mec=GREEN, ms=size, mew=0.12 * size, zorder=4)
     for side, mark in ((1, "o"), (-1, "x")):

@@ -1,5 +1,8 @@
-"""Exponents and limits of large samples with their errors: laws of the size, fitted from each smallest size on and
-resampled over the disorder."""
+"""Exponents and limits of large samples with their errors: laws of the size, fitted to samples of several sizes.
+
+Each law is fitted from each smallest size on, and the first fit that is good enough is taken. Errors come from
+resampling the disorder. Letters: L size, R resamples, T trial exponents.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -12,26 +15,28 @@ from scipy.interpolate import CubicSpline
 from scipy.stats import chi2, skew
 
 RESAMPLES = 400
-EXPONENTS, TRIALS, COLLAPSES = (-0.5, 2.5), 151, 50  # of collapses: looked at, how finely, and resampled how often
-MOST_MISFIT = 1.5  # chi^2 a degree of freedom up to which curves lie together
-LEAST_FREE, LEAST_CURVES = 2, 3  # degrees of freedom that a fit leaves, and curves that a collapse takes
-POSSIBLE = {True: (0.05, 1.5), False: (-1.0, 1.5)}  # exponents of standard deviations, with a constant and without
-FINELY = 500  # how many of them are tried
+EXPONENTS, TRIALS, COLLAPSES = (-0.5, 2.5), 151, 50  # of collapses: range, trials in it, and number of resamples
+MOST_MISFIT = 1.5  # curves lie together if chi^2 a degree of freedom is no larger
+LEAST_FREE, LEAST_CURVES = 2, 3  # least degrees of freedom of a fit, and curves of a collapse
+POSSIBLE = {True: (0.05, 1.5), False: (-1.0, 1.5)}  # range of exponents of deviations, with a constant and without
+FINELY = 500  # trial exponents in that range
 VARIANCE = partial(np.var, ddof=1)  # unbiased
-LEAST_GOODNESS = 0.05  # probability of a misfit as large as that of a fit that counts
-STATED = 1.0  # w: a surface over its volume
-OTHERS = (0.5, 2.0)  # w that it might be; they count where they fit as well
-LEAST_OF_LIMIT, LEAST_SAMPLES = 3, 3  # sizes that its fit takes, and samples that a size needs
-ROUND_OFF = 1e-12  # of the mean, which a spread exceeds
+LEAST_GOODNESS = 0.05  # a fit is good enough if a misfit as large has at least this probability
+STATED = 1.0  # exponent w of a surface over its volume
+OTHERS = (0.5, 2.0)  # other w, which add to the error where they fit as well
+LEAST_OF_LIMIT, LEAST_SAMPLES = 3, 3  # least sizes of the fit of a limit, and samples of a size
+ROUND_OFF = 1e-12  # a spread that is a smaller share of the mean is rounding
 
 
 @dataclass(frozen=True)
 class Fitted:
     """A number that is fitted from a smallest size on, with its errors.
 
-    error : from the disorder. systematic : how much the value changes, at most, where the next size, or the next two,
-    are left out, or the last one that is left out is not. smallest : size from which on it is fitted. fits : smallest
-    size -> value.
+    error : from the disorder.
+    systematic : largest change of the value if the next size, or the next two, are left out, or the last one that was
+        left out is not.
+    smallest : size from which on it is fitted.
+    fits : the value for each smallest size.
     """
 
     value: float
@@ -46,47 +51,55 @@ class Fitted:
 
     @property
     def numbers(self) -> dict[str, Any]:
-        """By their names, as reports keep them; fits : a list by the smallest size."""
+        """The attributes by name, as reports keep them; fits become a list by the smallest size."""
         return vars(self) | {"total": self.total, "fits": list(self.fits.values())}
 
 
 @dataclass(frozen=True)
 class Law(Fitted):
-    """Of the size. goodness : probability of such a misfit."""
+    """A fitted law of the size. goodness : probability of a misfit as large. amplitude : factor of the power of the
+    size.
+    """
 
     goodness: float
     amplitude: float
 
     @property
     def follows(self) -> bool:
-        """False where no sizes follow the law: then the value is none."""
+        """False where no sizes follow the law; the value then means nothing."""
         return self.goodness >= LEAST_GOODNESS
 
 
 @dataclass(frozen=True)
 class Exponent(Law):
-    """Of a standard deviation that grows with the size L: sd^2 = amplitude L^(2 value) + offset, what single contacts
-    add, and perhaps further terms. errors : of the value of each of `fits` from the disorder; where that is as large as
-    the systematic one, both are the same scatter."""
+    """The growth of a standard deviation with the size L: sd^2 = amplitude L^(2 value) + offset + further terms.
+
+    The offset is what single contacts add. errors : of the value of each of `fits`, from the disorder; where one is as
+    large as the systematic error, both are the same scatter.
+    """
 
     offset: float
     errors: list[float]
 
 
 def first_that_fits(goodness: Sequence[float]) -> int:
-    """Number of the first fit that counts, or of the last one."""
+    """Return the number of the first fit that is good enough, or of the last one."""
     return next((number for number, one in enumerate(goodness) if one >= LEAST_GOODNESS), len(goodness) - 1)
 
 
 def _changed(values: Sequence[float], chosen: int) -> float:
-    """By how much the chosen one changes, at most, where the next size, or the next two, are left out, or the last one
-    that is left out is not."""
+    """Return the largest change of the chosen value if one or two more sizes are left out, or one less.
+
+    values : of the fits, by rising smallest size.
+    """
     return float(max(abs(value - values[chosen]) for value in values[max(chosen - 1, 0) : chosen + 3]))
 
 
 def line_through(x: np.ndarray, spread: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, float]:
-    """Value at 0 and slope (2, ...) of least squares, for y (sizes, ...) with errors `spread`; and the probability of a
-    misfit as large, all together."""
+    """Return value at 0 and slope (2, ...) of least squares, and the probability of a misfit as large, all together.
+
+    x, spread : (sizes,) abscissae, and errors of y. y : (sizes, ...).
+    """
     rows = np.stack([np.ones(len(x)), x], axis=1) / spread[:, None]
     weighed = (y.T / spread).T
     found = np.linalg.lstsq(rows, weighed, rcond=None)[0]
@@ -96,10 +109,11 @@ def line_through(x: np.ndarray, spread: np.ndarray, y: np.ndarray) -> tuple[np.n
 def exponent(
     samples: Mapping[int, np.ndarray], square: Callable[[np.ndarray], Any] = VARIANCE, beside: Sequence[float] = (0.0,)
 ) -> Exponent:
-    """Of the deviation of samples, size -> (samples, ...), from the smallest size on from which such a law fits.
+    """Return the growth of the deviation of samples, from the smallest size on from which the law fits.
 
-    square : of the samples of a size, what grows like A L^(2 value). beside : exponents of terms that are added to it,
-    that of the offset first.
+    samples : (samples, ...) by size.
+    square : returns what grows like A L^(2 value), from the samples of a size.
+    beside : exponents of terms that are added to it, that of the offset first.
     """
     rng, sizes = np.random.default_rng(0), np.array(sorted(samples))
     variance = np.array([square(samples[L]) for L in sizes])
@@ -116,18 +130,18 @@ def exponent(
     rows = _rows(sizes[chosen:], spread[chosen:], beside, np.array([value]))[0]
     amplitude, offset = np.append(np.linalg.lstsq(rows, (variance / spread)[chosen:], rcond=None)[0], 0.0)[:2]
     beyond = _changed([fit[1] for fit in fits], chosen)
-    told, errors = {fit[0]: fit[1] for fit in fits}, [fit[2] for fit in fits]
-    return Exponent(value, error, beyond, smallest, told, goodness, float(amplitude), float(offset), errors)
+    by_smallest, errors = {fit[0]: fit[1] for fit in fits}, [fit[2] for fit in fits]
+    return Exponent(value, error, beyond, smallest, by_smallest, goodness, float(amplitude), float(offset), errors)
 
 
 def _unbiased(samples: Mapping[int, np.ndarray]) -> np.ndarray:
-    """(sizes,), rising: by how much the errors of resampling are too small."""
+    """Return for each size, rising, the factor by which errors of resampling are too small."""
     number = np.array([len(samples[L]) for L in sorted(samples)])
     return np.sqrt(number / (number - 1))
 
 
 def _rows(sizes: np.ndarray, spread: np.ndarray, beside: Sequence[float], values: np.ndarray) -> np.ndarray:
-    """(T, sizes, terms): for each exponent what the terms are worth at each size, in errors."""
+    """Return (T, sizes, terms): for each trial exponent the value of the terms at each size, in units of its error."""
     exponents = [2 * values, *(np.full_like(values, power) for power in beside)]
     return sizes[:, None] ** np.stack(exponents, axis=1)[:, None] / spread[:, None]
 
@@ -135,8 +149,10 @@ def _rows(sizes: np.ndarray, spread: np.ndarray, beside: Sequence[float], values
 def _grown(
     sizes: np.ndarray, spread: np.ndarray, beside: Sequence[float], columns: np.ndarray
 ) -> tuple[np.ndarray, float]:
-    """Exponents (R,) of least squares of several courses (sizes, R), and the least sum of the first: for each exponent
-    a line in L^(2 value), between the best of which there is a parabola."""
+    """Return exponents (R,) of least squares of several courses (sizes, R), and the least sum of squares of the first.
+
+    For each trial exponent it is a linear fit in L^(2 value); the best one is refined by a parabola.
+    """
     trials = np.linspace(*POSSIBLE[bool(beside)], FINELY)
     target, every = columns / spread[:, None], np.arange(columns.shape[1])
     basis = np.linalg.qr(_rows(sizes, spread, beside, trials))[0]
@@ -150,17 +166,21 @@ def _grown(
 
 @dataclass(frozen=True)
 class Limit(Law):
-    """Of a mean: q(L) = value + amplitude L^-w, w = STATED.
+    """The limit of a mean: q(L) = value + amplitude L^-w with w = STATED.
 
-    systematic : also with w of OTHERS. sizes : number of those fitted.
+    systematic : covers w of OTHERS, too. sizes : number of sizes in the fit.
     """
 
     sizes: int
 
 
 def limit(samples: Mapping[int, np.ndarray]) -> Limit | None:
-    """Of the mean of samples, size -> (samples,), from the smallest size on from which the law fits, or of the largest
-    three sizes. None where there are not three with a spread."""
+    """Return the limit of the mean of samples, from the smallest size on from which the law fits.
+
+    If none fits it is that of the largest three sizes; None where fewer than three sizes have a spread.
+
+    samples : (samples,) by size.
+    """
     known = {L: samples[L] for L in sorted(samples) if len(samples[L]) >= LEAST_SAMPLES}
     mean = np.array([of.mean() for of in known.values()])
     spread = np.array([of.std(ddof=1) / len(of) ** 0.5 for of in known.values()])
@@ -176,21 +196,29 @@ def limit(samples: Mapping[int, np.ndarray]) -> Limit | None:
     error = line_through(sizes[part] ** -STATED, spread[part], again[part])[0][0].std(ddof=1)
     beside = [line_through(sizes[part] ** -w, spread[part], mean[part]) for w in OTHERS]
     others = [abs(found[0] - value) for found, fit in beside if fit >= LEAST_GOODNESS]
-    told = {int(L): float(found[0]) for L, (found, _) in zip(sizes, fits, strict=False)}
+    by_smallest = {int(L): float(found[0]) for L, (found, _) in zip(sizes, fits, strict=False)}
     beyond, smallest = float(max([_changed([found[0] for found, _ in fits], chosen), *others])), int(sizes[chosen])
-    return Limit(float(value), float(error), beyond, smallest, told, goodness, float(amplitude), len(sizes[part]))
+    return Limit(
+        float(value), float(error), beyond, smallest, by_smallest, goodness, float(amplitude), len(sizes[part])
+    )
 
 
 @dataclass(frozen=True)
 class Collapse(Fitted):
-    """Of the exponent a at which curves against n / L^a lie closest together, from the smallest size on from which they
-    lie together. misfit : chi^2 a degree of freedom. fits : smallest size -> value, error and misfit."""
+    """The exponent a at which curves against n / L^a lie closest together, from the smallest size on from which they
+    do.
+
+    misfit : chi^2 a degree of freedom. fits : value, error and misfit for each smallest size.
+    """
 
     misfit: float
 
 
 def collapse(curves: Mapping[int, Mapping[int, np.ndarray]]) -> Collapse:
-    """Of the means of samples, L -> n -> (samples,), as functions of log n, cubic between its points."""
+    """Return the collapse of the means of samples, as functions of log n, cubic between its points.
+
+    curves : for each L and each n, (samples,).
+    """
     rng, sizes = np.random.default_rng(0), sorted(curves)
 
     def best(sizes: Sequence[int], drawn: Callable[[np.ndarray], np.ndarray] = np.asarray) -> tuple[float, float]:
@@ -217,8 +245,10 @@ def collapse(curves: Mapping[int, Mapping[int, np.ndarray]]) -> Collapse:
 def _apart(
     courses: Mapping[int, CubicSpline], means: Mapping[int, np.ndarray], errors: Mapping[int, np.ndarray], a: float
 ) -> float:
-    """Mean square distance, in errors, of each point of a course of log n from every other one, where that has
-    neighbours."""
+    """Return the mean square distance, in errors, of each point of a curve from every other curve.
+
+    Points beyond the ends of the other curve are left out. courses : of log n. a : exponent that shifts them.
+    """
     total, count = 0.0, 0
     for L, M in permutations(courses, 2):
         known = courses[M].x
@@ -231,7 +261,7 @@ def _apart(
 
 
 def skewness(values: Sequence[float] | np.ndarray) -> tuple[float, float]:
-    """With its standard error, from the disorder."""
+    """Return the skewness with its standard error, from the disorder."""
     found = np.asarray(values, dtype=float)
     rng = np.random.default_rng(0)
     several = [skew(rng.choice(found, len(found))) for _ in range(RESAMPLES)]
@@ -239,8 +269,12 @@ def skewness(values: Sequence[float] | np.ndarray) -> tuple[float, float]:
 
 
 def growing_skewness(samples: Mapping[int, np.ndarray], theta: float) -> Law:
-    """Skewness s of the part of a weight that grows with the size: variance A L^(2 theta) + B, third cumulant
-    s A^(3/2) L^(3 theta) + C, from the smallest size on from which both fit; B and C are what single contacts add."""
+    """Return the skewness s of the part of a weight that grows with the size, from the smallest size on from which it
+    fits.
+
+    The variance is A L^(2 theta) + B, the third cumulant s A^(3/2) L^(3 theta) + C; B and C are what single contacts
+    add.
+    """
     rng, sizes = np.random.default_rng(0), np.array(sorted(samples))
     growth = sizes[:, None] ** (theta * np.array([2, 3]))
     found = np.array([_cumulants(samples[L]) for L in sizes])
@@ -248,7 +282,7 @@ def growing_skewness(samples: Mapping[int, np.ndarray], theta: float) -> Law:
     spread = again.std(axis=1, ddof=1)
 
     def fitted(first: int, values: np.ndarray) -> tuple[Any, float, float]:
-        """Skewness, probability of a misfit as large, and A, for cumulants (sizes, ..., 2)."""
+        """Return skewness, probability of a misfit as large, and A, for cumulants (sizes, ..., 2)."""
         lines = [line_through(growth[first:, k], spread[first:, k], values[first:, ..., k]) for k in range(2)]
         (variance, third), goodness = (line[0][1] for line in lines), min(line[1] for line in lines)
         return third / variance**1.5, goodness, variance
@@ -258,18 +292,20 @@ def growing_skewness(samples: Mapping[int, np.ndarray], theta: float) -> Law:
     value, goodness, amplitude = fits[chosen]
     error = float(fitted(chosen, again)[0].std(ddof=1))
     beyond = _changed([fit[0] for fit in fits], chosen)
-    told = {int(L): float(fit[0]) for L, fit in zip(sizes, fits, strict=False)}
-    return Law(float(value), error, beyond, int(sizes[chosen]), told, goodness, float(amplitude))
+    by_smallest = {int(L): float(fit[0]) for L, fit in zip(sizes, fits, strict=False)}
+    return Law(float(value), error, beyond, int(sizes[chosen]), by_smallest, goodness, float(amplitude))
 
 
 def _cumulants(values: np.ndarray) -> tuple[float, float]:
-    """The second and the third."""
+    """Return the second and the third cumulant."""
     apart = values - values.mean()
     return float((apart**2).mean()), float((apart**3).mean())
 
 
 def skewness_of_least(values: np.ndarray, several: int) -> tuple[float, float]:
-    """Of the least of so many values that are drawn one by one, with its standard error from the disorder."""
+    """Return the skewness of the least of `several` independently drawn values, with its standard error from the
+    disorder.
+    """
     count, rng = len(values), np.random.default_rng(0)
     share = -np.diff((np.arange(count, -1, -1) / count) ** several)  # of the least, in the order of the values
 

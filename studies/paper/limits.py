@@ -23,16 +23,16 @@ from .network import LARGE, sample_of
 from .samples import Found, Table, measured, planned
 
 QUICK = {"limits": 16, "limits-variants": 16, "limits-rate": 16, "limits-large": 24, "limits-largest": 32}
-"""Scan -> largest side of its samples in the quick form."""
+"""Scans, and the largest side of their samples in the quick form."""
 PAPER, PERIODIC = "as in the paper", "periodic sides"
 WEAK, BROAD = ("uniform:0.5,1", "uniform:0.9,1"), ("lognormal:0.4,1", "power-law:0.001,1,-1", "bimodal:0.1,1,0.5")
 OF_ALL = ("power_over_cut", "slipless_fraction", "intermediate", "domains_a_sphere", "largest_share")
 OF_SPANNING = ("path_over_height", "busiest_link_share")
-COLUMNS = ("value", "error", "systematic", "smallest", "sizes", "goodness", "amplitude", "follows")  # of a Limit
+COLUMNS = ("value", "error", "systematic", "smallest", "sizes", "goodness", "amplitude", "follows")  # from a Limit
 
 
 def study(folder: Path, effort: Effort) -> Found:
-    """Certified samples of all scans, and the limits of their shares."""
+    """Find certified samples of all scans, and the limits of their shares."""
     settings = list(planned(QUICK, effort))
     found = measured(settings, sample_of, folder / "limits.jsonl")
     table = with_ratios(Table({"system": [system_of(of) for of in settings], **found.columns}))
@@ -47,8 +47,11 @@ def study(folder: Path, effort: Effort) -> Found:
 
 
 def with_ratios(table: Table) -> Table:
-    """And the shares whose limits are asked for: rigid domains, and spheres of the largest intermediate one, over all
-    spheres; contacts of the shortest path over the height."""
+    """Return the table with the shares whose limits are asked for.
+
+    They are rigid domains, and spheres of the largest intermediate one, over all spheres; contacts of the shortest path
+    over the height.
+    """
     spheres = table.side**3
     return table | {
         "domains_a_sphere": table.domains / spheres,
@@ -58,15 +61,17 @@ def with_ratios(table: Table) -> Table:
 
 
 def limits_of(table: Table) -> dict[str, Limit]:
-    """By quantity, of samples of one system; where there are enough."""
+    """Return the limit of each quantity over samples of one system, where there are enough."""
     spanning = table[table.spans]
     found = {name: limit(table.by(name)) for name in OF_ALL} | {name: limit(spanning.by(name)) for name in OF_SPANNING}
     return {name: of for name, of in found.items() if of is not None}
 
 
 def names_of(of_systems: Mapping[str, Table], limits: Mapping[str, Mapping[str, Limit]]) -> dict[str, Any]:
-    """What the claims name. variants : samples of each other system, of the largest size that all have; beside : of the
-    paper's bearing of that size."""
+    """Return the values that the claims use, by name.
+
+    variants : samples of each other system, of the largest size that all have. beside : those of the paper's bearing.
+    """
     paper = of_systems[PAPER]
     common = min(of.side.max() for of in of_systems.values())
     return {
@@ -79,7 +84,7 @@ def names_of(of_systems: Mapping[str, Table], limits: Mapping[str, Mapping[str, 
 
 
 def system_of(settings: RunSettings) -> str:
-    """What differs from the paper's bearing, in words."""
+    """Return what differs from the paper's bearing, in words."""
     _, y, _, rate = settings.top or (1.0, 1.0, 0.0, 0.0)
     words = {
         PERIODIC: settings.periodic, f"state (1, {y:g})": y != 1, "C (L - 1) = 1": rate,
@@ -90,9 +95,12 @@ def system_of(settings: RunSettings) -> str:
 
 @in_our_style
 def draw_limits(named: Any) -> Figure:
-    """(a, b, c) shares against 1/L of the first system and of the second one, with the fitted laws and, at 1/L = 0,
-    their limits with all errors; (d) samples that span, (e) shortest paths and busiest links against L, of the first
-    system; (f) least power of all systems over that of the cut, at the largest size that all have."""
+    """Draw how shares, spanning samples and paths depend on the size.
+
+    (a, b, c) Shares against 1/L of the first system and of the second one, with the fitted laws and, at 1/L = 0, their
+    limits with all errors; (d) samples that span, (e) shortest paths and busiest links against L, of the first system;
+    (f) least power of all systems over that of the cut, at the largest size that all have.
+    """
     of_systems, figure = named.of_systems, new_figure(DOUBLE, 4.6)
     panels: Any = figure.subplots(2, 3).ravel()
     shares = {
@@ -128,6 +136,7 @@ def draw_limits(named: Any) -> Figure:
 
 
 def _draw_limit(axes: Any, limit: Limit | None, colour: str) -> None:
+    """Draw a fitted law and its limit, if the samples follow one."""
     if limit is not None and limit.follows:
         x = np.array([0, 1 / limit.smallest])
         axes.plot(x, limit.value + limit.amplitude * x, color=colour, lw=0.8)

@@ -1,6 +1,6 @@
 """The slipless network in three dimensions: what the paper says of Figs. 3 and 4, over samples and sizes.
 
-What counts as large, 24^3, was chosen after seeing which sizes span.
+Samples of 24^3 and more are called large; that was chosen after seeing which sizes span.
 """
 
 from collections.abc import Callable, Sequence
@@ -20,10 +20,10 @@ from taichi_bearings.runs.settings import RunSettings
 
 from .claims import Effort
 from .drawing import draw_means, name_sizes
-from .samples import Found, Table, measured, told
+from .samples import Found, Table, measured, shared_numbers
 
 SHARE_OF_SAMPLES = {3: 1.0, 4: 1.0, 6: 0.5, 8: 0.25, 10: 0.2, 16: 0.1, 24: 0.025, 32: 0.025}
-"""Side of the cube -> samples of it, as a share of those that a claim may take."""
+"""For each side of the cube, the number of samples as a share of those of the effort."""
 BULK, LARGE = 10, 24  # sides: the paper's own, and from which on most samples must span
 PRACTICALLY_ALL = 0.99  # of the free spheres
 THRESHOLDS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10)
@@ -35,11 +35,11 @@ VIEWED: dict[str, Callable[[Structure], Any]] = {
     **{name: ANALYSED[name].of for name in ("spans", "reached_fraction", "spanning_fraction", "domains")},
     "largest_intermediate": ANALYSED["largest_intermediate_domain"].of,
 }
-"""What thresholds show of network and domains: by name, how to get it."""
+"""Numbers of network and domains that are compared between thresholds, and functions that return them."""
 
 
 def study(folder: Path, effort: Effort) -> Found:
-    """Certified samples of all sizes."""
+    """Find certified samples of all sizes."""
     chosen = [
         RunSettings(shape=(side, side, side), seed=seed)
         for side, share in SHARE_OF_SAMPLES.items()
@@ -50,7 +50,7 @@ def study(folder: Path, effort: Effort) -> Found:
 
 
 def names_of(table: Table) -> dict[str, Any]:
-    """What the claims name."""
+    """Return the values that the claims use, by name."""
     bulk = table[table.side >= BULK]
     return {
         "table": table, "side_of_bulk": BULK, "side_of_large": LARGE, "practically": PRACTICALLY_ALL, "bulk": bulk,
@@ -60,11 +60,11 @@ def names_of(table: Table) -> dict[str, Any]:
 
 
 def numbers_of(structure: Structure) -> dict[str, Any]:
-    """The numbers of one sample, and as NAME_seen, for each of VIEWED, a list: by each of THRESHOLDS what a solver
-    would have seen that cannot tell tiny slips from none, then by contact states.
+    """Return the numbers of one sample and, for each of VIEWED, a list NAME_seen.
 
-    At the minimum of a large sample the slips span many decades, so a coarse threshold merges slipping contacts into
-    the network and domains into each other.
+    The list has, for each of THRESHOLDS, the number that would be found if smaller slips were taken for none; its last
+    entry is by the contact states. At the minimum of a large sample the slips span many decades, so a coarse threshold
+    merges slipping contacts into the network and domains into each other.
     """
     unit = structure.scene.slip_radius * structure.scene.jump
     seen = [*(structure.by_threshold(threshold * unit) for threshold in THRESHOLDS), structure]
@@ -75,11 +75,13 @@ def numbers_of(structure: Structure) -> dict[str, Any]:
 
 
 def sample_of(structure: Structure) -> dict[str, Any]:
-    """The numbers of one sample. reached_by_chance : by as many contacts at random places."""
+    """Return the numbers of one sample. reached_by_chance : share that as many contacts at random places would
+    touch.
+    """
     network, passed = structure.network, structure.bottlenecks
     assert passed is not None  # as a lattice has two planes
     analysed = ("spanning_fraction", "domains", "disjoint_paths", "effective_links", "parting_links")
-    shared = told(structure, *analysed)
+    shared = shared_numbers(structure, *analysed)
     planes_x, planes_y = network.path_planes
     return shared | {
         "unique": structure.minimum_is_unique is True,
@@ -93,21 +95,23 @@ def sample_of(structure: Structure) -> dict[str, Any]:
 
 
 def spans_within_planes(network: SliplessNetwork, axis: int) -> np.ndarray:
-    """For each lattice plane across `axis`: True if its slipless contacts alone join bottom and top."""
+    """Return for each lattice plane across `axis` True if its slipless contacts alone join bottom and top."""
     inside, plane = network.axis != axis, network.contact[:, axis]
     pieces = [network.pieces(inside & (plane == index)) for index in range(network.lattice.shape[axis])]
     return np.array([label[0] == label[-1] for label in pieces])
 
 
 def reached_by_chance(lattice: Lattice, density: float) -> float:
-    """Share of the free spheres that contacts touch of which each is there with probability `density`, in the mean."""
+    """Return the mean share of free spheres that are touched, if each contact is there with probability `density`."""
     contacts = np.bincount(lattice.ends.ravel(), minlength=lattice.is_driven.size)  # of each sphere
     return float((1 - (1 - density) ** contacts[~lattice.is_driven.ravel()]).mean())
 
 
 @in_our_style
 def draw_sizes(named: Any) -> Figure:
-    """Power over that of the minimum cut, network, domains and paths against the side; what thresholds make of them."""
+    """Draw power over that of the minimum cut, network, domains and paths against the side, and the effect of
+    thresholds.
+    """
     table, figure = named.table, new_figure(DOUBLE, 4.9)
     axes: Any = figure.subplots(2, 3)
     axes[0, 0].plot(table.side, table.power_over_cut, ".", color=BLUE, ms=3, alpha=0.25, mew=0)
@@ -138,7 +142,7 @@ def draw_sizes(named: Any) -> Figure:
 
 
 def _spanning(axes: Any, sides: Sequence[int], spans: Sequence[np.ndarray]) -> None:
-    """Share of the samples whose slipless network joins the planes, by some thresholds and certified."""
+    """Draw the share of samples whose slipless network joins the planes, by some thresholds and certified."""
     share = np.array([of.mean(axis=0) for of in spans])
     for place, colour in enumerate(COARSE):
         axes.plot(sides, share[:, place], "o--", ms=3.5, lw=1, color=colour, label=f"slips below {THRESHOLDS[place]:g}")
@@ -148,6 +152,7 @@ def _spanning(axes: Any, sides: Sequence[int], spans: Sequence[np.ndarray]) -> N
 
 
 def _by_threshold(axes: Any, largest: Any) -> None:
+    """Draw numbers of the largest samples against the slip threshold. largest : their table."""
     for name, colour, label in (
         ("slipless", ORANGE, "slipless contacts"),
         ("domains", BLUE, "rigid domains"),

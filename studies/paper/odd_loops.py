@@ -1,16 +1,24 @@
-"""How many odd contacts stop a bearing of discs? Square lattices to which contacts across diagonals are added, and
-honeycombs, of which discs in the hexagons make triangular lattices: such with vacancies on one of three sublattices.
+"""How many odd contacts stop a bearing of discs?
 
-Around a loop of an odd number of discs neighbours cannot all turn in opposite ways, so there discs rest, or contacts
-slip. Without such loops, the bottom at rest, half of the discs roll with the top on average. A contact across a
-diagonal inside the part that rolls slips by twice the speed of the others, so it costs about twice a mean friction, a
-disc in a hexagon six times that, and the interface moves out of their way. Below the top it encloses s n of them, s the
-share that rolls. It wanders by L^(2/3), and interfaces further apart than that differ by about L^(1/3) in power, so few
-odd contacts leave s ~ L^(1/3) / n. If s L is below L^(2/3), the interface is confined between the top and the odd
-contacts: in each of L / (s L)^(3/2) stretches of a length (s L)^(3/2) it loses (s L)^(1/2), so 1 / s in all, and s n +
-c / s is least at s = (c / n)^(1/2), whatever the size. Both together: s n^(1/2) is a function of n / L^(2/3), constant
-where that is large. In any case a vanishing density stops large bearings. Every sample is solved exactly, by cuts of
-the double cover. Contacts across the squares of cubic lattices of spheres are put beside: proven minima.
+Samples are square lattices to which contacts across diagonals are added, and honeycombs to which discs in the hexagons
+are added; with all of these a honeycomb is a triangular lattice, so it is one with vacancies on one of three
+sublattices.
+
+Around a loop of an odd number of discs neighbours cannot all rotate in opposite ways, so there discs are at rest, or
+contacts slip. Without such loops, the bottom at rest, half of the discs roll with the top on average. A contact across
+a diagonal inside the part that rolls slips by twice the speed of the others, so it costs about twice a mean friction, a
+disc in a hexagon six times that, and the interface moves out of their way. Let n be the number of odd contacts, L the
+size and s the share of discs that roll.
+
+* Below the top the interface encloses s n odd contacts. It wanders by L^(2/3), and interfaces further apart than that
+  differ by about L^(1/3) in power, so few odd contacts leave s ~ L^(1/3) / n.
+* If s L is below L^(2/3), the interface is confined between the top and the odd contacts: in each of L / (s L)^(3/2)
+  stretches of a length (s L)^(3/2) it loses (s L)^(1/2), so 1 / s in all, and s n + c / s is least at
+  s = (c / n)^(1/2), whatever the size.
+* Both together: s n^(1/2) is a function of n / L^(2/3), constant where that is large.
+
+In any case a vanishing density stops large bearings. Every sample is solved exactly, by cuts of the double cover.
+Contacts across the squares of cubic lattices of spheres are put beside: proven minima.
 """
 
 from collections.abc import Mapping, Sequence
@@ -38,7 +46,7 @@ from .samples import Found, Table, drawn
 FRICTION = (0.1, 1.0)  # uniform, the paper's
 BLOCK = 5  # samples that are drawn together
 OF_DISCS = {16: 50.0, 32: 50.0, 64: 10.0, 128: 2.0, 256: 0.5, 512: 0.1, 1000: 0.025}
-SIZES = {  # L -> of the samples; those that get less than a block are left out
+SIZES = {  # by L, samples for each sample of the effort; sizes that get less than a block are left out
     "square": OF_DISCS,
     "triangular": OF_DISCS,
     "cubic": {4: 2.0, 6: 2.0, 8: 2.0, 12: 0.5, 16: 0.1},
@@ -46,22 +54,26 @@ SIZES = {  # L -> of the samples; those that get less than a block are left out
 QUICK_OF_DISCS = {8: 5.0, 16: 5.0, 32: 2.5}
 QUICK_SIZES = {"square": QUICK_OF_DISCS, "triangular": QUICK_OF_DISCS, "cubic": {4: 1.0, 5: 1.0}}
 NUMBERS, QUICK_NUMBERS = (0, 1, 2, 4, 8, 16, 32, 64, 128, 256), (0, 2, 8, 32)  # of odd contacts
-DENSEST = 0.5  # share of the places that they take at most
+DENSEST = 0.5  # odd contacts take at most this share of the places
 BOTTOMS = (0.0, 0.25, 0.5, 1.0)  # omega_B / omega_T
-TURNED, OF_TURNED = 32, 4.0  # L of the lattices of discs in which the bottom turns, and how many of the samples
-LANDSCAPE = {"square": 1 / 3, "triangular": 1 / 3, "cubic": 0.84}  # a of n / L^a, if that of interfaces rules
-DIMENSION = {"square": 2, "triangular": 2, "cubic": 3}  # the same, if the density rules
-WANDERING = 2 / 3  # a of n / L^a, of s n^(1/2)
-FEWEST_LAYERS, LARGEST_SHARE = 2, 0.25  # of discs that roll, of an interface that neither top nor bottom holds
-ENOUGH = 20  # samples of a size that enters a fit: the scatter of five tells no error
-CROWDED = 2.0  # n / L^WANDERING beyond which the interface is confined
-SURE = 1e-6  # relative gap of minima of spheres, and spin of those at rest over that of the top
+# L of the lattices of discs whose bottom rotates, and samples of them for each sample of the effort
+TURNED, OF_TURNED = 32, 4.0
+LANDSCAPE = {"square": 1 / 3, "triangular": 1 / 3, "cubic": 0.84}  # a of n / L^a, if the power of interfaces decides
+DIMENSION = {"square": 2, "triangular": 2, "cubic": 3}  # a of n / L^a, if the density of odd contacts decides
+WANDERING = 2 / 3  # a of n / L^a, on which s n^(1/2) depends
+# an interface that neither top nor bottom holds: layers of discs that roll at least, and their share of all at most
+FEWEST_LAYERS, LARGEST_SHARE = 2, 0.25
+ENOUGH = 20  # samples that a size in a fit needs: the scatter of five gives no error
+CROWDED = 2.0  # if n / L^WANDERING is larger the interface is confined
+SURE = 1e-6  # relative gap of minima of spheres; spheres with less of the top's spin are taken to be at rest
 
 
 def network(lattice: str, size: int, odd: int, bottom: float, seed: int) -> Packing:
-    """A lattice without odd loops, each side L diameters, its top turning with 1; at `odd` random places something
-    closes odd loops: between the four discs or spheres of a square a contact across a diagonal, within six of a
-    honeycomb the disc that a triangular lattice has there."""
+    """Return a lattice without odd loops, but for `odd` random places where something closes odd loops.
+
+    Between the four discs or spheres of a square that is a contact across a diagonal, within the six discs of a hexagon
+    the disc that a triangular lattice has there. Each side is L = `size` diameters, and the top rotates with 1.
+    """
     rng = np.random.default_rng([seed, size, odd])
     bare, holes, tree, reach = _without_odd_loops(lattice, size, bottom)
     if odd > DENSEST * len(holes):
@@ -86,8 +98,11 @@ def network(lattice: str, size: int, odd: int, bottom: float, seed: int) -> Pack
 
 @lru_cache(maxsize=4)
 def _without_odd_loops(lattice: str, size: int, bottom: float) -> tuple[Packing, np.ndarray, cKDTree, float]:
-    """The lattice, the places (holes, D) of its whole squares or hexagons, its centres, and how far these are from a
-    hole at most."""
+    """Return the lattice without odd loops, and where something can be put into it.
+
+    returns : the lattice; the places (holes, D) of its whole squares or hexagons; a search tree of its centres; the
+        largest distance of these from the place that they surround.
+    """
     if lattice == "triangular":
         bare = Packing.lattice("honeycomb", (round(size / 3**0.5), round(size / 3)), spin_bottom=bottom)
         hole, margin, reach = bare.center[::2] + (0.0, 1.0), np.full(2, 0.75), 1.25
@@ -101,7 +116,7 @@ def _without_odd_loops(lattice: str, size: int, bottom: float) -> tuple[Packing,
 
 
 def spins_at_minimum(lattice: str, packing: Packing) -> np.ndarray:
-    """Spins (N,) of discs, exactly, or (N, 3) of spheres."""
+    """Return the spins (N,) of discs, exactly, or (N, 3) of spheres."""
     if lattice == "cubic":
         return np.asarray(solve_packing(packing, SURE).spin[0])
     system = ContactSystem.of(packing)
@@ -109,8 +124,11 @@ def spins_at_minimum(lattice: str, packing: Packing) -> np.ndarray:
 
 
 def draw(lattice: str, size: int, odd: int, bottom: float, samples: int, seed: int) -> dict[str, Any]:
-    """Share of the free discs or spheres that turn faster than half of the top, and of those that rest, at the minimum,
-    and the least power over that of all free ones at rest; an entry a sample."""
+    """Return numbers of the minima of samples, one a sample.
+
+    rolling, resting : share of the free discs or spheres that rotate faster than half of the top, and of those at rest.
+    power_over_rest : least power over that with all free ones at rest.
+    """
     found: dict[str, list[float]] = {"rolling": [], "resting": [], "power_over_rest": []}
     for number in range(seed, seed + samples):
         packing = network(lattice, size, odd, bottom, number)
@@ -125,7 +143,7 @@ def draw(lattice: str, size: int, odd: int, bottom: float, samples: int, seed: i
 
 
 def dilute(lattice: str, size: int, numbers: Sequence[int]) -> list[int]:
-    """Of these numbers those of which there is room for twice as many."""
+    """Return those numbers of odd contacts for which there are places enough."""
     return [n for n in numbers if n <= DENSEST * len(_without_odd_loops(lattice, size, 0.0)[1])]
 
 
@@ -133,13 +151,16 @@ Curves = Mapping[int, Mapping[int, np.ndarray]]  # L -> n -> shares that roll
 
 
 def well_known(curves: Curves) -> dict[int, Mapping[int, np.ndarray]]:
-    """Those with ENOUGH samples, without the share of no odd contact."""
+    """Return sizes with ENOUGH samples, without the share that rolls when there is no odd contact."""
     with_odd = {L: {n: of for n, of in by.items() if n} for L, by in curves.items()}
     return {L: by for L, by in with_odd.items() if min(map(len, by.values()), default=0) >= ENOUGH}
 
 
 def held_by_nothing_else(curves: Curves) -> dict[int, dict[int, np.ndarray]]:
-    """Of odd contacts, those whose interface is neither within FEWEST_LAYERS of the top nor beside the bottom."""
+    """Return the points whose interface is held by odd contacts alone.
+
+    It is neither within FEWEST_LAYERS of the top nor near the bottom.
+    """
     return {
         L: {n: of for n, of in by.items() if n and FEWEST_LAYERS / L < of.mean() < LARGEST_SHARE}
         for L, by in curves.items()
@@ -147,17 +168,19 @@ def held_by_nothing_else(curves: Curves) -> dict[int, dict[int, np.ndarray]]:
 
 
 def confined(curves: Curves) -> Collapse | None:
-    """Of s n^(1/2) against n / L^a; None where too few sizes have three numbers of odd contacts."""
-    told = held_by_nothing_else(well_known(curves))
-    scaled = {L: {n: of * n**0.5 for n, of in by.items()} for L, by in told.items() if len(by) > 2}
+    """Return the collapse of s n^(1/2) against n / L^a; None where too few sizes have three numbers of odd contacts."""
+    held = held_by_nothing_else(well_known(curves))
+    scaled = {L: {n: of * n**0.5 for n, of in by.items()} for L, by in held.items() if len(by) > 2}
     return collapse(scaled) if len(scaled) > 1 else None
 
 
 def crowded(curves: Curves) -> dict[str, Any] | None:
-    """Of all sizes together: s = c n^-x, where the interface is confined between the top and odd contacts; x, its
-    error, the probability of such a misfit and the number of points. None for fewer than three."""
-    told = held_by_nothing_else(well_known(curves))
-    points = [(n, of) for L, by in told.items() for n, of in by.items() if n > CROWDED * L**WANDERING]
+    """Return the fit of s = c n^-x to all sizes together where the interface is confined between top and odd contacts.
+
+    returns : x, its error, the probability of such a misfit and the number of points; None for fewer than three points.
+    """
+    held = held_by_nothing_else(well_known(curves))
+    points = [(n, of) for L, by in held.items() for n, of in by.items() if n > CROWDED * L**WANDERING]
     if len(points) < 3 or len({n for n, _ in points}) < 2:
         return None
     x, mean = np.log([n for n, _ in points]), np.array([of.mean() for _, of in points])
@@ -169,7 +192,7 @@ def crowded(curves: Curves) -> dict[str, Any] | None:
 
 
 def study(folder: Path, effort: Effort) -> Found:
-    """Bearings by lattice, size, number of odd contacts or discs, and spin of the bottom."""
+    """Solve bearings by lattice, size, number of odd contacts or discs, and spin of the bottom."""
     shares, numbers = (QUICK_SIZES, QUICK_NUMBERS) if effort.quick else (SIZES, NUMBERS)
     sizes = {
         lattice: enough
@@ -216,21 +239,24 @@ def study(folder: Path, effort: Effort) -> Found:
 
 @in_our_style
 def draw_odd_loops(of: Any) -> Figure:
-    """A row a lattice: (a) share s of the discs that roll with the top against the number n of odd contacts; (b) of
-    discs s n^(1/2), where s tells, against n / L^(2/3), of spheres s against n / L^a, with the exponent a at which
-    three or more sizes lie closest together, from the smallest on from which they do; (c) share of the discs that rest,
-    against the bottom's speed, with as many odd contacts as in (a) at most."""
+    """Draw three panels for each lattice.
+
+    (a) The share s of discs that roll with the top against the number n of odd contacts. (b) Of discs s n^(1/2) against
+    n / L^(2/3), where odd contacts alone hold the interface; of spheres s against n / L^a, with the exponent a at which
+    three or more sizes lie closest together, from the smallest size on from which they do. (c) The share of discs at
+    rest against the bottom's speed, with as many odd contacts as in (a) at most.
+    """
     figure = new_figure(7.1, 2.4 * len(of.courses))
     rows: Any = figure.subplots(len(of.courses), 3, squeeze=False)
     for panels, (lattice, curves) in zip(rows, of.courses.items(), strict=True):
-        are_discs, told, ruled = lattice in of.rest, held_by_nothing_else(curves), of.ruled.get(lattice)
+        are_discs, held, ruled = lattice in of.rest, held_by_nothing_else(curves), of.ruled.get(lattice)
         for (L, by), color in zip(curves.items(), shades(len(curves)), strict=True):
             look = {"color": color, "label": f"L = {L}"}
             with_odd = {n: shares for n, shares in by.items() if n}
             panels[0].axhline(by[0].mean(), color=color, lw=0.6, ls=":")
             draw_means(panels[0], with_odd, **look)
-            if are_discs and told[L]:
-                scaled = {n / L**WANDERING: shares * n**0.5 for n, shares in told[L].items()}
+            if are_discs and held[L]:
+                scaled = {n / L**WANDERING: shares * n**0.5 for n, shares in held[L].items()}
                 draw_means(panels[1], scaled, **look)
             elif not are_discs and ruled and ruled.smallest <= L:
                 draw_means(panels[1], {n / L**ruled.value: shares for n, shares in with_odd.items()}, **look)

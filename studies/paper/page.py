@@ -1,4 +1,4 @@
-"""The report as one HTML file: figures inside, nothing to load, readable on paper."""
+"""Writes the report as one HTML file: figures inside, nothing to load, readable on paper."""
 
 import base64
 import re
@@ -34,7 +34,7 @@ SYMBOLS = {"<=": "\u2264", ">=": "\u2265", "+-": "\u00b1", "omega_": "\u03c9_", 
 
 
 def page(report: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str:
-    """The whole report. pictures : name of a figure -> PNG."""
+    """Return the whole report as HTML. pictures : PNG of each figure, by name."""
     title = "Frustrated bearings: the figures and claims of the paper, computed anew"
     parts = [
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">',
@@ -49,7 +49,9 @@ def page(report: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str:
 
 
 def typeset(text: str) -> str:
-    """The text with the symbols that plain text lacks: at most, plus or minus, powers, Greek letters, 3\u00d73."""
+    r"""Return a text with the symbols that plain text lacks: at most, plus or minus, powers, Greek letters,
+    3\u00d73.
+    """
     for plain, symbol in SYMBOLS.items():
         text = text.replace(plain, symbol)
     text = re.sub(r"\bmu\b", "\u03bc", re.sub(r"(?<=\d)x(?=\d)", "\u00d7", text))
@@ -75,6 +77,7 @@ def _facts(facts: Mapping[str, Any]) -> str:
 
 
 def _summary(report: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the summary: numbers of verdicts, and a table of all claims."""
     found = [f"{report[name.replace(' ', '_')]} <strong>{name}</strong> ({text})" for name, text in VERDICTS.items()]
     yield f"<p>{'; '.join(found)}.</p>"
     form = ", the quick form: fewer samples, sizes and iterations" if report["quick"] else ""
@@ -96,6 +99,7 @@ def _summary(report: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _section(name: str, figure: Mapping[str, Any], picture: bytes | None) -> Iterator[str]:
+    """Yield the section of a figure: the picture, and each claim with its facts."""
     yield f'<section class="figure" id="{name}"><h2>{name}: {_words(figure["title"])}</h2>'
     if picture is not None:
         data = base64.b64encode(picture).decode("ascii")
@@ -117,6 +121,7 @@ def _section(name: str, figure: Mapping[str, Any], picture: bytes | None) -> Ite
 
 
 def _environment(report: Mapping[str, Any]) -> Iterator[str]:
+    """Yield how it was computed: machine, programs and times."""
     yield '<section class="figure" id="environment"><h2>How it was computed</h2>'
     yield _facts({"command": report["command"], "first seed": report["seed"], **report["environment"]})
     yield f"<table><thead>{_row(('figure', 'wall time, s', 'processor time, s'), 'th')}</thead><tbody>"

@@ -27,7 +27,7 @@ from .samples import TIMES, Found, Run, curves, joined, relax, solved
 SHAPE, START = (3, 3, 3), "random"
 RUNS = 8
 STIFFNESS, DAMPING, FORCE = 1e5, 1e3, 50.0  # the paper's
-STEPS = 4_000_000  # limit; ten times the damping takes a million
+STEPS = 4_000_000  # most time steps; with ten times the damping it takes a million
 LATE = 1e-3  # excess of the power over the minimum, relative, at which the times of two courses are compared
 PAPER = "K = 1e5, A = 1e3, F_n = 50"
 VARIANTS = {  # stiffness, force / length; damping, force * time / length; normal force
@@ -45,9 +45,9 @@ GREATER, LOADED = ("K = 1e6", "A = 1e4", "K = 1e6, A = 1e4"), ("F_n = 5", "F_n =
 
 
 def arrival(time: np.ndarray, excess: np.ndarray) -> np.ndarray:
-    """Time (R,) from which on the power is within LATE of the minimum; that of the last row if it never is.
+    """Return the time (R,) from which on the power is within LATE of the minimum; the last time if it never is.
 
-    time : (T,). excess : of the power over the proven least one, relative, (T, R).
+    time : (T,). excess : relative excess of the power over the proven least one, (T, R).
     """
     late = excess > LATE
     last = len(late) - 1 - np.argmax(late[::-1], axis=0)
@@ -55,7 +55,7 @@ def arrival(time: np.ndarray, excess: np.ndarray) -> np.ndarray:
 
 
 def study(folder: Path, effort: Effort) -> Found:
-    """The samples under all variants, and their minima under all normal forces."""
+    """Follow the samples under all variants, and find their minima under all normal forces."""
     scenes = {
         force: Scene.random(SHAPE, effort.seed, replicas=min(RUNS, effort.samples), normal_force=force)
         for force in dict.fromkeys(force for *_, force in VARIANTS.values())
@@ -80,9 +80,12 @@ def study(folder: Path, effort: Effort) -> Found:
 
 
 def of_courses(runs: Mapping[str, Run], bounds: Mapping[float, np.ndarray]) -> dict[str, Any]:
-    """What figure and claims name of runs, by variant: courses, the runs with their times F_n t over the paper's F_n;
-    excess of the power over the proven least one, relative, (T, R), and its last; the distance from the paper's course
-    and the time until the minimum over that of the paper's, (R,). bounds : on the least power, by normal force, (R,).
+    """Return what figure and claims use of runs, by variant.
+
+    runs : relaxations by variant. bounds : (R,) on the least power, by normal force.
+    returns : `courses`, the runs with their times F_n t over the paper's F_n; `excess`, relative, of the power over the
+        proven least one, (T, R), and its `last` value; `apart`, the distance from the paper's course, and `ratio`, the
+        time until the minimum over that of the paper's course, (R,).
     """
     forces = {name: VARIANTS[name][2] for name in runs}
     courses = {name: replace(run, time=run.time * (forces[name] / FORCE)) for name, run in runs.items()}
@@ -98,7 +101,7 @@ def of_courses(runs: Mapping[str, Run], bounds: Mapping[float, np.ndarray]) -> d
 
 
 def of_minima(minima: Mapping[float, Solution]) -> dict[str, Any]:
-    """By normal force: power over it (R,), states (R, E), samples whose states are proven."""
+    """Return what claims use of the minima, by normal force: power over it (R,), states (R, E), samples proven."""
     return {
         "per_force": {force: found.power / force for force, found in minima.items()},
         "states": [found.state for found in minima.values()],
@@ -109,8 +112,9 @@ def of_minima(minima: Mapping[float, Solution]) -> dict[str, Any]:
 
 @in_our_style
 def draw_parameters(of: Any) -> Figure:
-    """(a) P / P_0 and (b) its excess over the least power against F_n t, of the first sample; the first course, the
-    paper's, is black."""
+    """Draw (a) P / P_0 and (b) its excess over the least power against F_n t, of the first sample; the paper's is
+    black.
+    """
     figure = new_figure(7.1, 3.2)
     left, right = figure.subplots(1, 2)
     for (name, course), colour in zip(of.courses.items(), COLOURS, strict=True):

@@ -1,7 +1,7 @@
-"""The figures and claims of the paper, each computed anew and judged: `bearings reproduce`.
+"""Computes the figures and claims of the paper anew and judges them: `bearings reproduce`.
 
-A study is a module with one function: it makes its samples and returns their tables, the figure and what its claims
-name (:class:`.samples.Found`). The sentences, limits and rules of its claims stand in claims/FIGURE.toml.
+A study is a module with one function: it makes its samples and returns their tables, the figure and the values that
+its claims use (:class:`.samples.Found`). The sentences, limits and rules of its claims stand in claims/FIGURE.toml.
 """
 
 import importlib
@@ -33,11 +33,14 @@ from .page import page
 
 @dataclass(frozen=True)
 class PaperFigure:
-    """title; the module of paper/ whose `study`, or another function, finds its numbers; the ends of its tables.
+    """One figure, with the claims about it.
 
-    shown : which sample the figure shows, where it shows one. seconds : roughly, in full and in the quick form, on two
-    cores. asked : a question beyond the paper, computed only where it is named. samples_of : figure that it shares its
-    samples with.
+    module : of paper/, whose function `study`, or the one named after a point, finds its numbers.
+    seconds : roughly, in full and in the quick form, on two cores.
+    shown : which samples the figure shows.
+    tables : ends of the names of its tables.
+    asked : it is a question beyond the paper, computed only if it is named.
+    samples_of : the figure whose samples it uses.
     """
 
     name: str
@@ -54,7 +57,7 @@ class PaperFigure:
         return tuple(f"{self.name}{ending}" for ending in (".png", ".pdf", *self.tables))
 
     def reproduce(self, folder: Path, effort: Effort, title: bool = True) -> list[Claim]:
-        """Write its files into the folder; returns the claims with their verdicts. title : as of :func:`reproduce`."""
+        """Write its files into the folder; returns the claims with their verdicts. title : see :func:`reproduce`."""
         runtime.start("cpu", "f64")
         module, _, function = self.module.partition(".")
         found = getattr(importlib.import_module(f".{module}", __package__), function or "study")(folder, effort)
@@ -76,7 +79,7 @@ class PaperFigure:
 
 
 def _untitled(figure: Figure) -> Figure:
-    """The figure without words above it, and above its panels but their letters or, without those, what they are of."""
+    """Return the figure without a title; titles of its panels are cut to their letters, if they have one."""
     figure.suptitle("")
     for axes in figure.axes:
         if axes.get_title().startswith("("):
@@ -112,13 +115,13 @@ FIGURES = {
                     (".csv", "-limits.csv"), asked=True),
     )
 }  # fmt: skip
-MOST_PICTURE = 2**26  # bytes of one that the page holds
+MOST_PICTURE = 2**26  # most bytes of a picture in the page
 REPORTS = ("report.html", "report.json")
 JOURNALS = (".jsonl", "-cuts.jsonl")  # ends of the names of files in which studies keep their samples
 
 
 def choose_figures(names: Sequence[str]) -> list[str]:
-    """The figures asked for, each once; all of the paper and its supplement if none is named."""
+    """Return the figures asked for, each once; all of the paper and its supplement if none is named."""
     for name in names:
         if name not in FIGURES:
             raise InputError(f"figure is {name!r}; allowed are {', '.join(FIGURES)}{meant(name, FIGURES)}")
@@ -135,10 +138,13 @@ def reproduce(
 ) -> dict[str, Any]:
     """Compute the figures, write their files and the report, as HTML and JSON, into `folder`; returns the report.
 
-    It is written anew after each figure. Figures that it has already, of the same effort and version, are not
-    computed again; with `force` all are. tell : hears a line about each figure that is done. title : whether words
-    stand above the figures, or letters alone above their panels.
-    Ctrl-C ends it early: what is done is kept, and "missing" names the rest.
+    The report is written after each figure. Figures that it has already, of the same effort and version, are not
+    computed again, unless with `force`. Ctrl-C ends it early: finished figures are kept, and "missing" names the
+    others.
+
+    tell : called with a line about each finished figure.
+    title : put titles above figures; else panels have letters alone.
+
     Raises InputError or FileError before anything is computed.
     """
     chosen = choose_figures(names)
@@ -170,7 +176,7 @@ def _files(name: str, folder: Path) -> list[Path]:
 
 
 def _standing(folder: Path, effort: Effort) -> dict[str, Any]:
-    """The report that a folder has: figures and those missing. FileError if its effort or version differ."""
+    """Return the report that a folder has: figures and those missing. FileError if its effort or version differ."""
     path = folder / "report.json"
     if not path.exists():
         return {"figures": {}, "missing": []}
@@ -200,7 +206,7 @@ def _write(folder: Path, effort: Effort, done: dict[str, Any], missing: Sequence
 
 
 def _computed(name: str, folder: Path, effort: Effort, title: bool) -> dict[str, Any]:
-    """A figure as plain data, with the wall and the processor time that it took."""
+    """Return a figure as plain data, with the wall and the processor time that it took."""
     began, processor = time.perf_counter(), time.process_time()
     claims = FIGURES[name].reproduce(folder, effort, title)
     return {
@@ -213,13 +219,13 @@ def _computed(name: str, folder: Path, effort: Effort, title: bool) -> dict[str,
 
 
 def _tally(figure: dict[str, Any]) -> str:
-    """How many claims of a figure have which verdict."""
+    """Return in words how many claims of a figure have which verdict."""
     found = Counter(claim["verdict"] for claim in figure["claims"])
     return ", ".join(f"{number} {verdict}" for verdict, number in found.items()) or "nothing to judge"
 
 
 def describe(folder: Path, effort: Effort, done: dict[str, Any], missing: Sequence[str]) -> dict[str, Any]:
-    """The report as plain data, figures in the order of FIGURES."""
+    """Return the report as plain data, figures in the order of FIGURES."""
     figures = {name: done[name] | {"files": list(map(str, _files(name, folder)))} for name in FIGURES if name in done}
     verdicts = Counter(claim["verdict"] for found in figures.values() for claim in found["claims"])
     return {
@@ -237,7 +243,7 @@ def describe(folder: Path, effort: Effort, done: dict[str, Any], missing: Sequen
 
 
 def _command(names: Sequence[str], effort: Effort) -> str:
-    """The command that gives the same numbers again."""
+    """Return the command that gives the same numbers again."""
     asked = [] if set(names) == set(choose_figures(())) else [name for name in FIGURES if name in names]
     quick = ["--quick"] if effort.quick else []
     return " ".join(

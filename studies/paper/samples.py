@@ -1,4 +1,7 @@
-"""Samples of the studies: followed in time, or computed part by part by the workers of scans, and tables of them."""
+"""Samples of the studies: followed in time, or solved part by part by the workers of scans, and tables of them.
+
+Letters: R samples, T times, N the shape of a lattice.
+"""
 
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
@@ -35,16 +38,16 @@ from taichi_bearings.stages import each
 from .claims import SAMPLES, Effort
 
 TIGHT = StopRule(1e-12)
-STEPS = 1_000_000  # limit; most samples of 3x3x3 are certified within 100 000
+STEPS = 1_000_000  # most time steps; most samples of 3x3x3 are certified within 100 000
 END = 1e-8  # proven gap at which a relaxation has ended
-RIGID_END = 1e-10  # the same without springs
-TIMES = np.append(0.0, np.geomspace(1e-6, 1e2, 601))  # at which the power is written down
+RIGID_END = 1e-10  # proven gap at which a relaxation without springs has ended
+TIMES = np.append(0.0, np.geomspace(1e-6, 1e2, 601))  # at which the power is recorded
 SPARE = 0.7  # share of the free memory that workers may take
-SAME = 1e-6  # relative difference up to which two powers count as the same
+SAME = 1e-6  # relative difference up to which two powers are taken for equal
 HERE = Path(__file__).resolve()
 SCANS = next(filter(Path.is_dir, (HERE.parent / "scans", HERE.parents[2] / "examples/studies")))  # in a wheel, or not
-LEAST_SEEDS = 4  # of a scan
-ANY = RunSettings(threads=1)
+LEAST_SEEDS = 4  # least number of seeds of a scan
+ANY = RunSettings(threads=1)  # of parts that solve no sample in particular
 
 
 class Table:
@@ -58,6 +61,7 @@ class Table:
 
     @classmethod
     def of(cls, rows: Sequence[Mapping[str, Any]]) -> "Table":
+        """Return a table of rows, which all have the same names."""
         return cls({name: [row[name] for row in rows] for name in rows[0]} if rows else {})
 
     def __getattr__(self, name: str) -> np.ndarray:
@@ -68,7 +72,7 @@ class Table:
         return found
 
     def __getitem__(self, chosen: Any) -> "Table":
-        """The samples that a mask or a slice picks."""
+        """Return the samples that a mask or a slice picks."""
         return Table({name: values[chosen] for name, values in self.columns.items()})
 
     def __or__(self, more: Mapping[str, Any]) -> "Table":
@@ -78,29 +82,32 @@ class Table:
         return len(next(iter(self.columns.values()), ()))
 
     def by(self, name: str, key: str = "side") -> dict[Any, np.ndarray]:
-        """A column by the values of another one, which rise."""
+        """Return a column split by the values of another one (`key`), which rise."""
         own = self.columns[key]
         return {value.item(): self.columns[name][own == value] for value in np.unique(own)}
 
     def only(self, names: str) -> dict[str, list[Any]]:
-        """Some columns as lists of plain numbers. names : with spaces between."""
+        """Return some columns as lists of plain numbers. names : with spaces between."""
         return {name: self.columns[name].tolist() for name in names.split()}
 
     def write(self, path: Path) -> None:
-        """Its columns of one number a sample, as CSV."""
+        """Write the columns of one number a sample as CSV."""
         flat = {name: values.tolist() for name, values in self.columns.items() if values.ndim == 1}
         write_csv(path, list(flat), zip(*flat.values(), strict=True))
 
 
 def joined(tables: Mapping[str, Table], key: str) -> Table:
-    """Tables below one another, the name of each in a column of its own."""
+    """Return tables below one another, the name of each in a column `key`."""
     columns = next(iter(tables.values())).columns
     names = [name for name, table in tables.items() for _ in range(len(table))]
     return Table({key: names} | {of: np.concatenate([t.columns[of] for t in tables.values()]) for of in columns})
 
 
 def curves(seeds: Sequence[int], **columns: np.ndarray) -> Table:
-    """Courses of samples below one another, a row a time. columns : (T,) or (T, R), R samples of these seeds."""
+    """Return a table of samples' numbers against time, one row a sample and time.
+
+    seeds : of the R samples. columns : (T,) or (T, R).
+    """
     shape = (len(seeds), len(columns["time"]))
     rows = {name: np.broadcast_to(values.T, shape).ravel() for name, values in columns.items()}
     return Table({"seed": np.repeat(seeds, shape[1])} | rows)
@@ -108,8 +115,12 @@ def curves(seeds: Sequence[int], **columns: np.ndarray) -> Table:
 
 @dataclass(frozen=True)
 class Found:
-    """What a study has found: the tables to write, by the ends of their file names; what draws its figure from its
-    names, as attributes; and these names, of the numbers that its claims are about (see :mod:`.claims`), too."""
+    """What a study has found.
+
+    tables : to be written, by the ends of their file names.
+    draw : draws its figure from `named`, whose names are attributes there.
+    named : values by the names that the figure and its claims use (see :mod:`.claims`).
+    """
 
     tables: Mapping[str, Table]
     draw: Callable[[Any], Figure]
@@ -117,14 +128,17 @@ class Found:
 
 
 def solved(scene: Scene, method: MethodOptions, rule: StopRule = TIGHT, start: str = "linear") -> Solution:
-    """Where a method ends; KeyboardInterrupt if it was stopped before."""
+    """Return where a method ends; KeyboardInterrupt if it was stopped before."""
     return uninterrupted(solve(scene, method.build(), initial_spin(scene, start), rule))
 
 
 @dataclass(frozen=True)
 class Part:
-    """Work that is kept as a whole: `work(*words)` gives valid JSON. work : of a module, so that workers find it.
-    settings : of the sample that it solves, or of none in particular."""
+    """Work whose result is kept as a whole: `work(*words)` returns valid JSON.
+
+    work : a function of a module, so that workers find it.
+    settings : of the sample that it solves, or of none in particular.
+    """
 
     key: str
     work: Callable[..., dict[str, Any]]
@@ -137,10 +151,14 @@ class Part:
 
 
 def computed(parts: Sequence[Part], journal: Path, name: str, workers: int = 0) -> list[dict[str, Any]]:
-    """What each part gives, by so many worker processes, or here if that is one; 0 for as many as samples pay for.
+    """Return what each part gives, computed by worker processes.
 
-    journal : keeps what is done where the study is interrupted, until its end; parts that it has are not computed
-    again. name : of a part. Raises BearingsError if one has no result.
+    journal : file that keeps finished parts; parts that it has are not computed again. It is removed at the study's
+        end.
+    name : of a part, for progress and errors.
+    workers : processes; 1 for none but this one, 0 for as many as the work pays for.
+
+    Raises BearingsError if a part has no result.
     """
     known = read_journal(journal)
     missing = [part for part in parts if part.key not in known]
@@ -162,7 +180,7 @@ def computed(parts: Sequence[Part], journal: Path, name: str, workers: int = 0) 
 def _records(
     parts: Sequence[Part], units: Sequence[tuple[Part, ...]], workers: int
 ) -> Generator[dict[str, Any], None, None]:
-    """A record of each part as it comes."""
+    """Yield a record of each part as it comes."""
     if workers <= 1:
         yield from map(_record, parts)
         return
@@ -176,6 +194,7 @@ def _record(part: Part) -> dict[str, Any]:
 
 
 def _by_worker(unit: Sequence[Part]) -> list[dict[str, Any]]:
+    """Return the records of some parts, in a worker."""
     runtime.start("cpu", "f64", 1)
     records = []
     with one_thread():
@@ -187,22 +206,24 @@ def _by_worker(unit: Sequence[Part]) -> list[dict[str, Any]]:
     return records
 
 
-Numbers = Callable[[Structure], dict[str, Any]]
+Numbers = Callable[[Structure], dict[str, Any]]  # returns the numbers that a study wants of a sample
 
 
 def certified(settings: RunSettings) -> Structure:
-    """Structure of the sample that the settings name, at its certified minimum."""
+    """Return the structure of the sample that the settings name, at its certified minimum."""
     return structure_of(solved(build_scene(settings), InteriorPoint(), StopRule(1e-9)))
 
 
 def measured(chosen: Iterable[RunSettings], numbers: Numbers, journal: Path) -> Table:
-    """`numbers` of the structure of each sample at its certified minimum."""
+    """Return a table of `numbers` of each sample at its certified minimum. journal : see :func:`computed`."""
     return Table.of(computed([Part(sample_key(s), _measure, (s, numbers), s) for s in chosen], journal, "sample"))
 
 
 def planned(scans: Mapping[str, int], effort: Effort) -> Iterator[RunSettings]:
-    """The samples of scans in examples/studies: as many seeds, from `effort.seed` on, as its samples are of the usual
-    ones. scans : name -> largest first side of its samples in the quick form."""
+    """Yield the samples of scans in examples/studies, with a number of seeds in proportion to the effort.
+
+    scans : for each name the largest first side of its samples in the quick form.
+    """
     for name, largest in scans.items():
         path = SCANS / f"{name}.toml"
         usual = read_toml(path)["scan"]["seed"]
@@ -220,8 +241,11 @@ def _measure(settings: RunSettings, numbers: Numbers) -> dict[str, Any]:
 def drawn(
     draw: Callable[..., dict[str, Any]], wanted: Mapping[tuple[Any, ...], int], block: int, seed: int, journal: Path
 ) -> dict[tuple[Any, ...], dict[str, np.ndarray]]:
-    """`draw(*point, samples, seed)` in blocks of small samples, by as many processes as there are cores: its lists put
-    together, as arrays, point by point. wanted : samples of each point, from `seed` on."""
+    """Return what `draw(*point, samples, seed)` gives for many small samples, as arrays by point.
+
+    wanted : number of samples of each point, with seeds from `seed` on. block : samples of one call; calls are shared
+        by as many processes as there are cores. journal : see :func:`computed`.
+    """
     parts = [
         Part("-".join(map(str, (*point, seed + first))), draw, (*point, min(block, count - first), seed + first))
         for point, count in wanted.items()
@@ -236,9 +260,12 @@ def drawn(
     }
 
 
-def told(structure: Structure, *names: str) -> dict[str, Any]:
-    """Numbers of the minimum that studies share, and rows of `bearings analyse` by their names; fractions are of the
-    free spheres. intermediate : share of them that are not locked to a driven plane in all components."""
+def shared_numbers(structure: Structure, *names: str) -> dict[str, Any]:
+    """Return numbers of a minimum that studies share, and numbers of `bearings analyse` by their `names`.
+
+    Fractions are of the free spheres. intermediate : share of them that are not locked to a driven plane in all
+        components.
+    """
     cut, free = structure.interface, structure.network.free
     assert cut is not None  # as a lattice has two planes
     locked = structure.rigid_domains.spheres_of_kind(free)
@@ -259,7 +286,11 @@ def told(structure: Structure, *names: str) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Run:
-    """A relaxation of R samples: time (T,), power (T, R), staggered spins (3, R, *N) at both ends."""
+    """A relaxation of R samples.
+
+    start : spins that it began with. time : (T,). power : (T, R). first, last : staggered spins (3, R, *N) at both
+        ends.
+    """
 
     start: str
     time: np.ndarray
@@ -269,17 +300,20 @@ class Run:
 
     @property
     def ends(self) -> np.ndarray:
-        """(R,), the last power over the first."""
+        """(R,) last power over the first."""
         return np.asarray(self.power[-1] / self.power[0])
 
     @property
     def largest_rise(self) -> np.ndarray:
-        """Height of the power above its lowest value before, at most, over the initial power, (R,)."""
+        """(R,) largest rise of the power above its lowest value before, over the initial power."""
         return np.asarray((self.power - np.minimum.accumulate(self.power)).max(axis=0) / self.power[0])
 
     def distance(self, other: "Run", at: np.ndarray) -> np.ndarray:
-        """Largest difference of the power over the initial one at these times, of each sample that both have, linear
-        between the times of each; what has ended stays as it is."""
+        """Return the largest difference of power / initial power from another relaxation, for each sample that both
+        have.
+
+        at : times that are compared. Powers are linear between recorded times and constant after the last one.
+        """
         own, theirs = (run.power / run.power[0] for run in (self, other))
         pairs = zip(own.T, theirs.T, strict=False)
         return np.array([np.abs(np.interp(at, self.time, p) - np.interp(at, other.time, q)).max() for p, q in pairs])
@@ -290,16 +324,16 @@ def relax(
 ) -> Run:
     """Follow Cundall-Strack dynamics until every sample is certified to END, or for `steps` time steps.
 
-    springs : the paper's by default. times : at which the power is written down.
+    springs : the paper's by default. times : at which the power is recorded.
 
-    Rigid friction is a steepest descent of the power F_n sum mu |v|; these contacts are not: one that holds by its
-    spring and damper creeps at up to mu F_n / A_t, so the power can rise by as much as this creep is worth.
+    Rigid friction is a steepest descent of the power F_n sum mu |v|. These contacts are not rigid: one that holds by
+    its spring and damper creeps at up to mu F_n / A_t, so the power can rise by as much as this creep is worth.
     """
     return _followed(scene, start, springs or CundallStrack(), StopRule(END, steps), Recording(history=times))
 
 
 def relax_rigidly(scene: Scene, start: str) -> Run:
-    """Follow the rigid limit until every sample is certified to RIGID_END; the power is written down at every step."""
+    """Follow the rigid limit until every sample is certified to RIGID_END; the power is recorded at every step."""
     return _followed(scene, start, RigidLimit(), StopRule(RIGID_END), Recording())
 
 
@@ -311,10 +345,10 @@ def _followed(scene: Scene, start: str, method: MethodOptions, rule: StopRule, r
 
 
 def minima_of(scene: Scene) -> Table:
-    """Least powers with their bounds and spins by the interior-point method, and the powers of the minimum cuts.
+    """Return least powers with bounds and spins by the interior-point method, and the powers of the minimum cuts.
 
-    below_cut : some spins are proven to dissipate less than any two domains. cut_is_minimum : no spins dissipate less
-    than the minimum cut by more than SAME; proven.
+    below_cut : True where some spins are proven to dissipate less than any two rigid domains. cut_is_minimum : True
+        where no spins dissipate less than the minimum cut by more than SAME; proven.
     """
     solution, cut = solved(scene, InteriorPoint(settle=False), StopRule(1e-10)), cut_of(scene)
     unit = scene.normal_force * scene.lattice.radius * scene.jump

@@ -1,9 +1,9 @@
 """The supplement's distribution of power over the contacts of 32x32x32 spheres: the certified one beside the descent's.
 
-At the minimum a contact slips or rests, and which does is proven. A descent that has not ended lets all of them slip a
-little, so its histogram has decades that are not there at the minimum. Here the states of the minimum tell how many of
-the contacts in each decade of the descent really slip. The range of the minimum itself is proven, too: every slip is
-enclosed (proof/curvature.py), so the smallest and the largest power are.
+At the minimum a contact slips or it does not, and which of both is proven. A descent that has not ended lets all of
+them slip a little, so its histogram has decades that are not there at the minimum. The states of the minimum show how
+many of the contacts in each decade of the descent really slip. The range of the minimum itself is proven, too: every
+slip is enclosed (proof/curvature.py), so the smallest and the largest power are.
 """
 
 import zlib
@@ -30,9 +30,9 @@ from .samples import Found, Part, Table, computed, joined, solved
 
 SHAPE, SPIN_BOTTOM = (32, 32, 32), 0.1
 SHARE_OF_SAMPLES = 0.04
-PAPER_ITERATIONS = 1_000_000
+PAPER_ITERATIONS = 1_000_000  # of the paper's descent
 ITERATIONS, QUICK_ITERATIONS = (10_000, 100_000, PAPER_ITERATIONS), (10_000, 100_000)
-BUDGET, QUICK_BUDGET = 1500.0, 90.0  # seconds of a descent
+BUDGET, QUICK_BUDGET = 1500.0, 90.0  # most seconds of a descent
 BINS_PER_DECADE = 5
 POWER = r"power, $P_e\,/\,(F_n R\,\omega_T)$"
 COUNT = "contacts per bin"
@@ -40,11 +40,12 @@ COUNT = "contacts per bin"
 
 @dataclass(frozen=True)
 class Ending:
-    """Where a method has ended in one sample, of the n contacts that can slip.
+    """Where a method has ended in one sample, for the n contacts that can slip.
 
-    power : (n,), over F_n R omega_T. slips : (n,), whether it does at the minimum (certified) or moves at all
-    (descent). iterations : done. slip_error : share by
-    which any slip differs from that of the minimum at most, proven; None where that is not known.
+    power : (n,) over F_n R omega_T.
+    slips : (n,) True if the contact slips at the minimum, or of a descent moves at all.
+    total : power of all contacts. iterations : made.
+    slip_error : proven: no slip differs from that of the minimum by a larger share; None where that is not known.
     """
 
     power: np.ndarray
@@ -61,13 +62,13 @@ class Ending:
 
     @property
     def central_decades(self) -> float:
-        """The same without the lowest and the highest twentieth of them."""
+        """Orders of magnitude of the power of contacts that slip, without their lowest and highest twentieth."""
         low, high = np.quantile(np.log10(self.power[self.slips]), (0.05, 0.95))
         return float(high - low)
 
 
 def study(folder: Path, effort: Effort) -> Found:
-    """Descents of the first sample, and the minima of some."""
+    """Follow descents of the first sample, and find the minima of some."""
     lengths, budget = (QUICK_ITERATIONS, QUICK_BUDGET) if effort.quick else (ITERATIONS, BUDGET)
     parts = [Part(f"descent-{length}", descended, (effort.seed, length, budget)) for length in lengths]
     seeds = effort.seeds(max(1, int(SHARE_OF_SAMPLES * effort.samples)))
@@ -82,8 +83,10 @@ def study(folder: Path, effort: Effort) -> Found:
 
 
 def names_of(descents: Sequence[Ending], minima: Sequence[Ending]) -> dict[str, Any]:
-    """What the claims name; proven : minima of which every slip is enclosed. Of others the smallest slips may be the
-    method's."""
+    """Return the values that the claims use, by name.
+
+    proven : minima of which every slip is enclosed. The smallest slips of the others may be the method's errors.
+    """
     return {
         "descents": descents, "descent": descents[-1] if descents else None, "minima": minima, "minimum": minima[0],
         "decade": by_decade(descents[-1], minima[0]) if descents else None, "paper_iterations": PAPER_ITERATIONS,
@@ -96,14 +99,16 @@ def scene_of(seed: int) -> Scene:
 
 
 def descended(seed: int, iterations: int, seconds: float) -> dict[str, Any]:
-    """The paper's method: descent without momentum, from random spins, for so many iterations or so long."""
+    """Return the end of the paper's method: descent without momentum, from random spins, for so many iterations or
+    so long.
+    """
     rule = StopRule(1e-12, iterations, seconds)
     ended = solved(scene_of(seed), GradientDescent(momentum=False), rule, "random")
     return _ending(ended, lambda power, _: power > 0, None)
 
 
 def minimum(seed: int) -> dict[str, Any]:
-    """The certified minimum, with the states of its contacts."""
+    """Return the certified minimum, with the states of its contacts."""
     solution = solved(scene_of(seed), InteriorPoint(), StopRule(1e-9))
     return _ending(solution, lambda _, state: state == ContactState.SLIPPING, largest_slip_error(solution))
 
@@ -111,7 +116,7 @@ def minimum(seed: int) -> dict[str, Any]:
 def _ending(
     solution: Solution, slips: Callable[[np.ndarray, np.ndarray], np.ndarray], slip_error: float | None
 ) -> dict[str, Any]:
-    """An Ending as plain numbers."""
+    """Return an Ending as plain numbers. slips : says of power and state of contacts which of them slip."""
     scene = of_lattice(solution.scene)
     free = ~scene.lattice.between_driven
     power, state = solution.power_per_contact[0, free], solution.state[0, free]
@@ -122,16 +127,21 @@ def _ending(
 
 
 def packed(values: np.ndarray) -> str:
-    """Numbers as a text: as digits those of 32x32x32 spheres would be too long for a line of a journal."""
+    """Return numbers as a compressed text: those of 32x32x32 spheres would be too long for a line of a journal as
+    digits.
+    """
     return b64encode(zlib.compress(values.tobytes())).decode()
 
 
 def unpacked(text: str, kind: type) -> np.ndarray:
+    """Return the numbers of a text that `packed` has made."""
     return np.frombuffer(zlib.decompress(b64decode(text)), kind)
 
 
 def largest_slip_error(solution: Solution) -> float | None:
-    """Share by which any slip differs from that of every minimum at most; None where the states are not proven."""
+    """Return the largest share by which a slip can differ from that of every minimum; None where states are not
+    proven.
+    """
     if not solution.states_proven.all():
         return None
     judgement = judged(of_lattice(solution.scene), solution.spin, solution.spin_rounding, solution.friction)
@@ -144,8 +154,11 @@ def largest_slip_error(solution: Solution) -> float | None:
 
 
 def by_decade(descent: Ending, minimum: Ending) -> Table:
-    """From the lowest to the highest decade of a descent: its contacts with powers in [10^exponent, 10^(exponent + 1)),
-    how many of them slip at the minimum, and the contacts that slip there with such powers."""
+    """Return the contacts of a descent by the decade of their power, from the lowest to the highest.
+
+    contacts : with powers in [10^exponent, 10^(exponent + 1)). slipping : those of them that slip at the minimum.
+    at_minimum : contacts that slip with such powers at the minimum.
+    """
     of_contact, of_minimum = (_exponents(ending.power, ending.slips) for ending in (descent, minimum))
     used = of_contact[descent.slips]
     exponent = np.arange(used.min(), used.max() + 1)
@@ -160,14 +173,15 @@ def by_decade(descent: Ending, minimum: Ending) -> Table:
 
 
 def _exponents(power: np.ndarray, slips: np.ndarray) -> np.ndarray:
-    """Decade of each contact; a number below all others where it does not slip."""
+    """Return the decade of each contact; a number below all others where it does not slip."""
     return np.floor(np.log10(power, out=np.full(len(power), -9999.0), where=slips)).astype(int)
 
 
 @in_our_style
 def draw_decades(of: Any) -> Figure:
-    """(a) histograms of the minimum and of the descents; (b) the longest descent, and which of its contacts rest at the
-    minimum; (c) power by power, of those that slip."""
+    """Draw (a) histograms of the minimum and of the descents; (b) the longest descent, and which of its contacts do not
+    slip at the minimum; (c) power by power, of those that slip.
+    """
     figure = new_figure(7.1, 2.6)
     panels: Any = figure.subplots(1, 3)
     slips, longest, descents = of.minimum.slips, of.descent.power, of.descents

@@ -25,30 +25,32 @@ from taichi_bearings.scene.scene import of_lattice
 from .claims import Effort
 from .drawing import draw_deviations, draw_growth, draw_means, mean_and_error, name_sizes
 from .fits import exponent
-from .samples import Found, Table, drawn, measured, planned, told
+from .samples import Found, Table, drawn, measured, planned, shared_numbers
 
-SIDEWAYS = 0.5**0.5  # weight of a contact along x or y over that of one along z: of a jump along x + y
+SIDEWAYS = 0.5**0.5  # weight of a contact along x or y over that of one along z, for a jump along x + y
 ROUGHNESS, ENERGY = 0.41, 0.84  # zeta and theta of surfaces
 HELD = 1e3  # friction that a held cut cannot cross
-HEIGHT = 6.0  # of lattices that are cut, over L^ROUGHNESS: what a cut feels of it is the same for all L, as heights go
+HEIGHT = 6.0  # of lattices that are cut, over L^ROUGHNESS, so that it confines cuts of all sizes alike
 PAPER_LOWEST = 0.1  # the paper's friction is uniform in [0.1, 1]
 BLOCK = 10  # cuts that are drawn together
-SIZES = {  # lowest friction -> L of cuts -> of the samples
+SIZES = {  # by lowest friction and by L of the cuts, samples for each sample of the effort
     0.0: {8: 40.0, 12: 40.0, 16: 40.0, 24: 40.0, 32: 15.0, 48: 2.5, 64: 0.75, 96: 0.1},
     0.1: {8: 2.0, 16: 2.0, 32: 1.0, 64: 0.25},
     0.2: {8: 2.0, 16: 2.0, 32: 1.0},
     0.3: {8: 2.0, 16: 2.0, 32: 1.0},
 }
 QUICK_SIZES = {0.0: {6: 10.0, 8: 10.0, 12: 10.0, 16: 10.0, 24: 5.0}, 0.1: {8: 5.0, 16: 5.0}, 0.3: {8: 5.0, 16: 5.0}}
-SCANS = {"surfaces": 8, "surfaces-large": 8, "surfaces-largest": 8}  # of minima -> largest side in the quick form
+SCANS = {"surfaces": 8, "surfaces-large": 8, "surfaces-largest": 8}  # scans of minima: largest side in the quick form
 
 
 def cuts(length: int, lowest: float, samples: int, seed: int) -> dict[str, Any]:
-    """Weights of the minimum cuts between the planes of L x L spheres, periodic in both, that pass through one contact
-    in the middle, in units of the largest friction, and the variance of their height within a sample.
+    """Return weights of minimum cuts between the planes of L x L spheres, and the variance of their height within a
+    sample.
 
-    Friction is uniform in [lowest, 1]. A free cut takes the lightest of many surfaces, of fewer the rougher they are,
-    which changes the law up to large sizes; a held one pays for each layer by which it leaves its contact in a spike.
+    The lattice is periodic in both sides, and the cut is held: it passes through one contact in the middle. Weights are
+    in units of the largest friction, which is uniform in [lowest, 1]. A free cut would be the lightest of many
+    surfaces, of fewer the rougher they are, which changes the law up to large sizes; a held one pays for each layer by
+    which it leaves its contact in a spike.
     """
     middle = round(HEIGHT / 2 * length**ROUGHNESS)
     rng = np.random.default_rng([seed, length, round(1000 * lowest)])
@@ -61,22 +63,24 @@ def cuts(length: int, lowest: float, samples: int, seed: int) -> dict[str, Any]:
 
 
 def numbers_of(structure: Structure) -> dict[str, Any]:
-    """The minimum of a sample in numbers; power, cut : least power and that of the minimum cut, over F_n R omega_T.
-    layers : in how many layers the spin changes, one over the sum of the squares of the shares that each has in the
-    change of the mean staggered spin."""
+    """Return the minimum of a sample in numbers.
+
+    power, cut : least power and that of the minimum cut, over F_n R omega_T. layers : in how many layers the spin
+        changes, 1 / sum of share^2, where each layer has a share in the change of the mean staggered spin.
+    """
     scene, cut = of_lattice(structure.scene), structure.interface
     assert cut is not None  # as a lattice has two planes
     unit = scene.normal_force * scene.lattice.radius * scene.jump
     spin = scene.staggered_spin(structure.spin[None], scene.minimum_spin_axes)[:, 0]
     share = np.diff(spin.mean(axis=(0, 1, 2)))
-    return told(structure) | {
+    return shared_numbers(structure) | {
         "height": scene.lattice.shape[2], "power": structure.power / unit, "cut": cut.power / unit,
         "layers": float(share.sum() ** 2 / (share**2).sum()),
     }  # fmt: skip
 
 
 def study(folder: Path, effort: Effort) -> Found:
-    """Surfaces by their size and the lowest friction, and minima by side and height."""
+    """Find surfaces by their size and the lowest friction, and minima by side and height."""
     sizes = QUICK_SIZES if effort.quick else SIZES
     wanted = {
         (L, lowest): max(BLOCK, round(part * effort.samples)) for lowest, of in sizes.items() for L, part in of.items()
@@ -103,15 +107,16 @@ def study(folder: Path, effort: Effort) -> Found:
 
 
 def row_of(point: tuple[int, float], found: Mapping[str, np.ndarray]) -> dict[str, Any]:
-    """Cuts in numbers: of each quantity the mean and the standard deviation over the samples."""
+    """Return a point in numbers: mean and standard deviation of each quantity over the samples."""
     row = {"side": point[0], "lowest_friction": point[1], "samples": len(found["weight"])}
     return row | {f"{how}_{name}": getattr(of, how)() for name, of in found.items() for how in ("mean", "std")}
 
 
 @in_our_style
 def draw_surfaces(of: Any) -> Figure:
-    """(a) standard deviation of the weight of cut surfaces, (b) their width by the lowest friction, against the side;
-    (c) standard deviations of the least power and of that of the cut, (d) layers in which the spin changes, of minima.
+    """Draw, against the side, (a) standard deviation of the weight of cut surfaces, (b) their width by the lowest
+    friction, (c) standard deviations of the least power and of that of the cut, (d) layers in which the spin of minima
+    changes.
     """
     weight, theta, zeta, flat, cubes, towers = of.weight, of.theta, of.zeta, of.flat, of.cubes, of.towers
     figure = new_figure(7.1, 5.0)

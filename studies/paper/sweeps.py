@@ -1,9 +1,11 @@
 """Shortest paths across grids of faces, many grids at once: sweeps over the columns until no distance falls.
 
-A step leads from a face to one beside it and costs the weight of the contact that it crosses. A column takes what its
-neighbour offers, then what its own faces offer each other up and down; columns whose neighbours have not changed are
-passed over. A path that turns back n times takes n sweeps, and a lightest one seldom turns back: some ten times as fast
-as a queue of faces (numerics/planar/paths.py), but in floating point, so without proof.
+A step leads from a face to one beside it and costs the weight of the contact that it crosses. A column takes shorter
+distances from its neighbour, then its own faces from each other, up and down; columns whose neighbours have not changed
+are skipped. A path that reverses its direction n times takes n sweeps, and a lightest one seldom does: this is some ten
+times as fast as a queue of faces (numerics/planar/paths.py), but in floating point, so without proof.
+
+Letters: B grids, w columns, h rows.
 """
 
 # mypy: ignore-errors
@@ -15,11 +17,11 @@ from taichi_bearings.compiler import ti
 
 WEIGHTS = ti.types.ndarray(dtype=ti.f64, ndim=3)
 CHANGES = ti.types.ndarray(dtype=ti.i32, ndim=2)
-TO_THE_RIGHT, TO_THE_LEFT = 1, 2  # of changes of a column that its neighbours there have not seen
+TO_THE_RIGHT, TO_THE_LEFT = 1, 2  # bits: the neighbour on that side has not seen the last change of a column
 
 
 def from_left(sideways: np.ndarray, upward: np.ndarray) -> np.ndarray:
-    """Distances (B, w, h - 1) of the left outside, which is column 0, and of the faces between columns of B grids.
+    """Return the distances (B, w, h - 1) of faces from the left outside, which is column 0, for B grids.
 
     sideways, upward : weights (B, w - 1, h) and (B, w, h - 1), none negative; those of the end rows take no part.
     """
@@ -32,8 +34,10 @@ def from_left(sideways: np.ndarray, upward: np.ndarray) -> np.ndarray:
 
 
 def crossings(sideways: np.ndarray, upward: np.ndarray, column: int) -> np.ndarray:
-    """Length (B, h - 1) of the shortest path from the left to the right outside that crosses each contact of a column
-    between the first and the last."""
+    """Return the length (B, h - 1) of the shortest path from outside to outside across each contact of a column.
+
+    column : between the first and the last.
+    """
     left = from_left(sideways, upward)[:, column]
     right = from_left(sideways[:, ::-1], upward[:, ::-1])[:, -1 - column]
     return np.asarray(left + upward[:, column] + right)
@@ -61,7 +65,7 @@ def _arrive(
     grid: int, column: int, beside: int, contact: int,
     found: ti.template(), inner: ti.template(), upward: ti.template(), unseen: ti.template(),
 ) -> int:  # fmt: skip
-    """Take what the column beside offers across upward contacts; 1 if that is less for some face."""
+    """Relax the distances of a column through its neighbour, then up and down the column; 1 if any became shorter."""
     rows, nearer = found.shape[2], 0
     for row in range(rows):
         way = found[grid, beside, row] + upward[grid, contact, row]

@@ -5,10 +5,10 @@ Equal coefficients, or two values, leave minima that tie; then the slipless netw
 and it is not judged.
 
 In staggered spins the planes are held at two constant vectors, and P depends on differences alone. So only the jump
-between them counts, its length is a factor of P, and mirrors turn the sign of each component. Its component along the
-height drops out: contacts across the layers do not feel it, so it may change from layer to layer at no cost. What is
-left is |d_x| : |d_y|, one angle from 0 to 90 degrees. Bearing states A + C x have a fourth number, C: where that of
-both planes differs, the jump varies over the plane.
+between them matters, its length is a factor of P, and mirrors change the sign of each component. Its component along
+the height drops out: contacts across the layers do not depend on it, so it may change from layer to layer at no cost.
+What is left is |d_x| : |d_y|, one angle from 0 to 90 degrees. Bearing states A + C x have a fourth number, C: where
+that of both planes differs, the jump varies over the plane.
 """
 
 from collections.abc import Callable, Mapping
@@ -27,16 +27,16 @@ from taichi_bearings.scene.scene import of_lattice
 from .claims import Effort, Share
 from .drawing import draw_row
 from .network import BULK, PRACTICALLY_ALL
-from .samples import Found, Table, joined, measured, told
+from .samples import Found, Table, joined, measured, shared_numbers
 
 Variants = Mapping[str, Mapping[str, Any]]
-"""Name -> settings of a run."""
+"""Settings of a run, by the name of the variant."""
 SPREAD = ("uniform:0.1,1", "uniform:0.5,1", "uniform:0.9,1", "lognormal:0.4,1", "power-law:0.001,1,-1")
 """Distributions whose values all differ; the first is the paper's."""
 TIED = ("bimodal:0.1,1,0.5",)
 EQUAL = "constant:0.5"
 SHARE_OF_SAMPLES = 0.25
-MOST_SAMPLES = 10  # of each driving
+MOST_SAMPLES = 10  # most samples of each driving
 REFERENCE = "axis (1, 1, 0), omega_B = 0"
 SAME: Variants = {  # the same problem, rescaled, shifted or mirrored
     "omega_B = 0.1 omega_T": {"spin_bottom": 0.1},
@@ -59,7 +59,7 @@ DRIVINGS: Variants = {REFERENCE: {}, **SAME, **OTHER, HEIGHT: {"direction": (0.0
 
 
 def distributions(folder: Path, effort: Effort) -> Found:
-    """Certified samples of each distribution."""
+    """Find certified samples of each distribution."""
     variants = {name: {"distribution": name} for name in (*SPREAD, *TIED, EQUAL)}
     seeds = effort.seeds(max(1, int(SHARE_OF_SAMPLES * effort.samples)))
     found = samples_of(variants, seeds, spread_numbers, folder / "distributions.jsonl")
@@ -67,7 +67,7 @@ def distributions(folder: Path, effort: Effort) -> Found:
 
 
 def drivings(folder: Path, effort: Effort) -> Found:
-    """Certified samples under each driving."""
+    """Find certified samples under each driving."""
     seeds = effort.seeds(max(1, min(MOST_SAMPLES, effort.samples // 4)))
     tables = samples_of(DRIVINGS, seeds, driven_numbers, folder / "drivings.jsonl")
     found = beside_reference(tables)
@@ -77,28 +77,35 @@ def drivings(folder: Path, effort: Effort) -> Found:
 def samples_of(
     variants: Variants, seeds: range, numbers: Callable[[Structure], dict[str, Any]], journal: Path
 ) -> dict[str, Table]:
-    """Numbers of the certified cubes of each variant, of the same seeds, by its name."""
+    """Return numbers of the certified cubes of each variant, of the same seeds, by its name."""
     chosen = [RunSettings(shape=(BULK,) * 3, seed=seed, **variant) for variant in variants.values() for seed in seeds]
     found, each = measured(chosen, numbers, journal), len(seeds)
     return {name: found[each * number : each * (number + 1)] for number, name in enumerate(variants)}
 
 
 def spread_numbers(structure: Structure) -> dict[str, Any]:
-    """decades : of power of the contacts that slip, None where that is not proven."""
+    """Return the numbers of one sample.
+
+    decades : of power of the contacts that slip; None where it is not proven which do.
+    """
     scene = structure.scene
     power = scene.law.power(scene.material, structure.slip[None])[0][structure.state == ContactState.SLIPPING]
     power = power[power > 0]
     decades = float(np.log10(power.max() / power.min())) if structure.states_proven else None
-    return told(structure) | {"decades": decades}
+    return shared_numbers(structure) | {"decades": decades}
 
 
 def driven_numbers(structure: Structure) -> dict[str, Any]:
-    """slipless : 1 for each such contact. power_over_jump : over F_n R times the jump across the height (times the jump
-    itself where it has no such part). angle : of the jump, degrees from x."""
+    """Return the numbers of one sample.
+
+    slipless : 1 for each slipless contact. power_over_jump : power over F_n R times the jump across the height (or the
+        jump
+    itself where it has no such part). angle : of the jump, degrees from x.
+    """
     scene = of_lattice(structure.scene)
     jump = np.abs(scene.driving.difference.spin[0])
     unit = scene.normal_force * scene.lattice.radius * (np.hypot(*jump[:2]) or np.linalg.norm(jump))
-    return told(structure) | {
+    return shared_numbers(structure) | {
         "slipless": structure.network.slipless.astype(int).tolist(),
         "power_over_jump": float(structure.power / unit),
         "angle": float(np.degrees(np.arctan2(jump[1], jump[0]))),
@@ -106,8 +113,10 @@ def driven_numbers(structure: Structure) -> dict[str, Any]:
 
 
 def names_of_distributions(found: Mapping[str, Table]) -> dict[str, Any]:
-    """What the claims name; judged : samples whose contact states are proven, of the distributions whose values all
-    differ."""
+    """Return the values that the claims use, by name.
+
+    judged : samples whose contact states are proven, of the distributions whose values all differ.
+    """
     return {
         "bulk": BULK, "practically": PRACTICALLY_ALL, "paper_name": SPREAD[0],
         "equal_name": EQUAL, "equal": found[EQUAL], "all": found,
@@ -129,7 +138,7 @@ def beside_reference(tables: Mapping[str, Table]) -> dict[str, Table]:
 
 
 def names_of_drivings(found: Mapping[str, Table]) -> dict[str, Any]:
-    """What the claims name: tables by driving, of those that are the same problem, of other axes, of other C."""
+    """Return the values that the claims use, by name: drivings that are the same problem, of other axes, of other C."""
     return {
         "bulk": BULK, "reference": found[REFERENCE], "seeds": found[REFERENCE].seed, "height": found[HEIGHT],
         "same": {name: found[name] for name in SAME}, "other": {name: found[name] for name in OTHER},
@@ -139,7 +148,7 @@ def names_of_drivings(found: Mapping[str, Table]) -> dict[str, Any]:
 
 @in_our_style
 def draw_distributions(of: Any) -> Figure:
-    """P_min / P_cut, samples that span, slipless contacts and decades of power, a row a distribution."""
+    """Draw P_min / P_cut, samples that span, slipless contacts and decades of power, a row a distribution."""
     figure = new_figure(7.1, 2.5)
     panels: Any = figure.subplots(1, 4, sharey=True)
     rows = range(len(of.all), 0, -1)
@@ -161,8 +170,10 @@ def draw_distributions(of: Any) -> Figure:
 
 @in_our_style
 def draw_drivings(of: Any) -> Figure:
-    """(a) share of the slipless contacts that two axes have in common, (b) P_min / P_cut; both against the angle, and
-    (c) that share with and without C, against C: dots are samples, the line is their mean."""
+    """Draw (a) share of the slipless contacts that two axes have in common, (b) P_min / P_cut; both against the angle.
+
+    (c) is that share with and without C, against C. Dots are samples, the line is their mean.
+    """
     figure = new_figure(7.1, 2.5)
     panels: Any = figure.subplots(1, 3)
     by_angle = sorted((of.reference, *of.other.values()), key=lambda table: float(table.angle[0]))

@@ -1,15 +1,15 @@
 """The yield surface: which torques a frustrated bearing holds, over the directions in which its top can be driven.
 
-The top turns in the bearing state a + c (x - x_0) / rho, the bottom rests: a lies in the plane, x_0 is the middle of
+The top rotates in the bearing state a + c (x - x_0) / rho, the bottom rests: a lies in the plane, x_0 is the middle of
 the top and rho the root mean square distance from it, so that |(a, c)| is that of the jump. The least power P(a, c) is
 convex and homogeneous of degree one: the support function of a convex set, of all torques (T_x, T_y, T_c) that forces
 in balance within their friction can hold (plastic limit analysis: Andersen, Christiansen, Conn, Overton 1998; the set
 of Moreau's sweeping process). A torque that drives is a subgradient of P (normality), and P = torque . (a, c). The set
 lies between the proven torques and the proven half-spaces T . (a, c) <= P.
 
-About x alone no layer y = const is told what to do: together they carry any T_y up to some t, the yield torque about y
-beside a top that turns about x. So the surface has flat parts there, of the width 2 t, and t < P(y) is how much crossed
-driving weakens. Where top and bottom differ in both components in each layer the torque is unique (see
+Driven about x alone, no layer y = const is driven: together these layers carry any T_y up to some t, the yield torque
+about y beside a top that rotates about x. So the surface has flat parts there, of the width 2 t, and t < P(y) is how
+much crossed driving weakens. Where top and bottom differ in both components in each layer the torque is unique (see
 analysis/structure), so the surface has no flat part there.
 """
 
@@ -33,32 +33,32 @@ from .drawing import draw_means, name_sizes
 from .fits import exponent, limit
 from .samples import Found, Part, Table, computed, solved
 
-SHARES = {4: 1.0, 6: 1.0, 8: 0.5, 12: 0.25, 16: 0.25, 24: 0.05}  # side of the cube -> of the samples
+SHARES = {4: 1.0, 6: 1.0, 8: 0.5, 12: 0.25, 16: 0.25, 24: 0.05}  # by side of the cube, share of the effort's samples
 QUICK_SIDES = (4, 6, 8)
-FEWEST = 5  # samples of a side, so that their spread is known
-BESIDE = 1e-4  # what turns beside a direction, as a share, so that the torque is at the end of a flat part
+FEWEST = 5  # least samples of a side, so that their spread is known
+BESIDE = 1e-4  # relative rotation about a second direction, so that the torque is at the end of a flat part
 SLOPES = (0.0, BESIDE, 0.1, 0.25, 0.5, 1.0)
 PLANE = [(1.0, slope, 0.0) for slope in SLOPES] + [(slope, 1.0, 0.0) for slope in reversed(SLOPES[:-1])]
 DILATING = [(1.0, 0.0, c) for c in (BESIDE, 0.5, 1.0)] + [(a, 0.0, 1.0) for a in (0.5, BESIDE, 0.0)]
 DIRECTIONS = PLANE + DILATING  # (a_x, a_y, c), by their angles
 PROVEN_GAP = StopRule(1e-10)
-SHOWN = 3  # sizes of which the surface is drawn
+SHOWN = 3  # number of sizes whose surface is drawn
 
 
 def offsets(side: int) -> np.ndarray:
-    """Places of layers from the middle of the top, over the root mean square distance of its spheres, (side,)."""
+    """Return places (side,) of layers from the middle of the top, over the root mean square distance of its spheres."""
     return (np.arange(side) - (side - 1) / 2) / ((side**2 - 1) / 6) ** 0.5
 
 
 def settings_of(side: int, seed: int, direction: tuple[float, float, float]) -> RunSettings:
-    """The sample of this seed, its top driven in the direction."""
+    """Return the settings of the sample of this seed, its top driven in the direction (a_x, a_y, c)."""
     a_x, a_y, c = direction
     first, rate = offsets(side)[0] * c, np.diff(offsets(side))[0] * c  # the spacing is 1
     return RunSettings(shape=(side,) * 3, seed=seed, top=(a_x + first, a_y + first, 0.0, rate), bottom=(0.0,) * 4)
 
 
 def held(settings: RunSettings) -> dict[str, Any]:
-    """Least power and its bound, energy/time, and the torque (T_x, T_y, T_c) of the forces that prove it."""
+    """Return least power and its bound, energy/time, and the torque (T_x, T_y, T_c) of the forces that prove it."""
     scene = build_scene(settings)
     structure = structure_of(solved(scene, InteriorPoint(settle=False), PROVEN_GAP))
     force = staggered_forces(structure.answer.friction, scene.lattice, scene.minimum_spin_axes)[:, 0]
@@ -71,7 +71,7 @@ def held(settings: RunSettings) -> dict[str, Any]:
 
 
 def study(folder: Path, effort: Effort) -> Found:
-    """Samples of all sizes under all directions."""
+    """Solve samples of all sizes under all directions."""
     shares = {side: share for side, share in SHARES.items() if not effort.quick or side in QUICK_SIDES}
     points = [
         (side, seed)
@@ -90,16 +90,19 @@ def study(folder: Path, effort: Effort) -> Found:
 
 
 def names_of(points: np.ndarray, power: np.ndarray, torque: np.ndarray) -> dict[str, Any]:
-    """What figure and claims name, by side where samples are. points : side and seed of the samples, (n, 2). power,
-    torque : (n, directions) and (n, directions, 3).
+    """Return the values that figure and claims use, by name; those of samples by side.
 
-    above : work of each torque in each direction over the least power there, less 1, at most. apart : P and torque .
-    direction of the same, relative, at most. crossed : share of the yield torque about y that is left beside a top that
-    turns about x, and the other way round, their mean. square : P(1, 1) over P(1, 0) + P(0, 1); circle : over the root
-    of the sum of their squares. steps : what T_x changes by where a little turn about x is added to c, over P(c).
-    per_area : P over F_n R L^2 |(a, c)|. body : of the means, over F_n R L^2, P and torques.
-    fading, squaring : Exponent of what is missing of crossed and of square, A L^(2 value). square_limit, limits_of :
-    Limit of square and of per_area.
+    points : (n, 2) side and seed of the samples. power, torque : (n, directions) and (n, directions, 3).
+
+    above : largest excess of the work of a torque in a direction over the least power there, relative.
+    apart : largest relative difference of P and torque . direction, in the torque's own direction.
+    crossed : share of the yield torque about y that is left beside a top that rotates about x; mean with x and y
+        exchanged.
+    square : P(1, 1) over P(1, 0) + P(0, 1). circle : the same power over the root of the sum of their squares.
+    steps : change of T_x where a little rotation about x is added to c, over P(c).
+    per_area : P over F_n R L^2 |(a, c)|. body : means of P and of torques, over F_n R L^2.
+    fading, squaring : Exponent of 1 - crossed and of 1 - square, A L^(2 value).
+    square_limit, limits_of : Limit of square and of per_area.
     """
     at, settings = {direction: k for k, direction in enumerate(DIRECTIONS)}, RunSettings()
     unit = settings.normal_force * settings.radius * points[:, 0] ** 2
@@ -133,10 +136,13 @@ def names_of(points: np.ndarray, power: np.ndarray, torque: np.ndarray) -> dict[
 
 @in_our_style
 def draw_yield_surface(named: Any) -> Figure:
-    """(a) the torques (T_x, T_y) and (b) (T_x, T_c) that a mean bearing holds: between those of its directions (points)
-    and the half-spaces of its powers (thin), with the circle and the square of the largest size; (c) what crossed
-    driving takes of the yield torque, and by how much the power falls short of the sum about x and about y, against the
-    size; (d) the power an area against 1 / L."""
+    """Draw (a) the torques (T_x, T_y) and (b) (T_x, T_c) that a mean bearing holds, and (c, d) how they depend on the
+    size.
+
+    The set of torques lies between those of its directions (points) and the half-spaces of its powers (thin lines);
+    circle and square are of the largest size. (c) is what crossed driving takes of the yield torque, and by how much
+    the power falls short of the sum about x and about y, against the size; (d) the power an area against 1 / L.
+    """
     directions, plane = np.array(DIRECTIONS), len(PLANE)
     figure = new_figure(DOUBLE, 5.2)
     axes: Any = figure.subplots(2, 2)
@@ -186,6 +192,6 @@ def draw_yield_surface(named: Any) -> Figure:
 
 
 def _closed(panel: Any, points: np.ndarray, *look: Any, **more: Any) -> None:
-    """A curve from one axis to the other and its mirror images in both, as the mean bearing has them."""
+    """Draw a curve from one axis to the other and its mirror images in both, as the mean bearing has them."""
     quarters = [points, points[::-1] * [-1, 1], -points, points[::-1] * [1, -1]]
     panel.plot(*np.concatenate([*quarters, points[:1]]).T, *look, **more)

@@ -1,4 +1,8 @@
-"""What is tried: the axes of stress, each a small object in one table, and the samples that they start from."""
+"""What is tried: the axes of stress in one table, and the samples that they start from.
+
+A *row* is a method, law, dimension, device and precision; an *axis* is a parameter that is taken to its extremes; a
+*cell* is one value of an axis on one row.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -17,14 +21,14 @@ from taichi_bearings.scene.law import LAWS
 from taichi_bearings.solvers.cundall_strack import stability_bound
 from taichi_bearings.solvers.table import METHODS, CundallStrack, MethodOptions
 
-SHAPES = {2: (4, 6), 3: (3, 3, 4)}  # of the samples that are no axis of sizes
+SHAPES = {2: (4, 6), 3: (3, 3, 4)}  # of all samples but those of the axis of sizes, by dimension
 SMALL_SHAPES = {2: (3, 5), 3: (2, 3, 4)}
 ROWS: dict[str, type[MethodOptions]] = {"auto": MethodOptions, **METHODS}
 
 
 @dataclass(frozen=True)
 class Row:
-    """What is stressed."""
+    """What is stressed: a method, under a law, in a dimension, on a device."""
 
     method: str
     law: str
@@ -39,11 +43,12 @@ class Row:
 
 @dataclass(frozen=True)
 class Case:
-    """A sample and how it is solved. shares : numbers in [0, 1) a contact, from which coefficients are made.
+    """A sample and how it is solved.
 
-    options : of the method. settings : of the solve. unit, scaled : of
-    energy/time, and what was measured anew in such units, if anything.
-    is_layered : whether its truth is that of columns. refusal : whether it must be refused.
+    options, settings : of the method, and of the solve.
+    unit : its power over that of `scaled`. scaled : the scene before its units were changed; None if they were not.
+    is_layered : its truth is found column by column (see truth.layered).
+    refusal : it must be refused.
     """
 
     scene: Scene
@@ -61,18 +66,20 @@ class Case:
 
 
 def column_of(value: Any) -> str:
-    """The text by which reports call a value of an axis."""
+    """Return the text that names a value of an axis in reports."""
     return value if isinstance(value, str) else f"{value:g}"
 
 
-Change = Callable[[Case, Any, Row], Case]
+Change = Callable[[Case, Any, Row], Case]  # makes a case from the unchanged one, for a value of an axis
 
 
 @dataclass(frozen=True)
 class Axis:
-    """One way to strain a solve. values : what the columns say. change : makes a case from the unchanged one.
+    """One way to strain a solve.
 
-    rows : which are concerned. patience : factor of the time limit; of such axes the short sweep has the first values.
+    values : the columns of the report. change : makes a case from the unchanged one.
+    rows : returns True for rows that it concerns.
+    patience : factor of the time limit. Of axes with more than 1 the short sweep takes the first values only.
     """
 
     name: str
@@ -84,20 +91,24 @@ class Axis:
 
     @property
     def columns(self) -> list[str]:
-        """The values as texts: numbers from the least to the greatest, then words in the order in which they stand."""
+        """The values as texts: numbers from the least to the greatest, then words in their own order."""
         numbers = sorted(value for value in self.values if not isinstance(value, str))
         return list(map(column_of, [*numbers, *(value for value in self.values if isinstance(value, str))]))
 
 
 def drawn(row: Row, shape: Sequence[int], draw: Draw, seed: int = 7, **others: Any) -> Scene:
-    """A scene of the law of a row, all coefficients drawn alike; others : as of a Scene."""
+    """Return a scene of the law of a row, all coefficients drawn in the same way. others : further arguments of a
+    Scene.
+    """
     rng = np.random.default_rng([seed, 1])
     others |= {"viscosity": draw} if len(LAWS[row.law].quantities) > 1 else {}
     return Scene.random(shape, seed, lambda _, sides: draw(rng, sides), row.law, **others)
 
 
 def unchanged(row: Row, seed: int, quick: bool) -> Case | None:
-    """The sample of a row that no axis has changed; driven about x alone if the method needs that; None if it fails."""
+    """Return the sample of a row that no axis has changed, driven about x alone if the method needs that; None if
+    it fails.
+    """
     shape = (SMALL_SHAPES if quick else SHAPES)[row.dimension]
     for direction in ((1.0, 1.0, 0.0), (1.0, 0.0, 0.0)):
         scene = drawn(row, shape, _uniform, seed, direction=direction)
@@ -107,7 +118,7 @@ def unchanged(row: Row, seed: int, quick: bool) -> Case | None:
 
 
 def rows_of(methods: Sequence[str], laws: Sequence[str]) -> list[Row]:
-    """Method x law x dimension x device x precision; a GPU that is software counts as the CPU that it is."""
+    """Return all rows of these methods and laws. A GPU that is software is left out: it is the CPU."""
     found = []
     for arch, precision in product(("cpu", *runtime.GPUS), runtime.PRECISIONS):
         if arch != "cpu" and all(device.is_software for device in runtime.usable(arch, precision)):
@@ -133,7 +144,7 @@ def _tied(rng: np.random.Generator, shape: Sequence[int], value: str) -> np.ndar
 
 
 def _redrawn(draw: Callable[..., np.ndarray]) -> Change:
-    """Other coefficients on the same lattice."""
+    """Return a change that draws other coefficients on the same lattice."""
 
     def change(case: Case, value: Any, row: Row) -> Case:
         scene = case.scene
@@ -144,7 +155,7 @@ def _redrawn(draw: Callable[..., np.ndarray]) -> Change:
 
 
 def _absent(case: Case, value: str, row: Row) -> Case:
-    """Coefficients of exactly zero."""
+    """Return the case with some coefficients of exactly zero."""
     scene, lattice = case.scene, case.scene.lattice
     middle = tuple(n // 2 for n in lattice.shape)
     share = np.random.default_rng(11).uniform(0, 1, len(lattice.axis))
@@ -162,7 +173,10 @@ def _absent(case: Case, value: str, row: Row) -> Case:
 
 
 def _in_units(force: int = 0, length: int = 0, time: int = 0) -> Callable[..., Case]:
-    """The same sample in units that are larger by a power of two; everything that has a unit changes with them."""
+    """Return a change to units that are larger by a power of two; everything that has a unit changes with them.
+
+    force, length, time : the power of the scale that each unit has.
+    """
 
     def change(case: Case, value: float, row: Row, name: str) -> Case:
         two = 2.0 ** round(np.log2(value))
@@ -184,24 +198,27 @@ def _in_units(force: int = 0, length: int = 0, time: int = 0) -> Callable[..., C
 
 
 def _scene(changes: Callable[[Scene, Any], dict[str, Any]]) -> Change:
-    """Other parameters of the scene, found from it and the value."""
+    """Return a change of parameters of the scene. changes : finds them from the scene and the value."""
     return lambda case, value, row: replace(case, scene=replace(case.scene, **changes(case.scene, value)))
 
 
 def _nearly_equal(_: Scene, value: str) -> dict[str, Any]:
+    """Return a spin of the bottom that is nearly, or quite, that of the top."""
     bottom = {"equal": 1.0, "an ulp": np.nextafter(1.0, 0.0)}.get(value) or 1.0 - float(value)
     return {"spin_bottom": float(bottom)}
 
 
 def _common_state(_: Scene, value: float) -> dict[str, Any]:
-    """A bearing state added to both planes, and so to all spins: as from an origin far away along x, and at the second
-    sphere along y, where A cancels C y."""
+    """Return a bearing state added to both planes, and so to all spins.
+
+    It is one as from an origin far away along x, and at the second sphere along y, where A cancels C y.
+    """
     top, bottom = (1.0, 0.5, 0.0, 0.5), (value, -value, value, value)
     return {"top": tuple(one + other for one, other in zip(top, bottom, strict=True)), "bottom": bottom}
 
 
 def _pivot(_: Scene, value: float) -> dict[str, Any]:
-    """The top turns about its second sphere along x, but for so small a part of what A cancels there."""
+    """Return a top that rotates about its second sphere along x, but for a small part of what A cancels there."""
     return {"top": (value - 1.0, 1.0, 0.0, 1.0), "bottom": (0.0,) * 4}
 
 
@@ -210,7 +227,7 @@ RINGS = {"of 4": ((4, 6), (4, 2, 4)), "of 2": ((2, 6), (2, 2, 4)), "of 2, 9 deca
 
 
 def _rings(case: Case, value: str, row: Row) -> Case:
-    """All sides but the height closed."""
+    """Return the case with all sides closed but the height."""
     decades = {"of 2, 9 decades": 9.0, "of 2, 18 decades": 18.0}.get(value)
     draw = partial(_log_uniform, value=decades) if decades else _uniform
     shape, closed = RINGS[value][row.dimension - 2], ("x", "y")[: row.dimension - 1]
@@ -225,7 +242,7 @@ SIDES = {
 
 
 def _sides(case: Case, value: str, row: Row) -> Case:
-    """Contacts along the height alike in each layer, those sideways random."""
+    """Return a case of another size: contacts along the height alike in each layer, sideways contacts random."""
 
     def draw(rng: np.random.Generator, shape: Sequence[int]) -> np.ndarray:
         values = _uniform(rng, shape)
@@ -258,7 +275,7 @@ def _stable_step(case: Case) -> float:
 
 
 def _start(case: Case, value: str, row: Row) -> Case:
-    """Spins to start from, in the laboratory frame."""
+    """Return the case with other spins to start from, in the laboratory frame."""
     scene = case.scene
     shape = scene.lattice.shape if row.dimension == 2 else (*scene.lattice.shape, 3)
     rng = np.random.default_rng(5)
@@ -322,8 +339,10 @@ AXES = {
 
 @dataclass(frozen=True)
 class Cell:
-    """One thing that is tried, as the workers of scans take it: a value of an axis on a row. most_seconds : of the
-    solve."""
+    """One thing that is tried: a value of an axis on a row. Workers of scans can solve it.
+
+    most_seconds : of the solve.
+    """
 
     axis: str
     value: Any
@@ -355,12 +374,12 @@ class Cell:
         return AXES[self.axis].change(base, self.value, self.row)
 
 
-QUICK = 25  # of so many cells the short sweep takes one
-FIRST = {"sides": 3, "drift": 1}  # values that it takes of axes that need patience
+QUICK = 25  # the short sweep takes one of so many cells
+FIRST = {"sides": 3, "drift": 1}  # number of values that it takes of axes that need patience
 
 
 def cells_of(rows: Sequence[Row], axes: Sequence[str], seed: int, quick: bool, seconds: float) -> list[Cell]:
-    """All cells, or some of each row and of each axis. seconds : for a usual solve."""
+    """Return all cells or, with `quick`, some of each row and of each axis. seconds : limit of a usual solve."""
     found = []
     for row in rows:
         if unchanged(row, seed, quick) is None:
@@ -371,7 +390,9 @@ def cells_of(rows: Sequence[Row], axes: Sequence[str], seed: int, quick: bool, s
             found += [Cell(axis.name, value, row, seed, quick, limit) for value in values]
 
     def order(cell: Cell) -> tuple[Any, ...]:
-        """Long ones last, and those of one device after another, so that few workers have to start."""
+        """Return a key that puts long cells last, and those of one device together, so that few workers have to
+        start.
+        """
         row = cell.row
         return AXES[cell.axis].patience > 1, row.arch != "cpu", row.arch, row.precision != "f64", cell.axis == "threads"
 

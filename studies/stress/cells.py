@@ -1,4 +1,4 @@
-"""One cell of stress: solved in a worker process, and judged by a truth that shares nothing with what solved it."""
+"""One cell of stress: solved in a worker process, and judged by a truth that shares no code with what solved it."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -23,13 +23,15 @@ from .truth import SLIPLESS, SLIPPING, Truth, layered, least
 
 RIGHT, NOT_REACHED, REFUSED, WRONG, CRASH = OUTCOMES = ("right", "not reached", "refused", "wrong", "crash")
 TOLERANCE = 1e-8
-ROUNDING = 1e-13  # relative: of powers and bounds in double precision
-BELIEVED = 1e-4  # relative error up to which a dynamics may say that it has come to rest, or to its duration
-MEMORY_SHARE = 0.7  # of what is free, that a cell may be expected to need
+ROUNDING = 1e-13  # relative rounding of powers and bounds in double precision
+BELIEVED = 1e-4  # relative error with which a dynamics may say that it has come to rest, or to its duration
+MEMORY_SHARE = 0.7  # most of the free memory that a cell may be expected to need
 
 
 def solve_cells(cells: Sequence[Cell]) -> list[dict[str, Any]]:
-    """In a worker: a record of each cell, its answer or the sentence that refuses it; anything else ends the worker."""
+    """Solve cells in a worker; a record has the answer, or the sentence that refuses it. Anything else ends the
+    worker.
+    """
     records = []
     for cell in cells:
         record: dict[str, Any] = {"key": cell.key, "version": VERSION, "scalars": {"status": "solved"}}
@@ -44,11 +46,13 @@ def solve_cells(cells: Sequence[Cell]) -> list[dict[str, Any]]:
 
 
 def _solve(cell: Cell) -> dict[str, Any]:
-    """What a solve has claimed, as JSON keeps it; energies in energy/time, None where they are not finite. state : a
-    digit for each contact; none where the truth has none."""
-    case, device, room = cell.case, cell.settings, MEMORY_SHARE * free_bytes()
-    if (needed := bytes_of(cell)) > room:
-        raise InputError(f"it needs about {needed / 1e9:.1f} GB, more than {room / 1e9:.1f} GB that it may take")
+    """Return what a solve claims, in types that JSON has; energies in energy/time, None where they are not finite.
+
+    state : a digit for each contact; "" where the truth has no states.
+    """
+    case, device, most = cell.case, cell.settings, MEMORY_SHARE * free_bytes()
+    if (needed := bytes_of(cell)) > most:
+        raise InputError(f"it needs about {needed / 1e9:.1f} GB, more than {most / 1e9:.1f} GB that it may take")
     method = "auto" if cell.row.method == "auto" else ROWS[cell.row.method](**case.options)
     settings = {"time_limit": cell.most_seconds, "tolerance": TOLERANCE, **case.settings}
     settings |= {"arch": device.arch, "precision": device.precision, "threads": device.threads}
@@ -62,19 +66,19 @@ def _solve(cell: Cell) -> dict[str, Any]:
 
 
 def bytes_of(cell: Cell) -> float:
-    """Memory of a solve and of its proof, roughly."""
+    """Return roughly the memory of a solve and of its proof."""
     lattice = cell.case.scene.lattice
     return 200e6 + cell.case.scene.replicas * ROWS[cell.row.method].bytes(lattice.shape, lattice.periodic)
 
 
 @dataclass
 class Judge:
-    """Says what a record of :func:`solve_cells` is worth; truths are found once."""
+    """Compares records of :func:`solve_cells` with truths, each of which is found once."""
 
     truths: dict[Any, Truth] = field(default_factory=dict)
 
     def row(self, cell: Cell, record: Mapping[str, Any]) -> dict[str, Any]:
-        """A row of the report. reason : why it is wrong, refused or a crash."""
+        """Return a row of the report. Its `reason` says why a cell is wrong, refused or a crash."""
         unknown = ("error", "gap", "states_wrong", "states_unproven", "states_proven", "objective", "truth")
         row: dict[str, Any] = {
             "key": cell.key, "axis": cell.axis, "value": cell.column, **vars(cell.row), "outcome": "", "status": "none",
@@ -111,7 +115,10 @@ class Judge:
 
 
 def _error(truth: Truth, objective: float | None) -> float | None:
-    """(objective - least) / objective, at least 0; None if it is no number. Over the unit of the truth if that is 0."""
+    """Return (objective - least) / objective, at least 0; None if the objective is no number.
+
+    If the objective is near 0 the divisor is the unit of the truth.
+    """
     if objective is None:
         return None
     value = Decimal(objective)
@@ -119,7 +126,7 @@ def _error(truth: Truth, objective: float | None) -> float | None:
 
 
 def _fault(truth: Truth, answer: Mapping[str, Any], row: dict[str, Any]) -> str:
-    """What is wrong with an answer that does not say so itself; empty if nothing is."""
+    """Return what is wrong with an answer that does not say so itself; "" if nothing is."""
     slack, value, bound, error = Decimal(1 + ROUNDING), answer["objective"], answer["lower_bound"], row["error"]
     if bound is not None and Decimal(bound) > truth.upper * slack:
         return f"the bound {bound!r} is above the least value {float(truth.upper)!r}"

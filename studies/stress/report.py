@@ -1,4 +1,7 @@
-"""The sweep over all cells, and its report: a journal that loses nothing, CSV, a table, maps, and numbers."""
+"""Runs all cells of stress and reports them: a journal that loses nothing, CSV, a table, maps, and numbers.
+
+A *line* is a finished cell as the report has it. A cell is *red* if its answer is wrong without saying so, or crashed.
+"""
 
 import json
 import math
@@ -26,18 +29,20 @@ from .axes import AXES, Axis, Cell, Row
 from .cells import CRASH, OUTCOMES, RIGHT, WRONG, Judge, solve_cells
 
 Line = dict[str, Any]
-START_UP = 60.0  # seconds that a worker may take to start, to compile and to prove, beside twice the time limit
+START_UP = 60.0  # seconds, beside twice the time limit, that a worker may take to start, to compile and to prove
 JOURNAL = "cells.jsonl"
 UNREADABLE = (LookupError, TypeError, ValueError, AttributeError, ArithmeticError)
-"""Of a record that somebody else has written: its cell is solved anew."""
+"""Errors at a record that another program has written; its cell is solved again."""
 COLOURS = {"right": "#8fce9b", "not reached": "#f3d98a", "refused": "#c9d3e0", "wrong": "#d62728", "crash": "#222222"}
 NOTHING = "#ffffff"
 
 
 @contextmanager
 def open_sweep(folder: Path, cells: Sequence[Cell]) -> Iterator["Sweep"]:
-    """A sweep in its folder, which is ours meanwhile; FileError if another process works there, or it holds something
-    else."""
+    """Open a sweep in its folder, which is locked meanwhile.
+
+    FileError if another process works there, or it holds something else.
+    """
     names = {file.name for file in folder.iterdir() if file.name[0] != "."} if folder.is_dir() else set()
     if names and JOURNAL not in names:
         raise FileError(f"{folder} is not the folder of a stress report and not empty; choose another --out")
@@ -46,8 +51,9 @@ def open_sweep(folder: Path, cells: Sequence[Cell]) -> Iterator["Sweep"]:
 
 
 class Sweep:
-    """The cells of a folder: those that its journal has from this version, judged anew, and the others as they are
-    done."""
+    """The cells of a folder: those that its journal has from this version, judged again, and others as they are
+    solved.
+    """
 
     def __init__(self, folder: Path, cells: Sequence[Cell]) -> None:
         self.folder, self.cells, self.judge = folder, {cell.key: cell for cell in cells}, Judge()
@@ -59,7 +65,9 @@ class Sweep:
                 self.lines[cell.key] = self.judge.row(cell, known[cell.key])
 
     def run(self, workers: int, say: Callable[[str], None] = lambda line: None) -> bool:
-        """Solve what is not done yet; False if Ctrl-C ended that early. say : hears of each cell that is red."""
+        """Solve the cells that are missing; False if Ctrl-C ended that early. say : called with a line on each red
+        cell.
+        """
 
         def take(outcomes: Sequence[Outcome]) -> None:
             for outcome in outcomes:
@@ -95,11 +103,11 @@ class Sweep:
 
     @property
     def red(self) -> list[Line]:
-        """Cells with an answer that is wrong and does not say so, and crashes."""
+        """Finished cells whose answer is wrong without saying so, and crashes."""
         return [line for line in self.rows if line["outcome"] in (WRONG, CRASH)]
 
     def write(self) -> list[Path]:
-        """All files but the journal; their paths."""
+        """Write all files but the journal; returns their paths."""
         rows, paths = self.rows, [self.folder / name for name in ("stress.csv", "summary.json")]
         columns = [name for name in rows[0] if name != "key"] if rows else ["axis"]
         write_csv(paths[0], columns, ([line[name] for name in columns] for line in rows))
@@ -128,7 +136,9 @@ def _name(line: Line) -> str:
 
 
 def _decades(line: Line) -> str:
-    """The relative error of a cell as a power of ten, "exact" below the rounding of doubles, empty without an error."""
+    """Return the relative error of a cell as a power of ten, "exact" below the rounding of doubles, "" without an
+    error.
+    """
     error = line["error"]
     if error is None:
         return ""
@@ -136,8 +146,10 @@ def _decades(line: Line) -> str:
 
 
 def scaling(rows: Sequence[Line]) -> dict[str, Any]:
-    """How right answers scale with the units, by method and precision: cells that do so bit for bit, of how many, and
-    the largest relative deviation."""
+    """Return how exactly right answers scale with the units, by method and precision.
+
+    returns : cells that scale bit for bit, of how many, and the largest relative deviation.
+    """
     found: dict[str, list[float]] = {}
     scaled = [line for line in rows if line["axis"].endswith("-scale") and line["outcome"] == RIGHT]
     plain = {(line["axis"], _name(line)): line["objective"] for line in scaled if line["value"] == "1"}
@@ -150,7 +162,7 @@ def scaling(rows: Sequence[Line]) -> dict[str, Any]:
 
 
 def lines_of(summary: Mapping[str, Any]) -> list[str]:
-    """The summary for people."""
+    """Return the summary in words."""
     words = [f"{number} {outcome}" for outcome, number in summary["outcomes"].items()]
     found = [f"{summary['done']} of {summary['cells']} cells: {', '.join(words)}"]
     for method, of in summary["scaling"].items():
@@ -160,10 +172,10 @@ def lines_of(summary: Mapping[str, Any]) -> list[str]:
 
 @in_our_style
 def draw_outcomes(axis: Axis, lines: Sequence[Line]) -> Figure:
-    """The outcome of each cell of an axis as colour, and its relative error as a power of ten.
+    """Draw the outcome of each cell of an axis as a colour, with its relative error as a power of ten.
 
-    axis : its values are the columns, in order. lines : the cells that are done; each method, law, dimension, device
-    and precision among them has a row.
+    axis : its values are the columns, in order. lines : finished cells; each method, law, dimension, device and
+        precision among them has a row.
     """
     tried, rows = {line["value"] for line in lines}, sorted(dict.fromkeys(map(_name, lines)))
     columns = [name for name in axis.columns if name in tried]

@@ -1,15 +1,15 @@
 """The least power (or potential) of a sample in 140 decimal digits: a truth that shares no code with any solver.
 
-Two of them. :func:`least` follows the central path of a small sample, contact by contact, in Python's decimals; what it
-says is enclosed by the cost of its spins from above and the work of its balanced forces from below. :func:`layered`
-is for samples of any size whose contacts along the height are alike in each layer: every column then does the same,
-no contact sideways slips or bears a force, and a column is a chain whose answer is written down.
+There are two ways to it. :func:`least` follows the central path of a small sample in Python's decimals; the least value
+is enclosed by the cost of its spins from above and the work of its balanced forces from below. :func:`layered` is for
+samples of any size whose contacts along the height are alike in each layer: every column then does the same, no contact
+sideways slips or bears a force, and a column is a chain whose answer is written down.
 
 The path goes to the middle of all minima: a contact slips at some minimum just if its slip has a limit above 0.
 (`tests/stress/minima.py` goes on from there to what all minima have in common.)
 
-All numbers count exactly as the doubles that they are; spins are staggered, from the bottom's state, in units of the
-jump, or of 1/time where bearing states are imposed.
+All numbers are exactly the doubles that are given. Spins are staggered, relative to the bottom's state, in units of the
+jump, or of 1/time where bearing states are imposed. Letters: E contacts, C spin components.
 """
 
 from dataclasses import dataclass, replace
@@ -20,10 +20,10 @@ import numpy as np
 from taichi_bearings.scene import Scene
 
 DIGITS = 140
-CLOSE, FINAL = Decimal("1e-6"), Decimal("1e-25")  # Newton's decrement on the way, and at the end
-SHRINK, TARGET = Decimal("0.01"), Decimal("1e-60")  # of the barrier in a step, and in all, relative to the cost
-NOTHING = Decimal("1e-40")  # cost, relative to that of even spins, below which the least one is zero
-CLEAR = Decimal("1e-20")  # slip over the jump, or margin over the friction, that counts as none at the end
+CLOSE, FINAL = Decimal("1e-6"), Decimal("1e-25")  # Newton's decrement that is reached on the way, and at the end
+SHRINK, TARGET = Decimal("0.01"), Decimal("1e-60")  # factor of the barrier in a step, and in all
+NOTHING = Decimal("1e-40")  # a least cost below this share of that of even spins is taken for zero
+CLEAR = Decimal("1e-20")  # smaller slips over the jump, or margins over the friction, are taken for zero at the end
 WANTED = Decimal("1e-20")  # relative width of the enclosure
 MOST_STEPS = 4000
 SLIPLESS, SLIPPING, UNCLEAR = range(3)  # as in files
@@ -31,11 +31,13 @@ SLIPLESS, SLIPPING, UNCLEAR = range(3)  # as in files
 
 @dataclass(frozen=True)
 class Truth:
-    """lower, upper : they enclose the least objective, energy/time. unit : what errors are relative to if the least is
-    0: the cost of all contacts with the jump, or without one the spin, for slip.
+    """An enclosure of the least objective.
 
-    state : of each contact, an array an axis: SLIPLESS at every minimum, SLIPPING in the middle of the minima, or
-    UNCLEAR; empty where it is not known.
+    lower, upper : they enclose it, energy/time.
+    unit : what errors are relative to if the least is 0: the cost if all contacts slipped by the jump, or without one
+        by the spin.
+    state : of each contact, one array an axis: SLIPLESS at every minimum, SLIPPING in the middle of the minima, or
+        UNCLEAR; empty where it is not known.
     """
 
     lower: Decimal
@@ -49,7 +51,7 @@ def _decimals(values: np.ndarray) -> np.ndarray:
 
 
 def _costs(scene: Scene, some: slice = slice(None)) -> tuple[np.ndarray, np.ndarray]:
-    """Of a slip d of each contact, or of some: a |d| + c |d|^2 / 2, with these a and c, energy/time."""
+    """Return (a, c), energy/time: slip d of a contact costs a |d| + c |d|^2 / 2. some : for these contacts alone."""
     speed = Decimal(scene.radius) * unit_of(scene)
     values, *second = (_decimals(of[0, some]) for of in scene.named_coefficients.values())
     if not scene.law.holds:
@@ -58,16 +60,18 @@ def _costs(scene: Scene, some: slice = slice(None)) -> tuple[np.ndarray, np.ndar
 
 
 def unit_of(scene: Scene) -> Decimal:
-    """Of spins, 1/time."""
+    """Return the unit of spins, 1/time."""
     if scene.top is not None:
         return Decimal(1)
     return abs(Decimal(scene.spin_top) - Decimal(scene.spin_bottom))
 
 
 def jump_of(scene: Scene) -> dict[int, np.ndarray]:
-    """Components that differ between bottom and top and that contacts along the height feel, in units of spin at each
-    sphere of the top, (columns,), or (1,) where all are alike: the others are constant in each layer at the minimum
-    (docs/equations.md, 3)."""
+    """Return the components that differ between bottom and top and make contacts along the height slip.
+
+    Each has the values (columns,) at the spheres of the top, in units of spin, or (1,) where all are equal. Other
+    components are constant in each layer at the minimum (docs/equations.md, 3).
+    """
     if scene.top is not None and scene.bottom is not None:
         (*high, rise), (*low, fall) = ([Decimal(part) for part in of] for of in (scene.top, scene.bottom))
         if scene.lattice.dimension == 2:
@@ -88,8 +92,12 @@ def jump_of(scene: Scene) -> dict[int, np.ndarray]:
 
 
 class Sample:
-    """Contacts as rows: `low`, `up` (E, C) are places in the spins, `felt` (E, C) is 1 for components across them; `of`
-    are their numbers among all."""
+    """A small sample: its spins and contacts as arrays of decimals.
+
+    low, up : (E, C) places of the components of both spheres in the spins.
+    felt : (E, C) 1 for components that make the contact slip, else 0.
+    a, c : costs of the contacts. of : their numbers among all contacts.
+    """
 
     def __init__(self, scene: Scene) -> None:
         lattice, shape = scene.lattice, scene.lattice.shape
@@ -126,7 +134,7 @@ class Sample:
         return total[: self.unknowns]
 
     def forces(self, barrier: Decimal) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Slips, their lengths, friction within its discs, and friction over slip, all (E, C or 1)."""
+        """Return slips, their lengths, friction within its limits, and friction over slip, each (E, C or 1)."""
         slip = self.slips()
         length = np.sqrt((slip * slip).sum(axis=1, keepdims=True))
         width = np.divide(np.full_like(self.a, barrier), self.a, out=np.zeros_like(self.a), where=self.a > 0)
@@ -135,7 +143,7 @@ class Sample:
         return slip, length, stiffness * slip, stiffness
 
     def step(self, barrier: Decimal) -> Decimal:
-        """Newton's step for cost + barrier, damped; returns its decrement (Nesterov and Nemirovskii, 1994)."""
+        """Make a damped Newton step for cost + barrier, and return its decrement (Nesterov and Nemirovskii, 1994)."""
         slip, _, friction, stiffness = self.forces(barrier)
         matrix = np.full((len(self.spin), len(self.spin)), Decimal(0), dtype=object)
         bend = np.divide(stiffness * stiffness, self.a * self.root, out=np.zeros_like(self.a), where=self.a > 0)
@@ -155,7 +163,9 @@ class Sample:
         return (self.a * np.sqrt(square) + self.c * square / 2).sum()
 
     def enclosure(self, barrier: Decimal) -> tuple[Decimal, Decimal]:
-        """Bounds of the least cost: work of the driven planes less what leftover torques can take, and the cost."""
+        """Return bounds of the least cost: work of the driven planes less what leftover torques can take, and the
+        cost.
+        """
         slip, length, friction, _ = self.forces(barrier)
         force, viscous = friction + self.c * slip, (self.c * length * length).sum() / 2
         top = np.concatenate([np.full(self.unknowns + 1, Decimal(0), dtype=object), self.top])
@@ -165,7 +175,7 @@ class Sample:
 
 
 def _solve(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """x with matrix x = right by elimination; directions without stiffness (spheres cut off) stay where they are."""
+    """Return x with matrix x = right by elimination; directions without stiffness (spheres cut off) stay at 0."""
     n, scale = len(right), matrix.diagonal().copy()
     matrix, x = matrix.copy(), right.copy()
     for k in range(n):
@@ -184,14 +194,16 @@ def _solve(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
 
 
 def least(scene: Scene) -> Truth:
-    """The truth of one small sample. Raises ArithmeticError if it is not enclosed to WANTED."""
+    """Return the truth of one small sample. Raises ArithmeticError if it is not enclosed to WANTED."""
     with localcontext() as context:
         context.prec = DIGITS
         return followed(scene, Sample(scene))[0] if jump_of(scene) else _nothing(scene)
 
 
 def followed(scene: Scene, sample: Sample) -> tuple[Truth, Decimal]:
-    """The end of the central path of a sample of the scene, which is left there, and the barrier at the end."""
+    """Follow the central path of a sample to its end; returns the truth and the last barrier. The sample is left
+    there.
+    """
     barrier = first = sample.cost() / len(sample.a)
     steps, holds, before = 0, sample.a.any(), sample.spin
     while True:
@@ -216,7 +228,7 @@ def followed(scene: Scene, sample: Sample) -> tuple[Truth, Decimal]:
 
 
 def _nothing(scene: Scene) -> Truth:
-    """That nothing need slip."""
+    """Return the truth of a scene in which nothing need slip."""
     moving = scene if scene.top is not None or scene.spin_top != scene.spin_bottom else replace(scene, spin_bottom=0.0)
     a, c = _costs(moving)
     return Truth(Decimal(0), Decimal(0), unit=(a + c / 2).sum())
@@ -235,7 +247,7 @@ def _states(scene: Scene, sample: Sample, barrier: Decimal) -> tuple[np.ndarray,
 
 
 def layered(scene: Scene) -> Truth:
-    """The truth of a sample of any size whose contacts along the height are alike in each layer."""
+    """Return the truth of a sample of any size whose contacts along the height are alike in each layer."""
     with localcontext() as context:
         context.prec = DIGITS
         columns = int(np.prod(scene.lattice.shape[:-1]))
@@ -254,7 +266,7 @@ def layered(scene: Scene) -> Truth:
 
 
 def _chain(a: list[Decimal], c: list[Decimal]) -> Decimal:
-    """Least sum of a v + c v^2 / 2 for v >= 0 with sum 1: all that slip bear the same force, a + c v."""
+    """Return the least sum of a v + c v^2 / 2 for v >= 0 with sum 1: all that slip bear the same force, a + c v."""
     order = sorted(range(len(a)), key=lambda k: a[k])
     if not c[order[0]]:
         return a[order[0]]

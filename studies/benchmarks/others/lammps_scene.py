@@ -40,18 +40,19 @@ def main(request: dict[str, Any]) -> None:
         rank = code.extract_setting("world_rank")
         code.close()
         if rank == 0:
-            told = log.read_text()
-            seconds = float(re.findall(r"Loop time of (\S+)", told)[-1])
-            seconds *= float(re.findall(r"(\S+)% CPU use", told)[-1]) / 100
+            lines = log.read_text()
+            seconds = float(re.findall(r"Loop time of (\S+)", lines)[-1])
+            seconds *= float(re.findall(r"(\S+)% CPU use", lines)[-1]) / 100
             print(json.dumps({"seconds": seconds, "contacts": contacts}))
 
 
 def sites(code: Any) -> np.ndarray:
-    """Lattice indices (own spheres, 3)."""
+    """Return lattice indices of the spheres of this process, (own spheres, 3)."""
     return np.rint(code.numpy.extract_atom("x")[: code.extract_setting("nlocal")]).astype(int)
 
 
 def build(code: Any, request: dict[str, Any]) -> None:
+    """Make the lattice, its contacts and the integration of the spins in LAMMPS."""
     x, y, z = (n - 0.5 for n in request["shape"])
     normal = request["normal_force"] / OVERLAP
     stiffness, damping, friction = request["stiffness"], request["damping"], request["friction"]

@@ -1,11 +1,11 @@
 """The benchmark scene in YADE, run by its own interpreter: yade -n -x yade_scene.py '{...}'.
 
-Spheres overlap a little, so that the normal force is constant; translations are blocked, those of the driven spheres
-with their turning. ViscElMat connects two spheres in series, so each carries twice the stiffness and damping of the
-contact. While its spring holds, YADE adds the damper's force without a limit, so that random spins slow down sooner
-than ours; the state of rest is the same.
+Spheres overlap a little, so that the normal force is constant; translations are blocked, of driven spheres rotations
+too. ViscElMat connects two spheres in series, so each carries twice the stiffness and damping of the contact. While its
+spring holds, YADE adds the damper's force without a limit, so that random spins slow down sooner than ours; the state
+of rest is the same.
 
-Request and answer as in lammps_scene.py, without `style`; seconds are those that its threads had their processors.
+Request and answer are as in lammps_scene.py, without `style`; seconds are processor time, divided by its threads.
 """
 
 import json
