@@ -23,7 +23,7 @@ def command(packing: Path | None, as_json: bool) -> None:
       bearings info packing.npz
     """
     from taichi_bearings import __version__, compiler, runtime
-    from taichi_bearings.runs.run import versions
+    from taichi_bearings.runs.writing import versions
 
     if packing is None:
         gpus = {arch: found for arch in runtime.GPUS if (found := runtime.usable(arch, "f32"))}

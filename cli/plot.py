@@ -121,7 +121,7 @@ def _plot_run(kind: str, run: Path, replica: int, time: float | None, out: Path 
 
     refuse_ending(out, *ENDINGS)
     with opened_to_draw(run, out, kind, force, replica) as (stored, path):
-        figure = draw_figure(kind, stored.solution, replica, time, stored.settings.slip_threshold, page)
+        figure = draw_figure(kind, stored.solution, replica, time, stored.asked.slip_threshold, page)
         if out:
             save(figure, out)
         click.echo(out or save_small(figure, path))

@@ -84,7 +84,7 @@ def command(
 
             verdict = verdict_of(found.path)
     summary = found.summary
-    for sentence in summary["warnings"] + _idle_seed(found.settings, given):
+    for sentence in summary["warnings"] + _idle_seed(found.asked, given):
         click.echo(in_lines(f"bearings: warning: {sentence}", err=True), err=True)
 
     def words() -> str:
@@ -96,7 +96,7 @@ def command(
         context.exit(130)
     asked = Path(place or found.path).resolve()  # of a directory, or of the run.h5 in it that is resumed
     is_there = found.path.resolve() in (asked, asked.parent)
-    reached = all(status.reached for status in found.status)
+    reached = found.reached
     context.exit(0 if reached and is_there and (verdict is None or verdict["verified"]) else 1)
 
 

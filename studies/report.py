@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from taichi_bearings import runtime
-from taichi_bearings.runs.run import versions
+from taichi_bearings.runs.writing import versions
 from taichi_bearings.version import VERSION
 
 

@@ -9,38 +9,31 @@ best = tb.solve(scene, tolerance=1e-9)
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from taichi_bearings.errors import FileError, InputError
-from taichi_bearings.lattice.grid import friction_by_axis
+from taichi_bearings.errors import InputError
 from taichi_bearings.options import SEED, finite_number, options_of
 from taichi_bearings.progress import displayed
-from taichi_bearings.quantities import CONTACTS, FINDINGS, SAMPLES, SPHERES, Quantity
-from taichi_bearings.read_only import read_only
 from taichi_bearings.runs import run as runs
 from taichi_bearings.runs.analysis import Analysis
 from taichi_bearings.runs.packing_run import fitting, minimises
-from taichi_bearings.runs.run_directory import run_directory
+from taichi_bearings.runs.result import Result
 from taichi_bearings.runs.run_file import read_run
 from taichi_bearings.runs.settings import RunSettings
-from taichi_bearings.runs.solved import Run
 from taichi_bearings.runtime import available_threads
 from taichi_bearings.scans.sample import JobTask, solve_all
-from taichi_bearings.scene import Scene, Snapshots
+from taichi_bearings.scene import Scene
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.scene.packing import Packing
 from taichi_bearings.solvers import MethodOptions
 from taichi_bearings.solvers.drive import Report
-from taichi_bearings.words import html_table, listed, meant, shown
+from taichi_bearings.words import meant, shown
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-    from taichi_bearings.plots.page import Page
+    pass
 
 
 @dataclass(frozen=True)
@@ -59,217 +52,6 @@ class Check:
     gap: Any
     tolerance: float
 
-
-OfSamples = Any
-"""A number or word, or with several samples an array or list with one each, (R,)."""
-OfContacts = Any
-"""Of a lattice an array an axis, x, y(, z), of the shapes of `Scene.coefficients`, of a packing one of its E contacts;
-with several samples with a leading axis R."""
-
-
-TABLED = (
-    "seed", "status", "proof", "power", "lower_bound", "gap", "slipping", "slipless", "tied", "undecided",
-    "driven_power",
-)  # fmt: skip
-
-
-class Result:
-    """An answer: what was solved, how it ended, and spins, slips and forces with what is proven of them.
-
-    It is the same whether it was solved just now or read from a file. A single sample has numbers and arrays without an
-    axis of replicas. Of several samples, (R,) are arrays with one number each, and every array has a leading axis R;
-    `result[0]` is one of them alone, and `for one in result` goes through all. N is the lattice, such as (nx, ny, nz),
-    or the number of spheres of a packing. What lies on contacts is a tuple with an array an axis, x, y(, z), of the
-    shapes of `scene.coefficients`, and of packings one array (E,); of these, contacts between driven spheres, or
-    without coefficient, are left out of `power`.
-    """
-
-    def __init__(self, run: Run) -> None:
-        self._run = run
-
-    scene = property(
-        lambda self: self._run.solution.scene,
-        doc="The :class:`Scene` or :class:`Packing` that was solved, with all samples.",
-    )
-    packing = property(
-        lambda self: self._run.solution.scene.sample(0) if self._run.is_packing else None,
-        doc="The :class:`Packing` that was solved, of several samples the first; None of lattices.",
-    )
-    settings = property(
-        lambda self: self._run.settings.given,
-        doc="Options that differ from their defaults, by name as in `bearings run`: how to solve the scene again.",
-    )
-    path = property(lambda self: self._run.path, doc="Directory or file of the run; None if it is in none.")
-    method: str
-    status: OfSamples
-    power: OfSamples
-    lower_bound: OfSamples
-    gap: OfSamples
-    contacts: OfSamples
-    slipping: OfSamples
-    slipless: OfSamples
-    tied: OfSamples
-    undecided: OfSamples
-    unproven: OfSamples
-    minimum_is_unique: OfSamples
-    states_proven: OfSamples
-    slip_threshold: float
-    largest_balance_residual: OfSamples
-    iterations: int
-    seconds: float
-    seconds_compile: float
-    spin: np.ndarray
-    spin_rounding: np.ndarray
-    slip: OfContacts
-    power_per_contact: OfContacts
-    force: OfContacts
-    state: OfContacts
-    proof: OfSamples
-    driven_power: OfSamples
-    slipless_motions: OfSamples
-    time: OfSamples
-    reached = property(
-        lambda self: all(status.reached for status in self._run.status), doc="True if what was asked for was reached."
-    )
-
-    @property
-    def potential(self) -> OfSamples:
-        """What the stationary state minimises, energy/time; (R,). The power, but for the law coulomb-viscous."""
-        return self._of_samples(self._run.solution.objective)
-
-    findings = property(
-        lambda self: {name: self._of_samples(values) for name, values in self._run.solution.findings.items()},
-        doc="What else the method has found, by name; numbers, (R,).",
-    )
-    warnings = property(
-        lambda self: self._run.summary["warnings"],
-        doc="Warnings, sentences with a number; an empty list if there is none.",
-    )
-    summary = property(lambda self: self._run.summary, doc="All numbers by name, as `bearings run --json` prints them.")
-
-    @property
-    def friction(self) -> OfContacts:
-        """Force on the upper sphere of each contact, laboratory frame, force; an array (*contacts, 3) an axis, in 2D
-        (*contacts), its component along z x n. Of packings that on the second sphere, (E, 3), of discs (E,). The lower
-        bound follows from it."""
-        found = self._of_samples(self._run.solution.friction)
-        return found if self._run.is_packing else read_only(friction_by_axis(found, self.scene.lattice))
-
-    @property
-    def history(self) -> dict[str, np.ndarray]:
-        """The trajectory to the answer: columns (checks,); of several samples (R, checks), but for these three.
-
-        iteration. seconds : wall time, s. time : simulated time of a dynamics. power, lower_bound : energy/time.
-        largest_balance_residual : force * length. slipping : contacts. kinetic_energy, spring_energy, injected_energy,
-        dissipated_energy : energy; energy_residual : relative; of a dynamics that keeps an energy balance.
-        """
-        columns = self._run.solution.history.items()
-        return {name: values if values.ndim == 1 else self._of_samples(values.T) for name, values in columns}
-
-    @property
-    def snapshots(self) -> Snapshots | None:
-        """Spins of a dynamics at the times asked for, if any: `time` (S,) and `spin` (S, *N), in 3D (S, *N, 3),
-        1/time; of several samples (R, S, ...)."""
-        kept = self._run.solution.snapshots
-        return None if kept is None else Snapshots(kept.time.T, self._of_samples(np.moveaxis(kept.spin, 1, 0)))
-
-    def _of_samples(self, values: Any) -> Any:
-        """The values of all samples, (R, ...), as users meet them; what is one for all stays."""
-        if self._run.solution.scene.replicas > 1 or not isinstance(values, (np.ndarray, list)):
-            return values
-        return values.item() if isinstance(values, np.ndarray) and values.ndim == 1 else values[0]
-
-    def __len__(self) -> int:
-        return self._run.solution.scene.replicas
-
-    def __getitem__(self, number: int) -> "Result":
-        """One of the samples as if it had been solved alone."""
-        samples = len(self)
-        if not -samples <= number < samples:
-            raise IndexError(f"sample {number} of {samples}")
-        return self if samples == 1 else Result(self._run.sample(number % samples))
-
-    def __iter__(self) -> Iterator["Result"]:
-        return (self[number] for number in range(len(self)))
-
-    def __repr__(self) -> str:
-        what = self.packing or f"{'x'.join(map(str, self.scene.lattice.shape))} {self.scene.law}"
-        words = f"<Result {what}, {self.method}"
-        if len(self) > 1:
-            done = sum(status.reached for status in self._run.status)
-            return f"{words}: {len(self)} samples, {done} reached, gap at most {self.gap.max():.1e}>"
-        return f"{words}: {self.status}, P = {self.power:.12g}, gap {self.gap:.1e}, {self.seconds:.2g} s>"
-
-    def _repr_html_(self) -> str:
-        """A table for notebooks, a row a sample."""
-        columns = {name: listed(found) for name in TABLED if (found := self.summary.get(name)) is not None}
-        return html_table(repr(self), zip(*columns.values(), strict=True), list(columns))
-
-    def plot(
-        self, kind: str = "spins", sample: int = 0, time: float | None = None, page: "Page | None" = None
-    ) -> "Figure":
-        """A figure, which notebooks show and `.savefig("a.pdf")` writes; no setting of matplotlib is changed.
-
-        kind : "spins", "power", "history", "energy", or one of `bearings analyse`: "domains", "network".
-        sample : which of several. time : of the snapshot whose spins are drawn. page : how it is printed, a
-            `taichi_bearings.plots.page.Page` with width, planes and view.
-        """
-        from taichi_bearings.plots.page import PAGE
-        from taichi_bearings.runs.figures import draw_figure  # and with it matplotlib, which nothing else needs
-
-        return draw_figure(kind, self._run.solution, sample, time, self._run.settings.slip_threshold, page or PAGE)
-
-    def save(self, path: str | Path, force: bool = False) -> Path:
-        """Write what `bearings run` writes into a new directory, which is returned; :func:`load` reads it.
-
-        force : replace a run directory that stands there. FileError if something does, or if it cannot be written.
-        """
-        if not force and os.path.lexists(path):
-            raise FileError(f"{path} already exists; save into another directory, or with force=True")
-        with run_directory(Path(path), force) as directory:
-            self._run = runs.publish(directory, replace(self._run, spin=self._run.start))
-            runs.draw_figures(self._run)
-        assert self._run.path is not None
-        return self._run.path
-
-
-def _described(row: Quantity) -> str:
-    unit = "" if row.unit == "1" else f", {row.unit}"
-    return f"{row.text[0].upper()}{row.text[1:]}{unit}."
-
-
-def _of_samples(row: Quantity) -> property:
-    """A number or word of each sample."""
-    return property(lambda result: result._of_samples(row.of(result._run.answered)), doc=_described(row))
-
-
-def _of_contacts(row: Quantity) -> property:
-    """An array an axis, or one of a packing; none where nothing is known."""
-
-    def found(result: Result) -> OfContacts:
-        values = row.of(result._run.solution)
-        if values is None:
-            return ()
-        values = result._of_samples(values)
-        return values if result._run.is_packing else result.scene.lattice.by_axis(values)
-
-    return property(found, doc=f"{_described(row)[:-1]}; of lattices an array an axis.")
-
-
-def _of_findings(row: Quantity) -> property:
-    """A number or word of each sample; None where there is none."""
-    return property(lambda result: result.findings.get(row.name), doc=_described(row))
-
-
-for _name in Result.__annotations__.keys() & SAMPLES.keys():
-    setattr(Result, _name, _of_samples(SAMPLES[_name]))
-for _name in Result.__annotations__.keys() & FINDINGS.keys():
-    setattr(Result, _name, _of_findings(FINDINGS[_name]))
-for _name, _row in SPHERES.items():  # of each sphere: N, or (*N, 3); zeros, too, of which files have none
-    _found = partial(lambda name, result: result._of_samples(getattr(result._run.solution, name)), _name)
-    setattr(Result, _name, property(_found, doc=_described(_row)))
-for _name, _row in CONTACTS.items():
-    setattr(Result, "power_per_contact" if _name == "power" else _name, _of_contacts(_row))
 
 OPTIONS = (
     "torque", "iterations", "time_limit", "duration", "record", "snapshots", "slip_threshold", "arch", "precision",
@@ -314,7 +96,7 @@ def solve(
         job = _job(scene, method, {"tolerance": tolerance, **options}, start)
         if isinstance(scene, Packing) and monitors and minimises(job.settings):
             raise InputError(f"callback is given, but method {job.settings.method} of a packing does not use it")
-        return Result(replace(job.solve(monitors, **density), command="taichi_bearings.solve"))
+        return replace(job.solve(monitors, **density), command="taichi_bearings.solve")
 
 
 def solve_many(
@@ -339,7 +121,7 @@ def solve_many(
     asked = {"tolerance": tolerance, **options}
     tasks = [JobTask(str(number), scene, _job(scene, method, asked, start)) for number, scene in enumerate(scenes)]
     found = solve_all(tasks, min(workers or available_threads(), max(1, len(tasks))))
-    return (Result(replace(run, command="taichi_bearings.solve_many")) for run in found)
+    return (replace(result, command="taichi_bearings.solve_many") for result in found)
 
 
 def analyse(result: Result | str | Path, threshold: float | None = None, sample: int = 0) -> Analysis:
@@ -352,7 +134,7 @@ def analyse(result: Result | str | Path, threshold: float | None = None, sample:
     found = load(result) if isinstance(result, (str, os.PathLike)) else result
     if not isinstance(found, Result):
         raise InputError(f"the result is {shown(found)}; it must be an answer of solve or load, or the path of a run")
-    return Analysis(found._run, None if threshold is None else finite_number("threshold", threshold), sample)
+    return Analysis(found, None if threshold is None else finite_number("threshold", threshold), sample)
 
 
 def load(path: str | Path) -> Result:
@@ -362,7 +144,7 @@ def load(path: str | Path) -> Result:
     """
     if not isinstance(path, (str, os.PathLike)):
         raise InputError(f"{shown(path)} is not a path; it must name a run directory or its run.h5")
-    return Result(read_run(Path(path)))
+    return read_run(Path(path))
 
 
 def _job(

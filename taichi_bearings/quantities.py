@@ -2,83 +2,52 @@
 
 Run files, summaries, columns of scans, the Python results, ParaView files and axes of figures are loops over its rows:
 a new quantity is a row here, its formula in tests/properties/formulas.py and, to be an attribute of `Result` too, a
-line in api.py. Tables by where a quantity lives: `SPHERES`, `CONTACTS`, `CHECK_ROWS`
+line in runs/result.py. Tables by where a quantity lives: `SPHERES`, `CONTACTS`, `CHECK_ROWS`
 (columns of the history, one value a look at the solve), `SAMPLES` (one value a sample, or one for all of them) and
 `STRUCTURE` (of one sample, what its contacts form).
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from taichi_bearings.proof.contact_state import ContactState, Separation, counts, separate
+from taichi_bearings.proof.contact_state import ContactState, Separation, count, separate
 from taichi_bearings.scene import Solution, Status
+from taichi_bearings.scene.scene import of_lattice
 from taichi_bearings.version import VERSION
 
 if TYPE_CHECKING:
     from taichi_bearings.scene.network import Network
 
 
-@dataclass(frozen=True)
-class Answered:
-    """A solution, and what was asked of it. tolerance : relative gap. duration : simulated time asked for, or None."""
-
-    solution: Solution
-    tolerance: float
-    duration: float | None
+class Asked(Protocol):
+    """What was asked of a solve, as far as its numbers depend on it."""
 
     @property
-    def scene(self) -> Any:
-        return self.solution.scene
+    def tolerance(self) -> float:
+        """Relative gap at which a sample is done."""
 
     @property
-    def status(self) -> list[Status]:
-        """How each sample ended, (R,).
+    def duration(self) -> float | None:
+        """Simulated time that was asked for, of a dynamics."""
 
-        One whose own gap is within the tolerance is certified, however the run as a whole ended, unless a limit came
-        before the simulated time that was asked for.
-        """
-        found, limits = list[Status](), (Status.STEP_LIMIT, Status.TIME_LIMIT) if self.duration is not None else ()
-        ended = self.solution.own.get("status", [self.solution.status] * self.scene.replicas)
-        for status, gap in zip(ended, self.solution.gap, strict=True):
-            found.append(Status.CERTIFIED if gap <= self.tolerance and status not in limits else status)
-        return found
 
-    @cached_property
-    def contacts_in(self) -> np.ndarray:
-        """Contacts in each state, (R, states)."""
-        return counts(self.solution.state)
+class Answer(Protocol):
+    """What the rows of samples are asked of: a `Result`."""
 
     @property
-    def contacts(self) -> Any:
-        """Contacts that take part: one number if all samples have as many, else (R,)."""
-        found = self.contacts_in.sum(axis=1) - self.contacts_in[:, ContactState.DRIVEN]
-        return int(found[0]) if (found == found[0]).all() else found
-
-    @cached_property
-    def separation(self) -> Separation:
-        """Of the slips of slipless and of slipping contacts."""
-        return separate(self.scene, self.solution.slip, self.solution.state)
+    def solution(self) -> Solution:
+        """What was found."""
 
     @property
-    def decades(self) -> np.ndarray:
-        """(R,) of that; NaN far from a minimum, where slips that are far apart say nothing."""
-        return np.where(self.solution.gap <= self.tolerance, self.separation.decades, np.nan)
+    def asked(self) -> Asked:
+        """What was asked for."""
 
     @property
-    def power_normalised(self) -> np.ndarray | None:
-        """(R,) P / (F_n R omega_T); None without that unit."""
-        scene = self.scene
-        unit = scene.normal_force * scene.lattice.radius * abs(scene.imposed[0])
-        return self.solution.power / unit if scene.law.is_rate_independent and unit > 0 else None
-
-    def at_end(self, column: str) -> np.ndarray | None:
-        """Where a column of the history ends; None where there is no such column."""
-        values = self.solution.history.get(column)
-        return None if values is None else values[-1]
+    def ended(self) -> list[Status]:
+        """How each sample ended, (R,)."""
 
 
 @dataclass(frozen=True)
@@ -96,14 +65,49 @@ class Quantity:
     symbol: str = ""
 
 
-def _of_lattice(of: Callable[[Any], Any], otherwise: Callable[[Any], Any] = lambda _: None) -> Callable[[Any], Any]:
-    """What is asked of an Answered with a lattice, and what of one without."""
-    return lambda answered: (otherwise if answered.scene.network.lattice is None else of)(answered)
+def _of_lattice(
+    of: Callable[[Answer], object], in_lists: Callable[[Answer], object] = lambda _: None
+) -> Callable[[Answer], object]:
+    """How to get a number that files have of lattices: `of`, and `in_lists` of networks whose contacts are listed."""
+    return lambda answer: (in_lists if answer.solution.scene.network.lattice is None else of)(answer)
 
 
-def _of_packing(of: Callable[["Network"], Any]) -> Callable[[Any], Any]:
-    """What is asked of the network of an Answered; None of lattices."""
-    return _of_lattice(lambda _: None, lambda answered: of(answered.scene.network))
+def _in_lists(of: Callable[["Network"], int]) -> Callable[[Answer], object]:
+    """How to get a number of networks whose contacts are listed; the shape of a lattice says it already."""
+    return _of_lattice(lambda _: None, lambda answer: of(answer.solution.scene.network))
+
+
+def _contacts(solution: Solution) -> int | np.ndarray:
+    """Contacts that take part: one number if all samples have as many, else (R,)."""
+    found = (solution.state != ContactState.DRIVEN).sum(axis=1)
+    return int(found[0]) if (found == found[0]).all() else found
+
+
+def _separation(answer: Answer) -> Separation:
+    """How far the slips of slipless and of slipping contacts lie apart."""
+    return separate(answer.solution.scene, answer.solution.slip, answer.solution.state)
+
+
+def _decades(answer: Answer) -> np.ndarray:
+    """(R,) decades of slip between them; not-a-number far from a minimum, where they say nothing."""
+    return np.where(answer.solution.gap <= answer.asked.tolerance, _separation(answer).decades, np.nan)
+
+
+def _normalised(solution: Solution) -> np.ndarray | None:
+    """(R,) P / (F_n R |omega_T|) of a lattice; None without that unit."""
+    scene = of_lattice(solution.scene)
+    unit = scene.normal_force * scene.lattice.radius * abs(scene.imposed[0])
+    return solution.power / unit if scene.law.is_rate_independent and unit > 0 else None
+
+
+def _at_end(column: str) -> Callable[[Answer], object]:
+    """How to get the value with which a column of the history ends; None where there is no such column."""
+
+    def found(answer: Answer) -> object:
+        values = answer.solution.history.get(column)
+        return None if values is None else values[-1]
+
+    return found
 
 
 def _named(rows: Iterable[Quantity]) -> dict[str, Quantity]:
@@ -166,7 +170,7 @@ SAMPLES = _named(
         Quantity("power", "energy/time", "power dissipated by the spins, an upper bound on the least power",
                  lambda a: a.solution.power, "P"),
         Quantity("potential", "energy/time", "dissipation potential, of which the lower bound and the gap are",
-                 lambda a: None if a.scene.law.minimises == "power" else a.solution.objective),
+                 lambda a: None if a.solution.scene.law.minimises == "power" else a.solution.objective),
         Quantity("lower_bound", "energy/time", "proven: no spins dissipate less; or, have a lower potential",
                  lambda a: a.solution.lower_bound, r"P_\mathrm{low}"),
         Quantity("gap", "1", "(power - lower_bound) / power, or the same of the potential; 0 where"
@@ -174,15 +178,15 @@ SAMPLES = _named(
                  lambda a: a.solution.gap, r"(P - P_\mathrm{low})\,/\,P"),
         Quantity("status", "1", "how it ended: certified (the gap is within the tolerance), stationary or finished"
                  " (a dynamics), stalled, step-limit, time-limit, interrupted, not-finite; in scans also failed",
-                 lambda a: [status.value for status in a.status]),
+                 lambda a: [status.value for status in a.ended]),
         Quantity("method", "1", "method that solved the sample", lambda a: a.solution.method),
-        Quantity("law", "1", "contact law", lambda a: a.scene.law.name),
+        Quantity("law", "1", "contact law", lambda a: a.solution.scene.law.name),
         Quantity("shape", "1", "spheres along each axis, height last",
-                 _of_lattice(lambda a: Whole(a.scene.lattice.shape))),
-        Quantity("spheres", "1", "spheres of a packing", _of_packing(lambda network: network.spheres)),
+                 _of_lattice(lambda a: Whole(a.solution.scene.network.shape))),
+        Quantity("spheres", "1", "spheres of a packing", _in_lists(lambda network: network.spheres)),
         Quantity("driven_spheres", "1", "driven spheres of a packing",
-                 _of_packing(lambda network: int((~network.free).sum()))),
-        Quantity("seed", "1", "seed of the disorder", lambda a: list(a.scene.seeds)),
+                 _in_lists(lambda network: int((~network.free).sum()))),
+        Quantity("seed", "1", "seed of the disorder", lambda a: list(a.solution.scene.seeds)),
         Quantity("iterations", "1", "iterations of the method",
                  _of_lattice(lambda a: a.solution.iterations,
                              lambda a: a.solution.own.get("iterations", a.solution.iterations))),
@@ -191,48 +195,50 @@ SAMPLES = _named(
         Quantity("seconds_compile", "s", "wall time to load and compile", lambda a: a.solution.seconds_compile),
         Quantity("contacts", "1", "contacts that take part: all but those between driven spheres and absent ones; their"
                  " sum is that of slipping, slipless, tied and undecided ones",
-                 lambda a: a.contacts, r"N_\mathrm{contacts}"),
+                 lambda a: _contacts(a.solution), r"N_\mathrm{contacts}"),
         Quantity("slipping", "1", "contacts that slip at every minimum; of a dynamics, that slip now",
-                 lambda a: a.contacts_in[:, ContactState.SLIPPING], r"N_\mathrm{slipping}"),
+                 lambda a: count(a.solution.state, ContactState.SLIPPING), r"N_\mathrm{slipping}"),
         Quantity("slipless", "1", "contacts that slip at no minimum; of a dynamics, that do not slip now",
-                 lambda a: a.contacts_in[:, ContactState.SLIPLESS], r"N_\mathrm{slipless}"),
+                 lambda a: count(a.solution.state, ContactState.SLIPLESS), r"N_\mathrm{slipless}"),
         Quantity("tied", "1", "contacts that slip at some minima and not at others, proven",
-                 lambda a: a.contacts_in[:, ContactState.TIED]),
+                 lambda a: count(a.solution.state, ContactState.TIED)),
         Quantity("undecided", "1", "contacts of which slip and friction say different things, and nothing is proven",
-                 lambda a: a.contacts_in[:, ContactState.UNDECIDED]),
+                 lambda a: count(a.solution.state, ContactState.UNDECIDED)),
         Quantity("states_proven", "1", "whether the state of every contact is proven",
                  lambda a: a.solution.states_proven),
         Quantity("unproven", "1", "contacts whose state is not proven",
                  lambda a: a.solution.unproven),
         Quantity("largest_slipless_slip", "length/time", "largest slip of a slipless contact",
-                 _of_lattice(lambda a: a.separation.largest_slipless)),
+                 _of_lattice(lambda a: _separation(a).largest_slipless)),
         Quantity("smallest_slipping_slip", "length/time", "smallest slip of a slipping contact",
-                 _of_lattice(lambda a: a.separation.smallest_slipping)),
+                 _of_lattice(lambda a: _separation(a).smallest_slipping)),
         Quantity("separation_decades", "1", "decades of slip between slipping and slipless contacts",
-                 _of_lattice(lambda a: a.decades)),
+                 _of_lattice(_decades)),
         Quantity("slip_threshold", "length/time", "slip up to which a contact counts as slipless",
                  lambda a: a.solution.slip_threshold, r"v_\mathrm{slip}"),
         Quantity("largest_balance_residual", "force*length", "largest component of the torque left over on a free"
                  " sphere, of packings over its radius",
                  lambda a: a.solution.largest_balance_residual),
-        Quantity("spin_top", "1/time", "spin of the top plane", _of_lattice(lambda a: a.scene.imposed[0]), r"\omega_T"),
+        Quantity("spin_top", "1/time", "spin of the top plane",
+                 _of_lattice(lambda a: of_lattice(a.solution.scene).imposed[0]), r"\omega_T"),
         Quantity("spin_bottom", "1/time", "spin of the bottom plane",
-                 _of_lattice(lambda a: a.scene.imposed[1]), r"\omega_B"),
-        Quantity("normal_force", "force", "force at every contact", _of_lattice(lambda a: a.scene.normal_force), "F_n"),
-        Quantity("radius", "length", "radius of the spheres", _of_lattice(lambda a: a.scene.lattice.radius), "R"),
+                 _of_lattice(lambda a: of_lattice(a.solution.scene).imposed[1]), r"\omega_B"),
+        Quantity("normal_force", "force", "force at every contact",
+                 _of_lattice(lambda a: a.solution.scene.normal_force), "F_n"),
+        Quantity("radius", "length", "radius of the spheres", _of_lattice(lambda a: a.solution.scene.slip_radius), "R"),
         Quantity("version", "1", "version of the program that solved it", lambda a: VERSION),
         Quantity("power_normalised", "1", "power / (normal_force radius |spin_top|)",
-                 _of_lattice(lambda a: a.power_normalised), r"P\,/\,(F_n R\,\omega_T)"),
+                 _of_lattice(lambda a: _normalised(a.solution)), r"P\,/\,(F_n R\,\omega_T)"),
         Quantity("minimum_is_unique", "1", "no other slips have the least power, proven either way",
                  lambda a: a.solution.minimum_is_unique),
-        Quantity("time", "time", "simulated time", lambda a: a.at_end("time")),
+        Quantity("time", "time", "simulated time", _at_end("time")),
         Quantity("duration", "time", "simulated time that was asked for",
-                 lambda a: a.duration if "time" in a.solution.history else None),
+                 lambda a: a.asked.duration if "time" in a.solution.history else None),
         Quantity("energy_residual", "1", "what the energy balance leaves unexplained",
-                 lambda a: a.at_end("energy_residual")),
+                 _at_end("energy_residual")),
     ]
 )
-"""Of an Answered: numbers and words of summaries, of the attributes of run files, and of scans."""
+"""Of an answer: numbers and words of summaries, of the attributes of run files, and of scans."""
 
 SAID_OF_PACKINGS = ("proof", "driven_power", "slipless_motions")  # findings of every packing
 FINDINGS = _named(
@@ -380,15 +386,15 @@ class Whole(list[Any]):
     """A list that is one value, the same for all samples."""
 
 
-def numbers_of(answered: Answered) -> dict[str, Any]:
+def numbers_of(answer: Answer) -> dict[str, Any]:
     """All quantities of samples by name: one value, or with several samples a list where they may differ.
 
     Numbers that are not finite are None, so that JSON can hold them.
     """
-    several = answered.scene.replicas > 1
-    found = {row.name: _told(value, several) for row, value in found_in(answered, SAMPLES)}
+    several = answer.solution.scene.replicas > 1
+    found = {row.name: _told(value, several) for row, value in found_in(answer, SAMPLES)}
     found["shape"] = found.get("shape")  # packings have none
-    return found | {name: _told(values, several) for name, values in answered.solution.findings.items()}
+    return found | {name: _told(values, several) for name, values in answer.solution.findings.items()}
 
 
 def _told(value: Any, several: bool) -> Any:

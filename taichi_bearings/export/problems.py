@@ -48,8 +48,8 @@ def export_problem(
     """
     with opened_to_draw(run, out, PROBLEM_NAMES[form], force, replica) as (stored, path):
         found, which = stored.sample(replica), replica_drawn(stored, replica)
-        torque = found.settings.torque
-        if torque is not None and not found.is_packing:
+        torque = found.asked.torque
+        if torque is not None and found.scene.network.lattice is not None:
             raise InputError(f"the run has a torque of {torque} on its top; only imposed spins can be exported")
         return write_problem(found.solution.scene, form, path) | which
 

@@ -13,9 +13,9 @@ from taichi_bearings.analysis.structure import structure_of
 from taichi_bearings.errors import InputError
 from taichi_bearings.files.whole_file import Finding, put, put_attributes, refuse_standing, replace_group, write_hdf5
 from taichi_bearings.options import OneOf
+from taichi_bearings.runs.result import Result, together
 from taichi_bearings.runs.run_directory import writable_folder
 from taichi_bearings.runs.run_file import file_of, read_run
-from taichi_bearings.runs.solved import Run, together
 from taichi_bearings.runs.stored_structure import GROUP
 from taichi_bearings.runs.structure_report import findings_of
 from taichi_bearings.stages import alike, each, stage
@@ -45,7 +45,7 @@ class Analysis:
     report : all numbers by name.
     """
 
-    def __init__(self, run: Run, threshold: float | None = None, sample: int = 0) -> None:
+    def __init__(self, run: Result, threshold: float | None = None, sample: int = 0) -> None:
         """sample : the one that is shown. InputError for a threshold or sample that cannot be.
 
         threshold : slip speed up to which contacts count as slipless. Default: the contact states of the run.
@@ -64,13 +64,14 @@ class Analysis:
                 self.structure = structure
             numbers.append(structure.numbers)
             self.arrays.append(findings_of(structure))
+        found_by = None if run.scene.network.lattice is None else solution.slip_threshold
         proven = "proven" if np.all(run.numbers["states_proven"]) else "decided"
         self.report: dict[str, Any] = {
             **together(numbers),
-            "threshold": solution.slip_threshold if threshold is None and not run.is_packing else threshold,
+            "threshold": found_by if threshold is None else threshold,
             "states": proven if threshold is None else "threshold",
             **{name: run.numbers[name] for name in TOLD_OF_RUN if name in run.numbers},
-            **run.settings.driving,
+            **run.asked.driving,
             "seconds": time.perf_counter() - began,
         }
 

@@ -53,7 +53,7 @@ def movie(
         raise InputError(f"fps is {frames_per_second:g}; it must be above 0 and at most {MOST_FRAMES_PER_SECOND}")
     ending = ending or (".gif" if encoder is None else ".mp4")
     with opened_to_draw(run, out, f"movie{ending}", force, replica) as (stored, path):
-        solution, threshold = stored.sample(replica).solution, stored.settings.slip_threshold
+        solution, threshold = stored.sample(replica).solution, stored.asked.slip_threshold
         if solution.snapshots is None:
             raise InputError(f"{run} holds no snapshots to film; run a dynamics with --snapshots, such as 0,0.1,1")
         draw = partial(draw_snapshot, solution, 0, slip_threshold=threshold, page=Page(title=title))

@@ -15,8 +15,8 @@ from taichi_bearings.options import options_of
 from taichi_bearings.packing import solve_packing
 from taichi_bearings.packing.starts import start_of
 from taichi_bearings.proof.contact_state import by_threshold, decided, what_is_proven
+from taichi_bearings.runs.result import Result
 from taichi_bearings.runs.settings import OF_SIDES, SIZES, RunSettings
-from taichi_bearings.runs.solved import Run
 from taichi_bearings.runs.torque import refuse_driven, under_torque
 from taichi_bearings.scene import Bearing, Solution, Status
 from taichi_bearings.scene.array_files import read_arrays, read_coefficients
@@ -52,7 +52,7 @@ def solve_packings(
     monitors: Sequence[Any] = (),
     checkpoints: Any = None,
     **others: Any,
-) -> Run:
+) -> Result:
     """The replicas one after another, each as alone. Ctrl-C leaves those that were begun; with checkpoints, from which
     the others can go on, it is a KeyboardInterrupt unless all were."""
     count, found = scene.replicas, list[Solution]()
@@ -72,7 +72,7 @@ def solve_packings(
                 raise KeyboardInterrupt
             settings, start = replace(settings, replicas=len(found)), start[: len(found)] if several else start
             break
-    return Run(settings, Solution.joined(found, scene.first(len(found))), start, interrupted=is_interrupted)
+    return Result(settings, Solution.joined(found, scene.first(len(found))), start, interrupted=is_interrupted)
 
 
 def minimises(settings: RunSettings) -> bool:

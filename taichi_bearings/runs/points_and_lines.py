@@ -13,8 +13,9 @@ from taichi_bearings.errors import InputError
 from taichi_bearings.files.whole_file import Finding
 from taichi_bearings.quantities import CONTACTS, SPHERES, found_in
 from taichi_bearings.runs.figures import moment_of
-from taichi_bearings.runs.run_file import PACKING_ARRAYS, file_of
-from taichi_bearings.runs.solved import Run
+from taichi_bearings.runs.result import Result
+from taichi_bearings.runs.run_file import file_of
+from taichi_bearings.runs.run_layout import PACKING_ARRAYS
 from taichi_bearings.runs.stored_structure import Drawn
 from taichi_bearings.scene import Solution
 from taichi_bearings.scene.network import Network
@@ -68,7 +69,7 @@ class PointsAndLines:
         return self.network.lattice is not None
 
 
-def points_and_lines(run: Run, replica: int = 0, analyse: bool = False) -> PointsAndLines:
+def points_and_lines(run: Result, replica: int = 0, analyse: bool = False) -> PointsAndLines:
     """One sample of a run; InputError if it has no such sample, or is not finite.
 
     analyse : compute its structure; else what its file holds of that is taken, if anything.
@@ -86,7 +87,7 @@ def points_and_lines(run: Run, replica: int = 0, analyse: bool = False) -> Point
             number = replica if len(run.solution.state) > 1 else None
             drawn = Drawn() if run.path is None else Drawn.stored(file_of(run.path), structure, number)
     with stage("collecting what is drawn"):
-        return _collected(structure, drawn, time, run.settings.slip_threshold)
+        return _collected(structure, drawn, time, run.asked.slip_threshold)
 
 
 def _collected(structure: Structure, drawn: Drawn, time: float | None, slip_threshold: float | None) -> PointsAndLines:

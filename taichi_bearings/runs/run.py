@@ -1,13 +1,11 @@
 """One run from its settings: build the scene, solve it, write the run directory."""
 
-import contextlib
-import json
 import logging
 import secrets
 import shutil
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from math import prod
@@ -17,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from taichi_bearings import compiler, leaving, runtime
-from taichi_bearings.errors import FileError, InputError, WriteError, printable
+from taichi_bearings.errors import FileError, InputError, WriteError
 from taichi_bearings.files.whole_file import write_text
 from taichi_bearings.interrupts import awaited
 from taichi_bearings.lattice import Lattice
@@ -25,8 +23,8 @@ from taichi_bearings.memory import refuse_before
 from taichi_bearings.options import options_of
 from taichi_bearings.plain_files import real_path
 from taichi_bearings.runs.cost import Cost, cost_of, refuse_too_large
+from taichi_bearings.runs.result import Result
 from taichi_bearings.runs.run_directory import (
-    RunDirectory,
     checkpoint_of,
     completed,
     default_run_path,
@@ -35,10 +33,10 @@ from taichi_bearings.runs.run_directory import (
     run_directory,
     write_checkpoint,
 )
-from taichi_bearings.runs.run_file import refuse_scan, write_run_file
-from taichi_bearings.runs.settings import DRIVING_KEYS, RunSettings, parse_toml
-from taichi_bearings.runs.solved import Run, self_contained
+from taichi_bearings.runs.run_file import refuse_scan
+from taichi_bearings.runs.settings import RunSettings, parse_toml
 from taichi_bearings.runs.torque import refuse_driven, under_torque
+from taichi_bearings.runs.writing import draw_figures, publish, self_contained, versions, write_run
 from taichi_bearings.scene import Bearing, Scene, Solution, Status
 from taichi_bearings.scene.array_files import read_coefficients
 from taichi_bearings.scene.disorder import Distribution
@@ -113,18 +111,18 @@ def _row_of(settings: RunSettings) -> type[MethodOptions]:
 
 @dataclass(frozen=True)
 class Job:
-    """A checked run that is ready to be solved. scene : as of a Solution. spin : as of Run."""
+    """A checked run that is ready to be solved. scene : as of a Solution. spin : that it starts from."""
 
     settings: RunSettings
     scene: Bearing
     spin: Any
     method: Any = None
 
-    def solve(self, monitors: Sequence[Any] = (), checkpoints: Any = None, **others: Any) -> Run:
+    def solve(self, monitors: Sequence[Any] = (), checkpoints: Any = None, **others: Any) -> Result:
         """On the device that the settings name. checkpoints : a solvers.drive.Checkpoints, for a dynamics."""
         if self.scene.network.lattice is not None:
             solution = solve_job(self, monitors, checkpoints)
-            return Run(self.settings, solution, self.spin, interrupted=solution.interrupted)
+            return Result(self.settings, solution, self.spin, interrupted=solution.interrupted)
         from taichi_bearings.runs.packing_run import solve_packings
 
         return solve_packings(self.settings, self.scene, self.spin, monitors, checkpoints, **others)
@@ -232,22 +230,13 @@ def _better(first: Solution, second: Solution, tolerance: float) -> Solution:
     return answers[gaps[1] <= tolerance < gaps[0] or 2 * gaps[1] < gaps[0]]
 
 
-def versions() -> dict[str, str]:
-    """Versions of what shapes a result."""
-    import platform
-    from importlib.metadata import version
-
-    found = {name: version(name) for name in (compiler.name(), "numpy", "scipy", "h5py")}
-    return {"python": platform.python_version(), **found}
-
-
 def run(
     settings: RunSettings,
     out: Path | None = None,
     force: bool = False,
     monitors: Sequence[Any] = (),
     title: bool = True,
-) -> Run:
+) -> Result:
     """Solve a scene or a packing and write a run directory: run.h5, summary.json, scene.toml, power_histogram.csv and
     its figures, with words above them where there is to be a title.
 
@@ -272,16 +261,10 @@ def command() -> str:
     return " ".join(["bearings", *sys.argv[1:]])
 
 
-def publish(directory: RunDirectory, found: Run) -> Run:
-    """Write a run into its directory and give that its name."""
-    found = replace(found, path=directory.path)
-    write_run(directory.partial, found)
-    directory.publish()
-    return found
-
-
-def kept(found: Run, write: Callable[[], Run], title: bool = True, otherwise: str = "the result is lost") -> Run:
-    """The run as it is written, and its figures; if its path cannot be written, in a temporary folder.
+def kept(
+    found: Result, write: Callable[[], Result], title: bool = True, otherwise: str = "the result is lost"
+) -> Result:
+    """The result as it is written, and its figures; if its path cannot be written, in a temporary folder.
 
     WriteError if not even that is possible. otherwise : what then, for people. An interrupt, now or before, waits for
     the files and leaves the figures to `bearings plot` and `histogram`.
@@ -298,7 +281,7 @@ def kept(found: Run, write: Callable[[], Run], title: bool = True, otherwise: st
     return found
 
 
-def _rescued(found: Run, write: Callable[[], Run], otherwise: str) -> Run:
+def _rescued(found: Result, write: Callable[[], Result], otherwise: str) -> Result:
     try:
         return write()
     except WriteError as error:
@@ -322,7 +305,7 @@ CHANGEABLE = (
 
 def resume(
     path: Path, changes: Mapping[str, Any] | None = None, monitors: Sequence[Any] = (), title: bool = True
-) -> Run:
+) -> Result:
     """Go on with a run that has a checkpoint, to the same bits as if it had never been stopped.
 
     changes : settings that say when to stop and what to write down, those named in CHANGEABLE.
@@ -358,7 +341,7 @@ def _solve_with_checkpoints(
     arrays: Mapping[str, np.ndarray] | None,
     monitors: Sequence[Any],
     title: bool,
-) -> Run:
+) -> Result:
     """Solve in a run directory that is there already and in our use, and complete it; a KeyboardInterrupt names it.
 
     stored : the settings with files named as in the directory. arrays : the checkpoint to go on from.
@@ -379,7 +362,7 @@ def _solve_with_checkpoints(
         raise KeyboardInterrupt(str(path)) from None
     found = replace(found, path=path, command=command())
 
-    def complete() -> Run:
+    def complete() -> Result:
         with completed(path, _drawn(path)) as folder:
             write_run(folder, found)
         return found
@@ -399,61 +382,3 @@ def _drawn(path: Path) -> list[str]:
     drawn = [*pictures, "power_histogram.csv", "power_histogram.h5", *PICTURES]
     of_replicas = {f"{Path(name).stem}-replica-*{Path(name).suffix}" for name in drawn}
     return drawn + [file.name for pattern in sorted(of_replicas) for file in path.glob(pattern)]
-
-
-def write_run(folder: Path, found: Run) -> None:
-    """Write every file of a run but its figures into `folder`, which will be renamed to its path."""
-    from taichi_bearings.files.histogram_file import write_table
-
-    with stage("writing"):
-        stored = found.self_contained(folder)
-        write_state(folder / "run.h5", found, stored)
-        write_text(folder / "scene.toml", stored.to_toml())
-        full = found.summary | {"settings": found.settings.described, "versions": versions()}
-        write_text(folder / "summary.json", json.dumps(full, indent=2, allow_nan=False) + "\n")
-    with _unless_full():
-        write_table(folder / "power_histogram.csv", {None: found.histogram})
-
-
-def write_state(file: Path, found: Run, stored: RunSettings) -> None:
-    """Write a run in the layout of run.h5. stored : settings that solve it again from where the file is."""
-    origin = {"command": found.command, "scene": stored.to_toml()}
-    numbers = {key: value for key, value in found.summary.items() if key not in DRIVING_KEYS}  # which the scene holds
-    write_run_file(file, found.solution, numbers | origin | versions())
-
-
-@contextlib.contextmanager
-def _unless_full() -> Iterator[None]:
-    """What is written inside is left out where the disk is full: what was solved is written."""
-    try:
-        yield
-    except WriteError as error:
-        logging.getLogger(__name__).warning("bearings: %s; the run is kept without it", error)
-
-
-@contextlib.contextmanager
-def _unless_undrawable() -> Iterator[None]:
-    """Figures that cannot be drawn inside, as where matplotlib cannot be loaded, cost no more than a sentence."""
-    try:
-        yield
-    except (FileError, MemoryError):
-        raise
-    except Exception as error:
-        words = "bearings: no figures, matplotlib says: %s: %s; the run is kept without them"
-        logging.getLogger(__name__).warning(words, type(error).__name__, printable(str(error)))
-
-
-def draw_figures(found: Run, title: bool = True) -> None:
-    """Draw the figures that a run gets into its directory, unless it wants none; title: whether words stand above."""
-    if found.settings.figures != "all":
-        return
-    with _unless_full(), _unless_undrawable(), stage("drawing"):
-        from taichi_bearings.plots.curves import courses_of, draw_histogram, draw_history
-        from taichi_bearings.plots.page import Page
-        from taichi_bearings.plots.style import save
-
-        assert found.path is not None
-        page = Page(title=title)
-        save(draw_histogram(found.histogram, page), found.path / "power_histogram.png")
-        if courses_of(found.solution):
-            save(draw_history(found.solution, page), found.path / "history.png")

@@ -1,4 +1,4 @@
-"""run.h5: everything about a run, readable with plain h5py (the layout is part of the public contract)."""
+"""Read a run.h5 back into what it was written from; it is readable with plain h5py, too."""
 
 import re
 from collections.abc import Callable, Iterator, Mapping
@@ -13,112 +13,23 @@ import numpy as np
 
 from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.files.scan_journal import JOURNAL_NAME
-from taichi_bearings.files.whole_file import attributes_of, layout_of, put, read_hdf5, write_hdf5
+from taichi_bearings.files.whole_file import attributes_of, read_hdf5
 from taichi_bearings.lattice import Lattice
-from taichi_bearings.lattice.grid import axis_numbers, friction_by_axis
+from taichi_bearings.lattice.grid import axis_numbers
 from taichi_bearings.proof.contact_state import ContactState
-from taichi_bearings.quantities import (
-    CHECK_ROWS,
-    CONTACTS,
-    FINDINGS,
-    FRICTION_QUANTITIES,
-    SAID_OF_PACKINGS,
-    SPHERES,
-    found_in,
-)
+from taichi_bearings.quantities import CONTACTS, FINDINGS, SAID_OF_PACKINGS
+from taichi_bearings.runs.result import Result
 from taichi_bearings.runs.run_directory import CHECKPOINT_NAME, claimed, is_run
+from taichi_bearings.runs.run_layout import AXES, PACKING_ARRAYS
 from taichi_bearings.runs.settings import RunSettings, parse_toml, read_toml, settings_table
-from taichi_bearings.runs.solved import Run
 from taichi_bearings.runtime import HOST, Runtime
 from taichi_bearings.scene import LAWS, Scene, Snapshots, Solution, Status
-from taichi_bearings.scene.scene import of_lattice
-from taichi_bearings.scene.solution import OF_ALL, is_crossed, stacked
+from taichi_bearings.scene.solution import OF_ALL, is_crossed
 from taichi_bearings.stages import stage
 from taichi_bearings.words import shown
 
-AXES = "xyz"
 SCAN_NAME = "scan.h5"  # beside the settings and the journal of a scan
-PACKING_ARRAYS = {
-    "center": ("length", "centres of the spheres"),
-    "contact": ("1", "first and second sphere of each contact"),
-    "driven": ("1", "-1 for a free sphere, else the number of its driven body"),
-    "spin": ("1/time", "imposed on driven spheres, laboratory frame"),
-    "radius": ("length", "of the spheres"),
-    "normal": ("1", "unit vector of each contact from its first to its second sphere"),
-    "friction": ("1", "coefficient of the law: friction, or with the law viscous damping, force*time/length"),
-    "viscosity": ("force*time/length", "viscosity of the contacts"),
-    "normal_force": ("force", "normal force of the contacts"),
-    "schematic": ("1", "1: contacts need not lie where spheres touch"),
-}
-"""Data sets of the group /packing: unit and words."""
-FRICTION_OF_SECOND = {
-    2: "friction on the second disc, component along z x n",
-    3: "friction on the second sphere, laboratory frame",
-}
-"""By dimension. It is in balance and within the friction limits, so the lower bound follows from it."""
 WHOLE_SETS = re.compile("/state$|/proven$|^history/")  # data sets that may hold whole numbers
-OF_VECTORS = 5  # axes of friction on cubic lattices, of which a component is 0: replicas, lattice, components
-
-Row = tuple[str, np.ndarray, str, str]
-"""Name, values with an axis of replicas, unit and text of a data set."""
-
-
-def write_run_file(path: Path, solution: Solution, attributes: Mapping[str, Any]) -> None:
-    """Write run.h5 in full or not at all. With one replica the replica axis is left out."""
-    one = solution.scene.replicas == 1
-
-    def fill(file: h5py.File) -> None:
-        for name, values, unit, text in _rows(solution):
-            values = values.astype(np.uint8) if values.dtype == bool else values
-            sparse = values.dtype == np.uint8 or (name.endswith("/friction") and values.ndim == OF_VECTORS)
-            packed = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if sparse and values.size else {}
-            put(file, name, values[0] if one else values, unit, text, **packed)
-
-    write_hdf5(path, fill, {**layout_of("run"), **attributes, "findings": list(solution.findings)})
-
-
-def _rows(solution: Solution) -> Iterator[Row]:
-    scene, replicas = solution.scene, solution.scene.replicas
-    yield from (_rows_of_packings if scene.network.lattice is None else _rows_of_lattice)(solution)
-    for row, found in found_in(solution, SPHERES):
-        yield row.name, found, row.unit, row.text
-
-    def of_each(column: np.ndarray, replica_axis: int) -> np.ndarray:
-        """With a leading axis of replicas, like everything else."""
-        return np.moveaxis(column, replica_axis, 0) if column.ndim > 1 else np.tile(column, (replicas, 1))
-
-    for key, column in solution.history.items():
-        yield f"history/{key}", of_each(column, 1), CHECK_ROWS[key].unit, CHECK_ROWS[key].text
-    if (kept := solution.snapshots) is not None:
-        yield "snapshots/time", of_each(kept.time, 1), "time", "simulated time of each snapshot"
-        text = f"{SPHERES['spin'].text} at these times"
-        yield "snapshots/spin", of_each(kept.spin, 1), SPHERES["spin"].unit, text
-
-
-def _rows_of_lattice(solution: Solution) -> Iterator[Row]:
-    scene = of_lattice(solution.scene)
-    lattice = scene.lattice
-    friction = friction_by_axis(solution.friction, lattice)
-    named = zip(scene.law.quantities, scene.named_coefficients.items(), strict=True)
-    of_contacts = [
-        *((f"{group}/{{}}", lattice.by_axis(values), quantity.unit, f"{quantity.name} coefficient of the {{}}-contacts")
-          for quantity, (group, values) in named),
-        *((f"contact/{{}}/{row.name}", lattice.by_axis(found), row.unit, row.text)
-          for row, found in found_in(solution, CONTACTS)),
-        ("contact/{}/friction", friction, "force", FRICTION_QUANTITIES[lattice.dimension]),
-    ]  # fmt: skip
-    for name, parts, unit, text in of_contacts:
-        for axis, part in zip(AXES, parts, strict=False):
-            yield name.format(axis), part, unit, text.format(axis)
-
-
-def _rows_of_packings(solution: Solution) -> Iterator[Row]:
-    scene = solution.scene
-    for name, values in stacked([scene.sample(number).arrays() for number in range(scene.replicas)]).items():
-        yield f"packing/{name}", values, *PACKING_ARRAYS[name]
-    for row, found in found_in(solution, CONTACTS):
-        yield f"contact/{row.name}", found, row.unit, row.text
-    yield "contact/friction", solution.friction, "force", FRICTION_OF_SECOND[scene.network.dimension]
 
 
 def refuse_scan(path: Path) -> None:
@@ -149,7 +60,7 @@ def file_of(run: Path) -> Path:
     return run / "run.h5" if run.is_dir() else run
 
 
-def read_run(run: str | Path) -> Run:
+def read_run(run: str | Path) -> Result:
     """A run of a lattice or a packing, by its directory or its run.h5; FileError if it is missing, damaged, changed or
     of an unknown version."""
     with _opened(run) as (path, file, attributes):
@@ -160,9 +71,9 @@ def read_run(run: str | Path) -> Run:
         return _run_in(path, file, attributes)
 
 
-def read_claims(run: str | Path) -> tuple[Run, list[str]]:
+def read_claims(run: str | Path) -> tuple[Result, list[str]]:
     """A run as its file has it, whatever that says of power and bound, and what in the file is not as it was written:
-    names of data sets and attributes. `Run.attributes` has what the file says; the gap of the solution is left open.
+    names of data sets and attributes. `Result.attributes` has what the file says; the gap of the solution is left open.
     FileError if it is missing, of an unknown version or so damaged that it is no run."""
     changed: list[str] = []
     with _opened(run, changed) as (path, file, attributes):
@@ -185,7 +96,7 @@ def _opened(run: str | Path, changed: list[str] | None = None) -> Iterator[tuple
         yield path, file, attributes_of(file)
 
 
-def _run_in(path: Path, file: h5py.File, attributes: Mapping[str, Any]) -> Run:
+def _run_in(path: Path, file: h5py.File, attributes: Mapping[str, Any]) -> Result:
     if "scene" not in attributes:
         raise FileError(f"{path} lacks the attribute 'scene'; it is damaged or was changed")
     try:
@@ -201,13 +112,13 @@ def _run_in(path: Path, file: h5py.File, attributes: Mapping[str, Any]) -> Run:
         raise InputError(str(error)) from None
     solution = _read(path, file, attributes, settings)
     place = path.parent if path.name == "run.h5" else path
-    return Run(settings, solution, None, place, str(attributes.get("command", "")), attributes=attributes)
+    return Result(settings, solution, None, place, str(attributes.get("command", "")), attributes=attributes)
 
 
 @contextmanager
 def opened_to_draw(
     run: str | Path, out: str | Path | None, name: str, force: bool, replica: int = 0
-) -> Iterator[tuple[Run, Path]]:
+) -> Iterator[tuple[Result, Path]]:
     """The run in a directory or a run.h5, and the file to write, which is ours meanwhile: `out`, or one in the run
     directory, of this name, to which that of any but the first replica adds its number.
 
@@ -223,7 +134,7 @@ def opened_to_draw(
         yield found, path
 
 
-def replica_drawn(found: Run, replica: int) -> dict[str, int]:
+def replica_drawn(found: Result, replica: int) -> dict[str, int]:
     """Which replica of a run a picture or a file shows, and of how many; nothing where there is only one."""
     replicas = len(found.solution.state)
     return {"replica": replica, "replicas": replicas} if replicas > 1 else {}

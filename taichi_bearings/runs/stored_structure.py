@@ -12,7 +12,7 @@ from taichi_bearings.errors import FileError
 from taichi_bearings.files.whole_file import Finding
 from taichi_bearings.hdf5 import open_hdf5
 from taichi_bearings.quantities import Quantity
-from taichi_bearings.runs.run_file import AXES
+from taichi_bearings.runs.run_layout import AXES
 from taichi_bearings.runs.structure_report import IN_FILES, ON_CONTACTS, ON_SPHERES, columns_of
 
 GROUP = "analysis"

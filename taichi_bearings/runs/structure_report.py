@@ -8,7 +8,7 @@ import numpy as np
 from taichi_bearings.analysis.structure import Structure
 from taichi_bearings.files.whole_file import Finding
 from taichi_bearings.quantities import Quantity, found_in
-from taichi_bearings.runs.run_file import AXES
+from taichi_bearings.runs.run_layout import AXES
 
 # fmt: off
 ON_SPHERES = (

@@ -25,9 +25,9 @@ from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.proof.contact_state import are_proven
 from taichi_bearings.proof.elimination import EPS
 from taichi_bearings.proof.judgement import Judgement
-from taichi_bearings.quantities import CONTACTS, Answered, found_in, numbers_of, plain
+from taichi_bearings.quantities import CONTACTS, found_in, numbers_of, plain
+from taichi_bearings.runs.result import Result
 from taichi_bearings.runs.run_file import file_of, read_claims
-from taichi_bearings.runs.solved import Run
 from taichi_bearings.runs.torque import under_torque
 from taichi_bearings.scene import Bearing, Scene, Solution, Status
 from taichi_bearings.scene.disorder import Distribution, draw_coefficients
@@ -112,7 +112,7 @@ def _judgements(solution: Solution) -> list[Judgement]:
 class Anew:
     """The judgement of a run, made anew from the spins and the friction in its file."""
 
-    run: Run
+    run: Result
 
     @cached_property
     def judgements(self) -> list[Judgement]:
@@ -152,7 +152,7 @@ class Anew:
             findings={**stored.findings, **{name: np.array(v) for name, v in said.items() if name in stored.findings}},
             own={**stored.own, "status": ended},
         )
-        with_torque = self.run.settings.torque
+        with_torque = self.run.asked.torque
         try:
             return found if with_torque is None else under_torque(found, with_torque, _no_other)
         except _NeedsAnother:
@@ -207,9 +207,9 @@ class Anew:
             return
         yield from self._contacts()
         yield from _not_driven_so(stored)
-        answered = Answered(self.solution, self.run.settings.tolerance, self.run.settings.duration)
         left_out = OF_STATES if attributes["schema_version"] == 1 else set()
-        held = {name: value for name, value in numbers_of(answered).items() if name not in left_out}
+        numbers = numbers_of(replace(self.run, solution=self.solution))
+        held = {name: value for name, value in numbers.items() if name not in left_out}
         yield from _said_otherwise(attributes, held, stored.scene.replicas)
 
     def _contacts(self) -> Iterator[str]:
@@ -264,13 +264,13 @@ def _not_driven_so(stored: Solution) -> Iterator[str]:
         yield f"{where}the spins of driven spheres are not those that the scene imposes"
 
 
-def _not_of_their_seeds(run: Run) -> list[str]:
+def _not_of_their_seeds(run: Result) -> list[str]:
     """Sentences where the scene has another shape or other seeds than the file, and on coefficients that it says are
     drawn, and that are not those of their seeds, to the bit."""
     scene, found = run.solution.scene, list[str]()
-    pairs: dict[str, tuple[Sequence[int], Sequence[int]]] = {"seed": (scene.seeds, run.settings.seeds)}
+    pairs: dict[str, tuple[Sequence[int], Sequence[int]]] = {"seed": (scene.seeds, run.asked.seeds)}
     if scene.network.lattice is not None:
-        pairs["shape"] = scene.network.shape, run.settings.shape
+        pairs["shape"] = scene.network.shape, run.asked.shape
     for name, (said, asked) in pairs.items():
         if tuple(said) != tuple(asked):
             found.append(f"the {name} is said to be {list(said)}; the scene has {list(asked)}")

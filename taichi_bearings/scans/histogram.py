@@ -30,10 +30,10 @@ from taichi_bearings.files.whole_file import refuse_standing
 from taichi_bearings.interrupts import awaited
 from taichi_bearings.plots.page import PAGE, Page
 from taichi_bearings.proof.contact_state import ContactState
+from taichi_bearings.runs.result import Result
 from taichi_bearings.runs.run_directory import default_run_path, writable_folder
 from taichi_bearings.runs.run_file import file_of, read_run
 from taichi_bearings.runs.settings import RunSettings, parse_toml
-from taichi_bearings.runs.solved import Run
 from taichi_bearings.scans.stored_scans import disorder_of, is_scan, numbered, open_scan
 from taichi_bearings.stages import each, stage
 from taichi_bearings.words import meant
@@ -111,17 +111,17 @@ def _source_of_scan(scan: StoredScan) -> Source:
     return Source(scan.path, scan.reasons, column, contacts, partial(rebinned, fine), disorder, is_scan=True)
 
 
-def _source_of_run(run: Run) -> Source:
+def _source_of_run(run: Result) -> Source:
     assert run.path is not None
-    settings, path, given = run.settings, file_of(run.path), list[tuple[np.ndarray, ...]]()
+    settings, path, given = run.asked, file_of(run.path), list[tuple[np.ndarray, ...]]()
     attributes, power, state = run.attributes, run.solution.power_per_contact, run.solution.state
-    if run.is_packing:
+    if in_lists := run.scene.network.lattice is None:
         scene = run.solution.scene
         given = [(scene.network.contact, *values) for values in zip(*scene.material, strict=True)]
     elif attributes.get("coefficients"):
         given = [(values,) for values in run.solution.scene.coefficient]
     replicas = len(state)
-    known = {*attributes, *RunSettings.keys()} - {"scene", "command", *(["shape"] if run.is_packing else [])}
+    known = {*attributes, *RunSettings.keys()} - {"scene", "command"} - ({"shape"} if in_lists else set())
 
     def column(name: str) -> np.ndarray:
         """Return an attribute or a setting of each replica."""

@@ -16,9 +16,10 @@ from taichi_bearings.files.scan_file import BINS_PER_DECADE
 from taichi_bearings.files.whole_file import make_folder
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.quantities import plain
-from taichi_bearings.runs.run import Job, prepare, row_of, write_state
+from taichi_bearings.runs.result import Result
+from taichi_bearings.runs.run import Job, prepare, row_of
 from taichi_bearings.runs.settings import RunSettings
-from taichi_bearings.runs.solved import Run
+from taichi_bearings.runs.writing import self_contained, write_state
 from taichi_bearings.scans.engine import LocalEngine, failure, run_samples
 from taichi_bearings.scans.plan import Sample, files_of, groups_of, sample_key
 from taichi_bearings.scene import Bearing
@@ -88,22 +89,24 @@ def _solve_block(block: Sequence[Sample], analyse: bool, states: Path | None) ->
         raise Interrupted
     runs = [found.sample(number) for number in range(len(block))]
     if not settings.is_packing:
-        runs = [replace(run, settings=sample.settings) for run, sample in zip(runs, block, strict=True)]
+        runs = [replace(run, asked=sample.settings) for run, sample in zip(runs, block, strict=True)]
     for sample, run in zip(block, runs, strict=True):
         if states is not None:
             make_folder(states)
             path = state_path(states, sample.key)
-            stored = run.self_contained(states, path.name) if first.is_packing else sample.settings
+            stored = sample.settings
+            if first.is_packing:
+                stored = self_contained(run.asked, run.scene, run.start(), states, path.name)
             write_state(path, replace(run, path=path, command="bearings scan"), stored)
     return [_record(sample.key, run, analyse) for sample, run in zip(block, runs, strict=True)]
 
 
-def _record(key: str, run: Any, analyse: bool) -> dict[str, Any]:
+def _record(key: str, run: Result, analyse: bool) -> dict[str, Any]:
     """Return the record of a sample: numbers and texts alone, the shape as a table holds it; what is not finite is
     None.
     """
     answer = run.solution
-    scalars = run.numbers | run.settings.driving | {"slip_threshold": answer.slip_threshold}
+    scalars = run.numbers | run.asked.driving | {"slip_threshold": answer.slip_threshold}
     if analyse:
         from taichi_bearings.analysis.structure import structure_of
 
@@ -151,13 +154,13 @@ def solve_tasks(tasks: Sequence[JobTask]) -> list[dict[str, Any]]:
         for task in tasks:
             try:
                 run = replace(task.job, settings=replace(task.settings, threads=task.settings.threads or 1)).solve()
-                records.append({"key": task.key, "scalars": {"status": run.status[0].value}, "run": run})
+                records.append({"key": task.key, "scalars": {"status": run.ended[0].value}, "run": run})
             except Exception as error:
                 records.append(failure(task, error))
     return records
 
 
-def solve_all(tasks: Sequence[JobTask], workers: int) -> Iterator[Run]:
+def solve_all(tasks: Sequence[JobTask], workers: int) -> Iterator[Result]:
     """Yield the answers as they come, each for the very scene that was given; BearingsError for the first that has
     none.
     """
@@ -169,4 +172,4 @@ def solve_all(tasks: Sequence[JobTask], workers: int) -> Iterator[Run]:
                     raise BearingsError(f"scene {task.label} has no answer: {record['scalars']['error']}")
                 run = record["run"]
                 solution = replace(run.solution, scene=task.job.scene)
-                yield replace(run, settings=task.settings, solution=solution)
+                yield replace(run, asked=task.settings, solution=solution)

@@ -25,9 +25,9 @@ from taichi_bearings.files.whole_file import Finding, layout_of
 from taichi_bearings.hdf5 import open_hdf5
 from taichi_bearings.plain_files import read_lines, read_whole
 from taichi_bearings.quantities import COLUMNS
-from taichi_bearings.runs.run import versions
 from taichi_bearings.runs.run_file import refuse_run
 from taichi_bearings.runs.settings import MOST_SETTINGS_TEXT, RunSettings, settings_table, users_of
+from taichi_bearings.runs.writing import versions
 from taichi_bearings.scans.parts import journal_bytes, read_journals
 from taichi_bearings.scans.plan import Sample, ScanPlan, read_plan, written
 from taichi_bearings.scene import Scene

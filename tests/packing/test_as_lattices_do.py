@@ -238,7 +238,7 @@ def test_what_cannot_be_is_one_sentence(call, sentence):
 def test_the_history_shows_every_replica():
     packings = [tb.Packing.lattice("bcc", (2, 2, 3), seed=seed) for seed in range(2)]
     found = [solve(p, "gradient-descent", iterations=100 * (n + 1)) for n, p in enumerate(packings)]
-    together = Solution.joined([one._run.solution for one in found], Packing.together(packings))
+    together = Solution.joined([one.solution for one in found], Packing.together(packings))
     lines = draw_figure("history", together).axes[0].lines
     assert [line.get_xdata()[-1] for line in lines] == [100, 100, 200, 200]
 

@@ -24,9 +24,7 @@ INCH = 2.54
 
 @pytest.fixture(scope="module")
 def solved() -> Solution:
-    found = tb.solve(
-        tb.Scene.random((4, 3, 5), seed=1, spin_bottom=0.1), "gradient-descent", 1e-2, threads=1
-    )._run.solution
+    found = tb.solve(tb.Scene.random((4, 3, 5), seed=1, spin_bottom=0.1), "gradient-descent", 1e-2, threads=1).solution
     books = {f"{name}_energy": np.array([[sign], [2.0], [30.0]]) for name, sign in BOOKS.items()}
     history = {"iteration": np.arange(3), "time": np.array([1e-3, 1e-1, 1.0]), **books}
     residual = {"energy_residual": np.array([[1e-9], [-1e-8], [1e-9]])}

@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from taichi_bearings.errors import InputError
-from taichi_bearings.runs.run import prepare, resume, run, solve_job, write_state
+from taichi_bearings.runs.result import Result
+from taichi_bearings.runs.run import prepare, resume, run, solve_job
 from taichi_bearings.runs.settings import RunSettings
-from taichi_bearings.runs.solved import Run
 from taichi_bearings.runs.verify import verify
+from taichi_bearings.runs.writing import write_state
 from taichi_bearings.scene import Scene
 
 LAWS = ("coulomb", "viscous", "coulomb-viscous")
@@ -87,7 +88,7 @@ def contradictions(given: dict, folder: Path) -> list[str] | None:
             return verify(folder)["contradictions"]
         job = prepare(settings)
         folder.mkdir(exist_ok=True)
-        write_state(folder / "run.h5", Run(job.settings, solve_job(job), job.spin), job.settings)
+        write_state(folder / "run.h5", Result(job.settings, solve_job(job), job.spin), job.settings)
         return verify(folder)["contradictions"]
     except InputError:
         return None

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from taichi_bearings_studies.stress import truth
 
+from taichi_bearings.runs.result import Result
 from taichi_bearings.runs.run import prepare, solve_job
 from taichi_bearings.runs.settings import RunSettings
-from taichi_bearings.runs.solved import Run
 from taichi_bearings.scene import Scene, Status
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import METHODS
@@ -48,7 +48,9 @@ def assert_true(solution, exact, tolerance):
     assert solution.power[0] >= low * (1 - ROUNDING)
     missing = (solution.power[0] - low) / solution.power[0]
     assert solution.gap[0] >= missing - ROUNDING
-    assert (Run(RunSettings(tolerance=tolerance), solution).numbers["status"] == "certified") <= (missing <= tolerance)
+    assert (Result(RunSettings(tolerance=tolerance), solution).numbers["status"] == "certified") <= (
+        missing <= tolerance
+    )
 
 
 @pytest.mark.parametrize("settings", COULOMB, ids=str)
@@ -85,7 +87,7 @@ def test_a_power_that_is_no_number_is_not_certified():
     solution = solve(job.scene, job.method, np.full_like(job.spin, np.nan), StopRule(1e-8, 10))
     assert solution.status is not Status.CERTIFIED
     assert not solution.gap[0] <= 1e-8
-    assert Run(RunSettings(), solution).numbers["status"] != "certified"
+    assert Result(RunSettings(), solution).numbers["status"] != "certified"
 
 
 def test_strong_levels_that_weak_contacts_part_are_not_proven_by_a_mean():

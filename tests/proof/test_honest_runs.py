@@ -12,9 +12,10 @@ from hypothesis import strategies as st
 
 from taichi_bearings.errors import InputError
 from taichi_bearings.proof.contact_state import ContactState
-from taichi_bearings.runs.run import run, write_state
+from taichi_bearings.runs.run import run
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.runs.verify import verify
+from taichi_bearings.runs.writing import write_state
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import METHODS, PlanarCut
 from taichi_bearings.solvers.answer import judged, with_forces_of

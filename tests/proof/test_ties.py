@@ -9,7 +9,9 @@ from taichi_bearings_studies.stress import truth
 
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.proof.ties import Line
-from taichi_bearings.quantities import Answered
+from taichi_bearings.quantities import numbers_of
+from taichi_bearings.runs.result import Result
+from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.scene.solution import DRIVEN, SLIPLESS, SLIPPING, TIED, UNDECIDED
 from taichi_bearings.solvers import METHODS
@@ -44,14 +46,9 @@ def test_what_is_proven_is_what_contacts_are_called(shape, seed, expected):
     """Of the slipless contacts 3, 0 and 4 bear all their friction (docs/certificates.md)."""
     solution = minimum(shape, seed)
     assert kinds(solution) == expected
-    numbers = Answered(solution, 1e-8, None)
-    assert numbers.contacts_in[0].tolist() == [
-        *expected[:2],
-        0,
-        (solution.state == DRIVEN).sum(),
-        expected[2],
-    ]
-    assert numbers.contacts == sum(expected)
+    numbers = numbers_of(Result(RunSettings(tolerance=1e-8), solution))
+    assert [numbers[name] for name in ("slipless", "slipping", "undecided", "tied")] == [*expected[:2], 0, expected[2]]
+    assert numbers["contacts"] == sum(expected)
     assert solution.unproven[0] == 0
     assert solution.states_proven[0]
     assert solution.minimum_is_unique == [not expected[2]]

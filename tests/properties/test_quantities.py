@@ -17,9 +17,10 @@ from taichi_bearings.quantities import (
     SAMPLES,
     SPHERES,
     STRUCTURE,
-    Answered,
     Whole,
 )
+from taichi_bearings.runs.result import Result
+from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene import Scene
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.scene.law import LAWS
@@ -111,7 +112,7 @@ def check(answer, tolerance=TOLERANCE, duration=None, inertia=None):
         one = answer.sample(number)
         structure = structure_of(one)
         lab = Laboratory(one, structure, tolerance, duration, inertia)
-        answered = Answered(one, tolerance, duration)
+        answered = Result(RunSettings(tolerance=tolerance, duration=duration), one)
         for name, formula in formulas.SAMPLES.items():
             assert_is(name, one_of(SAMPLES[name].of(answered)), formula(lab))
         for table, rows in ((formulas.CONTACTS, CONTACTS), (formulas.SPHERES, SPHERES)):
@@ -201,7 +202,7 @@ def test_numbers_that_are_off_are_found(law):
     one = answer_of(Scene.random((3, 3, 4), law=law, seed=5))
     lab = Laboratory(one, structure_of(one), TOLERANCE)
     tables = (
-        (formulas.SAMPLES, SAMPLES, Answered(one, TOLERANCE, None)),
+        (formulas.SAMPLES, SAMPLES, Result(RunSettings(tolerance=TOLERANCE), one)),
         (formulas.STRUCTURE, ANALYSED, lab.structure),
     )
     found = 0

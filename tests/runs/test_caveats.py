@@ -25,7 +25,7 @@ def solved(tmp_path):
 
 def words_of(found, word):
     """The warnings of a run with this word."""
-    assert found.summary["warnings"] == caveats(found.solution, found.settings)
+    assert found.summary["warnings"] == caveats(found.solution, found.asked)
     return [sentence for sentence in found.summary["warnings"] if word in sentence]
 
 

@@ -6,8 +6,8 @@ import os
 import numpy as np
 import pytest
 
-from taichi_bearings.api import Result
 from taichi_bearings.export.vtkhdf import export
+from taichi_bearings.runs.result import Result
 from taichi_bearings.runs.run import prepare, run, solve_job
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.runs.verify import verify
@@ -27,14 +27,12 @@ def test_the_history_of_a_replica_ends_with_its_own_last_iteration(tmp_path):
         assert one.iterations == one.history["iteration"][-1] == alone.iterations
         np.testing.assert_array_equal(one.history["iteration"], alone.history["iteration"])
         np.testing.assert_array_equal(one.history["power"], alone.history["power"])
-        path = Result(run_of(one)).save(tmp_path / f"{number}")
+        path = run_of(one).save(tmp_path / f"{number}")
         assert verify(path)["contradictions"] == []
 
 
 def run_of(solution):
-    from taichi_bearings.runs.solved import Run
-
-    return Run(RunSettings(shape=(4, 4, 4), seed=solution.scene.seeds[0], threads=1), solution)
+    return Result(RunSettings(shape=(4, 4, 4), seed=solution.scene.seeds[0], threads=1), solution)
 
 
 def test_files_of_a_replica_bear_its_number(tmp_path):

@@ -14,10 +14,10 @@ import pytest
 
 from taichi_bearings.errors import BearingsError, FileError, InputError
 from taichi_bearings.files.scan_file import read_scan
+from taichi_bearings.runs.result import Result
 from taichi_bearings.runs.run import prepare, solve_job
 from taichi_bearings.runs.run_file import read_run
 from taichi_bearings.runs.settings import RunSettings
-from taichi_bearings.runs.solved import Run
 from taichi_bearings.scans import engine as scan_engine
 from taichi_bearings.scans.engine import LocalEngine, run_samples
 from taichi_bearings.scans.plan import read_plan
@@ -67,7 +67,7 @@ def test_a_sample_is_what_run_makes_of_it_to_the_last_bit(plan_of, tmp_path, nee
     assert " ".join(stored.table).startswith(names)
     for row, sample in enumerate(plan.samples):
         solution = solve_job(prepare(replace(sample.settings, threads=1)))
-        summary = Run(sample.settings, solution).numbers
+        summary = Result(sample.settings, solution).numbers
         for name, values in stored.table.items():
             if name in summary and name not in CLOCKS:
                 found = summary[name]

@@ -8,8 +8,8 @@ from scipy.optimize import linprog
 from scipy.sparse import coo_array, hstack, identity, vstack
 
 from taichi_bearings.proof.contact_state import ContactState
+from taichi_bearings.runs.result import Result
 from taichi_bearings.runs.settings import RunSettings
-from taichi_bearings.runs.solved import Run
 from taichi_bearings.scene import Scene, Status
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import InteriorPoint, PlanarCut
@@ -165,7 +165,7 @@ def _plane(scene, x):
 
 
 def test_findings_are_in_the_summary():
-    summary = Run(RunSettings(tolerance=1e-9), solved(make_scene((5, 6), seeds=(1, 2)))).numbers
+    summary = Result(RunSettings(tolerance=1e-9), solved(make_scene((5, 6), seeds=(1, 2)))).numbers
     assert summary["cut_is_unique"] == [True, True]
     assert summary["tied"] == [0, 0]
     assert min(summary["next_cut_over_minimum"]) > 1

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from taichi_bearings.errors import InputError
+from taichi_bearings.runs.result import Result
 from taichi_bearings.runs.settings import RunSettings
-from taichi_bearings.runs.solved import Run
 from taichi_bearings.scene import Status
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import CundallStrack
@@ -73,7 +73,7 @@ def test_a_limit_before_the_duration_is_told_whatever_the_gap():
     solution = run(scene, stop=StopRule(1e-3, iterations=2 * steps, duration=1e9))
     assert (solution.gap <= 1e-3).all()
     assert solution.status is Status.STEP_LIMIT
-    assert Run(RunSettings(tolerance=1e-3, duration=1e9), solution).numbers["status"] == "step-limit"
+    assert Result(RunSettings(tolerance=1e-3, duration=1e9), solution).numbers["status"] == "step-limit"
 
 
 def test_a_time_limit_counts_anew_for_a_run_that_goes_on():

@@ -1,0 +1,336 @@
+"""The answer to a scene, from what solves it to its file and to users: scene, settings, and all that was found.
+
+What a method has found lies in `Result.solution`, once, with an axis R of samples, (R, E) on contacts. The attributes
+of a `Result` show it in the shapes that users know; its numbers are the rows of :mod:`taichi_bearings.quantities`.
+"""
+
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from taichi_bearings.errors import FileError, InputError
+from taichi_bearings.lattice.grid import friction_by_axis
+from taichi_bearings.quantities import CONTACTS, FINDINGS, SAMPLES, SPHERES, Quantity, numbers_of
+from taichi_bearings.read_only import read_only
+from taichi_bearings.runs.caveats import caveats
+from taichi_bearings.runs.run_directory import run_directory
+from taichi_bearings.runs.settings import RunSettings
+from taichi_bearings.runs.writing import draw_figures, publish
+from taichi_bearings.scene import Bearing, Snapshots, Solution, Status
+from taichi_bearings.scene.initial_spins import STARTS, initial_spin
+from taichi_bearings.scene.scene import of_lattice
+from taichi_bearings.words import html_table, listed
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from taichi_bearings.analysis.histogram import PowerHistogram
+    from taichi_bearings.plots.page import Page
+
+OfSamples = Any
+"""A number or word, or with several samples an array or list with one each, (R,)."""
+OfContacts = Any
+"""Of a lattice an array an axis, x, y(, z), of the shapes of `Scene.coefficients`, of a packing one of its E contacts;
+with several samples with a leading axis R."""
+
+
+TABLED = (
+    "seed", "status", "proof", "power", "lower_bound", "gap", "slipping", "slipless", "tied", "undecided",
+    "driven_power",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Result:
+    """An answer: what was solved, how it ended, and spins, slips and forces with what is proven of them.
+
+    It is the same whether it was solved just now or read from a file. A single sample has numbers and arrays without an
+    axis of replicas. Of several samples, (R,) are arrays with one number each, and every array has a leading axis R;
+    `result[0]` is one of them alone, and `for one in result` goes through all. N is the lattice, such as (nx, ny, nz),
+    or the number of spheres of a packing. What lies on contacts is a tuple with an array an axis, x, y(, z), of the
+    shapes of `scene.coefficients`, and of packings one array (E,); of these, contacts between driven spheres, or
+    without coefficient, are left out of `power`. Arrays are read-only.
+
+    Attributes
+    ----------
+    asked : RunSettings
+        All that was asked for, as `bearings run` has it.
+    solution : Solution
+        What was found of all samples, arrays with an axis R, (R, E) on contacts.
+    started_from : numpy.ndarray or None
+        Spins that it started from; None where these have a name or lie in its directory.
+    path : pathlib.Path or None
+        Directory or file of the run; None if it is in none.
+    command : str
+        What made it, for the record.
+    interrupted : bool
+        Whether Ctrl-C or SIGTERM was heard.
+    attributes : Mapping
+        Attributes of the file that it was read from.
+
+    Examples
+    --------
+    >>> import taichi_bearings as tb
+    >>> best = tb.solve(tb.Scene.random((4, 5), seed=3), threads=1)
+    >>> best.status, best.spin.shape, [slip.shape for slip in best.slip]
+    ('certified', (4, 5), [(3, 5), (4, 4)])
+    """
+
+    asked: RunSettings
+    solution: Solution
+    started_from: np.ndarray | None = None
+    path: Path | None = None
+    command: str = ""
+    interrupted: bool = False
+    attributes: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def scene(self) -> Bearing:
+        """The :class:`Scene` or :class:`Packing` that was solved, with all samples."""
+        return self.solution.scene
+
+    @property
+    def packing(self) -> Bearing | None:
+        """The :class:`Packing` that was solved, of several samples the first; None of lattices."""
+        return self.scene.sample(0) if self.scene.network.lattice is None else None
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Options that differ from their defaults, by name as in `bearings run`: how to solve the scene again."""
+        return self.asked.given
+
+    method: ClassVar[str]
+    status: ClassVar[OfSamples]
+    power: ClassVar[OfSamples]
+    lower_bound: ClassVar[OfSamples]
+    gap: ClassVar[OfSamples]
+    contacts: ClassVar[OfSamples]
+    slipping: ClassVar[OfSamples]
+    slipless: ClassVar[OfSamples]
+    tied: ClassVar[OfSamples]
+    undecided: ClassVar[OfSamples]
+    unproven: ClassVar[OfSamples]
+    minimum_is_unique: ClassVar[OfSamples]
+    states_proven: ClassVar[OfSamples]
+    slip_threshold: ClassVar[float]
+    largest_balance_residual: ClassVar[OfSamples]
+    iterations: ClassVar[int]
+    seconds: ClassVar[float]
+    seconds_compile: ClassVar[float]
+    spin: ClassVar[np.ndarray]
+    spin_rounding: ClassVar[np.ndarray]
+    slip: ClassVar[OfContacts]
+    power_per_contact: ClassVar[OfContacts]
+    force: ClassVar[OfContacts]
+    state: ClassVar[OfContacts]
+    proof: ClassVar[OfSamples]
+    driven_power: ClassVar[OfSamples]
+    slipless_motions: ClassVar[OfSamples]
+    time: ClassVar[OfSamples]
+
+    @property
+    def ended(self) -> list[Status]:
+        """How each sample ended, (R,), as members of an enumeration; `status` has the same in words.
+
+        One whose own gap is within the tolerance is certified, however the run as a whole ended, unless a limit came
+        before the simulated time that was asked for.
+        """
+        limits = () if self.asked.duration is None else (Status.STEP_LIMIT, Status.TIME_LIMIT)
+        told = self.solution.own.get("status", [self.solution.status] * len(self))
+        return [
+            Status.CERTIFIED if gap <= self.asked.tolerance and status not in limits else status
+            for status, gap in zip(told, self.solution.gap, strict=True)
+        ]
+
+    @property
+    def reached(self) -> bool:
+        """True if what was asked for was reached."""
+        return all(status.reached for status in self.ended)
+
+    @property
+    def potential(self) -> OfSamples:
+        """What the stationary state minimises, energy/time; (R,). The power, but for the law coulomb-viscous."""
+        return self._of_samples(self.solution.objective)
+
+    @property
+    def findings(self) -> dict[str, OfSamples]:
+        """What else the method has found, by name; numbers, (R,)."""
+        return {name: self._of_samples(values) for name, values in self.solution.findings.items()}
+
+    @cached_property
+    def numbers(self) -> dict[str, Any]:
+        """The rows of the table of quantities by name, and the warnings."""
+        return numbers_of(self) | {"warnings": caveats(self.solution, self.asked)}
+
+    @property
+    def warnings(self) -> list[str]:
+        """Warnings, sentences with a number; an empty list if there is none."""
+        return list(self.numbers["warnings"])
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        """All numbers by name, as `bearings run --json` prints them; of several samples lists where they may differ."""
+        where = {"coefficients": None, "run": None if self.path is None else str(self.path)}
+        if self.scene.network.lattice is not None:
+            where |= {name: getattr(self.solution.running, name) for name in ("arch", "precision", "threads")}
+            where["coefficients"] = self.asked.coefficients
+        return self.numbers | self.asked.driving | where
+
+    @property
+    def friction(self) -> OfContacts:
+        """Force on the upper sphere of each contact, laboratory frame, force; an array (*contacts, 3) an axis, in 2D
+        (*contacts), its component along z x n. Of packings that on the second sphere, (E, 3), of discs (E,). The lower
+        bound follows from it."""
+        found, lattice = self._of_samples(self.solution.friction), self.scene.network.lattice
+        return found if lattice is None else read_only(friction_by_axis(found, lattice))
+
+    @property
+    def history(self) -> dict[str, np.ndarray]:
+        """The trajectory to the answer: columns (checks,); of several samples (R, checks), but for these three.
+
+        iteration. seconds : wall time, s. time : simulated time of a dynamics. power, lower_bound : energy/time.
+        largest_balance_residual : force * length. slipping : contacts. kinetic_energy, spring_energy, injected_energy,
+        dissipated_energy : energy; energy_residual : relative; of a dynamics that keeps an energy balance.
+        """
+        columns = self.solution.history.items()
+        return {name: values if values.ndim == 1 else self._of_samples(values.T) for name, values in columns}
+
+    @property
+    def snapshots(self) -> Snapshots | None:
+        """Spins of a dynamics at the times asked for, if any: `time` (S,) and `spin` (S, *N), in 3D (S, *N, 3),
+        1/time; of several samples (R, S, ...)."""
+        kept = self.solution.snapshots
+        return None if kept is None else Snapshots(kept.time.T, self._of_samples(np.moveaxis(kept.spin, 1, 0)))
+
+    def _of_samples(self, values: Any) -> Any:
+        """The values of all samples, (R, ...), as users meet them; what is one for all stays."""
+        if len(self) > 1 or not isinstance(values, (np.ndarray, list)):
+            return values
+        return values.item() if isinstance(values, np.ndarray) and values.ndim == 1 else values[0]
+
+    def sample(self, number: int) -> "Result":
+        """The result of one sample as if it had been solved alone; InputError if there is none of this number."""
+        if not 0 <= number < len(self):
+            raise InputError(f"replica is {number}; the run has {len(self)}, counted from 0")
+        solution, spin = self.solution.sample(number), self.started_from
+        asked = self.asked.of_replica(solution.scene.seeds[0])
+        one = spin if spin is None or self.scene.network.lattice is None else spin[[number]]
+        return replace(self, asked=asked, solution=solution, started_from=one)
+
+    def start(self) -> np.ndarray | None:
+        """Spins that it started from, (R, *N) or (R, *N, 3), 1/time; None of a packing whose start has a name."""
+        named, path = self.asked.initial, self.path
+        if self.started_from is not None or self.scene.network.lattice is None:
+            return self.started_from
+        beside = named if named in STARTS or path is None else str((path if path.is_dir() else path.parent) / named)
+        return initial_spin(of_lattice(self.scene), beside)
+
+    @cached_property
+    def histogram(self) -> "PowerHistogram":
+        """Numbers of slipping contacts by what they dissipate, of all samples together."""
+        from taichi_bearings.analysis.histogram import count_powers, pool
+
+        found = self.solution
+        return pool(count_powers(found.power_per_contact, found.state), found.slip_threshold)
+
+    def __len__(self) -> int:
+        return self.scene.replicas
+
+    def __getitem__(self, number: int) -> "Result":
+        """One of the samples as if it had been solved alone."""
+        samples = len(self)
+        if not -samples <= number < samples:
+            raise IndexError(f"sample {number} of {samples}")
+        return self if samples == 1 else self.sample(number % samples)
+
+    def __iter__(self) -> Iterator["Result"]:
+        return (self[number] for number in range(len(self)))
+
+    def __repr__(self) -> str:
+        what = self.packing or f"{'x'.join(map(str, self.scene.network.shape))} {self.scene.law}"
+        words = f"<Result {what}, {self.method}"
+        if len(self) > 1:
+            done = sum(status.reached for status in self.ended)
+            return f"{words}: {len(self)} samples, {done} reached, gap at most {self.gap.max():.1e}>"
+        return f"{words}: {self.status}, P = {self.power:.12g}, gap {self.gap:.1e}, {self.seconds:.2g} s>"
+
+    def _repr_html_(self) -> str:
+        """A table for notebooks, a row a sample."""
+        columns = {name: listed(found) for name in TABLED if (found := self.summary.get(name)) is not None}
+        return html_table(repr(self), zip(*columns.values(), strict=True), list(columns))
+
+    def plot(
+        self, kind: str = "spins", sample: int = 0, time: float | None = None, page: "Page | None" = None
+    ) -> "Figure":
+        """A figure, which notebooks show and `.savefig("a.pdf")` writes; no setting of matplotlib is changed.
+
+        kind : "spins", "power", "history", "energy", or one of `bearings analyse`: "domains", "network".
+        sample : which of several. time : of the snapshot whose spins are drawn. page : how it is printed, a
+            `taichi_bearings.plots.page.Page` with width, planes and view.
+        """
+        from taichi_bearings.plots.page import PAGE
+        from taichi_bearings.runs.figures import draw_figure  # and with it matplotlib, which nothing else needs
+
+        return draw_figure(kind, self.solution, sample, time, self.asked.slip_threshold, page or PAGE)
+
+    def save(self, path: str | Path, force: bool = False) -> Path:
+        """Write what `bearings run` writes into a new directory, which is returned; :func:`load` reads it.
+
+        force : replace a run directory that stands there. FileError if something does, or if it cannot be written.
+        """
+        if not force and os.path.lexists(path):
+            raise FileError(f"{path} already exists; save into another directory, or with force=True")
+        with run_directory(Path(path), force) as directory:
+            stored = publish(directory, replace(self, started_from=self.start()))
+            vars(self).update(path=stored.path, started_from=stored.started_from)
+            draw_figures(self)
+        return directory.path
+
+
+def _described(row: Quantity) -> str:
+    unit = "" if row.unit == "1" else f", {row.unit}"
+    return f"{row.text[0].upper()}{row.text[1:]}{unit}."
+
+
+def _of_samples(row: Quantity) -> property:
+    """A number or word of each sample."""
+    return property(lambda result: result._of_samples(row.of(result)), doc=_described(row))
+
+
+def _of_contacts(row: Quantity) -> property:
+    """An array an axis, or one of a packing; none where nothing is known."""
+
+    def found(result: Result) -> OfContacts:
+        values = row.of(result.solution)
+        if values is None:
+            return ()
+        values, lattice = result._of_samples(values), result.scene.network.lattice
+        return values if lattice is None else lattice.by_axis(values)
+
+    return property(found, doc=f"{_described(row)[:-1]}; of lattices an array an axis.")
+
+
+def _of_findings(row: Quantity) -> property:
+    """A number or word of each sample; None where there is none."""
+    return property(lambda result: result.findings.get(row.name), doc=_described(row))
+
+
+for _name in Result.__annotations__.keys() & SAMPLES.keys():
+    setattr(Result, _name, _of_samples(SAMPLES[_name]))
+for _name in Result.__annotations__.keys() & FINDINGS.keys():
+    setattr(Result, _name, _of_findings(FINDINGS[_name]))
+for _name, _row in SPHERES.items():  # of each sphere: N, or (*N, 3); zeros, too, of which files have none
+    _found = partial(lambda name, result: result._of_samples(getattr(result.solution, name)), _name)
+    setattr(Result, _name, property(_found, doc=_described(_row)))
+for _name, _row in CONTACTS.items():
+    setattr(Result, "power_per_contact" if _name == "power" else _name, _of_contacts(_row))
+
+
+def together(ones: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Numbers by name: those of one sample, of several a list each."""
+    return dict(ones[0]) if len(ones) == 1 else {key: [one[key] for one in ones] for key in ones[0]}

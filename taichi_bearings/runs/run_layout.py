@@ -1,0 +1,100 @@
+"""The layout of run.h5 and how it is written: coefficients and contacts of a lattice by axis, else in lists.
+
+The layout is part of what others build on; :mod:`taichi_bearings.runs.run_file` reads it.
+"""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from taichi_bearings.files.whole_file import layout_of, put, write_hdf5
+from taichi_bearings.lattice.grid import friction_by_axis
+from taichi_bearings.quantities import CHECK_ROWS, CONTACTS, FRICTION_QUANTITIES, SPHERES, found_in
+from taichi_bearings.scene import Solution
+from taichi_bearings.scene.scene import of_lattice
+from taichi_bearings.scene.solution import stacked
+
+AXES = "xyz"
+PACKING_ARRAYS = {
+    "center": ("length", "centres of the spheres"),
+    "contact": ("1", "first and second sphere of each contact"),
+    "driven": ("1", "-1 for a free sphere, else the number of its driven body"),
+    "spin": ("1/time", "imposed on driven spheres, laboratory frame"),
+    "radius": ("length", "of the spheres"),
+    "normal": ("1", "unit vector of each contact from its first to its second sphere"),
+    "friction": ("1", "coefficient of the law: friction, or with the law viscous damping, force*time/length"),
+    "viscosity": ("force*time/length", "viscosity of the contacts"),
+    "normal_force": ("force", "normal force of the contacts"),
+    "schematic": ("1", "1: contacts need not lie where spheres touch"),
+}
+"""Data sets of the group /packing: unit and words."""
+FRICTION_OF_SECOND = {
+    2: "friction on the second disc, component along z x n",
+    3: "friction on the second sphere, laboratory frame",
+}
+"""By dimension. It is in balance and within the friction limits, so the lower bound follows from it."""
+OF_VECTORS = 5  # axes of friction on cubic lattices, of which a component is 0: replicas, lattice, components
+
+Row = tuple[str, np.ndarray, str, str]
+"""Name, values with an axis of replicas, unit and text of a data set."""
+
+
+def write_run_file(path: Path, solution: Solution, attributes: Mapping[str, Any]) -> None:
+    """Write run.h5 in full or not at all. With one replica the replica axis is left out."""
+    one = solution.scene.replicas == 1
+
+    def fill(file: h5py.File) -> None:
+        for name, values, unit, text in _rows(solution):
+            values = values.astype(np.uint8) if values.dtype == bool else values
+            sparse = values.dtype == np.uint8 or (name.endswith("/friction") and values.ndim == OF_VECTORS)
+            packed = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if sparse and values.size else {}
+            put(file, name, values[0] if one else values, unit, text, **packed)
+
+    write_hdf5(path, fill, {**layout_of("run"), **attributes, "findings": list(solution.findings)})
+
+
+def _rows(solution: Solution) -> Iterator[Row]:
+    scene, replicas = solution.scene, solution.scene.replicas
+    yield from (_rows_of_packings if scene.network.lattice is None else _rows_of_lattice)(solution)
+    for row, found in found_in(solution, SPHERES):
+        yield row.name, found, row.unit, row.text
+
+    def of_each(column: np.ndarray, replica_axis: int) -> np.ndarray:
+        """With a leading axis of replicas, like everything else."""
+        return np.moveaxis(column, replica_axis, 0) if column.ndim > 1 else np.tile(column, (replicas, 1))
+
+    for key, column in solution.history.items():
+        yield f"history/{key}", of_each(column, 1), CHECK_ROWS[key].unit, CHECK_ROWS[key].text
+    if (kept := solution.snapshots) is not None:
+        yield "snapshots/time", of_each(kept.time, 1), "time", "simulated time of each snapshot"
+        text = f"{SPHERES['spin'].text} at these times"
+        yield "snapshots/spin", of_each(kept.spin, 1), SPHERES["spin"].unit, text
+
+
+def _rows_of_lattice(solution: Solution) -> Iterator[Row]:
+    scene = of_lattice(solution.scene)
+    lattice = scene.lattice
+    friction = friction_by_axis(solution.friction, lattice)
+    named = zip(scene.law.quantities, scene.named_coefficients.items(), strict=True)
+    of_contacts = [
+        *((f"{group}/{{}}", lattice.by_axis(values), quantity.unit, f"{quantity.name} coefficient of the {{}}-contacts")
+          for quantity, (group, values) in named),
+        *((f"contact/{{}}/{row.name}", lattice.by_axis(found), row.unit, row.text)
+          for row, found in found_in(solution, CONTACTS)),
+        ("contact/{}/friction", friction, "force", FRICTION_QUANTITIES[lattice.dimension]),
+    ]  # fmt: skip
+    for name, parts, unit, text in of_contacts:
+        for axis, part in zip(AXES, parts, strict=False):
+            yield name.format(axis), part, unit, text.format(axis)
+
+
+def _rows_of_packings(solution: Solution) -> Iterator[Row]:
+    scene = solution.scene
+    for name, values in stacked([scene.sample(number).arrays() for number in range(scene.replicas)]).items():
+        yield f"packing/{name}", values, *PACKING_ARRAYS[name]
+    for row, found in found_in(solution, CONTACTS):
+        yield f"contact/{row.name}", found, row.unit, row.text
+    yield "contact/friction", solution.friction, "force", FRICTION_OF_SECOND[scene.network.dimension]

@@ -1,0 +1,132 @@
+"""What a run directory holds of a result, and its figures; `runs/run_layout.py` knows the data sets of its run.h5."""
+
+import contextlib
+import json
+import logging
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from taichi_bearings import compiler
+from taichi_bearings.errors import FileError, WriteError, printable
+from taichi_bearings.files.whole_file import write_arrays, write_text
+from taichi_bearings.runs.run_directory import RunDirectory
+from taichi_bearings.runs.run_layout import write_run_file
+from taichi_bearings.runs.settings import DRIVING_KEYS, OF_DRIVEN, SIZES, RunSettings
+from taichi_bearings.scene import Bearing
+from taichi_bearings.scene.array_files import short_name
+from taichi_bearings.scene.initial_spins import STARTS
+from taichi_bearings.scene.scene import of_lattice
+from taichi_bearings.scene.solution import stacked
+from taichi_bearings.stages import stage
+
+if TYPE_CHECKING:
+    from taichi_bearings.runs.result import Result
+
+LED_TO_ARRAYS = {"distribution", "viscosity", *SIZES, *OF_DRIVEN}  # keys that are not kept; run.h5 has what they led to
+
+
+def versions() -> dict[str, str]:
+    """Versions of what shapes a result."""
+    import platform
+    from importlib.metadata import version
+
+    found = {name: version(name) for name in (compiler.name(), "numpy", "scipy", "h5py")}
+    return {"python": platform.python_version(), **found}
+
+
+def self_contained(settings: RunSettings, scene: Bearing, spin: Any, folder: Path, name: str = "run.h5") -> RunSettings:
+    """Settings whose files lie in the run directory itself, so that it can be moved and run again.
+
+    With checkpoints that must be possible while there is no run.h5 yet. name : of what is that otherwise.
+    """
+    with_file = settings.checkpoint_every is not None
+    if scene.network.lattice is not None:
+        scene = of_lattice(scene)
+        one = scene.replicas == 1
+        if settings.coefficients is not None:
+            name = "coefficients.npz" if with_file else name
+            settings = replace(settings, coefficients=name)
+            parts = [(kind, scene.lattice.by_axis(v[0] if one else v)) for kind, v in scene.named_coefficients.items()]
+            arrays = {short_name(f"{kind}/{axis}"): v for kind, of in parts for axis, v in zip("xyz", of, strict=False)}
+            if with_file:
+                write_arrays(folder / name, arrays)
+        spin = None if settings.initial in STARTS else spin[0] if one else spin
+    else:
+        kept = {key: value for key, value in settings.given.items() if key not in LED_TO_ARRAYS}
+        name = "packing.npz" if with_file else name
+        if with_file:
+            found = stacked([scene.sample(number).arrays() for number in range(scene.replicas)])
+            write_arrays(folder / name, {n: v[0] if scene.replicas == 1 else v for n, v in found.items()})
+        settings = RunSettings(**{**kept, "packing": name})
+    if spin is not None:
+        write_arrays(folder / "initial_spin.npz", {"spin": spin})
+        settings = replace(settings, initial="initial_spin.npz")
+    return settings
+
+
+def publish(directory: RunDirectory, found: "Result") -> "Result":
+    """Write a run into its directory and give that its name."""
+    found = replace(found, path=directory.path)
+    write_run(directory.partial, found)
+    directory.publish()
+    return found
+
+
+def write_run(folder: Path, found: "Result") -> None:
+    """Write every file of a run but its figures into `folder`, which will be renamed to its path."""
+    from taichi_bearings.files.histogram_file import write_table
+
+    with stage("writing"):
+        stored = self_contained(found.asked, found.scene, found.start(), folder)
+        write_state(folder / "run.h5", found, stored)
+        write_text(folder / "scene.toml", stored.to_toml())
+        full = found.summary | {"settings": found.asked.described, "versions": versions()}
+        write_text(folder / "summary.json", json.dumps(full, indent=2, allow_nan=False) + "\n")
+    with _unless_full():
+        write_table(folder / "power_histogram.csv", {None: found.histogram})
+
+
+def write_state(file: Path, found: "Result", stored: RunSettings) -> None:
+    """Write a run in the layout of run.h5. stored : settings that solve it again from where the file is."""
+    origin = {"command": found.command, "scene": stored.to_toml()}
+    numbers = {key: value for key, value in found.summary.items() if key not in DRIVING_KEYS}  # which the scene holds
+    write_run_file(file, found.solution, numbers | origin | versions())
+
+
+@contextlib.contextmanager
+def _unless_full() -> Iterator[None]:
+    """What is written inside is left out where the disk is full: what was solved is written."""
+    try:
+        yield
+    except WriteError as error:
+        logging.getLogger(__name__).warning("bearings: %s; the run is kept without it", error)
+
+
+@contextlib.contextmanager
+def _unless_undrawable() -> Iterator[None]:
+    """Figures that cannot be drawn inside, as where matplotlib cannot be loaded, cost no more than a sentence."""
+    try:
+        yield
+    except (FileError, MemoryError):
+        raise
+    except Exception as error:
+        words = "bearings: no figures, matplotlib says: %s: %s; the run is kept without them"
+        logging.getLogger(__name__).warning(words, type(error).__name__, printable(str(error)))
+
+
+def draw_figures(found: "Result", title: bool = True) -> None:
+    """Draw the figures that a run gets into its directory, unless it wants none; title: whether words stand above."""
+    if found.asked.figures != "all":
+        return
+    with _unless_full(), _unless_undrawable(), stage("drawing"):
+        from taichi_bearings.plots.curves import courses_of, draw_histogram, draw_history
+        from taichi_bearings.plots.page import Page
+        from taichi_bearings.plots.style import save
+
+        assert found.path is not None
+        page = Page(title=title)
+        save(draw_histogram(found.histogram, page), found.path / "power_histogram.png")
+        if courses_of(found.solution):
+            save(draw_history(found.solution, page), found.path / "history.png")
