@@ -11,18 +11,21 @@ coefficient (times the normal force, or times radius and unit of spin for dampin
 and length of the step, q = I / (h R) in units of force over spin.
 """
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import sparse
 
 from taichi_bearings.conic.central_path import balance, flowing, newton_step
 from taichi_bearings.conic.cones import length
-from taichi_bearings.conic.contact_system import free_spins, lattice_system, place_free_spins
+from taichi_bearings.conic.contact_system import ContactSystem, free_spins, lattice_system, place_free_spins
+from taichi_bearings.conic.contraction import order_by_place
 from taichi_bearings.conic.iterate import LEAST_GAP, Inertia, Iterate
 from taichi_bearings.conic.newton_matrix import MOST_NEWTON_STEPS, NewtonMatrix
 from taichi_bearings.conic.rows import compile_passes
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite, dissect
-from taichi_bearings.scene import Scene
+from taichi_bearings.scene import Bearing, Scene
 
 # excess of the cost over its dual, relative to the work done on inertia, at which a step is solved; or LEAST_GAP
 SOLVED_EXCESS = 1e-10
@@ -49,36 +52,116 @@ class Step:
     solved: bool
 
 
-class ProximalSteps:
-    """Steps of the samples of a scene in the spin components `spin_axes`; all others are at rest.
+class Unknowns(ABC):
+    """What the steps of a bearing change: the spins that contacts turn, as one vector.
 
-    unit : spin difference that is counted as one. inertia : moment of inertia of a sphere.
+    system : the contacts, with imposed spins in the unit of spin. order : of elimination of the unknowns. rows : how
+    many numbers the force on a contact has.
     """
 
-    def __init__(self, scene: Scene, spin_axes: tuple[int, ...], unit: float, inertia: float) -> None:
-        self.scene, self.spin_axes, self.unit = scene, spin_axes, unit
-        self._system = lattice_system(scene.lattice, spin_axes, scene.top_spin(spin_axes) / unit)
-        self._matrix = NewtonMatrix(self._system, dissect(scene.lattice, spin_axes))
+    system: ContactSystem
+    order: np.ndarray
+    rows: int
+
+    @abstractmethod
+    def read(self, staggered: np.ndarray) -> np.ndarray:
+        """Spins (R, unknowns) out of those that are carried, (C, R, *N)."""
+
+    @abstractmethod
+    def write(self, staggered: np.ndarray, replica: int, spins: np.ndarray) -> None:
+        """Put spins (unknowns,) of a sample among those that are carried, (C, R, *N)."""
+
+
+class OfLattice(Unknowns):
+    """All free spins of a lattice in some components; all other components are at rest."""
+
+    def __init__(self, scene: Scene, spin_axes: tuple[int, ...], unit: float) -> None:
+        """Take the spin components `spin_axes`. unit : spin difference that is counted as one."""
+        self.system = lattice_system(scene.lattice, spin_axes, scene.top_spin(spin_axes) / unit)
+        self.order, self.spin_axes, self.height = (
+            dissect(scene.lattice, spin_axes),
+            spin_axes,
+            scene.lattice.height_axis,
+        )
+        self.rows = len(spin_axes)
+
+    def read(self, staggered: np.ndarray) -> np.ndarray:
+        return free_spins(staggered)
+
+    def write(self, staggered: np.ndarray, replica: int, spins: np.ndarray) -> None:
+        """No contact moves the mean about the height of a layer: nor does rounding."""
+        before = staggered[:, replica, ..., 1:-1].copy()
+        place_free_spins(staggered, replica, spins)
+        if self.height in self.spin_axes:
+            slot = self.spin_axes.index(self.height)
+            new = staggered[slot, replica, ..., 1:-1]
+            new -= (new - before[slot]).mean(axis=(0, 1))
+
+
+class OfNetwork(Unknowns):
+    """Free spins of any network, each times the root of its inertia over the mean one: in these numbers all are equally
+    hard to turn. Components of a spin that turn none of the contacts are left out."""
+
+    def __init__(self, bearing: Bearing, unit: float, inertia: np.ndarray) -> None:
+        """Take a bearing all contacts of which act. unit : of u = R omega. inertia : I / R^2, (N,)."""
+        network, contact = bearing.network, bearing.acting
+        each = np.arange(network.spheres * network.components).reshape(network.spheres, -1)
+        size = np.asarray(abs(network.operator(contact, each)).sum(axis=0)).reshape(each.shape)
+        wanted = network.free[:, None] & (size > 0)
+        moved = np.where(wanted, np.cumsum(wanted).reshape(wanted.shape) - 1, -1)
+        self.sphere, self.component = np.nonzero(wanted)
+        self.root = np.sqrt(inertia / inertia.mean())[self.sphere]
+        known = bearing.driven_speed[network.contact[:, contact]].sum(axis=0) / unit
+        offset = np.einsum("tek,ek->te", network.tangents[:, contact], known)
+        self.system = ContactSystem(
+            len(self.sphere),
+            offset,
+            np.ones(offset.shape, dtype=bool),
+            slips=sparse.csr_array(network.operator(contact, moved) @ sparse.diags_array(1 / self.root)),
+            contact=contact,
+            slot=np.broadcast_to(np.arange(len(offset))[:, None], offset.shape),
+            place=np.asarray(network.center[self.sphere].T),
+        )
+        self.order, self.rows = order_by_place(self.system), len(offset)
+
+    def read(self, staggered: np.ndarray) -> np.ndarray:
+        return np.asarray(self.root * np.moveaxis(staggered, 1, 0)[:, self.component, self.sphere])
+
+    def write(self, staggered: np.ndarray, replica: int, spins: np.ndarray) -> None:
+        staggered[self.component, replica, self.sphere] = spins / self.root
+
+
+class ProximalSteps:
+    """Steps of the samples of a scene in its `unknowns`.
+
+    unit : spin difference that is counted as one. inertia : mean moment of inertia of the spheres, as `Unknowns` has it
+    of each.
+    """
+
+    def __init__(self, scene: Bearing, unknowns: Unknowns, unit: float, inertia: float) -> None:
+        self.scene, self.unknowns, self.unit = scene, unknowns, unit
+        self._system = unknowns.system
+        self._matrix = NewtonMatrix(self._system, unknowns.order)
         compile_passes()
         acting = scene.positive_coefficient[:, self._system.contact]
         mean = acting.mean(axis=1)
         self._coefficient = acting / mean[:, None]
-        flow = scene.lattice.radius * unit
+        flow = scene.slip_radius * unit
         self._force_unit = scene.strength * (1.0 if scene.law.holds else flow) * mean
         viscosities = scene.viscosity_beside_friction
         self._viscosity: list[np.ndarray | None] = [
             None if viscosities is None else flow / own * viscosities[replica, self._system.contact]
             for replica, own in enumerate(self._force_unit)
         ]
-        self._slowness = inertia * unit / (scene.lattice.radius * self._force_unit)
+        self._slowness = inertia * unit / (scene.slip_radius * self._force_unit)
 
     def step(self, staggered: np.ndarray, duration: float) -> Step:
         """The step of length `duration` from the spins (C, R, *N)."""
         scene = self.scene
         after = staggered.copy()
-        force = np.zeros((len(self.spin_axes), scene.replicas, scene.lattice.all_contacts))
+        force = np.zeros((self.unknowns.rows, *scene.coefficient.shape))
         slipping, creep, newton_steps, solved = np.zeros(scene.replicas, dtype=int), 0.0, 0, True
-        for replica, before in enumerate(free_spins(staggered / self.unit)):
+        for replica, before in enumerate(self.unknowns.read(staggered / self.unit)):
             coefficient, inertia = self._coefficient[replica], Inertia(self._slowness[replica] / duration, before)
             if scene.law.holds:
                 point, steps, ended = self._rubbed(coefficient, self._viscosity[replica], inertia)
@@ -87,22 +170,12 @@ class ProximalSteps:
                 point, steps, ended = Iterate.start(self._system, spins, coefficient, 0.0, coefficient), 1, True
             slip = length(point.difference)
             slips = slip > (point.margin if scene.law.holds else 0.0)
-            self._put_spins(after, replica, point.spins)
+            self.unknowns.write(after, replica, self.unit * point.spins)
             self._system.scatter_vectors(-point.whole_dual * self._force_unit[replica], force, replica)
             slipping[replica] = int(slips.sum())
             creep = max(creep, self.unit * slip[~slips].max(initial=0.0))
             newton_steps, solved = newton_steps + steps, solved and ended
         return Step(after, force, slipping, creep, newton_steps, solved)
-
-    def _put_spins(self, staggered: np.ndarray, replica: int, spins: np.ndarray) -> None:
-        """Write the spins of a sample. No contact moves the mean about the height of a layer: nor does rounding."""
-        lattice = self.scene.lattice
-        before = staggered[:, replica, ..., 1:-1].copy()
-        place_free_spins(staggered, replica, self.unit * spins)
-        if lattice.height_axis in self.spin_axes:
-            slot = self.spin_axes.index(lattice.height_axis)
-            new = staggered[slot, replica, ..., 1:-1]
-            new -= (new - before[slot]).mean(axis=(0, 1))
 
     def _rubbed(
         self, friction: np.ndarray, viscosity: np.ndarray | None, inertia: Inertia

@@ -18,6 +18,7 @@ from taichi_bearings.scene import Bearing, Progress, Solution, Status
 from taichi_bearings.solvers.stopping import StopRule
 
 if TYPE_CHECKING:
+    from taichi_bearings.conic.proximal import Unknowns
     from taichi_bearings.kernels.team import Sweeps, Team
     from taichi_bearings.solvers.table import MethodOptions
 
@@ -50,6 +51,8 @@ class Contacts(ABC):
     forces: tuple[str, ...]
     fields: Fields
     spec: AnySpec
+    look_again = 1.2
+    """Times the iterations after which a bound that costs a factorisation is looked for again."""
 
     @property
     def of_law(self) -> list[str]:
@@ -106,6 +109,14 @@ class Contacts(ABC):
     def fastest_modes(self, inertia: Any) -> tuple[float, float]:
         """Return the decay rate by viscosity, 1/time, of the mode that decays fastest, and lambda / I, 1/mass, of the
         stiffest mode if all contacts stick; no mode has more."""
+
+    @abstractmethod
+    def unknowns(self, spin_axes: tuple[int, ...], unit: float, inertia: Any) -> "Unknowns":
+        """What rigid steps of these components find. unit : of spins. inertia : as of `inertias`."""
+
+    def died_out(self, component: int, spins: np.ndarray) -> np.ndarray | None:
+        """What spins (R, *N) in a component are once it has died out; None of one that never does."""
+        return None
 
     @property
     def has_no_bound(self) -> bool:

@@ -215,6 +215,8 @@ class CundallStrackMethod(SpringDynamics):
         return staggered, force, stretch
 
     def findings(self, last: Progress) -> dict[str, np.ndarray]:
+        if self.scene.network.lattice is None:  # whose modes are not known
+            return super().findings(last)
         scene = of_lattice(self.scene)
         modes = sticking_modes(scene, self.spin_axes, self.options, self.start_spin, self.stability_bound)
         of, replicas = (self.options.gear_order, self.time_step, self.iteration), self.scene.replicas

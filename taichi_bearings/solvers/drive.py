@@ -259,10 +259,11 @@ class Course:
         best, status, options = self.best, self.status, self.method.options
         ended = Ended(status, best.progress, best.bound, best.proof, last.iteration, self.stop, options)
         of_packing = self.method.contacts.answered(ended)
-        if of_packing is not None:
-            return replace(of_packing, seconds=seconds, history=history, snapshots=snapshots)
-        scene = of_lattice(self.scene)
         findings = self.method.findings(last) if isinstance(self.method, Dynamics) else best.progress.findings
+        if of_packing is not None:
+            findings = {**of_packing.findings, **findings}
+            return replace(of_packing, seconds=seconds, history=history, snapshots=snapshots, findings=findings)
+        scene = of_lattice(self.scene)
         final = replace(best.progress, iteration=last.iteration, ended=last.ended, findings=findings)
         found, judgement = answered(scene, self.method, final, best.proof, best.bound, threshold)
         if status in (Status.CERTIFIED, Status.STALLED):

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from taichi_bearings.conic.proximal import OfNetwork, Unknowns
 from taichi_bearings.fields import Fields, team_size
 from taichi_bearings.fields.lists import Lists, ListSpec
 from taichi_bearings.kernels.contact_list import CundallStrackLists, DescentLists
@@ -23,8 +24,6 @@ from taichi_bearings.scene.solution import SLIPLESS, SLIPPING, UNDECIDED
 from taichi_bearings.solvers.contacts import Contacts, Ended
 from taichi_bearings.solvers.packing_bounds import PackingBounds
 from taichi_bearings.solvers.stopping import ended_as
-
-LOOK_AGAIN = 1.2  # times the iterations after which bounds that cost a factorisation were looked for
 
 
 class OnLists(Contacts):
@@ -109,6 +108,9 @@ class OnLists(Contacts):
         decay = 0.0 if viscosities is None else network.largest_eigenvalue(viscosities[0], inertia)
         return decay, network.largest_eigenvalue(np.ones(network.contacts), inertia)
 
+    def unknowns(self, spin_axes: tuple[int, ...], unit: float, inertia: Any) -> Unknowns:
+        return OfNetwork(self.scene, unit, inertia)
+
     @property
     def has_no_bound(self) -> bool:
         return not self.bounds.proven > 0
@@ -123,7 +125,7 @@ class OnLists(Contacts):
     def judged(self, staggered: np.ndarray, force: Forces, proof: Forces | None, **more: Any) -> Progress:
         scene, bounds, axes = self.scene, self.bounds, self.spin_axes
         objective = scene.objective(staggered, axes)
-        whole = not bounds.looked < more["iteration"] < LOOK_AGAIN * bounds.looked
+        whole = not bounds.looked < more["iteration"] < self.look_again * bounds.looked
         bounds.looked = more["iteration"] if whole else bounds.looked
         with one_thread():
             bound, proof = bounds.of(force if proof is None else proof, staggered, whole)

@@ -16,6 +16,7 @@ from taichi_bearings.solvers.contacts import Contacts
 from taichi_bearings.solvers.gear import largest_laplacian_eigenvalue, largest_weighted_eigenvalue
 
 if TYPE_CHECKING:
+    from taichi_bearings.conic.proximal import Unknowns
     from taichi_bearings.kernels.team import Sweeps, Team
 
 
@@ -94,6 +95,22 @@ class OnStrides(Contacts):
 
     def fastest_modes(self, inertia: Any) -> tuple[float, float]:
         return fastest_modes(self.scene, self.spin_axes, inertia)
+
+    def unknowns(self, spin_axes: tuple[int, ...], unit: float, inertia: Any) -> "Unknowns":
+        from taichi_bearings.conic.proximal import OfLattice
+
+        return OfLattice(self.scene, spin_axes, unit)
+
+    def died_out(self, component: int, spins: np.ndarray) -> np.ndarray | None:
+        """Zero, or about the height, where no contact turns a layer as a whole, the mean of each layer."""
+        rest, free = spins.copy(), spins[..., 1:-1]
+        if component == self.scene.lattice.height_axis:
+            rest[..., 1:-1] = free.mean(axis=(1, 2), keepdims=True)
+        elif self.scene.top_spin((component,)).any():
+            return None
+        else:
+            rest[..., 1:-1] = 0.0
+        return rest
 
     def proven_by(self, force: Forces) -> np.ndarray:
         return lower_bound(self.scene, force, self.spin_axes)

@@ -17,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 
 from taichi_bearings.conic.proximal import ProximalSteps, Step
-from taichi_bearings.scene import Bearing, Progress, Scene
+from taichi_bearings.scene import Bearing, Progress
 from taichi_bearings.solvers.dynamics import ENERGY_NAMES, Dynamics, replica_sum
 
 FIRST_ERROR_SHARE = 0.1  # of the error tolerance, in relaxation times
@@ -41,11 +41,10 @@ class RigidLimitMethod(Dynamics):
     )  # fmt: skip
 
     rest_gap = 1e-9
-    scene: Scene
 
     def begin(self, scene: Bearing, spin: np.ndarray) -> None:
         super().begin(scene, spin)
-        scene = self.scene
+        scene, self.contacts.look_again = self.scene, 1.0
         self.staggered = scene.staggered_spin(spin, self.spin_axes)
         spread = [float(values.max() - values.min()) for values in self.staggered]
         self.unit = max(spread) or 1.0
@@ -60,25 +59,32 @@ class RigidLimitMethod(Dynamics):
         self.open_books(self.staggered)
         self.rest_time = np.zeros(scene.replicas)
         slips = scene.slips(self.staggered, self.spin_axes)
-        self.slipping = (slips > scene.lattice.radius * self.creep).sum(axis=1)
+        self.slipping = (slips > scene.slip_radius * self.creep).sum(axis=1)
 
     def _prepare(self) -> None:
-        """Set up the steps of the components that move."""
+        """Set up the steps of the components that move; rows : the numbers of a force that these have."""
         self.slots = [self.spin_axes.index(component) for component in self.moving]
-        self.steps = ProximalSteps(self.scene, self.moving, self.unit, self.inertia) if self.moving else None
+        self.steps: ProximalSteps | None = None
+        if self.moving:
+            unknowns = self.contacts.unknowns(self.moving, self.unit, self.inertia)
+            self.rows = self.slots if unknowns.rows == len(self.slots) else list(range(unknowns.rows))
+            if unknowns.system.unknowns:
+                self.steps = ProximalSteps(self.scene, unknowns, self.unit, float(np.mean(self.inertia)))
 
     @property
     def relaxation_time(self) -> float:
         """Time in which a typical contact alone stops a sphere from the largest spin."""
-        scene, fastest = self.scene, self.scene.lattice.radius * self.largest
+        scene, fastest = self.scene, self.scene.slip_radius * self.largest
+        if not scene.network.has_free_end.any():
+            return 1.0  # nothing stops, and any step is right
 
         def mean(coefficient: np.ndarray) -> float:
-            return float(coefficient[:, ~scene.lattice.between_driven].mean())
+            return float(coefficient[:, scene.network.has_free_end].mean())
 
         force = scene.strength * mean(scene.coefficient) * (1.0 if scene.law.holds else fastest)
         if scene.viscosity_beside_friction is not None:
             force += mean(scene.viscosity_beside_friction) * fastest
-        return self.inertia * self.largest / (scene.lattice.radius * force)
+        return float(np.mean(self.inertia)) * self.largest / (scene.slip_radius * force)
 
     def _step(self) -> None:
         """One step that is accurate enough, or as short as steps may be."""
@@ -107,7 +113,7 @@ class RigidLimitMethod(Dynamics):
         step = self.steps.step(self.staggered[self.slots], duration)
         staggered = self.staggered.copy()
         staggered[self.slots] = step.staggered
-        force[self.slots] = step.force
+        force[self.rows] = step.force
         return Step(staggered, force, step.slipping, step.creep, step.newton_steps, step.solved)
 
     def _error(self, step: Step, duration: float) -> float:
@@ -117,9 +123,9 @@ class RigidLimitMethod(Dynamics):
         the forces of the step before would have made of the spins.
         """
         scene = self.scene
-        impulse = duration * scene.lattice.radius / self.inertia
+        impulse = duration * scene.slip_radius / self.inertia
         foreseen = self.staggered + impulse * self.pulls(self.force)
-        missed = (step.staggered - foreseen)[..., ~scene.lattice.is_driven]
+        missed = (step.staggered - foreseen)[..., ~scene.is_driven]
         mean_square = (missed**2).mean(axis=(0, 2)).max()
         return duration / (duration + self.last_length) * float(np.sqrt(mean_square)) / self.largest
 
@@ -139,21 +145,18 @@ class RigidLimitMethod(Dynamics):
 
     def _lay_to_rest(self) -> None:
         """Stop the components that the driving leaves alone and that vary no more."""
-        scene, moving = self.scene, []
-        bottom, top = self.absolute(np.zeros_like(self.staggered)), scene.top_spin(self.spin_axes)
+        moving, bottom = [], self.absolute(np.zeros_like(self.staggered))
         for component in self.moving:
             slot = self.spin_axes.index(component)
-            free = self.staggered[slot][..., 1:-1]
-            rest = np.zeros_like(free)
-            if component == scene.lattice.height_axis:
-                rest = np.broadcast_to(free.mean(axis=(1, 2), keepdims=True), free.shape)
-            elif top[slot].any():
+            spins = self.staggered[slot]
+            rest = self.contacts.died_out(component, spins)
+            if rest is None:
                 moving.append(component)
                 continue
-            energy = self.inertia / 2 * replica_sum(((free - rest) * (free + rest + 2 * bottom[slot][..., 1:-1]))[None])
+            energy = self.inertia / 2 * replica_sum(((spins - rest) * (spins + rest + 2 * bottom[slot]))[None])
             unfelt = bool((np.abs(energy) <= STOPPED_ENERGY * self.energy_at_start).all())
-            if unfelt and np.abs(free - rest).max() <= STOPPED_SPREAD * self.unit:
-                free[...] = rest
+            if unfelt and np.abs(spins - rest).max() <= STOPPED_SPREAD * self.unit:
+                spins[...] = rest
             else:
                 moving.append(component)
         if tuple(moving) != self.moving:
@@ -166,7 +169,7 @@ class RigidLimitMethod(Dynamics):
             self.staggered.copy(),
             self.force,
             iteration=self.iteration,
-            resolution=scene.lattice.radius * self.creep,
+            resolution=scene.slip_radius * self.creep,
             time=self.time,
             energy=self.balance(self.staggered, np.zeros(scene.replicas)),
             slipping=self.slipping,
@@ -174,6 +177,12 @@ class RigidLimitMethod(Dynamics):
         believed = self.is_believed(found)
         at_rest, stuck = self.still >= REST_STEPS and believed, self.still >= STUCK_STEPS and not believed
         return replace(found, at_rest=at_rest, exhausted=stuck)
+
+    def is_believed(self, found: Progress) -> bool:
+        """By the best bound so far; where none can be proven, as the steps need no springs to load."""
+        if self.contacts.has_no_bound:
+            return True
+        return super().is_believed(replace(found, lower_bound=self.contacts.best_bound(found.lower_bound)))
 
     def findings(self, last: Progress) -> dict[str, np.ndarray]:
         rest_time = np.where(self.is_believed(last), self.rest_time, np.nan)

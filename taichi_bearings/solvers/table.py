@@ -79,8 +79,8 @@ class MethodOptions:
     name : for --method. implementation : "module:class", which is called with the options. steps_packings : it steps
     the contacts of packings too. minimises_packings : packing/answer.py finds minima of packings by this name.
     is_dynamics : it steps in time.
-    keeps_checkpoints : of lattices it can go on from a checkpoint. cpu_only : it works in the memory of the CPU, in
-    double precision whatever is asked.
+    keeps_checkpoints : it can go on from a checkpoint, unless it minimises a packing.
+    cpu_only : it works in the memory of the CPU, in double precision whatever is asked.
     alike_in_a_block : spheres up to which it gives a seed the same bits alone and beside others, and gains by it.
     colour, marker : in every figure. solves : True for a law.
     """
@@ -309,6 +309,7 @@ class RigidLimit(Motion):
 
     name = "rigid-limit"
     implementation = "taichi_bearings.solvers.rigid_limit:RigidLimitMethod"
+    steps_packings = True
     cpu_only = True
     colour, marker = "#56B4E9", "<"
     solves = _laws()

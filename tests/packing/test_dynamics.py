@@ -197,7 +197,7 @@ def test_neighbours_stand_near_each_other_whatever_the_order_was():
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        ({"method": "rigid-limit"}, "method is 'rigid-limit'; of a packing it can be auto, planar-cut"),
+        ({"method": "operator-splitting"}, "method is 'operator-splitting'; of a packing it can be auto, planar-cut"),
         ({"method": "cundall-strack", "start": "nearby"}, "start is 'nearby'"),
         ({"method": "cundall-strack", "start": np.zeros(4)}, r"spin in start has shape \(4,\); it must be \(27, 3\)"),
         ({"method": "cundall-strack", "density": -1.0}, "density"),
@@ -233,7 +233,7 @@ def test_times_asked_for_are_rows_of_the_history():
     assert found.time == found.history["time"][-1]
 
 
-@pytest.mark.parametrize("method", ["cundall-strack", "gradient-descent"])
+@pytest.mark.parametrize("method", ["cundall-strack", "gradient-descent", "rigid-limit"])
 @pytest.mark.parametrize(
     ("driven", "contact"), [([0, 1], [[0, 1]]), ([-1, -1], [[0, 1]]), ([0, -1], np.zeros((0, 2), int))]
 )
