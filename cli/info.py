@@ -52,6 +52,7 @@ def command(packing: Path | None, as_json: bool) -> None:
 
 
 def _word(value: Any) -> str:
+    """Return a value of the report in words."""
     if isinstance(value, dict):
         return "; ".join(f"{arch}: {', '.join(names)}" for arch, names in value.items()) or "none but the CPU"
     if isinstance(value, bool):

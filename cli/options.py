@@ -39,6 +39,7 @@ class Choice(click.Choice):
     """A choice of words that suggests the one that was likely meant by a mistyped word."""
 
     def convert(self, value: Any, parameter: click.Parameter | None, context: click.Context | None) -> Any:
+        """Return the chosen word; for a mistyped one the error suggests what was likely meant."""
         try:
             return super().convert(value, parameter, context)
         except click.BadParameter as error:
@@ -57,6 +58,7 @@ class SettingsCommand(click.Command):
     """
 
     def get_params(self, context: click.Context) -> list[click.Parameter]:
+        """Return the settings of a run, the command's own options, and --help-all."""
         everything = click.Option(
             ["--help-all"], is_flag=True, is_eager=True, expose_value=False, callback=_show_everything,
             help="Show the options that few need too, and exit.",
@@ -64,6 +66,7 @@ class SettingsCommand(click.Command):
         return [*_settings_options((*METHODS, *LAWS)), *super().get_params(context), everything]
 
     def format_options(self, context: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the options of the help, section by section."""
         sections = dict[str, list[tuple[str, str]]](
             (title, []) for title in ("What is solved", "How", "Files and output")
         )
@@ -118,6 +121,7 @@ def _settings_options(_: tuple[str, ...]) -> list[click.Option]:
 
 
 def _click_option(key: str, item: Option, text: str) -> click.Option:
+    """Return one setting as an option of the command line. text : its help."""
     name = key.replace("_", "-")
     if item.kind is TRUTH:
         return click.Option([f"--{name}/--no-{name}", key], default=None, help=text)

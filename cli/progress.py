@@ -46,6 +46,7 @@ class ScanDisplay(TerminalLine):
             self.is_logged = stat.S_ISREG(os.fstat(sys.stderr.fileno()).st_mode)
 
     def __call__(self, progress: Any) -> None:
+        """Hear how far the scan is."""
         self.progress = progress
         if self.is_logged and time.monotonic() - self.last_line >= HEARTBEAT:
             self.last_line = time.monotonic()

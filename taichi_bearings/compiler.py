@@ -155,6 +155,7 @@ def environment() -> Iterator[None]:
 
 
 def __getattr__(attribute: str) -> Any:
+    """Return `ti`, the compiler, which is imported when it is first asked for."""
     if attribute != "ti":
         raise AttributeError(f"module {__name__!r} has no attribute {attribute!r}")
     with environment(), warnings.catch_warnings(), _lines_found_quickly():  # it adds filters of its own
@@ -202,6 +203,7 @@ def _read_functions_once(reader: Any) -> None:
     free: dict[Any, list[Any]] = {}  # function -> its trees of which none is being walked, file, lines, first line
 
     def read_again(function: Any, **wishes: Any) -> tuple[Any, Any]:
+        """Return the tree of a function and its context, from those that are not in use if there is one."""
         if not free.get(function):
             return read(function, **wishes)
         tree, origin = free[function].pop()
@@ -209,6 +211,7 @@ def _read_functions_once(reader: Any) -> None:
         return tree, context(**wishes, **origin)
 
     def walk_and_keep(tree: Any, used: Any) -> Any:
+        """Compile a function from its tree, and keep the tree for the next call."""
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", DeprecationWarning)  # of the kinds of expressions that Python 3.12 knows
             result = walk(tree, used)
@@ -218,6 +221,7 @@ def _read_functions_once(reader: Any) -> None:
         return result
 
     def position(used: Any, node: Any) -> str:
+        """Return where an expression stands, found once."""
         if not hasattr(node, "position"):
             node.position = found(used, node)
         return node.position

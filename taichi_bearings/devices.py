@@ -27,6 +27,7 @@ def find(arch: str) -> list[Device]:
 
 
 def _cuda() -> list[Device]:
+    """Return the GPUs that the CUDA driver knows."""
     driver = ctypes.CDLL("nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1")
     count, devices = ctypes.c_int(), []
     if driver.cuInit(0) or driver.cuDeviceGetCount(ctypes.byref(count)):
@@ -40,6 +41,7 @@ def _cuda() -> list[Device]:
 
 
 def _metal() -> list[Device]:
+    """Return the GPU of a Mac."""
     if sys.platform != "darwin":
         return []
     return [Device(f"GPU of this Mac ({platform.processor() or platform.machine()})", has_f64=False)]
@@ -50,6 +52,8 @@ DEVICE_TYPE, DEVICE_NAME, NAME_LENGTH, SHADER_FLOAT64, SOFTWARE = 16, 20, 256, 3
 
 
 class _Application(ctypes.Structure):
+    """VkApplicationInfo of Vulkan."""
+
     _fields_ = (
         ("type", ctypes.c_int), ("next", ctypes.c_void_p), ("name", ctypes.c_char_p), ("version", ctypes.c_uint32),
         ("engine", ctypes.c_char_p), ("engine_version", ctypes.c_uint32), ("api_version", ctypes.c_uint32),
@@ -57,6 +61,8 @@ class _Application(ctypes.Structure):
 
 
 class _InstanceInfo(ctypes.Structure):
+    """VkInstanceCreateInfo of Vulkan."""
+
     _fields_ = (
         ("type", ctypes.c_int), ("next", ctypes.c_void_p), ("flags", ctypes.c_uint32),
         ("application", ctypes.POINTER(_Application)), ("layers", ctypes.c_uint32), ("layer_names", ctypes.c_void_p),
@@ -65,6 +71,7 @@ class _InstanceInfo(ctypes.Structure):
 
 
 def _vulkan() -> list[Device]:
+    """Return the devices that the Vulkan loader knows."""
     names = {"win32": "vulkan-1.dll", "darwin": "libvulkan.dylib"}
     loader = ctypes.CDLL(names.get(sys.platform, "libvulkan.so.1"))
     application = _Application(type=0, api_version=(1 << 22) | (1 << 12))  # Vulkan 1.1

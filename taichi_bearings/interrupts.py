@@ -117,6 +117,7 @@ def again_soon(is_wanted: Callable[[], bool] = lambda: True) -> None:
     """
 
     def ring() -> None:
+        """Wait a moment, and send Ctrl-C to the main thread."""
         time.sleep(SOON)
         while signal.getsignal(signal.SIGINT) is signal.SIG_DFL:  # which would end the process without a word
             time.sleep(SOON)
@@ -213,11 +214,13 @@ class Interrupt:
                 timer.join()  # it is too late for the last time
 
     def _end(self) -> None:
+        """Send Ctrl-C to the main thread since the time is up."""
         self._too_late = True
         leaving.disregard_next()
         _thread.interrupt_main()
 
     def _hear(self, _: int, frame: FrameType | None) -> None:
+        """Handle a signal, or the end of the time that `at_once` allows: note it, and end the work inside `at_once`."""
         late, self._too_late = self._too_late, False
         if late:
             pass

@@ -43,6 +43,7 @@ def prepared(kernel: Any, *arguments: np.ndarray | int) -> Callable[[], None]:
         return lambda: kernel(*arguments)
 
     def started(keep: tuple = arguments) -> None:
+        """Start the compiled kernel. keep : keeps the arrays alive."""
         refuse_changed()
         start(machine_code, context)
 

@@ -46,6 +46,7 @@ def numbers(convert: Callable[[Any], Any], counts: tuple[int, ...]) -> Callable[
     """
 
     def read(value: Any) -> tuple:
+        """Return the numbers as a tuple; ValueError if there are too many or too few."""
         parts = value.replace("x", ",").split(",") if isinstance(value, str) else list(value)
         if len(parts) not in counts:
             raise ValueError
@@ -107,6 +108,7 @@ def bounded(convert: Callable[[Any], Any], low: float, high: float = math.inf, o
     """
 
     def read(value: Any) -> Any:
+        """Return the number; ValueError if it is out of range."""
         number = convert(value)
         if not (low < number if open_low else low <= number) or not number <= high:
             raise ValueError

@@ -59,6 +59,7 @@ class TerminalLine:
             self._thread.join()
 
     def _show(self) -> None:
+        """Show the line, in a thread, until the context ends."""
         if self._over.wait(QUIET_SECONDS):
             return
         if in_notebook():

@@ -75,6 +75,7 @@ class _Unpacker(io.RawIOBase):
         return True
 
     def readinto(self, buffer: Any) -> int:
+        """Fill the buffer with unpacked bytes; returns how many, 0 at the end."""
         while True:
             if self.stream.eof:
                 self.packed = self.stream.unused_data or self.file.read(READ_AT_ONCE)

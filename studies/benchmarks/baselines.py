@@ -29,6 +29,7 @@ class Arrays:
     """
 
     def __init__(self, scene: Scene, precision: str) -> None:
+        """precision : "f64" or "f32"."""
         axes, dtype = scene.minimum_spin_axes, np.dtype(np.float64 if precision == "f64" else np.float32)
         self.dtype, self.layout = dtype, Layout(1, scene.lattice.shape, block=1)
         self.kept = [tangential(axis, axes) for axis in range(scene.lattice.dimension)]
@@ -62,11 +63,13 @@ class NumpySweep:
         self.pull = np.empty(self.layout.sites, arrays.dtype)
 
     def repeat(self, sweeps: int) -> None:
+        """Make so many sweeps."""
         for _ in range(sweeps):
             self._find_forces()
             self._move()
 
     def _find_forces(self) -> None:
+        """Compute the friction of all contacts, axis by axis."""
         start, sites = self.layout.margin, self.layout.sites
         for axis, (kept, stride) in enumerate(zip(self.kept, self.layout.strides, strict=True)):
             count = sites + stride  # from one stride below the first site on, so that each contact is computed once
@@ -92,6 +95,7 @@ class NumpySweep:
                 np.multiply(force, square, out=force)
 
     def _move(self) -> None:
+        """Move the spins by their steps times the sums of the forces on them."""
         start, sites = self.layout.margin, self.layout.sites
         for slot, (spin, step) in enumerate(zip(self.arrays.spin, self.arrays.step, strict=True)):
             first = True
@@ -128,6 +132,7 @@ class CSweep:
         self._sweeps, self._stride = library.sweeps, np.array(layout.strides, np.int64)
 
     def repeat(self, sweeps: int) -> None:
+        """Make so many sweeps, or one more if the number is odd."""
         layout, rows = self.arrays.layout, (self.arrays.spin, self.other, self.arrays.friction, self.arrays.step)
         numbers = (2 * -(-sweeps // 2), layout.margin, layout.sites, layout.length)
         pointers = [ctypes.c_void_p(values.ctypes.data) for values in (self._stride, *rows)]

@@ -69,6 +69,7 @@ def made(name: str, scene: Scene, folder: Path, peers: int) -> dict[str, Any]:
 
 
 def main() -> None:
+    """Make the instances that the folder lacks, and print the table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("folder", type=Path)
     parser.add_argument("--most", type=int, default=max(SIDES), help="largest side that is made")

@@ -188,6 +188,7 @@ class Peer:
 
 
 def _clarabel(programme: ConicProgramme, linear_solver: str, tolerance: float, seconds: float, threads: int) -> Raw:
+    """Solve by Clarabel; for the result see `Raw`."""
     import clarabel
 
     settings = clarabel.DefaultSettings()
@@ -208,6 +209,7 @@ def _clarabel(programme: ConicProgramme, linear_solver: str, tolerance: float, s
 
 
 def _scs(programme: ConicProgramme, linear_solver: str, tolerance: float, seconds: float, threads: int) -> Raw:
+    """Solve by SCS; for the result see `Raw`."""
     import scs
 
     described = {"A": programme.matrix, "b": programme.offset, "c": programme.linear}

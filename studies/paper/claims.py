@@ -102,6 +102,7 @@ class Claim:
 
     @property
     def verdict(self) -> str:
+        """One of VERDICTS."""
         if self.samples < self.samples_needed:
             return "too few samples"
         if not self.confirmed:
@@ -245,6 +246,7 @@ class _Sentences(string.Formatter):
         return self.vformat(text, (), {**self.named, **more})
 
     def format_field(self, value: Any, format_spec: str) -> str:
+        """Return a value in words, by one of the ways of the class and what follows it."""
         way, _, rest = format_spec.partition(" ")
         if way in REDUCED:
             return self.format_field(REDUCED[way](value) if len(value) or way in ("sum", "len") else math.nan, rest)

@@ -229,6 +229,7 @@ def draw_configurations(of: Any) -> Figure:
 
 
 def _draw_ranks(axes: Any, exact: Any) -> None:
+    """Draw the distance of each sample's second cut, by rank. exact : samples by rising distance."""
     ranks = np.arange(1, len(exact) + 1)
     for chosen, mark, colour, ms, label in (
         (~exact.differs, ".", BLUE, 3, "descent ends at the cut"),

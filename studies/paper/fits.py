@@ -222,12 +222,16 @@ def collapse(curves: Mapping[int, Mapping[int, np.ndarray]]) -> Collapse:
     rng, sizes = np.random.default_rng(0), sorted(curves)
 
     def best(sizes: Sequence[int], drawn: Callable[[np.ndarray], np.ndarray] = np.asarray) -> tuple[float, float]:
+        """Return the exponent at which curves lie closest together, and their misfit. drawn : resamples the samples
+        of a point.
+        """
         means = {L: np.array([drawn(v).mean() for v in curves[L].values()]) for L in sizes}
         courses = {L: CubicSpline(np.log(list(curves[L])), means[L]) for L in sizes}
         misfits = [_apart(courses, means, errors, a) for a in trials]
         return float(trials[np.argmin(misfits)]), min(misfits)
 
     def fitted(sizes: Sequence[int]) -> tuple[float, float, float]:
+        """Return the exponent for these sizes, its error from resampling, and the misfit."""
         value, misfit = best(sizes)
         again = [best(sizes, lambda v: rng.choice(v, len(v)))[0] for _ in range(COLLAPSES)]
         return value, float(np.std(again, ddof=1)), misfit

@@ -198,6 +198,7 @@ def _standing(folder: Path, effort: Effort) -> dict[str, Any]:
 
 
 def _write(folder: Path, effort: Effort, done: dict[str, Any], missing: Sequence[str]) -> None:
+    """Write the report as JSON and as HTML."""
     report = describe(folder, effort, done, missing)
     write_text(folder / "report.json", json.dumps(report, indent=2, allow_nan=False) + "\n")
     pictures = {name: _files(name, folder)[0] for name in done}

@@ -54,6 +54,7 @@ class Table:
     """Samples in columns: arrays (samples, ...) by name, each an attribute too; missing numbers are not-a-number."""
 
     def __init__(self, columns: Mapping[str, Any]) -> None:
+        """columns : values of the samples by name; None stands for a missing number."""
         self.columns = {
             name: np.array(values, dtype=float if any(value is None for value in values) else None)
             for name, values in columns.items()
@@ -338,6 +339,7 @@ def relax_rigidly(scene: Scene, start: str) -> Run:
 
 
 def _followed(scene: Scene, start: str, method: MethodOptions, rule: StopRule, recording: Recording) -> Run:
+    """Return the relaxation of a scene by a method. start : name of the initial spins."""
     axes, spin = scene.lattice.all_spin_axes, initial_spin(scene, start)
     solution = uninterrupted(solve(scene, method.build(), spin, rule, recording=recording))
     time, power = solution.history["time"], solution.history["power"]

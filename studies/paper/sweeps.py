@@ -45,6 +45,10 @@ def crossings(sideways: np.ndarray, upward: np.ndarray, column: int) -> np.ndarr
 
 @ti.kernel
 def _sweep(found: WEIGHTS, inner: WEIGHTS, upward: WEIGHTS, unseen: CHANGES):
+    """Sweep over the columns of each grid, rightward and leftward, until no distance falls.
+
+    found : (B, w, h - 1) distances, lowered in place. inner, upward : weights. unseen : (B, w) bits, see TO_THE_RIGHT.
+    """
     for grid in range(found.shape[0]):
         columns, more = found.shape[1], 1
         while more:

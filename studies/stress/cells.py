@@ -105,6 +105,7 @@ class Judge:
         return row | {"outcome": WRONG if row["reason"] else RIGHT if at_rest else NOT_REACHED}
 
     def _truth(self, cell: Cell) -> Truth:
+        """Return the truth of a cell, in its units; that of an equal scene is taken from memory."""
         scene, unit = cell.case.in_plain_units, Decimal(cell.case.unit)
         arrays = (values.tobytes() for values in (*scene.coefficients, *scene.viscosity))
         key = (scene.law, *arrays, *(getattr(scene, name) for name in scene.PARAMETERS))

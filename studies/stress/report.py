@@ -56,6 +56,7 @@ class Sweep:
     """
 
     def __init__(self, folder: Path, cells: Sequence[Cell]) -> None:
+        """Judge again the cells that the folder's journal has from this version."""
         self.folder, self.cells, self.judge = folder, {cell.key: cell for cell in cells}, Judge()
         known = read_journal(folder / JOURNAL)
         asked = [cell for cell in cells if known.get(cell.key, {}).get("version") == VERSION]
@@ -70,6 +71,7 @@ class Sweep:
         """
 
         def take(outcomes: Sequence[Outcome]) -> None:
+            """Judge finished units and write them down."""
             for outcome in outcomes:
                 cell = outcome.unit[0]
                 crash = {"key": cell.key, "version": VERSION, "crash": outcome.reason}
@@ -120,6 +122,7 @@ class Sweep:
         return paths
 
     def summary(self) -> dict[str, Any]:
+        """Return numbers of cells by outcome, how answers scale with the units, and the red cells."""
         rows = self.rows
         counts = Counter(line["outcome"] for line in rows)
         return {

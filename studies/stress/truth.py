@@ -100,6 +100,9 @@ class Sample:
     """
 
     def __init__(self, scene: Scene) -> None:
+        """Number the free spins, then the bottom's, then the top's, and start from spins that grow evenly with the
+        height.
+        """
         lattice, shape = scene.lattice, scene.lattice.shape
         self.jump = jump_of(scene)
         count, free = len(self.jump), int(np.prod(shape[:-1])) * (shape[-1] - 2)
@@ -125,9 +128,11 @@ class Sample:
         self.box = np.abs(parts)
 
     def slips(self) -> np.ndarray:
+        """Return the slips (E, C) of the contacts."""
         return (self.spin[self.up] - self.spin[self.low]) * self.felt
 
     def torques(self, force: np.ndarray) -> np.ndarray:
+        """Return the sum of forces (E, C) on each free spin."""
         total = np.full(len(self.spin), Decimal(0), dtype=object)
         np.add.at(total, self.up, force)
         np.subtract.at(total, self.low, force)
@@ -159,6 +164,7 @@ class Sample:
         return decrement
 
     def cost(self) -> Decimal:
+        """Return the cost of the present spins, energy/time."""
         square = (self.slips() ** 2).sum(axis=1, keepdims=True)
         return (self.a * np.sqrt(square) + self.c * square / 2).sum()
 
@@ -235,6 +241,7 @@ def _nothing(scene: Scene) -> Truth:
 
 
 def _states(scene: Scene, sample: Sample, barrier: Decimal) -> tuple[np.ndarray, ...]:
+    """Return the state of each contact, one array an axis; empty for a law without friction."""
     if not scene.law.holds:
         return ()
     state = np.full(scene.lattice.all_contacts, UNCLEAR, dtype=np.uint8)

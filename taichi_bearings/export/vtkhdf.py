@@ -127,6 +127,7 @@ def write_vtkhdf(
     """
 
     def fill(file: h5py.File) -> None:
+        """Write all groups of the file."""
         root = file.create_group("VTKHDF")
         root.attrs["Version"], root.attrs["Type"] = VTK_VERSION, np.bytes_("PolyData")
         put_attributes(root, attributes)

@@ -70,6 +70,9 @@ class Fields:
     """
 
     def __init__(self, layout: Any, spec: Any) -> None:
+        """Allocate the fields. layout : a `Layout` or `Lists`. spec : names and components, as `layout.parts` takes
+        them.
+        """
         self.layout, self.dtype, count = layout, number_type(), 0
         self._place: dict[str, tuple[int, int, Rows]] = {}  # first number and rows of a field, and where they lie
         for names, rows in layout.parts(spec):
@@ -92,6 +95,7 @@ class Fields:
         return list(self._place)
 
     def _allocate(self, count: int) -> tuple[Any, np.ndarray | None]:
+        """Return an array of zeros that kernels take and, on a CPU, the same array for NumPy, else None."""
         if not runtime.current().is_gpu:
             host = aligned_zeros(count, self.layout.block, self.dtype)
             return host, host

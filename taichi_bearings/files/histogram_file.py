@@ -55,10 +55,12 @@ def write_arrays(path: Path, histograms: Histograms, by: str | None = None) -> N
     parts = list(histograms.values())
 
     def stacked(name: str) -> Any:
+        """Return a number or array of all histograms, with a leading axis if there are several."""
         values = [getattr(part, name) for part in parts]
         return values[0] if by is None else np.array(values)
 
     def fill(file: h5py.File) -> None:
+        """Write all data sets and attributes."""
         for name, text in OF_BINS.items():
             put(file, name, stacked(name), "1", text)
         put(file, "edges", parts[0].edges, parts[0].units, "edges of the power bins")

@@ -99,6 +99,7 @@ def write_scan(
     """
 
     def fill(file: h5py.File) -> None:
+        """Write table and histograms of scan.h5."""
         table = file.create_group("table")
         table.attrs["columns"] = list(columns)
         for name, item in columns.items():
@@ -119,6 +120,7 @@ def write_scan(
             put(group, name, values, units, text, dtype=values.dtype, **packed)
 
     def cell(value: Any) -> str:
+        """Return a value as scan.csv has it."""
         if isinstance(value, bool):
             return str(value).lower()
         return "" if value is None or value != value else str(value)

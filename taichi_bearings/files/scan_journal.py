@@ -99,6 +99,7 @@ class Journal:
     """The journal open for appending; used as a context, by one process at a time."""
 
     def __init__(self, path: Path) -> None:
+        """Drop damaged lines, and open the file for appending."""
         self.path = path
         refuse_link_out(path)
         with writing(path):

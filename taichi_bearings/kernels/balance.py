@@ -33,6 +33,7 @@ class BalanceKernels:
     """
 
     def __init__(self, spec: FieldSpec, stencil: Stencil):
+        """spec : fields, in the order of their rows."""
         slot = first_slots(spec)
         self.pull, self.potential = slot["pull"], slot["potential"]
         self.stencil, self.block, self.components = stencil, stencil.block, stencil.components

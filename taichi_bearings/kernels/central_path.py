@@ -54,6 +54,7 @@ def vector(values: ti.template(), at: ti.template(), row: ti.template(), like: t
 
 @ti.func
 def dot(a: ti.template(), b: ti.template()):
+    """Return the scalar product of vectors of one or two components."""
     result = a[0] * b[0]
     if ti.static(len(a) == 2):
         result = result + a[1] * b[1]
@@ -62,6 +63,7 @@ def dot(a: ti.template(), b: ti.template()):
 
 @ti.func
 def size(a: ti.template()):
+    """Return the Euclidean length of a vector of one or two components."""
     result = ti.abs(a[0])
     if ti.static(len(a) == 2):
         result = ti.sqrt(dot(a, a))
@@ -365,6 +367,9 @@ def _walked(law: Callable, writes: tuple, finds: tuple, like: tuple) -> Callable
         values: NUMBERS, blocks: BLOCKS, found: BLOCKS, numbers: NUMBERS, length: int, first: int, end: int,
         read_slot: int, write_slot: int,
     ):  # fmt: skip
+        """Apply the law to the blocks first ... end-1. length : of a row. read_slot, write_slot : steps that are
+        read and written.
+        """
         ti.loop_config(serialize=True)
         for block in range(first, end):
             walk(

@@ -33,6 +33,7 @@ class ListSweeps(Sweeps):
     parts, measures = 2, 2
 
     def __init__(self, spec: ListSpec, law: str, corrector: tuple[float, ...]):
+        """spec : fields of spheres and of contacts. corrector : of Gear's method, empty for a descent."""
         super().__init__(block_size())
         self.rows, end = dict[str, tuple[int, ...]](), 0
         for name, count in (*spec[0], *spec[1]):

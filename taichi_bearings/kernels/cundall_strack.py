@@ -119,6 +119,7 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
     parts, numbers = 2, 8
 
     def __init__(self, spec: FieldSpec, stencil: Stencil, corrector: tuple[float, ...]):
+        """spec : fields, in the order of their rows. corrector : coefficients of Gear's method."""
         super().__init__(stencil.block, stencil.periodic)
         slot, axes, self.stencil = first_slots(spec), range(stencil.dimension), stencil
         self.slot, self.corrector, self.order, self.tally = slot, corrector, len(corrector), "work" in slot

@@ -42,6 +42,7 @@ class DescentSweeps(Sweeps):
     repeats, numbers = 2, 9
 
     def __init__(self, spec: FieldSpec, stencil: Stencil, law: str):
+        """spec : fields, in the order of their rows. law : name of a force in `contact.FORCES`."""
         super().__init__(stencil.block, stencil.periodic)
         self.slot = slot = first_slots(spec)
         self.stencil, self.force_law = stencil, FORCES[law]

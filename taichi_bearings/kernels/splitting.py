@@ -30,6 +30,7 @@ class ContactStep(Sweeps):
     parts, numbers = 2, 3
 
     def __init__(self, spec: FieldSpec, stencil: Stencil):
+        """spec : fields, in the order of their rows."""
         super().__init__(stencil.block, stencil.periodic)
         self.together = 1  # solving for the spins comes between two of these steps
         self.slot, self.stencil = first_slots(spec), stencil

@@ -153,6 +153,7 @@ def _substitution(together: bool) -> Callable:
 
     @ti.kernel
     def run(tables: INTEGERS, numbers: kind, vector: kind):
+        """Solve in place. vector : right-hand sides, then solutions."""
         ti.loop_config(serialize=True)
         for turn in range(2 * tables[FRONTS]):
             if turn < tables[FRONTS]:

@@ -69,6 +69,7 @@ class Lattice:
         return Lattice((*sides, gaps + 1), periodic=tuple(closed))
 
     def _check_periodic(self, axis: int) -> None:
+        """Raise InputError if this axis cannot close on itself."""
         name = AXIS_NAMES[axis]
         if axis >= self.height_axis:
             allowed = " and ".join(AXIS_NAMES[: self.height_axis])

@@ -138,6 +138,7 @@ class PlainLogFormatter(LogFormatter):
     """Formats labels of a logarithmic axis in plain text, which is drawn ten times faster than mathematics."""
 
     def __call__(self, value: float, position: int | None = None) -> str:
+        """Return the label of a value, "" for ticks without one."""
         if not super().__call__(value, position):
             return ""
         exponent = math.log10(value)

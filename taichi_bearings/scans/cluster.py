@@ -85,6 +85,7 @@ class DaskEngine(LocalEngine):
 
     @property
     def has_room(self) -> bool:
+        """True if a thread of the cluster will soon be free; counts the cluster's threads now and then."""
         now = time.monotonic()
         if now >= self._looked + LOOK:  # count the workers now and then
             self._looked = now
@@ -106,6 +107,7 @@ class DaskEngine(LocalEngine):
         return tuple(named)
 
     def collect(self, seconds: float) -> list[Outcome]:
+        """Return the outcomes that have come since; BearingsError if the scheduler is lost."""
         if not self.running:  # as long as there is no worker
             time.sleep(seconds)
         found = super().collect(seconds)

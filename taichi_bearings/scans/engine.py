@@ -216,6 +216,7 @@ class _Solver:
         return bool(multiprocessing.connection.wait([self._pipe], min(seconds, LONGEST_WAIT)))
 
     def _start(self) -> None:
+        """Start the process, and wait until it says that it has started."""
         context = multiprocessing.get_context("spawn")
         multiprocessing.current_process().daemon = False  # where Dask has set this, no process could be started
         with (

@@ -126,6 +126,7 @@ class WorkLeft:
     """
 
     def __init__(self, samples: Sequence[Sample], structure: bool = False) -> None:
+        """samples : that have no result yet."""
         self.structure, self.kinds = structure, dict[tuple[Any, ...], Kind]()
         for group in groups_of(samples):
             settings = group[0].settings

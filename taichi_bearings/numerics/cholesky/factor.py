@@ -221,6 +221,7 @@ class LaunchedFactor(Factor):
     """Factor that a single kernel launch makes, front by front; another launch solves with it."""
 
     def __init__(self, pattern: Pattern, lanes: int) -> None:
+        """lanes : number of matrices, 1 or LANES."""
         layout, samples = Layout(pattern, LANES // lanes), "" if lanes == 1 else f" in {lanes} samples"
         refuse_beyond(8 * lanes * layout.size, f"the factorisation of {pattern.size:,} unknowns{samples}")
         self.entries, self._numbers, vector = (
@@ -253,6 +254,7 @@ class CalledFactor(Factor):
     """Factor whose fronts a kernel assembles and LAPACK and BLAS eliminate; threads share that, and substitution."""
 
     def __init__(self, pattern: Pattern, memory: Memory) -> None:
+        """memory : that this factor shares with others."""
         self._layout, self._memory, self._size = Layout(pattern, apart=True), memory, pattern.size
         self.entries, self._vector = np.zeros((pattern.entries, 1)), np.zeros((self._layout.vector, 1))
         self.solution = self._vector[: pattern.size]
