@@ -27,6 +27,8 @@ from taichi_bearings.numerics.graphs import odd_pieces
 from taichi_bearings.scene.bearing import Bearing
 from taichi_bearings.scene.network import Network
 
+OF_ROWS = ("operator", "transposed", "across", "feels")  # properties that do not depend on the imposed spins
+
 
 def _nothing() -> np.ndarray:
     """An empty array, of a system that is not that of a whole network."""
@@ -70,27 +72,36 @@ class ContactSystem:
     @classmethod
     def of(cls, bearing: Bearing) -> "ContactSystem":
         """Rows along the tangents of all contacts that act in parts which touch a driven sphere: those with a
-        coefficient in some sample, and a free end. The unknowns are u of the spheres that these reach."""
+        coefficient in some sample, and a free end. The unknowns are u of the spheres that these reach, without a spin
+        of each motion that slips nowhere."""
+        found = cls.before_motions(bearing)
+        return found if found.motions is not None else found.without_motions()
+
+    @classmethod
+    def before_motions(cls, bearing: Bearing) -> "ContactSystem":
+        """As :meth:`of`; where normals are oblique, motions that slip nowhere are still among the unknowns, and their
+        number is None."""
         network, contact = bearing.network, bearing.acting
         moves = network.reached(contact)
         contact = contact[moves[network.contact[:, contact]].any(axis=0)]
         known, wanted, number = network.needed(bearing.driven_speed, contact, moves)
-        moved = _numbered(wanted)
-        if number is None:
-            found = network.motions(network.operator(contact, moved), np.nonzero(wanted)[0], contact, moves)
-            number = found.number if found.number_is_certain else None
-            wanted &= ~np.isin(moved, found.held)
-            moved = _numbered(wanted)
+        return cls._over(network, contact, known, wanted, number)
+
+    @classmethod
+    def _over(
+        cls, network: Network, contact: np.ndarray, known: np.ndarray, wanted: np.ndarray, number: int | None
+    ) -> "ContactSystem":
+        """Rows along the tangents of these contacts over the spins that are `wanted`, (N, C) mask."""
         spins, sphere = known[network.contact[:, contact]].sum(axis=0), np.nonzero(wanted)[0]
+        moved = np.where(wanted, np.cumsum(wanted).reshape(wanted.shape) - 1, -1)
         offset = np.einsum("tek,ek->te", network.tangents[:, contact], spins)
-        slot = np.broadcast_to(np.arange(len(offset))[:, None], offset.shape)
         return cls(
             len(sphere),
             offset,
             np.ones(offset.shape, dtype=bool),
             slips=network.operator(contact, moved),
             contact=contact,
-            slot=slot,
+            slot=np.broadcast_to(np.arange(len(offset))[:, None], offset.shape),
             place=np.asarray(network.center[sphere].T),
             network=network,
             sphere=sphere,
@@ -98,6 +109,24 @@ class ContactSystem:
             known=known,
             motions=number,
         )
+
+    def without_motions(self) -> "ContactSystem":
+        """The same with one spin held of each motion that slips nowhere, and the number of these."""
+        network, moves = self.network, np.any(self.moved >= 0, axis=1)
+        found = network.motions(self.operator, self.sphere, self.numbers, moves)
+        wanted = (self.moved >= 0) & ~np.isin(self.moved, found.held)
+        number = found.number if found.number_is_certain else None
+        return ContactSystem._over(network, self.numbers, self.known, wanted, number)
+
+    def with_motions(self, number: int) -> "ContactSystem":
+        """The same where it is known how many motions slip nowhere."""
+        return self._with(motions=number)
+
+    def _with(self, **changes: Any) -> "ContactSystem":
+        """The same rows and spins with other values of some fields; what follows from rows alone is kept."""
+        found = replace(self, **changes)
+        vars(found).update({name: of for name, of in vars(self).items() if name in OF_ROWS})
+        return found
 
     def signed(self) -> "ContactSystem | None":
         """The same unknowns and contacts, but for those that feel none of them, over signed spins s u, (N, C) signs s;
@@ -144,7 +173,11 @@ class ContactSystem:
 
     def in_units(self, speed: float) -> "ContactSystem":
         """The same with imposed spins in units of a speed."""
-        return replace(self, offset=self.offset / speed, known=self.known / speed)
+        return self._with(offset=self.offset / speed, known=self.known / speed)
+
+    def with_offset(self, offset: np.ndarray) -> "ContactSystem":
+        """The same with other slips (d, n) of the imposed spins."""
+        return self._with(offset=offset)
 
     def all_spins(self, spins: np.ndarray) -> np.ndarray:
         """u (N, C) of all spheres from the unknowns (unknowns,)."""
@@ -274,11 +307,6 @@ def slipping_components(felt: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.nd
     contact, most = np.flatnonzero(felt.any(axis=0)), felt.sum(axis=0).max(initial=1)
     slot = np.argsort(~felt[:, contact], axis=0, kind="stable")[:most]
     return contact, slot, felt[slot, contact]
-
-
-def _numbered(wanted: np.ndarray) -> np.ndarray:
-    """Number of each True one, -1 of the others."""
-    return np.where(wanted, np.cumsum(wanted).reshape(wanted.shape) - 1, -1)
 
 
 def free_spins(staggered: np.ndarray) -> np.ndarray:

@@ -59,8 +59,8 @@ class Descent:
         told: Callable[[Sample, float], None] | None = None,
     ) -> None:
         """shared : by all samples. small : samples are treated as small ones, several side by side. settles : slips of
-        any size are met with the same force, so that there are contacts at rest to be found. asked : they are wanted,
-        and not a bound alone. told : hears of each sample after each step, and its cost then."""
+        any size are met with the same force, so that there are contacts at rest, and these are found here. asked :
+        they are wanted, and not a bound alone. told : hears of each sample after each step, and its cost then."""
         self.shared, self.spheres, self.small, self.settles, self.asked = shared, spheres, small, settles, asked
         self.told, self.step_seconds = told, 0.0  # of the last step
 
@@ -130,10 +130,11 @@ class Descent:
     @np.errstate(all="ignore")  # at the end numbers that are not finite turn up
     def _gap(self, sample: Sample, path: Path, place: int) -> float:
         """Relative gap of a sample after a step, with the price of torques that are left. Its forces are balanced where
-        nothing else keeps it from being settled. Not finite if it cannot be told."""
+        nothing else keeps it from being settled; where states are settled by others, these balance them. Not finite if
+        it cannot be told."""
         gap = path.gap(place)
         price = 0.0 if gap > DISTANT_GAP else path.price_of_torques(place)
-        if not price > max(gap, LEAST_GAP):
+        if not price > max(gap, LEAST_GAP) or (not self.settles and price < SETTLING_GAP):
             return gap
         if self.settles and self.asked:
             if not gap < self._near(sample):

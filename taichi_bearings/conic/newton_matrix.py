@@ -14,6 +14,7 @@ from taichi_bearings.numerics.cholesky import Cholesky, Engine, Factor, Memory, 
 MOST_NEWTON_STEPS = 60  # of Newton's method or of a search along its step: what succeeds takes some 10 to 30
 REFINEMENTS = 4  # of solutions; two do where the springs are of one size
 DIAGONAL_SHIFTS = (1e-14, 1e-12, 1e-10)  # relative additions to the diagonal, tried one after the other
+INVERSE_ITERATIONS, SURELY_REGULAR = 3, 1e-8  # steps to the least eigenvalue, and what is surely not 0
 Order = np.ndarray | Callable[[int], np.ndarray]
 
 
@@ -99,6 +100,19 @@ class NewtonMatrix:
             of_lanes = np.append(regular[own], np.zeros(factor.entries.shape[1] - samples, dtype=bool))
             regular[own] = _raised(factor, pattern.diagonal, of_lanes)[:samples]
         return regular
+
+    def is_regular(self, stiffness: np.ndarray) -> bool:
+        """True where no change of the spins surely goes without any force. stiffness : (d, d, n), of size 1 or 0.
+
+        The least eigenvalue, by inverse iteration from a drawn vector, is then far above what rounding makes of 0, and
+        above the most by which a diagonal is raised.
+        """
+        if not self.factorise_each(stiffness).all():
+            return False
+        vector = np.random.default_rng(0).standard_normal(self._system.unknowns)
+        for _ in range(INVERSE_ITERATIONS):
+            vector = self.solve(vector / np.linalg.norm(vector))
+        return bool(np.linalg.norm(vector) < 1 / SURELY_REGULAR)  # False for NaN
 
     def solve(self, right: np.ndarray, wanted: np.ndarray | None = None) -> np.ndarray:
         """Solutions, (unknowns,) or (unknowns, S), of the factorised systems; 0 in parts that are not `wanted`."""

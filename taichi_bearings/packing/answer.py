@@ -1,5 +1,6 @@
 """A packing solved: spins of least dissipation, what is proven of them, and which contacts slip."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from time import perf_counter
 
@@ -7,6 +8,7 @@ import numpy as np
 from scipy import sparse
 
 from taichi_bearings import runtime
+from taichi_bearings.conic.cones import isotropic
 from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.errors import InputError
 from taichi_bearings.numerics.blas import one_thread
@@ -30,27 +32,50 @@ MOVED = 1e-7  # of a slip that a motion makes
 
 
 def solve_packing(packing: Bearing, tolerance: float = 1e-8, method: str = "auto") -> Solution:
-    """The state of least dissipation; slipless motions that nothing decides are left at rest.
+    """The state of least dissipation of every sample; slipless motions that nothing decides are left at rest.
 
     tolerance : proven relative gap at which it counts as certified. method : one of those below by its name.
 
     Friction of discs, and of spheres whose contacts feel one spin component each, by minimum cuts, exactly; viscous
-    networks by one linear system; all else by the central path.
+    networks by one linear system; all else by the central path. Small samples are solved side by side: what becomes of
+    one, bit by bit, does not depend on the others.
     """
     if not isinstance(packing, Packing):
         raise InputError(f"the packing is a {type(packing).__name__}; it must be a taichi_bearings.Packing")
     if not (isinstance(tolerance, (int, float)) and 0 < tolerance < 1):
         raise InputError(f"tolerance is {shown(tolerance)}; it must be above 0 and below 1")
+    samples = [packing.sample(number) for number in range(packing.replicas)]
+    found: dict[int, Solution] = {}
+    for numbers in _alike_samples(samples):
+        solved = _solved([samples[number] for number in numbers], tolerance, method)
+        found |= dict(zip(numbers, solved, strict=True))
+    return Solution.joined([found[number] for number in range(len(samples))], packing)
+
+
+def _alike_samples(samples: Sequence[Packing]) -> list[list[int]]:
+    """Numbers of the samples in groups in which the same contacts act."""
+    found: dict[bytes, list[int]] = {}
+    for number, sample in enumerate(samples):
+        found.setdefault(sample.acting.tobytes(), []).append(number)
+    return list(found.values())
+
+
+def _solved(samples: Sequence[Packing], tolerance: float, method: str) -> list[Solution]:
+    """The answers to samples of one network in which the same contacts act; seconds are shared."""
     begun = perf_counter()
     runtime.current()
     with one_thread():
-        system = _system_of(packing)
-        end = _found(system, packing, system.of_contacts(packing), method)
-        with stage("proving"):
-            found = judged(system, packing, end, tolerance)
-        if found.method == "interior-point" and packing.law.is_rate_independent:
-            found = _without_contrast(system, packing, found, tolerance)
-    return replace(found, seconds=perf_counter() - begun)
+        system = _system_of(samples[0])
+        ends = _found(system, samples, method)
+        answers = []
+        for sample, end in zip(samples, ends, strict=True):
+            with stage("proving"):
+                found = judged(system, sample, end, tolerance)
+            if found.method == "interior-point" and sample.law.is_rate_independent:
+                found = _without_contrast(system, sample, found, tolerance)
+            answers.append(found)
+    seconds = (perf_counter() - begun) / len(samples)
+    return [replace(found, seconds=seconds) for found in answers]
 
 
 def _without_contrast(system: ContactSystem, packing: Packing, found: Solution, tolerance: float) -> Solution:
@@ -68,7 +93,7 @@ def _without_contrast(system: ContactSystem, packing: Packing, found: Solution, 
         capped = held > most
         if found.gap[0] <= tolerance or not capped.any() or not most > 0:
             break
-        end = _found(system, packing, (np.minimum(held, most),), "interior-point")
+        (end,) = _found(system, [packing], "interior-point", [(np.minimum(held, most),)])
         start = end.spins, np.zeros(system.unknowns) if end.rest is None else np.asarray(end.rest)
         spins, rounding = rolled(system, packing, start, capped)
         other = judged(system, packing, replace(end, spins=spins, rest=rounding), tolerance)
@@ -84,11 +109,13 @@ OF_A_NETWORK = ("center", "contact", "driven", "spin", "radius", "normal")
 
 def _system_of(packing: Packing) -> ContactSystem:
     """That of the last packing, if they differ in nothing but their coefficients, as seeds do."""
+    from taichi_bearings.conic.shared import system_of  # and with it Taichi's kernels
+
     global _last
     known = _last
     if known is None or not _alike(known[0], packing):
         known = _last = None  # its memory is free before another one is found
-        known = _last = packing, ContactSystem.of(packing)
+        known = _last = packing, system_of(packing)
     return known[1]
 
 
@@ -97,35 +124,45 @@ def _alike(one: Packing, other: Packing) -> bool:
     return same and np.array_equal(one.acting, other.acting)
 
 
-def _found(system: ContactSystem, packing: Packing, of: tuple[np.ndarray, ...], method: str) -> Found:
-    """What a method finds where the law takes these numbers `of` the contacts, (A,) each."""
-    law = packing.law
+def _found(
+    system: ContactSystem,
+    samples: Sequence[Packing],
+    method: str,
+    resisting: Sequence[tuple[np.ndarray, ...]] | None = None,
+) -> list[Found]:
+    """What a method finds of each sample.
+
+    resisting : what the law takes of the contacts of each, (A,) arrays, where that is not what the samples say.
+    """
+    law = samples[0].law
     exact = law.is_rate_independent and not (system.feels.sum(axis=1) > 1).any()
     able = ["planar-cut"] * exact + ["interior-point" if law.holds else "linear-solver"]
     if method not in ("auto", *able):
         raise InputError(f"method is {shown(method)}, but this packing is solved by {' or '.join(able)}")
     if not system.unknowns or not system.offset.any():
-        return Found(np.zeros(system.unknowns), np.zeros_like(system.offset), "linear-solver")
+        still = Found(np.zeros(system.unknowns), np.zeros_like(system.offset), "linear-solver")
+        return [still for _ in samples]
     if exact and method != "interior-point":
-        (high, low), force = planar.least_power(system, packing)
-        return Found(high, force, "planar-cut", rest=low)
-    from taichi_bearings.packing.path import followed, viscous_spins  # and with it Taichi's kernels
+        cuts = [planar.least_power(system, sample) for sample in samples]
+        return [Found(high, force, "planar-cut", rest=low) for (high, low), force in cuts]
+    from taichi_bearings.packing.path import Strengths, followed, viscous_spins  # and with it Taichi's kernels
 
-    held, viscosity = (
-        np.zeros(len(system.numbers)) if v is None else v for v in (law.holding_force(of), law.viscosity(of))
-    )
+    found: dict[int, Found] = {}
+    ways: dict[int, Strengths] = {}
     fastest = float(np.abs(system.offset).max())
-    if not held.any():
-        spins = viscous_spins(system, viscosity)
-        return Found(spins, viscosity * system.differences(spins), "linear-solver", steps=1)
-    largest = float(max(held.max(), viscosity.max() * fastest))
-    units = np.exp2(np.round(np.log2([fastest, largest])))  # dividing by them rounds nothing
-    fastest, largest = units.tolist()
-    end = followed(
-        system.in_units(fastest), held / largest, viscosity * fastest / largest, power_unit=fastest * largest
-    )
-    rest = None if end.rest is None else end.rest * fastest
-    return replace(end, spins=end.spins * fastest, rest=rest, force=end.force * largest)
+    speed = float(np.exp2(np.round(np.log2(fastest))))  # dividing by it rounds nothing
+    for number, of in enumerate(resisting or [system.of_contacts(sample) for sample in samples]):
+        none = np.zeros(len(system.numbers))
+        held, viscosity = (none if v is None else v for v in (law.holding_force(of), law.viscosity(of)))
+        if held.any():
+            force = float(np.exp2(np.round(np.log2(max(held.max(), viscosity.max() * fastest)))))
+            ways[number] = Strengths(held / force, viscosity * speed / force, speed * force, force)
+        else:
+            spins = viscous_spins(system, viscosity)
+            found[number] = Found(spins, viscosity * system.differences(spins), "linear-solver", steps=1)
+    followed_ways = followed(system, speed, list(ways.values())) if ways else []
+    found |= dict(zip(ways, followed_ways, strict=True))
+    return [found[number] for number in range(len(samples))]
 
 
 def judged(system: ContactSystem, packing: Packing, found: Found, tolerance: float, moves: bool = False) -> Solution:
@@ -229,13 +266,15 @@ def tied(system: ContactSystem, force: np.ndarray, state: np.ndarray) -> np.ndar
     d, count = force.shape
     size = np.linalg.norm(force, axis=0)
     along = force / np.where(size > 0, size, 1.0)
+    found = np.zeros(count, dtype=bool)
+    if d == 2 and system.sign is None and _is_only_one(system, along, state):
+        return found
     across = np.stack([-along[1], along[0]]) if d == 2 else np.zeros((1, count))
     slipping, resting = np.flatnonzero(state == 1), np.flatnonzero(state == 0)
     rows = [system.operator[t * count + resting] for t in range(d)]
     if d == 2:
         parts = (sparse.diags_array(across[t, slipping]) @ system.operator[t * count + slipping] for t in range(d))
         rows.append(sum(parts))
-    found = np.zeros(count, dtype=bool)
     slips, moves = sparse.csr_array(sparse.vstack(rows)), np.any(system.moved >= 0, axis=1)
     motions = system.network.motions(slips, system.sphere, system.contact, moves)
     if not motions.number:
@@ -247,3 +286,16 @@ def tied(system: ContactSystem, force: np.ndarray, state: np.ndarray) -> np.ndar
     moved = sum(np.abs(along[t, :, None] * (system.operator[t * count : (t + 1) * count] @ basis)) for t in range(d))
     found[slipping] = (moved > MOVED * np.abs(basis).max()).any(axis=1)[slipping]
     return found
+
+
+def _is_only_one(system: ContactSystem, along: np.ndarray, state: np.ndarray) -> bool:
+    """True where surely no change of the spins leaves all contacts that rest, (A,) states, at rest and all that slip
+    their directions `along`, (2, A): one factorisation tells, where normals are oblique."""
+    from taichi_bearings.conic.shared import surroundings_of  # and with it Taichi's kernels
+
+    shared = surroundings_of(system)
+    if shared.system.sign is not None:
+        return False
+    across = np.stack([-along[1], along[0]]) * (state == SLIPPING)
+    rests = isotropic(along, (state == SLIPLESS).astype(float))
+    return shared.matrix.is_regular(rests + across[:, None] * across[None, :])

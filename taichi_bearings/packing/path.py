@@ -9,14 +9,14 @@ spring that slips where it would bear more than friction does, and begins with t
 it. A contact that rests slips the less each time; those beyond their friction slip along it.
 """
 
-import threading
+from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import replace
-from typing import Any, cast
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from taichi_bearings.conic.central_path import flowing
+from taichi_bearings.conic.central_path import balance, flowing
 from taichi_bearings.conic.cones import length
 from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.conic.contraction import order_by_place
@@ -24,15 +24,13 @@ from taichi_bearings.conic.descent import Descent, Sample
 from taichi_bearings.conic.friction_stage import Friction, FrictionStage
 from taichi_bearings.conic.iterate import LEAST_GAP, Iterate
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
-from taichi_bearings.conic.resolution import Surroundings
+from taichi_bearings.conic.shared import is_small, surroundings_of
 from taichi_bearings.interrupts import look_up
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.packing.found import Found
 from taichi_bearings.stages import Step, stage
 
-KEPT_UNKNOWNS = 30_000  # up to which the matrix of a network is kept for its other samples
-SMALL_SPHERES = 5_000  # up to which states are settled as those of small lattices
 HOLDS = (1e6, 1e8, 1e10, 1e10)  # stiffnesses of the springs, over friction
 SETTLED_FORCE = 1e-11  # change of a force, of the mean friction, at which they are settled
 LEAST_SLIP = 1e-13  # of the largest imposed one, that is none of rounding
@@ -51,67 +49,80 @@ def viscous_spins(system: ContactSystem, viscosity: np.ndarray) -> np.ndarray:
     return flowing(rows, np.tile(viscosity, len(system.offset)), matrix, np.zeros(system.unknowns))
 
 
-def followed(system: ContactSystem, friction: np.ndarray, viscosity: np.ndarray, power_unit: float = 1.0) -> Found:
-    """Where the central path and the settling of states lead. friction, viscosity : (A,). power_unit : of the power
-    that is told on the way."""
-    flows = bool(viscosity.any())
-    contacts, order, matrix = _skeleton(system)
-    sign = contacts.sign
-    unit = float(np.exp2(np.round(np.log2((friction + viscosity).mean()))))  # as of lattices
-    own = np.searchsorted(system.numbers, contacts.numbers)
-    strength, viscous = friction[own] / unit, viscosity[own] / unit
-    spins = np.zeros(contacts.unknowns)
-    with suppress(NotPositiveDefinite):
-        spins = flowing(contacts, strength + viscous, matrix, spins)
-    slack = SLACK * float(length(contacts.differences(spins)).mean())
-    start = Iterate.start(contacts, spins, strength, slack, viscous if flows else None)
-    start = start if (friction > 0).all() else replace(start, smooth=strength == 0)
-    settles, spheres = sign is not None, len(np.unique(system.sphere))
-    small = settles and spheres < SMALL_SPHERES
-    sample = Sample(start, unit)
+@dataclass(frozen=True)
+class Strengths:
+    """What the contacts of one sample resist with. friction, viscosity : (A,), in units in which the fastest imposed
+    spin and the largest of both are about 1. power_unit, force_unit : of these, energy/time and force."""
+
+    friction: np.ndarray
+    viscosity: np.ndarray
+    power_unit: float = 1.0
+    force_unit: float = 1.0
+
+
+def followed(system: ContactSystem, fastest: float, samples: Sequence[Strengths]) -> list[Found]:
+    """Where the central path and the settling of states lead, of each sample.
+
+    Small samples are followed side by side; what becomes of one, bit by bit, does not depend on the others.
+
+    fastest : unit of the spins, near the fastest imposed one.
+    """
+    shared = surroundings_of(system)
+    contacts = shared.system.in_units(fastest)
+    settles, spheres = contacts.sign is not None, len(np.unique(system.sphere))
+    ways = [_begun(system, contacts, of, shared.matrix) for of in samples]
+    of_way = {id(way): strengths for way, strengths in zip(ways, samples, strict=True)}
     with stage("following the central path") as under_way:
 
         def told(of: Sample, cost: float) -> None:
             aim = descent.settles_at if settles else LEAST_GAP
-            under_way.tell(Step(of.steps, cost * unit * power_unit, of.gap, aim))
+            power = cost * of.unit * of_way[id(of)].power_unit
+            under_way.tell(Step(of.steps, power, of.gap, aim))
 
-        descent = Descent(Surroundings(contacts, order, matrix, None), spheres, small, settles, told=told)
-        descent.samples = [sample]
-        while not sample.done and sample.steps < MOST_STEPS:
+        descent = Descent(replace(shared, system=contacts), spheres, is_small(contacts), settles, told=told)
+        descent.samples = ways
+        for _ in range(MOST_STEPS):
             look_up()
-            descent.advance(MOST_STEPS - sample.steps if settles else 1)
-    settled, ties, open_ = sample.resolved, None, None
+            at_once = settles or descent.small
+            descent.advance(MOST_STEPS if at_once else 1)
+            if at_once or all(way.done for way in ways):
+                break
+    return [_ended(system, way, of, shared.matrix, fastest) for way, of in zip(ways, samples, strict=True)]
+
+
+def _begun(system: ContactSystem, contacts: ContactSystem, of: Strengths, matrix: NewtonMatrix) -> Sample:
+    """The start of the path of one sample: spins at which viscous forces alone would be in balance."""
+    own = np.searchsorted(system.numbers, contacts.numbers)
+    unit = float(np.exp2(np.round(np.log2((of.friction + of.viscosity).mean()))))  # as of lattices
+    strength, viscous = of.friction[own] / unit, of.viscosity[own] / unit
+    spins = np.zeros(contacts.unknowns)
+    with suppress(NotPositiveDefinite):
+        spins = flowing(contacts, strength + viscous, matrix, spins)
+    slack = SLACK * float(length(contacts.differences(spins)).mean())
+    start = Iterate.start(contacts, spins, strength, slack, viscous if of.viscosity.any() else None)
+    return Sample(start if (of.friction > 0).all() else replace(start, smooth=strength == 0), unit)
+
+
+def _ended(system: ContactSystem, way: Sample, of: Strengths, matrix: NewtonMatrix, fastest: float) -> Found:
+    """What the end of a path amounts to: its states as they are settled, or else by multipliers."""
+    contacts, settled, ties, open_ = way.iterate.system, way.resolved, None, None
     if settled is None:
         with stage("settling contact states"):
-            spins, dual, slipping, open_ = _settled(sample.iterate, matrix)
+            spins, dual, slipping, open_ = _settled(way.iterate, matrix)
     else:
         spins, dual, slipping = settled.spins, settled.whole_dual, settled.slipping
         ties = settled.ties | settled.at_limit
-    force = along_tangents(system, contacts, -unit * dual)
     rest = None if settled is None else settled.rest
-    if sign is not None:
-        turned = sign[system.moved >= 0]
+    if contacts.sign is not None:
+        turned = contacts.sign[system.moved >= 0]
         spins, rest = turned * spins, None if rest is None else turned * rest
-    slips, opens, tie = (None if of is None else _everywhere(own, of, len(friction)) for of in (slipping, open_, ties))
-    return Found(spins, force, "interior-point", slips, tie, sample.steps, open=opens, rest=rest)
-
-
-_Skeleton = tuple[ContactSystem, np.ndarray, NewtonMatrix]
-
-
-def _skeleton(system: ContactSystem) -> _Skeleton:
-    """What all samples on a network have in common: contacts, the order of elimination and the matrix. Of small
-    ones, of which there are many, it is made once, by each thread, as numbers of a factorisation are kept in it."""
-    name = threading.get_ident(), float(np.abs(system.offset).max(initial=0.0))
-    if (found := system.kept.get(name)) is not None:
-        return cast(_Skeleton, found)
-    contacts = system.signed() or system
-    order = order_by_place(contacts)
-    made = contacts, order, NewtonMatrix(contacts, order)
-    if system.unknowns < KEPT_UNKNOWNS:
-        system.kept.clear()
-        system.kept[name] = made
-    return made
+    own = np.searchsorted(system.numbers, contacts.numbers)
+    slips, opens, tie = (
+        None if kind is None else _everywhere(own, kind, len(of.friction)) for kind in (slipping, open_, ties)
+    )
+    force = along_tangents(system, contacts, -way.unit * dual) * of.force_unit
+    rest = None if rest is None else rest * fastest
+    return Found(spins * fastest, force, "interior-point", slips, tie, way.steps, open=opens, rest=rest)
 
 
 @np.errstate(all="ignore")
@@ -125,7 +136,7 @@ def _settled(
     open_, last = slipping, np.inf
     firm, rest = np.where(point.friction > 0, point.friction, 1.0), np.zeros(contacts.unknowns)
     for hold in HOLDS:
-        here = replace(contacts, offset=contacts.to_all_digits(spins))
+        here = contacts.with_offset(contacts.to_all_digits(spins))
         stage = FrictionStage(here, matrix, 1.0, SMALL_SPINS, 1.0)
         with one_thread():
             end = stage.solve(Friction(point.friction, hold * firm, 0.0, point.viscosity), rest, held, rest)
@@ -142,6 +153,8 @@ def _settled(
             break
     powers = (_power(point, of) for of in (point.spins, spins))
     if next(powers) * (1 + WORSE_POWER) < next(powers):  # where many minima tie, springs can lead away from all of them
+        with suppress(NotPositiveDefinite):
+            point = balance(point, matrix)
         return point.spins, point.whole_dual, None, None
     return spins, whole, slipping, open_
 

@@ -1,6 +1,6 @@
 """Packings as runs solve them: what the settings describe, and what the method that they name finds."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -30,6 +30,7 @@ from taichi_bearings.words import counted, shown
 TWICE = {"distribution": "friction", "viscosity": "viscosity", **{name: name for name in SIZES}}
 """Options that say what arrays of a file may say too."""
 COEFFICIENTS = ("friction", "viscosity")  # arrays of a packing
+BLOCK_REPLICAS = 16  # replicas whose minima are found together: what Ctrl-C can lose
 AXES_OF_PACKINGS = {"center": 2, "contact": 2, "normal": 2}  # of arrays of one sample; others have one
 
 
@@ -53,26 +54,39 @@ def solve_packings(
     checkpoints: Any = None,
     **others: Any,
 ) -> Result:
-    """The replicas one after another, each as alone. Ctrl-C leaves those that were begun; with checkpoints, from which
-    the others can go on, it is a KeyboardInterrupt unless all were."""
+    """The replicas block by block, each as alone: minima of small ones side by side, all else one after another.
+    Ctrl-C leaves those that were begun; with checkpoints, from which the others can go on, it is a KeyboardInterrupt
+    unless all were."""
     count, found = scene.replicas, list[Solution]()
     several, is_interrupted = np.ndim(start) > scene.imposed_spins()[0].ndim, False
     written = [None] * count if checkpoints is None else checkpoints.of_each(count)
-    for number, own in enumerate(written):
-        told = {} if minimises(settings) else {"monitors": monitors, "checkpoints": own}
+    for begin, end in _blocks(settings, scene):
+        told = {} if minimises(settings) else {"monitors": monitors, "checkpoints": written[begin]}
         try:
             with stage("solving"), leaving.saving() if found else nullcontext():
-                first = start[number] if several else start
-                found.append(solved_packing(settings, scene.sample(number), start=first, **told, **others))
+                first = start[begin] if several else start
+                block = scene if scene.replicas == 1 else scene.some(slice(begin, end))
+                solved = solved_packing(settings, block, start=first, **told, **others)
+                found += [solved.sample(number) for number in range(end - begin)]
         except KeyboardInterrupt:
             if not found:
                 raise
-        if is_interrupted := len(found) <= number or found[-1].status is Status.INTERRUPTED:
+        if is_interrupted := len(found) < end or found[-1].status is Status.INTERRUPTED:
             if len(found) < count and checkpoints is not None:
                 raise KeyboardInterrupt
             settings, start = replace(settings, replicas=len(found)), start[: len(found)] if several else start
             break
     return Result(settings, Solution.joined(found, scene.first(len(found))), start, interrupted=is_interrupted)
+
+
+def _blocks(settings: RunSettings, scene: Bearing) -> Iterator[tuple[int, int]]:
+    """First and one beyond the last number of the replicas that are solved together."""
+    together = (
+        minimises(settings) and settings.torque is None and scene.network.spheres < InteriorPoint.alike_in_a_block
+    )
+    size = BLOCK_REPLICAS if together else 1
+    for begin in range(0, scene.replicas, size):
+        yield begin, min(begin + size, scene.replicas)
 
 
 def minimises(settings: RunSettings) -> bool:
