@@ -41,7 +41,7 @@ def at_rest_beside_loops(bounds: Bounds, far: np.ndarray) -> np.ndarray:
     far : (E,), how far slips of minima are from the given ones at most; infinite where that is not known."""
     network, springs = bounds.network, bounds.springs
     found = np.zeros(len(network.acts), dtype=bool)
-    longest = np.linalg.norm(network.normal, axis=1).max(initial=0.0)  # normals are taken for units
+    longest = np.linalg.norm(network.graph.normal, axis=1).max(initial=0.0)  # normals are taken for units
     if springs is None or not longest < UP:
         return found
     known, off = known_friction(bounds, far)
@@ -94,7 +94,7 @@ class Borne:
     def part(self) -> np.ndarray:
         """(n,), number of the part of X that each unknown belongs to."""
         network = self.doubts.network
-        first, second = network.contact[:, self.contacts]
+        first, second = network.graph.contact[:, self.contacts]
         inner = network.free[first] & network.free[second]
         return pieces(len(network.free), first[inner], second[inner])[self.doubts.sphere[self.columns]]
 
@@ -181,7 +181,7 @@ class Borne:
         corrected = np.sqrt(np.bincount(part, missed**2)) / self.doubts.exact.floor * UP
         of_sphere = np.zeros(len(network.free), dtype=np.intp)
         of_sphere[self.doubts.sphere[self.columns]] = part
-        first, second = network.contact[:, self.contacts]
+        first, second = network.graph.contact[:, self.contacts]
         own = of_sphere[np.where(network.free[first], first, second)]
         bears = (largest + corrected[own]) * UP < network.holding.least[self.contacts]
         return np.asarray(np.bincount(own, ~bears)[own] == 0)
@@ -202,7 +202,7 @@ class Carrying:
         squares = np.bincount(rows.indices, rows.data**2, rows.shape[1])
         scale = 1 / np.sqrt(np.where(squares > 0, squares, 1.0))
         rows = sparse.csr_array(rows @ sparse.diags_array(scale))
-        place = borne.doubts.network.place[borne.doubts.sphere[borne.columns]].T
+        place = borne.doubts.network.graph.place[borne.doubts.sphere[borne.columns]].T
         factor = Elimination.of((rows.T @ rows).tocsc(), place).factorised(YIELDING)
         return None if factor is None else cls(borne, weight, scale, factor)
 

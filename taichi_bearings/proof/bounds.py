@@ -49,9 +49,9 @@ class Bounds:
 
     @classmethod
     def of(cls, network: JudgedNetwork) -> Bounds:
-        potential, own = network.dissipated(0.5), network.lattice
+        potential, layered = network.dissipated(0.5), network.graph.layered
         upper = potential.upper()
-        if own is not None:
+        if layered:
             upper = np.where(network.motion.torn, np.inf, upper)
         if network.mixes and upper > 0:
             network = replace(network, rolling=rolling(network))
@@ -81,12 +81,12 @@ class Bounds:
         if (worst > 1).any():
             size = size / Enclosure.exact(network.on_contacts(worst))
         beyond = size.at(soft)
-        if network.holds:  # no less than what is beyond the friction
+        if network.law.holds:  # no less than what is beyond the friction
             beyond = Enclosure.exact(np.maximum((beyond - network.holding.at(soft)).upper(), 0.0))
         cost = network.by_sample((beyond * beyond / network.slope.at(soft)).signed(0.5), soft)
         least = work / Enclosure.exact(worst) - cost
         lower = least.lower()
-        apart = (potential - least).upper() if own is None else (upper - lower) * UP
+        apart = (potential - least).upper() if not layered else (upper - lower) * UP
         return cls(network, upper, lower, np.maximum(apart, 0.0), size, worst, proof, left.max(axis=0), price.upper(),
                    springs, friction if network.mixes else [])  # fmt: skip
 
@@ -100,7 +100,7 @@ def _largest(network: JudgedNetwork, torque: Enclosure) -> np.ndarray:
 
 def _price(network: JudgedNetwork, torques: list[Enclosure]) -> Enclosure:
     """(R,), what torques on free spheres may take from the work at spins within what is imposed."""
-    total, taken_of = Enclosure.exact(np.zeros(network.count)), _taken if network.lattice is None else _taken_between
+    total, taken_of = Enclosure.exact(np.zeros(network.count)), _taken_between if network.graph.layered else _taken
     for torque, reach, size in zip(torques, network.reach, network.box, strict=True):
         if size and (torque.high.any() or torque.error.any()):
             taken = taken_of(torque, reach, network.reached)

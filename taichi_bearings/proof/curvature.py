@@ -62,7 +62,7 @@ class Slipping:
         of contacts that rest if not given."""
         network, unknowns, number = motion.network, 0, {}
         some = np.flatnonzero(network.counts & ~motion.rests)
-        ends, felt = network.contact[:, some], _slots(network, some)
+        ends, felt = network.graph.contact[:, some], _slots(network, some)
         for k in network.needed:
             own = motion.domain[k] if domain is None else domain[k]
             joins = own[ends[:, network.feels[k][some]]]
@@ -80,9 +80,8 @@ class Slipping:
                     continue
                 lower[slot, mine], upper[slot, mine] = number[k][ends[:, mine]]
                 difference[slot].put(mine, motion.difference(k, some[mine]))
-        strength, damping = network.holding.at(some), network.slope.at(some) if network.flows else None
-        begin, end = network.place[ends]
-        place = (begin + (network.normal[some] if network.lattice is not None else end - begin) / 2).T
+        strength, damping = network.holding.at(some), network.slope.at(some) if network.law.flows else None
+        place = network.graph.middle(some).T
         curved, pair = np.flatnonzero((felt >= 0).all(axis=0)), (difference[0], difference[1])
         return cls(unknowns, felt, lower, upper, curved, pair, strength, damping, some, place)
 
@@ -155,7 +154,7 @@ def _slots(network: JudgedNetwork, some: np.ndarray) -> np.ndarray:
     """(2, k), the two components of some contacts that take the places of the first and the second: those that are
     needed, or, of three, those across each contact; -1 where it feels none."""
     if len(network.needed) == 3:
-        axis = np.argmax(np.abs(network.normal[some]), axis=1)
+        axis = np.argmax(np.abs(network.graph.normal[some]), axis=1)
         return np.stack([(axis + 1) % 3, (axis + 2) % 3])
     felt = [np.where(network.feels[k][some], k, -1) for k in network.needed]
     return np.stack([*felt, np.full(len(some), -1)][:2])
@@ -219,7 +218,7 @@ def bearable(motion: Motion, contacts: Slipping, turn: np.ndarray, unsure: dict[
         residual = np.where(network.free, torques[k].most if unsure is None else torques[k].most + unsure[k], 0.0)
         for slot in range(2):
             some = contacts.felt[slot] == k
-            for end in network.contact[:, contacts.own[some]]:
+            for end in network.graph.contact[:, contacts.own[some]]:
                 residual += np.bincount(end, off[slot, some], len(residual))
         residual[~network.free] = 0.0
         domain = motion.domain[k]
@@ -228,7 +227,7 @@ def bearable(motion: Motion, contacts: Slipping, turn: np.ndarray, unsure: dict[
     feels = {k: network.feels[k][still] for k in network.needed}
     borne = length([moment[k].at(still).where(feels[k]) for k in network.needed])
     room = network.holding.at(still) - borne
-    first = network.contact[0, still]
+    first = network.graph.contact[0, still]
     more = np.sqrt(sum(np.where(feels[k], left[k][first], 0.0) ** 2 for k in network.needed))
     bears = np.any(list(feels.values()), axis=0)
     return bool((~bears | ((room.high > 0) & (room.least > more * UP))).all())
@@ -243,7 +242,7 @@ def _unsure(motion: Motion, contacts: Slipping, turn: np.ndarray) -> np.ndarray:
         for k in network.needed:
             some = np.flatnonzero(contacts.felt[slot] == k)
             own = contacts.own[some]
-            said.put(some, network.moment[k].at(own).signed(network.sign[k][network.contact[1, own]]))
+            said.put(some, network.moment[k].at(own).signed(network.sign[k][network.graph.contact[1, own]]))
         found[slot] = (contacts.pulls[slot] - said).most
         found[slot, contacts.curved] += 2 * turn[contacts.curved] * contacts.strength.at(contacts.curved).most
         if contacts.damping is not None:

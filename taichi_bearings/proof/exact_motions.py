@@ -51,12 +51,12 @@ class ExactMotions:
     @classmethod
     def of(cls, network: JudgedNetwork, number: np.ndarray, rests: np.ndarray) -> ExactMotions:
         """Of spheres that contacts of a mask (E,) join, as many as can be had. number : (N, 3), -1 for no unknown."""
-        spheres, (first, second) = network.reached, network.contact
+        spheres, (first, second) = network.reached, network.graph.contact
         for _ in range(MOST_ROUNDS if spheres.sum() <= MOST_EXACT_SPHERES else 0):
             whole = spheres | ~network.free
             contacts = rests & whole[first] & whole[second]
             touched = np.zeros(len(spheres), dtype=bool)
-            touched[network.contact[:, contacts]] = True
+            touched[network.graph.contact[:, contacts]] = True
             spheres = spheres & touched
             if not spheres.any():
                 break
@@ -91,18 +91,18 @@ class _Parts:
 
     @classmethod
     def of(cls, network: JudgedNetwork, free: np.ndarray, contacts: np.ndarray) -> _Parts:
-        ends = network.contact[:, contacts]
+        ends = network.graph.contact[:, contacts]
         rows = sparse.csr_array(slip_rows(network, numbered(free))[np.flatnonzero(np.tile(contacts, 3))])
         rows.eliminate_zeros()
         first, second = ends[:, network.free[ends].all(axis=0)]
         label = pieces(len(free), first, second)
         parts, of_unknown = np.unique(label[np.nonzero(free)[0]], return_inverse=True)
         of_contact = np.searchsorted(parts, label[np.where(network.free[ends[0]], *ends)])
-        return cls(network, free, ends, network.normal[contacts], rows, of_unknown, of_contact, len(parts))
+        return cls(network, free, ends, network.graph.normal[contacts], rows, of_unknown, of_contact, len(parts))
 
     def solved(self) -> tuple[float, _Motions] | np.ndarray:
         """Floor and motions; or the spheres (N,) that are to be left out, one at least."""
-        everything, place = np.asarray(self.free.any(axis=1)), self.network.place[np.nonzero(self.free)[0]].T
+        everything, place = np.asarray(self.free.any(axis=1)), self.network.graph.place[np.nonzero(self.free)[0]].T
         follows = ~Elimination.of((self.rows.T @ self.rows).tocsc(), place).dependent(NULL_PIVOT)
         conditions = 2 * np.bincount(self.of_contact, minlength=self.count)
         enough = conditions <= np.bincount(self.of_unknown, follows, self.count)

@@ -3,22 +3,30 @@ they lie, and writes no list of contacts."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
 from functools import cached_property
 
 import numpy as np
 
 from taichi_bearings.proof.enclosure import Enclosure, in_cache, length
+from taichi_bearings.proof.listed import Listed
 from taichi_bearings.proof.on_lattice import OnLattice
 
 Place = tuple[slice, ...]
 
 
-@dataclass(frozen=True)
-class Grid:
+class Grid(Listed):
     """Of R samples with N spheres and E contacts each, n = R N and m = R E in all, numbered as in judged_network.py."""
 
-    samples: OnLattice
+    layered = True
+    normal_rounding = 0.0
+
+    def __init__(self, samples: OnLattice) -> None:
+        """Take the samples whose contacts these are."""
+        self.samples = samples
+
+    def some(self, pick: slice) -> Grid:
+        return Grid(self.samples.some(pick) if self.samples.count > 1 else self.samples)
 
     @cached_property
     def pieces(self) -> list[tuple[int, Place, Place, Place]]:
@@ -142,7 +150,51 @@ class Grid:
             self.on_spheres(whole)[..., -1] = signs * self.on_spheres(part)[..., -1]
         return found
 
-    def alike(self, spin: list[Enclosure]) -> np.ndarray:
+    def mixes(self, counts: np.ndarray) -> bool:
+        return False
+
+    def signs(self, feels: np.ndarray) -> list[np.ndarray]:
+        return [np.tile(self.samples.sublattice.ravel(), self.samples.count)] * len(self.samples.components)
+
+    def reach(self, box: np.ndarray, sign: list[np.ndarray]) -> list[Enclosure]:
+        return [self.samples.jump_at(k).signed(s) for k, s in zip(self.samples.components, sign, strict=True)]
+
+    def needed(self, box: np.ndarray, differs: Callable[[int], bool]) -> list[int]:
+        samples = self.samples
+        return [k for k, of in enumerate(samples.components) if box[k] > 0 and of != samples.lattice.height_axis]
+
+    def working(self, box: np.ndarray) -> list[bool]:
+        """By component, True where the planes differ."""
+        return [bool(size > 0) for size in box]
+
+    def borne(self, moment: list[Enclosure], counts: np.ndarray) -> list[Enclosure]:
+        return moment
+
+    def anchor(self, k: int) -> np.ndarray:
+        return self.samples.anchor(self.samples.components[k])
+
+    def signed(self, spin: Enclosure, sign: np.ndarray) -> Enclosure:
+        """The same: they have their signs."""
+        return spin
+
+    def shift(self, k: int) -> Enclosure:
+        return self.samples.shift[self.samples.components[k]]
+
+    def middle(self, some: np.ndarray) -> np.ndarray:
+        """(n, D), where some contacts are, (n,) numbers; those across a periodic side half beyond it."""
+        return np.asarray(self.place[self.contact[0, some]] + self.normal[some] / 2)
+
+    def natural_speed(self, box: np.ndarray, speed_unit: float) -> float:
+        scene = self.samples.scene
+        speed = scene.exact_driving.jump_size or abs(scene.imposed[0])
+        return float(scene.lattice.radius * speed / speed_unit)
+
+    def leader(self, k: int) -> np.ndarray:
+        """(2, n), the first spheres of the bottom and of the top that turn in component k as all driven ones of the
+        layer of each sphere do."""
+        return self.samples.leader(self.samples.components[k])
+
+    def still(self, spin: list[Enclosure]) -> np.ndarray:
         """(m,), are the signed spins of both spheres the same in all that a contact slips with?"""
         found = np.ones(self.contacts, dtype=bool)
         into = self.by_axis(found)
@@ -206,6 +258,12 @@ class Grid:
                         for whole, values in zip(total.parts, total[at].plus(pulls[axis][piece[1]]).parts, strict=True):
                             whole[at] = values
         return found
+
+
+def slices(graph: Listed) -> Grid:
+    """The slices of contacts that are those of a lattice; only what is said of lattices alone asks for them."""
+    assert isinstance(graph, Grid)
+    return graph
 
 
 def nothing(count: int) -> Enclosure:

@@ -13,49 +13,16 @@ minimum.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from taichi_bearings.numerics.graphs import pieces
-from taichi_bearings.proof.enclosure import Enclosure, grouped_sum, joined, length, row_sum
-from taichi_bearings.proof.grid import Grid, nothing
-from taichi_bearings.proof.on_lattice import LEAST_SCALE, MOST_SCALE, OnLattice
-from taichi_bearings.scene import Bearing
-from taichi_bearings.scene.exact_driving import power_of_two
+from taichi_bearings.proof.enclosure import Enclosure, length, row_sum
+from taichi_bearings.proof.grid import nothing, slices
+from taichi_bearings.proof.listed import Listed, across, signs
 from taichi_bearings.scene.law import Law
-from taichi_bearings.scene.scene import of_lattice
-
-LEAST_SPEED = 1e-100  # of the fastest surface that is imposed
-ONE_SPEED = 4  # units in the last place, up to which imposed speeds are one
-
-
-@dataclass(frozen=True)
-class Listed:
-    """The contacts of a packing: place (n, D) of its spheres, contact (2, m), normal (m, D), friction (m, C)."""
-
-    place: np.ndarray
-    contact: np.ndarray
-    normal: np.ndarray
-    friction: np.ndarray
-
-    def any_end(self, mask: np.ndarray) -> np.ndarray:
-        """(m,), is the mask (n,) true of either sphere?"""
-        return np.asarray(mask[self.contact].any(axis=0))
-
-    @property
-    def slips_with(self) -> np.ndarray:
-        """(C, m) mask of the components that contacts slip with, where components do not mix."""
-        return self.normal.T == 0 if self.normal.shape[1] == 3 else np.ones((1, len(self.normal)), dtype=bool)
-
-    def lengths(self, parts: list[Enclosure]) -> Enclosure:
-        """(m,), of vectors given by component."""
-        return length(parts)
-
-    def torques(self, moment: list[Enclosure]) -> list[Enclosure]:
-        """Their sums at each sphere, (n,) by component."""
-        return [grouped_sum(joined([part, part]), self.contact.ravel(), len(self.place)) for part in moment]
 
 
 @dataclass(frozen=True)
@@ -80,122 +47,9 @@ class JudgedNetwork:
     holding: Enclosure
     slope: Enclosure
     imposed: list[Enclosure]
-    graph: Grid | Listed
+    graph: Listed
     rolling: np.ndarray | None = None
     factors: tuple[np.ndarray, ...] = ()
-
-    @property
-    def lattice(self) -> OnLattice | None:
-        """Where the contacts are those of a lattice: its planes, layers and signs, as its samples have them."""
-        return self.graph.samples if isinstance(self.graph, Grid) else None
-
-    @property
-    def place(self) -> np.ndarray:
-        """(n, D)."""
-        return self.graph.place
-
-    @property
-    def contact(self) -> np.ndarray:
-        """(2, m), numbers of the first and the second sphere."""
-        return self.graph.contact
-
-    @property
-    def normal(self) -> np.ndarray:
-        """(m, D)."""
-        return self.graph.normal
-
-    @property
-    def friction(self) -> np.ndarray:
-        """F on the second sphere, (m, C)."""
-        return self.graph.friction
-
-    @property
-    def holds(self) -> bool:
-        """True if a contact bears a force without slipping."""
-        return self.law.holds
-
-    @property
-    def flows(self) -> bool:
-        """True if the force grows with the slip."""
-        return self.law.flows
-
-    @classmethod
-    def of(
-        cls, scene: Bearing, spin: np.ndarray, spin_rounding: np.ndarray, friction: np.ndarray
-    ) -> JudgedNetwork | None:
-        """None for numbers that are not finite, or of scales for which no arithmetic here is made. Arrays : as of
-        :class:`Judgement`."""
-        if scene.network.lattice is not None:
-            samples = OnLattice(of_lattice(scene), spin, spin_rounding, friction)
-            return cls.of_lattice(samples) if samples.can_be_judged else None
-        return cls._of_packing(scene, spin, spin_rounding, friction)
-
-    @classmethod
-    def of_lattice(cls, samples: OnLattice) -> JudgedNetwork:
-        scene, grid, force = samples.scene, Grid(samples), samples.force_unit
-        strength, radius, law = scene.strength, scene.lattice.radius, scene.law
-        coefficient, free = scene.coefficient.ravel(), np.ones(grid.spheres, dtype=bool)
-        for plane in (0, -1):
-            grid.on_spheres(free)[..., plane] = False
-        acts, none = grid.any_end(free) & (coefficient != 0), np.broadcast_to(0.0, grid.contacts)  # takes no memory
-        zero = Enclosure(none, none, none)
-        unit, speed = power_of_two(strength), radius * (samples.spin_unit / force)
-        holding = Enclosure.exact(coefficient / (force / unit)).times(np.array([strength / unit]))
-        viscosity = scene.named_coefficients.get("viscosity", coefficient).ravel()
-        return cls(
-            law, samples.count, free, radius * samples.spin_unit, force,
-            list(samples.signed_spin.values()), grid.moment(acts), holding if law.holds else zero,
-            Enclosure.exact(viscosity).times(np.array([speed])) if law.flows else zero,
-            [grid.imposed(k) for k in samples.components], grid, factors=(coefficient,),
-        )  # fmt: skip
-
-    @classmethod
-    def _of_packing(
-        cls, packing: Bearing, spin: np.ndarray, rounding: np.ndarray, friction: np.ndarray
-    ) -> JudgedNetwork | None:
-        contacts, law = packing.network, packing.law
-        free, radius = contacts.free, contacts.radius
-        spin, rounding, imposed = (
-            of.reshape(contacts.spheres, -1) for of in (spin, rounding, packing.imposed_spins()[0])
-        )
-        friction = friction.reshape(contacts.contacts, contacts.components)
-        spin = np.where(free[:, None], spin, imposed)
-        rounding = np.where(free[:, None], rounding, 0.0)
-        # where all radii are the same, speeds are measured in it, and none is rounded
-        unit, radius = (float(radius[0]), np.ones(len(radius))) if (radius == radius[0]).all() else (1.0, radius)
-        fastest = float(np.abs(spin * radius[:, None])[~free].max(initial=0.0)) or 1.0
-        given, *beside = (of[0] for of in packing.named_coefficients.values())
-        pressed = packing.normal_force if law.holds else 1.0
-        first, slope = given * pressed, np.zeros(contacts.contacts)
-        if law.flows:
-            slope = beside[0] if law.holds else given
-        largest = float(slope.max(initial=0.0)) * unit * fastest
-        largest = max(float(first.max(initial=0.0)) if law.holds else 0.0, largest)
-        if not all(LEAST_SPEED < fast < MOST_SCALE for fast in (fastest, fastest * unit)):
-            return None
-        if largest and not LEAST_SCALE < largest < MOST_SCALE:
-            return None
-        speed, force = power_of_two(fastest), power_of_two(largest)
-        acts = ((first > 0) | (slope > 0)) & contacts.has_free_end
-        with np.errstate(over="ignore"):
-            spin, rounding, friction = spin / speed, rounding / speed, friction / force
-        sizes = (spin, rounding, spin * radius[:, None], rounding * radius[:, None], friction)
-        if not all((np.abs(values) < MOST_SCALE).all() for values in sizes):
-            return None
-        zero = Enclosure.exact(np.zeros(contacts.contacts))
-        moving = [Enclosure.exact(*part) for part in zip(spin.T, rounding.T, strict=True)]
-        moving = moving if (radius == 1).all() else [part.times(radius) for part in moving]
-        for part in moving:
-            _drive_as_one(part, np.flatnonzero(~free))
-        moment = moments([Enclosure.exact(np.where(acts, part, 0.0)) for part in friction.T], contacts.normal)
-        return cls(
-            law, 1, free, speed * unit, force, moving, moment,
-            Enclosure.exact(given / force).times(np.broadcast_to(pressed, given.shape)) if law.holds else zero,
-            Enclosure.exact(slope * (speed / force)).times(np.array([unit])) if law.flows else zero,
-            [part.where(~free) for part in moving],
-            Listed(contacts.center, contacts.contact, contacts.normal, friction),
-            factors=(given, np.broadcast_to(packing.normal_force, given.shape)),
-        )  # fmt: skip
 
     @property
     def power_unit(self) -> float:
@@ -213,14 +67,14 @@ class JudgedNetwork:
     @cached_property
     def is_whole(self) -> bool:
         """True for lattices all of whose contacts with a free end act: every column reaches from bottom to top."""
-        return self.lattice is not None and bool(self.free.any() and (self.acts == self.graph.any_end(self.free)).all())
+        return self.graph.layered and bool(self.free.any() and (self.acts == self.graph.any_end(self.free)).all())
 
     @cached_property
     def reached(self) -> np.ndarray:
         """(n,) mask of free spheres in parts that touch driven spheres."""
         if self.is_whole:
             return self.free
-        first, second = self.contact[:, self._holding]
+        first, second = self.graph.contact[:, self._holding]
         inner, count = self.free[first] & self.free[second], len(self.free)
         label = pieces(count, first[inner], second[inner])
         touched = np.zeros(count, dtype=bool)
@@ -247,18 +101,12 @@ class JudgedNetwork:
     def reach(self) -> list[Enclosure]:
         """By component, (n,): some minimum has u of a free sphere between 0 and this, or that and its negative, where
         components do not mix."""
-        if self.lattice is None:
-            return [Enclosure.exact(np.full(len(self.free), size)) for size in self.box]
-        return [self.lattice.jump_at(k).signed(s) for k, s in zip(self.lattice.components, self.sign, strict=True)]
+        return self.graph.reach(self.box, self.sign)
 
     @cached_property
     def mixes(self) -> bool:
         """False where components do not mix: of discs, and of unit normals along the axes."""
-        return self.lattice is None and not self._along_axes
-
-    @property
-    def _along_axes(self) -> bool:
-        return self.normal.shape[1] == 2 or bool((np.sort(np.abs(self.normal[self.counts])) == (0, 0, 1)).all())
+        return self.graph.mixes(self.counts)
 
     @cached_property
     def slips_with(self) -> np.ndarray:
@@ -269,6 +117,29 @@ class JudgedNetwork:
     def feels(self) -> np.ndarray:
         """(C, m) mask of the components that contacts slip with which count, where components do not mix."""
         return self.counts & self.slips_with
+
+    def some(self, pick: slice) -> JudgedNetwork:
+        """Some of the samples alone."""
+
+        def of(values: np.ndarray) -> np.ndarray:
+            return values.reshape(self.count, -1)[pick].reshape(-1)
+
+        def part(values: Enclosure) -> Enclosure:
+            return Enclosure(*map(of, values.parts))
+
+        return replace(
+            self,
+            count=len(range(*pick.indices(self.count))),
+            free=of(self.free),
+            spin=list(map(part, self.spin)),
+            moment=list(map(part, self.moment)),
+            holding=part(self.holding),
+            slope=part(self.slope),
+            imposed=list(map(part, self.imposed)),
+            graph=self.graph.some(pick),
+            rolling=None if self.rolling is None else of(self.rolling),
+            factors=tuple(map(of, self.factors)),
+        )
 
     def sample_of(self, contacts: np.ndarray) -> np.ndarray:
         """The numbers of the samples of some contacts."""
@@ -292,24 +163,18 @@ class JudgedNetwork:
 
     def slips(self, spin: list[Enclosure]) -> list[Enclosure]:
         """(u_i + u_j) x n by component, (m,) each."""
-        first, second = self.contact
-        return across([part.at(first) + part.at(second) for part in spin], self.normal)
+        first, second = self.graph.contact
+        return across([part.at(first) + part.at(second) for part in spin], self.graph.normal)
 
     @cached_property
     def slip(self) -> Enclosure:
         """(m,), its size."""
-        return self.motion.slip if isinstance(self.graph, Grid) else length(self.slips(self.spin))
+        return self.motion.slip if self.graph.layered else length(self.slips(self.spin))
 
     @cached_property
     def still(self) -> np.ndarray:
         """(m,) mask: no slip at all, exactly."""
-        if isinstance(self.graph, Grid):
-            return self.graph.alike(self.spin)
-        (first, second), found = self.contact, np.ones(len(self.acts), dtype=bool)
-        for part, feels in zip(self.spin, self.slips_with, strict=True):
-            for of in part.parts[:2]:
-                found &= (of[first] == -of[second]) | ~feels
-        return found
+        return self.graph.still(self.spin)
 
     @cached_property
     def motion(self) -> Motion:
@@ -323,20 +188,15 @@ class JudgedNetwork:
 
     @cached_property
     def own_moment(self) -> list[Enclosure]:
-        """Of the contacts that count; of lattices in components that differ between the planes: others do no work."""
-        own, all_count = (
-            [size > 0 or self.lattice is None for size in self.box],
-            bool((self.counts == self.acts).all()),
-        )
+        """n x F by component, (m,) each, of the contacts that count, in the components in which moments may do work."""
+        own, all_count = self.graph.working(self.box), bool((self.counts == self.acts).all())
         pairs = zip(self.moment, own, strict=True)  # moments are 0 where nothing acts
         return [part if some and all_count else part.where(self.counts & some) for part, some in pairs]
 
     @property
     def own_friction(self) -> list[Enclosure]:
-        """Of the contacts that count F by component; of lattices its moments, which are as long."""
-        if self.lattice is not None:
-            return self.moment
-        return [Enclosure.exact(np.where(self.counts, part, 0.0)) for part in self.friction.T]
+        """F by component of the contacts that count; of lattices its moments, which are as long."""
+        return self.graph.borne(self.moment, self.counts)
 
     @property
     def joins(self) -> np.ndarray:
@@ -353,23 +213,17 @@ class JudgedNetwork:
     def needed(self) -> list[int]:
         """Components that some minimum needs: along the others nothing slips at any minimum. On a lattice layers turn
         about the height as they like."""
-        if (samples := self.lattice) is not None:
-            return [
-                k for k in self.components if self.box[k] > 0 and samples.components[k] != samples.lattice.height_axis
-            ]
-        return [k for k in self.components if self._is_needed(k)]
+        return self.graph.needed(self.box, self._is_needed)
 
     def signs(self, k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Parts that contacts join in component k: label (n,), mask of those with odd loops, and signs s by which
         neighbours differ in the others."""
-        return signs(self.contact[:, self.feels[k]], len(self.free))
+        return signs(self.graph.contact[:, self.feels[k]], len(self.free))
 
     @cached_property
     def sign(self) -> list[np.ndarray]:
         """(n,) by component, signs s by which neighbours differ, but in odd loops."""
-        if self.lattice is not None:
-            return [np.tile(self.lattice.sublattice.ravel(), self.count)] * len(self.spin)
-        return [self.signs(k)[2] for k in self.components]
+        return self.graph.signs(self.feels)
 
     def _is_needed(self, k: int) -> bool:
         """False if component k can be such that nothing slips along it: then that is so at every minimum."""
@@ -393,51 +247,11 @@ class JudgedNetwork:
         """(R,) each, of friction times slip and of damping times its square."""
         slips, slip = some & ((self.slip.high != 0) | (self.slip.error != 0)), self.slip
         held, flowing = nothing(self.count), nothing(self.count)
-        if self.holds:
+        if self.law.holds:
             held = row_sum((self.holding * slip).where(slips).reshaped((self.count, -1)))
-        if self.flows:
+        if self.law.flows:
             flowing = row_sum((self.slope * slip * slip).where(slips).reshaped((self.count, -1)))
         return held, flowing
-
-
-def _drive_as_one(u: Enclosure, driven: np.ndarray) -> None:
-    """Give driven spheres (numbers) of which a component u, (N,), has sizes that differ by no more than 4 units in the
-    last place the least of these sizes, as a double; in place. A spin that is a speed over a radius, rounded, makes
-    several of one driving. What differs from nothing else stays as it is, with all its digits."""
-    own = driven[u.high[driven] != 0]
-    sign = np.sign(u.high[own])
-    (size, _), place = np.unique(np.stack([sign * u.high[own], sign * u.low[own]]), axis=1, return_inverse=True)
-    group = np.arange(len(size))
-    for number in range(1, len(size)):
-        least = size[group[number - 1]]
-        if size[number] - least <= ONE_SPEED * np.spacing(size[number]):
-            group[number] = group[number - 1]
-    several = np.bincount(group, minlength=len(size)) > 1
-    found = group[place.reshape(-1)]
-    some = several[found]
-    u.put(own[some], Enclosure.exact(sign[some] * size[found[some]]))
-
-
-def across(vectors: list[Enclosure], normal: np.ndarray) -> list[Enclosure]:
-    """Vectors (m,) x n; those of discs as they are."""
-    if len(vectors) == 1:
-        return vectors
-    n = normal.T
-    turned = [(k + 1) % 3 for k in range(3)], [(k + 2) % 3 for k in range(3)]
-    return [vectors[a].times(n[b]) - vectors[b].times(n[a]) for a, b in zip(*turned, strict=True)]
-
-
-def moments(friction: list[Enclosure], normal: np.ndarray) -> list[Enclosure]:
-    """n x F by component, (m,) each."""
-    return friction if len(friction) == 1 else [-part for part in across(friction, normal)]
-
-
-def signs(ends: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Parts that edges (2, n) make of nodes: label (size,), mask of those with odd loops, and signs s by which
-    neighbours differ in the others."""
-    first, second = ends
-    copy = pieces(2 * size, np.append(first, second), np.append(second, first) + size).reshape(2, -1)
-    return copy.min(axis=0), copy[0] == copy[1], np.where(copy[0] > copy[1], -1.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -466,10 +280,10 @@ class Motion:
     def domains(self, k: int) -> np.ndarray:
         """(n,), number of the domain of each sphere."""
         network, size = self.network, len(self.network.free)
-        own = np.arange(size) if network.lattice is None else network.lattice.anchor(network.lattice.components[k])
+        own = network.graph.anchor(k)
         if not self.joins(k):
             return own
-        first, second = network.contact[:, self.rests & network.slips_with[k]]
+        first, second = network.graph.contact[:, self.rests & network.slips_with[k]]
         held = np.flatnonzero(own != np.arange(size))
         return pieces(size, np.append(first, held), np.append(second, own[held]))
 
@@ -505,10 +319,10 @@ class Motion:
 
     def _turns_of(self, k: int) -> tuple[Enclosure, Enclosure | None]:
         network = self.network
-        own = network.spin[k] if network.lattice is not None else network.spin[k].signed(network.sign[k])
+        own = network.graph.signed(network.spin[k], network.sign[k])
         if (self.rests & ~network.still).any():
             own = own.at(self._models(k))
-        shift = None if network.lattice is None else network.lattice.shift[network.lattice.components[k]]
+        shift = network.graph.shift(k)
         if shift is None or not (shift.high.any() or shift.error.any()):
             return own, None
         return own, shift.at(self._models(k)) if self.joins(k) else shift
@@ -517,13 +331,12 @@ class Motion:
     def slip(self) -> Enclosure:
         """(m,), of all contacts of a lattice; exactly 0 of those that are still."""
         network = self.network
-        assert isinstance(network.graph, Grid)
         turns = [self._turns(k) for k in network.components]
-        return network.graph.slips([own for own, _ in turns], [shift for _, shift in turns], network.still)
+        return slices(network.graph).slips([own for own, _ in turns], [shift for _, shift in turns], network.still)
 
     def difference(self, k: int, some: np.ndarray) -> Enclosure:
         """Of signed spins, of some contacts that feel component k."""
-        first, second = self.network.contact[:, some]
+        first, second = self.network.graph.contact[:, some]
         own, shift = self._turns(k)
         domain, found = self.domain[k], nothing(len(some))
         differ = np.flatnonzero(domain[first] != domain[second])

@@ -8,14 +8,13 @@ from functools import cached_property
 import numpy as np
 
 from taichi_bearings.proof.bounds import PROVEN, Bounds
+from taichi_bearings.proof.enclosed import judged_network
 from taichi_bearings.proof.judged_network import JudgedNetwork
 from taichi_bearings.proof.states import STILL, States, proven_states
 from taichi_bearings.proof.without_slip import exists_without_slip
 from taichi_bearings.scene import Bearing
 from taichi_bearings.scene.law import Law
 from taichi_bearings.scene.solution import SLIPLESS
-
-NORMAL_ROUNDING = 1e-12  # of the friction, along a normal of a packing
 
 
 @dataclass(frozen=True)
@@ -36,13 +35,9 @@ class Judgement:
     def law(self) -> Law:
         return self.scene.law
 
-    @property
-    def is_lattice(self) -> bool:
-        return self.scene.network.lattice is not None
-
     def one(self, number: int) -> Judgement:
         """Of one of the samples alone."""
-        if not self.is_lattice:
+        if self.scene.replicas == 1:
             return self
         pick = slice(number, number + 1)
         parts = (of[pick] for of in (self.spin, self.spin_rounding, self.friction))
@@ -55,7 +50,7 @@ class Judgement:
 
     @cached_property
     def _network(self) -> JudgedNetwork | None:
-        return JudgedNetwork.of(self.scene, self.spin, self.spin_rounding, self.friction)
+        return judged_network(self.scene, self.spin, self.spin_rounding, self.friction)
 
     @property
     def network(self) -> JudgedNetwork:
@@ -91,17 +86,17 @@ class Judgement:
     @property
     def friction_along(self) -> np.ndarray:
         """(R, E) mask of the contacts along which friction acts, on packings by more than rounding."""
-        friction, normal = self.network.friction, self.network.normal
+        friction, normal = self.network.graph.friction, self.network.graph.normal
         if friction.shape != normal.shape:
             return np.zeros(self.acts.shape, dtype=bool)
-        rounding = 0.0 if self.is_lattice else NORMAL_ROUNDING
+        rounding = self.network.graph.normal_rounding
         along = np.abs((friction * normal).sum(axis=1)) > rounding * np.linalg.norm(friction, axis=1)
         return self._by_sample(along)
 
     @property
     def friction_size(self) -> np.ndarray:
         """(R, E), of the same friction."""
-        return self._by_sample(np.linalg.norm(self.network.friction, axis=1)) * self.force_unit
+        return self._by_sample(np.linalg.norm(self.network.graph.friction, axis=1)) * self.force_unit
 
     @cached_property
     def slipless(self) -> np.ndarray:
@@ -128,7 +123,10 @@ class Judgement:
     @cached_property
     def states(self) -> list[States]:
         """Contact states at every minimum, sample by sample; where a state without slip exists, each is one."""
-        none, slipless = States(np.full(self.acts.shape[1], SLIPLESS), self.is_lattice or None), self.slipless
+        none, slipless = (
+            States(np.full(self.acts.shape[1], SLIPLESS), self.network.graph.layered or None),
+            self.slipless,
+        )
         if slipless.all():
             return [none] * self.network.count
         found = proven_states(self.bounds)
@@ -203,7 +201,7 @@ class Judgement:
     @property
     def driven_power(self) -> float:
         """What contacts between driven spheres of a packing dissipate."""
-        between = ~self.network.free[self.network.contact].any(axis=0)
+        between = ~self.network.free[self.network.graph.contact].any(axis=0)
         return float(self.network.dissipated(1.0, between).value[0] * self.network.power_unit)
 
 

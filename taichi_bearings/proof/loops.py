@@ -27,7 +27,8 @@ from taichi_bearings.numerics.graphs import pieces
 from taichi_bearings.proof.elimination import EPS
 from taichi_bearings.proof.enclosure import UP, Enclosure
 from taichi_bearings.proof.exact_motions import ExactMotions
-from taichi_bearings.proof.judged_network import JudgedNetwork, moments
+from taichi_bearings.proof.judged_network import JudgedNetwork
+from taichi_bearings.proof.listed import moments
 from taichi_bearings.proof.springs import slip_rows
 
 MOST_SPLIT = 1500  # of a piece, beyond which its singular values take too long
@@ -56,7 +57,7 @@ class Doubts:
     @cached_property
     def tangents(self) -> np.ndarray:
         """(E, 2, 3), across the normals and each other."""
-        n = self.network.normal
+        n = self.network.graph.normal
         first = np.cross(n, np.eye(3)[np.argmin(np.abs(n), axis=1)])
         first /= np.linalg.norm(first, axis=1)[:, None]
         second = np.cross(n, first)
@@ -84,23 +85,23 @@ class Doubts:
     @cached_property
     def outside(self) -> np.ndarray:
         """(E,) mask of Q."""
-        touches = self.left_out[self.network.contact].any(axis=0)
+        touches = self.left_out[self.network.graph.contact].any(axis=0)
         return np.asarray(self.network.counts & ~self.known & touches)
 
     @cached_property
     def left_over(self) -> np.ndarray:
         """(N,), at most the torque that F leaves over on a sphere, and what the rounding of rows makes of f."""
-        torques = self.network.torques(moments(self.given, self.network.normal))
+        torques = self.network.torques(moments(self.given, self.network.graph.normal))
         return np.asarray((np.max([part.most for part in torques], axis=0) + 64 * EPS * self.around(self.off)) * UP)
 
     def around(self, values: np.ndarray) -> np.ndarray:
         """(N,), sum of values (E,) of the contacts of each sphere that count."""
-        ends = self.network.contact[:, self.network.counts].ravel()
+        ends = self.network.graph.contact[:, self.network.counts].ravel()
         return np.bincount(ends, np.tile(values[self.network.counts], 2), len(self.network.free))
 
     def split(self) -> list[Piece]:
         """Of each part that contacts of Q make of the spheres that X leaves out, but for too large ones."""
-        first, second = self.network.contact
+        first, second = self.network.graph.contact
         joins = self.outside & self.left_out[first] & self.left_out[second]
         label = pieces(len(self.left_out), first[joins], second[joins])
         part = label[np.where(self.left_out[first], first, second)]
@@ -134,7 +135,7 @@ class Piece:
         own, off = doubts.rows[both(contacts)][:, unknowns].toarray(), doubts.off
         touches = np.zeros(len(doubts.network.free), dtype=bool)
         touches[doubts.sphere[unknowns]] = True
-        beside = doubts.network.counts & touches[doubts.network.contact].any(axis=0)
+        beside = doubts.network.counts & touches[doubts.network.graph.contact].any(axis=0)
         beside[contacts] = False
         others = np.flatnonzero(beside)
         along, inverse = _split(own)

@@ -37,7 +37,8 @@ from taichi_bearings.proof.curvature import Form
 from taichi_bearings.proof.elimination import EPS, Elimination
 from taichi_bearings.proof.enclosure import UP, Enclosure, length
 from taichi_bearings.proof.exact_motions import ExactMotions, numbered
-from taichi_bearings.proof.judged_network import JudgedNetwork, moments
+from taichi_bearings.proof.judged_network import JudgedNetwork
+from taichi_bearings.proof.listed import moments
 from taichi_bearings.proof.springs import floor_of_slips, slip_rows
 
 MOVING = 1e-10  # of the fastest imposed component, above which a contact is taken to slip
@@ -54,7 +55,7 @@ def enclosed_minimum(bounds: Bounds) -> tuple[np.ndarray, np.ndarray] | None:
     given ones at most. A contact of S slips at every minimum if it has friction, or slips farther than that. None if
     nothing is known."""
     network, springs = bounds.network, bounds.springs
-    longest = np.linalg.norm(network.normal, axis=1).max(initial=0.0)  # steps 2 and 3 take normals for units
+    longest = np.linalg.norm(network.graph.normal, axis=1).max(initial=0.0)  # steps 2 and 3 take normals for units
     if springs is None or not longest < UP:
         return None
     moves = (network.slip.value > MOVING * network.box.max()) | (network.holding.high == 0)
@@ -126,7 +127,7 @@ class Near:
         found, some = [], self.turns
         for part in self.slips:
             slip = part.at(self.own)
-            found.append(self.damping * slip if self.network.flows else Enclosure.exact(np.zeros(len(self.own))))
+            found.append(self.damping * slip if self.network.law.flows else Enclosure.exact(np.zeros(len(self.own))))
             found[-1].put(some, found[-1].at(some) + self.strength.at(some) * (slip.at(some) / self.size.at(some)))
         return found
 
@@ -142,7 +143,7 @@ class Near:
     @cached_property
     def torques(self) -> list[Enclosure]:
         """(N,) by component."""
-        return self.network.torques(moments(self.friction, self.network.normal))
+        return self.network.torques(moments(self.friction, self.network.graph.normal))
 
     @cached_property
     def rows(self) -> sparse.csr_array:
@@ -151,19 +152,21 @@ class Near:
 
     def rows_of(self, contacts: np.ndarray) -> np.ndarray:
         """Their numbers, component by component."""
-        return np.concatenate([k * len(self.network.normal) + contacts for k in range(3)])
+        return np.concatenate([k * len(self.network.graph.normal) + contacts for k in range(3)])
 
     @property
     def place(self) -> np.ndarray:
         """(3, n)."""
-        return np.asarray(self.network.place[np.nonzero(self.number >= 0)[0]].T)
+        return np.asarray(self.network.graph.place[np.nonzero(self.number >= 0)[0]].T)
 
     def form(self, firmness: float = 1.0) -> Form | None:
         """Of S what slips change across them, times the root of friction over slip, and with damping all slips, times
         its root; and of T all slips, times the root of friction over the median slip and the firmness."""
         own, some, still, strength = self.own, self.turns, self.still, self.network.holding.value
         turning, flowing = own[some], own[self.damping.high > 0]
-        across = np.cross(self.network.normal[turning], np.stack([part.value[turning] for part in self.slips], axis=1))
+        across = np.cross(
+            self.network.graph.normal[turning], np.stack([part.value[turning] for part in self.slips], axis=1)
+        )
         across /= np.linalg.norm(across, axis=1)[:, None]
         sizes = self.size.value[some]
         root = np.sqrt(strength[turning] / sizes)
@@ -215,7 +218,7 @@ class Near:
 
     def moved(self, step: np.ndarray, pull: np.ndarray) -> Near:
         """step : (n,), of the unknowns. pull : (3, T), what T bears less."""
-        moved, less = np.zeros(self.number.shape), np.zeros((3, len(self.network.normal)))
+        moved, less = np.zeros(self.number.shape), np.zeros((3, len(self.network.graph.normal)))
         moved[self.number >= 0], less[:, self.still] = step, -pull
         spin, pull_ = (
             [_doubles(part + Enclosure.exact(by)) for part, by in zip(parts, change, strict=True)]
@@ -247,7 +250,7 @@ class Near:
     def _torques(self, unsure: np.ndarray) -> np.ndarray:
         """(N, 3), sizes at the unknowns, where friction of S is not sure by as much (S,)."""
         found = np.stack([part.most for part in self.torques], axis=1)
-        for end in self.network.contact[:, self.own]:
+        for end in self.network.graph.contact[:, self.own]:
             np.add.at(found, end, unsure[:, None] * UP)
         return np.where(self.number >= 0, found * UP, 0.0)
 
@@ -256,7 +259,10 @@ class Near:
         size, damping, form = self.size.most, self.damping.most, self.form()
         if form is None or (tau := form.floor(sharp=True)) is None:
             return None
-        others, ends = np.setdiff1d(self.still, np.flatnonzero(self.exact.contacts)), self.network.contact[:, self.own]
+        others, ends = (
+            np.setdiff1d(self.still, np.flatnonzero(self.exact.contacts)),
+            self.network.graph.contact[:, self.own],
+        )
         missed = float(np.sqrt(sum((part.most[others] ** 2).sum() for part in self.slips)))
         off = missed / self.loose * UP if missed else 0.0  # of spins in V from these
         far = np.where(self._left[ends].any(axis=0), 2 * off * UP, 0.0)  # of their slips
@@ -278,7 +284,7 @@ class Near:
         and how far its size is from that which the law gives these slips; of others 0, and how far F is from the law;
         and at most the size of F."""
         some, bends, longer = self.turns, np.zeros(len(self.own)), self._wrong.copy()
-        whole = self.strength + self.damping * self.size if self.network.flows else self.strength
+        whole = self.strength + self.damping * self.size if self.network.law.flows else self.strength
         bends[some] = ((self._wrong / whole.least + 2 * far / self.size.least) * UP)[some]
         longer[some] = (length([part.at(self.own) for part in self.friction]) - whole).most[some]
         return bends, longer, whole.most
@@ -290,7 +296,7 @@ class Near:
             self._wrong + 2 * self._over_slip(reach) * self.strength.most + self.damping.most * reach
         )
         by_left = float(np.linalg.norm(torque[self._left])) / self.loose * UP
-        most = np.sqrt(2 * np.bincount(network.contact[:, network.counts].ravel()).max())
+        most = np.sqrt(2 * np.bincount(network.graph.contact[:, network.counts].ravel()).max())
         by_exact = (float(np.linalg.norm(torque[exact.spheres])) + most * by_left) / exact.floor * UP**2
         room = (network.holding - length(self.friction)).lower()[self.still]
         return bool((room > np.where(exact.contacts[self.still], by_exact, by_left) * UP).all())

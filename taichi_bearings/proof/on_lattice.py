@@ -21,11 +21,19 @@ import numpy as np
 
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.proof.enclosure import Enclosure
-from taichi_bearings.scene import Scene
+from taichi_bearings.scene import Bearing, Scene
 from taichi_bearings.scene.exact_driving import DIGITS, power_of_two
+from taichi_bearings.scene.scene import of_lattice
 
 LEAST_SCALE, MOST_SCALE = 1e-60, 1e60  # scales of a sample
 LEAST_JUMP = 1e-140  # component of the jump, of the whole
+
+
+def samples_of_lattice(
+    scene: Bearing, spin: np.ndarray, spin_rounding: np.ndarray, friction: np.ndarray
+) -> OnLattice | None:
+    """What is judged as samples of a lattice; None where contacts are in lists. Arrays : as of :class:`OnLattice`."""
+    return None if scene.network.lattice is None else OnLattice(of_lattice(scene), spin, spin_rounding, friction)
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,15 +49,11 @@ class OnLattice:
     spin_rounding: np.ndarray
     friction: np.ndarray
 
-    def one(self, number: int) -> OnLattice:
-        """One of the samples alone."""
-        return self._with(self.scene.sample(number), slice(number, number + 1))
-
     def some(self, pick: slice) -> OnLattice:
         """Several of the samples."""
-        return self._with(self.scene.some(pick), pick)
-
-    def _with(self, scene: Scene, pick: slice) -> OnLattice:
+        scene = self.scene.some(pick)
+        if scene.replicas == 1:
+            scene = self.scene.sample(pick.indices(self.count)[0])
         return OnLattice(scene, self.spin[pick], self.spin_rounding[pick], self.friction[pick])
 
     @property

@@ -23,7 +23,8 @@ import numpy as np
 
 from taichi_bearings.proof.bounds import Bounds
 from taichi_bearings.proof.enclosure import UP, length
-from taichi_bearings.proof.judged_network import JudgedNetwork, signs
+from taichi_bearings.proof.judged_network import JudgedNetwork
+from taichi_bearings.proof.listed import signs
 from taichi_bearings.proof.without_slip import imposed_exactly
 
 SHARE_AROUND = 1.5  # of what a part leaves over, that a force of it may change by
@@ -67,7 +68,7 @@ def at_rest(bounds: Bounds, far: np.ndarray) -> np.ndarray:
         for k in network.components:
             others = np.flatnonzero(network.feels[k] & ~rests)
             left = network.own_torques[k].most
-            for end in network.contact[:, others]:
+            for end in network.graph.contact[:, others]:
                 left = left + np.bincount(end, off[others], len(left))
             change += _changes(network, k, rests & network.feels[k], left * UP) ** 2
         bears = room > np.sqrt(change) * UP
@@ -81,7 +82,7 @@ def _changes(network: JudgedNetwork, k: int, rests: np.ndarray, left: np.ndarray
     """(E,), by how much forces of contacts at rest (E,) may have to change in component k, where so much is left over
     of each sphere (N,); infinite where a part cannot rest."""
     own, count, found = np.flatnonzero(rests), len(network.free), np.zeros(len(rests))
-    ends, imposed = network.contact[:, own], network.imposed[k]
+    ends, imposed = network.graph.contact[:, own], network.imposed[k]
     nodes = np.where(network.free[ends], ends, count + np.arange(len(own)))  # a driven end is not passed through
     label, odd, sign = signs(nodes, count + len(own))
     total = np.bincount(label[:count], np.where(network.free, left, 0.0), len(label)) * SHARE_AROUND

@@ -25,7 +25,8 @@ from taichi_bearings.numerics.graphs import pieces
 from taichi_bearings.proof.curvature import Form, proven_floor
 from taichi_bearings.proof.elimination import EPS, Elimination
 from taichi_bearings.proof.enclosure import UP, Enclosure
-from taichi_bearings.proof.judged_network import JudgedNetwork, moments
+from taichi_bearings.proof.judged_network import JudgedNetwork
+from taichi_bearings.proof.listed import moments
 
 ROUNDS, SHIFT = 2, -1e-13  # of the springs, and what keeps slipless motions from being divided by 0
 UNSTRESSED = 1e-6  # of its friction, or of the largest force, below which a contact may bear nothing
@@ -34,11 +35,7 @@ UNSTRESSED = 1e-6  # of its friction, or of the largest force, below which a con
 def natural(network: JudgedNetwork) -> np.ndarray:
     """(R,), potential of all contacts that act if they slipped by the imposed jump, or the largest imposed spin; of
     packings by the largest imposed component."""
-    fastest = float(network.box.max(initial=0.0))
-    if network.lattice is not None:
-        scene = network.lattice.scene
-        speed = scene.exact_driving.jump_size or abs(scene.imposed[0])
-        fastest = scene.lattice.radius * speed / network.speed_unit
+    fastest = network.graph.natural_speed(network.box, network.speed_unit)
     own = np.flatnonzero(network.acts)
     holding, slope = (network.by_sample(values.at(own), own).value for values in (network.holding, network.slope))
     return np.asarray(holding * fastest + slope * fastest**2 / 2)
@@ -74,13 +71,13 @@ class Springs:
         torques, there, fine = network.torques(network.own_moment), self.number >= 0, network.own_friction
         if factor is None:
             return fine, torques
-        taken = np.zeros_like(network.friction)
+        taken = np.zeros_like(network.graph.friction)
         for _ in range(ROUNDS):
             left = np.stack([part.value for part in torques], axis=1)[there]
             root = np.sqrt(np.tile(self.weight, 3))
             taken += (root * (self.form.rows @ factor.solve(left * self.form.scale))).reshape(3, -1).T
             fine = [Enclosure.exact(f.high, -x) for f, x in zip(network.own_friction, taken.T, strict=True)]
-            torques = network.torques(moments(fine, network.normal))
+            torques = network.torques(moments(fine, network.graph.normal))
         return fine, torques
 
     @property
@@ -100,17 +97,17 @@ def weighed(network: JudgedNetwork, rows: sparse.csr_array, weight: np.ndarray, 
     rows = sparse.csr_array(sparse.diags_array(weight) @ rows)
     rows.eliminate_zeros()
     doubt = sparse.csr_array((16 * EPS * np.abs(rows.data), rows.indices, rows.indptr), shape=rows.shape)
-    return Form.of(rows, doubt, network.place[np.nonzero(number >= 0)[0]].T)
+    return Form.of(rows, doubt, network.graph.place[np.nonzero(number >= 0)[0]].T)
 
 
 def rolling(network: JudgedNetwork) -> np.ndarray:
     """(N,) mask of free spheres that let all their contacts roll, whatever the others do."""
-    size = np.sqrt((network.friction**2).sum(axis=1))
+    size = np.sqrt((network.graph.friction**2).sum(axis=1))
     small = UNSTRESSED * np.where(network.holding.high > 0, network.holding.high, size.max(initial=0.0))
-    ends = network.contact[:, network.counts & (size > small)]
+    ends = network.graph.contact[:, network.counts & (size > small)]
     some = network.reached.copy()
     some[ends.ravel()] = False
-    first, second = network.contact[:, network.counts]
+    first, second = network.graph.contact[:, network.counts]
     inner = some[first] & some[second]
     label = pieces(len(some), first[inner], second[inner])
     if _independent(network, some):
@@ -126,7 +123,7 @@ def _independent(network: JudgedNetwork, some: np.ndarray) -> bool:
     """True if the spins of some spheres (N,) can make any slips whatever of all their contacts that count."""
     number = np.full((len(some), 3), -1)
     number[some] = np.arange(3 * some.sum()).reshape(-1, 3)
-    return floor_of_slips(network, number, network.counts & some[network.contact].any(axis=0)) is not None
+    return floor_of_slips(network, number, network.counts & some[network.graph.contact].any(axis=0)) is not None
 
 
 def floor_of_slips(
@@ -136,7 +133,7 @@ def floor_of_slips(
     enough across n. Infinite of no contact; None if there is no floor. sharp : as of :func:`proven_floor`."""
     count = len(contacts)
     own = np.ones((3, count), dtype=bool) & contacts
-    own[np.argmax(np.abs(network.normal), axis=1), np.arange(count)] = False
+    own[np.argmax(np.abs(network.graph.normal), axis=1), np.arange(count)] = False
     chosen = np.flatnonzero(own.ravel())
     if not len(chosen):
         return np.inf
@@ -144,7 +141,7 @@ def floor_of_slips(
     columns.eliminate_zeros()
     if columns.shape[1] > columns.shape[0] or (np.bincount(columns.indices, minlength=columns.shape[1]) == 0).any():
         return None
-    place = network.place[network.contact[0, chosen % count]].T
+    place = network.graph.place[network.graph.contact[0, chosen % count]].T
     elimination = Elimination.of((columns.T @ columns).tocsc(), place)
     with np.errstate(all="ignore"):
         return proven_floor(columns, rounding_of(columns), elimination, sharp)
@@ -157,11 +154,14 @@ def rounding_of(rows: sparse.csr_array) -> sparse.csr_array:
 
 def slip_rows(network: JudgedNetwork, number: np.ndarray) -> sparse.csr_array:
     """K (3 E, n), exactly: component by component of (u_i + u_j) x n."""
-    count, turned = len(network.normal), [(1, 2), (2, 0), (0, 1)]
+    count, turned = len(network.graph.normal), [(1, 2), (2, 0), (0, 1)]
     rows, columns, values = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)], [np.zeros(0)]
-    for end in network.contact:
+    for end in network.graph.contact:
         for k, (a, b) in enumerate(turned):
-            for own, value in ((number[end, a], network.normal[:, b]), (number[end, b], -network.normal[:, a])):
+            for own, value in (
+                (number[end, a], network.graph.normal[:, b]),
+                (number[end, b], -network.graph.normal[:, a]),
+            ):
                 there = (own >= 0) & network.counts
                 rows.append(k * count + np.flatnonzero(there))
                 columns.append(own[there])
@@ -172,11 +172,11 @@ def slip_rows(network: JudgedNetwork, number: np.ndarray) -> sparse.csr_array:
 
 def turning_freely(network: JudgedNetwork) -> np.ndarray:
     """(N, 3) mask of the largest component of the one direction that all contacts of a sphere have, bit by bit."""
-    normal = network.normal[network.counts]
+    normal = network.graph.normal[network.counts]
     large = np.argmax(np.abs(normal), axis=1)
     turned = normal * np.sign(normal[np.arange(len(normal)), large])[:, None]
     low, high = np.full((len(network.free), 3), np.inf), np.full((len(network.free), 3), -np.inf)
-    for end in network.contact[:, network.counts]:
+    for end in network.graph.contact[:, network.counts]:
         np.minimum.at(low, end, turned)
         np.maximum.at(high, end, turned)
     found = np.zeros(low.shape, dtype=bool)

@@ -47,7 +47,8 @@ from taichi_bearings.proof.bounds import PROVEN, Bounds
 from taichi_bearings.proof.curvature import Slipping, bearable, nearest_minimum
 from taichi_bearings.proof.elimination import EPS
 from taichi_bearings.proof.enclosure import UP, Enclosure, joined
-from taichi_bearings.proof.judged_network import JudgedNetwork, Motion, moments
+from taichi_bearings.proof.judged_network import JudgedNetwork, Motion
+from taichi_bearings.proof.listed import moments
 from taichi_bearings.proof.resting import at_rest
 from taichi_bearings.proof.springs import slip_rows, weighed
 from taichi_bearings.proof.ties import MISSED_LIMIT, tied_states
@@ -78,17 +79,17 @@ class States:
 @np.errstate(all="ignore")  # what is not finite proves nothing
 def proven_states(bounds: Bounds) -> list[States]:
     """States at every minimum, sample by sample."""
-    network, lattice = bounds.network, bounds.network.lattice is not None
+    network, layered = bounds.network, bounds.network.graph.layered
     rests = ~network.counts | network.on_contacts(bounds.upper == 0)
     if bounds.proof != PROVEN:
         found = _nothing(network, "the bound is proven of some spins alone")
-    elif network.flows:
+    elif network.law.flows:
         far = np.sqrt(2 * network.on_contacts(bounds.excess) / network.slope.least) * UP
         known = _apart(network, far)
         found = _samples(network, known, "slips are small, or nothing is known of what bears no viscosity", True)
-        near = _enclosed_minimum(bounds) if network.mixes and network.holds else None
+        near = _enclosed_minimum(bounds) if network.mixes and network.law.holds else None
         found = _with_damping(bounds, found) if near is None else _enclosed(network, near)
-        found = found if lattice else [_with_parts_at_rest(bounds, far, *found)]
+        found = found if layered else [_with_parts_at_rest(bounds, far, *found)]
     elif network.mixes and (near := _enclosed_minimum(bounds)) is not None:
         found = _enclosed(network, near)
     elif network.mixes:
@@ -100,9 +101,9 @@ def proven_states(bounds: Bounds) -> list[States]:
         found = _by_cuts(bounds, network.needed[0]) if len(network.needed) == 1 else _by_curvature(network)
     told = []
     for states, rest, acts in zip(found, *(v.reshape(network.count, -1) for v in (rests, network.acts)), strict=True):
-        known = states.known if lattice else np.where(rest, SLIPLESS, states.known)
+        known = np.where(rest, SLIPLESS, states.known)
         open_ = bool((acts & (known == UNDECIDED)).any())
-        told.append(States(known, states.unique if lattice else None, states.reason if open_ else ""))
+        told.append(States(known, states.unique if layered else None, states.reason if open_ else ""))
     return told
 
 
@@ -149,13 +150,13 @@ def _by_cuts(bounds: Bounds, k: int) -> list[States]:
     sample by sample."""
     network, count = bounds.network, len(bounds.network.free)
     own = np.flatnonzero(network.feels[k])
-    (first, second), sample = network.contact[:, own], network.sample_of(own)
+    (first, second), sample = network.graph.contact[:, own], network.sample_of(own)
     label, odd, sign = network.signs(k)
     pull = network.moment[k].at(own)
     if (bounds.worst > 1).any():
         pull = pull / Enclosure.exact(bounds.worst[sample])
     strength = network.holding.at(own)
-    held = np.unique(network.contact[:, own])
+    held = np.unique(network.graph.contact[:, own])
     held = held[~network.free[held]]
     is_double = bool(odd[first].any())
     if is_double:  # u_i + u_j is high less low, in either copy
@@ -245,8 +246,8 @@ def reached(follows: sparse.csr_array, starts: np.ndarray) -> np.ndarray:
 def _by_curvature(network: JudgedNetwork) -> list[States]:
     """Two components, or more along the axes: steps 1 to 3 of the module docstring, of all samples at once, or else of
     each half of them; of each alone where friction is repeated, so that there may be ties."""
-    samples, count = network.lattice, network.count
-    if samples is None:
+    count = network.count
+    if not network.graph.layered:
         slip, fastest = network.slip.value, network.box.max()
         still, nearly = (network.counts & (slip <= most * fastest) for most in (STILL_IN_PAIRS, STILL))
         known = _by_domains(network, still)  # spins can be known in twice the precision
@@ -254,19 +255,19 @@ def _by_curvature(network: JudgedNetwork) -> list[States]:
             known = _by_domains(network, nearly)
         return _nothing(network, known) if isinstance(known, str) else _samples(network, known, "", None)
     if count == 1:
-        return [_of_lattice(network)]
+        return [_with_ties(network)]
     if _repeats(network):
-        parts = [samples.one(number) for number in range(count)]
+        parts = [network.some(slice(number, number + 1)) for number in range(count)]
     else:
         if len(network.free) <= PROVEN_AT_ONCE and isinstance(
             _near(network.motion, Slipping.of(network.motion)), tuple
         ):
             return _samples(network, _as_stored(network.motion), "", True)
-        parts = [samples.some(slice(None, count // 2)), samples.some(slice(count // 2, None))]
-    return [states for part in parts for states in _by_curvature(JudgedNetwork.of_lattice(part))]
+        parts = [network.some(slice(None, count // 2)), network.some(slice(count // 2, None))]
+    return [states for part in parts for states in _by_curvature(part)]
 
 
-def _of_lattice(network: JudgedNetwork) -> States:
+def _with_ties(network: JudgedNetwork) -> States:
     """Of one sample, with ties: first where friction is repeated."""
     contacts, repeats = Slipping.of(network.motion), _repeats(network)
     tied = tied_states(network.motion, contacts) if repeats else None
@@ -281,7 +282,7 @@ def _of_lattice(network: JudgedNetwork) -> States:
 def _with_damping(bounds: Bounds, known: list[States]) -> list[States]:
     """Of friction with damping: contacts that have more room in their discs than they slip are tried as domains."""
     network, count = bounds.network, bounds.network.count
-    if not network.holds or network.mixes or not network.needed:
+    if not network.law.holds or network.mixes or not network.needed:
         return known
     room, slip = 1 - bounds.size.value / network.holding.value, network.slip.value / network.box.max()
     rests = network.counts & (room > slip)
@@ -291,8 +292,8 @@ def _with_damping(bounds: Bounds, known: list[States]) -> list[States]:
         found: np.ndarray | str = ""
         if count == 1 and not unclear.any():
             found = _by_domains(network, own)
-        elif network.lattice is not None and not unclear.reshape(count, -1)[number].any():
-            found = _by_domains(JudgedNetwork.of_lattice(network.lattice.one(number)), own)
+        elif network.graph.layered and not unclear.reshape(count, -1)[number].any():
+            found = _by_domains(network.some(slice(number, number + 1)), own)
         told.append(states if isinstance(found, str) else States(found, True))
     return told
 
@@ -301,7 +302,7 @@ def _with_parts_at_rest(bounds: Bounds, far: np.ndarray, told: States) -> States
     """What is known of a packing, and the contacts that resting.py proves to rest. far : (E,), how far slips of minima
     are from the given ones at most."""
     network = bounds.network
-    if not network.holds or not (network.counts & (told.known == UNDECIDED)).any():
+    if not network.law.holds or not (network.counts & (told.known == UNDECIDED)).any():
         return told
     rests = _beside_loops(bounds, far) if network.mixes else at_rest(bounds, far)
     return replace(told, known=np.where(rests, SLIPLESS, told.known))
@@ -310,12 +311,12 @@ def _with_parts_at_rest(bounds: Bounds, far: np.ndarray, told: States) -> States
 def _by_domains(network: JudgedNetwork, rests: np.ndarray) -> np.ndarray | str:
     """(m,) states if nothing slips at the minimum but contacts between domains of those that rest; or what is missing
     in the proof."""
-    if network.lattice is None and any(
-        network.signs(k)[1][network.contact[:, network.counts]].any() for k in network.needed
+    if not network.graph.layered and any(
+        network.signs(k)[1][network.graph.contact[:, network.counts]].any() for k in network.needed
     ):
         return "loops are odd"
     motion = Motion(network, rests)
-    first, second = network.contact
+    first, second = network.graph.contact
     within = [(motion.domain[k][first] == motion.domain[k][second]) | ~network.feels[k] for k in network.needed]
     motion = Motion(network, network.counts & np.all(within, axis=0))
     near = _near(motion, Slipping.of(motion))
@@ -352,7 +353,7 @@ def _near(motion: Motion, contacts: Slipping) -> tuple[Slipping, np.ndarray] | s
 
 def _saturated(network: JudgedNetwork, contacts: Slipping) -> bool:
     """True if the friction of all slipping contacts of a lattice is about at its limit, as it is near a minimum."""
-    if network.lattice is None:
+    if not network.graph.layered:
         return True
     parts = [part.high[contacts.own] for part in network.moment]
     return bool((np.sqrt(sum(p**2 for p in parts)) >= (1 - MISSED_LIMIT) * contacts.strength.value).all())
@@ -365,7 +366,7 @@ def _by_cones(bounds: Bounds) -> np.ndarray:
         return np.full(len(network.acts), np.inf)
     holding, slip = np.where(network.counts, network.holding.value, 0.0), network.slip.most
     room = np.maximum((network.holding - bounds.size).lower(), 0.0)
-    moment = np.stack([part.value for part in moments(bounds.friction, network.normal)], axis=1)
+    moment = np.stack([part.value for part in moments(bounds.friction, network.graph.normal)], axis=1)
     across = moment / np.linalg.norm(moment, axis=1)[:, None]
     slides = network.counts & (room <= CLEAR_ROOM * holding) & np.isfinite(across).all(axis=1)
     count, own = len(holding), np.flatnonzero(slides)
@@ -387,6 +388,6 @@ def _by_cones(bounds: Bounds) -> np.ndarray:
         radius = 2 * (np.sqrt(excess) + rounded) / np.sqrt(floor) * UP**2
         scale = np.zeros(springs.number.shape)
         scale[springs.number >= 0] = form.scale
-        largest = scale.max(axis=1)[network.contact].max(axis=0)
-        far = np.fmin(far, np.sqrt(2) * largest * radius * np.linalg.norm(network.normal, axis=1) * UP**2)
+        largest = scale.max(axis=1)[network.graph.contact].max(axis=0)
+        far = np.fmin(far, np.sqrt(2) * largest * radius * np.linalg.norm(network.graph.normal, axis=1) * UP**2)
     return far

@@ -35,6 +35,7 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 
 from taichi_bearings.proof.curvature import Slipping, bearable, nearest_minimum, rises
 from taichi_bearings.proof.enclosure import UP, Enclosure
+from taichi_bearings.proof.grid import slices
 from taichi_bearings.proof.judged_network import JudgedNetwork, Motion
 from taichi_bearings.scene.solution import SLIPLESS, SLIPPING, TIED, UNDECIDED
 
@@ -291,7 +292,7 @@ class Limit:
         for slot, k in enumerate(network.needed):
             missing = self.friction(slot).plus(-network.moment[k].high[own]).most
             missing[~network.feels[k][own]] = 0.0
-            for end in network.contact[:, own]:
+            for end in network.graph.contact[:, own]:
                 found[k] += np.bincount(end, missing, len(found[k]))
         return found
 
@@ -299,12 +300,11 @@ class Limit:
 def _pulls(motion: Motion, contacts: Slipping, limit: Limit) -> Pulls:
     network, full = motion.network, np.flatnonzero(limit.full)
     own = np.append(contacts.own, full)
-    lower, upper = network.contact[:, own]
-    pull = np.array([np.sign(limit.friction(slot).high) * network.sign[k][network.contact[1, full]]
+    lower, upper = network.graph.contact[:, own]
+    pull = np.array([np.sign(limit.friction(slot).high) * network.sign[k][network.graph.contact[1, full]]
                      for slot, k in enumerate(network.needed)])  # fmt: skip
     turns = np.array([np.sign(part.high) for part in contacts.difference])
-    assert network.lattice is not None
-    coefficient = network.lattice.scene.coefficient[0]
+    (coefficient,) = network.factors
     domain, part, body = (
         np.array([_numbered(joined_by(slot), k) for slot, k in enumerate(network.needed)])
         for joined_by in (lambda _: motion, lambda _: limit.others(motion, None), lambda s: limit.others(motion, s))
@@ -318,9 +318,8 @@ def _pulls(motion: Motion, contacts: Slipping, limit: Limit) -> Pulls:
 
 def _numbered(motion: Motion, k: int) -> np.ndarray:
     """(spheres,), numbers of domains: 0 and 1 for what turns with the bottom and the top, and larger ones."""
-    samples, label = motion.network.lattice, motion.domain[k]
-    assert samples is not None
-    low, high = samples.leader(samples.components[k])
+    label = motion.domain[k]
+    low, high = slices(motion.network.graph).leader(k)
     return np.where(label == label[low], 0, np.where(label == label[high], 1, label + 2))
 
 

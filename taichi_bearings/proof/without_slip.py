@@ -32,8 +32,8 @@ IMPOSED = -1  # the column of what is imposed
 def exists_without_slip(network: JudgedNetwork) -> np.ndarray:
     """(R,) mask of the samples of which it is proven that some spins of the free spheres leave all contacts without
     slip. False says nothing."""
-    if network.lattice is not None:
-        return _of_lattice(network)
+    if network.graph.layered:
+        return _of_layers(network)
     if not network.counts.any():
         return np.ones(1, dtype=bool)
     if not imposed_exactly(network):
@@ -42,7 +42,8 @@ def exists_without_slip(network: JudgedNetwork) -> np.ndarray:
     return np.array([found])
 
 
-def _of_lattice(network: JudgedNetwork) -> np.ndarray:
+def _of_layers(network: JudgedNetwork) -> np.ndarray:
+    """(R,) mask of the samples of a lattice that have such a state."""
     if not network.needed:
         return np.ones(network.count, dtype=bool)
     absent = network.graph.any_end(network.free) & ~network.acts
@@ -72,16 +73,18 @@ def _rolls_exactly(network: JudgedNetwork) -> bool:
     moves = left.reached[:, None] & ~turning_freely(left)
     number[moves] = np.arange(moves.sum())
     open_ = left.counts & ~ExactMotions.of(left, number, left.counts).contacts
-    first, second = left.contact[:, left.counts]
+    first, second = left.graph.contact[:, left.counts]
     inner = left.free[first] & left.free[second]
-    part = pieces(len(left.free), first[inner], second[inner])[np.where(left.free[left.contact[0]], *left.contact)]
+    part = pieces(len(left.free), first[inner], second[inner])[
+        np.where(left.free[left.graph.contact[0]], *left.graph.contact)
+    ]
     return all(_is_consistent(left, left.counts & (part == own)) for own in np.unique(part[open_]))
 
 
 def _is_consistent(network: JudgedNetwork, contacts: np.ndarray) -> bool:
     """True if spins exist at which the contacts (E,) of one part roll, by elimination in fractions, without any
     rounding; False of parts too large for that."""
-    spheres = np.unique(network.contact[:, contacts])
+    spheres = np.unique(network.graph.contact[:, contacts])
     spheres = spheres[network.free[spheres]]
     if len(spheres) > MOST_IN_FRACTIONS:
         return False
@@ -104,11 +107,11 @@ def _is_consistent(network: JudgedNetwork, contacts: np.ndarray) -> bool:
 
 def _equations(network: JudgedNetwork, contact: int, unknown: dict[int, int]) -> list[dict[int, Fraction]]:
     """Coefficients by unknown, and of IMPOSED what is imposed, of (u_i + u_j) x n = 0 by component, exactly."""
-    normal = [Fraction(float(value)) for value in network.normal[contact]]
+    normal = [Fraction(float(value)) for value in network.graph.normal[contact]]
     rows = list[dict[int, Fraction]]()
     for a, b in ((1, 2), (2, 0), (0, 1)):
         row = {IMPOSED: Fraction(0)}
-        for sphere in network.contact[:, contact].tolist():
+        for sphere in network.graph.contact[:, contact].tolist():
             for component, factor in ((a, normal[b]), (b, -normal[a])):
                 if sphere in unknown:
                     column = unknown[sphere] + component

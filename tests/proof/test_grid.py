@@ -80,7 +80,7 @@ def test_slips_are_lengths_of_differences_across_contacts(case):
     np.testing.assert_allclose(found.value, np.sqrt((apart**2).sum(axis=0)).astype(float), rtol=1e-15, atol=1e-18)
     np.testing.assert_array_equal(grid.slips_with, felt)
     alike = [((part.high[first] == part.high[second]) & (part.low[first] == part.low[second])) for part in spin]
-    np.testing.assert_array_equal(grid.alike(spin), (np.array(alike) | ~felt).all(axis=0))
+    np.testing.assert_array_equal(grid.still(spin), (np.array(alike) | ~felt).all(axis=0))
 
 
 @pytest.mark.parametrize("shape", [(5 * IN_CACHE + 3,), (2, 3 * IN_CACHE + 1), (3, 7, IN_CACHE), (2 * IN_CACHE, 3, 2)])

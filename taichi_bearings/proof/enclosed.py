@@ -1,0 +1,112 @@
+"""Spins and friction of a bearing as they are judged: scaled by powers of two, enclosed, with what is imposed."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from taichi_bearings.proof.enclosure import Enclosure
+from taichi_bearings.proof.grid import Grid
+from taichi_bearings.proof.judged_network import JudgedNetwork
+from taichi_bearings.proof.listed import Listed, moments
+from taichi_bearings.proof.on_lattice import LEAST_SCALE, MOST_SCALE, OnLattice, samples_of_lattice
+from taichi_bearings.scene import Bearing
+from taichi_bearings.scene.exact_driving import power_of_two
+
+LEAST_SPEED = 1e-100  # of the fastest surface that is imposed
+ONE_SPEED = 4  # units in the last place, up to which imposed speeds are one
+
+
+def judged_network(
+    scene: Bearing, spin: np.ndarray, spin_rounding: np.ndarray, friction: np.ndarray
+) -> JudgedNetwork | None:
+    """What is judged; None for numbers that are not finite, or of scales for which no arithmetic here is made.
+
+    Arrays : as of :class:`Judgement`; of contacts in lists those of one sample.
+    """
+    samples = samples_of_lattice(scene, spin, spin_rounding, friction)
+    if samples is None:
+        return _in_lists(scene, spin, spin_rounding, friction)
+    return _on_lattice(samples) if samples.can_be_judged else None
+
+
+def _on_lattice(samples: OnLattice) -> JudgedNetwork:
+    """Samples of a lattice side by side."""
+    scene, grid, force = samples.scene, Grid(samples), samples.force_unit
+    strength, radius, law = scene.strength, scene.lattice.radius, scene.law
+    coefficient, free = scene.coefficient.ravel(), np.ones(grid.spheres, dtype=bool)
+    for plane in (0, -1):
+        grid.on_spheres(free)[..., plane] = False
+    acts, none = grid.any_end(free) & (coefficient != 0), np.broadcast_to(0.0, grid.contacts)  # takes no memory
+    zero = Enclosure(none, none, none)
+    unit, speed = power_of_two(strength), radius * (samples.spin_unit / force)
+    holding = Enclosure.exact(coefficient / (force / unit)).times(np.array([strength / unit]))
+    viscosity = scene.named_coefficients.get("viscosity", coefficient).ravel()
+    return JudgedNetwork(
+        law, samples.count, free, radius * samples.spin_unit, force,
+        list(samples.signed_spin.values()), grid.moment(acts), holding if law.holds else zero,
+        Enclosure.exact(viscosity).times(np.array([speed])) if law.flows else zero,
+        [grid.imposed(k) for k in samples.components], grid, factors=(coefficient,),
+    )  # fmt: skip
+
+
+def _in_lists(packing: Bearing, spin: np.ndarray, rounding: np.ndarray, friction: np.ndarray) -> JudgedNetwork | None:
+    """One sample of a bearing whose contacts are in lists."""
+    contacts, law = packing.network, packing.law
+    free, radius = contacts.free, contacts.radius
+    spin, rounding, imposed = (of.reshape(contacts.spheres, -1) for of in (spin, rounding, packing.imposed_spins()[0]))
+    friction = friction.reshape(contacts.contacts, contacts.components)
+    spin = np.where(free[:, None], spin, imposed)
+    rounding = np.where(free[:, None], rounding, 0.0)
+    # where all radii are the same, speeds are measured in it, and none is rounded
+    unit, radius = (float(radius[0]), np.ones(len(radius))) if (radius == radius[0]).all() else (1.0, radius)
+    fastest = float(np.abs(spin * radius[:, None])[~free].max(initial=0.0)) or 1.0
+    given, *beside = (of[0] for of in packing.named_coefficients.values())
+    pressed = packing.normal_force if law.holds else 1.0
+    first, slope = given * pressed, np.zeros(contacts.contacts)
+    if law.flows:
+        slope = beside[0] if law.holds else given
+    largest = float(slope.max(initial=0.0)) * unit * fastest
+    largest = max(float(first.max(initial=0.0)) if law.holds else 0.0, largest)
+    if not all(LEAST_SPEED < fast < MOST_SCALE for fast in (fastest, fastest * unit)):
+        return None
+    if largest and not LEAST_SCALE < largest < MOST_SCALE:
+        return None
+    speed, force = power_of_two(fastest), power_of_two(largest)
+    acts = ((first > 0) | (slope > 0)) & contacts.has_free_end
+    with np.errstate(over="ignore"):
+        spin, rounding, friction = spin / speed, rounding / speed, friction / force
+    sizes = (spin, rounding, spin * radius[:, None], rounding * radius[:, None], friction)
+    if not all((np.abs(values) < MOST_SCALE).all() for values in sizes):
+        return None
+    zero = Enclosure.exact(np.zeros(contacts.contacts))
+    moving = [Enclosure.exact(*part) for part in zip(spin.T, rounding.T, strict=True)]
+    moving = moving if (radius == 1).all() else [part.times(radius) for part in moving]
+    for part in moving:
+        _drive_as_one(part, np.flatnonzero(~free))
+    moment = moments([Enclosure.exact(np.where(acts, part, 0.0)) for part in friction.T], contacts.normal)
+    return JudgedNetwork(
+        law, 1, free, speed * unit, force, moving, moment,
+        Enclosure.exact(given / force).times(np.broadcast_to(pressed, given.shape)) if law.holds else zero,
+        Enclosure.exact(slope * (speed / force)).times(np.array([unit])) if law.flows else zero,
+        [part.where(~free) for part in moving],
+        Listed(contacts.center, contacts.contact, contacts.normal, friction),
+        factors=(given, np.broadcast_to(packing.normal_force, given.shape)),
+    )  # fmt: skip
+
+
+def _drive_as_one(u: Enclosure, driven: np.ndarray) -> None:
+    """Give driven spheres (numbers) of which a component u, (N,), has sizes that differ by no more than 4 units in the
+    last place the least of these sizes, as a double; in place. A spin that is a speed over a radius, rounded, makes
+    several of one driving. What differs from nothing else stays as it is, with all its digits."""
+    own = driven[u.high[driven] != 0]
+    sign = np.sign(u.high[own])
+    (size, _), place = np.unique(np.stack([sign * u.high[own], sign * u.low[own]]), axis=1, return_inverse=True)
+    group = np.arange(len(size))
+    for number in range(1, len(size)):
+        least = size[group[number - 1]]
+        if size[number] - least <= ONE_SPEED * np.spacing(size[number]):
+            group[number] = group[number - 1]
+    several = np.bincount(group, minlength=len(size)) > 1
+    found = group[place.reshape(-1)]
+    some = several[found]
+    u.put(own[some], Enclosure.exact(sign[some] * size[found[some]]))

@@ -1,0 +1,148 @@
+"""The contacts of a network that is judged, in lists: where they are, which components they slip with, and what the
+proofs ask of them. `Grid` (grid.py) answers the same questions by slices where the contacts are those of a lattice.
+
+Letters: R samples beside each other, with n spheres and m contacts in all; D = 2 or 3, and C = 1 or 3 components.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from taichi_bearings.numerics.graphs import pieces
+from taichi_bearings.proof.enclosure import Enclosure, grouped_sum, joined, length
+
+
+class Listed:
+    """Contacts given by the numbers of their spheres. Nothing of it changes once it is made."""
+
+    layered = False
+    """True where spins are signed by sublattice and measured from the bottom of a lattice, whose two driven planes hold
+    all that is joined to them: each component of some minimum is then between 0 and that of the top."""
+    normal_rounding = 1e-12
+    """Share of its friction that may act along the normal of a contact by rounding alone."""
+
+    def __init__(self, place: np.ndarray, contact: np.ndarray, normal: np.ndarray, friction: np.ndarray) -> None:
+        """Take place (n, D), and of the contacts their spheres (2, m), normals (m, D) and friction F (m, C)."""
+        self._arrays = place, contact, normal, friction
+
+    @property
+    def place(self) -> np.ndarray:
+        """(n, D), of each sphere in its sample."""
+        return self._arrays[0]
+
+    @property
+    def contact(self) -> np.ndarray:
+        """(2, m), numbers of the first and the second sphere."""
+        return self._arrays[1]
+
+    @property
+    def normal(self) -> np.ndarray:
+        """(m, D), from the first to the second sphere."""
+        return self._arrays[2]
+
+    @property
+    def friction(self) -> np.ndarray:
+        """F on the second sphere, (m, C)."""
+        return self._arrays[3]
+
+    def some(self, pick: slice) -> Listed:
+        """The contacts of some of the samples: contacts in lists are those of one."""
+        assert pick.indices(1)[:2] == (0, 1)
+        return self
+
+    def any_end(self, mask: np.ndarray) -> np.ndarray:
+        """(m,), is the mask (n,) true of either sphere?"""
+        return np.asarray(mask[self.contact].any(axis=0))
+
+    @property
+    def slips_with(self) -> np.ndarray:
+        """(C, m) mask of the components that contacts slip with, where components do not mix."""
+        return self.normal.T == 0 if self.normal.shape[1] == 3 else np.ones((1, len(self.normal)), dtype=bool)
+
+    def mixes(self, counts: np.ndarray) -> bool:
+        """False where components do not mix at the contacts of a mask (m,): discs, and unit normals along the axes."""
+        normal = self.normal
+        return normal.shape[1] == 3 and not bool((np.sort(np.abs(normal[counts])) == (0, 0, 1)).all())
+
+    def lengths(self, parts: list[Enclosure]) -> Enclosure:
+        """(m,), of vectors given by component."""
+        return length(parts)
+
+    def torques(self, moment: list[Enclosure]) -> list[Enclosure]:
+        """Sums of moments at each sphere, (n,) by component."""
+        return [grouped_sum(joined([part, part]), self.contact.ravel(), len(self.place)) for part in moment]
+
+    def signs(self, feels: np.ndarray) -> list[np.ndarray]:
+        """(n,) by component, signs by which neighbours differ, but in odd loops. feels : (C, m) mask."""
+        return [signs(self.contact[:, own], len(self.place))[2] for own in feels]
+
+    def reach(self, box: np.ndarray, sign: list[np.ndarray]) -> list[Enclosure]:
+        """By component, (n,): the size up to which some minimum has u of a free sphere, where components do not mix;
+        `layered` says that it is between 0 and this. box : (C,), the largest that is imposed. sign : (n,) each."""
+        return [Enclosure.exact(np.full(len(self.place), size)) for size in box]
+
+    def needed(self, box: np.ndarray, differs: Callable[[int], bool]) -> list[int]:
+        """Components that some minimum needs. box : (C,), the largest that is imposed. differs : whether spins that
+        are imposed in a component cannot go together without slip."""
+        return [k for k in range(len(box)) if differs(k)]
+
+    def working(self, box: np.ndarray) -> list[bool]:
+        """By component, False if its moments do no work whatever they are. box : (C,), the largest that is imposed."""
+        return [True] * len(box)
+
+    def borne(self, moment: list[Enclosure], counts: np.ndarray) -> list[Enclosure]:
+        """Vectors as long as the friction of the contacts that count, by component, (m,) each. moment : n x F."""
+        return [Enclosure.exact(np.where(counts, part, 0.0)) for part in self.friction.T]
+
+    def anchor(self, k: int) -> np.ndarray:
+        """(n,), the sphere that each turns as in component k, whatever the contacts are."""
+        return np.arange(len(self.place))
+
+    def signed(self, spin: Enclosure, sign: np.ndarray) -> Enclosure:
+        """(n,), spins with their signs: neighbours without slip have the same."""
+        return spin.signed(sign)
+
+    def shift(self, k: int) -> Enclosure | None:
+        """(n,), what stored spins of driven spheres lack of the imposed ones in component k; None of nothing."""
+        return None
+
+    def still(self, spin: list[Enclosure]) -> np.ndarray:
+        """(m,) mask: no slip at all, exactly. spin : u by component, (n,) each."""
+        (first, second), found = self.contact, np.ones(len(self.normal), dtype=bool)
+        for part, feels in zip(spin, self.slips_with, strict=True):
+            for of in part.parts[:2]:
+                found &= (of[first] == -of[second]) | ~feels
+        return found
+
+    def middle(self, some: np.ndarray) -> np.ndarray:
+        """(n, D), where some contacts are, (n,) numbers."""
+        begin, end = self.place[self.contact[:, some]]
+        return np.asarray(begin + (end - begin) / 2)
+
+    def natural_speed(self, box: np.ndarray, speed_unit: float) -> float:
+        """The imposed speed by which a contact might slip, in units of `speed_unit`. box : (C,), of what is imposed."""
+        return float(box.max(initial=0.0))
+
+
+def across(vectors: list[Enclosure], normal: np.ndarray) -> list[Enclosure]:
+    """Vectors (m,) x n; those of discs as they are."""
+    if len(vectors) == 1:
+        return vectors
+    n = normal.T
+    turned = [(k + 1) % 3 for k in range(3)], [(k + 2) % 3 for k in range(3)]
+    return [vectors[a].times(n[b]) - vectors[b].times(n[a]) for a, b in zip(*turned, strict=True)]
+
+
+def moments(friction: list[Enclosure], normal: np.ndarray) -> list[Enclosure]:
+    """n x F by component, (m,) each."""
+    return friction if len(friction) == 1 else [-part for part in across(friction, normal)]
+
+
+def signs(ends: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Parts that edges (2, n) make of nodes: label (size,), mask of those with odd loops, and signs s by which
+    neighbours differ in the others."""
+    first, second = ends
+    copy = pieces(2 * size, np.append(first, second), np.append(second, first) + size).reshape(2, -1)
+    return copy.min(axis=0), copy[0] == copy[1], np.where(copy[0] > copy[1], -1.0, 1.0)
