@@ -118,7 +118,7 @@ def bounded(convert: Callable[[Any], Any], low: float, high: float = math.inf, o
 
 
 def whole(least: int, most: int) -> Kind:
-    """Return the kind of whole numbers in this range."""
+    """Return the kind of whole numbers from `least` to `most`."""
     return Kind(bounded(integer, least, most), f"a whole number from {least:,} to {most:,}", "N")
 
 
@@ -213,7 +213,7 @@ class Option:
 
 
 def option(default: Any, kind: Kind, help: str, **facts: Any) -> Any:
-    """Return a field of a dataclass that is an :class:`Option`. facts : further attributes of the Option by name."""
+    """Return a field of a dataclass that is an :class:`Option`. facts : its further attributes by name."""
     return field(default=default, metadata={"option": Option(default, kind, help, **facts)})
 
 

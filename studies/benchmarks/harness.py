@@ -61,7 +61,10 @@ class Times:
 
 
 def in_turns(calls: Mapping[str, Callable[[int], T]], rounds: int) -> dict[str, list[T]]:
-    """Return what each call gives in every round. Calls, which get the number of the round, are made in turns."""
+    """Return what each call gives in every round. Calls, which get the number of the round, are made in turns.
+
+    calls : by name. rounds : how often each is made.
+    """
     found: dict[str, list[T]] = {}
     for number in range(rounds):
         for name, call in calls.items():
@@ -218,8 +221,9 @@ def machine() -> dict[str, Any]:
 
 
 def text(chosen: Mapping[str, Benchmark], report: Report, here: Mapping[str, Any]) -> str:
-    """Return the report in words: the machine, a table for each benchmark, then what was left out and what is
-    missing.
+    """Return the report in words: the machine, a table for each benchmark, then what was left out and what is missing.
+
+    chosen : the benchmarks. here : the machine, as `machine` returns it.
     """
     parts = [f"{here['processor']}, {here['threads']}; load {here['load']}"]
     parts += [f"### {name}\n{chosen[name].title}.\n\n{_table(rows)}" for name, rows in report.rows.items()]
@@ -253,7 +257,10 @@ def _table(rows: Sequence[Row]) -> str:
 
 
 def write(folder: Path, chosen: Mapping[str, Benchmark], report: Report, here: Mapping[str, Any]) -> list[Path]:
-    """Write the tables, all numbers of each benchmark, and its figure if it has one; returns the paths."""
+    """Write the tables, all numbers of each benchmark, and its figure if it has one; returns the paths.
+
+    chosen : the benchmarks. here : the machine, as `machine` returns it.
+    """
     written = [folder / TEXT]
     write_text(written[0], text(chosen, report, here))
     notes = [f"{name}: {value}" for name, value in here.items()]
@@ -279,7 +286,7 @@ def _lines(row: Row) -> Iterator[Row]:
 
 
 def as_json(report: Report, here: Mapping[str, Any], files: Sequence[Path]) -> dict[str, Any]:
-    """Return the object of `--json`."""
+    """Return the object of `--json`. here : the machine. files : that were written."""
     return {
         "machine": here, **report.rows, "left_out": report.notes,
         "contradictions": report.faults, "peers_missing": report.missing, "interrupted": report.interrupted,

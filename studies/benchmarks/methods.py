@@ -53,6 +53,8 @@ LEAST = 1e-17  # lower end of the grey band, below all errors in double precisio
 def measure(settings: RunSettings, names: Sequence[str], with_peers: bool, rounds: int) -> Found:
     """Yield a row for each method and conic solver on the scene of the settings; a text for a method that is left out.
 
+    names : of the methods. with_peers : measure conic solvers, too. rounds : runs of what is quick.
+
     Each gets at most the time limit (a conic solver: for each tolerance), in this process.
     """
     runtime.start("cpu", "f64", settings.threads)

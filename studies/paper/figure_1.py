@@ -123,6 +123,8 @@ def visible(scene: Scene, ended: Solution) -> np.ndarray:
 def beside_descent(exact: Table, cut: MinimumCut, ended: Solution) -> Table:
     """Return the table with two more columns on the end of a descent.
 
+    exact, cut : minima and minimum cuts. ended : where the descent ended.
+
     excess : relative excess of its power. differs : other contacts slip visibly there than those of the cut.
     """
     scene = of_lattice(ended.scene)
@@ -180,6 +182,8 @@ def least_rise(scene: Scene, spin: np.ndarray) -> float:
 
 def two_boundaries(exact: Table, cut: MinimumCut, ended: Solution) -> Table:
     """Return the samples whose descent differs from the cut, with three more columns.
+
+    exact, cut, ended : see :func:`beside_descent`.
 
     within : all that slips visibly is of the lightest two cuts. at_second : some contact of the second cut alone does.
     same : flows that spare a contact of the cut find the second one as heavy.

@@ -65,6 +65,9 @@ def names_of(
 ) -> dict[str, Any]:
     """Return the values that the claims use, by name.
 
+    runs, stiffer, rigid : relaxations with springs, with stiffer dampers, and without springs. minima, larger : tables
+        of minima, those of larger samples too.
+
     followed, rigidly : minima of the samples that are followed. place : number of the sample shown, the first of those
     followed whose minimum is below its minimum cut, else the first.
     """
@@ -88,7 +91,7 @@ def apart(run: Run, other: Run) -> float:
 
 
 def course_of(run: Run, seeds: Sequence[int], minima: Table) -> Table:
-    """Return the power against time, a row a sample and time."""
+    """Return the power against time, a row a sample and time, of the first of these seeds and minima."""
     samples, over = run.power.shape[1], {"power_over_initial": run.power / run.power[0]}
     over["power_over_minimum"] = run.power / minima.power[:samples]
     return curves(seeds[:samples], time=run.time, power=run.power, **over)
@@ -147,7 +150,10 @@ def draw_relaxation(of: Any) -> Figure:
 
 
 def _draw_curves(figure: Any, courses: Sequence[Any], least_power: float, cut_power: float) -> None:
-    """Draw power and excess of all relaxations. courses : time, power and line style of each."""
+    """Draw power and excess of all relaxations.
+
+    courses : time, power and line style of each. least_power, cut_power : of the minimum, and of the minimum cut.
+    """
     top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(1.3, 1))
     inset = top.inset_axes((0.57, 0.46, 0.42, 0.5))
     initial = courses[0][1][0]

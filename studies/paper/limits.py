@@ -70,6 +70,8 @@ def limits_of(table: Table) -> dict[str, Limit]:
 def names_of(of_systems: Mapping[str, Table], limits: Mapping[str, Mapping[str, Limit]]) -> dict[str, Any]:
     """Return the values that the claims use, by name.
 
+    of_systems : samples of each system. limits : the limits of its shares.
+
     variants : samples of each other system, of the largest size that all have. beside : those of the paper's bearing.
     """
     paper = of_systems[PAPER]

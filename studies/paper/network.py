@@ -142,7 +142,10 @@ def draw_sizes(named: Any) -> Figure:
 
 
 def _spanning(axes: Any, sides: Sequence[int], spans: Sequence[np.ndarray]) -> None:
-    """Draw the share of samples whose slipless network joins the planes, by some thresholds and certified."""
+    """Draw the share of samples whose slipless network joins the planes, by some thresholds and certified.
+
+    spans : for each of the sides (samples, thresholds), True where it does.
+    """
     share = np.array([of.mean(axis=0) for of in spans])
     for place, colour in enumerate(COARSE):
         axes.plot(sides, share[:, place], "o--", ms=3.5, lw=1, color=colour, label=f"slips below {THRESHOLDS[place]:g}")

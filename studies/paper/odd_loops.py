@@ -126,6 +126,8 @@ def spins_at_minimum(lattice: str, packing: Packing) -> np.ndarray:
 def draw(lattice: str, size: int, odd: int, bottom: float, samples: int, seed: int) -> dict[str, Any]:
     """Return numbers of the minima of samples, one a sample.
 
+    odd : number of odd contacts. bottom : its spin over that of the top.
+
     rolling, resting : share of the free discs or spheres that rotate faster than half of the top, and of those at rest.
     power_over_rest : least power over that with all free ones at rest.
     """

@@ -226,7 +226,10 @@ def _tally(figure: dict[str, Any]) -> str:
 
 
 def describe(folder: Path, effort: Effort, done: dict[str, Any], missing: Sequence[str]) -> dict[str, Any]:
-    """Return the report as plain data, figures in the order of FIGURES."""
+    """Return the report as plain data, figures in the order of FIGURES.
+
+    done : finished figures, as plain data, by name. missing : names of the others.
+    """
     figures = {name: done[name] | {"files": list(map(str, _files(name, folder)))} for name in FIGURES if name in done}
     verdicts = Counter(claim["verdict"] for found in figures.values() for claim in found["claims"])
     return {

@@ -129,7 +129,9 @@ class Found:
 
 
 def solved(scene: Scene, method: MethodOptions, rule: StopRule = TIGHT, start: str = "linear") -> Solution:
-    """Return where a method ends; KeyboardInterrupt if it was stopped before."""
+    """Return where a method ends; KeyboardInterrupt if it was stopped before. rule : when it stops. start : its
+    first spins.
+    """
     return uninterrupted(solve(scene, method.build(), initial_spin(scene, start), rule))
 
 

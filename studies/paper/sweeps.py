@@ -36,7 +36,7 @@ def from_left(sideways: np.ndarray, upward: np.ndarray) -> np.ndarray:
 def crossings(sideways: np.ndarray, upward: np.ndarray, column: int) -> np.ndarray:
     """Return the length (B, h - 1) of the shortest path from outside to outside across each contact of a column.
 
-    column : between the first and the last.
+    sideways, upward : see :func:`from_left`. column : between the first and the last.
     """
     left = from_left(sideways, upward)[:, column]
     right = from_left(sideways[:, ::-1], upward[:, ::-1])[:, -1 - column]
@@ -69,7 +69,11 @@ def _arrive(
     grid: int, column: int, beside: int, contact: int,
     found: ti.template(), inner: ti.template(), upward: ti.template(), unseen: ti.template(),
 ) -> int:  # fmt: skip
-    """Relax the distances of a column through its neighbour, then up and down the column; 1 if any became shorter."""
+    """Relax the distances of a column through its neighbour, then up and down the column; 1 if any became shorter.
+
+    beside : number of the neighbour. contact : column of the upward contacts between both. Other arguments as in
+        `_sweep`.
+    """
     rows, nearer = found.shape[2], 0
     for row in range(rows):
         way = found[grid, beside, row] + upward[grid, contact, row]

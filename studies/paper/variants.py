@@ -77,7 +77,10 @@ def drivings(folder: Path, effort: Effort) -> Found:
 def samples_of(
     variants: Variants, seeds: range, numbers: Callable[[Structure], dict[str, Any]], journal: Path
 ) -> dict[str, Table]:
-    """Return numbers of the certified cubes of each variant, of the same seeds, by its name."""
+    """Return numbers of the certified cubes of each variant, of the same seeds, by its name.
+
+    numbers : returns those of one sample. journal : file that keeps finished samples.
+    """
     chosen = [RunSettings(shape=(BULK,) * 3, seed=seed, **variant) for variant in variants.values() for seed in seeds]
     found, each = measured(chosen, numbers, journal), len(seeds)
     return {name: found[each * number : each * (number + 1)] for number, name in enumerate(variants)}

@@ -78,7 +78,8 @@ def cbf(system: ContactSystem, bearing: Bearing) -> str:
     """Return the conic programme as text: unknowns u, t, s; cones (t, slip), and rotated ones (s, 1/2, slip), by
     contact.
 
-    Components of a slip that are 0 whatever the spins are left out, and contacts that have no others.
+    system : the slips of the bearing. Components of a slip that are 0 whatever the spins are left out, and contacts
+        that have no others.
     """
     law, (d, count), unknowns = bearing.law, system.offset.shape, system.unknowns
     live = (np.diff(system.operator.indptr) > 0).reshape(d, count) | (system.offset != 0)

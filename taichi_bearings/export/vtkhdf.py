@@ -160,7 +160,10 @@ def _write_geometry(root: h5py.Group, geometry: Geometry) -> None:
 
 
 def _start_steps(root: h5py.Group, moments: Moments, end: float) -> h5py.Group:
-    """Write the times of the steps, all with the same points and lines, and return their group."""
+    """Write the times of the steps, all with the same points and lines, and return their group.
+
+    moments : snapshots. end : time of the last step.
+    """
     steps = root.create_group("Steps")
     number = len(moments.time) + 1
     steps.attrs["NSteps"] = number

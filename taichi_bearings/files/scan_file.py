@@ -59,7 +59,8 @@ def dense_histograms(bins: Sequence[Mapping[int, int]], contacts: Mapping[str, S
 def column(values: Sequence[Any], units: str, description: str) -> Finding:
     """Return a column from Python values: texts, truth values, whole numbers or numbers; None where a sample has none.
 
-    Truth values with gaps stay as they are, in an object array, for :func:`write_scan`.
+    Truth values with gaps stay as they are, in an object array, for :func:`write_scan`. units, description : of the
+    column.
     """
     present = [value for value in values if value is not None]
     if any(isinstance(value, str) for value in present):

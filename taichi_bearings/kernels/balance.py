@@ -47,12 +47,17 @@ class BalanceKernels:
 
     @ti.func
     def height(self, stride_x, stride_y):
-        """Return the number of spheres along the height."""
+        """Return the number of spheres along the height. stride_x, stride_y : sites from a sphere to its neighbour
+        along x, y.
+        """
         return stride_y if ti.static(self.stencil.dimension == 3) else stride_x
 
     @ti.func
     def chain(self, slot: ti.template(), stride_x, stride_y, sites):
-        """Return the number of spheres in a chain of this component, and their distance in memory."""
+        """Return the number of spheres in a chain of this component, and their distance in memory.
+
+        slot : the component. stride_x, stride_y, sites : of the layout of a replica.
+        """
         side, stride = sites // stride_x, stride_x
         if ti.static(self.stencil.coupled_sides[slot] == 1):
             side, stride = stride_x // stride_y, stride_y
@@ -163,8 +168,8 @@ class BalanceKernels:
         The factors are those of :func:`taichi_bearings.lattice.laplacian.chain_factors`; rings take away their share of
         the pull at both ends (`ring_closures` there).
 
-        slot : spin component. group : which block of chains. stride, side : distance and number of the spheres in a
-            chain.
+        modes, chains : see the class. slot : spin component. group : which block of chains. stride, side : distance and
+            number of the spheres in a chain. longest : spheres of the longest chain.
         """
         across, pitch = (stride + self.block - 1) // self.block, height + self.block
         along = group % across * self.block
@@ -211,7 +216,10 @@ class BalanceKernels:
         longest: int,
         weight: float,
     ):
-        """Solve all chains on a CPU; each worker takes an equal share of the blocks of chains."""
+        """Solve all chains on a CPU; each worker takes an equal share of the blocks of chains.
+
+        workers : their number. stride_x, stride_y, sites, longest : of the layout, see `measures`.
+        """
         for item in range(workers * LEAST_CHUNK):
             if item % LEAST_CHUNK == 0:
                 worker, height = item // LEAST_CHUNK, self.height(stride_x, stride_y)

@@ -49,13 +49,16 @@ def coulomb_force(spin_difference: ti.template(), coefficients: ti.template(), s
 
 @ti.func
 def viscous_force(spin_difference: ti.template(), coefficients: ti.template(), sharpness):
-    """Return the force of paper Eq. (1), divided by the radius: the damping, which is the last coefficient, times D."""
+    """Return the force of paper Eq. (1), divided by the radius: the damping, which is the last coefficient, times D.
+
+    spin_difference : D. sharpness : not used here.
+    """
     return [d * coefficients[ti.static(len(coefficients) - 1)] for d in ti.static(spin_difference)]
 
 
 @ti.func
 def coulomb_viscous_force(spin_difference: ti.template(), coefficients: ti.template(), sharpness):
-    """Return the sum of friction and viscous force."""
+    """Return the sum of friction and viscous force; arguments as in both."""
     held = coulomb_force(spin_difference, coefficients, sharpness)
     flowing = viscous_force(spin_difference, coefficients, sharpness)
     return [held[t] + flowing[t] for t in ti.static(range(len(held)))]

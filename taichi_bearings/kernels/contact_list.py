@@ -183,7 +183,7 @@ class CundallStrackLists(SpringsAndSpins, ListSweeps):
         self, values: ti.template(), blocks: ti.template(), c: ti.template(), pull, first, size: ti.template(),
         numbers: ti.template(), sweep,
     ):  # fmt: skip
-        """Step one spin component of a block of spheres."""
+        """Step one spin component of a block of spheres. pull : sum of the contact forces on each."""
         is_free = load(values, in_range(self.rows["is_free"][0] * size[0] + first), self.block)
         old = load_each(values, places(self.gear[c], size[0], first), self.block)
         new = self.motion(old, pull, is_free, numbers[7])
@@ -222,7 +222,10 @@ class DescentLists(ListSweeps):
         self, values: ti.template(), blocks: ti.template(), c: ti.template(), pull, first, size: ti.template(),
         numbers: ti.template(), sweep,
     ):  # fmt: skip
-        """Move one spin component of a block of spheres down the gradient, and on by its momentum."""
+        """Move one spin component of a block of spheres down the gradient, and on by its momentum.
+
+        pull : sum of the contact forces on each. sweep : number of the sweep since the last restart.
+        """
         at = places([self.rows["point"][c], self.rows["inverse_weight"][c]], size[0], first)
         point, weight = load(values, at[0], self.block), load(values, at[1], self.block)
         if ti.static(self.averages):  # noqa: SIM102

@@ -64,7 +64,7 @@ class DescentSweeps(Sweeps):
 
     @ti.func
     def enter(self, values: ti.template(), size: ti.template(), low, numbers: ti.template(), sweep):
-        """Return the force of the contact below the first site along the height."""
+        """Return the force of the contact below the first site of a worker along the height. low : its first block."""
         height = ti.static(self.stencil.height)
         row, first = size[0], in_range(size[1] + low * self.block)
         source = first + (sweep & 1) * self.apart * row

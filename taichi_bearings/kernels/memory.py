@@ -52,7 +52,7 @@ def load(values: ti.template(), place, block: ti.template()):
 
 @ti.func
 def store(values: ti.template(), blocks: ti.template(), place, block: ti.template(), new):
-    """Write the numbers of a whole block of sites."""
+    """Write `new`, the numbers of a whole block of sites, from `place` on."""
     if ti.static(block == 1):
         values[place] = new
     else:
@@ -108,8 +108,10 @@ def load_neighbours(
 
 @ti.func
 def load_neighbour(values: ti.template(), place, side: ti.template(), way: ti.template(), block: ti.template()):
-    """Return the number of one neighbour of each site of a block, of one row. place : where that of the block
-    itself is.
+    """Return the number of one neighbour of each site of a block, of one row. place : where that of the block itself
+        is.
+
+    side, way : see :func:`load_neighbours`.
     """
     if ti.static(len(side) == 1):
         return load(values, in_range(place + way * side[0]), block)
@@ -136,7 +138,7 @@ def load_around(values: ti.template(), place, step, ring, position, block: ti.te
 
 @ti.func
 def minus(upper: ti.template(), lower: ti.template()):
-    """Return the differences of two lists of vectors."""
+    """Return the differences upper - lower of two lists of vectors."""
     return [upper[k] - lower[k] for k in ti.static(range(len(upper)))]
 
 

@@ -188,7 +188,11 @@ class Sweeps:
         self, arrived: INTEGERS, workers: int, begin: int, end: int, values: VALUES, blocks: BLOCKS, tables: INTEGERS,
         constants: VALUES,
     ):  # fmt: skip
-        """Make the turns `begin` ... `end` - 1 over all blocks."""
+        """Make the turns `begin` ... `end` - 1 over all blocks.
+
+        arrived, workers : counter of the barrier, and number of workers. values, blocks, tables : see `Fields`.
+            constants : see the class.
+        """
         if ti.static(self.on_gpu):
             for turn, again, part in ti.static(ti.ndrange(self.together, self.repeats, self.parts)):
                 for b in range(self.count(part, tables) * (begin + turn < end)):

@@ -160,8 +160,9 @@ class Sheet:
         return np.stack([first, np.concatenate([stop, start[1, over]])], axis=1), twice
 
     def draw(self, axes: Any, chosen: np.ndarray, across: bool = False, **look: Any) -> None:
-        """Draw the lines of :meth:`lines`. look : arguments of LineCollection; arrays have an entry for each
-        contact.
+        """Draw the lines of :meth:`lines` for the `chosen` contacts, or across them.
+
+        look : arguments of LineCollection; arrays have an entry for each contact of the bearing.
         """
         lines, which = self.lines(chosen, across)
         which = self.contact[which]
@@ -196,7 +197,7 @@ def one_panel(network: Network, page: Page) -> tuple[Figure, Any, Sheet, float, 
 
 
 def line_on_site(site: float, share: float, least: float = 0.4, most: float = 1.5) -> float:
-    """Return the width in points of a line that takes a share of a site, within limits."""
+    """Return the width in points of a line that takes a share of a site, between `least` and `most`."""
     return float(np.clip(share * site, least, most))
 
 
@@ -223,7 +224,9 @@ def colour_bar(figure: Any, axes: Any, label: str, norm: Normalize, colours: str
 
 
 def name_cut(axes: Any, axis: int, index: int, before: str = "", after: str = "") -> None:
-    """Set title and axis labels of the plane `index` across `axis`."""
+    """Set title and axis labels of the plane `index` across `axis`. before, after : words of the title around its
+    name.
+    """
     axes.set_title(f"{before}${AXES[axis]} = {index}${after}")
     right, up = (name for name in AXES if name != AXES[axis])
     axes.set(xlabel=f"${right}$", ylabel=f"${up}$")
@@ -245,7 +248,7 @@ def paint_block(axes: Any, colour: np.ndarray, view: View = VIEW) -> None:
 
 
 def box_edges(low: Any, high: Any) -> np.ndarray:
-    """Return the twelve edges (12, 2, 3) of an upright box."""
+    """Return the twelve edges (12, 2, 3) of an upright box. low, high : its lowest and highest corner."""
     corners = np.array([[(low, high)[n >> a & 1][a] for a in range(3)] for n in range(8)], dtype=float)
     return corners[[(n, n | 1 << axis) for n, axis in EDGES]]
 

@@ -241,7 +241,7 @@ class Look:
 
 @style.in_our_style
 def draw_scan(curves: Sequence[Curve], look: Look, page: Page = PAGE) -> Figure:
-    """Draw points with bars, joined along each curve where x has numbers."""
+    """Draw curves of points with bars, joined along each curve where x has numbers."""
     width = page.inches("single")
     entries = len(curves) if len(curves) > 1 else 0
     longest = max(len(curve.label) for curve in curves)

@@ -112,7 +112,8 @@ def _any(values: np.ndarray) -> np.ndarray:
 def _fine_paths(inner: np.ndarray, upward: np.ndarray) -> tuple[np.ndarray, ShortestPaths]:
     """Return units of weight (B,), and shortest paths by weights rounded down to whole units.
 
-    The unit is so fine that a path is 2^50 to 2^52 units long; paths have length 0 where the least weight is 0.
+    The unit is so fine that a path is 2^50 to 2^52 units long; paths have length 0 where the least weight is 0. inner,
+    upward : weights.
     """
     at_most = upward.sum(axis=1).min(axis=1)  # the weight of a straight cut
     lightest = np.minimum(*(np.min(of, axis=(1, 2), where=of > 0, initial=np.inf) for of in (inner, upward)))
