@@ -213,7 +213,8 @@ def _of_a_sample(
         proven, within = f"{within},", proof
     named = other_contacts(*doubtful)
     kinds = "".join(f", {words.replace(' ', ' is ' if words.startswith('1 ') else ' are ')}" for words in named)
-    states = "all proven" if not unproven else "none proven" if unproven == contacts else f"{unproven:,} not proven"
+    states = f"{unproven:,} states not proven" if unproven else "all states proven"
+    states = "no state proven" if unproven and unproven == contacts else states
     return (
         f"P = {'not finite' if power is None else format(power, '.12g')}, {proven} {within}; of "
         f"{contacts:,} contacts {slipping:,} slip, {slipless:,} do not{kinds}; {states}"

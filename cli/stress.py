@@ -67,7 +67,7 @@ def command(
     with Display(), open_sweep(out or default_run_path("stress"), cells) as sweep:
         finished = sweep.run(workers or available_threads(), lambda line: click.echo(line, err=True))
         paths = sweep.write()
-    wrong = [f"RED {cell['key']}: {cell['reason']}" for cell in sweep.red]
+    wrong = [f"{cell['outcome'].upper()} {cell['key']}: {cell['reason']}" for cell in sweep.red]
     words = [*lines_of(sweep.summary()), *wrong, str(sweep.folder)]
     answer(sweep.summary() | {"files": [str(path) for path in paths]}, as_json, lambda: "\n".join(words))
     context.exit(130 if not finished else 1 if sweep.red else 0)

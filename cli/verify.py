@@ -58,11 +58,11 @@ def describe(report: dict[str, Any], times: str = "") -> str:
         lines.append(f"  {sample}: {bound!r} <= least {law.minimises} <= {power!r}, a relative gap of {gap:.1e}")
         proven = [f"{states['slipping']:,} slip and {states['slipless']:,} do not at any minimum"]
         if states["tied"]:
-            proven.append(f"{states['tied']:,} tied: slipping at some, at rest at others")
+            proven.append(f"{states['tied']:,} tied: they slip at some minima and not at others")
         if states["unproven"]:
             proven.append(f"{states['unproven']:,} unproven" + (f" ({reason})" if reason else ""))
         elif unique:
-            proven.append("there is only one")
+            proven.append("there is only one minimum")
         lines.append(f"    contacts: {'; '.join(proven)}")
     lines += [
         f"  the lower bound is {proof}"

@@ -167,7 +167,7 @@ def always_heard() -> None:
         """Handle what a destructor or a callback could not raise."""
         if what.exc_type is not None and issubclass(what.exc_type, KeyboardInterrupt):
             again_soon()
-        elif not leaving.heard():  # what is torn down does not matter
+        elif not leaving.heard():  # errors of objects that end with the process do not matter
             unraisable(what)
 
     def failed(what: Any) -> None:

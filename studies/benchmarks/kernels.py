@@ -44,10 +44,10 @@ def measure(plan: Plan, precision: str, threads: int) -> Found:
     runtime.start("cpu", precision, threads)
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         for shape in plan.shapes:
-            needed, room = BYTES[len(shape)] * prod(shape), SPARE * free_bytes()
-            if needed > room:
+            needed, most = BYTES[len(shape)] * prod(shape), SPARE * free_bytes()
+            if needed > most:
                 name = "x".join(map(str, shape))
-                yield f"{name} is left out: it needs {needed / 1e9:.1f} GB, {room / 1e9:.1f} GB may be taken"
+                yield f"{name} is left out: it needs {needed / 1e9:.1f} GB, and {most / 1e9:.1f} GB may be used"
                 continue
             yield from _of_shape(plan, Scene.random(shape), precision, threads, Path(folder))
 

@@ -18,7 +18,7 @@ size and s the share of discs that roll.
 * Both together: s n^(1/2) is a function of n / L^(2/3), constant where that is large.
 
 In any case a vanishing density stops large bearings. Every sample is solved exactly, by cuts of the double cover.
-Contacts across the squares of cubic lattices of spheres are put beside: proven minima.
+For comparison the same is done with contacts across the squares of cubic lattices of spheres, whose minima are proven.
 """
 
 from collections.abc import Mapping, Sequence

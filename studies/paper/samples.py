@@ -167,8 +167,8 @@ def computed(parts: Sequence[Part], journal: Path, name: str, workers: int = 0) 
     missing = [part for part in parts if part.key not in known]
     units = [(part,) for part in missing]
     if workers == 0 and missing:
-        room = SPARE * free_bytes() / max(bytes_of(part.settings) for part in missing)
-        workers = paying_workers(missing, max(1, int(min(runtime.available_threads(), room))), structure=True)  # type: ignore[arg-type]
+        fitting = SPARE * free_bytes() / max(bytes_of(part.settings) for part in missing)  # workers in the memory
+        workers = paying_workers(missing, max(1, int(min(runtime.available_threads(), fitting))), structure=True)  # type: ignore[arg-type]
         units = units_of(missing, True, workers)  # type: ignore[arg-type, assignment]
     cost = {part.key: seconds_of(part.settings, structure=True) for part in missing}
     with Journal(journal) as kept, closing(_records(missing, units, workers)) as records:

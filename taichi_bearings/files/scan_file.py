@@ -199,7 +199,7 @@ def read_scan(scan: Path) -> StoredScan:
         sets = {str(name): group[str(name)] for name in group.attrs["columns"]}
         table = {name: (s.asstr() if h5py.check_string_dtype(s.dtype) else s)[()] for name, s in sets.items()}
         edges, count = (file[f"histogram/{name}"][()] for name in ("edges", "count"))
-        none = np.zeros(len(count), dtype=np.int64)  # in layout 1 tied contacts counted as undecided
+        none = np.zeros(len(count), dtype=np.int64)  # in layout 1 tied contacts are among the undecided ones
         lacks = {"tied"} if file.attrs["schema_version"] == 1 else set()
         of_states = [none if name in lacks else file[f"histogram/{name}"][()] for name in CONTACT_SETS]
         is_real = edges.dtype.kind == "f" and edges.ndim == 1 and ((edges > 0) & (edges < np.inf)).all()

@@ -90,7 +90,7 @@ def read_journal(path: Path, fits: Callable[[Any], bool] = _has_key) -> dict[str
             samples[sample["key"]] = sample
         elif line.endswith(b"\n"):
             logging.getLogger(__name__).warning(
-                "bearings: line %d of %s is damaged; its sample counts as missing", number, path
+                "bearings: line %d of %s is damaged; its sample is taken for missing", number, path
             )
     return samples
 

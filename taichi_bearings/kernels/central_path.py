@@ -123,7 +123,7 @@ def aimed(values: ti.template(), at: ti.template(), head, tail: ti.template(), m
 @ti.func
 def reach(head, tail: ti.template(), head_step, tail_step: ti.template()):
     """Return the largest a for which (head, tail) + a * (head_step, tail_step) stays in the cone."""
-    # a solves quadratic * a^2 + 2 linear * a + constant = 0; the smallest positive root counts
+    # a is the smallest positive root of quadratic * a^2 + 2 linear * a + constant = 0
     quadratic = head_step * head_step - dot(tail_step, tail_step)
     linear = head * head_step - dot(tail, tail_step)
     constant = determinant(head, tail)

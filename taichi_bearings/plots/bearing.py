@@ -188,12 +188,12 @@ def one_panel(network: Network, page: Page) -> tuple[Figure, Any, Sheet, float, 
     wide, tall = np.diff(sheet.corners, axis=0)[0]
     below = tall < LEAST_HEIGHT * wide
     width = page.inches("single")
-    room = width - BAR * (not below)
-    height = room * float(np.clip(tall / wide, 0.2, 2.0))
+    panel = width - BAR * (not below)
+    height = panel * float(np.clip(tall / wide, 0.2, 2.0))
     figure = new_figure(width, height + (0.5 if below else 0.1), page.dpi)
     axes = figure.add_subplot()
     sheet.frame(axes)
-    return figure, axes, sheet, sheet.site(room, height), BELOW if below else {}
+    return figure, axes, sheet, sheet.site(panel, height), BELOW if below else {}
 
 
 def line_on_site(site: float, share: float, least: float = 0.4, most: float = 1.5) -> float:

@@ -112,7 +112,7 @@ class DaskEngine(LocalEngine):
             time.sleep(seconds)
         found = super().collect(seconds)
         if self.client.status != "running":  # then its units are cancelled
-            raise BearingsError("the connection to the Dask scheduler is lost; the same scan again goes on")
+            raise BearingsError("the connection to the Dask scheduler is lost; the same command continues the scan")
         return found
 
     def close(self) -> None:

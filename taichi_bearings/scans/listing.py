@@ -103,10 +103,10 @@ def _values_of_run(path: Path) -> dict[str, Any]:
     if not has_summary and not has_run:
         return {"status": "unfinished"}
     if not has_summary or not has_run:
-        raise InputError(f"it has no {'run.h5' if has_summary else 'summary.json'} beside the other one")
+        raise InputError(f"it has no {'run.h5' if has_summary else 'summary.json'}")
     summary = read_json(path / "summary.json")
     if not isinstance(summary, dict):
-        raise InputError("its summary.json is no object")
+        raise InputError("its summary.json is no JSON object")
     for name, (kind, can_lack) in SUMMARY_KEYS.items():
         if not _fits(summary.get(name), kind, can_lack):
             raise InputError(f"its summary.json has no usable {name}")

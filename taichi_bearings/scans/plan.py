@@ -145,7 +145,7 @@ def _read(path: Path, overrides: Sequence[str] = ()) -> tuple[dict[str, Any], li
     """Return the keys that all samples share, and the axes of the grid, those of single keys first."""
     refuse_run(path)
     if path.suffix in (".h5", ".hdf5"):
-        raise FileError(f"{path} holds results and describes no scan; `bearings scan {path.parent}` goes on with one")
+        raise FileError(f"{path} holds results, not a scan file; `bearings scan {path.parent}` continues a scan there")
     document = read_toml(path)
     scan = document.pop("scan", {})
     if not isinstance(scan, dict):

@@ -96,7 +96,7 @@ def missing_samples(
         try:
             read_run(state)
         except FileError as error:
-            _warn(f"a kept state counts as missing: {error}")
+            _warn(f"a kept state is taken for missing: {error}")
             return False
         return True
 
@@ -192,7 +192,7 @@ def scan(
             course.write_files()
         except FileError as error:
             kept = len(parts.read_journals(folder))  # some of those that were being written too
-            raise FileError(f"{error}; {kept:,} samples are kept there, and the same scan again goes on") from None
+            raise FileError(f"{error}; {kept:,} samples are kept there, and the same command continues") from None
     return course.report(stopped.is_set()) | {"workers": engine.workers}
 
 

@@ -167,7 +167,7 @@ def test_the_gap_between_slipping_and_slipless_contacts_is_told(tmp_path):
     assert summary["separation_decades"] > 10
     assert summary["undecided"] == 0
     told = bearings("run", "--shape", "5,5,5", "--out", tmp_path / "s").stdout
-    assert "; all proven" in told
+    assert "; all states proven" in told
 
 
 def test_not_reaching_the_tolerance_is_exit_code_1_with_a_result(tmp_path):

@@ -210,7 +210,7 @@ def test_lines_of_a_journal_that_are_no_samples_count_as_missing(corpus, tmp_pat
     answer = bearings("scan", tmp_path, "--merge")
     assert not answer.fault, answer.fault
     assert answer.returncode == 1
-    assert "is damaged; its sample counts as missing" in caplog.text
+    assert "is damaged; its sample is taken for missing" in caplog.text
 
 
 @pytest.mark.parametrize(("name", "value"), [("law", "\x1b\n"), ("shape", "4x"), ("law", "springs")])

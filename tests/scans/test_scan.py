@@ -133,7 +133,7 @@ def test_structure_and_states_are_kept_on_demand(plan_of, tmp_path, caplog):
         caplog.clear()
         damaged.write_bytes(content)
         assert scan(plan, tmp_path / "scan", engine=Here(True, states))["solved_now"] == 1
-        assert f"a kept state counts as missing: {damaged} " in caplog.text
+        assert f"a kept state is taken for missing: {damaged} " in caplog.text
         read_run(damaged)
     assert scan(plan, tmp_path / "scan")["solved_now"] == 0
 

@@ -140,7 +140,7 @@ def test_a_sweep_goes_on_from_its_journal_and_a_wrong_cell_fails_it(tmp_path):
         journal.append([too_low])
     again = sweep(tmp_path)
     assert again.exit_code == 1  # it is judged anew, whatever the journal says
-    assert f"RED {key}: the value -1.0 is below the least one" in again.stdout
+    assert f"WRONG {key}: the value -1.0 is below the least one" in again.stdout
     assert len(read_journal(tmp_path / "cells.jsonl")) == len(kept)
     strange = [record | of | {"key": one} for one, of in zip(kept, ({"version": "0.1"}, {"answer": 3}), strict=False)]
     with Journal(tmp_path / "cells.jsonl") as journal:

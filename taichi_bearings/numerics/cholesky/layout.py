@@ -161,9 +161,9 @@ def _places(parent: np.ndarray, size: np.ndarray, batches: list[np.ndarray]) -> 
     for number, members in enumerate(batches):
         ends = np.cumsum(size[members])
         length = int(ends[-1])
-        which = next(i for i, (_, room) in enumerate(free) if room >= length)
-        start, room = free[which]
-        free[which : which + 1] = [(start + length, room - length)] if room > length else []
+        which = next(i for i, (_, stretch) in enumerate(free) if stretch >= length)
+        start, whole_length = free[which]
+        free[which : which + 1] = [(start + length, whole_length - length)] if whole_length > length else []
         peak, places[members] = max(peak, start + length), start + ends - size[members]
         if parent[members[0]] >= 0:  # all of a batch is used by one other
             waiting[batch[parent[members[0]]]].append((start, length))
