@@ -54,7 +54,9 @@ def command(run: Path, replica: int, analyse: bool, form: str, out: Path | None,
     from taichi_bearings.export.vtkhdf import export
 
     if analyse and form != "vtkhdf":
-        raise InputError(f"analyse is given, but a problem in {form} has nothing of the structure; leave it out")
+        raise InputError(
+            f"analyse is given, but a problem in {form} holds nothing of the structure; leave --analyse out"
+        )
     with Display():
         report = (
             export(run, out, force, replica, analyse)

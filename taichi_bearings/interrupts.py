@@ -181,8 +181,9 @@ def always_heard() -> None:
 class Interrupt:
     """Hears Ctrl-C or a batch queue's SIGTERM without breaking off a step.
 
-    A second signal ends the process, unless it comes so soon that the step cannot have ended. heard : a signal has
-        come.
+    A second signal ends the process, unless it comes so soon that the step cannot have ended.
+
+    heard : a signal has come.
     """
 
     def __init__(self) -> None:

@@ -117,7 +117,7 @@ def read_json(path: Path) -> Any:
 def parse_json(text: str) -> Any:
     """Return what a text of JSON holds; ValueError or RecursionError if it is no JSON, or would take much memory."""
     if len(text) > MOST_JSON or text.count("[") + text.count("{") > MOST_PARTS:
-        raise ValueError("it is too long, or has too many lists and tables")
+        raise ValueError("the text is too long, or has too many lists and tables")
     return json.loads(text)
 
 

@@ -96,7 +96,7 @@ class ConicProgramme:
 def conic_programme(scene: Scene) -> ConicProgramme:
     """Return the least power of `scene`, which must have one replica, as a conic programme."""
     if scene.replicas != 1:
-        raise InputError(f"the scene has {scene.replicas} replicas; a conic programme describes one")
+        raise InputError(f"the scene has {scene.replicas} replicas; a conic programme is of one sample")
     if scene.law.holds and scene.law.flows:
         raise InputError(f"law is {scene.law}; only one coefficient a contact can be written as a conic programme")
     system = ContactSystem.of(scene)

@@ -109,7 +109,7 @@ def without_idle_spin(staggered: np.ndarray) -> np.ndarray:
 
 
 def intermediate_spheres(scene: Scene, spin: np.ndarray) -> np.ndarray:
-    """Return the number (R,) of free spheres that rotate neither with the bottom nor with the top, to 1e-3 of the
+    """Return the number (R,) of free spheres that rotate neither with the bottom nor with the top, to 0.001 of the
     jump.
     """
     axes = scene.minimum_spin_axes

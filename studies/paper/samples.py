@@ -266,8 +266,9 @@ def drawn(
 def shared_numbers(structure: Structure, *names: str) -> dict[str, Any]:
     """Return numbers of a minimum that studies share, and numbers of `bearings analyse` by their `names`.
 
-    Fractions are of the free spheres. intermediate : share of them that are not locked to a driven plane in all
-        components.
+    Fractions are of the free spheres.
+
+    intermediate : share of them that are not locked to a driven plane in all components.
     """
     cut, free = structure.interface, structure.network.free
     assert cut is not None  # as a lattice has two planes

@@ -179,6 +179,7 @@ def _in_units(force: int = 0, length: int = 0, time: int = 0) -> Callable[..., C
     """
 
     def change(case: Case, value: float, row: Row, name: str) -> Case:
+        """Return the case with all its units changed, so that the number of this name is multiplied by the value."""
         two = 2.0 ** round(np.log2(value))
         flow = two ** (force + time - length)  # of viscosities and dampers
         scene, owned = case.scene, options_of(ROWS[row.method])

@@ -41,6 +41,7 @@ def _is_whole(line: bytes) -> bool:
 
 
 def _has_key(record: Any) -> bool:
+    """Return True for a record that has a key, which is a text."""
     return isinstance(record, dict) and isinstance(record.get("key"), str)
 
 

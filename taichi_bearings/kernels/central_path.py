@@ -352,9 +352,10 @@ def _pass(
 ) -> tuple[Callable, Callable]:
     """Return kernels that walk a law over contacts with one slipping component, and with two.
 
-    Each is compiled only where there are such contacts. iterate, step : rows that the law writes, of contacts with one
-        and
-    with two components. finds : see :func:`walk`.
+    Each is compiled only where there are such contacts.
+
+    iterate, step : rows that the law writes, of contacts with one and with two components.
+    finds : see :func:`walk`.
     """
     return _walked(law, (iterate[0], step[0]), finds, (0,)), _walked(law, (iterate[1], step[1]), finds, (0, 1))
 

@@ -37,8 +37,10 @@ def coulomb_force(spin_difference: ti.template(), coefficients: ti.template(), s
     """Return the friction force along D: its full size where |D| sharpness >= 1, where the contact slips, and linear
     below.
 
-    That is paper Eq. (3) with its cases in the right order. coefficients : friction mu F_n first. sharpness : 1 over
-        the largest |D| that is taken for no slip.
+    That is paper Eq. (3) with its cases in the right order.
+
+    coefficients : friction mu F_n first.
+    sharpness : 1 over the largest |D| that is taken for no slip.
     """
     friction = coefficients[0]
     if ti.static(len(spin_difference) == 1):

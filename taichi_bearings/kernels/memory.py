@@ -108,8 +108,9 @@ def load_neighbours(
 
 @ti.func
 def load_neighbour(values: ti.template(), place, side: ti.template(), way: ti.template(), block: ti.template()):
-    """Return the number of one neighbour of each site of a block, of one row. place : where that of the block itself
-        is.
+    """Return the number of one neighbour of each site of a block, of one row.
+
+    place : where that of the block itself is.
 
     side, way : see :func:`load_neighbours`.
     """

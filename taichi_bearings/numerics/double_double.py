@@ -52,6 +52,7 @@ def _halves(a: np.ndarray) -> Pair:
 
 
 def add(x: Pair, y: Pair) -> Pair:
+    """Return x + y, summing the high and the low parts with what their rounding leaves out."""
     high, rest = two_sum(x[0], y[0])
     low, more = two_sum(x[1], y[1])
     high, rest = two_sum(high, rest + low)
@@ -59,10 +60,12 @@ def add(x: Pair, y: Pair) -> Pair:
 
 
 def subtract(x: Pair, y: Pair) -> Pair:
+    """Return x - y."""
     return add(x, (-y[0], -y[1]))
 
 
 def multiply(x: Pair, y: Pair) -> Pair:
+    """Return x * y; the product of the low parts is too small to matter."""
     high, rest = two_product(x[0], y[0])
     return two_sum(high, rest + (x[0] * y[1] + x[1] * y[0]))
 
@@ -74,6 +77,7 @@ def scaled(factor: np.ndarray, x: Pair) -> Pair:
 
 
 def square(x: Pair) -> Pair:
+    """Return x * x."""
     high, rest = two_square(x[0])
     return two_sum(high, rest + 2 * (x[0] * x[1]))
 

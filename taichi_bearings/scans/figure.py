@@ -138,7 +138,7 @@ def columns_of(scan: StoredScan, request: Request) -> dict[str, np.ndarray]:
             try:
                 found = values == float(value)
             except ValueError:
-                raise InputError(f"where is {condition!r}; {key} has numbers") from None
+                raise InputError(f"where is {condition!r}; {key} has numbers, so VALUE must be one") from None
         if not found.any():
             known = [str(v) for (v,) in groups(table, [key])]
             some = ", ".join(known[:20]) + " ..." * (len(known) > 20)
@@ -152,7 +152,7 @@ def points_of(columns: Mapping[str, np.ndarray], request: Request) -> Points:
     names, terms = request.y.split("/"), list[np.ndarray]()
     for name in names:
         if columns[name].dtype == object:
-            raise InputError(f"y is {name!r}, which has texts; it must have numbers")
+            raise InputError(f"y is {name!r}, a column of texts; it must be one of numbers")
         terms.append(columns[name].astype(float))
     if len(terms) > 2:
         raise InputError(f"y is {request.y!r}; it must be a column, or one over another as in power/power_minimum_cut")

@@ -107,8 +107,9 @@ def refuse_unused(plan: ScanPlan, folder: Path, is_here: bool = False) -> None:
     """Raise InputError for a given setting that no method and no law of the scan uses, and for samples that cannot be
     solved.
 
-    Where the scan goes on in its folder, an unused setting is named in a warning only. is_here : solved on this
-        machine.
+    Where the scan goes on in its folder, an unused setting is named in a warning only.
+
+    is_here : solved on this machine.
     """
     found, used = dict[str, str](), set[str]()
     for group in groups_of(plan.samples):  # all but their seeds alike
