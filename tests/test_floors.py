@@ -91,10 +91,40 @@ KINDS_ASKED_FOR = {
 }  # fmt: skip
 """Modules that look at the class of what is solved: front doors, and those that only packings come to."""
 
+SLICES = {"proof.grid", "proof.on_lattice", "scene.interface", "scene.network"}
+"""Modules that work on the slices of a lattice: its network, its lightest cuts, and two of the proofs."""
+FILES_AND_FIGURES = {"export", "files", "kernels", "lattice", "numerics", "plots", "view"}
+"""Floors whose arrays or pictures have the shape of a lattice, or that work on its strides."""
+LATTICES_ASKED_FOR = SLICES | {
+    "analysis.domains", "analysis.network", "analysis.structure", "quantities", "runs.analysis", "runs.caveats",
+    "runs.cost", "runs.figures", "runs.points_and_lines", "runs.result", "runs.run", "runs.run_layout",
+    "runs.settings", "runs.stored_structure", "runs.structure_report", "runs.verify", "runs.writing",
+    "scans.estimate", "scans.histogram", "scans.sample", "scans.scan", "scans.stored_scans", "scene.solution",
+    "solvers.answer", "solvers.cundall_strack", "solvers.drive", "solvers.method", "solvers.on_lists",
+    "solvers.on_strides",
+}  # fmt: skip
+"""Modules that ask whether what is solved is a lattice, or take it for one."""
+
+
+def asking(pattern: str) -> set[str]:
+    """Names of the modules of the package in which a pattern stands outside the heads of functions."""
+    asks, heads = re.compile(pattern), re.compile(r"def \w+\(")
+    found = {f for f in FILES if asks.search(heads.sub("def (", f.read_text()))}
+    return {".".join(f.relative_to(ROOT / "taichi_bearings").with_suffix("").parts) for f in found}
+
 
 def test_what_is_behind_the_front_doors_takes_any_bearing():
     """A module that asks which door was taken is one more place to change for a third one: this list gets shorter."""
-    asks = re.compile(r"isinstance\([^()]*, \(?(Bearing|Scene|Packing)\b|cast\(Packing")
-    found = {f for f in FILES if asks.search(f.read_text())}
-    names = {".".join(f.relative_to(ROOT / "taichi_bearings").with_suffix("").parts) for f in found}
+    names = asking(r"isinstance\([^()]*, \(?(Bearing|Scene|Packing)\b|cast\(Packing")
     assert names <= KINDS_ASKED_FOR, names - KINDS_ASKED_FOR
+
+
+def test_no_other_module_asks_whether_it_is_a_lattice():
+    """This list gets shorter, too: what differs is said by the network, the driving and the graph of what is judged."""
+    names = asking(
+        r"\bof_(lattice|packing)\(|\b(network|whole|place)\.lattice\b|\bis_packing\b|isinstance\([^()]*, \(?Grid\b"
+    )
+    names = {name for name in names if name.split(".")[0] not in FILES_AND_FIGURES}
+    assert names <= LATTICES_ASKED_FOR, names - LATTICES_ASKED_FOR
+    beyond = {name for name in LATTICES_ASKED_FOR if name.split(".")[0] in {"proof", "conic"}} - SLICES
+    assert not beyond, "the proofs and the central path take any network"

@@ -223,18 +223,15 @@ def larger_spin(spin_top: float, spin_bottom: float) -> str:
 
 def driving(scene: Bearing) -> tuple[float, str]:
     """Return the imposed spin that is the unit of times and powers, 1/time, and its symbol; of packings 1 and ""."""
-    if scene.network.lattice is None:
-        return 1.0, ""
-    top, bottom = of_lattice(scene).imposed
-    return (abs(top), SPEED_OF[True]) if top else (abs(bottom) or 1.0, SPEED_OF[False])
+    natural = scene.natural_spin
+    return (1.0, "") if natural is None else (natural, SPEED_OF[bool(scene.sides[0])])
 
 
 def power_unit(scene: Bearing) -> tuple[float, str]:
     """Return the unit of power, energy/time, and its symbol; 1 and "" without friction, or of packings."""
     spin, symbol = driving(scene)
-    if scene.network.lattice is None or not scene.law.holds:
-        return 1.0, ""
-    return scene.strength * scene.slip_radius * spin, rf"F_n R\,{symbol}"
+    unit = scene.natural_energy
+    return (1.0, "") if unit is None else (unit * spin, rf"F_n R\,{symbol}")
 
 
 def time_label(symbol: str) -> str:
@@ -244,9 +241,8 @@ def time_label(symbol: str) -> str:
 
 def energy_unit(scene: Bearing) -> tuple[float, str]:
     """Return the unit of energy, and its symbol; 1 and "" without friction, or of packings."""
-    if scene.network.lattice is None or not scene.law.holds:
-        return 1.0, ""
-    return scene.strength * scene.slip_radius, r"F_n R"
+    unit = scene.natural_energy
+    return (1.0, "") if unit is None else (unit, r"F_n R")
 
 
 def over(symbol: str, unit: str, without: str) -> str:

@@ -13,15 +13,14 @@ from taichi_bearings.errors import DeviceError, InputError
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.options import options_of
 from taichi_bearings.packing import solve_packing
-from taichi_bearings.packing.starts import start_of
 from taichi_bearings.proof.contact_state import by_threshold, decided, what_is_proven
 from taichi_bearings.runs.result import Result
 from taichi_bearings.runs.settings import OF_SIDES, SIZES, RunSettings
 from taichi_bearings.runs.torque import refuse_driven, under_torque
 from taichi_bearings.scene import Bearing, Solution, Status
 from taichi_bearings.scene.array_files import read_arrays, read_coefficients
-from taichi_bearings.scene.initial_spins import STARTS
-from taichi_bearings.scene.packing import Packing, of_packing
+from taichi_bearings.scene.initial_spins import STARTS, initial_spin
+from taichi_bearings.scene.packing import Packing
 from taichi_bearings.scene.readers.found import TOLERANCE, Sides, completed
 from taichi_bearings.solvers.table import METHODS, InteriorPoint, MethodOptions, row_of_packing
 from taichi_bearings.stages import stage
@@ -229,7 +228,7 @@ def _stepped(
     monitors: Sequence[Any] = (),
     checkpoints: Any = None,
 ) -> Solution:
-    """A dynamics or descent of a packing. start : as of `start_of`. density : as of `Packing.inertias`. monitors,
+    """A dynamics or descent of a packing. start : as of `initial_spin`. density : as of `Packing.inertias`. monitors,
     checkpoints : as of `solvers.drive.solve`."""
     from taichi_bearings.solvers.drive import solve  # and with it Taichi's kernels
     from taichi_bearings.solvers.dynamics import Dynamics
@@ -241,5 +240,5 @@ def _stepped(
         method.density = density
     elif density is not None:
         raise InputError(f"density is given, but {options.name} has no use for it; dynamics have")
-    spin = packing.laboratory_spin(start_of(of_packing(packing), start), packing.minimum_spin_axes)
+    spin = initial_spin(packing, start, "start")
     return solve(packing, method, spin, StopRule.of(settings), monitors, None, Recording.of(settings), checkpoints)

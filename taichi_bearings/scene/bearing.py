@@ -138,6 +138,16 @@ class Bearing(ABC):
         return self.driving.fastest
 
     @property
+    def natural_spin(self) -> float | None:
+        """The imposed spin in which times and powers are counted, 1/time; None where none stands out."""
+        return self.driving.natural_spin
+
+    @property
+    def natural_energy(self) -> float | None:
+        """F_n R, in which energies are counted, and torques; None without friction or without such a spin."""
+        return self.strength * self.slip_radius if self.law.holds and self.natural_spin is not None else None
+
+    @property
     def slip_radius(self) -> float:
         """Length by which a difference of spins, as they are carried, is multiplied to be a slip; 1 where they are
         carried as u = R omega."""

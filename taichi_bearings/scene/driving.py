@@ -141,6 +141,11 @@ class Driving:
         return float(np.linalg.norm(self.speed, axis=1).max(initial=0.0))
 
     @property
+    def natural_spin(self) -> float | None:
+        """The imposed spin in which times and powers are counted, 1/time; None where none stands out."""
+        return None
+
+    @property
     def largest_spin(self) -> float:
         """The largest imposed spin in the laboratory, 1/time; 1 where all are 0."""
         spin = self.spin.reshape(self.network.spheres, -1)[~self.network.free]
@@ -385,6 +390,12 @@ class Planes(Driving):
     def fastest(self) -> float:
         """The larger of the sizes of both spins, 1/time."""
         return max(map(abs, self.sides))
+
+    @property
+    def natural_spin(self) -> float:
+        """The size of the spin of the top, of the bottom where the top is at rest, 1 where both are; 1/time."""
+        top, bottom = self.sides
+        return abs(top) or abs(bottom) or 1.0
 
     @property
     def largest_spin(self) -> float:
