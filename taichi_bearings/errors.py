@@ -1,6 +1,6 @@
 """Exceptions that a user may see: each message is one sentence that names the offending value."""
 
-MOST_LETTERS = 1000  # of a message; the middle of a longer one is left out
+MOST_LETTERS = 1000  # most letters of a message; the middle of a longer one is left out
 
 
 class BearingsError(Exception):

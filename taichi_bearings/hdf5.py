@@ -23,7 +23,7 @@ from taichi_bearings.plain_files import CLAIMED_BYTES, CLAIMED_FACTOR, opened
 LAYOUT = 2  # version of all files of the package
 READ_LAYOUTS = (1, LAYOUT)  # versions that are read
 UNREADABLE = (OSError, KeyError, ValueError, TypeError, AttributeError, IndexError, RuntimeError)
-"""What HDF5 and NumPy raise at damaged files."""
+"""Exceptions that HDF5 and NumPy raise at damaged files."""
 GZIP_FACTOR = 1032  # most bytes that gzip can make of one
 UNPACKED_BYTES = 2**20  # a data set may claim so many bytes whatever is stored
 FILTERS = {1: "gzip", 2: "shuffle", 3: "fletcher32", 32000: "lzf"}

@@ -13,7 +13,7 @@ from numpy.typing import DTypeLike
 from taichi_bearings.errors import InputError
 
 CGROUP = Path("/sys/fs/cgroup")
-LITTLE_BYTES = 1e8  # for so little the free memory is not looked at
+LITTLE_BYTES = 1e8  # if less is needed the free memory is not looked at
 # options of mallopt of the GNU C library, in bytes: M_MMAP_THRESHOLD, from which an array gets memory of its own, given
 # back at once; M_TRIM_THRESHOLD, free memory at the end of the heap from which that is given back; M_TOP_PAD, by how
 # much the heap grows at a time

@@ -25,7 +25,7 @@ MOST_THREADS = 64  # most threads that a kernel shares its work among
 
 @dataclass(frozen=True)
 class Runtime:
-    """What the running Taichi runtime was started with.
+    """The choice with which the running Taichi runtime was started.
 
     arch : cpu, cuda, vulkan or metal. precision : f64 or f32. threads : on a CPU.
     """

@@ -44,7 +44,7 @@ class Stage:
 
 @dataclass(frozen=True)
 class Step:
-    """Where a descent stands that ends at a given gap.
+    """The progress of a descent that ends at a given gap.
 
     iteration : steps so far. power, gap : reached by them. aim : gap at which it ends; the gap falls by equal factors
         in equal times.

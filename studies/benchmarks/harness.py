@@ -105,7 +105,7 @@ def _enough(call: Callable[[int], None], seconds: float) -> int:
 
 @dataclass(frozen=True)
 class Plan:
-    """How much is measured.
+    """The extent of the measurements.
 
     shapes, precisions, slice_seconds : of the kernels; the last is about how long a timed call takes.
     scenes : (shape, law) that every method solves, each for at most `seconds`.
@@ -148,7 +148,7 @@ class Benchmark:
 
 @dataclass
 class Report:
-    """What was measured, by the name of the benchmark.
+    """Measured rows, by the name of the benchmark.
 
     notes : what was left out and why. missing : other programs that are not here, and why.
     """

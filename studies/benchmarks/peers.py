@@ -144,7 +144,7 @@ def conic_programme(scene: Scene) -> ConicProgramme:
 
 @dataclass(frozen=True)
 class Answer:
-    """What a peer returned.
+    """The answer of a peer.
 
     power, lower_bound : of its spins and forces, by the certificate, energy/time.
     done : it says that it reached the tolerance.

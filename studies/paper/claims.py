@@ -120,7 +120,7 @@ class Claim:
 
 @dataclass(frozen=True)
 class Effort:
-    """How much is computed.
+    """The extent of the computations.
 
     seed : first seed of all samples. samples : number of seeds for a statistical claim.
     quick : the short form, with fewer iterations and sizes, too.

@@ -37,7 +37,7 @@ TALL, QUICK_TALL = (16, 64, 256, 1024), (16, 64, 256)  # heights of free scenes 
 FREE, OF_FREE = 16, 500  # length of free cuts, and samples of them for each sample of the effort
 LONG, QUICK_LONG = 96, 32  # length of cuts whose weights are compared with the law of Tracy and Widom
 TRACY_WIDOM, GUMBEL = -0.2241, -1.1395  # skewness of E
-THETA = 1 / 3  # of directed polymers; the next term of the variance goes like L^-THETA
+THETA = 1 / 3  # exponent of directed polymers; the next term of the variance goes like L^-THETA
 
 
 def draw(kind: str, length: int, height: int, samples: int, seed: int) -> dict[str, Any]:

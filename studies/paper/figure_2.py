@@ -29,9 +29,9 @@ STARTS = {"random": "random spins", "minimum-cut": "the minimum cut"}
 RUNS, RIGID_RUNS = 8, 3  # samples that are followed in time, by Cundall-Strack dynamics and without springs
 LARGER_SAMPLES = 20
 STIFFER, STIFFER_STEPS = 10.0, 30_000  # factor of the damping; steps after which springs bear all loads
-SPRINGS: Any = tuple({"color": colour, "lw": 1.3} for colour in (BLUE, ORANGE))  # by the start
+SPRINGS: Any = tuple({"color": colour, "lw": 1.3} for colour in (BLUE, ORANGE))  # lines, one for each start
 RIGID: Any = tuple({"color": colour, "lw": 0.8, "ls": (0, (4, 1.5))} for colour in ("#0b2545", "#6b2d00"))
-DRAWN_RADIUS = 0.36  # of the spacing: touching spheres would hide those behind
+DRAWN_RADIUS = 0.36  # of spheres, over the spacing: touching ones would hide those behind
 SEEN = View(20, -60)
 ARROW, LEAST_ARROW = 0.84, 0.02  # length of the arrow of the imposed spin; smaller spins have no arrow
 

@@ -1,4 +1,4 @@
-"""What of the paper's picture survives in large samples: shares, networks and domains against the side, to its limit.
+"""Asks what of the paper's picture survives in large samples: shares, networks and domains, extrapolated in the side.
 
 The scans in examples/studies have the samples, and anybody can start them alone: the paper's bearing from 4^3 to 48^3,
 and beside it, one thing at a time, periodic sides, another state of the top, a rate C, other distributions of friction.

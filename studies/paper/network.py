@@ -25,11 +25,11 @@ from .samples import Found, Table, measured, shared_numbers
 SHARE_OF_SAMPLES = {3: 1.0, 4: 1.0, 6: 0.5, 8: 0.25, 10: 0.2, 16: 0.1, 24: 0.025, 32: 0.025}
 """For each side of the cube, the number of samples as a share of those of the effort."""
 BULK, LARGE = 10, 24  # sides: the paper's own, and from which on most samples must span
-PRACTICALLY_ALL = 0.99  # of the free spheres
+PRACTICALLY_ALL = 0.99  # share of the free spheres
 THRESHOLDS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10)
 """Slips over R times the imposed jump, which is the largest slip there can be."""
 THRESHOLD = r"slip threshold, $|v|\,/\,(R\,|\Delta\omega|)$"
-COARSE = ("#f2c14e", "#e07a5f", "#b56576")  # of the first thresholds
+COARSE = ("#f2c14e", "#e07a5f", "#b56576")  # colours of the first thresholds
 VIEWED: dict[str, Callable[[Structure], Any]] = {
     "slipless": lambda structure: structure.contacts_in(ContactState.SLIPLESS),
     **{name: ANALYSED[name].of for name in ("spans", "reached_fraction", "spanning_fraction", "domains")},

@@ -1,4 +1,4 @@
-"""How many odd contacts stop a bearing of discs?
+"""Asks how many odd contacts stop a bearing of discs.
 
 Samples are square lattices to which contacts across diagonals are added, and honeycombs to which discs in the hexagons
 are added; with all of these a honeycomb is a triangular lattice, so it is one with vacancies on one of three
@@ -53,7 +53,7 @@ SIZES = {  # by L, samples for each sample of the effort; sizes that get less th
 }
 QUICK_OF_DISCS = {8: 5.0, 16: 5.0, 32: 2.5}
 QUICK_SIZES = {"square": QUICK_OF_DISCS, "triangular": QUICK_OF_DISCS, "cubic": {4: 1.0, 5: 1.0}}
-NUMBERS, QUICK_NUMBERS = (0, 1, 2, 4, 8, 16, 32, 64, 128, 256), (0, 2, 8, 32)  # of odd contacts
+NUMBERS, QUICK_NUMBERS = (0, 1, 2, 4, 8, 16, 32, 64, 128, 256), (0, 2, 8, 32)  # numbers of odd contacts
 DENSEST = 0.5  # odd contacts take at most this share of the places
 BOTTOMS = (0.0, 0.25, 0.5, 1.0)  # omega_B / omega_T
 # L of the lattices of discs whose bottom rotates, and samples of them for each sample of the effort

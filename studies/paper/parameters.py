@@ -40,7 +40,16 @@ VARIANTS = {  # stiffness, force / length; damping, force * time / length; norma
     "K = 1e4": (1e4, DAMPING, FORCE),
     "A = 1e2": (STIFFNESS, 1e2, FORCE),
 }
-COLOURS = ("#000000", "#E69F00", "#56B4E9", "#009E73", "#D55E00", "#CC79A7", "#8a8a8a", "#0072B2")  # by the variant
+COLOURS = (
+    "#000000",
+    "#E69F00",
+    "#56B4E9",
+    "#009E73",
+    "#D55E00",
+    "#CC79A7",
+    "#8a8a8a",
+    "#0072B2",
+)  # one for each variant
 GREATER, LOADED = ("K = 1e6", "A = 1e4", "K = 1e6, A = 1e4"), ("F_n = 5", "F_n = 500")
 
 

@@ -41,13 +41,13 @@ TIGHT = StopRule(1e-12)
 STEPS = 1_000_000  # most time steps; most samples of 3x3x3 are certified within 100 000
 END = 1e-8  # proven gap at which a relaxation has ended
 RIGID_END = 1e-10  # proven gap at which a relaxation without springs has ended
-TIMES = np.append(0.0, np.geomspace(1e-6, 1e2, 601))  # at which the power is recorded
+TIMES = np.append(0.0, np.geomspace(1e-6, 1e2, 601))  # times at which the power is recorded
 SPARE = 0.7  # share of the free memory that workers may take
 SAME = 1e-6  # relative difference up to which two powers are taken for equal
 HERE = Path(__file__).resolve()
 SCANS = next(filter(Path.is_dir, (HERE.parent / "scans", HERE.parents[2] / "examples/studies")))  # in a wheel, or not
 LEAST_SEEDS = 4  # least number of seeds of a scan
-ANY = RunSettings(threads=1)  # of parts that solve no sample in particular
+ANY = RunSettings(threads=1)  # settings of parts that solve no sample in particular
 
 
 class Table:
@@ -116,7 +116,7 @@ def curves(seeds: Sequence[int], **columns: np.ndarray) -> Table:
 
 @dataclass(frozen=True)
 class Found:
-    """What a study has found.
+    """The results of a study.
 
     tables : to be written, by the ends of their file names.
     draw : draws its figure from `named`, whose names are attributes there.

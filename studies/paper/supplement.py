@@ -40,7 +40,7 @@ COUNT = "contacts per bin"
 
 @dataclass(frozen=True)
 class Ending:
-    """Where a method has ended in one sample, for the n contacts that can slip.
+    """The end of a method in one sample, for the n contacts that can slip.
 
     power : (n,) over F_n R omega_T.
     slips : (n,) True if the contact slips at the minimum, or of a descent moves at all.

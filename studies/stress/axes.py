@@ -1,4 +1,4 @@
-"""What is tried: the axes of stress in one table, and the samples that they start from.
+"""The axes of stress in one table, and the samples that they start from.
 
 A *row* is a method, law, dimension, device and precision; an *axis* is a parameter that is taken to its extremes; a
 *cell* is one value of an axis on one row.
@@ -28,7 +28,7 @@ ROWS: dict[str, type[MethodOptions]] = {"auto": MethodOptions, **METHODS}
 
 @dataclass(frozen=True)
 class Row:
-    """What is stressed: a method, under a law, in a dimension, on a device."""
+    """One row of the report: a method, under a law, in a dimension, on a device, in a precision."""
 
     method: str
     law: str

@@ -26,7 +26,7 @@ NOTHING = Decimal("1e-40")  # a least cost below this share of that of even spin
 CLEAR = Decimal("1e-20")  # smaller slips over the jump, or margins over the friction, are taken for zero at the end
 WANTED = Decimal("1e-20")  # relative width of the enclosure
 MOST_STEPS = 4000
-SLIPLESS, SLIPPING, UNCLEAR = range(3)  # as in files
+SLIPLESS, SLIPPING, UNCLEAR = range(3)  # states of contacts, the first two as in files
 
 
 @dataclass(frozen=True)

@@ -63,7 +63,7 @@ class Lists:
 
     @property
     def measures(self) -> np.ndarray:
-        """What kernels must know of the lists: the lengths of the rows, and the lists themselves."""
+        """Integers that kernels need: the lengths of the rows, and the lists themselves."""
         return np.concatenate([self.size, self.ends, self.start, self.incident])
 
     def parts(self, spec: ListSpec) -> list[tuple[FieldSpec, Rows]]:

@@ -1,4 +1,4 @@
-"""What kernels are compiled for: which spin components each contact direction uses, and how many sites make a block.
+"""Constants that kernels are compiled for: spin components of each contact direction, and sites of a block.
 
 Letters: C spin components, R replicas, N the shape of the lattice, E contacts, V force components of a site.
 """

@@ -1,4 +1,4 @@
-"""Where sphere (r, i, j, k) lives in a field: flat, height fastest, with margins so that no stencil leaves the field.
+"""The place of sphere (r, i, j, k) in a field: flat, height fastest, with margins so that no stencil leaves the field.
 
 Every field is one-dimensional in sites: p = margin + ((r * nx + i) * ny + j) * nz + k. The upper neighbour along an
 axis is p + stride. A sphere on a side has no upper contact there: its coefficient is 0, so what lies at p + stride (the
@@ -20,7 +20,7 @@ from taichi_bearings.lattice.grid import Lattice
 
 
 class Rows(NamedTuple):
-    """Where the numbers of an array (C, *shape) lie in memory, in C rows.
+    """The places of the numbers of an array (C, *shape) in memory: C rows.
 
     length : from one row to the next.
     margin : numbers before the first one of a row.
@@ -77,7 +77,7 @@ class Layout:
 
     @cached_property
     def measures(self) -> tuple[int, int, int, int, int, int]:
-        """What kernels must know: length of a row, margin, blocks, strides along x and along y (in 2D along the
+        """Integers that kernels need: length of a row, margin, blocks, strides along x and along y (in 2D along the
         height), and sites of a replica, which are those of a ring along x.
         """
         stride_x, stride_y = (*self.strides, 1)[:2]

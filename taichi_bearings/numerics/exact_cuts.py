@@ -25,10 +25,10 @@ from taichi_bearings.numerics.minimum_cut import MinimumCut, edges_of, graph_of_
 
 @dataclass(frozen=True)
 class LightestCuts:
-    """What all cuts between the first and the last node of a graph have in common that are nearly as light as the
-    lightest.
+    """Properties that all cuts share which are as light as the lightest one, or nearly so.
 
-    "Nearly" means heavier than the lightest cut by no more than a slack, which the caller of `lightest_cuts` sets.
+    A cut is between the first and the last node of a graph. "Nearly" means heavier than the lightest cut by no more
+    than a slack, which the caller of `lightest_cuts` sets.
 
     near, far : (nodes,) True for nodes that lie on the side of the first, of the last node in each of these cuts.
     above : (nodes,) True on the far side of that lightest cut whose far side is largest.

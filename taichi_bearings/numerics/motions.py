@@ -21,14 +21,14 @@ NO_PIVOT, SURELY_ONE = 1e-10, 1e-9
 # Largest slip of a motion over its largest spin. Up to the first number it is rounding; above the second surely not.
 SLIPLESS_SLIP, SOME_SLIP = 1e-13, 1e-11
 PROBES = 4  # random sums of motions whose slips are looked at first
-MOST_PROBED = 4000  # up to so many motions are then looked at one by one
+MOST_PROBED = 4000  # if some of these slip, up to so many motions are looked at one by one
 CHUNK_MOTIONS = 100  # motions that are looked at together
-MOST_UNKNOWNS = 150_000  # for which elimination takes no more than minutes
+MOST_UNKNOWNS = 150_000  # with more unknowns elimination takes more than minutes
 
 
 @dataclass(frozen=True)
 class _Front:
-    """What elimination of one front leaves: x[kept] = -solve(top^T, below^T x[free and border]).
+    """The result of eliminating one front: x[kept] = -solve(top^T, below^T x[free and border]).
 
     kept, free : numbers of the front's own unknowns with and without a pivot. border : later unknowns that it is
         coupled to. top : Cholesky factor (kept, kept) of the pivots.

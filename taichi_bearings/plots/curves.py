@@ -25,7 +25,7 @@ ACCOUNTS = {
 }
 MOST_DECADES = 6  # decades of an axis on each side of zero
 MOST_TICKS = 9
-LEAST_RATIO = 30.0  # of the last to the first iteration or time, from which an axis is logarithmic
+LEAST_RATIO = 30.0  # an axis is logarithmic if its last iteration, or time, is so many times its first one
 
 
 @style.in_our_style

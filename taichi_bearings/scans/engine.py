@@ -44,7 +44,7 @@ LONGEST_WAIT = 2e6  # seconds; the system counts milliseconds in 31 bits
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a unit: a record of each sample, or the reason why there are none."""
+    """The outcome of a unit: a record of each sample, or the reason why there are none."""
 
     unit: Unit
     records: list[Record] | None

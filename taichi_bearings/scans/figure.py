@@ -52,7 +52,7 @@ Points = dict[tuple[Any, ...], list[Point]]  # by the values of the columns that
 
 @dataclass(frozen=True)
 class Request:
-    """What a figure of a scan shows.
+    """The choice of what a figure of a scan shows.
 
     y : a column, or A/B for the mean of A over the mean of B. x : a column.
     by : columns; each combination of their values is a curve.

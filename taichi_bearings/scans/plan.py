@@ -30,7 +30,7 @@ from taichi_bearings.runs.settings import (
 )
 from taichi_bearings.scene.initial_spins import STARTS
 
-MOST_SAMPLES = 5_000_000  # of a scan
+MOST_SAMPLES = 5_000_000  # most samples of a scan
 RANGES = (
     "{ start, stop } with an optional step (stop excluded), or { start, stop, number } with spacing = "
     '"linear" or "log" (both ends included)'

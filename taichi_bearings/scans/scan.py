@@ -41,7 +41,7 @@ LEAST_ALLOWED, ALLOWED = 600.0, 100.0  # a sample may take so many seconds, or s
 
 @dataclass
 class ScanProgress:
-    """Where a scan stands.
+    """The progress of a scan.
 
     total, done : samples in all, and with a result; `before` of these are of earlier calls. failed : samples without.
     running : samples in work, the first of each unit.

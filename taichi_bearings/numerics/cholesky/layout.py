@@ -33,7 +33,7 @@ class Batch:
 
 
 class Layout:
-    """Where everything is among the `size` doubles of a factorisation.
+    """The places of all numbers among the `size` doubles of a factorisation.
 
     columns : (fronts,) where the own columns of a front begin; they are (height, own) in Fortran order.
     update : (fronts,) where the update of its border begins. It is stored in panels of SHEET_COLUMNS columns from the

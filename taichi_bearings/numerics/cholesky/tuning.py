@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Price:
-    """What a part of the elimination tree costs beside its arithmetic, in operations.
+    """The cost of a part of the elimination tree beside its arithmetic, in operations.
 
     part : once for each part. column, update : for each number in its own columns, and in its update.
     """
@@ -20,8 +20,8 @@ class Price:
 
 LEAF_UNKNOWNS = 20  # a region of the lattice with no more unknowns is not divided
 # Engines: one dense block, all in one launch, fronts by BLAS
-BLOCK_UNKNOWNS = 400  # up to which an elimination tree costs more calls than it saves arithmetic
-LAUNCH_UNKNOWNS = 8_000  # below which calls of libraries and threads are not worth their while
+BLOCK_UNKNOWNS = 400  # with fewer unknowns an elimination tree costs more calls than it saves arithmetic
+LAUNCH_UNKNOWNS = 8_000  # with fewer unknowns calls of libraries, and threads, take longer than they save
 LAUNCH_PRICE = Price(part=4000, column=20, update=20)
 CALLS_PRICE = Price(part=1e5, column=40, update=80)  # a call costs as much as a thousand numbers that are copied
 # Memory
