@@ -36,7 +36,6 @@ ASIDE = ("is_", "set_dbg_info", "ast_builder", "get_shape", "get_raw_address", "
 SIMPLE = bool, int, float, str, type(None)
 COMPILER_MODULES = "taichi.lang."
 LIST, ITEM = "list of", "item of"  # steps of a walk that are no calls of the core
-GIVEN, CONSTANT, RESULT = range(3)  # where a value of a walk comes from
 PLAINLY, KIND, MEMBER = range(3)  # sorts of constants: what Python knows; types of numbers; members of enumerations
 Walk = tuple[list[str], list[tuple], list[tuple[int, tuple[int, ...], tuple[str, ...]]]]
 """Names of what is called; constants; calls: number of the name, which values, the names of the last of them. Values
@@ -158,9 +157,9 @@ class _Record:
     def __init__(self, core: Any) -> None:
         self.calls, self.functions = list[tuple[str, tuple, dict, Any]](), list[Any]()
         self._core, self._kinds = core, core.DataType
-        self._given = {kind: (GIVEN, n) for n, kind in enumerate(_given_kinds(core))}
-        self._constants, self._places = dict[Any, int](), dict[int, tuple[int, int]]()
-        self._steps = list[tuple[str, list, tuple, bool]]()
+        self._given = {kind: -1 - n for n, kind in enumerate(_given_kinds(core))}
+        self._constants, self._places = dict[Any, int](), dict[int, int]()
+        self._steps = list[tuple[str, list[int], tuple]]()
 
     def listening(self, name: str, function: Callable) -> Callable:
         """The same function; its calls are written down under this name."""
@@ -187,43 +186,56 @@ class _Record:
 
     def walk(self) -> Walk:
         """The same calls, but for those that only look at what nobody needs. Raises Unkept."""
-        checked = set[int]()
+        checked, known, given_kinds = set[int](), self._places, self._given
         for name, given, named, result in self.calls:
             if name == "Expr.type_check":  # once is enough for each expression
                 if id(given[0]) in checked:
                     continue
                 checked.add(id(given[0]))
-            self._note(name, [*given, *named.values()], tuple(named), result)
-        needed, kept = set[int](), list[int]()
-        for number in reversed(range(len(self._steps))):
-            _, places, _, only_looks = self._steps[number]
-            if number in needed or not only_looks:
+            places = list[int]()
+            for value in (*given, *named.values()) if named else given:
+                at = known.get(id(value))
+                if at is None:
+                    at = given_kinds.get(type(value))
+                places.append(self._place(value) if at is None else at)
+            self._note(name, places, tuple(named), result)
+        return self._needed()
+
+    def _needed(self) -> Walk:
+        """The steps that leave something behind, or that one of these needs."""
+        steps, needed, kept = self._steps, bytearray(len(self._steps)), list[int]()
+        looks = {name: name.rpartition(".")[2].startswith(QUERIES) for name in {step[0] for step in steps}}
+        for number in range(len(steps) - 1, -1, -1):
+            if needed[number] or not looks[steps[number][0]]:
                 kept.append(number)
-                needed.update(at for kind, at in places if kind == RESULT)
+                for at in steps[number][1]:
+                    if at >= 0:
+                        needed[at] = 1
         kept.reverse()
-        first = len(self._given) + len(self._constants)
-        numbers = {(RESULT, number): first + n for n, number in enumerate(kept)}
-        numbers |= {(CONSTANT, n): len(self._given) + n for n in range(len(self._constants))}
-        numbers |= {(GIVEN, n): n for n in range(len(self._given))}
-        names = {name: n for n, name in enumerate(sorted({self._steps[number][0] for number in kept}))}
-        steps = [self._steps[number] for number in kept]
-        calls = [(names[name], tuple(numbers[at] for at in places), named) for name, places, named, _ in steps]
+        begin = len(self._given) + len(self._constants)
+        moved = dict(zip(kept, range(begin, begin + len(kept)), strict=True))
+        moved |= {-1 - n: n for n in range(begin)}
+        names = {name: n for n, name in enumerate(sorted({steps[number][0] for number in kept}))}
+        found = [steps[number] for number in kept]
+        calls = [(names[name], tuple([moved[at] for at in places]), named) for name, places, named in found]
         return list(names), list(self._constants), calls
 
-    def _note(self, name: str, values: list, named: tuple, result: Any) -> None:
-        """Write down one step whose result later ones may take."""
-        places = [self._place(value) for value in values]
+    def _note(self, name: str, places: list[int], named: tuple, result: Any) -> None:
+        """Write down one step, whose result later ones may take."""
         number = len(self._steps)
-        self._steps.append((name, places, named, name.rpartition(".")[2].startswith(QUERIES)))
-        self._places[id(result)] = RESULT, number
-        if isinstance(result, (list, tuple)):
+        self._steps.append((name, places, named))
+        if type(result) in SIMPLE:
+            return
+        self._places[id(result)] = number
+        if isinstance(result, (list, tuple)) and name != LIST:
             for n, item in enumerate(result):
                 if type(item) not in SIMPLE:
-                    self._steps.append((ITEM, [(RESULT, number), self._constant((PLAINLY, n))], (), True))
-                    self._places[id(item)] = RESULT, len(self._steps) - 1
+                    self._places[id(item)] = len(self._steps)
+                    self._steps.append((ITEM, [number, self._constant((PLAINLY, n))], ()))
 
-    def _place(self, value: Any) -> tuple[int, int]:
-        """Where a value is found when the walk is repeated. Raises Unkept."""
+    def _place(self, value: Any) -> int:
+        """Where a value is found when the walk is repeated: the number of the step whose result it is, or -1, -2, ...
+        for what a walk begins with and then for constants. Raises Unkept."""
         kind = type(value)
         if kind in SIMPLE:
             return self._constant((PLAINLY, value))
@@ -234,16 +246,16 @@ class _Record:
         if id(value) in self._places:
             return self._places[id(value)]
         if kind in (list, tuple):
-            self._note(LIST, list(value), (), value)
+            self._note(LIST, [self._place(item) for item in value], (), value)
             return self._places[id(value)]
         if hasattr(kind, "__members__") and getattr(self._core, kind.__name__, None) is kind:
             return self._constant((MEMBER, kind.__name__, value.name))
         raise Unkept
 
-    def _constant(self, told: tuple) -> tuple[int, int]:
+    def _constant(self, told: tuple) -> int:
         """Equal numbers of different types, and the two zeros, are different constants."""
-        key = (*told, repr(told))
-        return CONSTANT, self._constants.setdefault(key, len(self._constants))
+        first = -1 - len(self._given)
+        return first - self._constants.setdefault((*told, repr(told)), len(self._constants))
 
     def _kind(self, kind: Any) -> tuple | None:
         """What says which type of numbers this is, or of vectors and matrices of them; None of others."""
