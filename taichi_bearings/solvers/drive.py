@@ -266,9 +266,7 @@ class Course:
         scene = of_lattice(self.scene)
         final = replace(best.progress, iteration=last.iteration, ended=last.ended, findings=findings)
         found, judgement = answered(scene, self.method, final, best.proof, best.bound, threshold)
-        if status in (Status.CERTIFIED, Status.STALLED):
-            certified = (found.gap <= self.stop.tolerance).all()
-            status = Status.CERTIFIED if certified else ended_as(status, found, isinstance(self.method, Dynamics))
+        status = ended_as(status, found, self.stop, isinstance(self.method, Dynamics))
         moves = isinstance(self.method, Dynamics) and not scene.law.flows
         has_ended, known = moves and threshold is None and status is Status.CERTIFIED, None
         with suppress(GivenUp), self.interrupt.at_once(self.stop.seconds - self._seconds_of_this_call):

@@ -174,9 +174,7 @@ class OnLists(Contacts):
             left = max(result.objective[0] - result.lower_bound[0], 0.0)
             apart = np.sqrt(left / scene.acting_coefficient[0])
             told[0, acting[slip[acting] <= apart]] = UNDECIDED
-        cut_short = np.isfinite(stop.duration) and ended.status in (Status.STEP_LIMIT, Status.TIME_LIMIT)
-        certified = result.status is Status.CERTIFIED and not cut_short
-        status = result.status if certified else ended_as(ended.status, result, row.is_dynamics)
+        status = ended_as(ended.status, result, stop, row.is_dynamics)
         moves, known = row.is_dynamics and not scene.law.flows, what_is_proven(result.state, result.proven)
         state, proven = decided(told, known, moves, has_ended=moves and result.status is Status.CERTIFIED)
         return replace(result, status=status, iterations=ended.iterations, force=force, state=state, proven=proven)

@@ -66,10 +66,18 @@ class StopRule:
         return None
 
 
-def ended_as(status: Status, found: Solution, is_dynamics: bool) -> Status:
-    """How a course ended whose answer is not proven, though its loop had this status: a motion is at rest where next to
-    nothing is left of a power whose least value is 0, and of which no bound can be a part."""
+def ended_as(status: Status, found: Solution, stop: StopRule, is_dynamics: bool) -> Status:
+    """How a course ended whose loop had this status: certified where its answer is proven to the tolerance.
+
+    That may be so where the loop knew less: without slip, or by friction that the answer has taken from elsewhere. A
+    motion whose duration was not reached, or a course that was interrupted or has lost its numbers, stays what it is.
+    Where less is proven than the loop believed, a motion is at rest where next to nothing is left of a power whose
+    least value is 0, and of which no bound can be a part.
+    """
+    cut_short = stop.duration < float("inf") and status in (Status.STEP_LIMIT, Status.TIME_LIMIT)
+    stays = cut_short or status in (Status.INTERRUPTED, Status.NOT_FINITE)
+    if not stays and bool((found.gap <= stop.tolerance).all()):
+        return Status.CERTIFIED
     if status is not Status.CERTIFIED:
         return status
-    at_rest = is_dynamics and bool((found.lower_bound == 0).any())
-    return Status.STATIONARY if at_rest else Status.STALLED
+    return Status.STATIONARY if is_dynamics and bool((found.lower_bound == 0).any()) else Status.STALLED
