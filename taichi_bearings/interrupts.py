@@ -36,7 +36,7 @@ _ended: ContextVar[Callable[[], bool] | None] = ContextVar("ended", default=None
 
 @contextmanager
 def while_wanted(ended: Callable[[], bool]) -> Iterator[None]:
-    """Give up work inside the block that looks up once `ended` returns True."""
+    """Let work inside the block, at its next call of `look_up`, end with GivenUp once `ended` returns True."""
     before = _ended.set(ended)
     try:
         yield

@@ -22,6 +22,7 @@ class Kind:
     known: Collection[str] = ()  # words that it is one of, if it is
 
     def __init__(self, read: Callable[[Any], Any], allowed: str, metavar: str) -> None:
+        """read, allowed, metavar : see the class."""
         self.read, self.allowed, self.metavar = read, allowed, metavar
 
     def named(self, name: str, value: Any) -> Any:

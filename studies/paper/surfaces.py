@@ -65,8 +65,9 @@ def cuts(length: int, lowest: float, samples: int, seed: int) -> dict[str, Any]:
 def numbers_of(structure: Structure) -> dict[str, Any]:
     """Return the minimum of a sample in numbers.
 
-    power, cut : least power and that of the minimum cut, over F_n R omega_T. layers : in how many layers the spin
-        changes, 1 / sum of share^2, where each layer has a share in the change of the mean staggered spin.
+    power, cut : least power and that of the minimum cut, over F_n R omega_T.
+    layers : number of layers in which the spin changes: 1 / sum of share^2, where each layer has a share in the change
+        of the mean staggered spin.
     """
     scene, cut = of_lattice(structure.scene), structure.interface
     assert cut is not None  # as a lattice has two planes

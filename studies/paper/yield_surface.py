@@ -164,8 +164,8 @@ def draw_yield_surface(named: Any) -> Figure:
     _closed(axes[0, 0], np.array([[x, 0], [x, x], [0, x]]), "--", color=GREY, lw=0.8)
     for panel, name in zip(axes[0], "yc", strict=True):
         panel.set(xlabel="$T_x / (F_n R L^2)$", ylabel=f"$T_{name} / (F_n R L^2)$", aspect="equal")
-    axes[0, 0].set_title("(a) turning about x and y")
-    axes[0, 1].set_title("(b) turning about x, and C")
+    axes[0, 0].set_title("(a) rotation about x and y")
+    axes[0, 1].set_title("(b) rotation about x, and C")
     axes[0, 0].legend(loc="center")
     for share, fit, color, text in (
         (named.crossed, named.fading, BLUE, "yield torque, crossed"),

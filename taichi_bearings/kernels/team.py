@@ -152,7 +152,7 @@ class Sweeps:
 
     @ti.func
     def enter(self, values: ti.template(), size: ti.template(), low, numbers: ti.template(), sweep):
-        """Return what a worker carries from block to block, before its first block, number `low`. size : the
+        """Return what a worker carries from block to block, at its first block, which is number `low`. size : the
         measures.
         """
         return [0.0]

@@ -151,10 +151,10 @@ def unknowns_of(sphere: np.ndarray, parts: Parts) -> list[np.ndarray]:
 def _eliminated(
     matrix: sparse.csr_array, position: np.ndarray, own: np.ndarray, updates: list[tuple[np.ndarray, np.ndarray]]
 ) -> tuple[_Front, np.ndarray]:
-    """Eliminate the unknowns `own` of one front; returns the front, and what elimination adds to the matrix of its
-    border.
+    """Eliminate the unknowns `own` of one front.
 
     matrix : K^T K. position : (unknowns,) place of each in the order. updates : border and added matrix of each child.
+    returns : the front, and what its elimination adds to the matrix of its border.
     """
     # border: later unknowns that own ones, or those of the children, are coupled to
     begin, end = matrix.indptr[own], matrix.indptr[own + 1]

@@ -60,7 +60,7 @@ def draw_domains(structure: Structure, page: Page = PAGE) -> Figure:
         _paint(axes, Sheet.of_lattice(of, plane), colour, structure, 0.85 * width)
         bearing.name_cut(axes, *plane, f"({letter}) ")
     _draw_values(values, domains)
-    values.set_title(f"({DOMAIN_LETTERS[len(planes)]}) turn: the key to the colours")
+    values.set_title(f"({DOMAIN_LETTERS[len(planes)]}) how domains rotate: key to the colours")
     return figure
 
 
@@ -80,8 +80,8 @@ def _draw_domains_of_packing(structure: Structure, page: Page) -> Figure:
         colour = np.where((domains.spheres > 1)[:, None], own, bearing.PALE)
     _paint(axes, sheet, colour[domains.domain], structure, page.inches("single"))
     if len(moving):
-        label = "turn, from the first body to the second"
-        label += "\nyellow, green: one component is ahead" if len(moving) > 1 else ""
+        label = "rotation, from the first driven body's to the second's"
+        label += "\nyellow, green: one component alone is nearer to the second" if len(moving) > 1 else ""
         bearing.colour_bar(figure, axes, label, Normalize(0, 1), SPIN_COLOURS, **look)
     kinds = ", ".join(f"{count:,} {kind}" for kind, count in domains.domains_of_kind().items() if count)
     put_title(figure, f"{describe(structure.scene)}\n{domains.number:,} rigid domains, locked to: {kinds}", page)

@@ -58,7 +58,10 @@ class Sample:
 
 
 def _wishes_in(document: dict[str, Any]) -> dict[str, Any]:
-    """Take the wishes out of a scan file and return them by name; InputError for values that are not allowed."""
+    """Take the options of the scan itself (its wishes) out of a scan file, and return them by name.
+
+    InputError for values that are not allowed.
+    """
     return {name: item.read(name, document.pop(name)) for name, item in WISHES.items() if name in document}
 
 
@@ -80,7 +83,9 @@ class ScanPlan:
         return toml_text(self.wishes) + self.settings
 
     def going_on_in(self, folder: Path) -> "ScanPlan":
-        """Return the plan with the wishes that the scan in a folder was given before, where this plan has none."""
+        """Return the plan with options of the scan (wishes) that its folder was given before, where this plan gives
+        none.
+        """
         file = folder / "scan.toml"
         known = _wishes_in(read_toml(file)) if file.is_file() else {}
         known |= self.wishes

@@ -82,6 +82,7 @@ def _shown_spins(drawn: PointsAndLines, spins: np.ndarray) -> np.ndarray:
 
 
 def _colour_map(name: str, first: float, last: float) -> np.ndarray:
+    """Return 256 colours (256, 3) of a map of matplotlib, between two places of it."""
     return np.round(255 * colormaps[name](np.linspace(first, last, 256))[:, :3]).astype(np.uint8)
 
 
@@ -178,6 +179,7 @@ def _name_of_minimum(law: Law) -> str:
 
 
 def _median(radius: np.ndarray) -> float:
+    """Return the middle one of the radii."""
     return float(np.sort(radius)[len(radius) // 2])
 
 

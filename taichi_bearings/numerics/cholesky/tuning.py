@@ -20,7 +20,7 @@ class Price:
 
 LEAF_UNKNOWNS = 20  # a region of the lattice with no more unknowns is not divided
 # Engines: one dense block, all in one launch, fronts by BLAS
-BLOCK_UNKNOWNS = 400  # with fewer unknowns an elimination tree costs more calls than it saves arithmetic
+BLOCK_UNKNOWNS = 400  # with no more unknowns an elimination tree costs more calls than it saves arithmetic
 LAUNCH_UNKNOWNS = 8_000  # with fewer unknowns calls of libraries, and threads, take longer than they save
 LAUNCH_PRICE = Price(part=4000, column=20, update=20)
 CALLS_PRICE = Price(part=1e5, column=40, update=80)  # a call costs as much as a thousand numbers that are copied
