@@ -91,13 +91,13 @@ KINDS_ASKED_FOR = {
 }  # fmt: skip
 """Modules that look at the class of what is solved: front doors, and those that only packings come to."""
 
-SLICES = {"proof.grid", "proof.on_lattice", "scene.interface", "scene.network"}
+SLICES = {"proof.slices", "proof.on_lattice", "scene.interface", "scene.network"}
 """Modules that work on the slices of a lattice: its network, its lightest cuts, and two of the proofs."""
 FILES_AND_FIGURES = {"export", "files", "kernels", "lattice", "numerics", "plots", "view"}
 """Floors whose arrays or pictures have the shape of a lattice, or that work on its strides."""
 LATTICES_ASKED_FOR = SLICES | {
-    "analysis.domains", "analysis.network", "analysis.structure", "quantities", "runs.analysis", "runs.caveats",
-    "runs.cost", "runs.figures", "runs.points_and_lines", "runs.result", "runs.run", "runs.run_layout",
+    "analysis.domains", "analysis.slipless_network", "analysis.structure", "quantities", "runs.analysis",
+    "runs.caveats", "runs.cost", "runs.figures", "runs.points_and_lines", "runs.result", "runs.run", "runs.run_layout",
     "runs.settings", "runs.stored_structure", "runs.structure_report", "runs.verify", "runs.writing",
     "scans.estimate", "scans.histogram", "scans.sample", "scans.scan", "scans.stored_scans", "scene.solution",
     "solvers.answer", "solvers.cundall_strack", "solvers.drive", "solvers.method", "solvers.on_lists",

@@ -34,7 +34,7 @@ import rustworkx
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
-from taichi_bearings.analysis.network import SliplessNetwork
+from taichi_bearings.analysis.slipless_network import SliplessNetwork
 from taichi_bearings.stages import alike, each, stage
 
 LEAST_LOAD = 1e-12  # a load that is less is none

@@ -21,7 +21,7 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
-from taichi_bearings.analysis.network import MOST_BODIES, SliplessNetwork
+from taichi_bearings.analysis.slipless_network import MOST_BODIES, SliplessNetwork
 from taichi_bearings.scene.interface import SAME_STATE
 
 

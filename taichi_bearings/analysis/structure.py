@@ -25,7 +25,7 @@ from scipy.sparse.linalg import spsolve
 
 from taichi_bearings.analysis.bottlenecks import Bottlenecks
 from taichi_bearings.analysis.domains import RigidDomains, rigid_domains, turning_domains
-from taichi_bearings.analysis.network import MOST_BODIES, SliplessNetwork
+from taichi_bearings.analysis.slipless_network import MOST_BODIES, SliplessNetwork
 from taichi_bearings.analysis.topology import self_stress_of
 from taichi_bearings.proof.contact_state import ContactState, by_threshold
 from taichi_bearings.quantities import STRUCTURE, Quantity, plain

@@ -28,7 +28,7 @@ The theorems
    lattices in each layer, and no slip grows: so r . u* is bounded. Else springs take r away, and what rounding leaves
    of it is paid for at |D^-1 u*| <= (1 + |q^1/2 b|) / sigma, with a proven floor sigma. [judged_network.py, springs.py]
 3. No slip at all. P* = 0 where nothing driven is touched, where signs by which neighbours differ agree with all that is
-   imposed, and where contacts roll exactly or their rows of K are independent. [without_slip.py, exact_motions.py]
+   imposed, and where contacts roll exactly or their rows of K are independent. [slipless_state.py, exact_motions.py]
 4. Slackness. At every minimum and for every optimal friction phi(y*) + phi*(F*) = F* . y*, contact by contact. So a
    contact is *slipless*, it slips at no minimum, if one optimal F* is below its limit. [states.py]
 5. Excess. Let E be Phi(u) less what F proves by 1. At every minimum the sum of phi(y*) + phi*(F) - F . y* is at most E,
@@ -39,11 +39,11 @@ The theorems
    If the slope of Phi is below 0.72 tau rho, and no slip changes by more than a quarter within rho, then (P) with T at
    rest has one minimum there. If T can bear inside its discs what the other contacts leave to it, this is the only
    minimum of (P). [curvature.py for normals along the axes, oblique.py and exact_motions.py for others; floors of
-   curvatures by elimination.py, with Higham's bound on the error of a factorisation]
+   curvatures by rounded_elimination.py, with Higham's bound on the error of a factorisation]
 8. Parts at rest. Contacts that can all rest, and can bear what optimal friction elsewhere leaves to them, rest at every
    minimum. [resting.py; loops.py and borne.py where loops beside them cannot roll as their normals are rounded]
 9. Ties. Where frictions cancel exactly, the minima are a polyhedron of motions y with t + y_b - y_a >= 0; its shortest
-   paths say which slips are 0 at some minima alone: such contacts are *tied*. [ties.py]
+   paths say which slips are 0 at some minima alone: such contacts are *tied*. [tied_minima.py]
 
 Judgement(scene, spin, spin_rounding, friction) in judgement.py is the door: power, both bounds, their gap, and what is
 proven of the state of each contact at every minimum. certificate.py has theorem 1 in plain doubles with an allowance

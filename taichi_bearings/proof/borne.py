@@ -21,11 +21,11 @@ from scipy import sparse
 
 from taichi_bearings.numerics.graphs import pieces
 from taichi_bearings.proof.bounds import Bounds
-from taichi_bearings.proof.elimination import EPS, Elimination, Factor
 from taichi_bearings.proof.enclosure import UP, length
 from taichi_bearings.proof.exact_motions import ExactMotions
 from taichi_bearings.proof.loops import Doubts, Piece, blocks, both, sizes
 from taichi_bearings.proof.resting import known_friction
+from taichi_bearings.proof.rounded_elimination import EPS, Elimination, Factor
 from taichi_bearings.proof.springs import slip_rows
 
 FORCES_AT_ONCE = 64

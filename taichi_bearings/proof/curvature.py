@@ -22,9 +22,9 @@ from scipy import sparse
 from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
 
 from taichi_bearings.numerics.graphs import pieces
-from taichi_bearings.proof.elimination import EPS, Elimination
 from taichi_bearings.proof.enclosure import UP, Enclosure, grouped_sum, joined, length
 from taichi_bearings.proof.judged_network import JudgedNetwork, Motion
+from taichi_bearings.proof.rounded_elimination import EPS, Elimination
 
 MOST_SLIP_TURN = 0.25  # largest share by which a slip may change
 CURVATURE_TRIALS = 4  # each from spins that Newton's method has improved

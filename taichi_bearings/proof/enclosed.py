@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from taichi_bearings.proof.enclosure import Enclosure
-from taichi_bearings.proof.grid import Grid
 from taichi_bearings.proof.judged_network import JudgedNetwork
 from taichi_bearings.proof.listed import Listed, moments
 from taichi_bearings.proof.on_lattice import LEAST_SCALE, MOST_SCALE, OnLattice, samples_of_lattice
+from taichi_bearings.proof.slices import Grid
 from taichi_bearings.scene import Bearing
 from taichi_bearings.scene.exact_driving import power_of_two
 

@@ -22,9 +22,9 @@ from scipy import sparse
 
 from taichi_bearings.numerics.graphs import pieces
 from taichi_bearings.proof.curvature import proven_floor
-from taichi_bearings.proof.elimination import Elimination, Factor
 from taichi_bearings.proof.enclosure import UP, Enclosure, grouped_sum, joined
 from taichi_bearings.proof.judged_network import JudgedNetwork
+from taichi_bearings.proof.rounded_elimination import Elimination, Factor
 from taichi_bearings.proof.springs import rounding_of, slip_rows
 
 FAINT = 1e-100  # size of factors from which nothing of a product is lost

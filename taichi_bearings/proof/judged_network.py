@@ -20,8 +20,8 @@ import numpy as np
 
 from taichi_bearings.numerics.graphs import pieces
 from taichi_bearings.proof.enclosure import Enclosure, length, row_sum
-from taichi_bearings.proof.grid import nothing, slices
 from taichi_bearings.proof.listed import Listed, across, signs
+from taichi_bearings.proof.slices import nothing, slices
 from taichi_bearings.scene.law import Law
 
 

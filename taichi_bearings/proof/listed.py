@@ -1,5 +1,5 @@
 """The contacts of a network that is judged, in lists: where they are, which components they slip with, and what the
-proofs ask of them. `Grid` (grid.py) answers the same questions by slices where the contacts are those of a lattice.
+proofs ask of them. `Grid` (slices.py) answers the same questions by slices where the contacts are those of a lattice.
 
 Letters: R samples beside each other, with n spheres and m contacts in all; D = 2 or 3, and C = 1 or 3 components.
 """

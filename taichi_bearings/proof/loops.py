@@ -24,11 +24,11 @@ import numpy as np
 from scipy import sparse
 
 from taichi_bearings.numerics.graphs import pieces
-from taichi_bearings.proof.elimination import EPS
 from taichi_bearings.proof.enclosure import UP, Enclosure
 from taichi_bearings.proof.exact_motions import ExactMotions
 from taichi_bearings.proof.judged_network import JudgedNetwork
 from taichi_bearings.proof.listed import moments
+from taichi_bearings.proof.rounded_elimination import EPS
 from taichi_bearings.proof.springs import slip_rows
 
 MOST_SPLIT = 1500  # of a piece, beyond which its singular values take too long

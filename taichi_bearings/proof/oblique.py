@@ -34,11 +34,11 @@ from scipy import sparse
 
 from taichi_bearings.proof.bounds import Bounds
 from taichi_bearings.proof.curvature import Form
-from taichi_bearings.proof.elimination import EPS, Elimination
 from taichi_bearings.proof.enclosure import UP, Enclosure, length
 from taichi_bearings.proof.exact_motions import ExactMotions, numbered
 from taichi_bearings.proof.judged_network import JudgedNetwork
 from taichi_bearings.proof.listed import moments
+from taichi_bearings.proof.rounded_elimination import EPS, Elimination
 from taichi_bearings.proof.springs import floor_of_slips, slip_rows
 
 MOVING = 1e-10  # of the fastest imposed component, above which a contact is taken to slip

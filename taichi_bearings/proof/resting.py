@@ -25,7 +25,7 @@ from taichi_bearings.proof.bounds import Bounds
 from taichi_bearings.proof.enclosure import UP, length
 from taichi_bearings.proof.judged_network import JudgedNetwork
 from taichi_bearings.proof.listed import signs
-from taichi_bearings.proof.without_slip import imposed_exactly
+from taichi_bearings.proof.slipless_state import imposed_exactly
 
 SHARE_AROUND = 1.5  # of what a part leaves over, that a force of it may change by
 

@@ -23,10 +23,10 @@ from scipy import sparse
 
 from taichi_bearings.numerics.graphs import pieces
 from taichi_bearings.proof.curvature import Form, proven_floor
-from taichi_bearings.proof.elimination import EPS, Elimination
 from taichi_bearings.proof.enclosure import UP, Enclosure
 from taichi_bearings.proof.judged_network import JudgedNetwork
 from taichi_bearings.proof.listed import moments
+from taichi_bearings.proof.rounded_elimination import EPS, Elimination
 
 ROUNDS, SHIFT = 2, -1e-13  # of the springs, and what keeps slipless motions from being divided by 0
 UNSTRESSED = 1e-6  # of its friction, or of the largest force, below which a contact may bear nothing

@@ -45,13 +45,13 @@ from taichi_bearings.numerics.exact_cuts import cuts_between, whole_numbers
 from taichi_bearings.numerics.graphs import pieces
 from taichi_bearings.proof.bounds import PROVEN, Bounds
 from taichi_bearings.proof.curvature import Slipping, bearable, nearest_minimum
-from taichi_bearings.proof.elimination import EPS
 from taichi_bearings.proof.enclosure import UP, Enclosure, joined
 from taichi_bearings.proof.judged_network import JudgedNetwork, Motion
 from taichi_bearings.proof.listed import moments
 from taichi_bearings.proof.resting import at_rest
+from taichi_bearings.proof.rounded_elimination import EPS
 from taichi_bearings.proof.springs import slip_rows, weighed
-from taichi_bearings.proof.ties import MISSED_LIMIT, tied_states
+from taichi_bearings.proof.tied_minima import MISSED_LIMIT, tied_states
 from taichi_bearings.scene.solution import SLIPLESS, SLIPPING, TIED, UNDECIDED
 
 PROVEN_AT_ONCE = 200_000  # spheres of the samples that are proven at once, at most

@@ -23,8 +23,8 @@ import numpy as np
 from taichi_bearings.errors import FileError
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.proof.contact_state import are_proven
-from taichi_bearings.proof.elimination import EPS
 from taichi_bearings.proof.judgement import Judgement
+from taichi_bearings.proof.rounded_elimination import EPS
 from taichi_bearings.quantities import CONTACTS, found_in, numbers_of, plain
 from taichi_bearings.runs.result import Result
 from taichi_bearings.runs.run_file import file_of, read_claims

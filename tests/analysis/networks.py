@@ -5,7 +5,7 @@ from itertools import pairwise
 import networkx
 import numpy as np
 
-from taichi_bearings.analysis.network import SliplessNetwork
+from taichi_bearings.analysis.slipless_network import SliplessNetwork
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.scene.network import Network

@@ -8,7 +8,7 @@ import pytest
 
 from taichi_bearings.analysis import bottlenecks
 from taichi_bearings.analysis.bottlenecks import Bottlenecks, betweenness
-from taichi_bearings.analysis.network import SliplessNetwork
+from taichi_bearings.analysis.slipless_network import SliplessNetwork
 from taichi_bearings.packing import Packing
 from tests.analysis.networks import (
     APART,

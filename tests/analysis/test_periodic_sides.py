@@ -7,7 +7,7 @@ import pytest
 
 from taichi_bearings.analysis.bottlenecks import Bottlenecks
 from taichi_bearings.analysis.domains import rigid_domains
-from taichi_bearings.analysis.network import SliplessNetwork
+from taichi_bearings.analysis.slipless_network import SliplessNetwork
 from taichi_bearings.analysis.structure import Structure, self_stress
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.proof.contact_state import ContactState

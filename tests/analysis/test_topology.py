@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import taichi_bearings as tb
-from taichi_bearings.analysis.network import SliplessNetwork
+from taichi_bearings.analysis.slipless_network import SliplessNetwork
 from taichi_bearings.analysis.topology import DENSE_UNKNOWNS, slipless_number, topology_of
 
 EVERY = ("x", "y", "z")

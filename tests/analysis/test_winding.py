@@ -4,7 +4,7 @@ import networkx
 import numpy as np
 import pytest
 
-from taichi_bearings.analysis.network import winding
+from taichi_bearings.analysis.slipless_network import winding
 from tests.analysis.networks import drawn, random_network
 
 CLOSED = [((6, 6), "x"), ((2, 5), "x"), ((4, 12), "x"), ((4, 3, 4), "x"), ((3, 2, 4), "y"), ((4, 4, 5), "xy"),

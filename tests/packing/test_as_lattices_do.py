@@ -11,7 +11,7 @@ import pytest
 import taichi_bearings as tb
 from taichi_bearings import runtime
 from taichi_bearings.analysis.bottlenecks import Bottlenecks
-from taichi_bearings.analysis.network import SliplessNetwork
+from taichi_bearings.analysis.slipless_network import SliplessNetwork
 from taichi_bearings.checksums import ATTRIBUTE
 from taichi_bearings.errors import DeviceError, FileError, InputError
 from taichi_bearings.packing import Packing

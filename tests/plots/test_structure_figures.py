@@ -12,7 +12,7 @@ from matplotlib.colors import to_rgba
 from taichi_bearings_studies.paper.figure_3 import draw_plane_cuts
 
 import taichi_bearings as tb
-from taichi_bearings.analysis.network import SliplessNetwork
+from taichi_bearings.analysis.slipless_network import SliplessNetwork
 from taichi_bearings.analysis.structure import Structure
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.packing import Packing

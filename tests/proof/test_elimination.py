@@ -9,8 +9,8 @@ from scipy import sparse
 
 from taichi_bearings import dissection
 from taichi_bearings.dissection import dissected
-from taichi_bearings.proof import elimination
-from taichi_bearings.proof.elimination import Elimination
+from taichi_bearings.proof import rounded_elimination as elimination
+from taichi_bearings.proof.rounded_elimination import Elimination
 
 
 def neighbours(shape: tuple[int, ...]) -> tuple[sparse.csc_array, np.ndarray]:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from taichi_bearings.proof.enclosure import IN_CACHE, Enclosure, in_cache
-from taichi_bearings.proof.grid import Grid
 from taichi_bearings.proof.on_lattice import OnLattice
+from taichi_bearings.proof.slices import Grid
 from taichi_bearings.scene import Scene
 
 REPLICAS = 3

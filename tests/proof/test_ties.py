@@ -8,7 +8,7 @@ from scipy.optimize import linprog
 from taichi_bearings_studies.stress import truth
 
 from taichi_bearings.proof.contact_state import ContactState
-from taichi_bearings.proof.ties import Line
+from taichi_bearings.proof.tied_minima import Line
 from taichi_bearings.quantities import numbers_of
 from taichi_bearings.runs.result import Result
 from taichi_bearings.runs.settings import RunSettings

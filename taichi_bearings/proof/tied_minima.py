@@ -35,8 +35,8 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 
 from taichi_bearings.proof.curvature import Slipping, bearable, nearest_minimum, rises
 from taichi_bearings.proof.enclosure import UP, Enclosure
-from taichi_bearings.proof.grid import slices
 from taichi_bearings.proof.judged_network import JudgedNetwork, Motion
+from taichi_bearings.proof.slices import slices
 from taichi_bearings.scene.solution import SLIPLESS, SLIPPING, TIED, UNDECIDED
 
 MISSED_LIMIT = 1e-6  # share of the friction by which a contact at its limit may miss it
