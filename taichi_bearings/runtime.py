@@ -151,6 +151,7 @@ def start(arch: str = "cpu", precision: str = "f64", threads: int = 0, debug: bo
         words = "started by other code, and starting it for taichi_bearings would destroy the fields of that"
         raise DeviceError(f"{compiler.name()} already runs in this process, {words}; {OWN_PROCESS}")
     kept = compiler.cache_folder()
+    compiled_before = kept is not None and any(kept.glob("*.tic"))
     with contextlib.redirect_stdout(io.StringIO()), compiler.environment(), _out_of_memory():
         ti.init(
             arch=getattr(ti, arch),
@@ -167,7 +168,7 @@ def start(arch: str = "cpu", precision: str = "f64", threads: int = 0, debug: bo
         )
     ti.lang.impl.current_cfg().cpu_max_num_threads = MOST_THREADS  # a part of the name of every cached kernel
     if kept is not None and compiler.name() == "taichi":
-        walks.keep(ti, kept.parent / "walks")
+        walks.keep(ti, kept.parent / "walks", writes=compiled_before)
     _current, _owner, _program = wanted, os.getpid(), running_program()
     return wanted
 

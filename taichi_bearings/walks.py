@@ -48,19 +48,20 @@ class Unkept(Exception):
     """A walk depends on something that cannot be named, so that it is not kept."""
 
 
-def keep(compiler: Any, folder: Path) -> None:
-    """From now on keep walks in this folder. compiler : Taichi. Nothing happens if its inner functions are others."""
+def keep(compiler: Any, folder: Path, writes: bool) -> None:
+    """From now on repeat walks that are kept in this folder. compiler : Taichi. writes : keep new ones; a process that
+    has to compile everything leaves that to the next. Nothing happens if Taichi's inner functions are others."""
     reader = compiler.lang.kernel_impl
     if tuple(compiler.__version__) == COMPILER and not hasattr(reader.Kernel, "walked"):
-        kept = _Kept(compiler._lib.core, reader, folder)
+        kept = _Kept(compiler._lib.core, reader, folder, writes)
         reader.Kernel.walked, reader.Kernel.materialize = reader.Kernel.materialize, kept.materialize()
 
 
 class _Kept:
     """The walks of one process. core : the compiled part of Taichi. reader : the module that holds its kernels."""
 
-    def __init__(self, core: Any, reader: Any, folder: Path) -> None:
-        self.core, self.reader, self.folder = core, reader, folder
+    def __init__(self, core: Any, reader: Any, folder: Path, writes: bool) -> None:
+        self.core, self.reader, self.folder, self.writes = core, reader, folder, writes
         self._lock, self._settings = threading.Lock(), dict[int, list[str]]()
 
     def materialize(self) -> Callable:
@@ -114,6 +115,9 @@ class _Kept:
 
     def _walked(self, kernel: Any, wishes: tuple, place: Path) -> None:
         """Have the compiler walk through a kernel, and keep what it did."""
+        if not self.writes:
+            kernel.walked(*wishes)
+            return
         with _recording(self.core, self.reader) as record:
             kernel.walked(*wishes)
         with contextlib.suppress(Unkept, OSError):
