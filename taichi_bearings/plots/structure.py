@@ -60,7 +60,7 @@ def draw_domains(structure: Structure, page: Page = PAGE) -> Figure:
         _paint(axes, Sheet.of_lattice(of, plane), colour, structure, 0.85 * width)
         bearing.name_cut(axes, *plane, f"({letter}) ")
     _draw_values(values, domains)
-    values.set_title(f"({DOMAIN_LETTERS[len(planes)]}) how domains rotate: key to the colours")
+    values.set_title(f"({DOMAIN_LETTERS[len(planes)]}) rotation: key to the colours")
     return figure
 
 

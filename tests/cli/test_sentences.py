@@ -67,7 +67,7 @@ def test_a_run_where_a_scan_is_wanted(folder, refused, words):
 
 
 def test_a_table_of_a_scan_is_not_a_scan_to_solve(folder, refused):
-    assert "`bearings scan scan` goes on with one" in refused("scan", "scan/scan.h5", cwd=folder)
+    assert "`bearings scan scan` continues a scan there" in refused("scan", "scan/scan.h5", cwd=folder)
 
 
 def test_the_root_of_the_file_system_is_no_place_for_a_run(refused):
