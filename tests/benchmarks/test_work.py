@@ -15,7 +15,7 @@ from taichi_bearings.compiler import ti
 from taichi_bearings.conic import central_path
 from taichi_bearings.kernels.elimination import LANES
 from taichi_bearings.numerics.cholesky.factor import CalledFactor, DenseFactor, LaunchedFactor
-from taichi_bearings.proof import judged_network
+from taichi_bearings.proof import judged_network, listed
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers import METHODS, linear_solver, operator_splitting, planar_cut
 from taichi_bearings.solvers.answer import judged
@@ -157,7 +157,8 @@ def test_a_whole_lattice_is_judged_by_slices_without_lists_of_contacts_or_search
     scene, searches = make_scene((24, 26, 25), "coulomb", periodic=periodic), Counter()
     rng = np.random.default_rng(0)
     spin, friction = rng.random((1, *scene.lattice.shape, 3)), rng.random((1, scene.lattice.all_contacts, 3))
-    monkeypatch.setattr(judged_network, "pieces", lambda *_: searches.update(["searches"]))
+    for module in (judged_network, listed):
+        monkeypatch.setattr(module, "pieces", lambda *_: searches.update(["searches"]))
     gc.collect()
     tracemalloc.start()
     try:
