@@ -9,6 +9,7 @@ import click
 from docutils import nodes
 from docutils.parsers.rst import Directive
 from sphinx.application import Sphinx
+from sphinx.ext.napoleon import Config, NumpyDocstring
 from sphinx.util.logging import getLogger
 from taichi_bearings_cli.main import bearings
 from taichi_bearings_cli.options import EVERYTHING
@@ -18,6 +19,7 @@ from taichi_bearings.solvers import MethodOptions
 
 LOGGER = getLogger(__name__)
 WIDTH = 84  # columns of the help
+SECTIONS = Config(napoleon_use_ivar=True)  # attributes are a list, not entries of the index
 
 
 class Commands(Directive):
@@ -50,7 +52,10 @@ def _section(context: click.Context) -> nodes.section:
 
 
 def written_as_rst(app: Sphinx, what: str, name: str, thing: Any, options: Any, lines: list[str]) -> None:
-    """Our docstrings are plain text, in which `name : meaning` begins an entry of a list; Sphinx reads another."""
+    """Rewrite the lines of a docstring for Sphinx: sections as NumPy has them, and plain text in which
+    `name : meaning` begins an entry of a list."""
+    if any(set(line.strip()) == {"-"} for line in lines):
+        lines[:] = str(NumpyDocstring(lines, SECTIONS, app, what, name, thing)).splitlines()
     if isinstance(thing, type) and issubclass(thing, MethodOptions):
         lines += ["", *(_of_option(name, option) for name, option in options_of(thing).items())]
     found: list[str] = []

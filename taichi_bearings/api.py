@@ -1,4 +1,4 @@
-"""The front door: scenes, answers and what they are made of, with or without files. `bearings` calls the same.
+"""The front door: functions that solve, read and analyse; the commands of `bearings` call the same.
 
 import taichi_bearings as tb
 
@@ -10,7 +10,7 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -32,17 +32,25 @@ from taichi_bearings.solvers import MethodOptions
 from taichi_bearings.solvers.drive import Report
 from taichi_bearings.words import meant, shown
 
-if TYPE_CHECKING:
-    pass
-
 
 @dataclass(frozen=True)
 class Check:
-    """What a callback is told at each check of a solve. A number, or with several samples (R,), where R is named.
+    """What a callback is told at each check of a solve. With several samples R, `power` and `gap` have one number each.
 
-    iteration : of the method. seconds : wall time so far. time : simulated time of a dynamics, else None.
-    power : R, what the method brings down, energy/time (for "coulomb-viscous" its potential).
-    gap : R, proven relative distance to the least value. tolerance : of the gap, at which the solve is done.
+    Attributes
+    ----------
+    iteration : int
+        Iterations of the method so far.
+    seconds : float
+        Wall time so far.
+    time : float or None
+        Simulated time of a dynamics, else None.
+    power : float or numpy.ndarray
+        What the method brings down, energy/time: the power, for the law coulomb-viscous its potential.
+    gap : float or numpy.ndarray
+        Proven relative distance to the least value.
+    tolerance : float
+        Gap at which the solve is done.
     """
 
     iteration: int
@@ -70,23 +78,62 @@ def solve(
     progress: bool = True,
     **options: Any,
 ) -> Result:
-    """Solve a scene or a packing; no file is read or written.
+    """Solve a scene or a packing; no file is read or written. Ctrl-C ends the solve with what was reached.
 
-    method : "auto", the fastest one that certifies the scene, or another name, or a method with its options, such as
+    Parameters
+    ----------
+    scene : Scene or Packing
+        What is solved, all of its samples.
+    method : str or MethodOptions
+        "auto", the fastest one that certifies the scene, or another name, or a method with its options, such as
         `CundallStrack(stiffness=1e6)`.
-    tolerance : proven relative gap at which it is done.
-    start : spins to start from: "linear", "random", "zero", "minimum-cut", the name of a file, or an array like
+    tolerance : float
+        Proven relative gap at which the solve is done.
+    start : str or numpy.ndarray
+        Spins to start from: "linear", "random", "zero", "minimum-cut", the name of a file, or an array like
         `Result.spin`.
-    callback : hears of each :class:`Check`; where it returns True the solve ends with what was reached, as by Ctrl-C.
-    progress : show on a terminal or below the cell of a notebook how far it is, while it takes longer than a moment.
-    options : `torque` on the top instead of its spin, force*length, for what finds minima; adds
-        `yields`, `yield_torque`, `yield_torque_lower_bound` and `amplitude` to `findings`; `iterations` at most;
-        `time_limit`, s; of a dynamics `duration`, the simulated time to go on for, and the simulated times `record` of
-        the rows of the history and `snapshots` of spins that are kept, as numbers or as "log:start,stop,count";
-        `slip_threshold`, length/time, up to which contacts count as slipless; `arch`, "cpu", "cuda", "vulkan", "metal"
-        or "auto"; `precision`, "f64" or "f32"; `threads`, 0 for all.
+    callback : callable, optional
+        It hears of each :class:`Check`; where it returns True the solve ends with what was reached, as by Ctrl-C.
+    progress : bool
+        Show on a terminal or below the cell of a notebook how far it is, while it takes longer than a moment.
+    torque : float, optional
+        Torque on the top instead of its spin, force*length, of methods that find minima; it adds `yields`,
+        `yield_torque`, `yield_torque_lower_bound` and `amplitude` to `findings`.
+    iterations : int, optional
+        Iterations at most.
+    time_limit : float, optional
+        Wall time at most, s.
+    duration : float, optional
+        Simulated time that a dynamics goes on for.
+    record : sequence of float or str, optional
+        Simulated times of the rows of the history, as numbers or as "log:start,stop,count".
+    snapshots : sequence of float or str, optional
+        Simulated times of the spins that are kept, in the same form.
+    slip_threshold : float, optional
+        Slip speed, length/time, up to which contacts count as slipless.
+    arch : str, optional
+        "cpu", "cuda", "vulkan", "metal" or "auto".
+    precision : str, optional
+        "f64" or "f32".
+    threads : int, optional
+        Threads of the processor; 0 for all.
 
-    Ctrl-C ends the solve with what was reached. Raises InputError for what cannot be.
+    Returns
+    -------
+    Result
+        What was found, with what is proven of it.
+
+    Raises
+    ------
+    InputError
+        For what cannot be.
+
+    Examples
+    --------
+    >>> import taichi_bearings as tb
+    >>> best = tb.solve(tb.Scene.random((4, 5), seed=3), threads=1)
+    >>> best.status, best.lower_bound <= best.power, best.spin.shape
+    ('certified', True, (4, 5))
     """
     with displayed(progress):
         if callback is not None and not callable(callback):
@@ -107,13 +154,37 @@ def solve_many(
     workers: int = 0,
     **options: Any,
 ) -> Iterator[Result]:
-    """Solve scenes or packings in processes of their own; gives the answers as they come, in whatever order.
+    """Solve scenes or packings in processes of their own, and give the answers as they come, in whatever order.
 
-    `answer.scene`, or `answer.packing`, is the very one that was given, which tells them apart. The other arguments are
-    those of :func:`solve`; each process has one thread unless `threads` says otherwise.
-    workers : processes at most; 0 for one a processor.
+    Parameters
+    ----------
+    scenes : iterable of Scene or Packing
+        What is solved. `answer.scene`, or `answer.packing`, is the very one that was given, which tells answers apart.
+    method, tolerance, start
+        As those of :func:`solve`.
+    workers : int
+        Processes at most; 0 for one a processor.
+    **options
+        As those of :func:`solve`; each process has one thread unless `threads` says otherwise.
 
-    Raises InputError before anything is computed, and BearingsError for the first scene that has no answer.
+    Returns
+    -------
+    iterator of Result
+        An answer to each scene.
+
+    Raises
+    ------
+    InputError
+        For what cannot be, before anything is computed.
+    BearingsError
+        For the first scene that has no answer.
+
+    Examples
+    --------
+    >>> import taichi_bearings as tb
+    >>> scenes = [tb.Scene.random((3, 4), seed=seed) for seed in (1, 2)]
+    >>> sorted(answer.scene.seeds[0] for answer in tb.solve_many(scenes, workers=1))
+    [1, 2]
     """
     workers = SEED.named("workers", workers)
     if not isinstance(scenes, Iterable):
@@ -125,11 +196,35 @@ def solve_many(
 
 
 def analyse(result: Result | str | Path, threshold: float | None = None, sample: int = 0) -> Analysis:
-    """An :class:`Analysis` of an answer, or of a run in a file: minimum cut, slipless network, rigid domains,
-    bottlenecks and forces.
+    """Find what the contacts of an answer form: minimum cut, slipless network, rigid domains, bottlenecks and forces.
 
-    threshold : slip speed, length/time, up to which contacts count as slipless. Default: the contact states of the run.
-    sample : the one of several that is shown in figures and as `structure`.
+    Parameters
+    ----------
+    result : Result, str or Path
+        An answer, or the directory or file of a run.
+    threshold : float, optional
+        Slip speed, length/time, up to which contacts count as slipless. Default: the contact states of the answer.
+    sample : int
+        Which one of several samples is shown in figures and as `structure`.
+
+    Returns
+    -------
+    Analysis
+        The rows that an analysis adds to the numbers of the answer.
+
+    Raises
+    ------
+    InputError
+        For a threshold or a sample that cannot be, or an answer that is not finite.
+    FileError
+        For a file that cannot be read.
+
+    Examples
+    --------
+    >>> import taichi_bearings as tb
+    >>> net = tb.analyse(tb.solve(tb.Scene.random((4, 5), seed=3), threads=1))
+    >>> net.spans, net.power_over_cut
+    (False, 1.0)
     """
     found = load(result) if isinstance(result, (str, os.PathLike)) else result
     if not isinstance(found, Result):
@@ -138,9 +233,32 @@ def analyse(result: Result | str | Path, threshold: float | None = None, sample:
 
 
 def load(path: str | Path) -> Result:
-    """The :class:`Result` of a run directory or its run.h5, whatever wrote it.
+    """Read the :class:`Result` of a run directory or its run.h5, whatever wrote it.
 
-    FileError if it is missing, damaged or was changed.
+    Parameters
+    ----------
+    path : str or Path
+        A run directory or its run.h5.
+
+    Returns
+    -------
+    Result
+        The same as was saved, field by field.
+
+    Raises
+    ------
+    FileError
+        If it is missing, damaged or was changed.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import taichi_bearings as tb
+    >>> best = tb.solve(tb.Scene.random((4, 5), seed=3), threads=1)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     again = tb.load(best.save(folder + "/run"))
+    >>> again.power == best.power
+    True
     """
     if not isinstance(path, (str, os.PathLike)):
         raise InputError(f"{shown(path)} is not a path; it must name a run directory or its run.h5")

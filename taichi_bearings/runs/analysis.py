@@ -33,27 +33,42 @@ TOLD_OF_RUN = ("status", "method", "law", "shape", "spheres", "contacts", "seed"
 
 
 class Analysis:
-    """What the contacts of a solved run form: minimum cut, slipless network, rigid domains, bottlenecks, forces.
+    """What the contacts of an answer form: minimum cut, slipless network, rigid domains, bottlenecks, forces.
 
-    Every number of `bearings analyse --json` is an attribute, such as `spans` or `power_over_cut`: one value, or with
-    several samples a list with one value each; None where there is no such number. `taichi_bearings.quantities` has
-    them in its table STRUCTURE, and docs/structure.md defines them all.
+    An analysis adds rows to the numbers of a `Result`. Each is an attribute, such as `spans` or `power_over_cut`: one
+    value, or with several samples a list with one value each; None where there is no such number. They are the table
+    STRUCTURE of :mod:`taichi_bearings.quantities`, and docs/structure.md defines them all.
 
-    structure : of the sample shown: `structure.network`, `.rigid_domains`, `.interface`, `.bottlenecks` and others,
-    which are attributes of the analysis too.
-    arrays : for each sample everything else by name, with units: the data sets of the group /analysis of run.h5.
-    report : all numbers by name.
+    Parameters
+    ----------
+    result : Result
+        The answer.
+    threshold : float, optional
+        Slip speed, length/time, up to which contacts count as slipless. Default: the contact states of the answer.
+    sample : int
+        The one of several samples that is shown.
+
+    Attributes
+    ----------
+    structure : Structure
+        That of the sample shown: `structure.network`, `.rigid_domains`, `.interface`, `.bottlenecks` and others, which
+        are attributes of the analysis too.
+    arrays : list of dict
+        For each sample all that is no number, by name, with units: the data sets of the group /analysis of run.h5.
+    report : dict
+        All rows by name, with some of those of the answer, as `bearings analyse --json` prints them.
+
+    Raises
+    ------
+    InputError
+        For a threshold or a sample that cannot be, or an answer that is not finite.
     """
 
-    def __init__(self, run: Result, threshold: float | None = None, sample: int = 0) -> None:
-        """sample : the one that is shown. InputError for a threshold or sample that cannot be.
-
-        threshold : slip speed up to which contacts count as slipless. Default: the contact states of the run.
-        """
-        began, solution, is_one = time.perf_counter(), run.solution, len(run.solution.state) == 1
+    def __init__(self, result: Result, threshold: float | None = None, sample: int = 0) -> None:
+        began, solution, is_one = time.perf_counter(), result.solution, len(result.solution.state) == 1
         if threshold is not None and not 0 < threshold < np.inf:
             raise InputError(f"threshold is {threshold}; it must be a positive, finite slip speed")
-        run.sample(sample)
+        result.sample(sample)
         if not all(np.isfinite(values).all() for values in (solution.spin, solution.slip)):
             raise InputError("the spins or slips of the run are not finite; there is nothing to analyse")
         self.arrays: list[dict[str, Finding]] = []
@@ -64,14 +79,14 @@ class Analysis:
                 self.structure = structure
             numbers.append(structure.numbers)
             self.arrays.append(findings_of(structure))
-        found_by = None if run.scene.network.lattice is None else solution.slip_threshold
-        proven = "proven" if np.all(run.numbers["states_proven"]) else "decided"
+        found_by = None if result.scene.network.lattice is None else solution.slip_threshold
+        proven = "proven" if np.all(result.numbers["states_proven"]) else "decided"
         self.report: dict[str, Any] = {
             **together(numbers),
             "threshold": found_by if threshold is None else threshold,
             "states": proven if threshold is None else "threshold",
-            **{name: run.numbers[name] for name in TOLD_OF_RUN if name in run.numbers},
-            **run.asked.driving,
+            **{name: result.numbers[name] for name in TOLD_OF_RUN if name in result.numbers},
+            **result.asked.driving,
             "seconds": time.perf_counter() - began,
         }
 

@@ -214,7 +214,18 @@ class Result:
         return values.item() if isinstance(values, np.ndarray) and values.ndim == 1 else values[0]
 
     def sample(self, number: int) -> "Result":
-        """The result of one sample as if it had been solved alone; InputError if there is none of this number."""
+        """Return the result of one sample as if it had been solved alone.
+
+        Parameters
+        ----------
+        number : int
+            Which one, counted from 0.
+
+        Raises
+        ------
+        InputError
+            If there is no sample of this number.
+        """
         if not 0 <= number < len(self):
             raise InputError(f"replica is {number}; the run has {len(self)}, counted from 0")
         solution, spin = self.solution.sample(number), self.started_from
@@ -267,11 +278,28 @@ class Result:
     def plot(
         self, kind: str = "spins", sample: int = 0, time: float | None = None, page: "Page | None" = None
     ) -> "Figure":
-        """A figure, which notebooks show and `.savefig("a.pdf")` writes; no setting of matplotlib is changed.
+        """Draw a figure, which notebooks show and `.savefig("a.pdf")` writes; no setting of matplotlib is changed.
 
-        kind : "spins", "power", "history", "energy", or one of `bearings analyse`: "domains", "network".
-        sample : which of several. time : of the snapshot whose spins are drawn. page : how it is printed, a
-            `taichi_bearings.plots.page.Page` with width, planes and view.
+        Parameters
+        ----------
+        kind : str
+            "spins", "power", "history", "energy", or one of `bearings analyse`: "domains", "network".
+        sample : int
+            Which one of several samples is drawn.
+        time : float, optional
+            Simulated time of the snapshot whose spins are drawn.
+        page : taichi_bearings.plots.page.Page, optional
+            How it is printed: width, planes and view.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            The figure.
+
+        Raises
+        ------
+        InputError
+            For a figure or a sample that there is not, or where there is nothing to show.
         """
         from taichi_bearings.plots.page import PAGE
         from taichi_bearings.runs.figures import draw_figure  # and with it matplotlib, which nothing else needs
@@ -279,9 +307,24 @@ class Result:
         return draw_figure(kind, self.solution, sample, time, self.asked.slip_threshold, page or PAGE)
 
     def save(self, path: str | Path, force: bool = False) -> Path:
-        """Write what `bearings run` writes into a new directory, which is returned; :func:`load` reads it.
+        """Write what `bearings run` writes into a new directory; :func:`load` reads it.
 
-        force : replace a run directory that stands there. FileError if something does, or if it cannot be written.
+        Parameters
+        ----------
+        path : str or Path
+            The directory.
+        force : bool
+            Replace a run directory that stands there.
+
+        Returns
+        -------
+        Path
+            The directory, which is `path` of this result from now on.
+
+        Raises
+        ------
+        FileError
+            If something stands there, or if it cannot be written.
         """
         if not force and os.path.lexists(path):
             raise FileError(f"{path} already exists; save into another directory, or with force=True")
