@@ -20,14 +20,14 @@ from taichi_bearings.progress import displayed
 from taichi_bearings.runs import run as runs
 from taichi_bearings.runs.analysis import Analysis
 from taichi_bearings.runs.packing_run import fitting, minimises
-from taichi_bearings.runs.result import Result
+from taichi_bearings.runs.result import Result as Result
 from taichi_bearings.runs.run_file import read_run
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.runtime import available_threads
 from taichi_bearings.scans.sample import JobTask, solve_all
-from taichi_bearings.scene import Scene
+from taichi_bearings.scene import Scene as Scene
 from taichi_bearings.scene.initial_spins import initial_spin
-from taichi_bearings.scene.packing import Packing
+from taichi_bearings.scene.packing import Packing as Packing
 from taichi_bearings.solvers import MethodOptions
 from taichi_bearings.solvers.drive import Report
 from taichi_bearings.words import meant, shown

@@ -100,7 +100,7 @@ class Structure:
     @cached_read_only
     def slipless(self) -> np.ndarray:
         """(E,) True for slipless contacts."""
-        return self.state == ContactState.SLIPLESS
+        return np.asarray(self.state == ContactState.SLIPLESS)
 
     @property
     def states_proven(self) -> bool:
@@ -142,7 +142,7 @@ class Structure:
         bottom, top = mean[..., :1], mean[..., -1:]
         if not np.allclose(bottom, top, rtol=0, atol=1e-12 * self.scene.fastest):
             return spin
-        shown = spin.copy()
+        shown = np.array(spin)
         shown[..., 1:-1, 2] -= (sign * (mean - bottom))[..., 1:-1]
         return shown
 
@@ -158,7 +158,7 @@ class Structure:
 
     def speeds(self, spin: np.ndarray) -> np.ndarray:
         """R omega (N, C) of spins in the shape that they have; length/time."""
-        return spin.reshape(self.whole.spheres, -1) * self.whole.radius[:, None]
+        return np.asarray(spin.reshape(self.whole.spheres, -1) * self.whole.radius[:, None])
 
     @cached_property
     def network(self) -> SliplessNetwork:
@@ -194,7 +194,7 @@ class Structure:
         odd, sign = self.signs
         u = sign[:, None] * self.speeds(self.spin)
         first = np.argmax(np.abs(u) > SAME_STATE * np.abs(u).max(initial=0.0), axis=1)
-        return np.where(odd[:, None] & (u[np.arange(len(u)), first] < 0)[:, None], -u, u)
+        return np.asarray(np.where(odd[:, None] & (u[np.arange(len(u)), first] < 0)[:, None], -u, u))
 
     @cached_property
     def rigid_domains(self) -> RigidDomains:
@@ -238,7 +238,7 @@ class Structure:
         height[-1] = 1.0
         if len(inside):
             height[inside] = spsolve(matrix[:, inside].tocsc(), -matrix[:, [-1]].toarray()[:, 0])
-        return height[node]
+        return np.asarray(height[node])
 
     @cached_property
     def torque_flow(self) -> TorqueFlow:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from math import prod
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -51,6 +51,10 @@ from taichi_bearings.solvers.table import (
 )
 from taichi_bearings.stages import stage
 from taichi_bearings.words import counted
+
+if TYPE_CHECKING:
+    from taichi_bearings.solvers.drive import Checkpoints, Monitor
+    from taichi_bearings.solvers.method import Method
 
 
 def build_scene(settings: RunSettings) -> Scene:
@@ -111,15 +115,22 @@ def _row_of(settings: RunSettings) -> type[MethodOptions]:
 
 @dataclass(frozen=True)
 class Job:
-    """A checked run that is ready to be solved. scene : as of a Solution. spin : that it starts from."""
+    """A checked run that is ready to be solved.
+
+    settings : what was asked for. scene : what is solved. spin : that it starts from, None of a packing whose start has
+    a name. method : that is taken, None where the settings of a packing name it.
+    """
 
     settings: RunSettings
     scene: Bearing
-    spin: Any
-    method: Any = None
+    spin: np.ndarray | None
+    method: "Method | None" = None
 
-    def solve(self, monitors: Sequence[Any] = (), checkpoints: Any = None, **others: Any) -> Result:
-        """On the device that the settings name. checkpoints : a solvers.drive.Checkpoints, for a dynamics."""
+    def solve(
+        self, monitors: "Sequence[Monitor]" = (), checkpoints: "Checkpoints | None" = None, **others: Any
+    ) -> Result:
+        """Solve it on the device that the settings name. monitors : hear of each check. checkpoints : of a method that
+        resumes, where they are written. others : what the methods of packings alone take."""
         if self.scene.network.lattice is not None:
             solution = solve_job(self, monitors, checkpoints)
             return Result(self.settings, solution, self.spin, interrupted=solution.interrupted)
@@ -149,7 +160,7 @@ def prepare(settings: RunSettings, strict: bool = True) -> Job:
 def cost(settings: RunSettings) -> Cost:
     """What the run of these settings would take; every input error is raised, and nothing is solved."""
     job = prepare(settings)
-    row = row_of(job.settings) if settings.is_packing else type(job.method.options)
+    row = row_of(job.settings) if job.method is None else type(job.method.options)
     return cost_of(job.settings, row, job.scene)
 
 
@@ -174,7 +185,7 @@ SPLITTING_HELPS = 1e-12
 MOST_SPLITTINGS, FIRST_SPLITTINGS, DOUBLE_DECADES = 20_000, 100, 2.0**53
 
 
-def solve_job(job: Job, monitors: Sequence[Any] = (), checkpoints: Any = None) -> Solution:
+def solve_job(job: Job, monitors: "Sequence[Monitor]" = (), checkpoints: "Checkpoints | None" = None) -> Solution:
     """Solve on the device that the settings name; starts Taichi if the method needs it.
 
     checkpoints : a solvers.drive.Checkpoints, for a dynamics.
@@ -183,12 +194,14 @@ def solve_job(job: Job, monitors: Sequence[Any] = (), checkpoints: Any = None) -
     from taichi_bearings.solvers.recording import Recording
     from taichi_bearings.solvers.stopping import StopRule
 
-    settings, method = job.settings, job.method
-    if job.method.options.needs_taichi:
+    settings, method, spin = job.settings, job.method, job.spin
+    assert method is not None  # which a job of a lattice has
+    assert spin is not None
+    if method.options.needs_taichi:
         with stage("starting Taichi"):
             runtime.start(settings.arch, settings.precision, settings.threads)
     stop, recording = StopRule.of(settings), Recording.of(settings)
-    solution = solve(job.scene, method, job.spin, stop, monitors, settings.slip_threshold, recording, checkpoints)
+    solution = solve(job.scene, method, spin, stop, monitors, settings.slip_threshold, recording, checkpoints)
     stalled = solution.method == "interior-point" and solution.status is Status.STALLED and not solution.interrupted
     if settings.method == "auto" and stalled and not OperatorSplitting.refusal(of_lattice(job.scene)):
         # each on its own, so that it has the same bits alone and beside others; not-a-number is no gap that is small
@@ -216,7 +229,7 @@ def solve_job(job: Job, monitors: Sequence[Any] = (), checkpoints: Any = None) -
 
     def again(bearing: Bearing) -> Solution:
         scene = of_lattice(bearing)
-        return solve_job(Job(free, scene, initial_spin(scene, "linear"), job.method.options.build()))
+        return solve_job(Job(free, scene, initial_spin(scene, "linear"), method.options.build()))
 
     return under_torque(solution, settings.torque, again)
 
@@ -234,7 +247,7 @@ def run(
     settings: RunSettings,
     out: Path | None = None,
     force: bool = False,
-    monitors: Sequence[Any] = (),
+    monitors: "Sequence[Monitor]" = (),
     title: bool = True,
 ) -> Result:
     """Solve a scene or a packing and write a run directory: run.h5, summary.json, scene.toml, power_histogram.csv and
@@ -304,7 +317,7 @@ CHANGEABLE = (
 
 
 def resume(
-    path: Path, changes: Mapping[str, Any] | None = None, monitors: Sequence[Any] = (), title: bool = True
+    path: Path, changes: Mapping[str, Any] | None = None, monitors: "Sequence[Monitor]" = (), title: bool = True
 ) -> Result:
     """Go on with a run that has a checkpoint, to the same bits as if it had never been stopped.
 
@@ -339,7 +352,7 @@ def _solve_with_checkpoints(
     job: Job,
     stored: RunSettings,
     arrays: Mapping[str, np.ndarray] | None,
-    monitors: Sequence[Any],
+    monitors: "Sequence[Monitor]",
     title: bool,
 ) -> Result:
     """Solve in a run directory that is there already and in our use, and complete it; a KeyboardInterrupt names it.

@@ -23,7 +23,7 @@ from taichi_bearings.runs.run_directory import CHECKPOINT_NAME, claimed, is_run
 from taichi_bearings.runs.run_layout import AXES, PACKING_ARRAYS
 from taichi_bearings.runs.settings import RunSettings, parse_toml, read_toml, settings_table
 from taichi_bearings.runtime import HOST, Runtime
-from taichi_bearings.scene import LAWS, Scene, Snapshots, Solution, Status
+from taichi_bearings.scene import LAWS, Bearing, Scene, Snapshots, Solution, Status
 from taichi_bearings.scene.solution import OF_ALL, is_crossed
 from taichi_bearings.stages import stage
 from taichi_bearings.words import shown
@@ -217,7 +217,7 @@ def _read(path: Path, file: h5py.File, attributes: Mapping[str, Any], settings: 
         kinds = "UO" if name == "proof" else "biuf"
         if values.dtype.kind not in kinds or values.shape not in ((1,), (replicas,)):
             raise ValueError(f"{name} is {value!r}; it must be a number, for each of its {replicas} samples")
-        return np.broadcast_to(values, replicas).copy()
+        return np.array(np.broadcast_to(values, replicas))
 
     ended = [Status(name) for name in np.atleast_1d(attributes["status"]).tolist()]
     status = next((one for one in ended if one is not Status.CERTIFIED), Status.CERTIFIED)
@@ -274,7 +274,7 @@ def _of_layout_1(
 
 
 ENERGIES = {"time", "kinetic_energy", "spring_energy", "injected_energy", "dissipated_energy"}
-_Found = tuple[Any, _Sets, Callable[..., np.ndarray], tuple[int, ...], tuple[int, ...]]
+_Found = tuple[Bearing, _Sets, Callable[..., np.ndarray], tuple[int, ...], tuple[int, ...]]
 """Scene or packings, data sets, what reads one of the contacts by its name, (R, E, *parts), and the shapes of the
 spheres and of a vector."""
 

@@ -6,7 +6,9 @@ import logging
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+import numpy as np
 
 from taichi_bearings import compiler
 from taichi_bearings.errors import FileError, WriteError, printable
@@ -36,7 +38,9 @@ def versions() -> dict[str, str]:
     return {"python": platform.python_version(), **found}
 
 
-def self_contained(settings: RunSettings, scene: Bearing, spin: Any, folder: Path, name: str = "run.h5") -> RunSettings:
+def self_contained(
+    settings: RunSettings, scene: Bearing, spin: np.ndarray | None, folder: Path, name: str = "run.h5"
+) -> RunSettings:
     """Settings whose files lie in the run directory itself, so that it can be moved and run again.
 
     With checkpoints that must be possible while there is no run.h5 yet. name : of what is that otherwise.
@@ -52,7 +56,7 @@ def self_contained(settings: RunSettings, scene: Bearing, spin: Any, folder: Pat
             arrays = {short_name(f"{kind}/{axis}"): v for kind, of in parts for axis, v in zip("xyz", of, strict=False)}
             if with_file:
                 write_arrays(folder / name, arrays)
-        spin = None if settings.initial in STARTS else spin[0] if one else spin
+        spin = None if spin is None or settings.initial in STARTS else spin[0] if one else spin
     else:
         kept = {key: value for key, value in settings.given.items() if key not in LED_TO_ARRAYS}
         name = "packing.npz" if with_file else name

@@ -72,7 +72,7 @@ class Energy:
         """(R,) what the balance leaves unexplained, relative to the energy that was turned over."""
         turnover = np.maximum(self.at_start + np.abs(self.injected), np.abs(self.dissipated))
         missing = self.at_start + self.injected - self.dissipated - self.kinetic - self.spring
-        return np.divide(missing, turnover, out=np.zeros_like(missing), where=turnover > 0)
+        return np.asarray(np.divide(missing, turnover, out=np.zeros_like(missing), where=turnover > 0))
 
 
 @dataclass(frozen=True)
@@ -332,7 +332,7 @@ class Solution:
             return replace(one, **ended)
 
         def placed(whole: np.ndarray, value: Any) -> np.ndarray:
-            changed = whole.copy()
+            changed = np.array(whole)
             changed[number] = value
             return changed
 
