@@ -29,7 +29,7 @@ from taichi_bearings.scene import Scene as Scene
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.scene.packing import Packing as Packing
 from taichi_bearings.solvers import MethodOptions
-from taichi_bearings.solvers.drive import Report
+from taichi_bearings.solvers.drive import Monitor, Report
 from taichi_bearings.words import meant, shown
 
 
@@ -96,27 +96,13 @@ def solve(
         It hears of each :class:`Check`; where it returns True the solve ends with what was reached, as by Ctrl-C.
     progress : bool
         Show on a terminal or below the cell of a notebook how far it is, while it takes longer than a moment.
-    torque : float, optional
-        Torque on the top instead of its spin, force*length, of methods that find minima; it adds `yields`,
-        `yield_torque`, `yield_torque_lower_bound` and `amplitude` to `findings`.
-    iterations : int, optional
-        Iterations at most.
-    time_limit : float, optional
-        Wall time at most, s.
-    duration : float, optional
-        Simulated time that a dynamics goes on for.
-    record : sequence of float or str, optional
-        Simulated times of the rows of the history, as numbers or as "log:start,stop,count".
-    snapshots : sequence of float or str, optional
-        Simulated times of the spins that are kept, in the same form.
-    slip_threshold : float, optional
-        Slip speed, length/time, up to which contacts count as slipless.
-    arch : str, optional
-        "cpu", "cuda", "vulkan", "metal" or "auto".
-    precision : str, optional
-        "f64" or "f32".
-    threads : int, optional
-        Threads of the processor; 0 for all.
+    **options
+        Settings of a run: `torque` on the top instead of its spin, force*length, of methods that find minima, which
+        adds `yields`, `yield_torque`, `yield_torque_lower_bound` and `amplitude` to `findings`; `iterations` at most;
+        `time_limit`, s; of a dynamics `duration`, the simulated time to go on for, and the simulated times `record` of
+        the rows of the history and `snapshots` of spins that are kept, as numbers or as "log:start,stop,count";
+        `slip_threshold`, length/time, up to which contacts count as slipless; `arch`, "cpu", "cuda", "vulkan", "metal"
+        or "auto"; `precision`, "f64" or "f32"; `threads`, 0 for all.
 
     Returns
     -------
@@ -136,9 +122,7 @@ def solve(
     ('certified', True, (4, 5))
     """
     with displayed(progress):
-        if callback is not None and not callable(callback):
-            raise InputError(f"callback is {shown(callback)}; it must be a function that takes a Check")
-        monitors = [] if callback is None else [_monitor(callback)]
+        monitors = _monitors(callback)
         density = {"density": options.pop("density")} if isinstance(scene, Packing) and "density" in options else {}
         job = _job(scene, method, {"tolerance": tolerance, **options}, start)
         if isinstance(scene, Packing) and monitors and minimises(job.settings):
@@ -307,8 +291,12 @@ def _asked(method: str | MethodOptions, options: Mapping[str, Any], start: str |
     return values | {"method": method, "initial": named, **options}
 
 
-def _monitor(callback: Callable[[Check], bool | None]) -> Callable[[Report], bool | None]:
-    """A callback of a user as the loop knows it."""
+def _monitors(callback: Callable[[Check], bool | None] | None) -> list[Monitor]:
+    """A callback of a user as the loop knows it; none where there is no callback."""
+    if callback is None:
+        return []
+    if not callable(callback):
+        raise InputError(f"callback is {shown(callback)}; it must be a function that takes a Check")
 
     def plain(values: np.ndarray) -> Any:
         return values if len(values) > 1 else float(values[0])
@@ -318,4 +306,4 @@ def _monitor(callback: Callable[[Check], bool | None]) -> Callable[[Report], boo
         reached = plain(report.objective), plain(report.gap)
         return callback(Check(progress.iteration, report.seconds, progress.time, *reached, report.stop.tolerance))
 
-    return monitor
+    return [monitor]
