@@ -90,8 +90,7 @@ def solve(
     tolerance : float
         Proven relative gap at which the solve is done.
     start : str or numpy.ndarray
-        Spins to start from: "linear", "random", "zero", "minimum-cut", the name of a file, or an array like
-        `Result.spin`.
+        Spins to start from: "linear", "random", "zero", "minimum-cut", a file, or an array like `Result.spin`.
     callback : callable, optional
         It hears of each :class:`Check`; where it returns True the solve ends with what was reached, as by Ctrl-C.
     progress : bool
