@@ -37,7 +37,7 @@ def draw_history(answer: Solution, page: Page = PAGE) -> Figure:
     courses = courses_of(answer)
     if not courses:
         steps = counted(_steps(answer.sample(0)), "step")
-        raise InputError(f"the run has {steps} of {answer.method}; a history needs 2 or more")
+        raise InputError(f"the run kept {steps} of {answer.method}; a history needs 2 or more")
     course, scene = courses[0], courses[0].scene
     width = page.inches("single")
     figure = style.plain_figure(width, 0.85 * width, page.dpi)
