@@ -3,6 +3,7 @@
 Letters: C components of a field, R replicas, N shape of the lattice or number of spheres, E contacts.
 """
 
+from copy import copy
 from typing import Any
 
 import numpy as np
@@ -105,10 +106,19 @@ class Fields:
         values.fill(0)
         return values, None
 
+    def part(self, number: int) -> "Fields":
+        """Return the fields of one of the copies in `Lists`, in the same memory."""
+        found = copy(self)
+        found._place = {
+            name: (first, components, rows._replace(margin=number * (rows.length // self.layout.copies)))
+            for name, (first, components, rows) in self._place.items()
+        }
+        return found
+
     def load(self, name: str, values: np.ndarray) -> None:
         """Set a field from (C, R, *N), or in lists from (C, 1, N) or (C, 1, E); the margins of its rows stay."""
         first, components, rows = self._place[name]
-        given = values.reshape(components, -1)[:, rows.order]
+        given = values.reshape(components, int(np.prod(rows.shape)))[:, rows.order]
         if self._host is not None:
             self._inside(name)[...] = given
             return

@@ -13,6 +13,7 @@ ListSpec = tuple[FieldSpec, FieldSpec]
 """Fields that each sphere has, and fields that each contact has: names and numbers of components."""
 AnySpec = FieldSpec | ListSpec
 """Fields of a lattice, or of lists."""
+NUMBERS = 10  # constants of a copy that kernels read
 
 
 @dataclass(frozen=True)
@@ -24,6 +25,7 @@ class Lists:
     ends : (2 size[1],) places of the first sphere of each contact, then of the second.
     start, incident : the contacts of the sphere at place i are incident[start[i] : start[i + 1]].
     block : places that a kernel works on together.
+    copies : samples of the network that stand one after another, each in whole blocks.
     """
 
     sphere: np.ndarray
@@ -33,6 +35,7 @@ class Lists:
     start: np.ndarray
     incident: np.ndarray
     block: int
+    copies: int = 1
 
     @classmethod
     def of(cls, spheres: int, pairs: np.ndarray) -> "Lists":
@@ -56,20 +59,39 @@ class Lists:
         tables = rows.ravel(), start.astype(np.int32), incident.astype(np.int32)
         return cls(sphere, contact, (whole[0], whole[1]), *tables, block)
 
+    def several(self, copies: int) -> "Lists":
+        """Return the lists of so many samples of this one."""
+        spheres, contacts = self.size
+        ends = self.ends.reshape(2, 1, -1) + spheres * np.arange(copies, dtype=np.int32)[:, None]
+        incident, each = self.incident[:-1], np.arange(copies)[:, None]
+        start = np.append(self.start[:-1] + len(incident) * each, copies * len(incident))
+        incident = np.append(incident + contacts * each, 0)
+        size, tables = (spheres * copies, contacts * copies), (start.astype(np.int32), incident.astype(np.int32))
+        return Lists(self.sphere, self.contact, size, ends.astype(np.int32).ravel(), *tables, self.block, copies)
+
     @property
     def sites(self) -> int:
-        """Number of spheres."""
-        return len(self.sphere)
+        """Number of spheres, of all copies."""
+        return self.copies * len(self.sphere)
+
+    @property
+    def numbers_row(self) -> int:
+        """Length of a row of numbers that each copy has one of, a block apart."""
+        return self.block * self.copies
 
     @property
     def measures(self) -> np.ndarray:
-        """Integers that kernels need: the lengths of the rows, and the lists themselves."""
-        return np.concatenate([self.size, self.ends, self.start, self.incident])
+        """Integers that kernels need: lengths of the rows of spheres and of contacts, of all copies and then
+        of one, the length of a row of numbers; and the lists themselves."""
+        one = [length // self.copies for length in self.size]
+        return np.concatenate([self.size, one, [self.numbers_row], self.ends, self.start, self.incident])
 
     def parts(self, spec: ListSpec) -> list[tuple[FieldSpec, Rows]]:
-        """Return the fields of spheres (C, 1, N) and of contacts (C, 1, E), each with the place of its rows."""
+        """Return the fields of spheres (C, 1, N), of contacts (C, 1, E), and the constants of kernels that each copy
+        has, (C, 1), with the place of their rows in the first copy."""
         rows = [
             Rows(length, 0, (1, len(order)), order)
             for length, order in zip(self.size, (self.sphere, self.contact), strict=True)
         ]
-        return list(zip(spec, rows, strict=True))
+        numbers: FieldSpec = (("numbers", NUMBERS),)
+        return list(zip((*spec, numbers), (*rows, Rows(self.numbers_row, 0, (1,))), strict=True))

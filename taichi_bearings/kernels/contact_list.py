@@ -11,7 +11,7 @@ Letters: d tangents of a contact, C components of a spin.
 
 from taichi_bearings.compiler import ti
 from taichi_bearings.fields import block_size
-from taichi_bearings.fields.lists import ListSpec
+from taichi_bearings.fields.lists import NUMBERS, ListSpec
 from taichi_bearings.kernels.contact import FORCES, viscous_force
 from taichi_bearings.kernels.cundall_strack import SpringsAndSpins
 from taichi_bearings.kernels.descent import momentum
@@ -25,12 +25,14 @@ class ListSweeps(Sweeps):
 
     Subclasses say what is done with a block: `at_contacts`, and for each spin component `at_spheres`.
 
+    Copies of the network, which are samples, stand one after another, each with constants of its own (`NUMBERS`).
+
     Fields that all have, each of contacts: `across`, the tangents (d C), but for discs; `coefficient`; `viscosity`, if
-    the law has one; `force`, T f (C). Measures, `size` : lengths of the rows of spheres and of contacts; in `tables`
-    the lists of `Lists` follow them.
+    the law has one; `force`, T f (C). Measures, `size` : lengths of the rows of spheres and of contacts, of all
+    copies and then of one, and of the rows of constants; in `tables` the lists of `Lists` follow them.
     """
 
-    parts, measures = 2, 2
+    parts, measures, numbers = 2, 5, 1
 
     def __init__(self, spec: ListSpec, law: str, corrector: tuple[float, ...]):
         """spec : fields of spheres and of contacts. corrector : of Gear's method, empty for a descent."""
@@ -51,6 +53,7 @@ class ListSweeps(Sweeps):
             for names in (gear, (*gear, "predicted", "integral"))
         )  # of each component
         self.averages, self.momentum = "force_sum" in self.rows, "spin" in self.rows
+        self.contact_rows = end - self.sphere_rows
 
     @ti.func
     def count(self, part: ti.template(), size: ti.template()):
@@ -62,16 +65,19 @@ class ListSweeps(Sweeps):
         self, part: ti.template(), values: ti.template(), blocks: ti.template(), tables: ti.template(),
         size: ti.template(), number, numbers: ti.template(), sweep, carried: ti.template(),
     ):  # fmt: skip
-        """Work on the block of contacts, or of spheres, of this number."""
+        """Work on the block of contacts, or of spheres, of this number. Of what all copies of the lists are given,
+        `numbers`, it takes nothing: each copy has constants of its own."""
         first = in_range(number * self.block)
+        place = self.sphere_rows * size[0] + self.contact_rows * size[1] + first // size[3 - part] * self.block
+        own = [values[in_range(place + k * size[4])] for k in ti.static(range(NUMBERS))]
         if ti.static(part == 0):
             across = load_each(values, self.on("across", size, first), self.block)
-            self.at_contacts(values, blocks, tables, first, size, across, numbers)
+            self.at_contacts(values, blocks, tables, first, size, across, own)
         else:
             for c in ti.static(range(self.components)):
                 row = self.sphere_rows * size[0] + self.rows["force"][c] * size[1]
                 pull = self.pull(values, row, tables, size, first)
-                self.at_spheres(values, blocks, c, pull, first, size, numbers, sweep)
+                self.at_spheres(values, blocks, c, pull, first, size, own, sweep)
 
     @ti.func
     def on(self, name: ti.template(), size: ti.template(), first):
@@ -88,7 +94,7 @@ class ListSweeps(Sweeps):
         """
         both = [zero(self.block) for _ in self.rows[name]]
         for k in ti.static(range(len(both))):
-            row, lower = self.rows[name][k] * size[0], 2 + first
+            row, lower = self.rows[name][k] * size[0], self.measures + first
             both[k] = self.gathered(values, row, tables, lower) + self.gathered(values, row, tables, size[1] + lower)
         if ti.static(self.components == 1):
             return both
@@ -129,7 +135,7 @@ class ListSweeps(Sweeps):
     @ti.func
     def pull_on(self, values: ti.template(), row, tables: ti.template(), size: ti.template(), sphere):
         """Return one component of the sum of the contact forces on one sphere."""
-        total, start = 0.0, 2 + 2 * size[1]
+        total, start = 0.0, self.measures + 2 * size[1]
         incident = start + size[0] + 1
         for n in range(incident + tables[start + sphere], incident + tables[start + sphere + 1]):
             total -= values[in_range(row + tables[n])]
@@ -147,8 +153,6 @@ class CundallStrackLists(SpringsAndSpins, ListSweeps):
 
     `is_free` holds 1 / inertia of each sphere, 0 of driven ones; `work` is that of each contact.
     """
-
-    numbers = 8
 
     @ti.func
     def at_contacts(
@@ -200,7 +204,7 @@ class DescentLists(ListSweeps):
     Spins are kept in no box, which would be wrong where normals are oblique.
     """
 
-    repeats, numbers = 2, 9
+    repeats = 2
 
     @ti.func
     def at_contacts(
@@ -234,7 +238,7 @@ class DescentLists(ListSweeps):
         new = point + numbers[0] * weight * pull
         if ti.static(self.momentum):
             spin = in_range(self.rows["spin"][c] * size[0] + first)
-            beyond = momentum(sweep) * (new - load(values, spin, self.block))
+            beyond = momentum(sweep + ti.cast(numbers[9], int)) * (new - load(values, spin, self.block))
             store(values, blocks, at[0], self.block, new + beyond)
             store(values, blocks, spin, self.block, new)
         else:

@@ -53,11 +53,16 @@ def solve_packings(
     checkpoints: Any = None,
     **others: Any,
 ) -> Result:
-    """The replicas block by block, each as alone: minima of small ones side by side, all else one after another.
-    Ctrl-C leaves those that were begun; with checkpoints, from which the others can go on, it is a KeyboardInterrupt
-    unless all were."""
+    """Each replica as alone: dynamics and descents by the loop of `solvers.drive.solve`, all else block by block, with
+    minima of small ones side by side. Ctrl-C leaves those that were begun; with checkpoints, from which the others can
+    go on, it is a KeyboardInterrupt unless all were."""
     count, found = scene.replicas, list[Solution]()
     several, is_interrupted = np.ndim(start) > scene.imposed_spins()[0].ndim, False
+    if not minimises(settings) and settings.torque is None:
+        solution = solved_packing(settings, scene, start, monitors=monitors, checkpoints=checkpoints, **others)
+        if (reached := solution.scene.replicas) < count:
+            settings, start = replace(settings, replicas=reached), start[:reached] if several else start
+        return Result(settings, solution, start, interrupted=solution.interrupted)
     written = [None] * count if checkpoints is None else checkpoints.of_each(count)
     for begin, end in _blocks(settings, scene):
         told = {} if minimises(settings) else {"monitors": monitors, "checkpoints": written[begin]}
@@ -228,8 +233,8 @@ def _stepped(
     monitors: Sequence[Any] = (),
     checkpoints: Any = None,
 ) -> Solution:
-    """A dynamics or descent of a packing. start : as of `initial_spin`. density : as of `Packing.inertias`. monitors,
-    checkpoints : as of `solvers.drive.solve`."""
+    """A dynamics or descent of the samples of a packing. start : as of `initial_spin`.
+    density : as of `Packing.inertias`. monitors, checkpoints : as of `solvers.drive.solve`."""
     from taichi_bearings.solvers.drive import solve  # and with it Taichi's kernels
     from taichi_bearings.solvers.dynamics import Dynamics
     from taichi_bearings.solvers.recording import Recording

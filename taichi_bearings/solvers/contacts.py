@@ -22,6 +22,9 @@ if TYPE_CHECKING:
     from taichi_bearings.kernels.team import Sweeps, Team
     from taichi_bearings.solvers.table import MethodOptions
 
+CONSTANT = ("is_free", "across", "coefficient", "viscosity", "numbers")
+"""Fields that steps do not change."""
+
 
 @dataclass(frozen=True)
 class Ended:
@@ -35,6 +38,15 @@ class Ended:
     iterations: int
     stop: StopRule
     options: "MethodOptions"
+
+
+@dataclass(frozen=True)
+class Launch:
+    """Turns of kernels with the same constants, `numbers`, the first of them number `first`."""
+
+    turns: int
+    numbers: tuple[float, ...]
+    first: int = 0
 
 
 class Contacts(ABC):
@@ -88,8 +100,8 @@ class Contacts(ABC):
         """Workers, and the kernels of gradient descent."""
 
     @abstractmethod
-    def run(self, team: "Team", sweeps: "Sweeps", turns: int, numbers: tuple[float, ...], first: int = 0) -> None:
-        """Make so many turns of the kernels with these constants, the first of them number `first`."""
+    def run(self, team: "Team", sweeps: "Sweeps", launch: Launch) -> None:
+        """Make turns of the kernels."""
 
     @abstractmethod
     def weights(self, bounds: np.ndarray) -> np.ndarray:

@@ -5,16 +5,16 @@ power of the spins is an upper bound of the least power, and the spring forces, 
 dynamical run proves its own gap.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from taichi_bearings.errors import InputError
-from taichi_bearings.fields import Fields
 from taichi_bearings.fields.lists import AnySpec
 from taichi_bearings.scene import Bearing, Energy, Progress, Scene
 from taichi_bearings.scene.scene import of_lattice
+from taichi_bearings.solvers.contacts import CONSTANT, Launch
 from taichi_bearings.solvers.dynamics import WATCH_NAMES, SpringDynamics, replica_sum
 from taichi_bearings.solvers.gear import (
     GEAR_COEFFICIENTS,
@@ -23,6 +23,7 @@ from taichi_bearings.solvers.gear import (
     largest_laplacian_eigenvalue,
     largest_stable_step,
 )
+from taichi_bearings.solvers.method import Swept
 from taichi_bearings.solvers.on_strides import fastest_modes, inertia_of
 from taichi_bearings.solvers.table import CundallStrack
 
@@ -30,7 +31,7 @@ DEFAULT_STEP = 0.8  # of the stability bound
 SAME_STEP = 1e-12  # relative distance of two times that counts as none
 
 
-class CundallStrackMethod(SpringDynamics):
+class CundallStrackMethod(Swept, SpringDynamics):
     """See the module docstring. An iteration is one time step; all are as long but the last, which ends the run at its
     duration.
 
@@ -60,13 +61,8 @@ class CundallStrackMethod(SpringDynamics):
         self._load_gear(scene.staggered_spin(spin, self.spin_axes))
         is_free = np.where(scene.is_driven, 0.0, self.unit_inertia / self.inertia)
         self.fields.load("is_free", np.broadcast_to(is_free, (1, replicas, *scene.network.shape)))
-        self.team, self.steps = self.contacts.springs(GEAR_COEFFICIENTS[options.gear_order])
-        self.steps.compile(self.fields, self.team)
-
-    @property
-    def fields(self) -> Fields:
-        """The numbers of all spheres and contacts."""
-        return self.contacts.fields
+        self.team, self.sweeps = self.contacts.springs(GEAR_COEFFICIENTS[options.gear_order])
+        self.sweeps.compile(self.fields, self.team)
 
     def needed(self) -> AnySpec:
         """The fields of the steps."""
@@ -137,7 +133,7 @@ class CundallStrackMethod(SpringDynamics):
     @property
     def _changing(self) -> list[str]:
         """Fields that a step changes."""
-        return [name for name in self.fields.names if name not in ("is_free", "across", "coefficient", "viscosity")]
+        return [name for name in self.fields.names if name not in CONSTANT]
 
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
         if float(state["time_step"]) != self.time_step:
@@ -163,21 +159,25 @@ class CundallStrackMethod(SpringDynamics):
             span * radius / self.unit_inertia,
         )
 
-    def advance(self, steps: int) -> None:
+    def launches(self, steps: int) -> Iterator[Launch]:
         """So many steps; the one that reaches the end of the run is as long as is left."""
         ends = self.iteration + steps == self._steps_to(self.end)
         shorter = ends and (self.iteration + steps) * self.time_step > self.end * (1 + SAME_STEP)
         if whole := steps - int(shorter):
-            self.contacts.run(self.team, self.steps, whole, self.numbers(self.time_step))
+            yield Launch(whole, self.numbers(self.time_step))
             self.iteration += whole
             self.time = self.iteration * self.time_step
         if shorter:
-            self._make_last_step(self.end - self.time)
+            span = self.end - self.time
+            self._prepare_last_step(span)
+            yield Launch(1, self.numbers(span))
+            self.iteration += 1
+            self.last_span = span
         if ends:
             self.time = self.end
 
-    def _make_last_step(self, span: float) -> None:
-        """One shorter step, of length `span`.
+    def _prepare_last_step(self, span: float) -> None:
+        """Make ready for one shorter step, of length `span`.
 
         The n-th scaled derivative goes with the n-th power of the step. The mean spin of the next step is their sum,
         and what Gear's method corrects of the stretch of the step before, which is a length and stays the same.
@@ -200,9 +200,6 @@ class CundallStrackMethod(SpringDynamics):
         if self.scene.law.holds:
             corrected = self.fields.read("integral") - _mean_of(old)
             self.fields.load("integral", _mean_of(new) + corrected / share)
-        self.contacts.run(self.team, self.steps, 1, self.numbers(span))
-        self.iteration += 1
-        self.last_span = span
 
     def spins(self) -> np.ndarray:
         """(C, R, *N), staggered, of now."""

@@ -1,8 +1,9 @@
 """The only iteration loop: it owns the clock, the history, the monitors and the stopping."""
 
 import time
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import nullcontext, suppress
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -89,23 +90,113 @@ def solve(
         raise InputError(reason)
     if method.options.cpu_only and runtime.current().is_gpu:
         raise DeviceError(f"{method.options.name} works in the memory of the CPU; use --arch cpu")
-    began = time.perf_counter()
+    asked = _Asked(stop or StopRule(), monitors, slip_threshold, recording or Recording())
+    if scene.network.lattice is not None or scene.replicas == 1:
+        return _solved([_Sample(scene, method, spin, checkpoints)], asked)[0]
+    return _apart(scene, method, spin, checkpoints, asked)
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """What is asked of all samples, as arguments of :func:`solve`."""
+
+    stop: StopRule
+    monitors: Sequence[Monitor]
+    slip_threshold: float | None
+    recording: Recording
+
+
+@dataclass(frozen=True)
+class _Sample:
+    """What is solved by a course of its own: a lattice with all its samples, or one sample of a packing; with its
+    method, the spins that it starts from, and where it writes checkpoints."""
+
+    scene: Bearing
+    method: Method
+    spin: np.ndarray
+    checkpoints: Checkpoints | None
+
+
+def _apart(
+    scene: Bearing, method: Method, spin: np.ndarray, checkpoints: Checkpoints | None, asked: _Asked
+) -> Solution:
+    """The answers to the samples of a packing, each to the bits that it has alone, as one; some at a time.
+
+    Ctrl-C leaves those that were begun; with checkpoints, from which the others can go on, it is a KeyboardInterrupt
+    unless all were.
+    """
+    from taichi_bearings.solvers.together import samples_at_once  # and with it the lists of packings
+
+    count, at_once, found, interrupted = scene.replicas, samples_at_once(scene), list[Solution](), False
+    written = [None] * count if checkpoints is None else checkpoints.of_each(count)
+    for first in range(0, count, at_once):
+        numbers = range(first, min(first + at_once, count))
+        some = [_Sample(scene.sample(n), copy(method), spin[[n]], written[n]) for n in numbers]
+        try:
+            with leaving.saving() if found else nullcontext():
+                found += _solved(some, asked)
+        except KeyboardInterrupt:
+            if not found:
+                raise
+            interrupted = True
+        if interrupted or found[-1].interrupted or found[-1].status is Status.INTERRUPTED:
+            if len(found) < count and checkpoints is not None:
+                raise KeyboardInterrupt
+            interrupted = True
+            break
+    whole = Solution.joined(found, scene.first(len(found)))
+    return replace(whole, interrupted=whole.interrupted or interrupted)
+
+
+def _solved(samples: Sequence[_Sample], asked: _Asked) -> list[Solution]:
+    """The answers to samples that are stepped side by side."""
+    began, threshold = time.perf_counter(), asked.slip_threshold
+    options = samples[0].method.options
     with Interrupt() as interrupt:
         with stage("preparing"), interrupt.at_once():
-            method.begin(scene, spin)
+            for one in samples:
+                one.method.begin(one.scene, one.spin)
         if interrupt.heard:  # nothing is reached yet
             raise KeyboardInterrupt
-        course = Course(method, stop or StopRule(), recording or Recording(), checkpoints, interrupt)
+        courses = [Course(one.method, asked.stop, asked.recording, one.checkpoints, interrupt) for one in samples]
         with leaving.saving():  # what is reached from here on
             with stage("solving") as solving:
-                course.follow([solving.tell, *monitors])
-            with stage("proving", _seconds_to_prove(scene)):
-                solution = course.answer(slip_threshold)
-    running = runtime.current() if method.options.needs_taichi else runtime.HOST
-    if method.options.cpu_only:  # whose numbers are doubles, whatever those of fields are
+                _follow(courses, [solving.tell, *asked.monitors])
+            with stage("proving", _seconds_to_prove(samples[0].scene)):
+                found = [course.answer(threshold) for course in courses]
+    running = runtime.current() if options.needs_taichi else runtime.HOST
+    if options.cpu_only:  # whose numbers are doubles, whatever those of fields are
         running = replace(running, precision="f64")
-    compiling = course.called - began
-    return replace(solution, interrupted=interrupt.heard, running=running, seconds_compile=compiling)
+    share, heard, compiling = len(found), interrupt.heard, courses[0].called - began
+    return [
+        replace(one, interrupted=heard, running=running, seconds=one.seconds / share, seconds_compile=compiling / share)
+        for one in found
+    ]
+
+
+def _follow(courses: Sequence["Course"], monitors: Sequence[Monitor]) -> None:
+    """Follow all courses to their ends, side by side."""
+    advance, drop = courses[0].method.advance, None
+    if len(courses) > 1:
+        from taichi_bearings.solvers.together import Together
+
+        together = Together([course.method for course in courses])
+        advance, drop = together.advance, together.drop
+    ways = [course.steps(monitors) for course in courses]
+    left = {number: steps for number, way in enumerate(ways) if (steps := next(way, None)) is not None}
+    while left:  # steps until a course has to be asked again
+        now = min(left.values())
+        with suppress(GivenUp), while_wanted(courses[0].is_ended):
+            advance(now)
+            runtime.wait()  # or a GPU would take steps for hours ahead, deaf to any limit
+        for number, steps in list(left.items()):
+            more = steps - now if steps > now else next(ways[number], None)
+            if more is not None:
+                left[number] = more
+                continue
+            del left[number]
+            if drop is not None:
+                drop(courses[number].method)
 
 
 def _seconds_to_prove(scene: Bearing) -> float:
@@ -134,11 +225,13 @@ class Course:
     """The loop of :func:`solve` from the start, or from a checkpoint, to the end.
 
     status, last, seconds : how it ended, the state then, and the wall time it took, that before a checkpoint included.
+    findings : what else the method had found then, by name, (R,) each.
     """
 
     status: Status
     last: Progress
     seconds: float
+    findings: Mapping[str, np.ndarray]
 
     def __init__(
         self,
@@ -181,12 +274,12 @@ class Course:
     def _seconds_of_this_call(self) -> float:
         return time.perf_counter() - self.called
 
-    def follow(self, monitors: Sequence[Monitor]) -> None:
+    def steps(self, monitors: Sequence[Monitor]) -> Iterator[int]:
+        """Yield how many steps the method is to make next, look at it where it is time to, and end where it is done."""
         scene, method, stop, best = self.scene, self.method, self.stop, self.best
         iteration = method.iteration if method.resumes else 0
         while True:
-            with suppress(GivenUp):
-                self._advance(self.target - iteration)
+            yield from self._launches(self.target - iteration)
             on_the_way = method.resumes and method.iteration < self.target
             if on_the_way:
                 self._write(looked=False)  # before anything is looked at that an undisturbed run would not look at
@@ -207,19 +300,18 @@ class Course:
                     self._write(looked=True)
                 self.recorder.add_row(progress, best.bound, elapsed)
                 self.status, self.last, self.seconds = status, progress, elapsed
+                self.findings = method.findings(progress) if isinstance(method, Dynamics) else best.progress.findings
                 return
             self._write_if_due(looked=True)
             self._aim(iteration)
 
-    def _advance(self, steps: int) -> None:
+    def _launches(self, steps: int) -> Iterator[int]:
         """So many iterations, in launches of about half a second; fewer where the time is over."""
         runtime.refuse_changed()  # a monitor may have done so
-        while steps > 0 and not self._is_ended():
+        while steps > 0 and not self.is_ended():
             now = min(self.launch, steps)
             began = time.perf_counter()
-            with while_wanted(self._is_ended):
-                self.method.advance(now)
-                runtime.wait()  # or a GPU would take steps for hours ahead, deaf to any limit
+            yield now
             steps -= now
             took = time.perf_counter() - began
             if took > 1.0:
@@ -238,7 +330,8 @@ class Course:
             self.method.aim_at(min(self.recording.next_time(self.method.time), self.stop.duration))
         self.target = min(self.method.next_check(iteration), self.stop.iterations)
 
-    def _is_ended(self) -> bool:
+    def is_ended(self) -> bool:
+        """Whether Ctrl-C was heard, or the time is over."""
         return self.interrupt.heard or self._seconds_of_this_call >= self.stop.seconds
 
     def _write_if_due(self, looked: bool = False) -> None:
@@ -259,7 +352,7 @@ class Course:
         best, status, options = self.best, self.status, self.method.options
         ended = Ended(status, best.progress, best.bound, best.proof, last.iteration, self.stop, options)
         of_packing = self.method.contacts.answered(ended)
-        findings = self.method.findings(last) if isinstance(self.method, Dynamics) else best.progress.findings
+        findings = self.findings
         if of_packing is not None:
             findings = {**of_packing.findings, **findings}
             return replace(of_packing, seconds=seconds, history=history, snapshots=snapshots, findings=findings)

@@ -14,16 +14,16 @@ power by 2 whatever the disorder. The rules (docs/methods.md has the proofs and 
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
 from taichi_bearings import runtime
 from taichi_bearings.errors import InputError
-from taichi_bearings.fields import Fields
 from taichi_bearings.scene import Bearing, Progress
 from taichi_bearings.scene.scene import vector_length
-from taichi_bearings.solvers.method import Method
+from taichi_bearings.solvers.contacts import CONSTANT, Launch
+from taichi_bearings.solvers.method import Swept
 from taichi_bearings.solvers.table import GradientDescent
 
 FIRST_EPOCH = 64
@@ -35,7 +35,7 @@ RESOLVED_WIDTHS = 100
 CHECKS_AN_EPOCH = 8  # without momentum; the first half of them before the averaging begins
 
 
-class GradientDescentMethod(Method):
+class GradientDescentMethod(Swept):
     """See the module docstring. An iteration is one sweep over all contacts; sweeps are made in pairs."""
 
     resumes = True
@@ -70,11 +70,6 @@ class GradientDescentMethod(Method):
         self.last_smooth = np.full(scene.replicas, np.inf)
         self._load_weights()
         self._begin_epoch(FIRST_EPOCH)
-
-    @property
-    def fields(self) -> Fields:
-        """The numbers of all spheres and contacts."""
-        return self.contacts.fields
 
     def _load_weights(self) -> None:
         """The metric: friction, and so much of the viscosity as makes the curvature of both at this stage even."""
@@ -115,13 +110,13 @@ class GradientDescentMethod(Method):
             return iteration + self.epoch_length // CHECKS_AN_EPOCH
         return iteration + 2 * (16 + iteration // 16)
 
-    def advance(self, steps: int) -> None:
+    def launches(self, steps: int) -> Iterator[Launch]:
         """At least `steps` sweeps: an odd number is rounded up, since sweeps come in pairs."""
         pairs = -(-steps // 2)
         averaging = self.averages and self.iteration >= self.epoch_start + self.epoch_length // 2
         step, sharpness = self._step_and_sharpness()
         numbers = (step, sharpness, *self.box, float(averaging))
-        self.contacts.run(self.team, self.sweeps, pairs, numbers, first=self.age // 2)
+        yield Launch(pairs, numbers, self.age // 2)
         self.iteration += 2 * pairs
         if self.momentum:
             self.age += 2 * pairs
@@ -131,7 +126,7 @@ class GradientDescentMethod(Method):
     @property
     def _changing(self) -> list[str]:
         """Fields that sweeps and looks change."""
-        return [name for name in self.fields.names if name not in ("across", "coefficient", "viscosity")]
+        return [name for name in self.fields.names if name not in CONSTANT]
 
     def state(self) -> dict[str, np.ndarray]:
         numbers = {name: np.array(getattr(self, name)) for name in self.numbers_kept}

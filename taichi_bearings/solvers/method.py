@@ -1,16 +1,18 @@
 """What every method offers to the common loop in drive.py."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from taichi_bearings.fields import Fields
 from taichi_bearings.proof.certificate import Forces
 from taichi_bearings.scene import Bearing, Progress
 from taichi_bearings.scene.scene import vector_length
-from taichi_bearings.solvers.contacts import Contacts
+from taichi_bearings.solvers.contacts import Contacts, Launch
 
 if TYPE_CHECKING:
+    from taichi_bearings.kernels.team import Sweeps, Team
     from taichi_bearings.solvers.table import MethodOptions
 
 
@@ -95,6 +97,27 @@ class Method:
     def by_plane(self, values: np.ndarray, component: int) -> np.ndarray:
         """View (R, planes, m, n) of spins or contacts (R, ...): one plane a layer along the component, height last."""
         return values[:, None] if self.scene.network.dimension == 2 else np.moveaxis(values, 1 + component, 1)
+
+
+class Swept(Method):
+    """A method whose steps are turns of one kernel over all spheres and contacts, for which `begin` makes `team` and
+    `sweeps`."""
+
+    team: "Team"
+    sweeps: "Sweeps"
+
+    @property
+    def fields(self) -> Fields:
+        """The numbers of all spheres and contacts."""
+        return self.contacts.fields
+
+    def launches(self, steps: int) -> Iterator[Launch]:
+        """What to launch, one after the other, to make so many steps."""
+        raise NotImplementedError
+
+    def advance(self, steps: int) -> None:
+        for launch in self.launches(steps):
+            self.contacts.run(self.team, self.sweeps, launch)
 
 
 def contacts_of(scene: Bearing, spin: np.ndarray, moves: bool) -> Contacts:

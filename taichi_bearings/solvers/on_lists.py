@@ -9,7 +9,7 @@ import numpy as np
 
 from taichi_bearings.conic.proximal import OfNetwork, Unknowns
 from taichi_bearings.fields import Fields, team_size
-from taichi_bearings.fields.lists import Lists, ListSpec
+from taichi_bearings.fields.lists import NUMBERS, Lists, ListSpec
 from taichi_bearings.kernels.contact_list import CundallStrackLists, DescentLists
 from taichi_bearings.kernels.team import Sweeps, Team, made_once
 from taichi_bearings.numerics.blas import one_thread
@@ -21,16 +21,19 @@ from taichi_bearings.scene import Bearing, Progress, Solution, Status
 from taichi_bearings.scene.packing import Packing, of_packing
 from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.scene.solution import SLIPLESS, SLIPPING, UNDECIDED
-from taichi_bearings.solvers.contacts import Contacts, Ended
+from taichi_bearings.solvers.contacts import Contacts, Ended, Launch
 from taichi_bearings.solvers.packing_bounds import PackingBounds
 from taichi_bearings.solvers.stopping import ended_as
+
+NOTHING = (0.0,)  # in the place of constants that all copies of the lists share
 
 
 class OnLists(Contacts):
     """The contacts of one sample of a packing. Fields hold of each the force as a vector, and what is along its two
     tangents T.
 
-    scene : all contacts that act, and no others. bounds : what is proven of the packing.
+    scene : all contacts that act, and no others. bounds : what is proven of the packing. lists : where they stand in
+    memory; fields : these numbers, or the part of those of several samples that are stepped together.
     """
 
     scene: Packing
@@ -59,7 +62,9 @@ class OnLists(Contacts):
 
     def use(self, spec: Any, viscosity: np.ndarray | None) -> None:
         network = self.scene.network
-        self.spec, self.fields = spec, Fields(Lists.of(network.spheres, network.contact.T), spec)
+        self._numbers = np.zeros(NUMBERS)
+        self.lists = Lists.of(network.spheres, network.contact.T)
+        self.spec, self.fields = spec, Fields(self.lists, spec)
         if network.components == 3:
             self.fields.load("across", self.across.transpose(0, 2, 1).reshape(6, 1, -1))
         self.fields.load("coefficient", self.scene.acting_coefficient[None])
@@ -68,8 +73,7 @@ class OnLists(Contacts):
 
     def _sweeps(self, kind: Callable[..., Sweeps], corrector: tuple[float, ...]) -> tuple[Team, Sweeps]:
         """Workers, and kernels of a kind with this corrector of Gear's method, if any."""
-        team = Team(team_size(self.fields.layout, sum(count for _, count in self.spec[0])))
-        return team, made_once(kind, self.spec, self.scene.law.name, corrector)
+        return team_of(self.fields, self.spec), made_once(kind, self.spec, self.scene.law.name, corrector)
 
     def springs(self, corrector: tuple[float, ...]) -> tuple[Team, Sweeps]:
         return self._sweeps(CundallStrackLists, corrector)
@@ -77,8 +81,18 @@ class OnLists(Contacts):
     def descents(self) -> tuple[Team, Sweeps]:
         return self._sweeps(DescentLists, ())
 
-    def run(self, team: Team, sweeps: Sweeps, turns: int, numbers: tuple[float, ...], first: int = 0) -> None:
-        sweeps.run(self.fields, team, turns, numbers, first=first)
+    def run(self, team: Team, sweeps: Sweeps, launch: Launch) -> None:
+        self.load_numbers(launch)
+        sweeps.run(self.fields, team, launch.turns, NOTHING)
+
+    def load_numbers(self, launch: Launch) -> None:
+        """Give the kernels the constants of a launch, where these are others than those of the last one."""
+        given = np.zeros(NUMBERS)
+        given[: len(launch.numbers)] = launch.numbers
+        given[-1] = 2 * launch.first  # in sweeps, which come in pairs
+        if not np.array_equal(given, self._numbers):
+            self.fields.load("numbers", given[:, None])
+            self._numbers = given
 
     def read_forces(self, name: str) -> np.ndarray:
         found = self.fields.read(name)
@@ -178,3 +192,8 @@ class OnLists(Contacts):
         moves, known = row.is_dynamics and not scene.law.flows, what_is_proven(result.state, result.proven)
         state, proven = decided(told, known, moves, has_ended=moves and result.status is Status.CERTIFIED)
         return replace(result, status=status, iterations=ended.iterations, force=force, state=state, proven=proven)
+
+
+def team_of(fields: Fields, spec: ListSpec) -> Team:
+    """Workers for sweeps over these fields."""
+    return Team(team_size(fields.layout, sum(count for _, count in spec[0])))

@@ -12,7 +12,7 @@ from taichi_bearings.lattice.layout import Layout
 from taichi_bearings.proof.certificate import Forces, largest_unbalanced_torque, lower_bound
 from taichi_bearings.scene import Bearing, Progress, Scene
 from taichi_bearings.scene.scene import of_lattice
-from taichi_bearings.solvers.contacts import Contacts
+from taichi_bearings.solvers.contacts import Contacts, Launch
 from taichi_bearings.solvers.gear import largest_laplacian_eigenvalue, largest_weighted_eigenvalue
 
 if TYPE_CHECKING:
@@ -79,8 +79,8 @@ class OnStrides(Contacts):
             )
         return team, made_once(DescentSweeps, self.spec, self.stencil, law)
 
-    def run(self, team: "Team", sweeps: "Sweeps", turns: int, numbers: tuple[float, ...], first: int = 0) -> None:
-        sweeps.run(self.fields, team, turns, numbers, first=first)
+    def run(self, team: "Team", sweeps: "Sweeps", launch: Launch) -> None:
+        sweeps.run(self.fields, team, launch.turns, launch.numbers, first=launch.first)
 
     def weights(self, bounds: np.ndarray) -> np.ndarray:
         """Sums (C, R, *N) of these numbers (R, E) of the contacts that act on each spin component."""

@@ -1,0 +1,91 @@
+"""Samples of a packing side by side: one method each, whose steps are made together where their sweeps are alike.
+
+Every sample has its own constants, looks and end, so it comes to the bits that it has alone. Beside others it only
+saves launches, which on a GPU take longer than the steps of a small packing.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from taichi_bearings import runtime
+from taichi_bearings.fields import Fields
+from taichi_bearings.scene import Bearing
+from taichi_bearings.solvers.contacts import Launch
+from taichi_bearings.solvers.method import Method, Swept
+from taichi_bearings.solvers.on_lists import NOTHING, OnLists, team_of
+
+# spheres of all samples that are stepped together: on a CPU so few that its caches hold their numbers
+MOST_ON_CPU, MOST_ON_GPU = 4_000, 4_000_000
+
+
+def samples_at_once(scene: Bearing) -> int:
+    """Return how many samples of a scene to solve at a time."""
+    most = MOST_ON_GPU if runtime.current().is_gpu else MOST_ON_CPU
+    return max(1, min(scene.replicas, most // max(scene.network.spheres, 1)))
+
+
+class Together:
+    """Methods that have begun, each with a sample of one packing, advanced by the same numbers of steps.
+
+    going : those that have not ended. joined : those whose fields lie in one memory; none where their contacts differ,
+    or where a method makes its steps otherwise, and each is then advanced for itself.
+    """
+
+    def __init__(self, methods: Sequence[Method]) -> None:
+        self.going = list(methods)
+        self.joined = [
+            method for method in methods if isinstance(method, Swept) and isinstance(method.contacts, OnLists)
+        ]
+        alike = len(self.joined) == len(methods) > 1
+        tables = [_contacts(method).lists.measures for method in self.joined]
+        if alike and all(np.array_equal(tables[0], other) for other in tables[1:]):
+            self._join()
+        else:
+            self.joined = []
+
+    def _join(self) -> None:
+        """Bring the fields of all into one memory, one after the other."""
+        first = _contacts(self.joined[0])
+        self.fields = Fields(first.lists.several(len(self.joined)), first.spec)
+        for number, method in enumerate(self.joined):
+            part, contacts = self.fields.part(number), _contacts(method)
+            for name in part.names:
+                part.load(name, contacts.fields.read(name))
+            contacts.fields = part
+        self.team, self.sweeps = team_of(self.fields, first.spec), self.joined[0].sweeps
+
+    def advance(self, steps: int) -> None:
+        """Let each make so many steps."""
+        if not self.joined:
+            for method in self.going:
+                method.advance(steps)
+            return
+        plans = [(_contacts(method), method.launches(steps)) for method in self.joined if method in self.going]
+        launches = [next(plan, None) for _, plan in plans]
+        while turns := min((launch.turns for launch in launches if launch is not None), default=0):
+            for (contacts, _), launch in zip(plans, launches, strict=True):
+                if launch is not None:
+                    contacts.load_numbers(launch)
+            self.sweeps.run(self.fields, self.team, turns, NOTHING)
+            launches = [_rest(launch, turns, plan) for launch, (_, plan) in zip(launches, plans, strict=True)]
+
+    def drop(self, ended: Method) -> None:
+        """Go on without one that has ended. It is stepped for nothing until half of all have ended."""
+        self.going = [method for method in self.going if method is not ended]
+        if self.joined and self.going and 2 * len(self.going) <= len(self.joined):
+            self.joined = [method for method in self.joined if method in self.going]
+            self._join()
+
+
+def _contacts(method: "Swept") -> OnLists:
+    assert isinstance(method.contacts, OnLists)
+    return method.contacts
+
+
+def _rest(launch: Launch | None, turns: int, plan: Iterator[Launch]) -> Launch | None:
+    """What is left of a launch of which so many turns were made, or the next one of the plan; None at its end."""
+    if launch is None or launch.turns == turns:
+        return next(plan, None)
+    return replace(launch, turns=launch.turns - turns, first=launch.first + turns)
