@@ -5,7 +5,6 @@ import pytest
 
 import taichi_bearings as tb
 from taichi_bearings.errors import FileError
-from taichi_bearings.packing.starts import start_of as spins_of_packing
 from taichi_bearings.scene import Status
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.solvers.drive import Checkpoints, solve
@@ -24,13 +23,6 @@ CASES = [
 ]
 
 
-def start_of(scene):
-    """Laboratory spins to start from, of a lattice or of a packing."""
-    if isinstance(scene, tb.Packing):
-        return scene.laboratory_spin(spins_of_packing(scene, "linear"), scene.minimum_spin_axes)
-    return initial_spin(scene, "linear")
-
-
 def stopped(scene, row, stop, looks, resume=None):
     """A solve that is unwanted after so many looks, and the last checkpoint of it."""
     kept, heard = [], []
@@ -40,7 +32,7 @@ def stopped(scene, row, stop, looks, resume=None):
         return len(heard) >= looks
 
     checkpoints = Checkpoints(0.0, lambda arrays: kept.append({n: np.array(v) for n, v in arrays.items()}), resume)
-    return solve(scene, row.build(), start_of(scene), stop, [unwanted], checkpoints=checkpoints), kept[-1]
+    return solve(scene, row.build(), initial_spin(scene, "linear"), stop, [unwanted], checkpoints=checkpoints), kept[-1]
 
 
 @pytest.mark.usefixtures("taichi_runtime", "needs_f64")
@@ -67,7 +59,7 @@ def test_a_descent_of_a_packing_that_goes_on_comes_to_the_same_bits(row, law, ki
 
 def goes_on_to_the_same_bits(scene, row, tolerance, looks):
     stop = StopRule(tolerance)
-    whole = solve(scene, row.build(), start_of(scene), stop)
+    whole = solve(scene, row.build(), initial_spin(scene, "linear"), stop)
     assert whole.status is Status.CERTIFIED
     part, arrays = stopped(scene, row, stop, looks)
     if part.status is not Status.INTERRUPTED:  # done at its first looks
