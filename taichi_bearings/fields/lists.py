@@ -13,7 +13,7 @@ ListSpec = tuple[FieldSpec, FieldSpec]
 """Fields that each sphere has, and fields that each contact has: names and numbers of components."""
 AnySpec = FieldSpec | ListSpec
 """Fields of a lattice, or of lists."""
-NUMBERS = 10  # constants of a copy that kernels read
+COPY_NUMBERS = 10  # constants of a copy that kernels read
 
 
 @dataclass(frozen=True)
@@ -93,5 +93,5 @@ class Lists:
             Rows(length, 0, (1, len(order)), order)
             for length, order in zip(self.size, (self.sphere, self.contact), strict=True)
         ]
-        numbers: FieldSpec = (("numbers", NUMBERS),)
+        numbers: FieldSpec = (("numbers", COPY_NUMBERS),)
         return list(zip((*spec, numbers), (*rows, Rows(self.numbers_row, 0, (1,))), strict=True))

@@ -11,7 +11,7 @@ Letters: d tangents of a contact, C components of a spin.
 
 from taichi_bearings.compiler import ti
 from taichi_bearings.fields import block_size
-from taichi_bearings.fields.lists import NUMBERS, ListSpec
+from taichi_bearings.fields.lists import COPY_NUMBERS, ListSpec
 from taichi_bearings.kernels.contact import FORCES, viscous_force
 from taichi_bearings.kernels.cundall_strack import SpringsAndSpins
 from taichi_bearings.kernels.descent import momentum
@@ -25,7 +25,7 @@ class ListSweeps(Sweeps):
 
     Subclasses say what is done with a block: `at_contacts`, and for each spin component `at_spheres`.
 
-    Copies of the network, which are samples, stand one after another, each with constants of its own (`NUMBERS`).
+    Copies of the network, which are samples, stand one after another, each with constants of its own (`COPY_NUMBERS`).
 
     Fields that all have, each of contacts: `across`, the tangents (d C), but for discs; `coefficient`; `viscosity`, if
     the law has one; `force`, T f (C). Measures, `size` : lengths of the rows of spheres and of contacts, of all
@@ -69,7 +69,7 @@ class ListSweeps(Sweeps):
         `numbers`, it takes nothing: each copy has constants of its own."""
         first = in_range(number * self.block)
         place = self.sphere_rows * size[0] + self.contact_rows * size[1] + first // size[3 - part] * self.block
-        own = [values[in_range(place + k * size[4])] for k in ti.static(range(NUMBERS))]
+        own = [values[in_range(place + k * size[4])] for k in ti.static(range(COPY_NUMBERS))]
         if ti.static(part == 0):
             across = load_each(values, self.on("across", size, first), self.block)
             self.at_contacts(values, blocks, tables, first, size, across, own)

@@ -9,7 +9,7 @@ import numpy as np
 
 from taichi_bearings.conic.proximal import OfNetwork, Unknowns
 from taichi_bearings.fields import Fields, team_size
-from taichi_bearings.fields.lists import NUMBERS, Lists, ListSpec
+from taichi_bearings.fields.lists import COPY_NUMBERS, Lists, ListSpec
 from taichi_bearings.kernels.contact_list import CundallStrackLists, DescentLists
 from taichi_bearings.kernels.team import Sweeps, Team, made_once
 from taichi_bearings.numerics.blas import one_thread
@@ -62,7 +62,7 @@ class OnLists(Contacts):
 
     def use(self, spec: Any, viscosity: np.ndarray | None) -> None:
         network = self.scene.network
-        self._numbers = np.zeros(NUMBERS)
+        self._numbers = np.zeros(COPY_NUMBERS)
         self.lists = Lists.of(network.spheres, network.contact.T)
         self.spec, self.fields = spec, Fields(self.lists, spec)
         if network.components == 3:
@@ -87,7 +87,7 @@ class OnLists(Contacts):
 
     def load_numbers(self, launch: Launch) -> None:
         """Give the kernels the constants of a launch, where these are others than those of the last one."""
-        given = np.zeros(NUMBERS)
+        given = np.zeros(COPY_NUMBERS)
         given[: len(launch.numbers)] = launch.numbers
         given[-1] = 2 * launch.first  # in sweeps, which come in pairs
         if not np.array_equal(given, self._numbers):
