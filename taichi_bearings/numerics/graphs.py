@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from taichi_bearings.quick_scipy import csgraph, sparse
-
 
 def pieces(nodes: int, first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """Return a label (nodes,) of the connected piece of each node. first, second : the two ends of each edge."""
+    from taichi_bearings.quick_scipy import csgraph, sparse  # only here: a scene without searches does without SciPy
+
     graph = sparse.csr_array((np.ones(len(first), dtype=np.int8), (first, second)), shape=(nodes, nodes))
     return np.asarray(csgraph.connected_components(graph, directed=False)[1])
 
@@ -20,6 +20,8 @@ def odd_pieces(nodes: int, first: np.ndarray, second: np.ndarray) -> tuple[np.nd
     returns : (nodes,) True for nodes of pieces with odd loops; (nodes,) signs, +1 or -1, that differ between neighbours
         in pieces without odd loops.
     """
+    from taichi_bearings.quick_scipy import csgraph, sparse
+
     ends = np.concatenate([first, second]), np.concatenate([second, first]) + nodes
     cover = sparse.csr_array((np.ones(len(ends[0]), dtype=np.int8), ends), shape=(2 * nodes, 2 * nodes))
     label = csgraph.connected_components(cover, directed=False)[1]

@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from functools import cached_property
 from types import MappingProxyType
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -18,7 +18,9 @@ from taichi_bearings.numerics.double_double import Pair
 from taichi_bearings.read_only import cached_read_only
 from taichi_bearings.scene.driving import Driving
 from taichi_bearings.scene.law import Coefficients, Law
-from taichi_bearings.scene.network import Network
+
+if TYPE_CHECKING:
+    from taichi_bearings.scene.network import Network
 
 Kind = TypeVar("Kind", bound="Bearing")
 LENGTHS_IN_CACHE = 16_384  # vectors of which the second cache of a processor holds all that is made of them
@@ -44,7 +46,7 @@ class Bearing(ABC):
 
     @property
     @abstractmethod
-    def network(self) -> Network:
+    def network(self) -> "Network":
         """Who touches whom."""
 
     @property

@@ -19,7 +19,7 @@ Letters: R samples, N spheres (*N is the shape of arrays over them), C spin comp
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -37,7 +37,9 @@ from taichi_bearings.numerics.double_double import (
 )
 from taichi_bearings.numerics.graphs import odd_pieces, pieces
 from taichi_bearings.read_only import cached_read_only
-from taichi_bearings.scene.network import Network
+
+if TYPE_CHECKING:
+    from taichi_bearings.scene.network import Network
 
 EVEN_RESIDUAL = 1e-12  # of the torques of the spins at even viscosities, relative
 SAME_DRIVING = 4  # units in the last place, up to which imposed speeds are one
@@ -48,7 +50,7 @@ class Driving:
 
     rubs = True  # contacts between driven spheres may slip
 
-    def __init__(self, network: Network, spin: np.ndarray, contact: np.ndarray) -> None:
+    def __init__(self, network: "Network", spin: np.ndarray, contact: np.ndarray) -> None:
         """Take a network whose spheres are driven.
 
         spin : (N, 3), of discs (N,), 1/time; imposed on driven spheres, ignored on others. contact : (n,), numbers of

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -18,8 +18,10 @@ from taichi_bearings.scene.disorder import Distribution, Draw, draw_coefficients
 from taichi_bearings.scene.driving import Planes
 from taichi_bearings.scene.exact_driving import ExactDriving
 from taichi_bearings.scene.law import COULOMB, LAWS, Law, check_law, law_named
-from taichi_bearings.scene.network import Network
 from taichi_bearings.words import html_table, shown
+
+if TYPE_CHECKING:
+    from taichi_bearings.scene.network import Network
 
 LEAST_DIRECTION = 1e-100  # least part of a direction that counts
 LEAST_COEFFICIENT, MOST_COEFFICIENT = 1e-15, 1e15
@@ -222,8 +224,10 @@ class Scene(Bearing):
         return Lattice((along_x[0] + (0 not in closed), *along_x[1:]), self.radius, closed)
 
     @cached_property
-    def network(self) -> Network:
+    def network(self) -> "Network":
         """Who touches whom; it makes arrays of the spheres and contacts when it is asked for them."""
+        from taichi_bearings.scene.network import Network  # and with it SciPy, which takes a third of a second
+
         return Network.of(self.lattice)
 
     @cached_property
