@@ -1,14 +1,20 @@
-"""The minimum near given spins, where nothing but the domains of contacts without slip may move: theorem 7.
+"""The only minimum near given spins, where only the domains of contacts that do not slip may move: theorem 7.
 
-The power is a convex function of u, the change of the domains from the given spins. Let g be its slope there, and its
-curvature at least tau times a positive diagonal h, in variables v of which u are sums. A contact with slip z that
-changes by w, |w| <= |z| / 4, resists: (n(z + w) - n(z)) . w >= 0.72 b^2 / |z|, with n the direction of slip and b the
-part of w across it. So where sum h v^2 = rho^2, with rho > |g| / (0.72 tau) in the norm of 1 / h, the power rises
-outwards if no slip changes by more than a quarter on the way there: all minima are inside. There directions of slip
-differ by little. Two minima would differ by slips along these directions alone, which the curvature excludes: there is
-just one. Damping eta adds eta w . w to what resists, whatever the slip.
+Letters: n slipping contacts, m of them with two components of slip; u (unknowns,), the change of the spins of all free
+domains from the given spins; v, other unknowns of which u are sums; z (two components) the slip of a contact, w its
+change; g the slope of the power at the given spins; h the squares by which changes v are measured; tau a proven floor;
+rho a radius. A domain is a set of spheres that contacts without slip make turn as one in a component. A contact is
+"curved" if it slips in two components: only then can the direction of its slip change.
 
-It is a minimum of the whole power if the friction of the contacts that rest can be put in balance there.
+The power is a convex function of u. Let its curvature at the given spins be at least tau times the positive diagonal h,
+in the variables v. While |w| <= |z| / 4, friction of size 1 resists by (n(z + w) - n(z)) . w >= 0.72 b^2 / |z|, where n
+is the direction of a slip and b the part of w across z. So on the surface sum h v^2 = rho^2, with rho > |g| / (0.72
+tau) in the norm of 1 / h, the power rises outwards if no slip changes by more than a quarter on the way there: all
+minima are inside. Inside, directions of slip differ little. Two minima would differ by slips along these directions
+alone, which the curvature excludes: there is just one. Damping eta adds eta w . w to what resists, whatever the slip.
+
+This minimum, with resting contacts held at rest, is the minimum of the whole power if the friction of the resting
+contacts can be put in balance there.
 """
 
 from __future__ import annotations
@@ -26,23 +32,30 @@ from taichi_bearings.proof.enclosure import UP, Enclosure, grouped_sum, joined, 
 from taichi_bearings.proof.judged_network import JudgedNetwork, Motion
 from taichi_bearings.proof.rounded_elimination import EPS, Elimination
 
-MOST_SLIP_TURN = 0.25  # largest share by which a slip may change
-CURVATURE_TRIALS = 4  # each from spins that Newton's method has improved
-RIGID_STIFFNESS = 10.0  # stiffness of a contact, over that of most, from which it holds a cluster together
-CURVATURE_SHARE = 1e-7  # of the least curvature
-LEAST_CURVATURE, POWER_ITERATIONS = 1e-14, 6  # curvature that rounding hides, and steps of power iterations
+MOST_SLIP_TURN = 0.25  # largest change of a slip, over its size, for which 0.72 above holds
+CURVATURE_TRIALS = 4  # number of trials, each but the first from spins that a step of Newton's method has improved
+RIGID_STIFFNESS = 10.0  # stiffness mu F_n / |z| over the median, beyond which a contact holds a cluster together
+CURVATURE_SHARE = 1e-7  # first guess of tau, which most networks exceed by far
+LEAST_CURVATURE, POWER_ITERATIONS = 1e-14, 6  # curvature that rounding hides, and number of power iterations
 TINY = np.finfo(np.float64).tiny
 
 
 @dataclass(frozen=True)
 class Slipping:
-    """The n contacts of a network that slip. A driven domain, and a component that is not felt, have the unknown -1.
+    """The n contacts of a network that slip, and the unknowns that change their slips: one for each free domain of each
+    component. The number -1 stands for a driven domain, and for a component in which a contact does not slip.
 
-    felt : (2, n), the components of each, -1 for none. lower, upper : (2, n), unknown of the domain at either end,
-    component by component. curved : (m,), numbers of those that feel both of them; the difference of the others is
-    exactly 0 in one.
-    difference : of signed spins, two enclosures (n,). strength : friction that a contact bears. damping : None
-    without. own : (n,), their numbers among all contacts. place : (d, n), where a contact is in its sample.
+    unknowns : their number.
+    felt : (2, n), the one or two components in which each contact slips, -1 for none.
+    lower, upper : (2, n), unknown of the domain at the first and at the second sphere, for either component in `felt`.
+    curved : (m,), numbers (0 to n - 1) of the contacts that slip in two components; of the other contacts one entry of
+        `difference` is exactly 0.
+    difference : signed spin of the second sphere less that of the first, one enclosure (n,) for each row of `felt`: the
+        slip.
+    strength : (n,), mu F_n.
+    damping : (n,), eta; None for laws without damping.
+    own : (n,), numbers of these contacts among all of the network.
+    place : (d, n), where a contact is in its sample.
     """
 
     unknowns: int
@@ -58,13 +71,18 @@ class Slipping:
 
     @classmethod
     def of(cls, motion: Motion, domain: dict[int, np.ndarray] | None = None) -> Slipping:
-        """domain : numbers (n,) of the domains of each component, one of a driven sphere for what does not move; those
-        of contacts that rest if not given."""
+        """Collect the contacts that take part and do not rest in a motion.
+
+        motion : says which contacts rest, and how spheres turn.
+        domain : by component, the number (N,) of the domain of each sphere, where what does not move has the domain of
+            a driven sphere; if not given, the domains that the resting contacts of `motion` make.
+        """
         network, unknowns, number = motion.network, 0, {}
         some = np.flatnonzero(network.counts & ~motion.rests)
         ends, felt = network.graph.contact[:, some], _slots(network, some)
         for k in network.needed:
             own = motion.domain[k] if domain is None else domain[k]
+            # A domain gets an unknown if a slipping contact joins it to another domain and no sphere of it is driven.
             joins = own[ends[:, network.feels[k][some]]]
             free = np.zeros(int(own.max()) + 1, dtype=bool)
             free[joins[:, joins[0] != joins[1]]] = True
@@ -87,26 +105,27 @@ class Slipping:
 
     @cached_property
     def size(self) -> Enclosure:
-        """Length of the difference, (n,)."""
+        """Slip speed |z| of each contact, (n,)."""
         first, second = (abs(part).parts for part in self.difference)
-        size = Enclosure(*(a + b for a, b in zip(first, second, strict=True)))  # of which one is 0, exactly, if not
+        size = Enclosure(*(a + b for a, b in zip(first, second, strict=True)))  # one is exactly 0 unless curved
         size.put(self.curved, length([part.at(self.curved) for part in self.difference]))
         return size
 
     @cached_property
     def direction(self) -> tuple[Enclosure, Enclosure]:
-        """Of slip, (m,) each: of the curved contacts."""
+        """The two components of the unit vector along the slip of each curved contact, (m,) each."""
         size = self.size.at(self.curved)
         return self.difference[0].at(self.curved) / size, self.difference[1].at(self.curved) / size
 
     @cached_property
     def stiffness(self) -> Enclosure:
-        """Friction over slip of the same, (m,)."""
+        """Friction over slip speed, mu F_n / |z|, of each curved contact, (m,)."""
         return self.strength.at(self.curved) / self.size.at(self.curved)
 
     @cached_property
     def pulls(self) -> tuple[Enclosure, Enclosure]:
-        """Force along either component, (n,) each."""
+        """The two components of the force of each contact, friction along the slip and damping times the slip, (n,)
+        each."""
         found = [self.strength.signed(np.sign(part.high)) for part in self.difference]
         for pull, along in zip(found, self.direction, strict=True):
             pull.put(self.curved, self.strength.at(self.curved) * along)
@@ -115,15 +134,16 @@ class Slipping:
         return found[0], found[1]
 
     def change(self, slot: int) -> sparse.csr_array:
-        """(n, unknowns): how the difference of a component changes with the unknowns."""
+        """Matrix (n, unknowns) with entries 1, -1 and 0: how the difference of spins of each contact changes with the
+        unknowns. slot : 0 or 1, which of the two components in `felt`."""
         ends = np.stack([self.upper[slot], self.lower[slot]], axis=1)
-        kept = (ends >= 0) & (ends[:, :1] != ends[:, 1:])  # but those with both ends in one domain
+        kept = (ends >= 0) & (ends[:, :1] != ends[:, 1:])  # a contact within one domain has no difference
         begin = np.append(0, np.cumsum(kept[:, 0].astype(np.int8) + kept[:, 1]))
         signs = np.broadcast_to([1.0, -1.0], ends.shape)[kept]
         return sparse.csr_array((signs, ends[kept], begin), shape=(len(ends), self.unknowns))
 
     def moved(self, step: np.ndarray) -> Slipping:
-        """After a change of the unknowns (unknowns,)."""
+        """The same contacts after the unknowns have changed by `step` (unknowns,)."""
         by = np.append(step, 0.0)
         difference = tuple(
             part + (Enclosure.exact(by[upper]) - Enclosure.exact(by[lower]))
@@ -132,7 +152,7 @@ class Slipping:
         return replace(self, difference=(difference[0], difference[1]))
 
     def slope(self) -> Enclosure:
-        """(unknowns,), g: what the slipping contacts leave over on each domain."""
+        """The slope g of the power, (unknowns,): the torque that the slipping contacts exert on each free domain."""
         owner, pulls = [], []
         for slot in range(2):
             for pull, end in ((self.pulls[slot], self.upper[slot]), (-self.pulls[slot], self.lower[slot])):
@@ -142,17 +162,18 @@ class Slipping:
         return grouped_sum(joined(pulls), np.concatenate(owner), self.unknowns)
 
     def blocks(self) -> np.ndarray:
-        """(unknowns,) number of the block of each unknown: contacts join only unknowns of one block."""
+        """(unknowns,), the number of the block of each unknown: contacts join only unknowns of one block."""
         ends = np.concatenate([self.lower, self.upper])
-        some = ends.max(axis=0)  # an unknown if there is any
+        some = ends.max(axis=0)  # an unknown of the contact if it has any
         pairs = [(end[end >= 0], some[end >= 0]) for end in ends]
         first, second = (np.concatenate([pair[i] for pair in pairs]) for i in range(2))
         return pieces(self.unknowns, first, second)
 
 
 def _slots(network: JudgedNetwork, some: np.ndarray) -> np.ndarray:
-    """(2, k), the two components of some contacts that take the places of the first and the second: those that are
-    needed, or, of three, those across each contact; -1 where it feels none."""
+    """(2, k), the components in which contacts may slip, in two places: the components that are needed, or, if all
+    three are, the two across the normal of each contact; -1 where a contact does not slip in a component. some :
+    numbers (k,) of contacts."""
     if len(network.needed) == 3:
         axis = np.argmax(np.abs(network.graph.normal[some]), axis=1)
         return np.stack([(axis + 1) % 3, (axis + 2) % 3])
@@ -162,14 +183,16 @@ def _slots(network: JudgedNetwork, some: np.ndarray) -> np.ndarray:
 
 @np.errstate(all="ignore")  # what is not finite proves nothing
 def nearest_minimum(contacts: Slipping) -> tuple[Slipping, np.ndarray] | None:
-    """Contacts near the minimum, and the share (n,) by which each slip differs there at most; None if unknown."""
+    """The contacts at spins near the minimum, and the share (n,) by which each slip there differs from them at most;
+    None if no such share can be proven. contacts : those of the given spins; the returned ones may have been moved by
+    steps of Newton's method."""
     if contacts.unknowns == 0:
         return contacts, np.zeros(len(contacts.place[0]))
     for number in range(CURVATURE_TRIALS):
         curvature = Curvature.of(contacts)
         if curvature is None:
             return None
-        turn = _turns(contacts, curvature, number == CURVATURE_TRIALS - 1)
+        turn = _changes_of_slips(contacts, curvature, number == CURVATURE_TRIALS - 1)
         if turn is not None:
             return contacts, turn
         step = curvature.newton_step(contacts.slope().value)
@@ -181,15 +204,18 @@ def nearest_minimum(contacts: Slipping) -> tuple[Slipping, np.ndarray] | None:
     return None
 
 
-def _turns(contacts: Slipping, curvature: Curvature, last: bool) -> np.ndarray | None:
-    """The same from these contacts as they are. Until the last trial curvature is proven only where it is likely to
-    do."""
+def _changes_of_slips(contacts: Slipping, curvature: Curvature, last: bool) -> np.ndarray | None:
+    """The share (n,) of its size by which each slip at the minimum may differ from that of `contacts`; None if it is
+    not proven. curvature : that at `contacts`. last : whether there is no further trial. Before the last one, tau is
+    proven (which is costly) only if the radius that it would give looks small enough."""
     root, block = np.sqrt(curvature.form.squares), contacts.blocks()
     slope = curvature.clusters.T @ contacts.slope().most
 
+    # Theorem: sum h v^2 <= rho^2 at the minimum. 1.5 is above 1 / 0.72, and each block has a radius of its own, as no
+    # contact joins two of them.
     def turn(tau: float) -> np.ndarray:
         radius = 1.5 * np.bincount(block, (slope / root) ** 2) ** 0.5 / tau * UP + TINY  # rho, block by block
-        reach = radius[block] / root  # of each variable, at most
+        reach = radius[block] / root  # largest change of each variable
         return np.asarray(sum((e @ reach) ** 2 for e in curvature.entries) ** 0.5 / contacts.size.least * UP)
 
     if not (last or (turn(CURVATURE_SHARE / 2) <= MOST_SLIP_TURN).all()):
@@ -200,27 +226,32 @@ def _turns(contacts: Slipping, curvature: Curvature, last: bool) -> np.ndarray |
 
 @np.errstate(all="ignore")
 def rises(contacts: Slipping, turn: np.ndarray) -> bool:
-    """True if the power has curvature in all directions where each slip differs by a share of up to `turn` (n,)."""
+    """True if the power has curvature in all directions wherever each slip differs from that of `contacts` by a share
+    of up to `turn` (n,)."""
     curvature = Curvature.of(contacts) if contacts.unknowns else None
     return contacts.unknowns == 0 or (curvature is not None and curvature.remains(contacts, turn))
 
 
 def bearable(motion: Motion, contacts: Slipping, turn: np.ndarray, unsure: dict[int, np.ndarray] | None = None) -> bool:
-    """True if the friction of the contacts that rest in a motion can be put in balance inside all discs.
+    """True if the friction of the contacts that rest in a motion can be put in balance inside all friction discs.
 
-    contacts, turn : those that slip near a minimum, and the share by which each slip differs there. unsure : by
-    component, (n,), how far the friction of others at each sphere may be from what it has to be.
+    contacts, turn : those that slip near a minimum, and the share (n,) by which each slip there differs.
+    unsure : by component, (N,), how far the friction of other contacts at each sphere may be from what it has to be.
     """
     network, left = motion.network, {}
     moment, torques = network.own_moment, network.own_torques
     off = _unsure(motion, contacts, turn)
     for k in network.needed:
+        # Bound the torque on each sphere that resting contacts have to take up: what the given friction leaves over,
+        # and how far friction of slipping contacts may be from that at the minimum.
         residual = np.where(network.free, torques[k].most if unsure is None else torques[k].most + unsure[k], 0.0)
         for slot in range(2):
             some = contacts.felt[slot] == k
             for end in network.graph.contact[:, contacts.own[some]]:
                 residual += np.bincount(end, off[slot, some], len(residual))
         residual[~network.free] = 0.0
+        # It travels through contacts of the domain, along a tree, so no contact carries more than the sum over the
+        # domain.
         domain = motion.domain[k]
         left[k] = np.bincount(domain, residual)[domain] * UP
     still = np.flatnonzero(motion.rests & network.counts)
@@ -234,8 +265,8 @@ def bearable(motion: Motion, contacts: Slipping, turn: np.ndarray, unsure: dict[
 
 
 def _unsure(motion: Motion, contacts: Slipping, turn: np.ndarray) -> np.ndarray:
-    """(2, n): how far the friction of slipping contacts in their components, as the file says, may be from that at the
-    minimum."""
+    """(2, n), how far each component of the friction of slipping contacts, as it was given, may be from that at the
+    minimum. contacts, turn : as of :func:`bearable`."""
     network, found = motion.network, np.zeros(contacts.felt.shape)
     for slot in range(2):
         said = Enclosure.exact(np.zeros(len(contacts.own)))
@@ -244,6 +275,7 @@ def _unsure(motion: Motion, contacts: Slipping, turn: np.ndarray) -> np.ndarray:
             own = contacts.own[some]
             said.put(some, network.moment[k].at(own).signed(network.sign[k][network.graph.contact[1, own]]))
         found[slot] = (contacts.pulls[slot] - said).most
+        # A slip that changes by a share t of its size changes its unit vector by at most 2 t.
         found[slot, contacts.curved] += 2 * turn[contacts.curved] * contacts.strength.at(contacts.curved).most
         if contacts.damping is not None:
             found[slot] += turn * (contacts.damping * contacts.size).most
@@ -252,8 +284,13 @@ def _unsure(motion: Motion, contacts: Slipping, turn: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Form:
-    """A quadratic form A^T A in n unknowns, each measured so that its own square counts as one. rows : about A, doubt :
-    how far it may be off, entry by entry. squares : (n,), of each unknown in the rows as they were given."""
+    """A quadratic form A^T A in n unknowns, scaled such that every column of A has length 1, up to rounding.
+
+    rows : A, in doubles.
+    doubt : entry by entry, how far the exact A may be from it.
+    squares : (n,), the squared length of each column before it was scaled.
+    elimination : of A^T A.
+    """
 
     rows: sparse.csr_array
     doubt: sparse.csr_array
@@ -264,7 +301,12 @@ class Form:
     def of(
         cls, rows: sparse.csr_array, doubt: sparse.csr_array, place: np.ndarray, of_rows: bool = False
     ) -> Form | None:
-        """place : (d, n), where each unknown is, or each row. None where an unknown is in no row."""
+        """Scale the columns of `rows` and of `doubt`, and order the elimination; None where a column is 0 or not
+        finite.
+
+        place : (d, n), where each unknown is; with `of_rows` where each row is, and unknowns are put at the mean of
+            their rows.
+        """
         squares = np.bincount(rows.indices, rows.data**2, rows.shape[1])
         if not ((squares > 0) & (squares < np.inf)).all():
             return None
@@ -276,20 +318,23 @@ class Form:
 
     @cached_property
     def scale(self) -> np.ndarray:
-        """(n,), an unknown of each variable."""
+        """(n,), by which the scaled unknowns are multiplied to give the original ones."""
         return 1 / np.sqrt(self.squares)
 
     def floor(self, sharp: bool = False) -> float | None:
-        """Proven, of the eigenvalues."""
+        """Proven lower bound tau of the eigenvalues of the scaled form; None if none is found. sharp : as of
+        :func:`proven_floor`."""
         return proven_floor(self.rows, self.doubt, self.elimination, sharp)
 
 
 @dataclass(frozen=True)
 class Curvature:
-    """H >= tau h in variables v: sum over slipping contacts of (mu / |z|) (what u changes across them)^2.
+    """The curvature H of the power in variables v, the sum over slipping contacts of (mu F_n / |z|) (change of the slip
+    across it)^2 + eta (change of the slip)^2, and a floor H >= tau h.
 
-    clusters : (unknowns, unknowns), u = clusters v. form : of H, h its squares. changes : (n, unknowns), how the
-    difference of either component changes with v.
+    clusters : (unknowns, unknowns), entries 0 and 1, with u = clusters v.
+    form : H in scaled variables; its `squares` are h.
+    changes : two matrices (n, unknowns), how either component of the slips changes with v.
     """
 
     clusters: sparse.csr_array
@@ -298,43 +343,48 @@ class Curvature:
 
     @classmethod
     def of(cls, contacts: Slipping) -> Curvature | None:
-        """None if there is a direction without any."""
+        """The curvature at the slips of `contacts`; None if some variable changes no slip across."""
         clusters = _clusters(contacts)
-        changes = [contacts.change(slot) @ clusters for slot in range(2)]  # exactly, without what both ends share
+        changes = [contacts.change(slot) @ clusters for slot in range(2)]  # exact; what both ends share cancels
         rows, doubt, owner = _conditions(contacts, changes)
         form = Form.of(rows, doubt, contacts.place[:, owner], of_rows=True)
         return None if form is None else cls(clusters, form, changes)
 
     @cached_property
     def tau(self) -> float:
-        """Proven; 0 if none can be."""
+        """The proven floor, H >= tau h; 0 if none is proven."""
         return self.form.floor() or 0.0
 
     @cached_property
     def entries(self) -> list[sparse.csr_array]:
-        """Sizes of `changes`, zeros and ones."""
+        """The sizes of the entries of `changes`: zeros and ones."""
         return [_with(change, np.abs(change.data)) for change in self.changes]
 
     def remains(self, contacts: Slipping, turn: np.ndarray) -> bool:
-        """True if half of it is left where each slip differs by a share of up to `turn` (n,), a quarter at most."""
-        # directions turn by 2 * turn at most, and |w|^2 <= sum of entries * sum of entries * v^2
+        """True if at least half of tau is proven to remain where each slip differs by a share of up to `turn` (n,) of
+        its size, a quarter at most."""
+        # a unit vector along a slip changes by at most 2 * turn; with the entries e of the row of a contact,
+        # |w|^2 <= (sum of e) (sum of e v^2) by Cauchy and Schwarz
         loss = np.zeros_like(turn)
         loss[contacts.curved] = (2 * turn[contacts.curved]) ** 2 * contacts.stiffness.most
         given_up = sum(e.T @ (loss * e.sum(axis=1)) for e in self.entries)
         return bool((turn <= MOST_SLIP_TURN).all() and (given_up * UP < self.tau * self.form.squares / 2).all())
 
     def newton_step(self, slope: np.ndarray) -> np.ndarray | None:
-        """Change (unknowns,) that takes the slope away, roughly; None if rounding hides the curvature."""
+        """Change (unknowns,) of the unknowns that makes `slope` (unknowns,) vanish to first order; None if rounding
+        hides the curvature. Nothing is proven of it."""
         root, factor = np.sqrt(self.form.squares), self.form.elimination.factorised()
         return None if factor is None else -(self.clusters @ (factor.solve((self.clusters.T @ slope) / root) / root))
 
 
 def _clusters(contacts: Slipping) -> sparse.csr_array:
-    """(unknowns, unknowns), entries 0 and 1: unknowns as sums of changes along the trees of stiff contacts.
+    """Matrix (unknowns, unknowns) with entries 0 and 1 by which unknowns u are sums of variables v, as Newton's method
+    and the floor tau are better behaved in v.
 
-    Domains that a tiny slip keeps apart move together on the scale of larger slips. Each but one of such a cluster is
-    counted from a neighbour, by trees of the stiffest contacts.
+    Domains that only a tiny slip keeps apart form a cluster: they move together when larger slips change. All domains
+    of a cluster but one are measured from a neighbour, along a tree of the stiffest contacts.
     """
+    # Graph of the stiff contacts between unknowns, all driven domains being one node and a source another.
     driven, source = contacts.unknowns, contacts.unknowns + 1
     stiffness = contacts.stiffness.value
     stiff = stiffness > RIGID_STIFFNESS * (np.median(stiffness) if len(stiffness) else np.inf)
@@ -348,14 +398,17 @@ def _clusters(contacts: Slipping) -> sparse.csr_array:
     low, high, slip = low[::-1][last], high[::-1][last], slip[apart][order][::-1][last]
     places = (low.astype(np.int32), high.astype(np.int32))  # which SciPy before 1.17 asks for
     graph = sparse.csr_array((slip, places), shape=(source + 1, source + 1))
+    # A tree of the stiffest contacts in each cluster, with a head: the driven node if it is there, else the first
+    # unknown.
     trees = minimum_spanning_tree(graph).tocoo()
     label = connected_components(trees, directed=False)[1]
     heads = np.unique(label[:source], return_index=True)[1]
     heads[label[heads] == label[driven]] = driven
     row, column = np.append(trees.row, np.full(len(heads), source)), np.append(trees.col, heads)
     linked = sparse.csr_array((np.ones(len(row), dtype=np.int8), (row, column)), shape=(source + 1, source + 1))
+    # The neighbour of each unknown that is next on the way to the head of its cluster.
     before = breadth_first_order(linked, source, directed=False)[1][: contacts.unknowns]
-    at = [np.arange(contacts.unknowns)] * 2  # each, and what is before it on the way to the head
+    at = [np.arange(contacts.unknowns)] * 2  # pairs: an unknown, and a variable on its way to the head, itself first
     entries = []
     while len(at[0]):
         entries.append(at)
@@ -366,25 +419,30 @@ def _clusters(contacts: Slipping) -> sparse.csr_array:
 
 
 def _with(matrix: sparse.csr_array, data: np.ndarray) -> sparse.csr_array:
-    """Other numbers at the same entries."""
+    """A sparse matrix with entries at the same places as those of `matrix`, whose values are `data`."""
     return sparse.csr_array((data, matrix.indices, matrix.indptr), shape=matrix.shape)
 
 
 def _times(
     values: np.ndarray, matrix: sparse.csr_array, of: Callable[[np.ndarray], np.ndarray] = np.asarray
 ) -> sparse.csr_array:
-    """Each row times its value, of what `of` makes of the entries."""
+    """The matrix with each row multiplied by its number in `values`. of : function that is applied to the entries
+    first."""
     return _with(matrix, np.repeat(values, np.diff(matrix.indptr)) * of(matrix.data))
 
 
 def _conditions(
     contacts: Slipping, changes: list[sparse.csr_array]
 ) -> tuple[sparse.csr_array, sparse.csr_array, np.ndarray]:
-    """Rows A with H = A^T A: the part of a change of slip across the slip, times the root of mu / |z|, and the whole
-    change times the root of eta; how far they may be off, entry by entry; and the contact of each row. By friction
-    alone slips of one component have no curvature."""
+    """Rows A with H = A^T A, a bound on the error of each entry, and the contact (0 to n - 1) of each row. changes : as
+    of :class:`Curvature`.
+
+    A row of a curved contact is the change of its slip across the slip times the root of mu F_n / |z|; with damping
+    every contact has two more rows, both components of the change of its slip times the root of eta. A contact that
+    slips in one component has no curvature by friction.
+    """
     across, stiffness = (-contacts.direction[1], contacts.direction[0]), contacts.stiffness
-    root, inexact = np.sqrt(stiffness.value), stiffness.error / stiffness.most + 16 * EPS
+    root, inexact = np.sqrt(stiffness.value), stiffness.error / stiffness.most + 16 * EPS  # 16: a few roundings, amply
     rows, doubt = [], []
     for part, change in zip(across, (whole[contacts.curved] for whole in changes), strict=True):
         rows.append(_times(root * part.value, change))
@@ -406,22 +464,30 @@ def _conditions(
 def proven_floor(
     rows: sparse.csr_array, doubt: sparse.csr_array, elimination: Elimination, sharp: bool = False
 ) -> float | None:
-    """A tau with A^T A >= tau for all rows A that differ from the given ones by `doubt` at most; None if none is found.
-    elimination : of A^T A. The first guess saves a factorisation where it will do, and `sharp` need not be."""
+    """A tau such that A^T A >= tau, as an inequality of eigenvalues, for all A that differ from `rows` by no more than
+    `doubt` in each entry; None if none is found. elimination : of A^T A.
+
+    The first guess, CURVATURE_SHARE, saves an estimate of the least eigenvalue where it is enough. sharp : leave it
+    out, as the floor should be as large as can be.
+    """
     terms = int(np.bincount(rows.indices).max(initial=0)) + 4
     sizes = _with(rows, np.abs(rows.data)) + doubt
     guesses = (lambda: CURVATURE_SHARE, 1), (lambda: _least_eigenvalue(elimination) / 2, POWER_ITERATIONS)
     for guess, steps in guesses[sharp:]:
         most, off = (_largest_eigenvalue(part, steps) for part in (sizes, doubt))
+        # All A^T A differ by 2 |A| |doubt| at most; forming the product rounds each entry (terms + 1) times at most,
+        # shifting its diagonal once.
         tau, error = guess(), 2 * np.sqrt(most * off) + (terms + 1) * EPS * most + EPS
         missed = elimination.distance_from_positive(tau)
+        # A^T A - tau is positive but for `missed` and `error`: if these take less than half of tau, tau / 2 is a floor.
         if missed is not None and tau - (missed + error) * UP > tau / 2:
             return tau / 2
     return None
 
 
 def _least_eigenvalue(elimination: Elimination) -> float:
-    """A rough value of the least eigenvalue, by inverse iteration."""
+    """A rough value, of which nothing is proven, of the least eigenvalue of the eliminated matrix, by inverse
+    iteration; 0 where rounding hides it."""
     factor, vector = (
         elimination.factorised(-LEAST_CURVATURE),
         np.random.default_rng(0).standard_normal(elimination.size),
@@ -436,7 +502,8 @@ def _least_eigenvalue(elimination: Elimination) -> float:
 
 
 def _largest_eigenvalue(rows: sparse.csr_array, steps: int) -> float:
-    """Upper bound of the largest eigenvalue of W^T W, W without negative entries (Collatz and Wielandt)."""
+    """Upper bound of the largest eigenvalue of W^T W, for `rows` W without negative entries: the largest of (W^T W x) /
+    x for any positive x (Collatz and Wielandt). steps : power iterations by which x is improved."""
     columns, vector = rows.T, np.ones(rows.shape[1])
     for _ in range(steps):
         vector = columns @ (rows @ vector)

@@ -1,9 +1,10 @@
-"""Arrays of real numbers, each enclosed in an interval: a sum of two doubles and a bound on its error.
+"""Arrays of real numbers, each enclosed in an interval: high + low, two doubles, and a bound on the error of this sum.
 
-A result of +, -, *, / or sqrt encloses the exact result for all numbers in the operands. The pairs carry some 106 bits
-(Dekker, Numer. Math. 18, 1971; error bounds of Joldes, Muller and Popescu, ACM Trans. Math. Softw. 44, 2017: below
-2^-100 of the result here, several times what they prove). Bounds on errors are themselves rounded up by a factor.
-Products that may underflow have a larger error; numbers beyond 1e140 in size are not allowed.
+A result of +, -, *, / or sqrt encloses the exact result for all numbers that the operands enclose. Pairs of doubles
+carry some 106 bits (Dekker, Numer. Math. 18, 1971). Joldes, Muller and Popescu (ACM Trans. Math. Softw. 44, 2017) prove
+relative errors of a few 2^-106 for one operation on pairs; 2^-100 is used here, several times as much. Bounds on errors
+are themselves computed in doubles and rounded up by a factor. Products that may underflow have a larger error bound;
+numbers beyond 1e140 in size are not allowed.
 """
 
 from __future__ import annotations
@@ -23,21 +24,22 @@ from taichi_bearings.numerics.double_double import two_product, two_square, two_
 LEAST_LENGTH = 2.0**-400  # length below which squares lose digits
 LEAST_ROUNDING = 2.0**-1072  # twice what scaling back into the smallest doubles can round
 PAIR_ROUNDING = 2.0**-100  # relative error of one operation on pairs
-UP = 1 + 2.0**-30  # factor that makes up for the rounding of a bound itself, of up to some million operations
-SLIGHTLY_UP = 1 + 2.0**-51  # the same for two operations
-# size of a product from which parts of it may underflow, and more than they can be
+UP = 1 + 2.0**-30  # factor that covers the rounding of a bound that some million operations or less have computed
+SLIGHTLY_UP = 1 + 2.0**-51  # factor that covers the rounding of a bound that two operations have computed
+# size of a product below which parts of it may underflow, and a bound, amply, on what is lost by that
 UNDERFLOWING_PRODUCT, UNDERFLOW_ERROR = 1e-250, 1e-290
-IN_CACHE = 8192  # numbers of which some twenty arrays fit the second cache of a processor
+IN_CACHE = 8192  # length of arrays of which some twenty fit the second-level cache of a processor
 Made = TypeVar("Made", bound=Callable[..., Any])
 
 
 def in_cache(made: Made) -> Made:
-    """A function that finds an enclosure or doubles, element by element, of enclosures, arrays and numbers, in parts
-    that the caches of a processor hold: of large arrays only what is given and what is found passes through memory. It
-    finds the same either way."""
+    """Decorate a function of enclosures, arrays and numbers that works element by element, so that it handles large
+    arrays in parts that fit the caches of a processor. Only arguments and result then pass through memory; the numbers
+    found are the same."""
 
     @wraps(made)
     def in_parts(*given: Any) -> Any:
+        """The result of `made`, computed part by part if the arrays are large; arguments are broadcast to one shape."""
         shape = np.broadcast_shapes(*(np.shape(v.high if isinstance(v, Enclosure) else v) for v in given))
         if math.prod(shape) <= 2 * IN_CACHE:
             return made(*given)
@@ -55,7 +57,7 @@ def in_cache(made: Made) -> Made:
 
 
 def _parts_of(shape: tuple[int, ...]) -> Iterator[tuple[int | slice, ...]]:
-    """Places of all numbers of an array of this shape, about IN_CACHE of them at a time."""
+    """Indices of successive parts, about IN_CACHE numbers each, that cover an array of this shape."""
     row = math.prod(shape[1:])
     if row > 2 * IN_CACHE:
         for first in range(shape[0]):
@@ -67,7 +69,7 @@ def _parts_of(shape: tuple[int, ...]) -> Iterator[tuple[int | slice, ...]]:
 
 @dataclass(frozen=True)
 class Enclosure:
-    """high + low, and `error` >= |exact - (high + low)|; arrays of one shape."""
+    """Enclosed numbers, |exact - (high + low)| <= error; three arrays of one shape."""
 
     high: np.ndarray
     low: np.ndarray
@@ -75,7 +77,7 @@ class Enclosure:
 
     @classmethod
     def exact(cls, high: ArrayLike, low: ArrayLike = 0.0) -> Enclosure:
-        """These numbers, or these sums of two, without any error."""
+        """Enclose doubles `high`, or the sums of two doubles each, without any error."""
         high = np.asarray(high, dtype=np.float64)
         if np.isscalar(low) and low == 0:
             return cls(high, np.zeros_like(high), np.zeros_like(high))
@@ -84,7 +86,7 @@ class Enclosure:
 
     @classmethod
     def of_decimals(cls, values: list[Decimal]) -> Enclosure:
-        """Numbers with many more digits than two doubles have."""
+        """Enclose numbers with many more digits than two doubles have, shape (n,)."""
         high = [float(v) for v in values]
         low = [float(v - Decimal(h)) for v, h in zip(values, high, strict=True)]
         pair = cls.exact(high, low)
@@ -95,6 +97,7 @@ class Enclosure:
 
     @in_cache
     def __add__(self, other: Enclosure) -> Enclosure:
+        """The sum, element by element."""
         high, rest = two_sum(self.high, other.high)
         low, more = two_sum(self.low, other.low)
         high, rest = _fast_two_sum(high, rest + low)
@@ -103,17 +106,19 @@ class Enclosure:
 
     @in_cache
     def __sub__(self, other: Enclosure) -> Enclosure:
+        """The difference, element by element."""
         return self + (-other)
 
     @in_cache
     def plus(self, other: np.ndarray) -> Enclosure:
-        """Sum with doubles that are exact."""
+        """The sum with an array of doubles that are exact."""
         high, rest = two_sum(self.high, other)
         high, rest = _fast_two_sum(high, rest + self.low)
         return Enclosure(high, rest, (self.error + PAIR_ROUNDING * np.abs(high)) * UP)
 
     @in_cache
     def __mul__(self, other: Enclosure) -> Enclosure:
+        """The product, element by element."""
         product, rest = two_product(self.high, other.high)
         rest += self.high * other.low + self.low * other.high
         most, others = self.most, other.most
@@ -121,7 +126,7 @@ class Enclosure:
 
     @in_cache
     def squared(self) -> Enclosure:
-        """The product with itself, bit by bit."""
+        """The square: the same bits as the product with itself, in less time."""
         (product, rest), most = two_square(self.high), self.most
         twice, error = self.high * self.low, self.error * most
         rest += twice + twice
@@ -129,7 +134,7 @@ class Enclosure:
 
     @in_cache
     def times(self, other: np.ndarray) -> Enclosure:
-        """Product with doubles that are exact."""
+        """The product with an array of doubles that are exact."""
         product, rest = two_product(self.high, other)
         rest += self.low * other
         error = self.error * (np.abs(other) * SLIGHTLY_UP)
@@ -137,18 +142,19 @@ class Enclosure:
 
     @in_cache
     def __truediv__(self, other: Enclosure) -> Enclosure:
-        """Quotient; the divisor must not enclose 0."""
+        """The quotient; no divisor may enclose 0."""
         first = self.high / other.high
         left = self - other.times(first)
         second = left.high / other.high
         high, low = _fast_two_sum(first, second)
-        # exact quotient - (first + second) = (left - second * divisor) / divisor, plus what the sum rounds: nothing
+        # exact quotient - (first + second) = (left - second * divisor) / divisor; their sum rounds nothing off
         missed = left - other.times(second)
         return Enclosure(high, low, missed.most / other.least * UP)
 
     @in_cache
     def sqrt(self) -> Enclosure:
-        """Square root of numbers that are not negative, as all that a value of 0 encloses are taken to be."""
+        """The square root of numbers that are not negative. Where the value is 0, only the numbers >= 0 that it
+        encloses are meant."""
         zero = self.high == 0
         root = np.sqrt(np.where(zero, 1.0, self.high))
         about = Enclosure.exact(root)
@@ -165,27 +171,27 @@ class Enclosure:
         return Enclosure(np.abs(self.high), np.where(self.high < 0, -self.low, self.low), self.error)
 
     def signed(self, sign: np.ndarray | float) -> Enclosure:
-        """Times +1, -1, 0 or a power of two."""
+        """The product with an array of numbers that are +1, -1, 0 or a power of two, by which nothing is rounded."""
         return Enclosure(sign * self.high, sign * self.low, np.abs(sign) * self.error)
 
     def __getitem__(self, where: Any) -> Enclosure:
         return Enclosure(*(part[where] for part in self.parts))
 
     def at(self, places: np.ndarray) -> Enclosure:
-        """Those at these places of the flat arrays."""
+        """The enclosures at `places` (integers) of the flattened arrays."""
         return Enclosure(*(part.reshape(-1).take(places) for part in self.parts))
 
     def put(self, places: np.ndarray, others: Enclosure) -> None:
-        """Write others there, in place."""
+        """Overwrite the enclosures at `places` (integers) of the flattened arrays by `others`, in place."""
         for part, other in zip(self.parts, others.parts, strict=True):
             part.put(places, other)
 
     def where(self, some: np.ndarray) -> Enclosure:
-        """0 elsewhere."""
+        """The enclosures where the mask `some` is true, exactly 0 elsewhere."""
         return Enclosure(*(np.where(some, part, 0.0) for part in self.parts))
 
     def spread(self, shape: tuple[int, ...]) -> Enclosure:
-        """The same numbers again and again, as broadcast; read-only."""
+        """The enclosures broadcast to a shape; read-only."""
         return Enclosure(*(np.broadcast_to(part, shape) for part in self.parts))
 
     def reshaped(self, shape: tuple[int, ...]) -> Enclosure:
@@ -197,38 +203,38 @@ class Enclosure:
 
     @property
     def most(self) -> np.ndarray:
-        """Upper bound of the size."""
+        """Doubles not below the absolute value of any enclosed number."""
         return (np.abs(self.high) + (np.abs(self.low) + self.error)) * SLIGHTLY_UP
 
     @property
     def least(self) -> np.ndarray:
-        """Lower bound of the size, not below 0."""
+        """Doubles, 0 or more, not above the absolute value of any enclosed number."""
         return np.maximum(np.abs(self.high) - (np.abs(self.low) + self.error) * SLIGHTLY_UP, 0.0) / SLIGHTLY_UP
 
     @property
     def value(self) -> np.ndarray:
-        """The nearest doubles."""
+        """The sums high + low, rounded to doubles."""
         return self.high + self.low
 
     @in_cache
     def upper(self) -> np.ndarray:
-        """Doubles not below the numbers."""
+        """Doubles not below any enclosed number; `high` itself where that is exact."""
         change = self.low + self.error
         above = np.nextafter(self.high + (change + 2.0**-50 * np.abs(change)), np.inf)
         return np.where((self.low == 0) & (self.error == 0), self.high, above)
 
     def lower(self) -> np.ndarray:
-        """Doubles not above the numbers."""
+        """Doubles not above any enclosed number."""
         return -(-self).upper()
 
 
 def joined(members: list[Enclosure]) -> Enclosure:
-    """One after the other."""
+    """The concatenation of enclosures (n_1,), (n_2,), ... in one array."""
     return Enclosure(*(np.concatenate(parts) for parts in zip(*(m.parts for m in members), strict=True)))
 
 
 def row_sum(values: Enclosure) -> Enclosure:
-    """(R,) from (R, n), pair by pair."""
+    """Sums (R,) over the rows of enclosures (R, n), added in pairs."""
     while (size := values.high.shape[1]) > 1:
         half = size // 2
         paired, odd = values[:, :half] + values[:, half : 2 * half], values[:, 2 * half :]
@@ -239,13 +245,14 @@ def row_sum(values: Enclosure) -> Enclosure:
 
 
 def grouped_sum(values: Enclosure, owner: np.ndarray, count: int) -> Enclosure:
-    """Sum of the values (n,) of each owner (n,) from 0 to count - 1, pair by pair; (count,)."""
+    """Sums (count,) of the values (n,) that belong to each owner, added in pairs. owner : (n,), integers from 0 to
+    count - 1."""
     if count == 1:
         return row_sum(values.reshaped((1, -1)))
-    order = np.argsort(owner.astype(np.uint16) if count <= 2**16 else owner, kind="stable")  # few are sorted by digits
+    order = np.argsort(owner.astype(np.uint16) if count <= 2**16 else owner, kind="stable")  # 16 bits: radix sort
     values, owner = values[order], owner[order]
     own = np.bincount(owner)
-    place = np.arange(len(owner)) - (np.cumsum(own) - own)[owner]  # among those of the same owner
+    place = np.arange(len(owner)) - (np.cumsum(own) - own)[owner]  # rank among the values of the same owner
     while place.any():
         kept = np.flatnonzero(place % 2 == 0)
         with_next = np.append(place[1:], 0)[kept] % 2 == 1
@@ -260,8 +267,9 @@ def grouped_sum(values: Enclosure, owner: np.ndarray, count: int) -> Enclosure:
 
 
 def length(parts: list[Enclosure]) -> Enclosure:
-    """Length of vectors given by their parts, (n,) each; exactly the size of a part where the others are 0."""
-    parts = [part for part in parts if part.high.any() or part.error.any()] or parts[:1]  # but those that are exactly 0
+    """Length (n,) of vectors given by their components, one enclosure (n,) each. If only one component is not 0, it is
+    exactly the size of that."""
+    parts = [part for part in parts if part.high.any() or part.error.any()] or parts[:1]  # leave out exact zeros
     there = np.array([(part.high != 0) | (part.error != 0) for part in parts])
     several = np.flatnonzero(there.sum(axis=0, dtype=np.int8) > 1)
     if len(several) == there.shape[1]:
@@ -273,7 +281,8 @@ def length(parts: list[Enclosure]) -> Enclosure:
 
 
 def _length_of_several(parts: list[Enclosure]) -> Enclosure:
-    """Length of vectors of which several parts are not exactly 0. The squares of faint ones would be lost."""
+    """Length (n,) of vectors given by their components, of which more than one is not exactly 0. Short vectors are
+    scaled up by a power of two before they are squared, since small squares would lose digits."""
     sizes = np.max([part.most for part in parts], axis=0)
     faint = sizes < LEAST_LENGTH
     if not faint.any():
@@ -287,7 +296,9 @@ def _length_of_several(parts: list[Enclosure]) -> Enclosure:
 
 
 def _rounded(product: np.ndarray, rest: np.ndarray, error: np.ndarray, counts: Callable[[], np.ndarray]) -> Enclosure:
-    """A product. error : what those of its factors make of it. counts : mask of those that have no factor of 0."""
+    """The enclosure of a product that is about `product` + `rest`. error : how far the errors of its factors may move
+    it. counts : function that returns the mask of elements without an exact factor of 0, to which underflow may happen.
+    """
     high, low = _fast_two_sum(product, rest)
     size = np.abs(high)
     error = error + PAIR_ROUNDING * size
@@ -299,7 +310,7 @@ def _rounded(product: np.ndarray, rest: np.ndarray, error: np.ndarray, counts: C
 
 
 def _fast_two_sum(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rounded sum of |a| >= |b|, and exactly what the rounding left out (Dekker)."""
+    """The rounded sum of doubles |a| >= |b|, and exactly what the rounding left out (Dekker)."""
     total = a + b
     part = total - a
     return total, np.subtract(b, part, out=part)

@@ -1,14 +1,22 @@
-"""Contact networks of any kind, their spins and their friction, as they are to be judged: samples of a lattice side by
-side, or a packing.
+"""Contact networks of any kind whose spins and friction are to be judged: samples of a lattice side by side, or one
+packing.
 
-With u = R omega the surface of the second sphere of a contact slips past the first with v = -(u_i + u_j) x n, friction
-F on the second one turns both with n x F, its moment, and what it takes from the motion is (u_i + u_j) . (n x F) =
--F . v, at most |F| |v|. A disc has one component, u and v about z, F along z x n. Normals of packings are taken bit by
-bit as they are stored: they say what slips, also where their length is not quite 1.
+Letters: R samples of N spheres and E contacts each, n = R N and m = R E in all; D = 2 or 3 dimensions, C = 1 (discs) or
+3 components, each with a number k; i and j the first and the second sphere of a contact, n its unit normal from i to j.
 
-On a lattice u = s U, with the sign s of the sublattice, and U is measured from the state of the bottom, which slips
-nowhere. A part is what contacts between free spheres join. Where it touches nothing that is driven, it rests at some
-minimum.
+With u = R omega (here R is the radius) the surface of sphere j slips past that of i with v = -(u_i + u_j) x n. Friction
+F on j turns both spheres with n x F, its moment. What it takes from the motion is (u_i + u_j) . (n x F) = -F . v, at
+most |F| |v|. A disc has one component, u and v about z, F along z x n. Normals of packings are taken bit by bit as they
+are stored: they say what slips, even where their length is not quite 1.
+
+On a lattice u = s U, with the sign s = 1 or -1 of the sublattice, and U is measured from the state of the bottom, in
+which nothing slips.
+
+Words: a contact *acts* if it has a coefficient and a free end. A *part* is what contacts between free spheres join;
+where it touches nothing that is driven, it rests at some minimum. Spheres are *reached* if their part touches driven
+ones, and contacts *count* if they act at a reached sphere: only these can dissipate at a minimum. A contact *feels* a
+component if it counts and that component of the spins makes it slip. It is *still* if its slip is exactly 0. A *domain*
+of a component is a set of spheres that resting contacts make turn as one.
 """
 
 from __future__ import annotations
@@ -27,14 +35,19 @@ from taichi_bearings.scene.law import Law
 
 @dataclass(frozen=True)
 class JudgedNetwork:
-    """R samples of N spheres and E contacts each, n = R N and m = R E in all; D = 2 or 3, and C = 1 or 3 components.
+    """Spins, friction and contacts of R samples, as enclosures in the units `speed_unit` and `force_unit`.
 
-    free : (n,). speed_unit, force_unit : a power of two, but for the radius in the speeds of
-    lattices. spin : u by component, C enclosures (n,), on lattices with the sign s. moment : n x F by component, C
-    enclosures (m,), 0 where nothing acts. holding : mu F_n; slope : eta, (m,) enclosures, 0 where there is none.
-    imposed : u of driven spheres by component, 0 for free ones, and on lattices measured from the bottom.
-    graph : where its contacts are, and what they bear. rolling : (n,) mask of free spheres whose contacts can all roll,
-    whatever the others do. factors : (m,) numbers each, whose products are in the proportions of mu F_n, exactly.
+    law : the contact law.
+    count : R.
+    free : (n,) mask of the spheres that are not driven.
+    speed_unit, force_unit : powers of two; on lattices the unit of speed is one times the radius.
+    spin : u by component, C enclosures (n,), on lattices with the sign s.
+    moment : n x F by component, C enclosures (m,), 0 where nothing acts.
+    holding, slope : mu F_n and eta, enclosures (m,), 0 where a law has none.
+    imposed : by component, (n,), u of driven spheres, 0 for free ones; on lattices measured from the bottom.
+    graph : where the contacts are, and the friction that they bear.
+    rolling : (n,) mask of free spheres whose contacts can all roll, whatever the other spheres do; None for none.
+    factors : arrays (m,) whose products are in the proportions of mu F_n, exactly.
     """
 
     law: Law
@@ -71,7 +84,7 @@ class JudgedNetwork:
 
     @cached_property
     def reached(self) -> np.ndarray:
-        """(n,) mask of free spheres in parts that touch driven spheres."""
+        """(n,) mask of free spheres in parts that touch driven spheres, without `rolling` ones."""
         if self.is_whole:
             return self.free
         first, second = self.graph.contact[:, self._holding]
@@ -84,42 +97,44 @@ class JudgedNetwork:
 
     @cached_property
     def counts(self) -> np.ndarray:
-        """(m,) mask of the contacts that act there: others dissipate nothing at any minimum."""
+        """(m,) mask of the contacts that act at a reached sphere: all others dissipate nothing at any minimum."""
         return self.acts if self.is_whole else self._holding & self.graph.any_end(self.reached)
 
     @cached_property
     def _holding(self) -> np.ndarray:
-        """(m,) mask of those that act and do not belong to rolling spheres."""
+        """(m,) mask of the contacts that act and touch no sphere in `rolling`."""
         return self.acts if self.rolling is None else self.acts & ~self.graph.any_end(self.rolling)
 
     @cached_property
     def box(self) -> np.ndarray:
-        """(C,), largest size of each component of what is imposed."""
+        """(C,), the largest absolute value of each component of the imposed u."""
         return np.array([part.most.max(initial=0.0) for part in self.imposed])
 
     @property
     def reach(self) -> list[Enclosure]:
-        """By component, (n,): some minimum has u of a free sphere between 0 and this, or that and its negative, where
-        components do not mix."""
+        """Bound (n,) by component: where components do not mix, some minimum has u of each free sphere between 0 and
+        this bound, on lattices, or between the bound and its negative."""
         return self.graph.reach(self.box, self.sign)
 
     @cached_property
     def mixes(self) -> bool:
-        """False where components do not mix: of discs, and of unit normals along the axes."""
+        """Whether slips mix the components of spins. They do not for discs, nor where unit normals are along the
+        axes."""
         return self.graph.mixes(self.counts)
 
     @cached_property
     def slips_with(self) -> np.ndarray:
-        """(C, m) mask of the components that contacts slip with, where components do not mix."""
+        """(C, m) mask, true where component k of the spins makes a contact slip; only where components do not mix."""
         return self.graph.slips_with
 
     @cached_property
     def feels(self) -> np.ndarray:
-        """(C, m) mask of the components that contacts slip with which count, where components do not mix."""
+        """(C, m) mask, true where a contact counts and component k of the spins makes it slip; only where components do
+        not mix."""
         return self.counts & self.slips_with
 
     def some(self, pick: slice) -> JudgedNetwork:
-        """Some of the samples alone."""
+        """The network of the samples in the slice `pick` alone."""
 
         def of(values: np.ndarray) -> np.ndarray:
             return values.reshape(self.count, -1)[pick].reshape(-1)
@@ -142,11 +157,11 @@ class JudgedNetwork:
         )
 
     def sample_of(self, contacts: np.ndarray) -> np.ndarray:
-        """The numbers of the samples of some contacts."""
+        """Number of the sample of each of the contacts whose numbers are given."""
         return contacts // (len(self.acts) // self.count)
 
     def on_contacts(self, values: np.ndarray) -> np.ndarray:
-        """(m,), what each contact has of a number (R,) a sample."""
+        """(m,), the number of its sample repeated for each contact. values : (R,)."""
         return (
             np.broadcast_to(values, len(self.acts))
             if self.count == 1
@@ -154,7 +169,7 @@ class JudgedNetwork:
         )
 
     def by_sample(self, values: Enclosure, contacts: np.ndarray) -> Enclosure:
-        """(R,), sums over some contacts."""
+        """(R,), sums of `values` (q,) of the contacts with the numbers `contacts` (q,), sample by sample."""
         if not len(contacts):
             return nothing(self.count)
         whole = nothing(len(self.acts))
@@ -162,89 +177,98 @@ class JudgedNetwork:
         return row_sum(whole.reshaped((self.count, -1)))
 
     def slips(self, spin: list[Enclosure]) -> list[Enclosure]:
-        """(u_i + u_j) x n by component, (m,) each."""
+        """(u_i + u_j) x n by component, (m,) each: the slip v but for its sign. spin : u by component, (n,) each."""
         first, second = self.graph.contact
         return across([part.at(first) + part.at(second) for part in spin], self.graph.normal)
 
     @cached_property
     def slip(self) -> Enclosure:
-        """(m,), its size."""
+        """(m,), slip speeds of the stored spins."""
         return self.motion.slip if self.graph.layered else length(self.slips(self.spin))
 
     @cached_property
     def still(self) -> np.ndarray:
-        """(m,) mask: no slip at all, exactly."""
+        """(m,) mask of the contacts whose slip is exactly 0."""
         return self.graph.still(self.spin)
 
     @cached_property
     def motion(self) -> Motion:
-        """That of the spins of a lattice, in which contacts rest that do not slip at all."""
+        """The stored spins of a lattice as a motion, in which the contacts without any slip rest."""
         return Motion(self, self.still & self.acts)
 
     @cached_property
     def own_torques(self) -> list[Enclosure]:
-        """Sums of the following at each sphere, (n,) by component."""
+        """Torques over the radius that the stored friction leaves over: sums of `own_moment` at each sphere, (n,) by
+        component."""
         return self.torques(self.own_moment)
 
     @cached_property
     def own_moment(self) -> list[Enclosure]:
-        """n x F by component, (m,) each, of the contacts that count, in the components in which moments may do work."""
+        """Moments n x F by component, (m,) each, of the contacts that count; 0 in components in which no moment does
+        work."""
         own, all_count = self.graph.working(self.box), bool((self.counts == self.acts).all())
         pairs = zip(self.moment, own, strict=True)  # moments are 0 where nothing acts
         return [part if some and all_count else part.where(self.counts & some) for part, some in pairs]
 
     @property
     def own_friction(self) -> list[Enclosure]:
-        """F by component of the contacts that count; of lattices its moments, which are as long."""
+        """Friction F by component, (m,) each, of the contacts that count; on lattices its moments, which are as
+        long."""
         return self.graph.borne(self.moment, self.counts)
 
     @property
     def joins(self) -> np.ndarray:
-        """(R,), True if contacts lead from the bottom of a lattice to its top in a component in which both differ."""
+        """(R,) mask, true if contacts lead from the bottom of a lattice to its top in a component in which both are
+        driven differently."""
         if self.is_whole:
             return np.full(self.count, bool(self.needed))
         return Motion(self, self.acts).torn
 
     def torques(self, moment: list[Enclosure]) -> list[Enclosure]:
-        """Their sums at each sphere, (n,) by component."""
+        """Sums at each sphere, (n,) by component, of moments given by component, (m,) each."""
         return self.graph.torques(moment)
 
     @cached_property
     def needed(self) -> list[int]:
-        """Components that some minimum needs: along the others nothing slips at any minimum. On a lattice layers turn
-        about the height as they like."""
+        """Numbers of the components in which some minimum may slip: along the others no contact slips at any minimum.
+        On a lattice the component about the height is never needed, as each layer may turn freely about it."""
         return self.graph.needed(self.box, self._is_needed)
 
     def signs(self, k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Parts that contacts join in component k: label (n,), mask of those with odd loops, and signs s by which
-        neighbours differ in the others."""
+        """Parts that contacts join in component k, as label (n,), mask (n,) of spheres in parts with odd loops, and
+        signs s (n,) by which neighbours differ in all other parts."""
         return signs(self.graph.contact[:, self.feels[k]], len(self.free))
 
     @cached_property
     def sign(self) -> list[np.ndarray]:
-        """(n,) by component, signs s by which neighbours differ, but in odd loops."""
+        """Signs s by component, (n,) each, by which neighbours differ, except in parts with odd loops."""
         return self.graph.signs(self.feels)
 
     def _is_needed(self, k: int) -> bool:
-        """False if component k can be such that nothing slips along it: then that is so at every minimum."""
+        """False if the imposed spins allow component k to be such that nothing slips along it; then nothing does so at
+        any minimum."""
         label, odd, sign = self.signs(k)
         held = np.flatnonzero(~self.free)
+        # Driven spheres of one part must be driven alike but for the signs, and not at all where loops are odd.
         own = self.imposed[k].signed(sign).at(held)
         first, part = np.unique(label[held], return_index=True, return_inverse=True)[1:]
         several = any((values != values[first][part]).any() for values in own.parts[:2])
         return bool(several or (odd[held] & (own.high != 0)).any())
 
     def dissipated(self, of_slope: float, some: np.ndarray | None = None) -> Enclosure:
-        """(R,), friction times slip plus `of_slope`, a power of two, times damping times its square, of what acts."""
+        """(R,), the sum over contacts of friction times slip plus `of_slope`, a power of two, times damping times the
+        squared slip. some : mask (m,) of contacts; all that act if not given."""
         held, flows = self._dissipated if some is None else self._sums(some)
         return held + flows.signed(of_slope)
 
     @cached_property
     def _dissipated(self) -> tuple[Enclosure, Enclosure]:
+        """The sums of :meth:`_sums` over all contacts that act."""
         return self._sums(self.acts)
 
     def _sums(self, some: np.ndarray) -> tuple[Enclosure, Enclosure]:
-        """(R,) each, of friction times slip and of damping times its square."""
+        """Two sums by sample, (R,) each, over the contacts of the mask `some` (m,): friction times slip, and damping
+        times its square."""
         slips, slip = some & ((self.slip.high != 0) | (self.slip.error != 0)), self.slip
         held, flowing = nothing(self.count), nothing(self.count)
         if self.law.holds:
@@ -256,13 +280,15 @@ class JudgedNetwork:
 
 @dataclass(frozen=True)
 class Motion:
-    """The spins of a network whose components do not mix, as unknowns: spheres that contacts without slip join are a
-    domain of a component, and turn as one sphere of it does where the stored spins are not quite the same. rests : (m,)
-    mask of these contacts.
+    """The spins of a network whose components do not mix, by domains: spheres that resting contacts join turn as one of
+    them does, where their stored spins are not quite equal.
 
-    On a lattice driven spheres of one plane and layer are of one domain. There stored spins are exact, and what is
-    imposed on the top is not quite what is stored: it is far below the rounding of the spins and yet not of the
-    smallest slips.
+    network : what moves.
+    rests : (m,) mask of the contacts that are taken to rest.
+
+    On a lattice driven spheres of one plane and layer are of one domain. Stored spins are exact there, but what is
+    imposed on the top differs a little from what is stored; this `shift` is far below the rounding of spins, yet not
+    below the smallest slips.
     """
 
     network: JudgedNetwork
@@ -270,15 +296,15 @@ class Motion:
 
     @cached_property
     def domain(self) -> Domains:
-        """By component, (n,), number of the domain of each sphere; found when it is asked for."""
+        """By component, the number (n,) of the domain of each sphere; found when it is asked for."""
         return Domains(self)
 
     def joins(self, k: int) -> bool:
-        """True if any contact joins spheres to a domain of a component."""
+        """True if any resting contact joins spheres in component k."""
         return bool((self.rests & self.network.slips_with[k]).any())
 
     def domains(self, k: int) -> np.ndarray:
-        """(n,), number of the domain of each sphere."""
+        """Number (n,) of the domain of each sphere in component k."""
         network, size = self.network, len(self.network.free)
         own = network.graph.anchor(k)
         if not self.joins(k):
@@ -288,7 +314,8 @@ class Motion:
         return pieces(size, np.append(first, held), np.append(second, own[held]))
 
     def _models(self, k: int) -> np.ndarray:
-        """(n,), the sphere as which each turns: of those of its domain a driven one if there is any, else the first."""
+        """(n,), the sphere whose spin each sphere takes in component k: a driven one of its domain if there is any,
+        else the first."""
         domain = self.domain[k]
         model = np.empty(domain.max(initial=-1) + 1, dtype=np.intp)
         for spheres in (np.arange(len(domain))[::-1], np.flatnonzero(~self.network.free)):
@@ -297,7 +324,8 @@ class Motion:
 
     @cached_property
     def torn(self) -> np.ndarray:
-        """(R,), True if contacts without slip join driven spheres that turn otherwise: impossible."""
+        """(R,) mask of samples in which resting contacts join driven spheres that are driven differently, which is
+        impossible."""
         network, found = self.network, np.zeros(self.network.count, dtype=bool)
         held = np.flatnonzero(~network.free)
         for k in (k for k in network.components if network.imposed[k].high.any() and self.joins(k)):
@@ -307,17 +335,19 @@ class Motion:
         return found
 
     @cached_property
-    def _turning(self) -> dict[int, tuple[Enclosure, Enclosure | None]]:
-        """By component what :meth:`_turns` has found."""
+    def _signed_spins(self) -> dict[int, tuple[Enclosure, Enclosure | None]]:
+        """Results of :meth:`_signed_spin` by component, kept once they are found."""
         return {}
 
-    def _turns(self, k: int) -> tuple[Enclosure, Enclosure | None]:
-        """Signed spins (n,), and what those that turn with the top of a lattice lack, if they lack anything."""
-        if k not in self._turning:
-            self._turning[k] = self._turns_of(k)
-        return self._turning[k]
+    def _signed_spin(self, k: int) -> tuple[Enclosure, Enclosure | None]:
+        """Signed spins (n,) of component k, and what the stored spins of spheres that turn with the top of a lattice
+        lack of the imposed ones, (n,); None if nothing."""
+        if k not in self._signed_spins:
+            self._signed_spins[k] = self._find_signed_spin(k)
+        return self._signed_spins[k]
 
-    def _turns_of(self, k: int) -> tuple[Enclosure, Enclosure | None]:
+    def _find_signed_spin(self, k: int) -> tuple[Enclosure, Enclosure | None]:
+        """Compute what :meth:`_signed_spin` returns for component k."""
         network = self.network
         own = network.graph.signed(network.spin[k], network.sign[k])
         if (self.rests & ~network.still).any():
@@ -329,26 +359,27 @@ class Motion:
 
     @cached_property
     def slip(self) -> Enclosure:
-        """(m,), of all contacts of a lattice; exactly 0 of those that are still."""
+        """(m,), slip speeds of all contacts of a lattice; exactly 0 where a contact is still."""
         network = self.network
-        turns = [self._turns(k) for k in network.components]
+        turns = [self._signed_spin(k) for k in network.components]
         return slices(network.graph).slips([own for own, _ in turns], [shift for _, shift in turns], network.still)
 
     def difference(self, k: int, some: np.ndarray) -> Enclosure:
-        """Of signed spins, of some contacts that feel component k."""
+        """Signed spin of the second sphere less that of the first, in component k, for contacts with the numbers `some`
+        (q,) that feel it; exactly 0 within a domain."""
         first, second = self.network.graph.contact[:, some]
-        own, shift = self._turns(k)
+        own, shift = self._signed_spin(k)
         domain, found = self.domain[k], nothing(len(some))
         differ = np.flatnonzero(domain[first] != domain[second])
         found.put(differ, own.at(second[differ]) - own.at(first[differ]))
-        if shift is not None:  # the top turns as it should
+        if shift is not None:  # add what the stored spin of the top lacks of the imposed one
             at_top = np.flatnonzero(shift.high[first] != shift.high[second])
             found.put(at_top, found.at(at_top) + (shift.at(second[at_top]) - shift.at(first[at_top])))
         return found
 
 
 class Domains(dict[int, np.ndarray]):
-    """By component, found when it is asked for."""
+    """Numbers (n,) of the domains of spheres by component, found when they are asked for."""
 
     def __init__(self, motion: Motion) -> None:
         self.motion = motion
