@@ -1,4 +1,8 @@
-"""What a solve amounts to: of the best state and the best forces, what is proven of both."""
+"""The answer of a solve: the best spins and the best forces that a method reached, and what is proven of both.
+
+Shapes: R samples, E contacts, C carried spin components. The *jump* of a scene is the difference between the spins that
+are imposed on its top and on its bottom, 1/time. A state is *proven* if it is that of the contact at every minimum.
+"""
 
 from dataclasses import replace
 
@@ -22,18 +26,20 @@ from taichi_bearings.scene.scene import of_lattice, vector_length
 from taichi_bearings.solvers.method import Method
 from taichi_bearings.solvers.without_slip import without_slip
 
-ROUNDED_LIMIT = 1e-11  # share of its friction by which rounding leaves a slipping contact off its limit
-MISSING_SLIP = 1e2  # of the jump, that a contact must slip for each share of its friction that it does not bear
+ROUNDED_LIMIT = 1e-11  # relative distance from the friction limit that rounding leaves on a slipping contact
+MISSING_SLIP = 1e2  # a contact that misses its friction limit by a share x is trusted to slip only above 1e2 x R jump
 
 
 def answered(
     scene: Scene, method: Method, final: Progress, forces: Forces, bound: np.ndarray, threshold: float | None
 ) -> tuple[Solution, Judgement | None]:
-    """The answer, no contact states proven yet, and what judges it.
+    """Return the answer, with no contact state proven yet, and the judgement of its spins and forces.
 
-    forces : from which the bound follows. threshold : slip speed up to which a contact counts as slipless, or None for
-    what the method can resolve.
+    final : the best state that the method has reached. forces : (C, R, E), from which the lower bound `bound`, (R,),
+    follows. threshold : slip speed up to which a contact counts as slipless, length/time; None for the smallest slip
+    that the method can resolve. The judgement is None where no arithmetic can judge the numbers.
     """
+    # a sample whose least power is 0 gets the state without slip, whatever the method came to
     if not method.options.is_dynamics:
         final = without_slip(scene, final)
         idle = scene.is_cut_off | (scene.jump == 0)
@@ -44,8 +50,8 @@ def answered(
     judgement = judged(scene, spin, spin_rounding, friction)
     slip = scene.slips(final.staggered, final.spin_axes) if final.slip is None else final.slip
     slip = slip if judgement is None else judgement.slip
-    state, resolves, of_all = _told_apart(
-        scene, slip, final, threshold, _known_at_once(judgement, method.options.is_dynamics), proof
+    state, resolves, of_all = _states_and_thresholds(
+        scene, slip, final, threshold, _known_by_contact(judgement, method.options.is_dynamics), proof
     )
     own = {"slip_threshold": resolves} | ({} if final.ended is None else {"iterations": final.ended})
     per_contact = scene.law.power(scene.material, slip)
@@ -83,7 +89,10 @@ def answered(
 
 
 def with_forces_of(answer: Solution, other: Solution) -> Solution:
-    """An answer to one sample with the friction of another one to it, if that proves more of it."""
+    """Return `answer`, with the friction of `other` if that proves a greater lower bound; both answer the same sample.
+
+    Spins and states stay; bound, gap and leftover torque are computed anew from the friction that was taken.
+    """
     if not other.lower_bound[0] > answer.lower_bound[0]:
         return answer
     judgement = judged(of_lattice(answer.scene), answer.spin, answer.spin_rounding, other.friction)
@@ -100,7 +109,7 @@ def with_forces_of(answer: Solution, other: Solution) -> Solution:
     )
 
 
-def _told_apart(
+def _states_and_thresholds(
     scene: Scene,
     slip: np.ndarray,
     final: Progress,
@@ -108,12 +117,14 @@ def _told_apart(
     known: np.ndarray | None,
     proof: Forces,
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """Contact states, and slips up to which contacts count as slipless, (R,) and of all: as asked for, or else what can
-    be resolved. Where more than the slip tells them apart, that is the largest slip of a slipless contact: others may
-    slip slower.
+    """Return contact states (R, E), and the slip speeds up to which contacts count as slipless: (R,), and one for all.
 
-    known : states that are proven contact by contact; of the others none slips by Coulomb's law whose friction in
-    `proof` is off its limit.
+    slip : (R, E), length/time. threshold : the slip speed that the user asked for, or None for what can be resolved.
+    known : states (R, E) that are proven contact by contact, or None. proof : forces (C, R, E) that prove the bound.
+
+    Without a threshold, a contact that seems to slip while its friction in `proof` is below its limit is undecided,
+    unless `known` has its state. If some slipping contact is slower than what the slip alone resolves, the friction has
+    told it apart; the speed that is returned then is the largest slip of a slipless contact.
     """
     if threshold is not None:
         state = _states(scene, slip, final, threshold, asked=True)
@@ -132,10 +143,11 @@ def _told_apart(
     return state, each, of_all
 
 
-def _known_at_once(judgement: Judgement | None, is_dynamics: bool) -> np.ndarray | None:
-    """What is proven of the states at every minimum, (R, E), where it is contact by contact.
+def _known_by_contact(judgement: Judgement | None, is_dynamics: bool) -> np.ndarray | None:
+    """Return the states (R, E) that are proven of every minimum where a proof looks at each contact alone, else None.
 
-    A dynamics has the states of its own motion; where the force grows with the slip these are the same, if proven.
+    That is so where the force grows with the slip, and for minima with one spin component. For a dynamics without
+    viscosity None is returned, as the states that are wanted are those of its motion, not of the minima.
     """
     if judgement is None or not (judgement.law.flows or (len(judgement.network.needed) < 2 and not is_dynamics)):
         return None
@@ -143,8 +155,11 @@ def _known_at_once(judgement: Judgement | None, is_dynamics: bool) -> np.ndarray
 
 
 def _states(scene: Scene, slip: np.ndarray, final: Progress, threshold: float, asked: bool) -> np.ndarray:
-    """Contact states by slip and friction, or as the method has established them; then slower ones count as slipless,
-    and of faster ones none, only if a threshold was asked for."""
+    """Return contact states (R, E): those that the method has established, or else those that slip and friction give.
+
+    threshold : slip speed up to which a contact counts as slipless, length/time. asked : the user gave it. Then a
+    slipping contact that is slower becomes slipless, and a slipless one that is faster becomes undecided.
+    """
     if final.state is None:
         return classify(scene, slip, final.force, threshold)
     state = final.state
@@ -156,8 +171,11 @@ def _states(scene: Scene, slip: np.ndarray, final: Progress, threshold: float, a
 
 
 def _acting(scene: Scene, method: Method, final: Progress, slip: np.ndarray) -> np.ndarray:
-    """Sizes (R, E) of the forces in a dynamics at this moment: where contacts hold its own, else those of the law.
-    Friction alone is at its limit where the rounding of far stronger contacts says more."""
+    """Return the sizes (R, E) of the contact forces of a dynamics at its last moment.
+
+    Where contacts can hold a force, the dynamics knows it; else the law gives it from `slip`, (R, E). Without viscosity
+    a force is cut off at the friction limit, beyond which only the rounding of far stronger contacts can lift it.
+    """
     if not scene.law.holds:
         return scene.law.force(scene.material, slip)
     most = np.inf if scene.law.flows else scene.strength * max(getattr(method.options, "static_ratio", 1.0), 1.0)
@@ -168,7 +186,11 @@ def _acting(scene: Scene, method: Method, final: Progress, slip: np.ndarray) -> 
 
 
 def judged(scene: Scene, spin: np.ndarray, spin_rounding: np.ndarray, friction: Forces) -> Judgement | None:
-    """What the answer proves by itself, whatever the method believes; None for numbers that no arithmetic can judge."""
+    """Return what spins and friction prove by themselves, whatever the method believes.
+
+    spin, spin_rounding : laboratory spins, and what rounding leaves out of them. friction : force on each contact. The
+    result is None for numbers that no arithmetic can judge.
+    """
     judgement = Judgement(scene, spin, spin_rounding, friction)
     return judgement if judgement.can_be_judged else None
 
@@ -176,23 +198,30 @@ def judged(scene: Scene, spin: np.ndarray, spin_rounding: np.ndarray, friction: 
 def named(
     answer: Solution, final: Progress, known: np.ndarray | None, has_ended: bool = False, is_present: bool = False
 ) -> Solution:
-    """The answer with the states of its contacts, and which of them are proven.
+    """Return the answer with the final states of its contacts, and which of them are proven.
 
-    known : (R, E), the states that are proven of all minima, UNDECIDED where nothing is; None if nobody has asked.
-    has_ended, is_present : as of :func:`taichi_bearings.proof.contact_state.decided`.
+    known : (R, E), the states that are proven of all minima, UNDECIDED where nothing is; None if no proof was tried.
+    has_ended : a motion is proven to have come to a minimum. is_present : the states are those of the motion now, or
+    follow from a threshold of slip, not those of the minima (:func:`taichi_bearings.proof.contact_state.decided`).
     """
-    open_ = np.full(answer.state.shape, ContactState.UNDECIDED)
-    known = open_ if known is None else known
+    undecided = np.full(answer.state.shape, ContactState.UNDECIDED)
+    known = undecided if known is None else known
     is_of_method = final.state is not None and answer.scene.law.is_rate_independent
-    told = above_noise(answer, known) if is_of_method else answer.state
-    state, proven = decided(told, known, is_present, has_ended)
+    observed = above_noise(answer, known) if is_of_method else answer.state
+    state, proven = decided(observed, known, is_present, has_ended)
     return replace(answer, state=state, proven=proven)
 
 
 def above_noise(answer: Solution, known: np.ndarray) -> np.ndarray:
-    """What slip and friction say of the contacts (R, E): those of which nothing is `known` are undecided where they
-    seem to slip by less than the gap or what friction misses of its limit can resolve, or to rest while they bear all
-    their friction; all of them where coefficients are too uneven for anything but a cut."""
+    """Return the states (R, E) of an answer with UNDECIDED where slip and friction are too small to tell them.
+
+    known : (R, E), the states that are proven; a contact that has one keeps its state. Another one becomes undecided
+
+    * if it seems to slip, but the gap between power and lower bound could explain its slip, or its friction is off the
+      limit by more than its slip allows (MISSING_SLIP);
+    * if it seems slipless, but bears all the friction that it can;
+    * in samples whose coefficients are too uneven for floating-point numbers, unless an exact cut has solved them.
+    """
     scene, slips = answer.scene, answer.state == ContactState.SLIPPING
     limit = scene.strength * scene.coefficient
     missing = limit - answer.force - ROUNDED_LIMIT * limit
@@ -206,10 +235,10 @@ def above_noise(answer: Solution, known: np.ndarray) -> np.ndarray:
 
 
 def known_states(scene: Scene, final: Progress, judgement: Judgement | None, has_ended: bool) -> np.ndarray | None:
-    """The states (R, E) that are proven of all minima; None where that is not asked.
+    """Return the states (R, E) that are proven of all minima, UNDECIDED where nothing is; None if no proof is tried.
 
-    It is asked where the method believes that it has found them, where that is cheap, and, has_ended, of a motion that
-    is proven to have come there.
+    A proof is tried in samples where the method believes to have found these states, and in all samples where the proof
+    is cheap (one spin component, or viscosity) or where has_ended: a motion is proven to have come to a minimum.
     """
     one_component = scene.law.is_rate_independent and len(scene.minimum_spin_axes) == 1
     together = one_component or scene.law.flows or has_ended
@@ -223,5 +252,5 @@ def known_states(scene: Scene, final: Progress, judgement: Judgement | None, has
     with one_thread():
         if asked.all():
             return judgement.known
-        open_ = np.full(scene.coefficient.shape[1], ContactState.UNDECIDED)
-        return np.stack([judgement.one(n).known[0] if asks else open_ for n, asks in enumerate(asked)])
+        undecided = np.full(scene.coefficient.shape[1], ContactState.UNDECIDED)
+        return np.stack([judgement.one(n).known[0] if asks else undecided for n, asks in enumerate(asked)])

@@ -1,7 +1,10 @@
-"""What methods ask of the contacts that they step, whatever these lie in: fields, kernels, bounds, and the answer.
+"""`Contacts`, through which methods reach the contacts of a scene: their fields, kernels, bounds, and the answer.
 
-`OnStrides` of solvers/on_strides.py has the contacts of a lattice, whose neighbours are a stride apart; `OnLists` of
-solvers/on_lists.py those of any other network, in lists. Which of the two it is, is asked in solvers/method.py alone.
+There are two kinds. `OnStrides` (solvers/on_strides.py) has the contacts of a lattice, whose neighbours are a constant
+stride apart in memory; `OnLists` (solvers/on_lists.py) has those of any other network, in lists. `contacts_of` in
+solvers/method.py chooses between them; nothing else asks which of the two it has.
+
+Shapes: R samples, N spheres (the shape of a lattice, or their number), E contacts, C carried spin components.
 """
 
 from abc import ABC, abstractmethod
@@ -28,8 +31,11 @@ CONSTANT = ("is_free", "across", "coefficient", "viscosity", "numbers")
 
 @dataclass(frozen=True)
 class Ended:
-    """How a course ended: its status, the best state that it reached, the bound (R,) that is proven, the forces from
-    which that follows, and the iterations that were made."""
+    """How a run of a method ended.
+
+    best : the best state that was reached. bound : (R,), the best proven lower bound. proof : forces (C, R, E) from
+    which that bound follows. iterations : how many were made. stop, options : what the run was asked to do.
+    """
 
     status: Status
     best: Progress
@@ -42,7 +48,10 @@ class Ended:
 
 @dataclass(frozen=True)
 class Launch:
-    """Turns of kernels with the same constants, `numbers`, the first of them number `first`."""
+    """A number of repeated calls of the kernels (`turns`) with the same constants.
+
+    numbers : the constants. first : number of the first of these turns, for kernels whose constants depend on it.
+    """
 
     turns: int
     numbers: tuple[float, ...]
@@ -52,9 +61,10 @@ class Launch:
 class Contacts(ABC):
     """The contacts of a scene as a method steps them.
 
-    scene : what is stepped; of a packing that has the contacts alone that act. spin_axes : the components of spins that
-    are carried. points, forces : names of the fields of spheres and of contacts that hold the spins of a descent and
-    its forces. fields : the numbers on the device, once `use` was called.
+    scene : what is stepped; for a packing without the contacts that take no part. spin_axes : the spin components that
+    are carried. points, forces : names of the fields that hold the spins of a gradient descent (on spheres) and its
+    forces (on contacts). fields : the numbers on the device, once `use` was called. spec : names and sizes of these
+    fields.
     """
 
     scene: Bearing
@@ -64,28 +74,31 @@ class Contacts(ABC):
     fields: Fields
     spec: AnySpec
     look_again = 1.2
-    """Times the iterations after which a bound that costs a factorisation is looked for again."""
+    """A bound that costs a factorisation is computed again once the iterations have grown by this factor."""
 
     @property
     def of_law(self) -> list[str]:
-        """The names of the fields that hold the coefficients of the law."""
+        """Names of the fields that hold the coefficients of the contact law."""
         return ["coefficient", *(["viscosity"] if self.scene.viscosity_beside_friction is not None else [])]
 
     @abstractmethod
     def specified(self, spheres: dict[str, int], contacts: list[str]) -> AnySpec:
-        """Say which fields there are: of these names with so many numbers a sphere, of these names on the contacts, and
-        those of the law."""
+        """Return the names and sizes of all fields that a method needs, those of the law included.
+
+        spheres : how many numbers each sphere has in the field of each name. contacts : names of fields on contacts.
+        """
 
     @abstractmethod
     def use(self, spec: AnySpec, viscosity: np.ndarray | None) -> None:
-        """Make the fields, and load the coefficients into them.
+        """Allocate the fields of `spec`, and load the coefficients into them.
 
-        viscosity : (R, E) beside friction, in the units of the kernels; None of a law that has no such.
+        viscosity : (R, E), the viscosities of a law with friction and viscosity, in the units of the kernels; None for
+        other laws.
         """
 
     @abstractmethod
     def read_forces(self, name: str) -> np.ndarray:
-        """Forces or elongations (C, R, E) that the field of this name holds."""
+        """Return the forces or elongations (C, R, E) that the field of this name holds."""
 
     @abstractmethod
     def load_force(self, force: np.ndarray) -> None:
@@ -93,68 +106,90 @@ class Contacts(ABC):
 
     @abstractmethod
     def springs(self, corrector: tuple[float, ...]) -> "tuple[Team, Sweeps]":
-        """Workers, and the kernels of Cundall and Strack's dynamics with this corrector of Gear's method."""
+        """Return the threads and the kernels for the dynamics of Cundall and Strack.
+
+        corrector : coefficients of Gear's corrector, that of the 0th derivative first.
+        """
 
     @abstractmethod
     def descents(self) -> "tuple[Team, Sweeps]":
-        """Workers, and the kernels of gradient descent."""
+        """Return the threads and the kernels for gradient descent."""
 
     @abstractmethod
     def run(self, team: "Team", sweeps: "Sweeps", launch: Launch) -> None:
-        """Make turns of the kernels."""
+        """Call the kernels as often and with the constants that `launch` says."""
 
     @abstractmethod
     def weights(self, bounds: np.ndarray) -> np.ndarray:
-        """Numbers (C, R, *N) no smaller than the curvature of a spin component whose contacts have at most the
-        curvatures `bounds`, (R, E)."""
+        """Return upper bounds (C, R, *N) on the curvature of the objective along each spin component of each sphere.
+
+        bounds : (R, E), upper bounds on the curvature of what each contact adds.
+        """
 
     @abstractmethod
     def inertias(self, options: Any, density: Any) -> Any:
-        """Moments of inertia of the free spheres over the square of the radius that spins are carried with: one number,
-        or (N,). options : have `mass` and `inertia`. density : of packings, as of `Packing.inertias`."""
+        """Return the moments of inertia of the free spheres: one number, or (N,).
+
+        options : options of a method with `mass` and `inertia`. density : that of the spheres of a packing, as for
+        `Packing.inertias`; lattices have no use for it. The unknowns of a packing are u = R omega, so that its moments
+        are divided by the square of the radius; those of a lattice are not.
+        """
 
     @abstractmethod
     def unit_inertia(self, inertia: Any) -> float:
-        """Return the inertia of a sphere whose field `is_free` holds 1."""
+        """Return the moment of inertia of a sphere whose entry of the field `is_free` is 1; others have it scaled."""
 
     @abstractmethod
     def fastest_modes(self, inertia: Any) -> tuple[float, float]:
-        """Return the decay rate by viscosity, 1/time, of the mode that decays fastest, and lambda / I, 1/mass, of the
-        stiffest mode if all contacts stick; no mode has more."""
+        """Return upper bounds on what the fastest modes of the network have.
+
+        The first is the decay rate by viscosity, 1/time. The second is R^2 lambda / I, 1/mass, if all contacts stick,
+        with eigenvalues lambda of the network's Laplacian. inertia : as from `inertias`.
+        """
 
     @abstractmethod
     def unknowns(self, spin_axes: tuple[int, ...], unit: float, inertia: Any) -> "Unknowns":
-        """What rigid steps of these components find. unit : of spins. inertia : as of `inertias`."""
+        """Return the unknowns that an implicit step of the rigid-limit dynamics solves for.
+
+        spin_axes : the components that move. unit : of spins, 1/time. inertia : as from `inertias`.
+        """
 
     def died_out(self, component: int, spins: np.ndarray) -> np.ndarray | None:
-        """What spins (R, *N) in a component are once it has died out; None of one that never does."""
+        """Return what the spins (R, *N) of a component are once friction has stopped it.
+
+        component : number of the spin component. spins : its spins now, 1/time. None for one that never stops.
+        """
         return None
 
     @property
     def has_no_bound(self) -> bool:
-        """Whether no bound can be proven, so that rest has to be believed without one."""
+        """Whether no positive lower bound is known, so that rest has to be believed without one."""
         return False
 
     def best_bound(self, bound: np.ndarray) -> np.ndarray:
-        """The best lower bound (R,) so far. bound : of the last look."""
+        """Return the best lower bound (R,) so far. bound : (R,), the one that was computed last."""
         return bound
 
     @abstractmethod
     def proven_by(self, force: Forces) -> np.ndarray:
-        """Return the lower bound (R,) that follows from forces (C, R, E) which were looked at before."""
+        """Return the lower bound (R,) that follows from the forces (C, R, E) of a checkpoint."""
 
     @abstractmethod
     def judged(self, staggered: np.ndarray, force: Forces, proof: Forces | None, **more: Any) -> Progress:
-        """As `Method.judged`."""
+        """Return the progress of spins and forces, with the bounds that follow from them.
+
+        staggered : (C, R, *N), spins with signs by which neighbours differ. force : (C, R, E). proof : forces from
+        which the lower bound is taken, or None for `force`. more : further entries of the `Progress`.
+        """
 
     def answered(self, ended: Ended) -> Solution | None:
-        """The answer to a course that ended; None of a lattice, which drive.py judges."""
+        """Return the answer of a run on a packing that ended; None for a lattice, whose answer drive.py computes."""
         return None
 
     def state(self) -> dict[str, np.ndarray]:
-        """What the further course depends on, beside what a method keeps itself."""
+        """Return what the further run depends on, by name, beside what a method keeps itself."""
         return {}
 
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
-        """Go on from such a state."""
+        """Continue from what `state` returned in an earlier call."""
         assert not self.state()

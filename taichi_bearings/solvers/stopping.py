@@ -1,4 +1,4 @@
-"""When a run ends, and what to call it."""
+"""When a run ends, and with which status."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -17,8 +17,8 @@ class StopRule:
 
     tolerance : (objective - lower bound) / objective at which every replica counts as done, in (0, 1).
     iterations : limit on iterations of the method.
-    seconds : limit on wall time, compilation apart, anew for each call that goes on; infinity for none.
-    duration : simulated time after which a dynamics ends, whatever it has reached; infinity to go on until it is done.
+    seconds : limit on wall time without compilation, infinity for none; a resumed run has the whole limit again.
+    duration : simulated time after which a dynamics ends, whatever it has reached; infinity to run until it is done.
     """
 
     tolerance: float = 1e-8
@@ -28,7 +28,7 @@ class StopRule:
 
     @classmethod
     def of(cls, settings: Any) -> "StopRule":
-        """As settings of a run say."""
+        """Return the rule that the settings of a run ask for; a run with a duration has no default limit of steps."""
         unlimited = cls.iterations if settings.duration is None else UNLIMITED
         iterations = unlimited if settings.iterations is None else settings.iterations
         seconds, duration = (value or float("inf") for value in (settings.time_limit, settings.duration))
@@ -43,7 +43,11 @@ class StopRule:
         elapsed: float,
         stalled: bool = False,
     ) -> Status | None:
-        """The status if the run should end now, else None. objective, bound : (R,), the best known so far."""
+        """Return the status with which the run should end now, or None if it should go on.
+
+        progress : the state now. objective, bound : (R,), the best objective and the best lower bound so far.
+        elapsed : seconds of wall time in this call. stalled : the method makes no more progress.
+        """
         if not np.isfinite(progress.objective).all():
             return Status.NOT_FINITE
         certified = bool((relative_gap(scene, objective, bound) <= self.tolerance).all())
@@ -67,12 +71,14 @@ class StopRule:
 
 
 def ended_as(status: Status, found: Solution, stop: StopRule, is_dynamics: bool) -> Status:
-    """How a course ended whose loop had this status: certified where its answer is proven to the tolerance.
+    """Return the status of an answer, from the status with which its loop ended and from what its judgement proves.
 
-    That may be so where the loop knew less: without slip, or by friction that the answer has taken from elsewhere. A
-    motion whose duration was not reached, or a course that was interrupted or has lost its numbers, stays what it is.
-    Where less is proven than the loop believed, a motion is at rest where next to nothing is left of a power whose
-    least value is 0, and of which no bound can be a part.
+    status : of the loop. found : the answer with its proven gap. stop : the rule with the tolerance.
+
+    * An answer whose gap is within the tolerance is CERTIFIED, even where the loop knew less. A run that ended at a
+      limit before its duration, was interrupted, or came to numbers that are not finite keeps its status.
+    * Where the loop was certified but the judgement proves less, the answer is STALLED; that of a dynamics is
+      STATIONARY if a lower bound is 0, as no relative gap to a least power of 0 can be small.
     """
     cut_short = stop.duration < float("inf") and status in (Status.STEP_LIMIT, Status.TIME_LIMIT)
     stays = cut_short or status in (Status.INTERRUPTED, Status.NOT_FINITE)

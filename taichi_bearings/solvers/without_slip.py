@@ -10,10 +10,11 @@ from taichi_bearings.scene import Progress, Scene
 
 
 def without_slip(scene: Scene, final: Progress) -> Progress:
-    """The end of a minimisation, without slip in samples whose least objective is 0.
+    """Return the end of a minimisation with the slipless state in all samples whose least objective is 0.
 
-    There the planes turn alike, or no contacts join them: what contacts join to the top turns with it, all else with
-    the bottom, and no contact bears anything.
+    scene : the lattice. final : what the method has reached. The least objective is 0 in a sample whose driven planes
+    have the same spins, or are not joined by contacts. In its slipless state spheres that contacts join to the top
+    plane have the spin of the top, all others that of the bottom, and no contact bears a force. Other samples stay.
     """
     idle = np.flatnonzero(scene.is_cut_off | (scene.jump == 0))
     if not len(idle):
@@ -21,8 +22,9 @@ def without_slip(scene: Scene, final: Progress) -> Progress:
     staggered, axes = final.staggered.copy(), final.spin_axes
     top = scene.top_spin(axes)[..., None]  # (C, *plane, 1), of component k the same all along its layer x_k
     for replica in idle:
-        for slot, felt in enumerate(scene.lattice.tangential_mask(axes)):
-            with_top = _joined_to_top(scene, felt & (scene.acting_coefficient[replica] > 0))
+        # a contact couples only the spin components across its normal, so that each component has a graph of its own
+        for slot, couples in enumerate(scene.lattice.tangential_mask(axes)):
+            with_top = _joined_to_top(scene, couples & (scene.acting_coefficient[replica] > 0))
             staggered[slot, replica] = np.where(with_top, top[slot], 0.0)
     some = np.isin(np.arange(scene.replicas), idle)
     rest, slip = final.rest, final.slip
@@ -35,7 +37,10 @@ def without_slip(scene: Scene, final: Progress) -> Progress:
 
 
 def _joined_to_top(scene: Scene, contacts: np.ndarray) -> np.ndarray:
-    """(*N,) mask of the top plane and the spheres that some contacts (E,) join to it."""
+    """Return the mask (*N,) of the top plane and of all spheres that contacts join to it.
+
+    contacts : (E,) mask of the contacts that join.
+    """
     sites = scene.lattice.sites
     sphere = np.arange(sites).reshape(scene.lattice.shape)
     sphere[..., -1] = sites - 1
