@@ -1,4 +1,12 @@
-"""The only iteration loop: it owns the clock, the history, the monitors and the stopping."""
+"""The loop that runs every method: it owns the clock, the history, the monitors, the checkpoints and the stopping.
+
+`solve` prepares the method, follows its *course* (class `Course`: the loop from the start, or from a checkpoint, to the
+end), and has the answer judged. Lattices are solved with all their samples in one course; each sample of a packing has
+a course of its own, and some are stepped side by side.
+
+Words: a *look* is a point of the course at which the progress of the method is read and judged. Shapes: R samples
+(replicas), N spheres, E contacts, C carried spin components.
+"""
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -27,7 +35,11 @@ from taichi_bearings.stages import stage
 
 @dataclass(frozen=True)
 class Report:
-    """What a monitor hears at each check. objective, gap : (R,), of the best state so far; see `Progress`."""
+    """What a monitor is told at each look.
+
+    progress : the state now. objective, gap : (R,), of the best state so far. seconds : wall time since the start,
+    that before a checkpoint included. stop : the rule that will end the run.
+    """
 
     progress: Progress
     objective: np.ndarray
@@ -37,15 +49,16 @@ class Report:
 
 
 Monitor = Callable[[Report], bool | None]
-"""Hears of each check; the solve ends as if interrupted where it returns True."""
+"""A function that is called with the `Report` of each look; if it returns True the run ends as if interrupted."""
 STALL_PATIENCE = 20_000  # iterations before a minimisation can count as stalled
 
 
 @dataclass(frozen=True)
 class Checkpoints:
-    """Where and how often a method that `resumes` writes down all that it needs to go on from there.
+    """Where and how often a run is saved so that a later call can continue it; for methods that can resume.
 
-    every : seconds of wall time. write : takes the arrays by name. resume : what an earlier call has written.
+    every : seconds of wall time between two checkpoints. write : is called with the arrays of a checkpoint by name.
+    resume : the arrays that an earlier call has written and from which to continue; None for a new run.
     """
 
     every: float
@@ -53,7 +66,10 @@ class Checkpoints:
     resume: Mapping[str, np.ndarray] | None = None
 
     def of_each(self, replicas: int) -> "list[Checkpoints]":
-        """Those of replicas that are followed one after another: each keeps what the others have written."""
+        """Return the checkpoints of each sample of a packing, which all write into the same set of arrays.
+
+        replicas : number of samples. With several, the names of a sample's arrays begin with its number.
+        """
         arrays = dict(self.resume or {})
 
         def of(begin: str) -> Checkpoints:
@@ -77,14 +93,21 @@ def solve(
     recording: Recording | None = None,
     checkpoints: Checkpoints | None = None,
 ) -> Solution:
-    """Run `method` on `scene` from the laboratory spins `spin` until `stop` says so.
+    """Run a method on a scene until the stopping rule ends it, and return the answer with all that is proven of it.
 
-    scene : a lattice, or a packing without a slip threshold.
-    slip_threshold : length/time; contacts slipping less count as slipless. Default: what the method can resolve.
-    recording : for a dynamics. checkpoints : for a method that `resumes`.
-    Ctrl-C ends the run with status INTERRUPTED and everything reached so far, unless the answer is reached already;
-    before the first step KeyboardInterrupt. It and the limit on time end the proof of the contact states too.
-    Raises InputError for a scene that the method cannot solve.
+    scene : a lattice, or a packing, which takes no slip threshold.
+    method : built from a row of the table of methods.
+    spin : laboratory spins to start from, 1/time.
+    stop : when to end; default `StopRule()`.
+    monitors : functions that are called at each look.
+    slip_threshold : slip speed, length/time, up to which a contact counts as slipless. Default: the smallest slip that
+        the method can resolve.
+    recording : simulated times at which a dynamics is recorded.
+    checkpoints : where a method that can resume saves its state.
+
+    Ctrl-C ends the run with status INTERRUPTED and everything reached so far, unless the answer is reached already.
+    Before the first step it raises KeyboardInterrupt. Ctrl-C and the limit on time also end the proof of the contact
+    states. Raises InputError for a scene that the method cannot solve, DeviceError for a method that needs the CPU.
     """
     if reason := method.options.refusal(scene):
         raise InputError(reason)
@@ -98,7 +121,7 @@ def solve(
 
 @dataclass(frozen=True)
 class _Asked:
-    """What is asked of all samples, as arguments of :func:`solve`."""
+    """The arguments of :func:`solve` that are the same for all samples."""
 
     stop: StopRule
     monitors: Sequence[Monitor]
@@ -108,8 +131,10 @@ class _Asked:
 
 @dataclass(frozen=True)
 class _Sample:
-    """What is solved by a course of its own: a lattice with all its samples, or one sample of a packing; with its
-    method, the spins that it starts from, and where it writes checkpoints."""
+    """What one course solves: a lattice with all its samples, or one sample of a packing.
+
+    method : of this course alone. spin : laboratory spins to start from. checkpoints : where the course is saved.
+    """
 
     scene: Bearing
     method: Method
@@ -120,10 +145,10 @@ class _Sample:
 def _apart(
     scene: Bearing, method: Method, spin: np.ndarray, checkpoints: Checkpoints | None, asked: _Asked
 ) -> Solution:
-    """The answers to the samples of a packing, each to the bits that it has alone, as one; some at a time.
+    """Return one answer to all samples of a packing, each with the same bits as if it were solved alone.
 
-    Ctrl-C leaves those that were begun; with checkpoints, from which the others can go on, it is a KeyboardInterrupt
-    unless all were.
+    As many samples as pays are stepped side by side. After Ctrl-C the answer holds only the samples that were begun;
+    with checkpoints, from which the others can be continued, KeyboardInterrupt is raised instead if some are missing.
     """
     from taichi_bearings.solvers.together import samples_at_once  # and with it the lists of packings
 
@@ -149,7 +174,7 @@ def _apart(
 
 
 def _solved(samples: Sequence[_Sample], asked: _Asked) -> list[Solution]:
-    """The answers to samples that are stepped side by side."""
+    """Return the answers to some samples that are stepped side by side. asked : the arguments that all share."""
     began, threshold = time.perf_counter(), asked.slip_threshold
     options = samples[0].method.options
     with Interrupt() as interrupt:
@@ -175,7 +200,7 @@ def _solved(samples: Sequence[_Sample], asked: _Asked) -> list[Solution]:
 
 
 def _follow(courses: Sequence["Course"], monitors: Sequence[Monitor]) -> None:
-    """Follow all courses to their ends, side by side."""
+    """Follow all courses to their ends, side by side. monitors : are called at each look of each course."""
     advance, drop = courses[0].method.advance, None
     if len(courses) > 1:
         from taichi_bearings.solvers.together import Together
@@ -200,21 +225,25 @@ def _follow(courses: Sequence["Course"], monitors: Sequence[Monitor]) -> None:
 
 
 def _seconds_to_prove(scene: Bearing) -> float:
-    """An estimate by the size of a lattice; 0 for other scenes, of which nobody knows."""
+    """Return an estimate of the seconds that the proof takes: by the size of a lattice; 0 (unknown) for packings."""
     if (lattice := scene.network.lattice) is None:
         return 0.0
     return JUDGED_SECONDS[lattice.dimension] * lattice.sites * scene.replicas
 
 
 def uninterrupted(solution: Solution) -> Solution:
-    """The same solution; KeyboardInterrupt if Ctrl-C was heard meanwhile, even if too late to change it."""
+    """Return the solution; raise KeyboardInterrupt if Ctrl-C was pressed during its run, even if too late to end it."""
     if solution.interrupted:
         raise KeyboardInterrupt
     return solution
 
 
 def _refuse_unlike(stored: Mapping[str, np.ndarray], fresh: Mapping[str, np.ndarray]) -> None:
-    """ValueError for arrays of a checkpoint that cannot be the state of a method, which is `fresh` at the start."""
+    """Raise ValueError where arrays of a checkpoint cannot be the state of a method.
+
+    stored : the arrays of the checkpoint. fresh : the state of the method at the start, whose types and shapes they
+    must have.
+    """
     for name, own in fresh.items():
         found, like = stored[name], np.asarray(own)
         if found.dtype.kind != like.dtype.kind or (like.dtype.kind == "f" and found.shape != like.shape):
@@ -225,7 +254,8 @@ class Course:
     """The loop of :func:`solve` from the start, or from a checkpoint, to the end.
 
     status, last, seconds : how it ended, the state then, and the wall time it took, that before a checkpoint included.
-    findings : what else the method had found then, by name, (R,) each.
+    findings : further results of the method at the end, by name, (R,) each.
+    target : iteration of the next look. launch : iterations that are made at a time, adapted to half a second.
     """
 
     status: Status
@@ -275,7 +305,11 @@ class Course:
         return time.perf_counter() - self.called
 
     def steps(self, monitors: Sequence[Monitor]) -> Iterator[int]:
-        """Yield how many steps the method is to make next, look at it where it is time to, and end where it is done."""
+        """Yield how many steps the method has to make next, until it is done.
+
+        The caller makes these steps before it asks again. In between, where a look is due, the progress is recorded,
+        reported to the monitors and judged; at the end `status`, `last`, `seconds` and `findings` are set.
+        """
         scene, method, stop, best = self.scene, self.method, self.stop, self.best
         iteration = method.iteration if method.resumes else 0
         while True:
@@ -306,7 +340,7 @@ class Course:
             self._aim(iteration)
 
     def _launches(self, steps: int) -> Iterator[int]:
-        """So many iterations, in launches of about half a second; fewer where the time is over."""
+        """Yield `steps` iterations in launches of about half a second; stop early where the time is over."""
         runtime.refuse_changed()  # a monitor may have done so
         while steps > 0 and not self.is_ended():
             now = min(self.launch, steps)
@@ -322,7 +356,10 @@ class Course:
                 self._write_if_due()
 
     def _aim(self, iteration: int) -> None:
-        """Choose the iteration of the next look. It depends on the state of a dynamics only, not on earlier looks."""
+        """Choose the iteration of the next look, after one at `iteration`.
+
+        For a dynamics it depends on the state only, not on earlier looks, so that a resumed run has the same bits.
+        """
         if isinstance(self.method, Dynamics):
             if self.method.time >= self.stop.duration:
                 self.target = iteration
@@ -335,6 +372,7 @@ class Course:
         return self.interrupt.heard or self._seconds_of_this_call >= self.stop.seconds
 
     def _write_if_due(self, looked: bool = False) -> None:
+        """Write a checkpoint if the last one is old enough. looked : this state has been recorded and judged."""
         if self.checkpoints is not None and time.perf_counter() - self.written_at >= self.checkpoints.every:
             self._write(looked)
 
@@ -347,7 +385,10 @@ class Course:
         self.written_at = time.perf_counter()
 
     def answer(self, threshold: float | None) -> Solution:
-        """What the best state and the best forces amount to, and how the course came there."""
+        """Return the answer from the best state and the best forces, judged, with history, snapshots and status.
+
+        threshold : slip speed up to which a contact counts as slipless, length/time; None for what can be resolved.
+        """
         history, snapshots, last, seconds = self.recorder.history(), self.recorder.snapshots(), self.last, self.seconds
         best, status, options = self.best, self.status, self.method.options
         ended = Ended(status, best.progress, best.bound, best.proof, last.iteration, self.stop, options)
@@ -372,13 +413,14 @@ OF_BEST = (
     "iteration", "staggered", "force", "objective", "lower_bound", "resolution", "largest_balance_residual", "rest",
     "state", "slip", "settled", "states_believed", "ended",
 )  # fmt: skip
-"""What a checkpoint keeps of the best state of a minimisation."""
+"""Entries of the best `Progress` of a minimisation that a checkpoint keeps."""
 
 
 class _Best:
-    """The state that counts, replica by replica, and the best lower bound seen.
+    """The best state so far, sample by sample, and the best lower bound so far.
 
-    proof : forces (C, R, E) from which that bound follows.
+    progress : of a minimisation the states of least objective; of a dynamics the state now. bound : (R,), the best
+    lower bound. proof : forces (C, R, E) from which that bound follows.
     """
 
     def __init__(self, method: Method) -> None:
@@ -390,16 +432,21 @@ class _Best:
 
     @property
     def objective(self) -> np.ndarray:
+        """(R,), what is minimised, of the best state: its power, or its potential where the law minimises that."""
         return self.progress.objective
 
     def has_stalled(self, iteration: int, gap: float) -> bool:
-        """True if a minimisation has not brought the worst gap down by 1 % in the last four fifths of its iterations:
-        the precision of the fields allows no more. A dynamics may linger as long as it likes."""
+        """Return whether a minimisation has not reduced its gap by 1 % in the last four fifths of its iterations.
+
+        gap : the largest of all samples now. The precision of the fields then allows no more. A dynamics never counts
+        as stalled, as it may take long to load its springs.
+        """
         if gap < 0.99 * self._gap:
             self._gap, self._improved_at = gap, iteration
         return self.keeps_best and iteration > max(STALL_PATIENCE, 5 * self._improved_at)
 
     def take(self, new: Progress) -> None:
+        """Keep what is better in a new progress than in the best so far: its bound with its forces, and its state."""
         first, proof = len(self.bound) == 0, new.force if new.proof is None else new.proof
         if first and self.proof.size:  # restored: what was proven before is proven anew
             self.bound = self.method.proven_by(self.proof)
@@ -418,8 +465,10 @@ class _Best:
         self.progress = new.where(better, self.progress)
 
     def state(self) -> dict[str, np.ndarray]:
-        """The forces that prove the bound, for a checkpoint; the bound itself is not believed. Of a minimisation the
-        best state too."""
+        """Return what a checkpoint keeps: the forces that prove the bound and, for a minimisation, the best state.
+
+        The bound itself is not kept: it is computed anew from the forces.
+        """
         found = {"proof": self.proof}
         if self.keeps_best and "progress" in vars(self):
             best = {n: np.asarray(v) for n in OF_BEST if (v := getattr(self.progress, n)) is not None}
@@ -429,6 +478,7 @@ class _Best:
         return found
 
     def restore(self, state: Mapping[str, np.ndarray], spin_axes: tuple[int, ...]) -> None:
+        """Take the best forces and the best state from a checkpoint; raise ValueError if they do not fit the scene."""
         self.proof = np.array(state["proof"], dtype=float)
         still = np.zeros((len(spin_axes), self.scene.replicas, *self.scene.network.shape))
         if self.proof.shape != self.method.differences(still).shape or not np.isfinite(self.proof).all():

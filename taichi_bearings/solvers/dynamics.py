@@ -1,4 +1,8 @@
-"""What the dynamics have in common: clock and aim, energy balance, the watch for rest, and what a checkpoint holds."""
+"""What all dynamics have in common: simulated time, energy balance, detection of rest, and the arrays of a checkpoint.
+
+Shapes: R samples (replicas), N spheres, E contacts, C carried spin components. Spins are staggered: with signs by which
+neighbours differ, measured from the bottom plane.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -14,23 +18,24 @@ from taichi_bearings.scene import Bearing, Energy, Progress
 from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.solvers.method import Method
 
-REST_SLIP = 1e-6  # of the imposed jump
-REST_CHECKS = 3  # consecutive checks, each 1/16 of the time so far apart, that must agree
+REST_SLIP = 1e-6  # largest slip that is called rest, in units of the slip of a contact with the whole imposed jump
+REST_CHECKS = 3  # consecutive checks for rest that must agree
 WATCH_NAMES = tuple(f"rest.{name}" for name in ("iteration", "time", "quiet_checks", "last_slipping", "last_objective"))
 ENERGY_NAMES = ("work", "injected", "energy_at_start")
 
 
 def replica_sum(values: np.ndarray) -> np.ndarray:
-    """(R,) from (T, R, ...): the sum over everything but the replicas."""
+    """Return the sum (R,) of values (T, R, ...) over all axes but that of the samples."""
     return values.sum(axis=(0, *range(2, values.ndim)))
 
 
 def saturated(scene: Bearing, force: np.ndarray, slip: np.ndarray, tolerance: float) -> tuple[np.ndarray, float]:
-    """How many contacts (R,) bear all the friction they can, to a relative tolerance, and so slip; and the largest slip
-    speed of one that holds, length/time: by less a contact is not known to slip. That is at most REST_SLIP of the
-    imposed jump, so that contacts which slip plainly are told from the first step on.
+    """Return how many contacts (R,) slip, as they bear all the friction that they can; and the slip speed resolved.
 
-    force : (C, R, E). slip : (R, E).
+    force : (C, R, E). slip : (R, E), length/time. tolerance : relative distance from the friction limit that counts as
+    none. The slip speed that can be resolved is the largest slip of a contact that holds, length/time, as a slower
+    contact is not known to slip. It is cut off at REST_SLIP, so that fast contacts count as slipping from the first
+    step on.
     """
     limit, coarsest = scene.law.holding_force(scene.material), REST_SLIP * scene.slip_radius * scene.jump
     if limit is None:
@@ -43,9 +48,10 @@ def saturated(scene: Bearing, force: np.ndarray, slip: np.ndarray, tolerance: fl
 class RestWatch:
     """Counts the checks in a row at which a dynamics has been stationary.
 
-    least, share : checks are `least` iterations and this share of the run apart. later : share of the simulated time
-    that must have passed since the last one. last_objective : (R,), then. last_slipping : slipping contacts then, of
-    all replicas. iteration : of the last check. time : of the last one that counted.
+    least, share : two checks are `least` + iteration // `share` iterations apart. later : a check counts if the
+    simulated time has grown by this fraction since the last one that counted. last_objective : (R,), the objective at
+    that one. last_slipping : number of slipping contacts then, of all samples. quiet_checks : how many checks in a row
+    found no change. iteration : of the last check. time : simulated time of the last check that counted.
     """
 
     least: int
@@ -64,13 +70,15 @@ class RestWatch:
 
     @property
     def at_rest(self) -> bool:
+        """Whether enough checks in a row have found no change."""
         return self.quiet_checks >= REST_CHECKS
 
     def look(self, found: Progress, time: float, radius: float, tolerance: float, believed: bool) -> None:
-        """A check, if it is due.
+        """Check whether the dynamics has changed since the last check, if one is due.
 
-        tolerance : change of the objective, relative; a thousand times as much of the typical torque may be left.
-        believed : springs that have not loaded yet look stationary too; True once that can be ruled out.
+        found : the state now. time : simulated time. radius : of spheres. tolerance : largest relative change of the
+        objective; the largest torque left may be 1000 x tolerance x the typical torque. believed : False while springs
+        may still have to load, which looks stationary too.
         """
         if found.iteration < self.next_check:
             return
@@ -90,11 +98,12 @@ class RestWatch:
 class Dynamics(Method):
     """A method whose iterations are steps in time, which can be interrupted and resumed with the same bits.
 
-    kept : what its further course depends on, by name, beside the clock; WATCH_NAMES and ENERGY_NAMES if it has them.
-    rest_gap : proven gap from which a stationary state is believed to be one.
-    time : simulated time. aim : the next one at which a state is wanted. end : the one at which the run ends, infinity
-    if it has none. halted : it cannot make another step. density : of the spheres of a packing, as of
-    `Packing.inertias`; it is set before the method begins.
+    kept : names of the attributes that the further steps depend on, beside time and iteration; WATCH_NAMES if it has a
+    `RestWatch`, ENERGY_NAMES if it keeps an energy balance. rest_gap : proven gap up to which a state without change is
+    believed to be at rest.
+    time : simulated time. aim : the next time at which a state is recorded. end : the time at which the run ends;
+    infinity if there is none. halted : no further step can be made. density : that of the spheres of a packing, as for
+    `Packing.inertias`; it is set before the method begins. inertia : moments of inertia, as from `Contacts.inertias`.
     """
 
     resumes = True
@@ -109,24 +118,24 @@ class Dynamics(Method):
         self.iteration, self.time, self.halted = 0, 0.0, False
 
     def aim_at(self, time: float) -> None:
-        """The next simulated time at which a state is wanted; infinity for none.
+        """Set the next simulated time at which a state is recorded; infinity for none.
 
         `next_check` stops at the first step that reaches it; a method that chooses its steps ends one there exactly.
         """
         self.aim = time
 
     def end_at(self, time: float, resumable: bool) -> None:
-        """The simulated time at which the run ends, to rounding. resumable : `state` is asked for afterwards."""
+        """Set the simulated time at which the run ends. resumable : `state` will be asked for after the last step."""
         self.end = time
 
     def state(self) -> dict[str, np.ndarray]:
-        """Everything that the further course depends on."""
+        """Return all that the further steps depend on, by name."""
         values = ((name, attrgetter(name)(self)) for name in ("iteration", "time", *self.kept))
         own = {name: np.array(value, np.int64 if isinstance(value, tuple) else None) for name, value in values}
         return own | self.contacts.state()
 
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
-        """Go on from such a state; called after `begin`."""
+        """Continue from what `state` returned in an earlier call; called after `begin`."""
         for name in ("iteration", "time", *self.kept):
             *path, last = name.split(".")
             owner: Any = reduce(getattr, path, self)
@@ -134,11 +143,11 @@ class Dynamics(Method):
         self.contacts.restore(state)
 
     def findings(self, last: Progress) -> dict[str, np.ndarray]:
-        """What else is found, by name, (R,) each. last : the state at the end."""
+        """Return further results at the end, by name, (R,) each. last : the state at the end."""
         return {}
 
     def is_believed(self, found: Progress) -> bool:
-        """Rest is believed only if the certificate agrees."""
+        """Return whether a state without change may be called rest: whether its proven gap is small enough."""
         return bool((relative_gap(self.scene, found.objective, found.lower_bound) <= self.rest_gap).all())
 
     def advance(self, steps: int) -> None:
@@ -150,41 +159,46 @@ class Dynamics(Method):
                 self.iteration += 1
 
     def _step(self) -> None:
-        """One step, of which `halted` says if it could not be made."""
+        """Make one step in time; `halted` is set if it could not be made."""
         raise NotImplementedError
 
     def open_books(self, staggered: np.ndarray) -> None:
-        """Keep the energy balance from these spins (C, R, *N) on, without a stretched spring."""
+        """Begin the energy balance. staggered : spins (C, R, *N) at the start, when no spring is stretched."""
         self.injected, self.work = np.zeros((2, self.scene.replicas))
         self.energy_at_start = self.kinetic_energy(staggered)
         self.imposed = self.differences(self.absolute(staggered) * self.scene.is_driven)
 
     def book(self, before: np.ndarray, after: np.ndarray, force: np.ndarray, duration: float) -> None:
-        """Work of the mean forces (C, R, E) of a step on its mean slip, and of the driven spheres against them."""
-        reach, mean = duration * self.scene.slip_radius, (before + after) / 2
-        self.work = self.work + reach * replica_sum(force * self.differences(mean))
-        self.injected = self.injected + reach * replica_sum(force * self.imposed)
+        """Add the energies of one step to the balance: the work of the contacts, and that of the driven spheres.
+
+        before, after : spins (C, R, *N) at the two ends of the step. force : mean contact forces (C, R, E) of the step.
+        duration : length of the step, time.
+        """
+        length, mean = duration * self.scene.slip_radius, (before + after) / 2
+        self.work = self.work + length * replica_sum(force * self.differences(mean))
+        self.injected = self.injected + length * replica_sum(force * self.imposed)
 
     def kinetic_energy(self, staggered: np.ndarray) -> np.ndarray:
-        """(R,) of the free spheres with staggered spins (C, R, *N), energy."""
+        """Return the kinetic energy (R,) of the free spheres, from staggered spins (C, R, *N)."""
         return replica_sum(self.inertia / 2 * ~self.scene.is_driven * self.absolute(staggered) ** 2)
 
     def balance(self, staggered: np.ndarray, spring: np.ndarray) -> Energy:
-        """The books, with the energy (R,) in the springs."""
+        """Return the energy balance now. staggered : spins (C, R, *N). spring : energy (R,) stored in the springs."""
         return Energy(self.kinetic_energy(staggered), spring, self.injected, self.work - spring, self.energy_at_start)
 
 
 def _like(now: Any, stored: np.ndarray) -> Any:
-    """What a checkpoint has stored in the place of `now`."""
+    """Return a value of a checkpoint with the type of the value `now` that it replaces."""
     if isinstance(now, tuple):
         return tuple(int(number) for number in stored)
     return type(now)(stored) if isinstance(now, int | float) else np.array(stored)
 
 
 class SpringDynamics(Dynamics):
-    """A dynamics whose contacts have springs: how it is looked at, and when it is at rest.
+    """A dynamics whose contacts have springs: its progress, and when it is at rest.
 
-    same_force : relative distance from all the friction it can bear at which a contact slips. checks : see RestWatch.
+    same_force : relative distance from the friction limit below which a contact counts as slipping. checks : `least`,
+    `share` and `later` of `RestWatch`. rest : that watch.
     """
 
     same_force: ClassVar[float]
@@ -195,11 +209,14 @@ class SpringDynamics(Dynamics):
         self.rest = RestWatch(*self.checks, np.full(scene.replicas, np.inf))
 
     def motion(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Staggered spins (C, R, *N), forces and elongations (C, R, E) of now."""
+        """Return the staggered spins (C, R, *N), the contact forces and the elongations (C, R, E) now."""
         raise NotImplementedError
 
     def damping_force(self, staggered: np.ndarray) -> np.ndarray:
-        """Forces (C, R, E) of unstretched contacts: their damper as far as friction holds it, and their viscosity."""
+        """Return the forces (C, R, E) of contacts whose springs are not stretched, at spins (C, R, *N).
+
+        These are the force of the damper, cut off at the friction limit, and that of the viscosity.
+        """
         scene, difference = self.scene, self.differences(staggered)
         force = self.options.damping * scene.slip_radius * difference
         size, limit = vector_length(force), scene.strength * scene.acting_coefficient
@@ -208,11 +225,11 @@ class SpringDynamics(Dynamics):
         return self.with_viscosity(force if scene.law.holds else np.zeros_like(force), difference)
 
     def books(self, staggered: np.ndarray, force: np.ndarray, spring: np.ndarray) -> Energy | None:
-        """The energy balance of now, if it is kept."""
+        """Return the energy balance now, or None if none is kept; arguments as of `balance`, force (C, R, E)."""
         return self.balance(staggered, spring)
 
     def findings(self, last: Progress) -> dict[str, np.ndarray]:
-        """Of the distance that the driven planes have slid past each other, what the longest spring takes up."""
+        """Return the elongation of the longest spring over the distance that the driven planes have slid so far."""
         slid = self.scene.slip_radius * self.scene.jump * self.time if self.scene.law.holds else 0.0
         return {"elastic_share": vector_length(self.motion()[2]).max(axis=1) / slid} if slid > 0 else {}
 

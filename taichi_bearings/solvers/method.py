@@ -1,4 +1,8 @@
-"""What every method offers to the common loop in drive.py."""
+"""`Method`, what every method offers to the common loop in drive.py.
+
+Spins are *staggered*: measured from the bottom plane, with signs by which neighbours differ, so that the slip of a
+contact is the radius times a difference of spins. Shapes: R samples, N spheres, E contacts, C carried spin components.
+"""
 
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -19,8 +23,9 @@ if TYPE_CHECKING:
 class Method:
     """One way to reach the state of least dissipation: its steps and what they mean, nothing else.
 
-    A method never prints, times, opens a file or decides when to stop. options : the row of the table that it was built
-    from. scene, contacts : what it steps, and what it asks of the contacts of that. iteration : how many were made.
+    A method never prints, times, opens a file or decides when to stop. options : the row of the table of methods that
+    it was built from. scene : what it solves. contacts : the fields and kernels of the contacts of this scene.
+    iteration : how many iterations were made. spin_axes : the spin components that are carried.
     """
 
     resumes: ClassVar[bool] = False
@@ -34,74 +39,91 @@ class Method:
         self.options: Any = options
 
     def begin(self, scene: Bearing, spin: np.ndarray) -> None:
-        """Take a scene, and laboratory spins to start from; load the fields, if any, and compile the kernels."""
+        """Prepare to solve a scene: load the fields, if any, and compile the kernels.
+
+        spin : laboratory spins to start from, 1/time.
+        """
         self.contacts = contacts_of(scene, spin, self.options.is_dynamics)
         self.scene, self.spin_axes = self.contacts.scene, self.contacts.spin_axes
 
     def next_check(self, iteration: int) -> int:
-        """Iteration at which to look at the progress next."""
+        """Return the iteration at which to read the progress next. iteration : the one at which it was read now."""
         return iteration + 1
 
     def advance(self, steps: int) -> None:
-        """Do `steps` iterations; a method on Taichi fields reads nothing back."""
+        """Make `steps` iterations; a method on Taichi fields reads nothing back from the device."""
         raise NotImplementedError
 
     def progress(self) -> Progress:
-        """Where the method stands, judged by the certificate; the only device-to-host read."""
+        """Return the state of the method with its bounds; the only call that reads from the device."""
         raise NotImplementedError
 
     def state(self) -> dict[str, np.ndarray]:
-        """Everything that the further course depends on, of a method that `resumes`."""
+        """Return all that the further iterations depend on, by name; for a method that `resumes`."""
         raise NotImplementedError
 
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
-        """Go on from such a state; called after `begin`."""
+        """Continue from what `state` returned in an earlier call; called after `begin`."""
         raise NotImplementedError
 
     def differences(self, staggered: np.ndarray) -> np.ndarray:
-        """(C, R, *N) -> (C, R, E); the slip over the radius."""
+        """Return the differences (C, R, E) of spins (C, R, *N) across the contacts: the slips over the radius."""
         return self.scene.differences(staggered, self.spin_axes)
 
     def pulls(self, force: np.ndarray) -> np.ndarray:
-        """Sums of the contact forces (C, R, E) that pull on each sphere, (C, R, *N)."""
+        """Return the sum (C, R, *N) of the contact forces (C, R, E) on each sphere."""
         return self.scene.pulls(force, self.spin_axes)
 
     def absolute(self, staggered: np.ndarray) -> np.ndarray:
-        """Staggered spins (C, R, *N) as they are in the laboratory, not measured from the bottom: for energies."""
+        """Return staggered spins (C, R, *N) that are not measured from the bottom, as energies need them."""
         return self.scene.absolute(staggered, self.spin_axes)
 
     def with_viscosity(self, force: np.ndarray, difference: np.ndarray) -> np.ndarray:
-        """Forces (C, R, E) and what the contacts resist beyond them at these differences (C, R, E), 1/time: their
-        viscosity, or what a law of one's own says."""
+        """Return forces (C, R, E) plus what the contacts resist by viscosity, or by a law that a user has defined.
+
+        force : (C, R, E), friction alone. difference : (C, R, E), spin differences of the contacts, 1/time.
+        """
         law, radius = self.scene.law, self.scene.slip_radius
         slip = difference if law.is_sum else radius * vector_length(difference)
         resistance = law.resistance(self.scene.material, slip)
         return force if resistance is None else force + radius * resistance * difference
 
     def forces_at(self, staggered: np.ndarray, width: float) -> np.ndarray:
-        """Contact forces (C, R, E) of the law at these spins; friction grows up to a difference of `width`, 1/time."""
+        """Return the contact forces (C, R, E) of the law at some spins, with regularised friction.
+
+        staggered : spins (C, R, *N). width : spin difference, 1/time, up to which friction grows in proportion to it.
+        """
         difference = self.differences(staggered)
         held = self.scene.law.holding_force(self.scene.material)
         force = 0 * difference if held is None else held / np.maximum(vector_length(difference), width) * difference
         return self.with_viscosity(force, difference)
 
     def proven_by(self, force: Forces) -> np.ndarray:
-        """Lower bound (R,) that follows from forces (C, R, E) which were looked at before."""
+        """Return the lower bound (R,) that follows from the forces (C, R, E) of a checkpoint."""
         return self.contacts.proven_by(force)
 
     def judged(self, staggered: np.ndarray, force: Forces, proof: Forces | None = None, **more: Any) -> Progress:
-        """Progress of spins (C, R, *N) and contact forces (C, R, E), with what follows from them: what is minimised,
-        its lower bound from `proof`, or from the forces themselves if None, and the torque that the forces leave."""
+        """Return the progress of some spins and forces: with objective, its lower bound, and the largest torque left.
+
+        staggered : (C, R, *N). force : contact forces (C, R, E). proof : forces from which the lower bound follows, or
+        None for `force`. more : further entries of the `Progress`.
+        """
         return self.contacts.judged(staggered, force, proof, **more)
 
     def by_plane(self, values: np.ndarray, component: int) -> np.ndarray:
-        """View (R, planes, m, n) of spins or contacts (R, ...): one plane a layer along the component, height last."""
+        """Return a view (R, planes, m, n) of values (R, ...) of spheres or contacts on a lattice.
+
+        component : number of the spin component; the planes are the layers across its axis. The height is the last
+        axis. A square lattice is one plane.
+        """
         return values[:, None] if self.scene.network.dimension == 2 else np.moveaxis(values, 1 + component, 1)
 
 
 class Swept(Method):
-    """A method whose steps are turns of one kernel over all spheres and contacts, for which `begin` makes `team` and
-    `sweeps`."""
+    """A method whose steps are repeated calls of one kernel that sweeps over all spheres and contacts.
+
+    team, sweeps : the threads and the kernel, which `begin` makes.
+    """
 
     team: "Team"
     sweeps: "Sweeps"
@@ -112,7 +134,7 @@ class Swept(Method):
         return self.contacts.fields
 
     def launches(self, steps: int) -> Iterator[Launch]:
-        """What to launch, one after the other, to make so many steps."""
+        """Yield the launches of the kernel, one after the other, that make `steps` steps."""
         raise NotImplementedError
 
     def advance(self, steps: int) -> None:
@@ -121,10 +143,10 @@ class Swept(Method):
 
 
 def contacts_of(scene: Bearing, spin: np.ndarray, moves: bool) -> Contacts:
-    """The contacts of a scene, in the memory where it has them.
+    """Return the contacts of a scene: on strides for a lattice, in lists for a packing.
 
-    spin : laboratory spins to start from. moves : the spins are those of a motion, which may begin in components that
-    no minimum needs.
+    spin : laboratory spins to start from. moves : a dynamics is solved, which may begin with spin components that no
+    minimum needs.
     """
     if scene.network.lattice is not None:
         from taichi_bearings.solvers.on_strides import OnStrides

@@ -1,4 +1,4 @@
-"""What a run writes down on its way: its history, and a dynamics also its spins at chosen simulated times."""
+"""The record of a run: its history, one row a look, and for a dynamics its spins at chosen simulated times."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -15,9 +15,11 @@ SAME_TIME = 1e-9  # relative distance below which two simulated times are the sa
 
 @dataclass(frozen=True)
 class Recording:
-    """Simulated times that are wanted. history : rows of the history; empty for one at every check. snapshots : spins.
+    """The simulated times at which a run is recorded.
 
-    A state is recorded at the end of the first step that reaches a time; methods that choose their steps end one there.
+    history : times of the rows of the history; empty for a row at every look. snapshots : times at which all spins are
+    kept. A state is recorded at the end of the first step that reaches a time; methods that choose their own steps end
+    one exactly there.
     """
 
     history: np.ndarray = field(default_factory=lambda: np.zeros(0))
@@ -25,11 +27,11 @@ class Recording:
 
     @classmethod
     def of(cls, settings: Any) -> "Recording":
-        """As settings of a run say."""
+        """Return what the settings of a run ask for, in `record` and `snapshots`."""
         return cls(*(parse_times(text) if text else np.zeros(0) for text in (settings.record, settings.snapshots)))
 
     def next_time(self, now: float) -> float:
-        """The first wanted time after `now`; infinity if there is none."""
+        """Return the first time after `now` at which something is recorded; infinity if there is none."""
         wanted = np.concatenate([self.history, self.snapshots])
         return float(wanted[wanted > now * (1 + SAME_TIME)].min(initial=np.inf))
 
@@ -38,7 +40,7 @@ _SPACING: dict[str, Callable[..., np.ndarray]] = {"linear": np.linspace, "log": 
 
 
 def parse_times(text: str) -> np.ndarray:
-    """Ascending times from "linear:start,stop,count", "log:start,stop,count" or "t1,t2,...".
+    """Return ascending times from "linear:start,stop,count", "log:start,stop,count" or "t1,t2,...".
 
     Raises ValueError or KeyError for anything else, negative times, and more than a million of them.
     """
@@ -59,7 +61,7 @@ def parse_times(text: str) -> np.ndarray:
 
 
 class Recorder:
-    """History and snapshots as they grow."""
+    """The history and the snapshots of a run, as they grow."""
 
     def __init__(self, scene: Bearing, recording: Recording) -> None:
         self._scene, self.recording = scene, recording
@@ -69,7 +71,10 @@ class Recorder:
         self._last_time = -np.inf
 
     def take(self, progress: Progress, bound: np.ndarray, seconds: float) -> None:
-        """Write down what is due. bound : (R,), the best lower bound so far."""
+        """Record what is due at a look.
+
+        progress : the state now. bound : (R,), the best lower bound so far. seconds : wall time so far.
+        """
         if len(self.recording.history) == 0 or self._is_due(progress, self.recording.history):
             self.add_row(progress, bound, seconds)
         if self._is_due(progress, self.recording.snapshots):
@@ -80,7 +85,10 @@ class Recorder:
             self._last_time = progress.time
 
     def add_row(self, progress: Progress, bound: np.ndarray, seconds: float) -> None:
-        """Write this state into the history, unless it ends with it already; FileError if that has other columns."""
+        """Add a row to the history, unless its last row is of the same iteration already.
+
+        Arguments as of `take`. Raises FileError if a history that was restored has other columns.
+        """
         row = self._row(progress, bound, seconds)
         shapes = {name: np.asarray(values[-1]).shape for name, values in self._columns.items()}
         if shapes and shapes != {name: np.asarray(value).shape for name, value in row.items()}:
@@ -90,12 +98,14 @@ class Recorder:
                 self._columns.setdefault(name, []).append(value)
 
     def _is_due(self, progress: Progress, times: np.ndarray) -> bool:
+        """Return whether one of some simulated times was reached since the last look."""
         if progress.time is None:
             return False
         reached = progress.time * (1 + SAME_TIME)
         return bool(((times > self._last_time * (1 + SAME_TIME)) & (times <= reached)).any())
 
     def _row(self, progress: Progress, bound: np.ndarray, seconds: float) -> dict[str, Any]:
+        """Return the entries of a row of the history by column; arguments as of `take`."""
         scene, minimises_power = self._scene, self._scene.law.minimises == "power"
         row = {
             "iteration": progress.iteration,
@@ -118,17 +128,17 @@ class Recorder:
         return {**row, **progress.columns}
 
     def history(self) -> dict[str, np.ndarray]:
-        """Columns of equal length; those with one value a replica are (rows, R)."""
+        """Return the columns of the history by name, of equal length; one value a sample makes (rows, R)."""
         return {name: np.asarray(values) for name, values in self._columns.items()}
 
     def snapshots(self) -> Snapshots | None:
-        """The snapshots so far; None if there are none."""
+        """Return the snapshots so far; None if there are none."""
         if not self._snapshot_spins:
             return None
         return Snapshots(np.array(self._snapshot_times), np.stack(self._snapshot_spins))
 
     def state(self) -> dict[str, np.ndarray]:
-        """Everything written down so far, for a checkpoint."""
+        """Return all that was recorded so far, by name, for a checkpoint."""
         found = {f"history/{name}": values for name, values in self.history().items()}
         snapshots = self.snapshots()
         if snapshots is not None:
@@ -136,7 +146,7 @@ class Recorder:
         return found | {"last_time": np.array(self._last_time)}
 
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
-        """Go on from such a state."""
+        """Take the record from a checkpoint; raise ValueError where its arrays do not fit the scene."""
         self._columns = {name[8:]: list(values) for name, values in state.items() if name.startswith("history/")}
         self._snapshot_times = [float(t) for t in state.get("snapshots/time", ())]
         self._snapshot_spins = list(state.get("snapshots/spin", ()))
