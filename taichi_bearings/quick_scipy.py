@@ -1,7 +1,8 @@
 """SciPy's sparse matrices and graphs: ``from taichi_bearings.quick_scipy import csgraph, sparse`` loads them quickly.
 
-SciPy goes through all names of NumPy when it is loaded. Some of them are modules, for Fortran and for tests, that NumPy
-loads only when they are asked for, and that nothing here needs: they took a fifth of the time in which a worker begins.
+SciPy goes through all names of NumPy when it is loaded. Three of them, ``ctypeslib``, ``f2py`` and ``testing``, are
+modules that NumPy loads only when they are asked for, and that nothing here needs. Loading them took a fifth of the
+time in which a worker process starts.
 """
 
 from typing import Any
@@ -10,7 +11,7 @@ import numpy
 
 
 def _load() -> None:
-    """Load SciPy while NumPy does not list these modules; then the list is as before."""
+    """Load SciPy's graphs while NumPy does not list the three modules; afterwards NumPy lists them again."""
     own: dict[str, Any] = vars(numpy)
     unneeded = {"ctypeslib", "f2py", "testing"} - own.keys()
     before: dict[str, Any] = {name: own[name] for name in ("__all__", "__dir__") if name in own}

@@ -1,15 +1,21 @@
 """What the compiler makes of a kernel's source, kept from process to process.
 
-Taichi finds a compiled kernel by its intermediate code, so every process has to make that of every kernel anew, and
-walks through the source of the kernel and of all functions it calls: half a second to a second before a first small
-sample is solved, with nothing to compile. The walk ends in a few thousand calls of the compiler's core. Here these are
-written down in a file beside the compiled kernels, and made in place of the walk the next time: that takes a tenth of
-the time and makes the same intermediate code, by which Taichi then finds, or compiles, the kernel as ever.
+Taichi finds a compiled kernel by its intermediate code, so every process has to make that of every kernel anew. To do
+so it walks through the source of the kernel and of all functions that the kernel calls: half a second to a second
+before a first small sample is solved, with nothing to compile. The walk ends in a few thousand calls of the compiler's
+core. Here these calls are written to a file beside the compiled kernels, and repeated in place of the walk the next
+time. That takes a tenth of the time and makes the same intermediate code, by which Taichi then finds, or compiles, the
+kernel as it does without this module.
 
 A walk is kept only if all that it depends on can be named: the source of this package's kernels, the versions of Python
-and of the compiler, its settings, the arguments, and the values that enclose the kernel. Kernels that call a function
-from elsewhere, such as a law of one's own, are walked as ever; so is everything by other versions of the compiler, by
-Quadrants, and in debug mode, where errors name lines of the source.
+and of the compiler, the compiler's settings, the arguments, and the values that the kernel takes from the functions
+around it. Taichi walks as usual through kernels that call a function from elsewhere, such as a law of one's own; so do
+other versions of Taichi, Quadrants, and debug mode, in which errors name lines of the source. Whatever goes wrong while
+a walk is kept costs only the file: the kernel is walked all the same.
+
+walk : the calls of the compiler's core by which one kernel becomes intermediate code, or the list of these calls.
+core : the compiled part of Taichi. step : one call of a walk, or the making of a list, or the taking of an item.
+place : of a value, the number by which the calls of a stored walk refer to it.
 """
 
 import contextlib
@@ -28,20 +34,22 @@ from typing import Any
 
 COMPILER = (1, 7, 4)  # version of Taichi whose inner functions are known here
 KERNELS = "taichi_bearings.kernels"  # the package whose functions may be kept
-MOST_FILES = 600  # in the folder; beyond, the half that was written first goes
+MOST_FILES = 600  # walks in the folder; where there are more, the older half is deleted
 UNRELATED = ("offline_cache_file_path",)  # settings of the compiler that no walk depends on
-# calls of the core that leave nothing behind but what they find, and those of them that find no object of the core
+# first letters of calls that change nothing: they are kept only if a later call takes what they return
 QUERIES = ("get_", "shape", "element_type", "item of")
 ASIDE = ("is_", "set_dbg_info", "ast_builder", "get_shape", "get_raw_address", "to_string", "size")
-SIMPLE = bool, int, float, str, type(None)
+"""First letters of calls that are never written down: they change nothing and return no object of the core."""
+SIMPLE = bool, int, float, str, type(None)  # types of Python whose values are stored as they are
 COMPILER_MODULES = "taichi.lang."
-LIST, ITEM = "list of", "item of"  # steps of a walk that are no calls of the core
-PLAINLY, KIND, MEMBER = range(3)  # sorts of constants: what Python knows; types of numbers; members of enumerations
+LIST, ITEM = "list of", "item of"  # names of the steps that are no calls of the core
+PLAINLY, KIND, MEMBER = range(3)  # sorts of constants: values of `SIMPLE`; types of numbers; members of enumerations
 Walk = tuple[list[str], list[tuple], list[tuple[int, tuple[int, ...], tuple[str, ...]]]]
-"""Names of what is called; constants; calls: number of the name, which values, the names of the last of them. Values
-are those that a walk begins with, constants, and results of the calls before."""
+"""A stored walk: the names of the functions that it calls, its constants, and its calls. A call is the number of its
+function's name, the places of its arguments, and the keywords of the last of these. Places count, from 0, the objects
+that every walk begins with, then the constants, then the results of the calls in their order."""
 Guard = tuple[str, str, str]
-"""A module, a name in it, and what stood there when a walk was kept."""
+"""The name of a module, a name in that module, and a text about the value that it had when a walk was kept."""
 
 
 class Unkept(Exception):
@@ -49,8 +57,12 @@ class Unkept(Exception):
 
 
 def keep(compiler: Any, folder: Path, writes: bool) -> None:
-    """From now on repeat walks that are kept in this folder. compiler : Taichi. writes : keep new ones; a process that
-    has to compile everything leaves that to the next. Nothing happens if Taichi's inner functions are others."""
+    """Have Taichi repeat, from now on, the walks that are kept in a folder. Other versions of Taichi are left alone.
+
+    compiler : the module of Taichi, or of Quadrants.
+    folder : where the files of walks lie.
+    writes : True to keep new walks as well; a process that has to compile everything leaves that to the next one.
+    """
     reader = compiler.lang.kernel_impl
     if tuple(compiler.__version__) == COMPILER and not hasattr(reader.Kernel, "walked"):
         kept = _Kept(compiler._lib.core, reader, folder, writes)
@@ -58,14 +70,18 @@ def keep(compiler: Any, folder: Path, writes: bool) -> None:
 
 
 class _Kept:
-    """The walks of one process. core : the compiled part of Taichi. reader : the module that holds its kernels."""
+    """The walks of one process, those it finds in the folder and those it keeps there.
+
+    core : the compiled part of Taichi. reader : the module of Taichi that defines the class of kernels. folder : where
+    the files of walks lie. writes : whether new walks are kept.
+    """
 
     def __init__(self, core: Any, reader: Any, folder: Path, writes: bool) -> None:
         self.core, self.reader, self.folder, self.writes = core, reader, folder, writes
         self._lock, self._settings = threading.Lock(), dict[int, list[str]]()
 
     def materialize(self) -> Callable:
-        """What takes the place of the method of Taichi's kernels that has this name."""
+        """Return the method that takes the place of `Kernel.materialize` of Taichi: it repeats a walk, or makes it."""
 
         def materialized(kernel: Any, key: Any = None, args: Any = None, arg_features: Any = None) -> None:
             kernel.runtime.materialize()
@@ -73,17 +89,21 @@ class _Kept:
                 return
             try:
                 place = self.folder / self._name(kernel, args, arg_features)
-            except Unkept:
+            except Exception:  # what this walk depends on cannot be named
                 kernel.walked(key, args, arg_features)
                 return
-            with self._lock:  # a walk that is written down is alone
+            with self._lock:  # calls of two walks at once would be written down as one
                 if not self._repeated(kernel, key, place):
                     self._walked(kernel, (key, args, arg_features), place)
 
         return materialized
 
     def _name(self, kernel: Any, args: Any, features: Any) -> str:
-        """A name for the walk of a kernel with these arguments: a digest of all it depends on. Raises Unkept."""
+        """Return the name of the file for the walk of a kernel with these arguments: a digest of all it depends on.
+
+        args : values of the arguments, of which those of templates enter. features : what the compiler looks at in the
+        others. Raises Unkept if something cannot be named.
+        """
         config, slots = kernel.runtime.prog.config(), set(kernel.template_slot_locations)
         if args is None or features is None or config.debug or kernel.autodiff_mode != self.reader.AutodiffMode.NONE:
             raise Unkept
@@ -92,19 +112,23 @@ class _Kept:
         if id(kernel.runtime.prog) not in self._settings:
             self._settings[id(kernel.runtime.prog)] = _settings(config)
         settings = self._settings[id(kernel.runtime.prog)]
-        told = _named(kernel.func, ()), templates, others, _surroundings(), settings
-        return f"{hashlib.sha256(repr(told).encode()).hexdigest()}.walk"
+        inputs = _named(kernel.func, ()), templates, others, _surroundings(), settings
+        return f"{hashlib.sha256(repr(inputs).encode()).hexdigest()}.walk"
 
     def _repeated(self, kernel: Any, key: Any, place: Path) -> bool:
-        """Make the intermediate code of a kernel by a walk that was kept; False if there is none that can be used."""
+        """Make the intermediate code of a kernel by the walk in a file; return False if no usable walk is there.
+
+        key : under which Taichi finds the compiled kernel again. place : path of the file.
+        """
 
         def generator(made: Any) -> None:
+            """Fill the new, empty kernel `made` of the core; Taichi calls this."""
             kernel.kernel_cpp = made
             _repeat(self.core, made, kernel.runtime.prog.config(), walk)
 
         try:
             walk, guards = _read(place)
-            if any(_value_at(module, name) != told for module, name, told in guards):
+            if any(_value_at(module, name) != before for module, name, before in guards):
                 return False
             title = f"{kernel.func.__name__}_c{kernel.kernel_counter}_{key[1]}"
             made = kernel.runtime.prog.create_kernel(generator, title, kernel.autodiff_mode)
@@ -114,27 +138,39 @@ class _Kept:
         return True
 
     def _walked(self, kernel: Any, wishes: tuple, place: Path) -> None:
-        """Have the compiler walk through a kernel, and keep what it did."""
-        if not self.writes:
+        """Have the compiler walk through a kernel, and keep its calls in a file if `writes`.
+
+        wishes : the arguments of `Kernel.materialize`. place : path of the file.
+
+        Errors of the walk are raised, as without this module. Errors of writing it down are not: then no file is kept.
+        """
+        record = None
+        with contextlib.ExitStack() as listeners:
+            if self.writes:
+                with contextlib.suppress(Exception):
+                    record = listeners.enter_context(_recording(self.core, self.reader))
             kernel.walked(*wishes)
-            return
-        with _recording(self.core, self.reader) as record:
-            kernel.walked(*wishes)
-        with contextlib.suppress(Unkept, OSError):
-            if not kernel.has_print:
+        if record is not None and not kernel.has_print:
+            with contextlib.suppress(Exception):
                 _write(place, record.walk(), record.guards())
 
 
 @contextlib.contextmanager
 def _recording(core: Any, reader: Any) -> Iterator["_Record"]:
-    """Write down the calls of the core that are made inside the block, and which functions the compiler reads."""
+    """Write down, in the record that is yielded, the calls of the core that are made inside the block, and which
+    functions the compiler reads there.
+
+    core : the compiled part of Taichi. reader : the module of Taichi that defines the class of kernels.
+    """
     record, before = _Record(core), list[tuple[Any, str, Any]]()
 
     def put(owner: Any, name: str, value: Any) -> None:
+        """Replace an attribute of a module or class; `before` holds what it was."""
         before.append((owner, name, vars(owner)[name]))
         setattr(owner, name, value)
 
     def read(function: Any, *given: Any, **named: Any) -> Any:
+        """Do what Taichi's `_get_tree_and_ctx` does, and note the function whose source it reads."""
         record.functions.append(function.func)
         return reads(function, *given, **named)
 
@@ -155,8 +191,11 @@ def _recording(core: Any, reader: Any) -> Iterator["_Record"]:
 
 
 class _Record:
-    """Calls of the compiler's core in their order: name, whether it is a method, arguments, named ones, result. All of
-    them are held, so that each has a number of its own. functions : that the compiler has read."""
+    """The calls of the compiler's core during one walk, and how they become a walk that can be stored.
+
+    calls : name, arguments, keyword arguments and result of each call, in their order. All objects are held here, so
+    that no two have the same `id`. functions : those whose source the compiler has read.
+    """
 
     def __init__(self, core: Any) -> None:
         self.calls, self.functions = list[tuple[str, tuple, dict, Any]](), list[Any]()
@@ -166,9 +205,10 @@ class _Record:
         self._steps = list[tuple[str, list[int], tuple]]()
 
     def listening(self, name: str, function: Callable) -> Callable:
-        """The same function; its calls are written down under this name."""
+        """Return a function that does what `function` does and writes down each call under `name`."""
 
         def heard(*given: Any, **named: Any) -> Any:
+            """Call the function and write the call down."""
             result = function(*given, **named)
             self.calls.append((name, given, named, result))
             return result
@@ -176,7 +216,10 @@ class _Record:
         return heard
 
     def guards(self) -> list[Guard]:
-        """What the functions read from their modules. Raises Unkept if one of them is not of this package."""
+        """Return the names that the functions read in their modules, with texts about their values, sorted.
+
+        Functions of the compiler itself are left out. Raises Unkept if another one is not of this package's kernels.
+        """
         found = set()
         for function in self.functions:
             module = function.__module__
@@ -189,10 +232,13 @@ class _Record:
         return sorted(found)
 
     def walk(self) -> Walk:
-        """The same calls, but for those that only look at what nobody needs. Raises Unkept."""
+        """Return the recorded calls without queries whose results no other call takes.
+
+        Raises Unkept if an argument cannot be stored.
+        """
         checked, known, given_kinds = set[int](), self._places, self._given
         for name, given, named, result in self.calls:
-            if name == "Expr.type_check":  # once is enough for each expression
+            if name == "Expr.type_check":  # a second check of an expression changes nothing
                 if id(given[0]) in checked:
                     continue
                 checked.add(id(given[0]))
@@ -206,7 +252,7 @@ class _Record:
         return self._needed()
 
     def _needed(self) -> Walk:
-        """The steps that leave something behind, or that one of these needs."""
+        """Return the steps that change something, and those whose results these take, directly or through others."""
         steps, needed, kept = self._steps, bytearray(len(self._steps)), list[int]()
         looks = {name: name.rpartition(".")[2].startswith(QUERIES) for name in {step[0] for step in steps}}
         for number in range(len(steps) - 1, -1, -1):
@@ -225,7 +271,10 @@ class _Record:
         return list(names), list(self._constants), calls
 
     def _note(self, name: str, places: list[int], named: tuple, result: Any) -> None:
-        """Write down one step, whose result later ones may take."""
+        """Write down one step, and where its result, or an item of it, is found by later steps.
+
+        name : of what is called. places : of its arguments. named : the keywords of the last of these.
+        """
         number = len(self._steps)
         self._steps.append((name, places, named))
         if type(result) in SIMPLE:
@@ -238,15 +287,18 @@ class _Record:
                     self._steps.append((ITEM, [number, self._constant((PLAINLY, n))], ()))
 
     def _place(self, value: Any) -> int:
-        """Where a value is found when the walk is repeated: the number of the step whose result it is, or -1, -2, ...
-        for what a walk begins with and then for constants. Raises Unkept."""
+        """Return where a value is found when the walk is repeated: the number of the step whose result it is, or -1,
+        -2, ... for the objects that a walk begins with and then for constants.
+
+        Raises Unkept for an object that is none of these.
+        """
         kind = type(value)
         if kind in SIMPLE:
             return self._constant((PLAINLY, value))
         if kind in self._given:
             return self._given[kind]
-        if kind is self._kinds and (told := self._kind(value)):
-            return self._constant(told)
+        if kind is self._kinds and (described := self._described(value)):
+            return self._constant(described)
         if id(value) in self._places:
             return self._places[id(value)]
         if kind in (list, tuple):
@@ -256,31 +308,35 @@ class _Record:
             return self._constant((MEMBER, kind.__name__, value.name))
         raise Unkept
 
-    def _constant(self, told: tuple) -> int:
-        """Equal numbers of different types, and the two zeros, are different constants."""
-        first = -1 - len(self._given)
-        return first - self._constants.setdefault((*told, repr(told)), len(self._constants))
+    def _constant(self, described: tuple) -> int:
+        """Return the negative place of a constant, which gets a new one when it is first seen.
 
-    def _kind(self, kind: Any) -> tuple | None:
-        """What says which type of numbers this is, or of vectors and matrices of them; None of others."""
-        told = kind.to_string()
-        if hasattr(self._core, f"DataType_{told}"):
-            return KIND, told, ()
-        if told.startswith("[Tensor ") and (element := self._kind(kind.element_type())):
+        described : its sort and what `_made` makes it of. Its text is part of the key, so that equal numbers of
+        different types, and the two zeros, are different constants.
+        """
+        first = -1 - len(self._given)
+        return first - self._constants.setdefault((*described, repr(described)), len(self._constants))
+
+    def _described(self, kind: Any) -> tuple | None:
+        """Return sort, name and shape of a type of numbers, or of vectors or matrices of them; None for other types."""
+        name = kind.to_string()
+        if hasattr(self._core, f"DataType_{name}"):
+            return KIND, name, ()
+        if name.startswith("[Tensor ") and (element := self._described(kind.element_type())):
             return KIND, element[1], tuple(kind.shape())
         return None
 
 
 def _given_kinds(core: Any) -> list[Any]:
-    """Of the objects that a walk begins with."""
+    """Return the types of the objects that every walk begins with, in the order of `_repeat`."""
     return [core.DebugInfo, core.CompileConfig, core.Kernel, core.ASTBuilder]
 
 
 def _repeat(core: Any, kernel: Any, config: Any, walk: Walk) -> None:
-    """Make the calls of a walk. kernel : a new one of the core."""
+    """Make the calls of a stored walk. kernel : a new, empty kernel of the core. config : the compiler's settings."""
     names, constants, calls = walk
     values = [core.DebugInfo(), config, kernel, kernel.ast_builder()]
-    values += [_made(core, *told[:-1]) for told in constants]
+    values += [_made(core, *described[:-1]) for described in constants]
     tools: list[Any] = [{LIST: _listed, ITEM: getitem}.get(name) or attrgetter(name)(core) for name in names]
     for tool, places, named in calls:
         given = [values[at] for at in places]
@@ -292,11 +348,17 @@ def _repeat(core: Any, kernel: Any, config: Any, walk: Walk) -> None:
 
 
 def _listed(*values: Any) -> list:
+    """Return the values as a list: the step `LIST`."""
     return list(values)
 
 
 def _made(core: Any, sort: int, value: Any, more: Any = None) -> Any:
-    """A constant of a walk."""
+    """Return a constant of a walk.
+
+    sort : `PLAINLY`, `KIND` or `MEMBER`.
+    value : itself, the name of a type of numbers, or the name of an enumeration.
+    more : shape of a vector or matrix, empty for a number, or the name of the member.
+    """
     if sort == PLAINLY:
         return value
     if sort == MEMBER:
@@ -306,11 +368,16 @@ def _made(core: Any, sort: int, value: Any, more: Any = None) -> Any:
 
 
 def _is_ours(module: str) -> bool:
+    """Return True for the name of a module of this package's kernels."""
     return module == KERNELS or module.startswith(f"{KERNELS}.")
 
 
 def _named(value: Any, above: tuple) -> Any:
-    """A value that encloses a kernel as numbers and texts, the same in every process. Raises Unkept."""
+    """Return a value that a kernel depends on as lists of numbers and texts, the same in every process.
+
+    above : `id` of the values around this one; one that holds itself is named "above" there.
+    Raises Unkept for objects that are not of this package's kernels or of the compiler.
+    """
     if type(value) in SIMPLE:
         return value
     if isinstance(value, types.ModuleType):
@@ -336,18 +403,19 @@ def _named(value: Any, above: tuple) -> Any:
 
 
 def _feature(value: Any) -> Any:
-    """What the compiler looks at in an argument, as text."""
+    """Return what the compiler looks at in an argument as text, or as lists of texts."""
     return [_feature(item) for item in value] if isinstance(value, tuple) else f"{type(value).__name__} {value}"
 
 
 def _names_in(code: types.CodeType) -> set[str]:
-    """All names that a function and those inside it look up in their module."""
+    """Return all names that a function, and the functions inside it, look up in their module or as attributes."""
     inner = (item for item in code.co_consts if isinstance(item, types.CodeType))
     return set(code.co_names).union(*map(_names_in, inner))
 
 
 def _value_at(module: str, name: str) -> str:
-    """A number or text as it stands in a module; of others what they are called."""
+    """Return a text about what a module has under a name: the value of a number, text or tuple, else type, module and
+    name of the object."""
     value = getattr(sys.modules.get(module), name, None)
     if isinstance(value, (*SIMPLE, tuple)):
         return repr(value)
@@ -356,13 +424,13 @@ def _value_at(module: str, name: str) -> str:
 
 @cache
 def _surroundings() -> list[str]:
-    """Digests of this package's kernels and of this file, and the version of Python."""
+    """Return the version of Python, and digests of the source of this file and of this package's kernels."""
     files = [Path(__file__), *sorted((Path(__file__).parent / "kernels").glob("*.py"))]
     return [sys.version, *(hashlib.sha256(file.read_bytes()).hexdigest() for file in files)]
 
 
 def _settings(config: Any) -> list[str]:
-    """The settings of the compiler."""
+    """Return a text for each setting of the compiler that a walk may depend on: its name and value."""
     names = [
         name for name, value in vars(type(config)).items() if isinstance(value, property) and name not in UNRELATED
     ]
@@ -370,7 +438,7 @@ def _settings(config: Any) -> list[str]:
 
 
 def _read(place: Path) -> tuple[Walk, list[Guard]]:
-    """A walk that was kept. Raises OSError if there is none, ValueError if it is damaged."""
+    """Return the walk in a file, and its guards. Raises OSError if there is no file, ValueError if it is damaged."""
     kept = place.read_bytes()
     if hashlib.sha256(kept[32:]).digest() != kept[:32]:
         raise ValueError(place)
@@ -378,7 +446,10 @@ def _read(place: Path) -> tuple[Walk, list[Guard]]:
 
 
 def _write(place: Path, walk: Walk, guards: list[Guard]) -> None:
-    """Keep a walk; another process may do the same at the same time."""
+    """Write a walk and its guards to a file, whole or not at all: another process may write the same file just then.
+
+    Of more than `MOST_FILES` files in the folder the older half is deleted.
+    """
     place.parent.mkdir(mode=0o700, exist_ok=True)
     kept = marshal.dumps((walk, guards))
     handle, name = tempfile.mkstemp(dir=place.parent)

@@ -127,3 +127,20 @@ def test_nothing_is_kept_where_no_cache_may_be(tmp_path):
     powers, _, _ = solved(tmp_path, methods=METHODS[1:2])
     nowhere = "walks.keep = lambda *more, **named: None"
     assert solved(tmp_path, nowhere, methods=METHODS[1:2]) == (powers, 0, 0)
+
+
+def test_whatever_goes_wrong_while_a_walk_is_kept_the_kernel_is_walked_all_the_same(tmp_path):
+    """The errors are none that the module raises itself, they come before, amid and after the listening."""
+    powers, _, _ = solved(tmp_path, methods=METHODS[1:2])
+    for broken in (
+        "walks._Record.walk = lambda record: {}['lost']",
+        "walks._write = lambda *more: 1 / 0",
+        "walks._Record = None",
+        "walks._Record.listening = lambda *more: 1 / 0",
+        "walks._Kept._name = lambda *more: [][0]",
+    ):
+        found, repeated, _ = solved(tmp_path, broken, methods=METHODS[1:2])
+        assert (found, repeated) == (powers, 0), broken
+        assert not files(tmp_path, "walk"), broken
+    solved(tmp_path, methods=METHODS[1:2])
+    assert files(tmp_path, "walk")
