@@ -1,4 +1,7 @@
-"""Arrays that users bring, checked: given as they are, or read from npy, npz or HDF5. Each failure is one sentence."""
+"""Arrays that users bring, given in Python or read from npy, npz or HDF5 files, and their checks.
+
+Each failure is an InputError or a FileError of one sentence.
+"""
 
 import math
 import zipfile
@@ -15,7 +18,11 @@ from taichi_bearings.plain_files import CLAIMED_BYTES, CLAIMED_FACTOR, opened
 
 
 def own_array(name: str, values: Any) -> np.ndarray:
-    """A read-only copy in float64. name : in the plural, for the InputError about what is not real or is masked."""
+    """Return a read-only copy of an array in float64.
+
+    name : what the values are, in the plural, for messages.
+    Raises InputError where the values make no array of real numbers, or some are masked.
+    """
     try:
         array = np.asanyarray(values)
     except (ValueError, OverflowError, TypeError):
@@ -31,10 +38,14 @@ def own_array(name: str, values: Any) -> np.ndarray:
 
 
 def read_arrays(path: Path, names: Sequence[str], optional: Sequence[str] = ()) -> dict[str, np.ndarray]:
-    """The named arrays; in npz ``coefficient/x`` may also be stored as ``x``, ``viscosity/x`` as ``x_viscosity``.
+    """Return the arrays of a file by name; optional ones that the file lacks are left out.
 
+    path : npy, npz or HDF5 file, or the folder of a run, whose run.h5 is read.
+    names : of the arrays that the file must have. In npz ``coefficient/x`` may also be stored as ``x``, and
+        ``viscosity/x`` as ``x_viscosity``.
     optional : names that the file may lack.
-    Raises FileError if the file is missing, truncated, of another kind, or lacks a name, which is then told.
+
+    Raises FileError if the file is missing, truncated or of another kind, or lacks an array; it says which.
     """
     if path.is_dir():
         path = path / "run.h5"
@@ -72,13 +83,17 @@ def read_arrays(path: Path, names: Sequence[str], optional: Sequence[str] = ()) 
 
 
 def _refuse_lack(path: Path, names: Iterable[str], there: Collection[str]) -> None:
-    """FileError for a file that lacks arrays of these names."""
+    """Raise FileError if the file lacks arrays of these names. there : names of the arrays that it has."""
     if lacking := [name for name in names if name not in there]:
         raise FileError(f"{path} lacks the array{'s' if len(lacking) > 1 else ''} {', '.join(lacking)}")
 
 
 def _member(path: Path, stored: zipfile.ZipFile, name: str, most: int) -> np.ndarray:
-    """An array of an npz file; FileError if it claims more than so many bytes. Nothing is unpickled."""
+    """Return an array of an npz file, without unpickling anything.
+
+    path : of the file, for messages. stored : the opened file. name : of the member, such as ``x.npy``. most : number
+    of bytes that the array may have. Raises FileError if its header claims more, or objects of Python.
+    """
     found, read = stored.getinfo(name), np.lib.format
     if found.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
         raise ValueError
@@ -99,15 +114,18 @@ def _member(path: Path, stored: zipfile.ZipFile, name: str, most: int) -> np.nda
 
 
 def short_name(name: str) -> str:
-    """What an array of run.h5 is called in an npz file."""
+    """Return the short name in an npz file of an array of run.h5: ``x`` of ``coefficient/x``."""
     kind, _, axis = name.rpartition("/")
     return f"{axis}_viscosity" if kind == "viscosity" else axis
 
 
 def read_coefficients(path: Path, kind: str = "coefficient", dimension: int = 0) -> tuple[np.ndarray, ...]:
-    """Coefficients along x, y(, z) in the layout of run.h5: ``/coefficient/x`` and so on. kind : or "viscosity".
+    """Return the coefficients of a file in the layout of run.h5, ``/coefficient/x`` and so on: one array an axis.
 
-    dimension : of the lattice; 0 for that of the file. Without z it is 2; FileError if x and y then fit 3 alone.
+    kind : "coefficient" or "viscosity".
+    dimension : of the lattice, 2 or 3; 0 to take that of the file, which is 2 if it has no array along z.
+
+    Raises FileError if an array is missing, also where the shapes along x and y fit a lattice in 3D only.
     """
     along = [f"{kind}/{axis}" for axis in "xyz"]
     stored = read_arrays(path, along[: dimension or 2], () if dimension else along[2:])
@@ -121,7 +139,10 @@ def read_coefficients(path: Path, kind: str = "coefficient", dimension: int = 0)
 
 
 def _are_of(dimension: int, x: tuple[int, ...], y: tuple[int, ...]) -> bool:
-    """True if coefficients along x and y have the shapes of one lattice, or of samples of it."""
+    """Return True if coefficients along x and y have shapes of one lattice of this dimension, or of samples of it.
+
+    x, y : the two shapes, with a leading axis of samples or without.
+    """
     if len(x) != len(y) or len(x) not in (dimension, dimension + 1):
         return False
     more = [along_y - along_x for along_x, along_y in zip(x, y, strict=True)]

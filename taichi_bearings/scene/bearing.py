@@ -3,7 +3,13 @@
 `Scene`, of a lattice, and `Packing`, of spheres in lists, are two front doors: they check what users give and say how
 it lies in arrays. What is behind the doors takes a `Bearing` and asks it, never which door was taken.
 
-Letters: R samples, N spheres (*N is the shape of arrays over them), E contacts, C spin components, d tangents.
+Letters: R samples, N spheres (*N is the shape of arrays over them: that of the lattice, or (N,)), E contacts, C spin
+components, d slip components; omega the spin of a sphere, R in R omega its radius, u = R omega its surface speed.
+
+carried spins : the numbers by which methods represent spins (scene/driving.py): of lattices staggered spins, 1/time,
+measured from those of the bottom; of other packings u, length/time. laboratory spins : as one sees them, 1/time.
+spin_axes : as an argument, the spin components, 0 to 2, that the first axis of an array of carried spins has.
+driven sphere : one whose spin is imposed. present contact : one with a positive coefficient.
 """
 
 from abc import ABC, abstractmethod
@@ -23,19 +29,22 @@ if TYPE_CHECKING:
     from taichi_bearings.scene.network import Network
 
 Kind = TypeVar("Kind", bound="Bearing")
-LENGTHS_IN_CACHE = 16_384  # vectors of which the second cache of a processor holds all that is made of them
-# of the mean coefficient: what stands for an absent contact where a method must divide by it
+LENGTHS_IN_CACHE = 16_384  # vectors whose lengths are computed at once, so that all fits the second cache
+# replaces the coefficient of an absent contact, relative to the mean, where a method must divide by it
 ABSENT_COEFFICIENT = 1e-12
 
 
 class Bearing(ABC):
-    """R samples that differ in their coefficients alone.
+    """R samples of a bearing that differ in their coefficients alone.
 
-    law : of all contacts. seeds : (R,), of the disorder. normal_force : of all contacts, one or (E,), force. drawn :
-    the distributions that the coefficients are known to be drawn from with these seeds, by option. schematic : True
-    where centres only say where spheres are drawn.
+    law : the contact law, one for all contacts.
+    seeds : (R,), from which the disorder of each sample is drawn.
+    normal_force : force, one number for all contacts or (E,).
+    drawn : the distributions that the coefficients are known to be drawn from with these seeds, by the name of the
+        option of `bearings run`; empty if that is not known.
+    schematic : True where centres are for drawings alone, and need not agree with radii and contacts.
 
-    A front door says the six things that are abstract here, in the arrays that its users give.
+    A subclass defines the abstract properties and methods, and says in which arrays users give coefficients and spins.
     """
 
     law: Law
@@ -47,55 +56,65 @@ class Bearing(ABC):
     @property
     @abstractmethod
     def network(self) -> "Network":
-        """Who touches whom."""
+        """The spheres, their contacts, and which spheres are driven."""
 
     @property
     @abstractmethod
     def driving(self) -> Driving:
-        """What is imposed, and how spins are carried."""
+        """The imposed spins, and how laboratory spins become carried ones."""
 
     @property
     @abstractmethod
     def named_coefficients(self) -> dict[str, np.ndarray]:
-        """The coefficients of the law as they were given, (R, E) each, by their name in files, in the order of the
-        law."""
+        """The coefficients of the law, (R, E) each, in the units of users, by their names in files and in the order of
+        the law: friction is a pure number, damping is force * time/length."""
 
     @abstractmethod
     def with_top(self: Kind, strength: float) -> Kind:
-        """The same with spins of the top that are so many times as fast."""
+        """Return a copy whose top has its imposed spins multiplied by `strength`."""
 
     @abstractmethod
     def with_friction_alone(self: Kind) -> Kind:
-        """The same without viscosity, of a law that has both."""
+        """Return a copy with friction but without viscosity, for a law that has both."""
 
     @abstractmethod
     def _as_samples(self: Kind, pick: int | slice, seeds: tuple[int, ...]) -> Kind:
-        """Some of several samples; one number picks one. Nothing is checked again."""
+        """Return a copy with some of the samples, which are not checked again.
+
+        pick : number of one sample, or a slice of several. seeds : of the samples that are picked.
+        """
 
     @property
     def strength(self) -> float:
-        """Factor that turns a coefficient into a contact force: the normal force where it is the same at all contacts;
-        1 for damping, and where normal forces are part of `coefficient`."""
+        """Factor by which `coefficient` is multiplied to be a force, or a damping.
+
+        With friction and one normal force for all contacts it is that force. It is 1 for damping, and where each
+        contact has its own normal force, which `coefficient` then includes.
+        """
         one = np.ndim(self.normal_force) == 0 and self.law.quantities[0].is_friction
         return float(self.normal_force) if one else 1.0
 
     @cached_read_only
     def coefficient(self) -> np.ndarray:
-        """(R, E), the first coefficient of the law; `strength` times it is a force, or the damping of a viscous law."""
+        """(R, E) first coefficient of the law: `strength` times it is the friction force, or the damping of a viscous
+        law."""
         first = next(iter(self.named_coefficients.values()))
         each = np.ndim(self.normal_force) > 0 and self.law.quantities[0].is_friction
         return first * self.normal_force if each else first
 
     @property
     def _coefficients(self) -> Coefficients:
-        """`coefficient`, and the other coefficients of the law, (R, E) each."""
+        """The coefficients of the law, (R, E) each: `coefficient`, and after it the second one, if the law has two."""
         _, *beside = self.named_coefficients.values()
         return (self.coefficient, *beside)
 
     @cached_read_only
     def material(self) -> Coefficients:
-        """What the functions of the law take of all contacts, (R, E) each: of a friction coefficient the force that it
-        bears. Contacts between two driven spheres take no part in any sum; where such contacts never slip it is 0."""
+        """The coefficients that the functions of the law take, (R, E) each: friction as the force that a contact bears,
+        damping as force * time/length.
+
+        Of lattices they are 0 at contacts between two driven spheres, which never slip there.
+        """
         held, *beside = self._coefficients
         if self.driving.rubs:
             return (self.strength * held, *beside)
@@ -104,103 +123,119 @@ class Bearing(ABC):
 
     @property
     def is_drawn(self) -> bool:
-        """The coefficients are known to be those of the seeds."""
+        """True if the coefficients are known to be drawn from the seeds."""
         return bool(self.drawn)
 
     @property
     def minimum_spin_axes(self) -> tuple[int, ...]:
-        """Components of spins that a minimum needs."""
+        """The spin components that have to be found; at some minimum no contact slips by the others."""
         return self.driving.minimum_spin_axes
 
     @property
     def driven_speed(self) -> np.ndarray:
-        """u = R omega (N, C) of driven spheres, measured from the spins that are taken from all, if any; 0 on free
-        spheres; length/time."""
+        """(N, C) imposed u = R omega, length/time, 0 on free spheres; of lattices measured from the bottom's state."""
         return self.driving.speed
 
     @cached_property
     def jump(self) -> float:
-        """How far imposed spins differ, as they are carried: the natural unit of their differences; 0 of none."""
+        """How far the imposed carried spins differ, the natural unit of their differences; 0 where they agree."""
         return self.driving.jump
 
     @cached_property
     def smallest_jump(self) -> float:
-        """How far imposed spins differ in the component that a minimum needs and in which they differ least; 0 where
-        they do not, or where no box holds a minimum."""
+        """Smallest, over the components in `minimum_spin_axes`, of the largest size of the imposed carried spins.
+
+        It is 0 where a component has no difference, and where no box is known to hold a minimum.
+        """
         return float(np.abs(self.box(self.minimum_spin_axes)).max(axis=0).min())
 
     @property
     def sides(self) -> tuple[float, float]:
-        """The largest imposed spins of what a torque would turn, the top, and of all else that is driven."""
+        """The largest imposed spin of the top, and that of all other driven spheres; both as spins are carried."""
         return self.driving.sides
 
     @property
     def fastest(self) -> float:
-        """The largest imposed spin, as spins are carried."""
+        """Size of the largest imposed spin: 1/time on lattices, else the surface speed R omega, length/time."""
         return self.driving.fastest
 
     @property
     def natural_spin(self) -> float | None:
-        """The imposed spin in which times and powers are counted, 1/time; None where none stands out."""
+        """The imposed spin that serves as unit of times and powers, 1/time; None for packings, which have several."""
         return self.driving.natural_spin
 
     @property
     def natural_energy(self) -> float | None:
-        """F_n R, in which energies are counted, and torques; None without friction or without such a spin."""
+        """Normal force times radius, the unit of energies and torques; None without friction or `natural_spin`."""
         return self.strength * self.slip_radius if self.law.holds and self.natural_spin is not None else None
 
     @property
     def slip_radius(self) -> float:
-        """Length by which a difference of spins, as they are carried, is multiplied to be a slip; 1 where they are
-        carried as u = R omega."""
+        """Factor that turns a difference of carried spins into a slip: the radius on lattices, 1 where u is carried."""
         return self.driving.slip_radius
 
     @cached_read_only
     def is_cut_off(self) -> np.ndarray:
-        """(R,), True where it is known that no contact need slip whatever is imposed: contacts are absent."""
+        """(R,) mask: so many contacts are absent that no other one has to slip, whatever is imposed.
+
+        False where that is not so, and where it is not known.
+        """
         return self.driving.cut_off(self.coefficient > 0)
 
     def imposed_spins(self) -> Pair:
-        """Spins of all spheres in the laboratory, in the shape of an answer without R, of which those of driven spheres
-        are the imposed ones; and what their rounding leaves out; 1/time."""
+        """Laboratory spins, 1/time, (*N) of discs or (*N, 3) of spheres, and what their rounding leaves out.
+
+        Driven spheres have their imposed spins. Free spheres have spins without meaning, carried as 0.
+        """
         return self.driving.spins()
 
     @property
     def is_driven(self) -> np.ndarray:
-        """True for the spheres whose spin is imposed, in the shape that arrays over the spheres have."""
+        """(*N) mask of the spheres whose spin is imposed."""
         return self.network.is_driven
 
     def staggered_spin(self, spin: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Spins as they are carried, (C, R, *N), of those that one sees, (R, *N), of spheres (R, *N, 3); of driven
-        spheres the imposed ones."""
+        """Return the carried spins (C, R, *N) of laboratory spins; driven spheres get their imposed ones.
+
+        spin : laboratory spins, 1/time, (R, *N) of discs or (R, *N, 3) of spheres.
+        """
         return self.driving.carried(spin, spin_axes)
 
     def laboratory_spin(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Inverse of :meth:`staggered_spin`, 1/time. Components that are left out slip nowhere."""
+        """Return the laboratory spins, 1/time, of carried ones (C, R, *N): the inverse of :meth:`staggered_spin`.
+
+        Components that are not in `spin_axes` get values at which no contact slips by them, where there are such.
+        """
         return self.laboratory_pair(staggered, None, spin_axes)[0]
 
     def laboratory_pair(self, staggered: np.ndarray, rest: np.ndarray | None, spin_axes: tuple[int, ...]) -> Pair:
-        """Spins as one sees them in twice the precision: to the nearest doubles, and what their rounding leaves out.
+        """Return laboratory spins, 1/time, in twice the precision: the nearest doubles, and what rounding leaves out.
 
-        rest : (C, R, *N), what is to be added to the carried spins, if anything; of driven spheres it is known.
+        staggered : carried spins (C, R, *N). rest : (C, R, *N), small numbers to add to these, or None for nothing.
         """
         return self.driving.laboratory(staggered, rest, spin_axes)
 
     def absolute(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Spins (C, R, *N) with what was taken from all of them: for energies."""
+        """Return the carried spins (C, R, *N) with the state of the bottom added, from which lattices measure them.
+
+        Kinetic energies need these.
+        """
         return self.driving.absolute(staggered, spin_axes)
 
     def impose_driving(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """The same spins (C, R, *N), changed in place: driven spheres carry their imposed values."""
+        """Give driven spheres their imposed values in the carried spins (C, R, *N); return the same array."""
         return self.driving.impose(staggered, spin_axes)
 
     def box(self, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """(2, C) lower and upper ends of the interval in which a minimiser has each component; 0 where that is none."""
+        """(2, C) bounds between which each carried component lies at some minimum; 0 where none are known."""
         found = self.driving.box(spin_axes)
         return np.zeros((2, len(spin_axes))) if found is None else found
 
     def clip_to_box(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Spins (C, R, *N) in that interval, if there is one; it never raises the power (equations.md, 4)."""
+        """Return the carried spins (C, R, *N) clipped to :meth:`box`, or as they are where no box is known.
+
+        Clipping never raises the power (equations.md, 4).
+        """
         box = self.driving.box(spin_axes)
         if box is None:
             return staggered
@@ -208,40 +243,49 @@ class Bearing(ABC):
         return np.clip(staggered, low, high)
 
     def differences(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Vectors (d, R, E) across all contacts; `slip_radius` times their length is the slip speed."""
+        """(d, R, E) spin differences across all contacts of carried spins (C, R, *N).
+
+        `slip_radius` times their length over the first axis is the slip speed.
+        """
         return self.network.differences(staggered, spin_axes)
 
     def pulls(self, force: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Sums of the contact forces (d, R, E) that pull on each sphere, (C, R, *N)."""
+        """(C, R, *N) sums, over the contacts of each sphere, of the contact forces (d, R, E) along its components.
+
+        Times the radius they are torques.
+        """
         return self.network.pulls(force, spin_axes)
 
     def slips(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Slip speed |v| of every contact (paper Eq. 2), (R, E), length/time."""
+        """(R, E) slip speed |v| of every contact (paper Eq. 2) at carried spins (C, R, *N), length/time."""
         return self.slip_radius * vector_length(self.differences(staggered, spin_axes))
 
     def power(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Dissipated power (R,), energy/time (paper Eq. 4, each contact once)."""
+        """(R,) dissipated power at carried spins (C, R, *N), energy/time (paper Eq. 4, each contact once)."""
         return self.law.power(self.material, self.slips(staggered, spin_axes)).sum(axis=1)
 
     def objective(self, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """What the stationary state minimises (R,), energy/time: the power, or for a law of which no multiple of the
-        power is least there its potential. An upper bound on the least value whatever the spins are."""
+        """(R,) value at carried spins (C, R, *N) of the function that the stationary state minimises, energy/time.
+
+        It is the power, or the dissipation potential for a law whose power is no multiple of that. At any spins it is
+        an upper bound on the minimum.
+        """
         return self.law.objective(self.material, self.slips(staggered, spin_axes)).sum(axis=1)
 
     def sample(self: Kind, number: int) -> Kind:
-        """One of the samples alone."""
+        """Return a bearing with one of the samples, counted from 0."""
         return self if self.replicas == 1 else self._as_samples(number, self.seeds[number : number + 1])
 
     def some(self: Kind, pick: slice) -> Kind:
-        """Several of the samples, of a bearing with more than one."""
+        """Return a bearing with several of the samples; this one must have more than one."""
         return self._as_samples(pick, self.seeds[pick])
 
     def first(self: Kind, count: int) -> Kind:
-        """The first so many samples."""
+        """Return a bearing with the first `count` samples."""
         return self if count == self.replicas else self.sample(0) if count == 1 else self.some(slice(count))
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """What a file holds of one sample whose contacts are in lists, by name."""
+        """The arrays that a file of a packing holds, by name; the bearing must have one sample."""
         network, given = self.network, self.named_coefficients
         force = np.broadcast_to(np.asarray(self.normal_force, dtype=float), (network.contacts,))
         found = {
@@ -254,56 +298,64 @@ class Bearing(ABC):
 
     @property
     def replicas(self) -> int:
-        """R."""
+        """Number R of samples."""
         return len(self.seeds)
 
     @cached_read_only
     def acting_coefficient(self) -> np.ndarray:
-        """(R, E) the coefficients with 0 for contacts between two driven spheres, which take no part."""
+        """(R, E) copy of `coefficient` with 0 at contacts between two driven spheres."""
         return np.where(self.network.has_free_end, self.coefficient, 0.0)
 
     @cached_read_only
     def positive_coefficient(self) -> np.ndarray:
-        """(R, E) the coefficients, with ABSENT_COEFFICIENT for absent contacts: for methods whose arithmetic needs each
-        sphere held. Answers are judged without them."""
+        """(R, E) copy of `coefficient` with ABSENT_COEFFICIENT times the mean at absent contacts.
+
+        It is for methods that can not do with spheres that nothing holds. Answers are judged with `coefficient`.
+        """
         mean = self.coefficient.mean(axis=1, keepdims=True)
         return np.where(self.coefficient == 0, ABSENT_COEFFICIENT * np.where(mean > 0, mean, 1.0), self.coefficient)
 
     @cached_read_only
     def idle(self) -> np.ndarray:
-        """(R, E) True for contacts that take no part: between two driven spheres, or absent."""
+        """(R, E) mask of contacts that are absent, or between two driven spheres."""
         absent = np.all([values == 0 for values in self._coefficients], axis=0)
         return np.asarray(absent | ~self.network.has_free_end)
 
     @cached_read_only
     def inverse_limit(self) -> np.ndarray:
-        """(R, E) 1 over the friction that contacts bear, 0 for contacts that take no part."""
+        """(R, E) inverse of `strength` times the coefficient, 0 for absent contacts and between two driven spheres.
+
+        With friction that is 1 over the largest friction force of each contact.
+        """
         return inverse(self.strength * self.acting_coefficient)
 
     @cached_read_only
     def acting(self) -> np.ndarray:
-        """Numbers of the contacts that have a free end and, in some sample, a coefficient."""
+        """(n,) numbers of the contacts that have a free sphere and, in some sample, a positive coefficient."""
         some = np.any([(values > 0).any(axis=0) for values in self._coefficients], axis=0)
         return np.flatnonzero(some & self.network.has_free_end)
 
     @property
     def viscosities(self) -> np.ndarray | None:
-        """(R, E) slope of the force over the slip of every contact; 0 between driven spheres, None for laws without."""
+        """(R, E) slope of the force over the slip of every contact, force * time/length; None for friction alone."""
         return self.law.viscosity(self.material)
 
     @property
     def viscosity_beside_friction(self) -> np.ndarray | None:
-        """(R, E) the same of laws that have both, else None."""
+        """(R, E) slope of the force over the slip for laws that have friction as well; None for others."""
         return self.viscosities if self.law.holds else None
 
 
 def inverse(values: np.ndarray) -> np.ndarray:
-    """1 / values, and 0 where values is 0."""
+    """Return 1 / values, with 0 where a value is 0."""
     return np.divide(1.0, values, out=np.zeros_like(values), where=values != 0)
 
 
 def vector_length(components: np.ndarray) -> np.ndarray:
-    """Euclidean length over the first axis; (0, ...) gives zeros, one component gives |component| exactly."""
+    """Return the Euclidean lengths, (...), of vectors whose components are along the first axis, (d, ...).
+
+    Without components, d = 0, they are 0; with one they are its absolute values, exactly.
+    """
     if len(components) == 0:
         return np.zeros(components.shape[1:])
     if components[0].size <= LENGTHS_IN_CACHE or not components.flags.c_contiguous:
@@ -317,7 +369,10 @@ def vector_length(components: np.ndarray) -> np.ndarray:
 
 
 def _length(components: np.ndarray) -> np.ndarray:
-    """Of those that are not 0 everywhere, as it is of contacts along one axis."""
+    """Return the lengths of vectors of one to three components, without those components that are 0 everywhere.
+
+    Along each axis of a lattice one component of the slips is 0 at all contacts.
+    """
     size, *others = [part for part in components if part.any()] or components[:1]
     size = np.hypot(size, others[0]) if others else np.abs(size)
     return size if len(others) < 2 else np.hypot(size, others[1])

@@ -1,4 +1,7 @@
-"""What users bring as a packing, checked: each failure is one sentence that names the value."""
+"""Checks of the arrays that users give as a packing: each failure is an InputError of one sentence with the value.
+
+Letters: N spheres, E contacts, D = 2 or 3 dimensions. A driven body is a set of driven spheres with a number, from 0.
+"""
 
 import logging
 from collections.abc import Callable, Mapping
@@ -14,21 +17,23 @@ if TYPE_CHECKING:
     from taichi_bearings.scene.packing import Packing
 
 MOST_SPHERES, MOST_CONTACTS = 20_000_000, 100_000_000
-MOST_INTEGER = 2**53  # the largest up to which floats hold every whole number
-GAP, OVERLAP = 0.05, 0.2  # of the sum of the radii, that may part the surfaces of a contact, and that it may be pressed
-UNIT_ERROR = 1e-3  # of the length of a normal that is given: one printed with three decimals
-SAME_NORMAL = 1e-6  # distance of normals of contacts of the same two spheres, from which on they are two contacts
+MOST_INTEGER = 2**53  # the largest number up to which floats hold every whole number
+# the largest gap between the surfaces of a contact, and its largest overlap, relative to the sum of the radii
+GAP, OVERLAP = 0.05, 0.2
+UNIT_ERROR = 1e-3  # largest error of the length of a normal: that of one printed with three decimals
+SAME_NORMAL = 1e-6  # least distance of the normals of two contacts between the same two spheres
 TURNED = ", as MATLAB and Fortran write arrays: turn center, contact, normal and spin"
-LEAST_SIZE, MOST_SIZE = 1e-15, 1e15  # of coefficients, forces and radii; and most of spins
+LEAST_SIZE, MOST_SIZE = 1e-15, 1e15  # limits of coefficients, forces and radii; the upper one also of other sizes
 
 
 def _refuse(bad: Any, sentence: Callable[[int], str]) -> None:
-    """InputError with what the sentence says of the first that is bad, a mask, if one is."""
+    """Raise InputError if any entry of the mask `bad` is True. sentence : the message about the entry of a number."""
     if bad.any():
         raise InputError(sentence(int(np.argmax(bad))))
 
 
 def places(values: Any) -> np.ndarray:
+    """Return the centres (N, D) of the spheres, length; no two may be the same."""
     center = own_array("centres", values)
     if center.ndim != 2 or center.shape[1] not in (2, 3) or not 1 <= len(center) <= MOST_SPHERES:
         is_turned = center.ndim == 2 and len(center) in (2, 3) and center.shape[1] > 3
@@ -46,7 +51,7 @@ def places(values: Any) -> np.ndarray:
 
 
 def _array(name: str, values: Any) -> np.ndarray:
-    """The values as an array; InputError where lists of unequal lengths, or numbers too large, make none."""
+    """Return the values as an array; raise InputError where lists of unequal lengths, or huge numbers, make none."""
     try:
         return np.asanyarray(values)
     except (ValueError, OverflowError, TypeError):
@@ -54,6 +59,7 @@ def _array(name: str, values: Any) -> np.ndarray:
 
 
 def _integers(name: str, values: Any) -> np.ndarray:
+    """Return a read-only copy in int64; floats are taken if each is a whole number. name : for messages."""
     array = _array(name, values) if not isinstance(values, np.ma.MaskedArray) else np.asarray(0.5)
     if array.dtype.kind == "f":
         with np.errstate(invalid="ignore"):
@@ -74,6 +80,7 @@ def _integers(name: str, values: Any) -> np.ndarray:
 
 
 def pairs(values: Any, spheres: int) -> np.ndarray:
+    """Return the numbers (E, 2) of the first and the second sphere of each contact. spheres : N."""
     contact = _integers("contact", values)
     contact = contact.reshape(0, 2) if contact.size == 0 else contact
     if contact.ndim != 2 or contact.shape[1] != 2 or len(contact) > MOST_CONTACTS:
@@ -90,7 +97,10 @@ def pairs(values: Any, spheres: int) -> np.ndarray:
 
 
 def bodies(values: Any, spheres: int) -> np.ndarray:
-    """(N,) the body of each sphere, -1 for free ones; truths drive body 0."""
+    """Return the number (N,) of the driven body of each sphere, -1 for free spheres.
+
+    values : such numbers, or a mask of the driven spheres, which then are body 0. spheres : N.
+    """
     array = _array("driven", values)
     is_mask = array.dtype.kind == "b" and not np.ma.is_masked(array)
     driven = _integers("driven", np.where(array, 0, -1) if is_mask else values)
@@ -102,7 +112,7 @@ def bodies(values: Any, spheres: int) -> np.ndarray:
 
 
 def columns_as_rows(found: Mapping[str, Any]) -> dict[str, np.ndarray]:
-    """Arrays of a file by name, of which columns (N, 1) or (E, 1) are (N,) or (E,)."""
+    """Return the arrays of a file by name, with columns (N, 1) or (E, 1) reshaped to (N,) or (E,)."""
     places, pairs = np.shape(found["center"]), np.shape(found["contact"])
     counts = {places[0] if places else 0, pairs[0] if pairs else 0}
     one = {"driven", "radius", "friction", "viscosity", "normal_force", *(["spin"] if places[-1:] == (2,) else [])}
@@ -111,6 +121,10 @@ def columns_as_rows(found: Mapping[str, Any]) -> dict[str, np.ndarray]:
 
 
 def spins(values: Any, spheres: int, dimension: int, held: np.ndarray) -> np.ndarray:
+    """Return the imposed spins, (N, 3) of spheres or (N,) of discs, 1/time, with 0 for free spheres.
+
+    spheres : N. dimension : D. held : (N,) mask of the driven spheres.
+    """
     spin = own_array("spins", values)
     shape = (spheres, 3) if dimension == 3 else (spheres,)
     if spin.shape != shape:
@@ -122,7 +136,11 @@ def spins(values: Any, spheres: int, dimension: int, held: np.ndarray) -> np.nda
 
 
 def sizes(name: str, values: Any, count: int, what: str, may_vanish: bool = False) -> np.ndarray:
-    """(count,) positive numbers, or one for all."""
+    """Return (count,) positive numbers. A single one is repeated.
+
+    name : of the argument, for messages. what : "sphere" or "contact", that each number belongs to. may_vanish : True
+    to allow 0 as well.
+    """
     array = own_array(f"values of {name}", values)
     if array.ndim == 0:
         array = np.full(count, array)
@@ -136,7 +154,10 @@ def sizes(name: str, values: Any, count: int, what: str, may_vanish: bool = Fals
 
 
 def pressing(values: Any, contacts: int) -> np.ndarray:
-    """(E,) normal forces; those that pull, which bear no friction, become 0 with a warning."""
+    """Return the normal forces (E,), force. contacts : E.
+
+    Negative ones, of contacts that pull and bear no friction, become 0 with a warning.
+    """
     array = own_array("values of normal_force", values)
     if array.shape == (contacts,) and (pulling := array < 0).any():
         logging.getLogger(__name__).warning(
@@ -147,12 +168,13 @@ def pressing(values: Any, contacts: int) -> np.ndarray:
 
 
 def _refuse_not_finite(name: str, values: np.ndarray, what: str) -> None:
+    """Raise InputError if a row of the values is not finite, or too large. what : "sphere" or "contact" of a row."""
     bad = ~(np.abs(values) <= MOST_SIZE).all(axis=tuple(range(1, values.ndim)))
     _refuse(bad, lambda i: f"{name} of {what} {i} is {shown(values[i])}; it must be finite and at most {MOST_SIZE:g}")
 
 
 def misfit(size: float, reach: float) -> str:
-    """What is wrong with two spheres of a contact at a distance `size`, whose radii add up to `reach`."""
+    """Return the words for what is wrong with a contact. size : distance of its centres. reach : sum of its radii."""
     apart = f"are {size:.6g} apart and their radii add up to {reach:.6g}"
     if size > reach:
         return apart
@@ -160,7 +182,10 @@ def misfit(size: float, reach: float) -> str:
 
 
 def normals(values: Any, packing: "Packing") -> tuple[np.ndarray, float]:
-    """Unit vectors (E, D), and by how much the length of the worst of those that are given is wrong."""
+    """Return the normals (E, D), scaled to unit length, and the largest error of their lengths as they were given.
+
+    packing : centres and contacts of it are checked already, and say D and E.
+    """
     normal, shape = own_array("normals", values), (packing.contacts, packing.dimension)
     normal = normal.reshape(shape) if normal.size == 0 == packing.contacts else normal
     if normal.shape != shape:
@@ -177,12 +202,15 @@ def normals(values: Any, packing: "Packing") -> tuple[np.ndarray, float]:
 
 
 def transposed(array: np.ndarray, shape: tuple[int, ...]) -> str:
-    """The end of a message, if an array has its axes exchanged as MATLAB and Fortran write them."""
+    """Return the end of a message if the array has this shape with its axes exchanged; else an empty text."""
     return "; it looks transposed" if array.ndim == 2 and array.T.shape == shape else ""
 
 
 def refuse_repeated(packing: "Packing") -> None:
-    """InputError for contacts of the same two spheres, but on a ring of two, where normals tell them apart."""
+    """Raise InputError if two contacts join the same two spheres, unless their given normals differ.
+
+    Around a periodic box of two spheres' length the same two touch twice, in two directions.
+    """
     first, second = packing.contact.T
     low, high = np.minimum(first, second), np.maximum(first, second)
     key = low * packing.spheres + high

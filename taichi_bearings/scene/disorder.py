@@ -1,4 +1,7 @@
-"""Random contact coefficients from a seed, the same on any machine: one draw an axis, in the order x, y, z."""
+"""Random contact coefficients from a seed, the same on any machine.
+
+Those of a lattice are drawn axis by axis, in the order x, y, z: one array of numbers for all contacts along an axis.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -38,7 +41,10 @@ class Distribution:
 
     @classmethod
     def parse(cls, text: str) -> "Distribution":
-        """Read ``uniform:0.1,1.0`` and the like; raises InputError with the form that is expected."""
+        """Return the distribution that a text such as ``uniform:0.1,1.0`` describes.
+
+        Raises InputError with the expected form for other texts.
+        """
         if not isinstance(text, str):
             raise InputError(f"distribution is {shown(text)}; it must be a text or a function")
         name, _, rest = text.partition(":")
@@ -56,9 +62,11 @@ class Distribution:
 
     @classmethod
     def forms(cls) -> list[str]:
+        """Return how each distribution is written, such as ``uniform:low,high``."""
         return [f"{name}:{','.join(words)}" for name, words in cls.PARAMETERS.items()]
 
     def __post_init__(self) -> None:
+        """Raise InputError for a parameter that is out of its range."""
         values = dict(zip(self.PARAMETERS[self.name], self.parameters, strict=True))
         for word, value in values.items():
             signed = word in ("exponent", "sigma", "fraction")
@@ -75,11 +83,15 @@ class Distribution:
         return f"{self.name}:{','.join(format(value, 'g') for value in self.parameters)}"
 
     def __call__(self, rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
-        """Values of `shape`; some may overflow for extreme parameters, which Scene refuses."""
+        """Return an array of numbers drawn from the distribution.
+
+        Extreme parameters may give infinities, which scenes and packings refuse.
+        """
         with np.errstate(over="ignore", under="ignore"):
             return self._draw(rng, shape)
 
     def _draw(self, rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
+        """Return an array of numbers drawn from the distribution; power laws invert their cumulative distribution."""
         p = self.parameters
         if self.name == "uniform":
             return rng.uniform(p[0], p[1], shape)
@@ -98,13 +110,16 @@ class Distribution:
 
 
 Draw = Callable[[np.random.Generator, tuple[int, ...]], np.ndarray]
-"""Coefficients of a shape: a distribution, or a function of one's own."""
+"""What returns random coefficients as an array of a given shape: a distribution, or a function of one's own."""
 
 
 def draw_coefficients(lattice: Lattice, distribution: Draw, seed: int, second: bool = False) -> tuple[np.ndarray, ...]:
-    """One array an axis of that axis' contact shape, drawn from ``default_rng(seed)``; dimensionless or damping.
+    """Return the coefficients of all contacts of a lattice, one array an axis, drawn from ``default_rng(seed)``.
 
-    second : of the second coefficient of a law that has two, a viscosity, from ``default_rng([seed, 2])``.
+    distribution : friction coefficients, pure numbers, or damping coefficients, force * time/length.
+    second : True to draw the second coefficient of a law that has two, the viscosity, from ``default_rng([seed, 2])``.
+
+    Raises InputError if a function of one's own returns an array of another shape.
     """
     rng, found = np.random.default_rng([seed, 2] if second else seed), []
     for shape in map(lattice.contact_shape, range(lattice.dimension)):

@@ -13,7 +13,10 @@ all spins, and here that of the bottom is: the bottom is then at rest, and the t
 the two states. Component k of the jump depends on x_k alone, and contacts along k do not feel it: each layer x_k =
 const has a problem of its own in that component. Discs have one component, and no C.
 
-Letters: R samples, N spheres (*N is the shape of arrays over them), C spin components.
+Letters: R samples, N spheres (*N is the shape of arrays over them: that of the lattice, or (N,)), C spin components,
+D dimensions. A `Pair` is a number in twice the precision: the nearest double, and what its rounding leaves out.
+carried spins : the numbers x. spin_axes : as an argument, the components, 0 to 2, along the first axis of (C, ...).
+driven sphere : one whose spin is imposed; a driven body is a set of them with a number, of lattices a plane.
 """
 
 from dataclasses import dataclass
@@ -41,83 +44,88 @@ from taichi_bearings.read_only import cached_read_only
 if TYPE_CHECKING:
     from taichi_bearings.scene.network import Network
 
-EVEN_RESIDUAL = 1e-12  # of the torques of the spins at even viscosities, relative
-SAME_DRIVING = 4  # units in the last place, up to which imposed speeds are one
+EVEN_RESIDUAL = 1e-12  # relative residual torque of the spins that `Driving.evenly` returns
+SAME_DRIVING = 4  # imposed speeds that differ by no more than so many units in the last place are taken as equal
 
 
 class Driving:
-    """Spins that are imposed on driven spheres one by one. Nothing of it changes once it is made."""
+    """Spins that are imposed on driven spheres one by one. An instance never changes."""
 
-    rubs = True  # contacts between driven spheres may slip
+    rubs = True  # whether contacts between driven spheres may slip
 
     def __init__(self, network: "Network", spin: np.ndarray, contact: np.ndarray) -> None:
-        """Take a network whose spheres are driven.
+        """Keep what is imposed on a network.
 
-        spin : (N, 3), of discs (N,), 1/time; imposed on driven spheres, ignored on others. contact : (n,), numbers of
-        the contacts that act.
+        network : the spheres, their contacts, and which spheres are driven.
+        spin : (N, 3), of discs (N,), 1/time; imposed on driven spheres, ignored on others.
+        contact : (n,) numbers of the contacts that are present and have a free sphere.
         """
         self.network, self.spin, self.contact = network, spin, contact
 
     @property
     def sign(self) -> np.ndarray | None:
-        """s, (*N); None where it is 1."""
+        """The sign s of the sublattice of each sphere, (*N); None where s is 1 for all."""
         return None
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """*N."""
+        """Shape *N of arrays over the spheres."""
         return self.network.shape
 
     @property
     def length(self) -> np.ndarray | None:
-        """l, (*N); None where it is 1."""
+        """The factor l of each sphere, (*N), length; None where l is 1 for all."""
         return self.network.radius
 
     @property
     def slip_radius(self) -> float:
-        """Length by which a difference of carried spins is multiplied to be a slip."""
+        """Factor that turns a difference of carried spins into a slip: 1, or on lattices the radius."""
         return 1.0
 
     @property
     def every(self) -> tuple[int, ...]:
-        """All spin components that there are."""
+        """All spin components: one for discs, three for spheres."""
         return tuple(range(self.network.components))
 
     @property
     def minimum_spin_axes(self) -> tuple[int, ...]:
-        """Components of the spins that a minimum needs."""
+        """The spin components that have to be found; at some minimum no contact slips by the others."""
         return self.every
 
     @property
     def places(self) -> list[Any]:
-        """Indices of the driven spheres in arrays (..., *N), body by body or of all at once."""
+        """Indices that pick the driven spheres out of an array (..., *N): one for all, or on lattices one a plane."""
         return [(..., self.network.is_driven)]
 
     def imposed(self, spin_axes: tuple[int, ...]) -> list[Pair]:
-        """What these spheres carry, (C, n) or in the shape of a plane, in twice the precision; one pair for each
-        place."""
+        """Return the imposed carried spins in twice the precision: for each of `places` (C, n) or (C, *plane)."""
         u = self.speed[self.network.is_driven].T
         return [(u, np.zeros_like(u))]
 
     def origin(self, spin_axes: tuple[int, ...]) -> Pair | None:
-        """x0, (C, 1, *N) or with sides of 1, in twice the precision; None where it is 0."""
+        """Return x0, (C, 1, *N) or with axes of length 1, in twice the precision; None where x0 is 0."""
         return None
 
     def left_out(self, component: int) -> np.ndarray:
-        """What spheres carry, (*N), in a component that is not carried: it slips nowhere."""
+        """Return the carried values (*N) of a component that is not solved for: 0 here."""
         return np.zeros(self.shape)
 
     @cached_read_only
     def speed(self) -> np.ndarray:
-        """u = R omega of driven spheres, (N, C); 0 on free ones; length/time. Sizes of a component that differ by no
-        more than 4 units in the last place are one driving, the least of them."""
+        """(N, C) surface speeds u = R omega of driven spheres, 0 on free ones; length/time.
+
+        Where the sizes of a component differ between spheres by rounding alone, all get the smallest.
+        """
         u = self.spin.reshape(self.network.spheres, -1) * self.network.radius[:, None]
         return as_one_driving(np.where(self.network.free[:, None], 0.0, u))
 
     @cached_property
     def jump(self) -> float:
-        """Diagonal of the box of the imposed u, with the signs of a sublattice where there are two, else of both; 0
-        where nothing is driven; length/time."""
+        """Diagonal of the smallest box that holds all imposed s u, length/time; 0 where nothing is driven.
+
+        s is the sign of the sublattice. Spheres in a piece of the network with odd loops, which has no sublattices,
+        enter with both signs.
+        """
         held = ~self.network.free
         if not held.any():
             return 0.0
@@ -128,12 +136,12 @@ class Driving:
 
     @property
     def is_top(self) -> np.ndarray:
-        """(N,) True for the spheres of the body of the largest number."""
+        """(N,) mask of the spheres of the driven body with the largest number, the top."""
         return np.asarray(self.network.body == max(self.network.body.max(), 0))
 
     @property
     def sides(self) -> tuple[float, float]:
-        """The largest R omega of the last body, the top, and of all others, length/time."""
+        """The largest imposed R omega of the top, and that of all other driven spheres, length/time."""
         speed, top = np.linalg.norm(self.speed, axis=1), self.is_top
         return float(speed[top].max(initial=0.0)), float(speed[~top].max(initial=0.0))
 
@@ -144,7 +152,7 @@ class Driving:
 
     @property
     def natural_spin(self) -> float | None:
-        """The imposed spin in which times and powers are counted, 1/time; None where none stands out."""
+        """The imposed spin that serves as unit of times and powers, 1/time; here None, as there are many."""
         return None
 
     @property
@@ -154,23 +162,30 @@ class Driving:
         return float(np.linalg.norm(spin, axis=1).max(initial=0.0)) or 1.0
 
     def box(self, spin_axes: tuple[int, ...]) -> np.ndarray | None:
-        """(2, C) lower and upper ends of the interval in which some minimum has each component; None where no box is
-        known to hold one, as with oblique normals."""
+        """Return bounds (2, C), lower and upper, between which some minimum has each carried component.
+
+        None where no bounds are known, as here, where normals may be oblique.
+        """
         return None
 
     def cut_off(self, present: np.ndarray) -> np.ndarray:
-        """(R,) True where it is known that contacts which are present, (R, E), do not join what is driven unlike."""
+        """Return a mask (R,): the contacts that are present join no spheres of different imposed spins.
+
+        present : (R, E) mask. False also where it is not known, as here for all samples.
+        """
         return np.zeros(len(present), dtype=bool)
 
     def impose(self, carried: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """The same carried spins (C, R, *N), changed in place: driven spheres have their imposed values."""
+        """Give driven spheres their imposed values in the carried spins (C, R, *N); return the same array."""
         for place, (high, _) in zip(self.places, self.imposed(spin_axes), strict=True):
             carried[place] = high[:, None]
         return carried
 
     def carried(self, spin: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Spins as methods carry them, (C, R, *N), of those of the laboratory, (R, *N), of spheres (R, *N, 3); of
-        driven spheres the imposed ones."""
+        """Return the carried spins (C, R, *N) of laboratory spins; driven spheres get their imposed ones.
+
+        spin : laboratory spins, 1/time, (R, *N) of discs or (R, *N, 3) of spheres.
+        """
         of_discs = spin.ndim == 1 + len(self.shape)
         parts = spin[..., None] if of_discs else spin if len(spin_axes) == 3 else spin[..., list(spin_axes)]
         for factor in (self.sign, self.length):
@@ -182,9 +197,11 @@ class Driving:
         return self.impose(found, spin_axes)
 
     def laboratory(self, carried: np.ndarray, rest: np.ndarray | None, spin_axes: tuple[int, ...]) -> Pair:
-        """Spins as one sees them, (R, *N), of spheres (R, *N, 3), and what their rounding leaves out; 1/time.
+        """Return the laboratory spins of carried ones, (R, *N) of discs or (R, *N, 3) of spheres, 1/time, and what
+        their rounding leaves out.
 
-        carried : (C, R, *N). rest : what is to be added to them, if anything; of driven spheres it is known.
+        carried : (C, R, *N). rest : (C, R, *N), small numbers to add to these, or None for nothing. Those of driven
+        spheres are not used, as the imposed spins are known in twice the precision.
         """
         every = self.every
         high = np.empty((len(every), carried.shape[1], *self.shape))
@@ -210,8 +227,10 @@ class Driving:
         return self.as_given(spin, rounding)
 
     def evenly(self) -> np.ndarray:
-        """Carried spins (C, 1, *N) of all components, of least power with the same viscosity at all contacts that act:
-        by conjugate gradients, which need no factor of a matrix, as that is large and a GPU has none."""
+        """Return the carried spins (C, 1, *N) of least power if all contacts in `contact` had the same viscosity.
+
+        They are found by conjugate gradients: a factorisation of the matrix would be large, and none runs on a GPU.
+        """
         from scipy.sparse.linalg import cg
 
         network = self.network
@@ -224,19 +243,24 @@ class Driving:
         return self.impose(found.reshape(-1, network.components).T[:, None].copy(), self.every)
 
     def as_given(self, spin: np.ndarray, rounding: np.ndarray) -> Pair:
-        """The same spins and roundings, changed in place: those of driven spheres bit by bit as they were given."""
+        """Put the imposed spins, bit by bit as they were given, into laboratory spins and what rounding leaves out.
+
+        Both arrays, (R, *N) or (R, *N, 3), are changed in place and returned.
+        """
         held = self.network.is_driven
         spin[:, held], rounding[:, held] = self.spin[held], 0.0
         return spin, rounding
 
     def absolute(self, carried: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Carried spins (C, R, *N) with the x0 that was taken from all of them: for energies."""
+        """Return the carried spins (C, R, *N) plus x0, as kinetic energies need them."""
         origin = self.origin(spin_axes)
         return carried if origin is None else carried + origin[0]
 
     def spins(self) -> Pair:
-        """Spins of all spheres in the laboratory, (*N), of spheres (*N, 3), of which those of driven spheres are the
-        imposed ones; and what their rounding leaves out; 1/time."""
+        """Return laboratory spins, (*N) of discs or (*N, 3) of spheres, 1/time, and what their rounding leaves out.
+
+        Driven spheres have their imposed spins; free ones carry 0.
+        """
         at_rest = np.zeros((len(self.every), 1, *self.shape))
         spin, rest = self.laboratory(self.impose(at_rest, self.every), None, self.every)
         return spin[0], rest[0]
@@ -244,13 +268,16 @@ class Driving:
 
 @dataclass(frozen=True)
 class BearingState:
-    """Staggered spin A + C x, in twice the precision. spin : A, (3,), 1/time. rate : C, (1,), 1/(time length)."""
+    """A staggered spin A + C x at the position x, in twice the precision.
+
+    spin : the three components of A, 1/time. rate : C, an array of one number, 1/(time length).
+    """
 
     spin: Pair
     rate: Pair
 
     def along(self, component: int, position: np.ndarray) -> Pair:
-        """Component k at positions x_k, (n,), length."""
+        """Return component k of the state, (n,), 1/time, at n positions x_k. component : k. position : (n,), length."""
         high, low = (np.repeat(part[component], len(position)) for part in self.spin)
         return add((high, low), multiply(self.rate, exactly(position))) if self.rate[0][0] else (high, low)
 
@@ -269,18 +296,23 @@ class Planes(Driving):
         in_units: BearingState | None = None,
         given: tuple[float, float] | None = None,
     ) -> None:
-        """Take the state of the bottom plane, and that of the top less that of the bottom.
+        """Keep the states that are imposed on the two planes.
 
-        unit : (1,), what spins are measured in where they are to be of order one, 1/time, in twice the precision.
-        in_units : the difference in this unit where it is the same on the whole top, else None. given : the spins of
-        top and bottom, 1/time, where they turn about one axis.
+        bottom : state of the bottom plane.
+        difference : state of the top plane less that of the bottom.
+        unit : array of one number in twice the precision, 1/time, near the size of the difference.
+        in_units : the difference divided by `unit` where it is the same on the whole top, else None.
+        given : the imposed spins of top and bottom, 1/time, where both planes turn about one axis, else None.
         """
         self.lattice, self.bottom, self.difference, self.unit = lattice, bottom, difference, unit
         self.in_units, self.given = in_units, given
 
     @classmethod
     def by_spins(cls, lattice: Lattice, top: float, bottom: float, direction: tuple[float, float, float]) -> "Planes":
-        """Planes that turn with spins about one axis (paper, Eq. 1). direction : its, not normalised; of spheres."""
+        """Return the driving of planes that turn with these spins, 1/time, about one axis (paper, Eq. 1).
+
+        direction : imposed axis, of any length but 0; ignored in 2D, where spins point along z.
+        """
         axis = _unit_vector(np.array([0.0, 0.0, 1.0] if lattice.dimension == 2 else direction))
         at_rest, sign = exactly(np.zeros(1)), np.sign(top - bottom)
         low = BearingState(multiply(exactly(np.array([bottom])), axis), at_rest)
@@ -291,7 +323,7 @@ class Planes(Driving):
 
     @classmethod
     def by_states(cls, lattice: Lattice, top: tuple[float, ...], bottom: tuple[float, ...]) -> "Planes":
-        """Planes in the bearing states (A_x, A_y, A_z, C); discs have (A_z,)."""
+        """Return the driving of planes in these bearing states: (A_x, A_y, A_z, C), in 2D (A_z,)."""
         padded = ((0.0, 0.0, *state, 0.0) if len(state) == 1 else state for state in (top, bottom))
         (high, rise), (low, fall) = ((np.array(state[:3]), np.array(state[3:])) for state in padded)
         states = BearingState(exactly(low), exactly(fall)), BearingState(two_sum(high, -low), two_sum(rise, -fall))
@@ -320,15 +352,16 @@ class Planes(Driving):
 
     @cached_property
     def minimum_spin_axes(self) -> tuple[int, ...]:
-        """Components the minimum needs.
+        """The spin components that have to be found; at some minimum no contact slips by the others.
 
-        Where top and bottom agree, the staggered spin is constant (equations.md, 3). Nor is the component along the
-        height of a cubic lattice ever needed: contacts along it do not feel it, so it is constant in each layer.
+        A component in which top and bottom agree is constant at a minimum (equations.md, 3). The component along the
+        height of a cubic lattice is constant in each layer: contacts along the height do not slip by it. If no
+        component is left, the first one is taken.
         """
         every, height = self.lattice.all_spin_axes, self.lattice.height_axis
         jumps = [bool(jump.any()) for jump in self.imposed_on_top(every)[0]]
         needed = tuple(k for k, jump in zip(every, jumps, strict=True) if jump and k != height)
-        return needed or every[:1]  # no frustration: one component, to have something to show
+        return needed or every[:1]
 
     @property
     def places(self) -> list[Any]:
@@ -342,12 +375,12 @@ class Planes(Driving):
         return self.bottom_state(spin_axes)
 
     def left_out(self, component: int) -> np.ndarray:
-        """What spheres carry in a component that is not carried: it goes linearly from bottom to top, which is constant
-        where the two agree."""
+        """Return the carried values (*N) of a component that is not solved for: linear in the height from the bottom,
+        0, to the top. No contact slips by them in a component that `minimum_spin_axes` leaves out."""
         return np.linspace(0.0, self.imposed_on_top((component,))[0][0], self.lattice.shape[-1], axis=-1)
 
     def evenly(self) -> np.ndarray:
-        """Carried spins (C, 1, *N), linear in the height: the viscous answer without disorder."""
+        """Return carried spins (C, 1, *N) that are linear in the height: the viscous answer without disorder."""
         height = np.linspace(0.0, 1.0, self.lattice.shape[-1])
         return self.imposed_on_top(self.every)[0][:, None, ..., None] * height
 
@@ -356,12 +389,15 @@ class Planes(Driving):
 
     @cached_read_only
     def spin(self) -> np.ndarray:
-        """Laboratory spins of the two planes, (*N), of spheres (*N, 3), 1/time."""
+        """Laboratory spins, (*N) of discs or (*N, 3) of spheres, 1/time; those of the two planes are imposed."""
         return self.spins()[0]
 
     @cached_read_only
     def speed(self) -> np.ndarray:
-        """u = R omega (N, C) of the components that a minimum needs, measured from the bottom: 0 but on the top."""
+        """(N, C) imposed u = R omega, length/time, measured from the state of the bottom, so 0 except on the top.
+
+        Components that are not in `minimum_spin_axes` are 0.
+        """
         axes = self.minimum_spin_axes
         u = np.zeros((*self.lattice.shape, 3))
         top = self.lattice.parity[..., -1, None] * np.moveaxis(self.imposed_on_top(axes)[0], 0, -1)
@@ -370,14 +406,14 @@ class Planes(Driving):
 
     @cached_property
     def jump(self) -> float:
-        """|difference of the imposed staggered spins| where it is largest on the top plane, 1/time."""
+        """Largest size, over the top plane, of the difference of the two imposed staggered spins, 1/time."""
         if self.in_units is not None:
             return float(self.unit[0][0])
         return float(np.linalg.norm(self.imposed_on_top(self.lattice.all_spin_axes)[0], axis=0).max())
 
     @property
     def sides(self) -> tuple[float, float]:
-        """Spins of top and bottom, 1/time; where states are imposed, their largest sizes on the planes."""
+        """The imposed spins of top and bottom, 1/time; of bearing states the largest sizes on the two planes."""
         if self.given is not None:
             return self.given
         axes = self.lattice.all_spin_axes
@@ -390,12 +426,13 @@ class Planes(Driving):
 
     @property
     def fastest(self) -> float:
-        """The larger of the sizes of both spins, 1/time."""
+        """The larger size of the two spins in `sides`, 1/time."""
         return max(map(abs, self.sides))
 
     @property
     def natural_spin(self) -> float:
-        """The size of the spin of the top, of the bottom where the top is at rest, 1 where both are; 1/time."""
+        """The spin that serves as unit of times and powers, 1/time: the size of that of the top, or of the bottom where
+        the top has none, or 1."""
         top, bottom = self.sides
         return abs(top) or abs(bottom) or 1.0
 
@@ -404,32 +441,41 @@ class Planes(Driving):
         return self.fastest
 
     def box(self, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """(2, C) lower and upper ends of the interval in which a minimiser has each component (equations.md, 4)."""
+        """Return bounds (2, C), lower and upper, between which some minimum has each carried component (equations.md,
+        4): from the bottom, 0, to the extreme values of the top."""
         top = self.imposed_on_top(spin_axes)[0].reshape(len(spin_axes), -1)
         return np.stack([top.min(axis=1, initial=0.0), top.max(axis=1, initial=0.0)])
 
     def cut_off(self, present: np.ndarray) -> np.ndarray:
-        """(R,) True where absent contacts leave the two planes unconnected in all components that a minimum needs."""
+        """Return a mask (R,): the contacts that are present do not connect the two planes.
+
+        present : (R, E) mask. The contacts that slip by one component must connect them for that component; True means
+        that they do so for none of `minimum_spin_axes`.
+        """
         if present.all():
             return np.zeros(len(present), dtype=bool)
         sites, joined = self.lattice.sites, np.zeros(len(present), dtype=bool)
         sphere = np.arange(sites).reshape(self.lattice.shape)
         sphere[..., 0], sphere[..., -1] = 0, sites - 1
         body = sphere.ravel()[self.lattice.ends]
-        for replica, felt in product(range(len(present)), self.lattice.tangential_mask(self.minimum_spin_axes)):
-            label = pieces(sites, *body[:, felt & present[replica]])
+        for replica, slips in product(range(len(present)), self.lattice.tangential_mask(self.minimum_spin_axes)):
+            label = pieces(sites, *body[:, slips & present[replica]])
             joined[replica] |= label[0] == label[-1]
         return ~joined
 
     def positions(self, component: int) -> np.ndarray:
-        """x_k, (n,), of the layers of spheres along k, length; of discs (1,)."""
+        """Return the positions x_k, (n,), length, of the layers of spheres along an axis k, from 0; in 2D only (0,)."""
         if self.lattice.dimension == 2:
             return np.zeros(1)
         return 2 * self.lattice.radius * np.arange(self.lattice.shape[component])
 
     def _of_layers(self, state: BearingState, spin_axes: tuple[int, ...], shape: tuple[int, ...]) -> Pair:
-        """A state at the spheres of the first layers, as many along each axis as `shape` says, (C, *shape), in twice
-        the precision, 1/time; components along an axis that it lacks are those of the last layer."""
+        """Return a state at the spheres of the first layers along each axis, (C, *shape), in twice the precision,
+        1/time.
+
+        shape : number of layers along each axis, without the height for the top plane; the component along the height
+        is then that of the last layer.
+        """
         found = np.empty((2, len(spin_axes), *shape))
         for slot, k in enumerate(spin_axes):
             position = self.positions(k)
@@ -440,25 +486,29 @@ class Planes(Driving):
 
     @cached_property
     def _all_on_top(self) -> Pair:
-        """Jump at each sphere of the top plane by every component of the lattice."""
+        """The state of the top less that of the bottom, at each sphere of the top plane, (C, *plane), 1/time, in twice
+        the precision; C are all components of the lattice."""
         return self._of_layers(self.difference, self.lattice.all_spin_axes, self.lattice.shape[:-1])
 
     def imposed_on_top(self, spin_axes: tuple[int, ...]) -> Pair:
-        """The same of these components, (C, nx, ny), in 2D (C, nx)."""
+        """Return the carried spins of the top plane, (C, nx, ny), in 2D (C, nx), in twice the precision, 1/time."""
         slots = [self.lattice.all_spin_axes.index(k) for k in spin_axes]
         high, low = self._all_on_top
         return high[slots], low[slots]
 
     def top_in_units(self, spin_axes: tuple[int, ...]) -> Pair:
-        """The same over `unit`, a power of two where the jump varies."""
+        """Return the carried spins of the top plane divided by `unit`, (C, nx, ny), in 2D (C, nx), in twice the
+        precision."""
         if self.in_units is not None:
             return self._of_layers(self.in_units, spin_axes, self.lattice.shape[:-1])
         high, low = self.imposed_on_top(spin_axes)
         return high / self.unit[0], low / self.unit[0]
 
     def bottom_state(self, spin_axes: tuple[int, ...]) -> Pair:
-        """Staggered spin of the bottom's state at all spheres, (C, 1, *N) or with sides of 1 where it does not vary, in
-        twice the precision, 1/time."""
+        """Return the staggered spin that the bottom's state has at all spheres, in twice the precision, 1/time.
+
+        Its shape is (C, 1, *N), with axes of length 1 in place of *N where the state is the same everywhere.
+        """
         varies = bool(self.bottom.rate[0][0])
         high, low = self._of_layers(
             self.bottom, spin_axes, self.lattice.shape if varies else (1,) * self.lattice.dimension
@@ -467,8 +517,10 @@ class Planes(Driving):
 
 
 def as_one_driving(u: np.ndarray) -> np.ndarray:
-    """Imposed speeds (N, C), changed in place: sizes of a component that differ by no more than 4 units in the last
-    place are one driving, the least of them."""
+    """Return imposed speeds (N, C) without differences that come from rounding; they are changed in place.
+
+    Sizes of a component that differ by no more than `SAME_DRIVING` units in the last place all become the smallest.
+    """
     for part in u.T:
         size, place = np.unique(np.abs(part), return_inverse=True)
         for number in range(1, len(size)):
@@ -479,7 +531,7 @@ def as_one_driving(u: np.ndarray) -> np.ndarray:
 
 
 def _unit_vector(vector: np.ndarray) -> Pair:
-    """(3,) along a vector that is not 0, in twice the precision."""
+    """Return the unit vector (3,) along a vector that is not 0, in twice the precision."""
     vector = np.asarray(vector, dtype=np.float64)
     vector = np.ldexp(vector, -int(np.frexp(np.abs(vector).max())[1]))
     squares = two_product(vector, vector)

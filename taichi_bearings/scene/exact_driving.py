@@ -1,8 +1,11 @@
 """What is imposed on the two planes of a lattice, to 300 digits: proofs are of these numbers, not of their roundings.
 
-Spins, bearing states and the direction count as the doubles that they are. A bearing state is A + C x, with x from the
-centre of sphere (0, 0, 0); spins about a direction are A = omega d / |d| and C = 0. Component k of a state depends on
-x_k alone, so what is said of a component is said layer by layer along k (scene/driving.py, in twice the precision).
+The doubles that users give for spins, bearing states and the direction are taken as exact. A bearing state is the
+staggered spin A + C x, with x from the centre of sphere (0, 0, 0). A spin omega about a direction d is the state A =
+omega d / |d| and C = 0. Component k of a state depends on x_k alone, so it has one value for each layer of spheres
+along k. scene/driving.py has the same states in twice the precision.
+
+jump : the state of the top less that of the bottom.
 """
 
 import math
@@ -19,7 +22,10 @@ State = tuple[Decimal, Decimal, Decimal, Decimal]
 
 @dataclass(frozen=True)
 class ExactDriving:
-    """bottom, top : the states of the two planes."""
+    """The bearing states that are imposed on the two planes of a lattice.
+
+    bottom, top : the states, four numbers of 300 digits each.
+    """
 
     lattice: Lattice
     bottom: State
@@ -27,7 +33,10 @@ class ExactDriving:
 
     @classmethod
     def by_spins(cls, lattice: Lattice, top: float, bottom: float, direction: tuple[float, ...]) -> "ExactDriving":
-        """Planes that turn with these spins, of spheres about the direction."""
+        """Return the driving of planes that turn with these spins, 1/time.
+
+        direction : axis of the spins, of any length but 0; ignored in 2D, where spins point along z.
+        """
         with localcontext() as context:
             context.prec = DIGITS
             parts = [Decimal(d) for d in ((0.0, 0.0, 1.0) if lattice.dimension == 2 else direction)]
@@ -37,14 +46,17 @@ class ExactDriving:
 
     @classmethod
     def by_states(cls, lattice: Lattice, top: tuple[float, ...], bottom: tuple[float, ...]) -> "ExactDriving":
-        """Planes in the states (A_x, A_y, A_z, C); discs have (A_z,)."""
+        """Return the driving of planes in these bearing states: (A_x, A_y, A_z, C), in 2D (A_z,)."""
         padded = ((0.0, 0.0, *state, 0.0) if len(state) == 1 else state for state in (bottom, top))
         low, high = (tuple(Decimal(part) for part in state) for state in padded)
         return cls(lattice, low, high)  # type: ignore[arg-type]
 
     def in_layers(self, component: int) -> tuple[list[Decimal], list[Decimal]]:
-        """A component of the states of bottom and top at the top plane, layer by layer along it; one value where all
-        are the same."""
+        """Return one component k of the two states at the top plane, 1/time: a list for the bottom, one for the top.
+
+        Each has a value for every layer of spheres along k, or a single value where all are the same. For k along the
+        height only the last layer is in the top plane.
+        """
         with localcontext() as context:
             context.prec = DIGITS
             height, spacing = self.lattice.height_axis, 2 * Decimal(self.lattice.radius)
@@ -55,14 +67,13 @@ class ExactDriving:
 
     @cached_property
     def unit(self) -> float:
-        """A power of two near the jump, the difference of both states on the top plane; 1 without one."""
+        """A power of two near the largest component of the jump on the top plane, 1/time; 1 where the jump is 0."""
         jumps = [high - low for k in self.lattice.all_spin_axes for low, high in zip(*self.in_layers(k), strict=True)]
         return power_of_two(max(abs(float(jump)) for jump in jumps))
 
     @cached_property
     def jump(self) -> dict[int, list[Decimal]]:
-        """By component k, the state of the top less that of the bottom over `unit`, in each layer along k; one value
-        where all are the same."""
+        """Component k of the jump divided by `unit`, by k: one value for each layer along k, or one for all."""
         with localcontext() as context:
             context.prec = DIGITS
             unit, every = Decimal(self.unit), self.lattice.all_spin_axes
@@ -70,10 +81,10 @@ class ExactDriving:
 
     @cached_property
     def jump_size(self) -> float:
-        """|jump| where it is largest on the top plane, rounded; 1/time."""
+        """Largest size of the jump on the top plane, 1/time, as a rounded double."""
         return math.sqrt(sum(max(float(v) * float(v) for v in jump) for jump in self.jump.values())) * self.unit
 
 
 def power_of_two(value: float) -> float:
-    """The largest power of two up to |value|; 1 for 0."""
+    """Return the largest power of two that is not above |value|; 1 for 0."""
     return math.ldexp(1.0, math.frexp(abs(value))[1] - 1) if value else 1.0

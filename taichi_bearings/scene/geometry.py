@@ -1,13 +1,16 @@
-"""Whether centres, radii, contacts and normals of a packing agree: what is there twice is held against each other.
+"""Checks whether centres, radii, contacts and normals of a packing agree, as they partly say the same.
 
-A contact that crosses no periodic side lies along its normal, at the sum of the radii. One that crosses some joins an
-image of its second sphere, which stands beside the first one where the normal says, so
+The centres of a contact that crosses no periodic side differ by the sum of the radii along its normal. A contact that
+crosses a periodic side joins its first sphere to an *image* of its second one, a copy shifted by periods of the box.
+The normal says where this image is. Then
 
-* no other sphere is there,
+* no other sphere is at that place,
 * all such shifts are sums of a few periods, and no period is shorter than a sphere, and
-* a period shifts the whole packing between its own spheres.
+* no sphere of the packing, shifted by a period, lies on another one.
 
-Shuffled normals, contacts that count from 1, diameters as radii and other units break one of these.
+Shuffled normals, contacts that count from 1, diameters given as radii and other units violate one of these.
+
+Letters: N spheres, E contacts, D = 2 or 3 dimensions, X contacts across periodic sides, k periods.
 """
 
 from collections.abc import Iterator
@@ -19,24 +22,27 @@ from taichi_bearings.scene.checks import GAP, OVERLAP, misfit
 from taichi_bearings.scene.periods import reduced
 from taichi_bearings.scene.touching import near_pairs
 
-SAME_LINE = 0.01  # distance of the unit vectors of a normal and of the centres: printed numbers are far nearer
-EXACT = 1e-12  # error of the length of normals, up to which they are taken as they are
-PRINTED = 30.0  # times the error of the lengths of normals, by which printed ones may differ from the centres
-SAME_PLACE = 0.5  # times the sum of the radii: spheres nearer than that are at one place
-LEAST_SPREAD = 0.02  # of the sum of the radii: contacts are pressed unequally by so much at least
-MOST_TRIED_PERIODS = 64  # shifts that are tried as periods: each shortens them, or is one more
-ROUNDING = 1e-9  # of the length of a shift
-OTHER_UNIT = 1.5  # ratio of distances and radii, from which on they are of different units
-NEAR = 0.1  # relative distance of a ratio from the one that tells diameters from radii
+SAME_LINE = 0.01  # largest distance of a normal from the unit vector along the centres; printing loses far less
+EXACT = 1e-12  # normals whose lengths are wrong by no more than this are taken as they are
+PRINTED = 30.0  # a printed normal may differ from the centres by so many times the error of the lengths
+SAME_PLACE = 0.5  # spheres nearer than this part of the sum of their radii are at the same place
+LEAST_SPREAD = 0.02  # overlaps of contacts may differ by this at least, relative to the sum of the radii
+MOST_TRIED_PERIODS = 64  # shifts that are tried as periods: each makes a period shorter, or is one more period
+ROUNDING = 1e-9  # rounding error of a shift relative to its length
+OTHER_UNIT = 1.5  # distances and radii whose ratio is off by this factor or more have different units
+NEAR = 0.1  # largest relative difference of a ratio from the 1/2 or 2 of diameters given for radii or the reverse
 
 
 def agreed(center: np.ndarray, contact: np.ndarray, radius: np.ndarray, normal: np.ndarray, error: float) -> np.ndarray:
-    """Normals (E, D), of which those that are printed with few digits are taken from the centres where both agree.
+    """Return the normals (E, D), with those that were printed with few digits replaced by directions of the centres.
 
-    center : (N, D), length. contact : (E, 2). radius : (N,), length. normal : (E, D), unit vectors from the first to
-    the second sphere. error : by which the length of one of them was wrong at most.
+    center : (N, D), length. contact : (E, 2) numbers of the first and second sphere. radius : (N,), length.
+    normal : (E, D), unit vectors from the first to the second sphere.
+    error : the largest error that the length of a normal had as it was given.
 
-    Raises InputError, one sentence that names a contact and the likely remedy, where they contradict each other.
+    A normal is replaced only where it agrees with the centres to the digits that it has.
+
+    Raises InputError, one sentence that names a contact and the likely remedy, where the arrays contradict each other.
     """
     if not len(contact):
         return normal
@@ -51,7 +57,12 @@ def agreed(center: np.ndarray, contact: np.ndarray, radius: np.ndarray, normal: 
 
 
 def from_places(center: np.ndarray, contact: np.ndarray, radius: np.ndarray) -> np.ndarray:
-    """Normals (E, D) along the centres; InputError for spheres that do not touch, with the likely remedy."""
+    """Return normals (E, D), unit vectors from the centre of the first to that of the second sphere of each contact.
+
+    center : (N, D), length. contact : (E, 2) numbers of spheres. radius : (N,), length.
+
+    Raises InputError, with the likely remedy, if the spheres of a contact do not touch.
+    """
     if not len(contact):
         return np.zeros((0, center.shape[1]))
     found = _Contacts(center, contact, radius, None)
@@ -68,10 +79,14 @@ def from_places(center: np.ndarray, contact: np.ndarray, radius: np.ndarray) -> 
 
 
 class _Contacts:
-    """Contacts with what their centres say of them. given : normals (E, D), or None: those along the centres.
+    """Contacts, and how far they agree with the centres of their spheres.
 
-    vector : (E, D) between the centres, size (E,) its length, along (E, D) its direction. reach : (E,), sum of the
-    radii. off : (E,), distance of normal and direction. is_direct : (E,), true where both agree, and the distance too.
+    given : normals (E, D) of the user, or None. normal : these, or else `along`.
+    vector : (E, D), from the centre of the first to that of the second sphere. size : (E,), its length. along : (E, D),
+    its direction. reach : (E,), sum of the two radii.
+    off : (E,), distance between the unit vectors `along` and `normal`.
+    touches : (E,), True where `size` is the sum of the radii but for a small gap or overlap.
+    is_direct : (E,), True where the spheres touch and the normal is along the centres: no periodic side is crossed.
     """
 
     def __init__(self, center: np.ndarray, contact: np.ndarray, radius: np.ndarray, normal: np.ndarray | None) -> None:
@@ -85,7 +100,10 @@ class _Contacts:
         self.is_direct = self.touches & (self.off <= SAME_LINE)
 
     def remedy(self) -> str:
-        """The mistake that explains more of the contacts than are right without it, and most of all; or nothing."""
+        """Return the words for the user's mistake that makes most contacts direct, if it is undone.
+
+        The text is empty if no known mistake makes more contacts direct than already are.
+        """
         turned = self.touches & (np.linalg.norm(self.along + self.normal, axis=1) <= SAME_LINE)
         found = [(int(turned.sum()), "normals seem to point from the second sphere to the first, so turn their signs")]
         if self.contact.min() > 0:
@@ -106,19 +124,22 @@ class _Contacts:
         return f"; {words}" if explained > self.is_direct.sum() else ""
 
     def refuse_mistakes(self) -> None:
-        """InputError for what another reading of the same arrays explains better, and for touching spheres whose normal
-        is another one."""
+        """Raise InputError for a known mistake, and for touching spheres whose normal is not along their centres.
+
+        Two spheres with several contacts are left out here, as one of these may cross a periodic side.
+        """
         if words := self.remedy():
-            raise InputError(f"{self._told(self._first())}{words}")
+            raise InputError(f"{self._misfit(self._first())}{words}")
         pair = np.sort(self.contact, axis=1) @ np.array([len(self.center), 1])
         _, group, count = np.unique(pair, return_inverse=True, return_counts=True)
         strange = self.touches & ~self.is_direct & (count[group] == 1)
         if strange.any():
             own = int(np.argmax(strange))
-            raise InputError(f"{self._told(own)}; are normals in the order of the contacts?")
+            raise InputError(f"{self._misfit(own)}; are normals in the order of the contacts?")
 
     def refuse_strange_images(self) -> None:
-        """InputError for contacts of images that fit no periodic side. shift : (X, D), from the image to its sphere."""
+        """Raise InputError if the contacts that are not direct cannot all be contacts across periodic sides."""
+        # where the image of the other sphere is, from either end of the contact: no sphere may be there already
         across = np.flatnonzero(~self.is_direct)
         first, second = self.contact[across].T
         ratio = self.size[self.is_direct] / self.reach[self.is_direct]
@@ -130,22 +151,31 @@ class _Contacts:
             for row, other in near_pairs(place, self.radius[own], self.center, self.radius, SAME_PLACE):
                 if len(row):
                     e = int(across[row[0]])
-                    raise InputError(f"{self._told(e)}; its normal {_short(self.normal[e])} leads to sphere {other[0]}")
+                    raise InputError(
+                        f"{self._misfit(e)}; its normal {_short(self.normal[e])} leads to sphere {other[0]}"
+                    )
+        # shifts (X, D) from an image to its sphere are sums of periods, none much shorter than the largest diameter
         shift, least = self.vector[across] - step, 2 * (1 - OVERLAP / 2) * self.radius.max()
         periods, wrong = _periods(shift, spread * self.reach[across], least)
         if wrong is not None:
-            raise InputError(f"{self._told(int(across[wrong]))}; its normal fits no periodic side that the others have")
+            raise InputError(
+                f"{self._misfit(int(across[wrong]))}; its normal fits no periodic side that the others have"
+            )
+        # no period may put a sphere where another one is
         for period in periods:
             for low, high in self._laid_over(period):
                 if len(low):
                     e = int(across[np.argmin(np.linalg.norm(shift - period, axis=1))])
                     raise InputError(
-                        f"{self._told(e)}; a periodic side that its normal fits would put sphere {low[0]} where sphere "
-                        f"{high[0]} is"
+                        f"{self._misfit(e)}; a periodic side that its normal fits would put sphere {low[0]} where "
+                        f"sphere {high[0]} is"
                     )
 
     def _laid_over(self, period: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Pairs of spheres, of which a period puts the first one where the second is."""
+        """Yield numbers (pairs,) of first spheres and of second ones: the period shifts each first one onto a second.
+
+        period : (D,), length.
+        """
         moved = self.center + period
         low, high = self.center.min(axis=0), self.center.max(axis=0)
         inside = np.flatnonzero(((moved >= low) & (moved <= high)).all(axis=1))
@@ -153,12 +183,14 @@ class _Contacts:
             yield inside[first], second
 
     def _first(self) -> int:
+        """Return the number of the first contact that is not direct."""
         return int(np.argmin(self.is_direct))
 
     def _pair(self, e: int) -> str:
         return " and ".join(map(str, self.contact[e].tolist()))
 
-    def _told(self, e: int) -> str:
+    def _misfit(self, e: int) -> str:
+        """Return the beginning of a message: how contact number e disagrees with its centres."""
         what = f"contact {e} does not fit: spheres {self._pair(e)}"
         if self.touches[e]:
             return f"{what} touch along {_short(self.along[e])} and its normal is {_short(self.normal[e])}"
@@ -166,8 +198,11 @@ class _Contacts:
 
 
 def _periods(shift: np.ndarray, slack: np.ndarray, least: float) -> tuple[np.ndarray, int | None]:
-    """Periods (k, D) of which all shifts (X, D) are sums, to within `slack` (X,), length, none shorter than `least`;
-    and the first shift for which there are none."""
+    """Return periods (k, D), length, of which all shifts are sums, and None; or else the number of a shift that is not.
+
+    shift : (X, D), length. slack : (X,), length, by which each may miss such a sum. least : the shortest length that a
+    period may have. The shortest shift that is no sum becomes another period, until there are more than D.
+    """
     periods, own = np.zeros((0, shift.shape[1])), 0
     order = np.argsort(np.linalg.norm(shift, axis=1), kind="stable")
     for _ in range(MOST_TRIED_PERIODS):
@@ -184,8 +219,11 @@ def _periods(shift: np.ndarray, slack: np.ndarray, least: float) -> tuple[np.nda
 
 
 def _with(periods: np.ndarray, more: np.ndarray, slack: float) -> np.ndarray:
-    """The shortest vectors of the lattice that periods (k, D) and one more make; those within the slack are none. More
-    than D are of no lattice."""
+    """Return the shortest vectors that make the same lattice of points as these periods and one more together.
+
+    periods : (k, D), length. more : (D,). slack : vectors up to this length are taken as 0 and left out. If more than D
+    vectors come out, they make no lattice.
+    """
     found = reduced(np.vstack([periods, more]))
     while len(kept := found[np.linalg.norm(found, axis=1) > slack]) < len(found):
         found = reduced(kept)
@@ -193,4 +231,5 @@ def _with(periods: np.ndarray, more: np.ndarray, slack: float) -> np.ndarray:
 
 
 def _short(vector: np.ndarray) -> str:
+    """Return a vector with four digits of each component, for messages."""
     return "(" + ", ".join(f"{value:.4g}" for value in vector.tolist()) + ")"
