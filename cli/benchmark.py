@@ -16,7 +16,11 @@ USED_BY = {"precision": "kernels"} | dict.fromkeys(("law", "seed", "methods", "p
 
 @click.command()
 @click.argument("what", type=Choice(list(PARTS)), metavar="WHAT")
-@click.option("--parts", metavar="NAME[,NAME...]", help="speed: of kernels, methods, scans, dynamics. [default: all]")
+@click.option(
+    "--parts",
+    metavar="NAME[,NAME...]",
+    help="speed: kernels, methods, scans or dynamics. [default: all]",
+)
 @click.option("--law", multiple=True, metavar="LAW", help="methods: coulomb, viscous or coulomb-viscous; repeatable.")
 @click.option("--seed", default="0", show_default=True, metavar="N", help="methods: seed of the disorder.")
 @click.option("--methods", metavar="NAME[,NAME...]", help="methods: those to compare. [default: all]")
@@ -31,8 +35,8 @@ USED_BY = {"precision": "kernels"} | dict.fromkeys(("law", "seed", "methods", "p
     "--shape", multiple=True, metavar="NX,NY[,NZ]", help="Lattice to measure on instead of the usual ones; repeatable."
 )
 @click.option("--threads", metavar="N[,N...]", help="Numbers of CPU threads. [default: 1 and all; --full: 1, 2, 4 ...]")
-@click.option("--quick", "budget", flag_value="quick", help="Small lattices, some minutes at most.")
-@click.option("--full", "budget", flag_value="full", help="Up to 128,128,128 and 4096,4096; hours.")
+@click.option("--quick", "budget", flag_value="quick", help="Measure small lattices alone; takes some minutes at most.")
+@click.option("--full", "budget", flag_value="full", help="Go on to 128,128,128 and 4096,4096; takes hours.")
 @out_options("Folder for the files. [default: outputs/<time>-benchmark-<id>]")
 @json_option
 @click.pass_context

@@ -247,7 +247,7 @@ FINDINGS = _named(
         Quantity("driven_power", "energy/time", "power of the contacts between driven spheres of a packing"),
         Quantity("slipless_motions", "1", "motions of the free spheres that driven ones reach in a packing, at which"
                  " nothing slips while driven spheres rest"),
-        Quantity("cut_is_unique", "1", "whether every other cut is heavier"),
+        Quantity("cut_is_unique", "1", "whether the minimum cut is the only one: every other cut is heavier"),
         Quantity("next_cut_over_minimum", "1", "weight of the lightest other cut over that of the minimum cut"),
         Quantity("step_error", "1", "error of the spins by the length of the time step, over the largest spin"),
         Quantity("accurate_time_step", "time", "time step that keeps that error below 0.01"),
@@ -320,9 +320,9 @@ STRUCTURE = {
     "bottlenecks": [
         Quantity("connected_pairs", "1", "pairs of a bottom and a top sphere that paths over free spheres join",
                  lambda s: s.bottlenecks.betweenness.pairs),
-        Quantity("mean_distance", "contacts", "mean length of the shortest paths",
+        Quantity("mean_distance", "contacts", "mean number of contacts on a shortest path from bottom to top",
                  lambda s: _if_spans(s, s.bottlenecks.betweenness.mean_distance), r"\langle \ell \rangle"),
-        Quantity("betweenness_is_exact", "1", "shortest paths were counted from all that they start from",
+        Quantity("betweenness_is_exact", "1", "whether shortest paths were counted from all spheres, not from some",
                  lambda s: s.bottlenecks.betweenness.is_exact),
         Quantity("busiest_link_share", "1", "share of the shortest paths through the busiest contact",
                  lambda s: _if_spans(s, s.bottlenecks.share.max(initial=0.0))),
@@ -354,7 +354,7 @@ OF_SCANS = _named(
         Quantity("L", "1", "spheres along a side", symbol="L"),
         Quantity("stiffness", "force/length", "stiffness of the springs", symbol="K_t"),
         Quantity("damping", "force*time/length", "damping of the springs", symbol="A_t"),
-        Quantity("warnings", "1", "where the result could be misread, in sentences with a number"),
+        Quantity("warnings", "1", "sentences with a number that say how the result could be misread"),
         Quantity("sample", "1", "name of the sample, the same for the same settings"),
         Quantity("error", "1", "why the sample has no result"),
     ]

@@ -46,7 +46,7 @@ def study(folder: Path, effort: Effort) -> Found:
     rigid = [relax_rigidly(rigid_scene, start) for start in each(tuple(STARTS), "rigid relaxation")]
     with stage(f"minima of {counted(effort.samples, 'sample')}"):
         minima = minima_of(draw(SHAPE, replicas=effort.samples))
-    with stage("minima of larger samples"):
+    with stage("finding the minima of larger samples"):
         larger = minima_of(draw(LARGER, replicas=min(LARGER_SAMPLES, effort.samples)))
     spheres = intermediate_spheres(scene, minima.spin[: scene.replicas])
     named = names_of(runs, stiffer, rigid, minima, larger) | {"intermediate": spheres, "seeds": scene.seeds}

@@ -209,7 +209,7 @@ def read_scan(scan: Path) -> StoredScan:
             raise InputError("the edges of its histograms are no powers of its bins")
         counts = SampleCounts(first, BINS_PER_DECADE, count, np.stack(of_states, axis=1))
         if count.shape[1:] != (max(len(edges) - 1, 0),):
-            raise InputError("its histograms have other bins than edges")
+            raise InputError(f"its histograms have {count.shape[1]} bins but {len(edges)} edges")
         found = StoredScan(path, attributes_of(file), tuple(map(str, file.attrs["scanned"])), table, counts)
     if any(isinstance(gap, float) and is_crossed(None, None, gap) for gap in found.table.get("gap", ())):
         raise FileError(f"{path} has a lower bound above its power; it is damaged or was changed")

@@ -221,5 +221,5 @@ def _filling(cover: _Cover, place: np.ndarray) -> np.ndarray:
     source, sink = np.maximum(need, 0), np.maximum(-need, 0)
     flow[flat], into, _ = exact_flow(ends, cover.weight[flat], source, sink)
     if (into != source).any():
-        raise RuntimeError("a largest flow does not fill the nested cuts")
+        raise RuntimeError("internal check failed: the maximum flow does not fill the minimum cuts; please report it")
     return flow

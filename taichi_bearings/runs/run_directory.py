@@ -47,7 +47,7 @@ class RunDirectory:
                 exchange(self.partial, self.path)
                 shutil.rmtree(self.partial, ignore_errors=True)
             else:
-                raise FileExistsError(errno.EEXIST, "something else was created there meanwhile")
+                raise FileExistsError(errno.EEXIST, "another program created something there in the meantime")
 
 
 @contextlib.contextmanager

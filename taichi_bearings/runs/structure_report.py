@@ -12,7 +12,7 @@ from taichi_bearings.runs.run_layout import AXES
 
 # fmt: off
 ON_SPHERES = (
-    Quantity("domain", "1", "rigid domain: spheres that slipless contacts make turn as one; the largest is 0",
+    Quantity("domain", "1", "rigid domain, whose spheres turn as one by slipless contacts; number 0 is the largest",
              lambda s: s.rigid_domains.domain.astype(np.int32)),
     Quantity("component", "1", "connected piece of the slipless network; 0 holds the bottom plane or the first body",
              lambda s: s.network.component.astype(np.int32)),

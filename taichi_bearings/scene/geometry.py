@@ -167,8 +167,8 @@ class _Contacts:
                 if len(low):
                     e = int(across[np.argmin(np.linalg.norm(shift - period, axis=1))])
                     raise InputError(
-                        f"{self._misfit(e)}; a periodic side that its normal fits would put sphere {low[0]} where "
-                        f"sphere {high[0]} is"
+                        f"{self._misfit(e)}; its normal crosses a periodic side by which sphere "
+                        f"{low[0]} would lie on sphere {high[0]}"
                     )
 
     def _laid_over(self, period: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:

@@ -365,7 +365,10 @@ class Packing(Bearing):
             ids = found.pop("id", None)
             return found | ({} if contacts is None else read_contacts(Path(contacts), ids, len(found["center"])))
         if contacts is not None:
-            raise InputError(f"contacts is {shown(str(contacts))}, but {path} is no table (.csv) and has its own")
+            raise InputError(
+                f"contacts is {shown(str(contacts))}, but {path} already holds contacts; only a table "
+                "(.csv) takes them from another file"
+            )
         try:
             found = read_arrays(path, NEEDED, OPTIONAL)
         except FileError as error:

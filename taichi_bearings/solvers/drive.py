@@ -491,9 +491,9 @@ class _Best:
         each, whole = (self.scene.replicas,), ("objective", "lower_bound", "largest_balance_residual")
         fits = best["staggered"].shape == still.shape and best["force"].shape == self.proof.shape
         if not fits or any(best[name].shape != each or not np.isfinite(best[name]).all() for name in whole):
-            raise ValueError("best holds something else than a state of this scene")
+            raise ValueError("the best state that is stored is none of this scene")
         if not (np.isfinite(best["staggered"]).all() and np.isfinite(best["force"]).all()):
-            raise ValueError("best holds numbers that are not finite")
+            raise ValueError("the best state that is stored holds numbers that are not finite")
         best |= {name: best[name].astype(bool) for name in ("settled", "states_believed") if name in best}
         best["iteration"] = int(best["iteration"])
         self.progress = Progress(spin_axes=spin_axes, findings=findings, **best)

@@ -347,15 +347,15 @@ class CundallStrack(Motion):
     slipping_spring: str = material(
         "reset",
         OneOf("reset", "relax"),
-        "While a contact slips its spring is reset to carry the friction alone, as in the paper, or relaxes to that "
-        "through its damper, so that no spring jumps and the course has a limit for short time steps.",
+        "What a spring does while its contact slips: it is reset to carry the friction alone, as in the paper; "
+        "or it relaxes to that through its damper, so that no spring jumps and results converge for short time steps.",
         rare=True,
     )
     rest_tolerance: float = _rest_tolerance(1e-9)
     static_ratio: float = material(
         1.0, Kind(bounded(real, 1), "1 or more", "NUMBER"), "Static over kinetic friction, mu_s/mu_k.", rare=True
     )
-    gear_order: int = how(2, whole(2, 5), "Derivatives that the predictor keeps.", rare=True)
+    gear_order: int = how(2, whole(2, 5), "Number of time derivatives that Gear's predictor keeps.", rare=True)
     energy: bool = how(False, TRUTH, "Keep an energy balance; a step takes a third longer.", rare=True)
 
     def after_slip(self, span: float) -> tuple[float, float]:

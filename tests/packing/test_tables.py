@@ -76,7 +76,7 @@ WRONG = [
     ({"periodic": (3, 3)}, "it must be 3 lengths"),
     ({"periodic": (1.0, 3, 0)}, "each length must be larger than the largest sphere"),
     ({"periodic": (3, 3, 4)}, "z is periodic, so there is no bottom"),
-    ({"driven": [5] + [-1] * 35}, "driven of sphere 0 is 5; without spins there are the bodies 0"),
+    ({"driven": [5] + [-1] * 35}, "driven of sphere 0 is 5; without an array spin only body 0"),
 ]
 
 

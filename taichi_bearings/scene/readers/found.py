@@ -31,7 +31,7 @@ class Sides:
         if (beyond := driven >= SIDES).any():
             own = int(np.argmax(beyond))
             words = f"driven of sphere {own} is {driven[own]}"
-            raise InputError(f"{words}; without spins there are the bodies 0, the bottom, and 1, the top")
+            raise InputError(f"{words}; without an array spin only body 0, the bottom, and body 1, the top, are known")
         rate = np.array([finite_number(name, getattr(self, name)) for name in ("spin_bottom", "spin_top")])
         spin = np.where(driven >= 0, rate[np.maximum(driven, 0)], 0.0)
         if dimension == 2:

@@ -158,7 +158,7 @@ def _centers(frame: Frame, names: list[str], place: np.ndarray, asked: Asked) ->
     """Centres (N, D), length. names : of the columns `place`, which are lengths or shares of the box."""
     if "s" in names[0]:
         if frame.box is None:
-            raise FileError(f"{frame.path} has shares of a box, but no box at timestep {frame.step}")
+            raise FileError(f"{frame.path} has scaled coordinates (xs, ys, zs), but no box at timestep {frame.step}")
         shares = np.column_stack([place, np.zeros((len(place), 3 - place.shape[1]))])
         place = frame.box.places(shares)
     if asked.dimension == 2 and place.shape[1] == 3 and len(place):
