@@ -1,13 +1,15 @@
-"""Rigorous bounds on the least dissipation of any network, from its spins and its friction: theorem 1.
+"""Rigorous bounds on the least potential (dissipation) of any network, from its spins and its friction: theorem 1.
 
-For any friction F, of which s F with s <= 1 stays inside the discs of contacts without viscosity, and torques r on free
-spheres that it leaves over,
+Letters: R samples, n free and driven spheres and m contacts of all samples; F friction, r the torques over the radius
+that it leaves over on free spheres, u* spins at which the potential is least, s a factor of at most 1.
+
+For any friction F of which s F stays inside the discs of contacts without viscosity,
 
     least potential >= s (work of the driven spheres + sum r . u*) - sum max(s |F| - mu F_n, 0)^2 / (2 eta)
 
-at any spins u* at which the potential is least. Where components do not mix (discs; normals along the axes) clipping
-every component to the largest size imposed lengthens no slip, and on lattices to what is between the planes, layer by
-layer: so some u* lies within, and the least that r can do there counts. On other networks springs take r away
+Where components do not mix (discs; normals along the axes) clipping every component of the spins to the largest size
+imposed lengthens no slip. On lattices they may be clipped to what is between the planes, layer by layer. So some u*
+lies within that box, and the least value of r . u* in the box counts. On other networks springs take r away
 (springs.py).
 """
 
@@ -21,19 +23,27 @@ from taichi_bearings.proof.enclosure import UP, Enclosure, in_cache, row_sum
 from taichi_bearings.proof.judged_network import JudgedNetwork
 from taichi_bearings.proof.springs import Springs, natural, rolling
 
-FASTEST_COMPARED = 1e6  # times the fastest imposed surface, up to which spins are compared
-PAID = 1e-10  # of the potential, that a proof for all spins may cost
-LEAST_POWER = 1e-3  # of the natural power, for which the springs are made at least
-DOUBLE_ERROR = 1e-12  # more than doubles are off
+FASTEST_COMPARED = 1e6  # surface speed over the fastest imposed one, up to which a restricted bound is proven
+PAID = 1e-10  # share of the potential that a bound proven of all spins may cost; else a restricted one is given
+LEAST_POWER = 1e-3  # share of the natural potential; springs are made for no smaller one
+DOUBLE_ERROR = 1e-12  # relative error, amply, of a quotient found in plain doubles
 PROVEN, WITHIN = "proven", f"proven of all spins up to {FASTEST_COMPARED:.0e} times the fastest imposed"
 
 
 @dataclass(frozen=True)
 class Bounds:
-    """upper, lower : (R,), of the least potential, in units of power; of the spins, and of the friction. proof :
-    PROVEN, or what `lower` is restricted to. excess : (R,), of the spins over what the friction proves. friction : F in
-    balance, where components mix. worst : (R,), 1 / s. size : (m,), s |F|. largest_torque, price : (R,), of the
-    friction as it is stored; what its torques may cost at spins within the box."""
+    """Bounds on the least potential of each sample, in units of power, and what they rest on.
+
+    upper, lower : (R,), the potential of the stored spins, rounded up, and what the friction proves, rounded down.
+    excess : (R,), bound E on the potential of the stored spins less what the friction proves, 0 or more.
+    size : (m,), s |F|.
+    worst : (R,), 1 / s.
+    proof : PROVEN, or the words that restrict `lower` to slower spins.
+    largest_torque : (R,), largest torque over the radius that the stored friction leaves over.
+    price : (R,), what these torques may cost at spins within the box.
+    springs : those that take torques away, where components mix; None elsewhere, or if there are none.
+    friction : F by component after springs have balanced it, where components mix; else empty.
+    """
 
     network: JudgedNetwork
     upper: np.ndarray
@@ -49,17 +59,23 @@ class Bounds:
 
     @classmethod
     def of(cls, network: JudgedNetwork) -> Bounds:
+        """Find the bounds of a network by theorem 1."""
         potential, layered = network.dissipated(0.5), network.graph.layered
+        # Upper bound: any spins have a potential that is not below the least, but spins that cannot exist prove
+        # nothing.
         upper = potential.upper()
         if layered:
             upper = np.where(network.motion.torn, np.inf, upper)
         if network.mixes and upper > 0:
             network = replace(network, rolling=rolling(network))
+        # Lower bound: price of the torques that the friction leaves over, within the box.
         count, friction, springs, proof = network.count, network.own_friction, None, PROVEN
         torques = network.own_torques
         left = np.array([_largest(network, torque) for torque in torques])
         paid = price = _price(network, torques)
         if network.mixes and upper > 0:
+            # Without a box springs take the torques away. What rounding leaves is paid for at the largest spins of some
+            # minimum, or, where these are not known to be small, at the fastest that are compared.
             springs = Springs.of(network, max(float(upper[0]), LEAST_POWER * float(natural(network)[0])))
             fastest, reach = FASTEST_COMPARED * float(network.box.max(initial=0.0)), np.inf
             if springs is not None:
@@ -68,12 +84,15 @@ class Bounds:
             rest = float(np.sum([part.most[network.reached].sum() for part in torques])) * UP
             proof = PROVEN if reach <= fastest or reach * rest <= PAID * upper[0] else WITHIN
             paid = Enclosure.exact(np.array([rest * (reach if proof == PROVEN else fastest)]))
+        # Work of the driven spheres, less that price.
         work = -paid
         for torque, imposed in zip(torques, network.imposed, strict=True):
             held = np.flatnonzero(imposed.high)
             if len(held):
                 work = work + row_sum((torque.at(held) * imposed.at(held)).reshaped((count, -1)))
         size = network.graph.lengths(friction)
+        # Divide F by its worst ratio to the limit, over contacts without viscosity, and subtract what viscous contacts
+        # cost.
         hard, soft = (
             np.flatnonzero(network.counts & some) for some in (network.slope.high == 0, network.slope.high > 0)
         )
@@ -92,14 +111,15 @@ class Bounds:
 
 
 def _largest(network: JudgedNetwork, torque: Enclosure) -> np.ndarray:
-    """(R,), of the torques on free spheres that are reached."""
+    """(R,), largest size of a torque among free spheres that are reached. torque : one component, (n,)."""
     if not torque.high.any():
         return np.zeros(network.count)
     return np.where(network.reached, torque.most, 0.0).reshape(network.count, -1).max(axis=1, initial=0.0)
 
 
 def _price(network: JudgedNetwork, torques: list[Enclosure]) -> Enclosure:
-    """(R,), what torques on free spheres may take from the work at spins within what is imposed."""
+    """(R,), bound on how much torques on free spheres reduce the work at spins within the box. torques : by component,
+    (n,)."""
     total, taken_of = Enclosure.exact(np.zeros(network.count)), _taken_between if network.graph.layered else _taken
     for torque, reach, size in zip(torques, network.reach, network.box, strict=True):
         if size and (torque.high.any() or torque.error.any()):
@@ -110,19 +130,22 @@ def _price(network: JudgedNetwork, torques: list[Enclosure]) -> Enclosure:
 
 @in_cache
 def _taken(torque: Enclosure, reach: Enclosure, some: np.ndarray) -> Enclosure:
-    """Of some spheres, what a torque may take at spins between reach and its negative; 0 of others."""
+    """(n,), size of a torque times `reach`, the largest spin, for the spheres of the mask `some` (n,), 0 for others:
+    what it may take from the work at spins between reach and its negative."""
     return Enclosure.exact(np.where(some, torque.most, 0.0)) * abs(reach)
 
 
 @in_cache
 def _taken_between(torque: Enclosure, reach: Enclosure, some: np.ndarray) -> Enclosure:
-    """At spins between 0 and reach: none if they have the sign of the torque for sure."""
+    """(n,), what a torque may take from the work at spins between 0 and reach: nothing where spin and torque surely
+    have one sign. some : (n,) mask of spheres that are charged."""
     gives = np.sign(reach.high) * torque.high >= torque.error + np.abs(torque.low)
     return _taken(torque, reach, some & ~gives)
 
 
 def _worst(network: JudgedNetwork, size: Enclosure, hard: np.ndarray) -> np.ndarray:
-    """(R,), largest size / holding of some contacts, 1 at least, rounded up: of those that are about as large."""
+    """(R,), the largest ratio size / holding over the contacts `hard` (numbers), at least 1, rounded up. Only contacts
+    whose ratio in doubles is about the largest are computed with enclosures."""
     found, about = np.ones(network.count), np.zeros(len(network.acts))
     about[hard] = size.high[hard] / network.holding.high[hard]
     most = about.reshape(network.count, -1).max(axis=1, initial=1.0)

@@ -1,6 +1,9 @@
-"""Elimination of a sparse symmetric matrix, R^T R or not, part by part of a nested dissection (multifrontal: Liu, SIAM
-Review 34, 1992), and how far the matrix can be from the product of the factors that floating point has found. The
-floors of theorems 2 and 7 are proven by it.
+"""Elimination (Cholesky factorisation) of a sparse symmetric matrix, and a bound on how far the matrix is from the
+product of the factors that floating point has found. The floors of theorems 2 and 7 are proven by it.
+
+The unknowns are ordered by nested dissection and eliminated front by front (multifrontal: Liu, SIAM Review 34, 1992): a
+front has unknowns of its own, and a border of later unknowns to which it passes on an update. Letters: n unknowns, L
+the factor.
 """
 
 from __future__ import annotations
@@ -18,13 +21,17 @@ from taichi_bearings.dissection import dissected
 from taichi_bearings.proof.enclosure import UP
 
 EPS = np.finfo(np.float64).eps
-REGION_UNKNOWNS = 150  # unknowns of a region that is not divided
+REGION_UNKNOWNS = 150  # number of unknowns up to which a region is not divided
 
 
 @dataclass(frozen=True)
 class Front:
-    """Unknowns first ... first + own - 1 in the order of elimination, and the sorted later ones that they touch, once
-    all before them are eliminated. children : numbers of the fronts whose updates come in here."""
+    """A group of unknowns that are eliminated together.
+
+    first, own : its unknowns are first ... first + own - 1 in the order of elimination.
+    border : sorted numbers of the later unknowns that they touch, once all before them are eliminated.
+    children : numbers of the fronts whose updates go into this one.
+    """
 
     first: int
     own: int
@@ -33,13 +40,18 @@ class Front:
 
     @cached_property
     def places(self) -> np.ndarray:
+        """Numbers of its unknowns, then those of its border."""
         return np.append(np.arange(self.first, self.first + self.own), self.border)
 
 
 @dataclass(frozen=True)
 class Elimination:
-    """Of matrices (n, n) that differ by multiples of one. order : unknown at each place. lower : triangle of the matrix
-    in this order. fronts : children before parents."""
+    """How to eliminate a matrix (n, n), or the matrix less any multiple of the identity.
+
+    order : (n,), the unknown at each place of the order of elimination.
+    lower : lower triangle of the matrix in this order.
+    fronts : all fronts, children before parents.
+    """
 
     order: np.ndarray
     lower: sparse.csc_array
@@ -47,12 +59,13 @@ class Elimination:
 
     @classmethod
     def of(cls, matrix: sparse.csc_array, place: np.ndarray) -> Elimination:
-        """place : (d, n), where each unknown is."""
+        """Order the unknowns of a matrix, and find the fronts. place : (d, n), where each unknown is."""
         parts = dissected(matrix, place, REGION_UNKNOWNS)
         order = np.concatenate([part.nodes for part in parts])
         lower = sparse.csc_array(sparse.tril(matrix[order][:, order], format="csc"))
         fronts: list[Front] = []
         touched = np.zeros(len(order), dtype=bool)
+        # The border of a front: what its columns of the matrix and the borders of its children touch beyond it.
         for part, end in zip(parts, np.cumsum([len(part.nodes) for part in parts]).tolist(), strict=True):
             first = end - len(part.nodes)
             rows = [lower.indices[lower.indptr[first] : lower.indptr[end]]]
@@ -66,20 +79,25 @@ class Elimination:
 
     @property
     def size(self) -> int:
+        """The number n of unknowns."""
         return len(self.order)
 
     def columns(
         self, shift: float, least: float = 0.0, held: np.ndarray | None = None
     ) -> Iterator[tuple[Front, np.ndarray | None]]:
-        """Of the factor of the matrix less a multiple of one, the own columns (own + border, own) front by front; None,
-        and no more, where a pivot is not positive. held : (n,), in which those are noted, in the order of elimination,
-        that leave no pivot above `least`: they are taken out of the matrix."""
+        """Yield, front by front, its columns (own + border, own) of the factor of the matrix less `shift` times the
+        identity; None, and nothing more, where a pivot is not positive.
+
+        held : (n,), filled with a mask, in the order of elimination, of unknowns that leave no pivot above `least`:
+            these are taken out of the matrix. No unknown is taken out if it is not given.
+        """
         updates: dict[int, np.ndarray] = {}
         local = np.empty(self.size, dtype=np.int64)
         for number, front in enumerate(self.fronts):
             own, places = front.own, front.places
             local[places] = np.arange(len(places))
             whole = self._assembled(front, local, shift)
+            # add the updates of the children, eliminate the own unknowns, and leave the update for the parent
             for child in front.children:
                 _add_at(whole.T, local[self.fronts[child].border], updates.pop(child).T)
             if held is not None:
@@ -99,7 +117,8 @@ class Elimination:
             yield front, np.concatenate([factor, below])
 
     def _assembled(self, front: Front, local: np.ndarray, shift: float) -> np.ndarray:
-        """The entries in the own columns of a front, in a square for all its unknowns."""
+        """Square matrix over all places of a front, with the entries of its own columns, less the shift. local : (n,),
+        row in the front of each place."""
         begin = self.lower.indptr[front.first : front.first + front.own + 1]
         at, own = slice(begin[0], begin[-1]), np.arange(front.own)
         whole = np.zeros((len(front.border) + front.own,) * 2, order="F")
@@ -108,18 +127,19 @@ class Elimination:
         return whole
 
     def distance_from_positive(self, shift: float) -> float | None:
-        """Bound, in the spectral norm, of how far the matrix less a multiple of one is from a positive semidefinite
-        one: L L^T, with the factor that elimination in floating point has found. None if a pivot is not positive.
+        """Bound, in the spectral norm, on the distance between the matrix less `shift` times the identity and a
+        positive semidefinite matrix: L L^T with the computed factor L. None if a pivot is not positive.
 
-        The product of the computed factors differs from the matrix by at most gamma |L| |L|^T (Higham, Accuracy and
-        Stability of Numerical Algorithms, 2002, theorem 10.3, whatever the order of the sums). With positive numbers x
-        the norm of W W^T, W without negative entries, is at most the largest of (W W^T x) / x (Collatz and Wielandt).
+        The product of the computed factors differs from the matrix by at most gamma |L| |L|^T, entry by entry, with
+        gamma = t EPS / (1 - t EPS) for sums of t terms in any order (Higham, Accuracy and Stability of Numerical
+        Algorithms, 2002, theorem 10.3). With positive numbers x the norm of W W^T, W without negative entries, is at
+        most the largest of (W W^T x) / x (Collatz and Wielandt).
         """
-        terms = np.full(self.size, 2)  # and entries in each row of L
+        terms = np.full(self.size, 2)  # t for each row: the number of its entries in L, and two more
         for front in self.fronts:
             terms[front.first : front.first + front.own] += np.arange(1, front.own + 1)
             terms[front.border] += front.own
-        gamma = terms * EPS / (1 - terms * EPS) + 8 * EPS
+        gamma = terms * EPS / (1 - terms * EPS) + 8 * EPS  # 8 EPS more than the theorem asks for
         root, total = np.sqrt(gamma), np.zeros(self.size)
         for front, columns in self.columns(shift):
             if columns is None:
@@ -129,8 +149,8 @@ class Elimination:
         return float((root * total).max(initial=0.0)) * UP
 
     def dependent(self, least: float) -> np.ndarray:
-        """(n,) mask of unknowns that, held at 0, leave pivots above `least` alone: as far as rounding lets one see, one
-        for each eigenvalue of 0."""
+        """(n,) mask of unknowns that, held at 0, leave only pivots above `least`: as far as doubles show, one for each
+        eigenvalue 0. All of them if elimination fails."""
         held = np.zeros(self.size, dtype=bool)
         if any(columns is None for _, columns in self.columns(0.0, least, held)):
             held[:] = True
@@ -139,7 +159,7 @@ class Elimination:
         return found
 
     def factorised(self, shift: float = 0.0) -> Factor | None:
-        """Of the matrix less a multiple of one; None if a pivot is not positive."""
+        """The factor of the matrix less `shift` times the identity; None if a pivot is not positive."""
         found = []
         for front, columns in self.columns(shift):
             if columns is None:
@@ -149,8 +169,8 @@ class Elimination:
 
 
 def _refuse_disorder(order: np.ndarray, fronts: list[Front]) -> None:
-    """RuntimeError unless each unknown is eliminated once, and what a front leaves goes into one later front that has
-    room for it. Then the order proves nothing, whoever has found it: any other would do."""
+    """Raise RuntimeError unless each unknown is eliminated once, and the update of each front goes into one later front
+    that has room for it. Nothing else about the order matters for the proof."""
     parent = np.full(len(fronts), -1)
     for number, front in enumerate(fronts):
         if (parent[front.children] >= 0).any() or any(child >= number for child in front.children):
@@ -162,7 +182,7 @@ def _refuse_disorder(order: np.ndarray, fronts: list[Front]) -> None:
 
 
 def _add_at(whole: np.ndarray, places: np.ndarray, part: np.ndarray) -> None:
-    """whole[places, places] += part, in rows as a whole: a third of the time."""
+    """Add `part` (k, k) to the entries of `whole` at `places` (k,), in place; by whole rows, in a third of the time."""
     rows = np.zeros((len(part), len(whole)))
     rows[:, places] = part
     whole[places] += rows
@@ -170,13 +190,14 @@ def _add_at(whole: np.ndarray, places: np.ndarray, part: np.ndarray) -> None:
 
 @dataclass(frozen=True)
 class Factor:
-    """L of an elimination, the columns of all fronts."""
+    """The factor L of an elimination: the columns of each front, in the order of elimination."""
 
     order: np.ndarray
     columns: list[tuple[Front, np.ndarray]]
 
     def solve(self, right: np.ndarray) -> np.ndarray:
-        """Solutions (n,) or (n, m) for as many right-hand sides."""
+        """Solution of L L^T x = right in the original order of unknowns. right : (n,), or (n, m) for several right-hand
+        sides."""
         x, own = right.reshape(len(right), -1)[self.order], [slice(f.first, f.first + f.own) for f, _ in self.columns]
         for (front, block), at in zip(self.columns, own, strict=True):
             x[at] = dtrsm(1.0, block[: front.own], x[at], lower=1)

@@ -1,17 +1,23 @@
-"""Springs that take torques away where components mix, and the largest spins of some minimum: theorem 2.
+"""Springs that take leftover torques away where components mix, and the largest spins of some minimum: theorem 2.
 
-No box of imposed spins holds there. Springs q take the torques r away, F - q (K z) with K^T q K z = r, until some 1e-30
-of them are left: these are paid for at the largest spins that some u* can have. With Phi the potential of any spins,
-each contact has q |y*|^2 <= phi(y*) / Phi for q = w w_min / Phi^2 with w = mu F_n, or eta / (2 Phi). So the norm of
-q^1/2 y* is at most 1, and
+Letters: N spheres, E contacts, n unknown components of free spins; K the matrix (3 E, n) of slips, b the slips of what
+is imposed, y* and u* slips and spins of a minimum; q the stiffnesses of the springs; D the diagonal scale of the
+unknowns; sigma a proven floor; r torques that are left over; w = mu F_n.
+
+Where components mix no box of imposed spins holds. Springs q take the torques r away: F - q (K z), where z solves K^T q
+K z = r, until rounding leaves some 1e-30 of them. These are paid for at the largest spins that some u* can have. With
+Phi the potential of any spins, each contact has q |y*|^2 <= phi(y*) / Phi for q = w w_min / Phi^2, or q = eta / (2
+Phi). As the potentials phi(y*) sum up to at most Phi, the norm of q^1/2 y* is at most 1, and
 
     |D^-1 u*| <= (1 + |q^1/2 b|) / sigma,    sigma^2 <= least eigenvalue of D K^T q K D,
 
-a floor that an elimination proves. Spheres whose contacts all have one direction can turn about it without any slip:
-the largest component of that is held at 0. Spheres whose contacts bear nothing, and whose spins make any slips of these
-contacts whatever (their rows of K are independent, by a floor of K K^T), let them roll at every minimum and are left
-out, with all that is loose among them. If other motions slip by no more than rounding no floor is found, and the bound
-is one on spins up to so many times the fastest imposed one alone.
+a floor that an elimination proves.
+
+Two kinds of free motion would make sigma 0. Spheres whose contacts all have one direction can turn about it without any
+slip: the largest component of that direction is held at 0. Spheres that contacts with (nearly) no friction at hand
+hold, and whose spins can make any slips of these contacts whatever (their rows of K are independent, by a floor of K
+K^T), let these contacts roll at every minimum; such spheres are left out. If other motions slip by no more than
+rounding, no floor is found, and the bound holds only for spins up to some multiple of the fastest imposed one.
 """
 
 from __future__ import annotations
@@ -28,13 +34,13 @@ from taichi_bearings.proof.judged_network import JudgedNetwork
 from taichi_bearings.proof.listed import moments
 from taichi_bearings.proof.rounded_elimination import EPS, Elimination
 
-ROUNDS, SHIFT = 2, -1e-13  # of the springs, and what keeps slipless motions from being divided by 0
-UNSTRESSED = 1e-6  # of its friction, or of the largest force, below which a contact may bear nothing
+ROUNDS, SHIFT = 2, -1e-13  # number of solves; minus what is added to the diagonal, so that pivots stay positive
+UNSTRESSED = 1e-6  # force over mu F_n, or over the largest force, below which a contact is tried as bearing nothing
 
 
 def natural(network: JudgedNetwork) -> np.ndarray:
-    """(R,), potential of all contacts that act if they slipped by the imposed jump, or the largest imposed spin; of
-    packings by the largest imposed component."""
+    """(R,), the potential if all contacts that act slipped by the imposed jump (lattices; the imposed spin without a
+    jump) or by the largest imposed component (packings)."""
     fastest = network.graph.natural_speed(network.box, network.speed_unit)
     own = np.flatnonzero(network.acts)
     holding, slope = (network.by_sample(values.at(own), own).value for values in (network.holding, network.slope))
@@ -43,7 +49,12 @@ def natural(network: JudgedNetwork) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Springs:
-    """weight : q, (E,). number : (N, 3) of each unknown, or -1. form : K^T q K, D its scale."""
+    """Springs at the contacts of a network whose components mix.
+
+    weight : (E,), stiffnesses q.
+    number : (N, 3), number of each unknown, -1 where there is none.
+    form : K^T q K, scaled by D.
+    """
 
     network: JudgedNetwork
     weight: np.ndarray
@@ -52,7 +63,7 @@ class Springs:
 
     @classmethod
     def of(cls, network: JudgedNetwork, potential: float) -> Springs | None:
-        """None where some unknown slips nowhere."""
+        """Springs for minima whose potential is at most `potential`; None if some unknown changes no slip."""
         holding, slope = (np.where(network.counts, v.value, 0.0) for v in (network.holding, network.slope))
         least = holding[holding > 0].min(initial=np.inf)
         with np.errstate(all="ignore"):
@@ -66,7 +77,8 @@ class Springs:
         return None if form is None else cls(network, weight, number, form)
 
     def balanced(self) -> tuple[list[Enclosure], list[Enclosure]]:
-        """The friction less what springs take from it, and torques that are left."""
+        """The friction less what springs take from it, and the torques that are left over: two lists by component, (E,)
+        and (N,)."""
         network, factor = self.network, self.form.elimination.factorised(SHIFT)
         torques, there, fine = network.torques(network.own_moment), self.number >= 0, network.own_friction
         if factor is None:
@@ -82,7 +94,7 @@ class Springs:
 
     @property
     def reach(self) -> float:
-        """No component of a free spin of some minimum is larger."""
+        """Upper bound on the size of every component of free spins at some minimum; infinite if no floor is proven."""
         with np.errstate(all="ignore"):
             floor = self.form.floor()
         if floor is None:
@@ -93,17 +105,19 @@ class Springs:
 
 
 def weighed(network: JudgedNetwork, rows: sparse.csr_array, weight: np.ndarray, number: np.ndarray) -> Form | None:
-    """Of rows, each times its weight, over the unknowns of these numbers (N, 3)."""
+    """The quadratic form of `rows` (3 E, n), each multiplied by its `weight` (3 E,); None if a column is 0. number :
+    (N, 3), numbers of the unknowns, as of :class:`Springs`."""
     rows = sparse.csr_array(sparse.diags_array(weight) @ rows)
     rows.eliminate_zeros()
-    doubt = sparse.csr_array((16 * EPS * np.abs(rows.data), rows.indices, rows.indptr), shape=rows.shape)
+    doubt = sparse.csr_array((16 * EPS * np.abs(rows.data), rows.indices, rows.indptr), shape=rows.shape)  # amply
     return Form.of(rows, doubt, network.graph.place[np.nonzero(number >= 0)[0]].T)
 
 
 def rolling(network: JudgedNetwork) -> np.ndarray:
-    """(N,) mask of free spheres that let all their contacts roll, whatever the others do."""
+    """(N,) mask of free spheres that can let all their contacts roll, whatever the other spheres do."""
     size = np.sqrt((network.graph.friction**2).sum(axis=1))
     small = UNSTRESSED * np.where(network.holding.high > 0, network.holding.high, size.max(initial=0.0))
+    # Candidates are spheres all of whose contacts bear (nearly) nothing.
     ends = network.graph.contact[:, network.counts & (size > small)]
     some = network.reached.copy()
     some[ends.ravel()] = False
@@ -112,6 +126,7 @@ def rolling(network: JudgedNetwork) -> np.ndarray:
     label = pieces(len(some), first[inner], second[inner])
     if _independent(network, some):
         return some
+    # Keep the parts of them for which independence is proven.
     for part in np.unique(label[some]):
         own = some & (label == part)
         if not _independent(network, own):
@@ -120,7 +135,8 @@ def rolling(network: JudgedNetwork) -> np.ndarray:
 
 
 def _independent(network: JudgedNetwork, some: np.ndarray) -> bool:
-    """True if the spins of some spheres (N,) can make any slips whatever of all their contacts that count."""
+    """True if the spins of the spheres in the mask `some` (N,) are proven to make any slips whatever of all their
+    contacts that count."""
     number = np.full((len(some), 3), -1)
     number[some] = np.arange(3 * some.sum()).reshape(-1, 3)
     return floor_of_slips(network, number, network.counts & some[network.graph.contact].any(axis=0)) is not None
@@ -129,8 +145,13 @@ def _independent(network: JudgedNetwork, some: np.ndarray) -> bool:
 def floor_of_slips(
     network: JudgedNetwork, number: np.ndarray, contacts: np.ndarray, sharp: bool = False
 ) -> float | None:
-    """Of K K^T of these contacts (m,) over the unknowns of these numbers (n, 3): two components of each slip, which are
-    enough across n. Infinite of no contact; None if there is no floor. sharp : as of :func:`proven_floor`."""
+    """Proven floor of the eigenvalues of K K^T for the contacts of a mask (E,); infinite for no contact, None if there
+    is none.
+
+    number : (N, 3), numbers of the unknowns, -1 where there is none. sharp : as of :func:`proven_floor`. Of each slip
+        only the two components are used that are not the largest of its normal: as a slip is across the normal, they
+        fix it.
+    """
     count = len(contacts)
     own = np.ones((3, count), dtype=bool) & contacts
     own[np.argmax(np.abs(network.graph.normal), axis=1), np.arange(count)] = False
@@ -148,12 +169,13 @@ def floor_of_slips(
 
 
 def rounding_of(rows: sparse.csr_array) -> sparse.csr_array:
-    """By how much entries that are rounded once differ from what they stand for."""
+    """Bounds on the errors of the entries of `rows` if each of them was rounded once."""
     return sparse.csr_array((EPS * np.abs(rows.data), rows.indices, rows.indptr), shape=rows.shape)
 
 
 def slip_rows(network: JudgedNetwork, number: np.ndarray) -> sparse.csr_array:
-    """K (3 E, n), exactly: component by component of (u_i + u_j) x n."""
+    """The matrix K (3 E, n) of slips (u_i + u_j) x n, component by component, exactly. number : (N, 3), column of each
+    component of u, -1 for what is not an unknown."""
     count, turned = len(network.graph.normal), [(1, 2), (2, 0), (0, 1)]
     rows, columns, values = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)], [np.zeros(0)]
     for end in network.graph.contact:
@@ -171,7 +193,8 @@ def slip_rows(network: JudgedNetwork, number: np.ndarray) -> sparse.csr_array:
 
 
 def turning_freely(network: JudgedNetwork) -> np.ndarray:
-    """(N, 3) mask of the largest component of the one direction that all contacts of a sphere have, bit by bit."""
+    """(N, 3) mask: for spheres whose contacts all have one direction, bit by bit or with the opposite sign, the largest
+    component of that direction. They can turn about it without slip."""
     normal = network.graph.normal[network.counts]
     large = np.argmax(np.abs(normal), axis=1)
     turned = normal * np.sign(normal[np.arange(len(normal)), large])[:, None]
