@@ -3,6 +3,10 @@
 I dw/dt = sum of r x F (paper Eq. 10) with the spring-and-damper friction of Eqs. 7-9, integrated by Gear's method. The
 power of the spins is an upper bound of the least power, and the spring forces, once balanced, give a lower one: a
 dynamical run proves its own gap.
+
+Letters: h time step, I moment of inertia, K and A stiffness and damping of a spring, lambda eigenvalue of the Laplacian
+of the contacts. Shapes: R samples, N spheres, E contacts, C carried spin components. The n-th *scaled derivative* of a
+quantity is its n-th time derivative times h^n / n!, as Gear's method keeps it.
 """
 
 from collections.abc import Iterator, Mapping
@@ -32,10 +36,12 @@ SAME_STEP = 1e-12  # relative distance of two times that counts as none
 
 
 class CundallStrackMethod(Swept, SpringDynamics):
-    """See the module docstring. An iteration is one time step; all are as long but the last, which ends the run at its
-    duration.
+    """The dynamics of Cundall and Strack (see the module docstring). An iteration is one time step.
 
-    before_last : the state from which a last step that is shorter was made; None as long as there was none.
+    All steps are equally long, but for the last one, which may be shorter so that the run ends at its duration.
+
+    before_last : the state before such a shorter last step; None if none was made. books_before : the energy balance
+    then.
     """
 
     kept = WATCH_NAMES
@@ -48,7 +54,7 @@ class CundallStrackMethod(Swept, SpringDynamics):
         super().begin(scene, spin)
         scene = self.scene
         options, beside, replicas = self.options, scene.viscosity_beside_friction, scene.replicas
-        # over the radius, as the force of the device law
+        # the kernels multiply viscosities by spin differences, hence the radius
         self.contacts.use(self.needed(), None if beside is None else scene.slip_radius * beside)
         bound = largest_step(options, scene.law.holds, *self.contacts.fastest_modes(self.inertia))
         self.unit_inertia = self.contacts.unit_inertia(self.inertia)
@@ -65,15 +71,18 @@ class CundallStrackMethod(Swept, SpringDynamics):
         self.sweeps.compile(self.fields, self.team)
 
     def needed(self) -> AnySpec:
-        """The fields of the steps."""
+        """Return the names and sizes of the fields that the steps need."""
         energy, holds, order = self.options.energy, self.scene.law.holds, self.options.gear_order
         moved = [*(f"gear_{n}" for n in range(order + 1)), "predicted", *["integral"] * holds, *["impulse"] * energy]
         spheres = dict.fromkeys(moved, len(self.spin_axes)) | {"is_free": 1}
         return self.contacts.specified(spheres, ["force", *["elongation"] * holds, *["work"] * energy])
 
     def _load_gear(self, staggered: np.ndarray) -> None:
-        """Spins and their derivatives at the start, from the equation of motion. Without those of the sticking springs
-        the first step would spoil the order of all that follow."""
+        """Load the spins at the start and their scaled derivatives, which follow from the equation of motion.
+
+        staggered : spins (C, R, *N). The derivatives include those of the spring forces of sticking contacts; without
+        them the error of the first step would lower the order of the whole run.
+        """
         scene, options = self.scene, self.options
         derivatives, forces = [staggered], list[np.ndarray]()
         for n in range(1, options.gear_order + 1):
@@ -93,21 +102,22 @@ class CundallStrackMethod(Swept, SpringDynamics):
             self.pull_at_start = self.pulls(forces[0])
 
     def _force_derivative(self, derivatives: list[np.ndarray]) -> np.ndarray:
-        """Derivative of the contact forces (C, R, E) at the start, scaled like the last of these of the spins, of the
-        same order.
+        """Return the scaled derivative (C, R, E) of the contact forces at the start.
 
-        A sticking contact feels its damper and the spring that the slip stretches from then on; one that slips keeps
-        its force, apart from a turn of the slip in contacts with two components, which is left out.
+        derivatives : scaled derivatives (C, R, *N) of the spins, the 0th first; the result has the order of the last
+        one. The force of a sticking contact changes by its damper and by the spring that the slip stretches from the
+        start on. That of a slipping contact stays; in contacts with two components its direction could change, which
+        is left out.
         """
         scene, options, order = self.scene, self.options, len(derivatives) - 1
         if order == 0 or not scene.law.holds:
             return self.damping_force(derivatives[-1])
         stretch = options.stiffness * self.time_step / order
-        felt = options.damping * derivatives[-1] + stretch * derivatives[-2]
+        rate = options.damping * derivatives[-1] + stretch * derivatives[-2]
         holds = options.static_ratio * scene.strength * scene.acting_coefficient
         sticks = options.damping * scene.slips(derivatives[0], self.spin_axes) <= holds
-        felt = self.differences(felt)
-        force = np.where(sticks, scene.slip_radius * felt, 0.0)
+        rate = self.differences(rate)
+        force = np.where(sticks, scene.slip_radius * rate, 0.0)
         return self.with_viscosity(force, self.differences(derivatives[-1]))
 
     def end_at(self, time: float, resumable: bool) -> None:
@@ -118,21 +128,24 @@ class CundallStrackMethod(Swept, SpringDynamics):
         return int(min(self.rest.next_check, max(self._steps_to(self.aim), iteration + 1)))
 
     def _steps_to(self, time: float) -> float:
-        """Number of steps after which a simulated time is reached."""
+        """Return the number of steps after which a simulated time is reached; infinity for a time without end."""
         return float(np.ceil(time / self.time_step * (1 - SAME_STEP))) if np.isfinite(time) else np.inf
 
     def state(self) -> dict[str, np.ndarray]:
-        """That before a last step that is shorter, so that a run which goes on for longer has the same bits as one that
-        never ended."""
+        """Return the state for a checkpoint: that before a shorter last step, if there was one.
+
+        A run that is continued for longer thereby has the same bits as one that never ended.
+        """
         return self._state() if self.before_last is None else self.before_last
 
     def _state(self) -> dict[str, np.ndarray]:
+        """Return the state now: the fields that steps change, the time step, and what all dynamics keep."""
         fields = {name: self.fields.read(name) for name in self._changing}
         return super().state() | fields | {"time_step": np.array(self.time_step)}
 
     @property
     def _changing(self) -> list[str]:
-        """Fields that a step changes."""
+        """Names of the fields that a step changes."""
         return [name for name in self.fields.names if name not in CONSTANT]
 
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
@@ -146,7 +159,7 @@ class CundallStrackMethod(Swept, SpringDynamics):
             self.fields.load(name, state[name])
 
     def numbers(self, span: float) -> tuple[float, ...]:
-        """The constants of a step of this length, time."""
+        """Return the constants that the kernels take for a step of length `span`, time."""
         scene, options = self.scene, self.options
         radius = scene.slip_radius
         return (
@@ -160,7 +173,7 @@ class CundallStrackMethod(Swept, SpringDynamics):
         )
 
     def launches(self, steps: int) -> Iterator[Launch]:
-        """So many steps; the one that reaches the end of the run is as long as is left."""
+        """Yield the launches that make `steps` steps; the step that reaches the end of the run is shortened to it."""
         ends = self.iteration + steps == self._steps_to(self.end)
         shorter = ends and (self.iteration + steps) * self.time_step > self.end * (1 + SAME_STEP)
         if whole := steps - int(shorter):
@@ -177,10 +190,11 @@ class CundallStrackMethod(Swept, SpringDynamics):
             self.time = self.end
 
     def _prepare_last_step(self, span: float) -> None:
-        """Make ready for one shorter step, of length `span`.
+        """Rescale the fields for one shorter step, of length `span`, time.
 
-        The n-th scaled derivative goes with the n-th power of the step. The mean spin of the next step is their sum,
-        and what Gear's method corrects of the stretch of the step before, which is a length and stays the same.
+        The n-th scaled derivative is proportional to the n-th power of the step. The field `integral` is the mean spin
+        of the next step as predicted, plus Gear's correction of the mean of the step before. That correction stands for
+        a length, mean times step, which stays the same, so that it is divided by the ratio of the steps.
         """
         if self.resumable:
             self.before_last = self._state()
@@ -202,7 +216,7 @@ class CundallStrackMethod(Swept, SpringDynamics):
             self.fields.load("integral", _mean_of(new) + corrected / share)
 
     def spins(self) -> np.ndarray:
-        """(C, R, *N), staggered, of now."""
+        """Return the staggered spins (C, R, *N) now."""
         return self.scene.impose_driving(self.fields.read("gear_0"), self.spin_axes)
 
     def motion(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -221,14 +235,18 @@ class CundallStrackMethod(Swept, SpringDynamics):
         return super().findings(last) | {name: np.full(replicas, value) for name, value in found.items()}
 
     def _contact_power(self, force: np.ndarray, staggered: np.ndarray) -> np.ndarray:
-        """(R,) what the contacts take from the spins, over the radius."""
+        """Return the power (R,) that the contacts take from the spins, divided by the radius.
+
+        force : (C, R, E). staggered : spins (C, R, *N).
+        """
         return replica_sum(force * self.differences(staggered))
 
     def books(self, staggered: np.ndarray, force: np.ndarray, spring: np.ndarray) -> Energy | None:
-        """The energy balance at the end of the last step.
+        """Return the energy balance at the end of the last step, or None if none is asked for.
 
-        The powers of contacts and drive are integrated by the trapezoidal rule. The residual therefore is the error of
-        the integration, of Gear's and of this rule.
+        staggered : spins (C, R, *N). force : (C, R, E). spring : energy (R,) in the springs. The powers of contacts and
+        drive are integrated over time by the trapezoidal rule, so that the residual of the balance is the error of
+        Gear's method and of this rule.
         """
         if not self.options.energy:
             return None
@@ -236,24 +254,29 @@ class CundallStrackMethod(Swept, SpringDynamics):
         return self.balance(staggered, spring)
 
     def _work(self, staggered: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(R,) each, energy: what the contacts took from the spins since the start, and what the driven spheres gave.
+        """Return the energies (R,) since the start that contacts took from the spins, and that driven spheres gave.
 
         staggered, force : spins (C, R, *N) and contact forces (C, R, E) at the end of the last step.
         """
         driven, power = self.absolute(staggered) * self.scene.is_driven, self._contact_power(force, staggered)
         if self.books_before is not None:  # the trapezoidal rule over the last step alone
             work, injected, power_before, pull_before = self.books_before
-            reach = self.scene.slip_radius * self.last_span / 2
+            length = self.scene.slip_radius * self.last_span / 2
             pull = replica_sum((pull_before + self.pulls(force)) * driven)
-            return work + reach * (power_before + power), injected - reach * pull
-        reach = self.scene.slip_radius * self.time_step
+            return work + length * (power_before + power), injected - length * pull
+        # the kernels sum over the steps; half of the first and last values makes the trapezoidal rule of that
+        length = self.scene.slip_radius * self.time_step
         pull = self.fields.read("impulse") + (self.pull_at_start - self.pulls(force)) / 2
         work = replica_sum(self.fields.read("work")) + (power - self.power_at_start) / 2
-        return reach * work, -reach * replica_sum(pull * driven)
+        return length * work, -length * replica_sum(pull * driven)
 
     def is_believed(self, found: Progress) -> bool:
-        """By the best bound so far. Where none can be proven, and with mu_s > mu_k, where the certificate need not
-        agree, only after the driven planes could have stretched the springs to slipping."""
+        """Return whether a state without change may be called rest.
+
+        That is judged by the best lower bound so far. Two cases have no bound to go by: a packing of which none can be
+        proven, and mu_s > mu_k, where the motion may end above the least power. There rest is believed once the driven
+        spheres have had the time to stretch the springs until they slip.
+        """
         if self.contacts.has_no_bound and not self.scene.network.contacts:
             return True
         if self.contacts.has_no_bound or self.options.static_ratio > 1:
@@ -261,7 +284,7 @@ class CundallStrackMethod(Swept, SpringDynamics):
         return super().is_believed(replace(found, lower_bound=self.contacts.best_bound(found.lower_bound)))
 
     def _loading_time(self) -> float:
-        """Time in which the driven planes stretch a spring ten times as far as the strongest contact can hold."""
+        """Return the time in which the driving stretches a spring ten times as far as the strongest contact holds."""
         scene = self.scene
         strongest = float(scene.acting_coefficient.max()) * self.options.static_ratio
         speed = scene.slip_radius * scene.jump
@@ -269,17 +292,24 @@ class CundallStrackMethod(Swept, SpringDynamics):
 
 
 def _mean_of(derivatives: list[np.ndarray]) -> np.ndarray:
-    """Mean over the next step of a quantity with these scaled derivatives, the 0th first."""
+    """Return the mean of a quantity over the next step, from its scaled derivatives, the 0th first."""
     return np.asarray(np.sum([values / (n + 1) for n, values in enumerate(derivatives)], axis=0))
 
 
 def stability_bound(scene: Scene, spin_axes: tuple[int, ...], options: CundallStrack) -> float:
-    """Largest stable time step while all contacts stick, from the stiffest mode of this lattice; slipping is softer."""
+    """Return the largest stable time step while all contacts stick, from the stiffest mode of a lattice.
+
+    Slipping contacts are softer and do not reduce it. spin_axes : the spin components that are carried.
+    """
     return largest_step(options, scene.law.holds, *fastest_modes(scene, spin_axes, inertia_of(scene, options)))
 
 
 def largest_step(options: CundallStrack, holds: bool, decay: float, stiffest: float) -> float:
-    """Largest stable time step. decay : of the stiffest mode by viscosity, 1/time. stiffest : R^2 lambda / I of it."""
+    """Return the largest stable time step of the stiffest mode.
+
+    holds : the law has friction, and so springs and dampers. decay : decay rate of the mode by viscosity, 1/time.
+    stiffest : R^2 lambda / I of the mode, 1/mass.
+    """
     damping, stiffness = (options.damping, options.stiffness) if holds else (0.0, 0.0)
     return largest_stable_step(options.gear_order, damping * stiffest + decay, stiffness * stiffest)
 
@@ -287,14 +317,16 @@ def largest_step(options: CundallStrack, holds: bool, decay: float, stiffest: fl
 def sticking_modes(
     scene: Scene, spin_axes: tuple[int, ...], options: CundallStrack, largest_spin: float, stable: float
 ) -> Modes:
-    """The modes that tell the error of a time step.
+    """Return the modes of a lattice whose contacts stick, from which the error of a time step follows.
 
-    largest_spin : at the start, 1/time; the driven ones count too. stable : largest stable time step.
+    spin_axes : the spin components that are carried. largest_spin : largest spin at the start, 1/time; the driven
+    spins are taken into account too. stable : largest stable time step.
     """
     radius = scene.slip_radius
     over = radius**2 / inertia_of(scene, options)
     spectrum = over * laplacian_spectrum(scene.lattice, spin_axes)
-    if not scene.law.holds:  # all as much stiffer than with even contacts as the stiffest one, known by its bound
+    if not scene.law.holds:
+        # without friction: the rates are those of equal contacts, scaled so that the stiffest mode has its known rate
         stiffest = largest_stable_step(options.gear_order, 1.0, 0.0) / stable
         decay = stiffest * spectrum / (over * largest_laplacian_eigenvalue(scene.lattice, spin_axes))
         return Modes(decay, np.zeros_like(spectrum), 1.0, 0.0, np.inf)

@@ -1,15 +1,18 @@
-"""Gear's predictor-corrector for first-order equations: the largest time step that is stable with it, and how wrong a
-fixed one makes the spins, from the modes of the lattice; no run is needed.
+"""Gear's predictor-corrector for first-order equations: its largest stable time step, and the error of a fixed step.
 
-Coefficients: Allen and Tildesley, Computer Simulation of Liquids (1987), appendix E, table for first-order equations.
+Both follow from the modes of the lattice, without a run. Coefficients: Allen and Tildesley, Computer Simulation of
+Liquids (1987), appendix E, table for first-order equations.
 
-While contacts stick, every mode of the lattice answers a unit of spin by x = (p e^(p t) - q e^(q t)) / (p - q), p and q
-being the roots of s^2 + A R^2 lambda / I s + K R^2 lambda / I = 0. In Gear's method the powers of two eigenvalues of
-its amplification matrix stand for the exponentials. The error is the difference of the two, root mean square over the
-modes, at the time when it is largest: an error of phase builds up for as long as the damping lets it.
+Letters: h time step, I moment of inertia, R radius, K and A stiffness and damping of a contact, lambda eigenvalue of
+the lattice Laplacian, q order of the method, M number of modes.
 
-A contact sticks only while it bears no more than its friction, so a mode turns by mu F_n / (R |A + K / p|) at most.
-What contacts do that begin or cease to slip comes on top, and is not in this.
+While contacts stick, a mode that starts with spin 1 has the spin x(t) = (p e^(p t) - q e^(q t)) / (p - q), where p and
+q are here the roots of s^2 + A R^2 lambda / I s + K R^2 lambda / I = 0. In Gear's method the exponentials over a step
+are replaced by two eigenvalues of its amplification matrix. The error is the difference of the two solutions, root mean
+square over the modes, at the time when it is largest: an error of phase grows until the damping has stopped the mode.
+
+A contact sticks only while it bears no more than its friction. So the largest spin of a mode is mu F_n / (R |A + K /
+p|). Errors made by contacts that begin or cease to slip come on top, and are not estimated here.
 """
 
 from dataclasses import dataclass
@@ -31,21 +34,22 @@ GEAR_COEFFICIENTS = {
     4: (251 / 720, 1.0, 11 / 12, 1 / 3, 1 / 24),
     5: (95 / 288, 1.0, 25 / 24, 35 / 72, 5 / 48, 1 / 120),
 }
-LARGEST_GROWTH = 1 + 1e-9
+LARGEST_GROWTH = 1 + 1e-9  # largest modulus of an eigenvalue of the amplification matrix that counts as stable
 SOFTER_MODES = np.linspace(1.0, 0.02, 25)  # eigenvalues of the softer modes relative to the stiffest
-SAMPLE_MODES = 32  # that stand for all of a lattice
-TIMES_IN_STEPS = np.unique(np.round(np.geomspace(1, 1e12, 600)))  # in steps
+SAMPLE_MODES = 32  # modes by which all modes of a lattice are represented
+TIMES_IN_STEPS = np.unique(np.round(np.geomspace(1, 1e12, 600)))  # times at which the error is computed, in steps
 ACCURATE_ERROR = 1e-2  # error up to which a step counts as accurate
-LEAST_EIGENVALUE = 1e-9  # eigenvalue; that of a layer that turns about the height as a whole is 0
-HALVINGS = 12  # of the step, in search of an accurate one
+LEAST_EIGENVALUE = 1e-9  # replaces the eigenvalue 0 of a layer that rotates about the height as a whole
+HALVINGS = 12  # how often a step is halved in search of an accurate one
 
 
 def amplification(corrector: tuple[float, ...], decay: np.ndarray, oscillation: np.ndarray) -> np.ndarray:
-    """Matrices (..., q + 3, q + 3) that carry one mode over one step.
+    """Return the matrices (..., q + 3, q + 3) that carry the state of a mode over one step.
 
-    decay, oscillation : time step times the damping rate and (time step times the frequency) squared of the mode,
-    i.e. h A R^2 lambda / I and h^2 K R^2 lambda / I for an eigenvalue lambda of the lattice Laplacian. The state is the
-    scaled derivatives 0 ... q, the stretch (in units of radius * time step), and the last corrector error.
+    corrector : coefficients (q + 1) of the method. decay, oscillation : damping rate of the mode times the time step,
+    and its squared frequency times the squared time step: h A R^2 lambda / I and h^2 K R^2 lambda / I. The state has
+    the scaled derivatives 0 ... q of the spin, the stretch of the spring (in units of radius * time step), and the last
+    corrector error.
     """
     values = len(corrector)
     decay, oscillation = np.broadcast_arrays(np.asarray(decay, float), np.asarray(oscillation, float))
@@ -65,11 +69,13 @@ def amplification(corrector: tuple[float, ...], decay: np.ndarray, oscillation: 
 
 
 def largest_stable_step(order: int, decay_rate: float, frequency_squared: float) -> float:
-    """Largest stable time step of all modes from the stiffest down, time.
+    """Return the largest time step at which the stiffest mode and all softer modes are stable.
 
-    decay_rate, frequency_squared : A R^2 lambda / I and K R^2 lambda / I of the stiffest mode (largest lambda); softer
-    modes share their ratio. One of them may be 0. No bound on the step: infinity.
+    order : of Gear's method. decay_rate, frequency_squared : A R^2 lambda / I, 1/time, and K R^2 lambda / I, 1/time^2,
+    of the stiffest mode (largest lambda); softer modes have the same ratio of the two. One of them may be 0; if both
+    are, any step is stable and the result is infinity.
     """
+    # first the step is bracketed on a grid, then the bracket is halved 40 times
     rates = [r for r in (decay_rate, np.sqrt(frequency_squared)) if r > 0]
     if not rates:
         return np.inf
@@ -91,7 +97,10 @@ def largest_stable_step(order: int, decay_rate: float, frequency_squared: float)
 
 
 def _spectral_radius(order: int, decay_rate: float, frequency_squared: float, steps: np.ndarray) -> np.ndarray:
-    """Largest |eigenvalue| over the modes, for each of `steps`."""
+    """Return the largest modulus of the eigenvalues of all modes, for each time step of `steps`.
+
+    order : of Gear's method. decay_rate, frequency_squared : of the stiffest mode, as for `largest_stable_step`.
+    """
     h = steps[:, None]
     matrices = amplification(
         GEAR_COEFFICIENTS[order], h * decay_rate * SOFTER_MODES, h**2 * frequency_squared * SOFTER_MODES
@@ -100,21 +109,25 @@ def _spectral_radius(order: int, decay_rate: float, frequency_squared: float, st
 
 
 def largest_laplacian_eigenvalue(lattice: Lattice, spin_axes: tuple[int, ...]) -> float:
-    """Largest eigenvalue of the unweighted lattice Laplacian of any carried component, driven planes held (exact)."""
+    """Return the largest eigenvalue of the unweighted lattice Laplacian with the driven planes held, exactly.
+
+    spin_axes : the spin components that are carried; the largest one of all of them is returned.
+    """
     return max(float(eigenvalues(lattice, component).max()) for component in spin_axes)
 
 
 def largest_weighted_eigenvalue(scene: Scene, spin_axes: tuple[int, ...]) -> float:
-    """Upper estimate of the largest eigenvalue of the Laplacian weighted by the viscosities, over all replicas.
+    """Return an upper estimate of the largest eigenvalue of the Laplacians weighted by the viscosities.
 
-    Found by Lanczos' method to a relative 1e-3, and raised by as much.
+    The largest of all samples and carried spin components is returned; 0 for a law without viscosity. It is found by
+    Lanczos' method to a relative 1e-3, and raised by as much.
     """
     lattice, largest, viscosities = scene.lattice, 0.0, scene.viscosities
     if viscosities is None:
         return largest
-    for felt in lattice.tangential_mask(spin_axes):
+    for couples in lattice.tangential_mask(spin_axes):
         for weights in viscosities:
-            edges = [(*lattice.ends[:, felt], weights[felt])]
+            edges = [(*lattice.ends[:, couples], weights[couples])]
             matrix = graph_laplacian(edges, lattice.sites, lattice.is_driven.ravel())
             if not matrix.count_nonzero():
                 continue
@@ -128,18 +141,21 @@ def largest_weighted_eigenvalue(scene: Scene, spin_axes: tuple[int, ...]) -> flo
 
 
 def laplacian_spectrum(lattice: Lattice, spin_axes: tuple[int, ...]) -> np.ndarray:
-    """Eigenvalues (SAMPLE_MODES,) of the unweighted lattice Laplacian, driven planes held: the middle ones of equal
-    shares of those of all carried components."""
+    """Return eigenvalues (SAMPLE_MODES,) that represent the unweighted lattice Laplacian with the driven planes held.
+
+    All eigenvalues of the carried spin components are sorted and split into SAMPLE_MODES equal groups; the median of
+    each group is returned.
+    """
     found = [np.broadcast_to(eigenvalues(lattice, component), lattice.free_shape) for component in spin_axes]
     return np.maximum(np.quantile(found, (np.arange(SAMPLE_MODES) + 0.5) / SAMPLE_MODES), LEAST_EIGENVALUE)
 
 
 @dataclass(frozen=True)
 class Modes:
-    """Modes of sticking contacts, (M,) each.
+    """M modes of a lattice whose contacts stick, and the errors that Gear's method makes in them.
 
-    decay, oscillation : A R^2 lambda / I and K R^2 lambda / I, 1/time and 1/time^2. damping, stiffness : A and K.
-    limit : mu F_n / R over the largest spin, force * time / length; infinite for contacts that bear anything.
+    decay, oscillation : (M,), A R^2 lambda / I, 1/time, and K R^2 lambda / I, 1/time^2. damping, stiffness : A and K.
+    limit : mu F_n / R over the largest spin, force * time / length; infinite for contacts without a friction limit.
     """
 
     decay: np.ndarray
@@ -150,23 +166,30 @@ class Modes:
 
     @cached_property
     def roots(self) -> tuple[np.ndarray, np.ndarray]:
-        """p and q, the faster one first; complex, 1/time. Equal ones are held apart by a relative 1e-6."""
+        """The two complex rates p and q of each mode, 1/time, the faster one first.
+
+        They are the roots of s^2 + decay s + oscillation = 0; a double root is split by a relative 1e-6.
+        """
         root = np.sqrt((self.decay**2 - 4 * self.oscillation).astype(complex))
         root = np.where(np.abs(root) < 1e-6 * self.decay, 1e-6 * self.decay, root)
         return -(self.decay + root) / 2, -(self.decay - root) / 2
 
     @cached_property
     def amplitude(self) -> np.ndarray:
-        """Largest spin in each mode, relative to the largest of all."""
+        """(M,), the largest spin that a mode can have while its contacts stick, over the largest spin of all."""
         resistance = np.abs(self.damping + self.stiffness / self.roots[0])
         return np.minimum(1.0, self.limit / np.maximum(resistance, np.finfo(float).tiny))
 
     def errors(self, order: int, time_step: float) -> np.ndarray:
-        """Relative error of the spins within each of TIMES_IN_STEPS steps."""
+        """Return the relative error of the spins for runs of TIMES_IN_STEPS steps: the largest one on the way.
+
+        order : of Gear's method. time_step : its step.
+        """
         matrices = amplification(GEAR_COEFFICIENTS[order], time_step * self.decay, time_step**2 * self.oscillation)
         values, (p, q) = np.linalg.eigvals(matrices), self.roots
         error = np.zeros((len(p), len(TIMES_IN_STEPS)), dtype=complex)
         for root, other in ((p, q), (q, p)):
+            # the eigenvalue of the amplification matrix that stands for exp(h p); growth by rounding is cut off
             exact = time_step * root
             nearest = np.abs(values - np.exp(exact)[:, None]).argmin(axis=1)
             found = np.log(values[np.arange(len(values)), nearest])
@@ -177,13 +200,15 @@ class Modes:
         return np.maximum.accumulate(np.sqrt(np.mean(size**2, axis=0)))
 
     def error(self, order: int, time_step: float, steps: float) -> float:
-        """Relative error of the spins in a course of so many steps."""
+        """Return the relative error of the spins in a run of `steps` steps; arguments as of `errors`."""
         reached = int(np.searchsorted(TIMES_IN_STEPS, steps, side="right"))
         return float(self.errors(order, time_step)[reached - 1]) if reached else 0.0
 
     def accurate_step(self, order: int, time_step: float, steps: int) -> float:
-        """A time step, by some halvings, that keeps the error within ACCURATE_ERROR for as long as so many of these
-        steps, or up to twice as long; NaN if there is none."""
+        """Return a time step whose error stays within ACCURATE_ERROR over a run of `steps` steps of `time_step`.
+
+        The step is halved until that holds, also for a run of up to twice the length; NaN if HALVINGS do not suffice.
+        """
         longest = 2.0 ** max(steps, 1).bit_length()
         for parts in 2.0 ** np.arange(HALVINGS + 1):
             if self.error(order, time_step / parts, longest * parts) <= ACCURATE_ERROR:

@@ -11,6 +11,10 @@ power by 2 whatever the disorder. The rules (docs/methods.md has the proofs and 
 * Coulomb with momentum: contacts with |D| < width resist in proportion to D, which makes the power smooth; the width is
   halved whenever at least half the proven gap is due to it. The proven gap falls like 1 / k.
 * Both together: as with Coulomb friction, with width times viscosity added to the friction in the metric.
+
+Letters: k number of steps, D spin difference of a contact, R samples, N spheres, E contacts, C carried spin components.
+The *box* is the interval between the driven spins, in which some minimum lies; spins stay in it where one is known. A
+*sweep* is one step of all spins.
 """
 
 import math
@@ -29,14 +33,20 @@ from taichi_bearings.solvers.table import GradientDescent
 FIRST_EPOCH = 64
 FIRST_SPIN_STEP = 0.01  # of the imposed jump: length of the first steps without momentum
 FIRST_WIDTH = 0.1  # of the imposed jump: regularisation at the start with momentum
-LARGE_SLIP = 0.01  # of the imposed jump: contacts that slip more are told from resting ones at any stage
-# widths: regularised contacts that should stick creep by about one width, few by ten, none by 100
+LARGE_SLIP = 0.01  # of the imposed jump: faster contacts count as slipping from the first step on
+# in widths: regularised contacts that should stick creep by about one width, few by ten, none by 100
 RESOLVED_WIDTHS = 100
 CHECKS_AN_EPOCH = 8  # without momentum; the first half of them before the averaging begins
 
 
 class GradientDescentMethod(Swept):
-    """See the module docstring. An iteration is one sweep over all contacts; sweeps are made in pairs."""
+    """Gradient descent (see the module docstring). An iteration is one sweep over all contacts, made in pairs.
+
+    width : regularisation of friction with momentum, 1/time. step_length : of the steps without momentum, 1/time.
+    age : sweeps since the momentum was started anew. epoch_start, epoch_length : iterations, without momentum.
+    averaged : sweeps that are in the averages of this epoch. last_smooth : (R,), the regularised objective at the last
+    look.
+    """
 
     resumes = True
     numbers_kept = ("iteration", "age", "width", "step_length", "epoch_start", "epoch_length", "averaged")
@@ -72,9 +82,13 @@ class GradientDescentMethod(Swept):
         self._begin_epoch(FIRST_EPOCH)
 
     def _load_weights(self) -> None:
-        """The metric: friction, and so much of the viscosity as makes the curvature of both at this stage even."""
+        """Load the inverse of the diagonal metric, which bounds the curvature of the objective at this stage.
+
+        With friction and viscosity the latter is weighted by the spin difference over which friction is smoothed, so
+        that one step length is right for both.
+        """
         scene = self.scene
-        reach = self.width if self.momentum else 2 * self.step_length
+        smoothed = self.width if self.momentum else 2 * self.step_length
         bounds = scene.acting_coefficient
         if not scene.law.is_sum:
             slopes = scene.law.steepest((scene.strength * bounds,), self._largest_slip())
@@ -84,14 +98,16 @@ class GradientDescentMethod(Swept):
                 )
             bounds = scene.slip_radius * slopes
         if self.viscosity is not None:
-            bounds = bounds + reach * self.viscosity
+            bounds = bounds + smoothed * self.viscosity
         weight = self.contacts.weights(bounds)
         weight[..., scene.is_driven] = 0.0
         self.fields.load("inverse_weight", np.divide(1.0, weight, out=np.zeros_like(weight), where=weight > 0))
 
     def _largest_slip(self) -> float:
-        """Slip speed that no contact exceeds: spins stay in their box, and momentum leads each out of it by less than
-        the box is wide."""
+        """Return a slip speed, length/time, that no contact exceeds.
+
+        Spins stay in their box; momentum carries each out of it by less than the width of the box.
+        """
         low, high = self.scene.box(self.spin_axes)
         return 3 * self.scene.slip_radius * float(np.linalg.norm(np.subtract(high, low)))
 
@@ -111,7 +127,7 @@ class GradientDescentMethod(Swept):
         return iteration + 2 * (16 + iteration // 16)
 
     def launches(self, steps: int) -> Iterator[Launch]:
-        """At least `steps` sweeps: an odd number is rounded up, since sweeps come in pairs."""
+        """Yield one launch of `steps` sweeps; an odd number is rounded up, since sweeps come in pairs."""
         pairs = -(-steps // 2)
         averaging = self.averages and self.iteration >= self.epoch_start + self.epoch_length // 2
         step, sharpness = self._step_and_sharpness()
@@ -125,7 +141,7 @@ class GradientDescentMethod(Swept):
 
     @property
     def _changing(self) -> list[str]:
-        """Fields that sweeps and looks change."""
+        """Names of the fields that sweeps and looks change."""
         return [name for name in self.fields.names if name not in CONSTANT]
 
     def state(self) -> dict[str, np.ndarray]:
@@ -142,6 +158,11 @@ class GradientDescentMethod(Swept):
         self.contacts.restore(state)
 
     def _step_and_sharpness(self) -> tuple[float, float]:
+        """Return the step length that the kernels take, and the last argument of the force of the law on the device.
+
+        That is the inverse of the spin difference up to which friction grows, or the radius for laws without friction
+        (FORCES in kernels/contact.py).
+        """
         if not self.scene.law.holds:
             return 0.5, self.scene.slip_radius
         return (self.width / 2 if self.momentum else self.step_length), 1.0 / self.width
@@ -155,7 +176,7 @@ class GradientDescentMethod(Swept):
             staggered = scene.impose_driving(self.fields.read("spin" if self.momentum else "point"), self.spin_axes)
             force = self.forces_at(staggered, self.width)
         creep = RESOLVED_WIDTHS * (self.width if self.momentum else self.step_length) if scene.law.holds else 0.0
-        resolution = scene.slip_radius * min(creep, LARGE_SLIP * scene.jump)  # no slip is told from rest below it
+        resolution = scene.slip_radius * min(creep, LARGE_SLIP * scene.jump)  # slower slips may be rest
         found = self.judged(staggered, force, iteration=self.iteration, resolution=resolution)
         if self.momentum:
             self._steer(staggered, found.objective, self.contacts.best_bound(found.lower_bound))
@@ -168,7 +189,10 @@ class GradientDescentMethod(Swept):
         return found
 
     def _steer(self, staggered: np.ndarray, objective: np.ndarray, bound: np.ndarray) -> None:
-        """Restart the momentum where it overshot; halve the width where it causes half the gap or more."""
+        """Restart the momentum if it has overshot; halve the width if it causes half the gap or more.
+
+        staggered : spins (C, R, *N) now. objective, bound : (R,), what is minimised, and its best lower bound.
+        """
         shorten, smooth, scene = False, objective, self.scene
         if scene.law.holds:  # the smooth objective is less by at most width / 2 a contact and unit of force
             size = np.minimum(vector_length(self.differences(staggered)), self.width)

@@ -9,6 +9,9 @@ the forces of the step obey the law of friction, and near rest they prove how fa
 The error of a step is estimated as in codes for stiff equations: by the difference from what the forces of the step
 before would have done. Components of the spins that have died out (the one about the height, after a random start)
 are set to rest and cost nothing from then on; where they have, they never start again (equations.md, 3).
+
+Letters: h length of a step, I moment of inertia, P power, R samples, N spheres, E contacts, C carried spin components.
+The *relaxation time* is that in which a typical contact alone stops a sphere from the largest spin.
 """
 
 from collections.abc import Mapping
@@ -20,20 +23,26 @@ from taichi_bearings.conic.proximal import ProximalSteps, Step
 from taichi_bearings.scene import Bearing, Progress
 from taichi_bearings.solvers.dynamics import ENERGY_NAMES, Dynamics, replica_sum
 
-FIRST_ERROR_SHARE = 0.1  # of the error tolerance, in relaxation times
-LEAST_STEP, MOST_STEP = 1e-6, 1e8  # relaxation times
-MOST_GROWTH, MOST_SHRINKAGE = 3.0, 0.2  # of the step from one to the next, at most
-STEP_SAFETY = 0.8
+FIRST_ERROR_SHARE = 0.1  # length of the first step, in units of the error tolerance times the relaxation time
+LEAST_STEP, MOST_STEP = 1e-6, 1e8  # bounds on a step, in relaxation times
+MOST_GROWTH, MOST_SHRINKAGE = 3.0, 0.2  # largest and smallest ratio of a step to the one before
+STEP_SAFETY = 0.8  # factor on the step that the error estimate asks for
 ACCEPTED_ERROR = 2.0  # error over tolerance up to which a step counts
 STOPPED_SPREAD = 1e-7  # of the unit of spin: a component that varies by less is stopped,
 STOPPED_ENERGY = 1e-14  # if that changes the kinetic energy by no more than this fraction of that at the start
 FIRST_RESOLVED_SLIP = 1e-12  # of the unit of spin: slips at the start
-# steps in a row in which the power no longer falls: at rest if proven; nothing more to hope for
+# steps in a row without a fall of the power: after 2 it is at rest if that is proven, after 20 it is given up
 REST_STEPS, STUCK_STEPS = 2, 20
 
 
 class RigidLimitMethod(Dynamics):
-    """See the module docstring. An iteration is one time step of all replicas together."""
+    """The rigid-limit dynamics (see the module docstring). An iteration is one time step of all samples together.
+
+    length, last_length : of the next and of the last step, time. unit, largest : spread of the spins and largest spin
+    at the start, 1/time. creep : spin difference, 1/time, up to which a contact may be slipless. moving : spin
+    components that have not died out. slipping : (R,), slipping contacts of the last step. rest_time : (R,), time of
+    the last step in which the power fell. still : steps in a row in which no power fell.
+    """
 
     kept = (
         "length", "last_length", "unit", "largest", "creep", "staggered", "force", "moving", "slipping", "rest_time",
@@ -62,7 +71,11 @@ class RigidLimitMethod(Dynamics):
         self.slipping = (slips > scene.slip_radius * self.creep).sum(axis=1)
 
     def _prepare(self) -> None:
-        """Set up the steps of the components that move; rows : the numbers of a force that these have."""
+        """Set up the steps of the components that move.
+
+        slots : their places among the carried components. rows : places of the force components that these steps have.
+        steps : what makes a step; None where nothing can move.
+        """
         self.slots = [self.spin_axes.index(component) for component in self.moving]
         self.steps: ProximalSteps | None = None
         if self.moving:
@@ -73,12 +86,13 @@ class RigidLimitMethod(Dynamics):
 
     @property
     def relaxation_time(self) -> float:
-        """Time in which a typical contact alone stops a sphere from the largest spin."""
+        """The time in which a typical contact alone stops a sphere from the largest spin."""
         scene, fastest = self.scene, self.scene.slip_radius * self.largest
         if not scene.network.has_free_end.any():
-            return 1.0  # nothing stops, and any step is right
+            return 1.0  # no contact acts on a free sphere, and any step is right
 
         def mean(coefficient: np.ndarray) -> float:
+            """Return the mean coefficient of the contacts with a free sphere."""
             return float(coefficient[:, scene.network.has_free_end].mean())
 
         force = scene.strength * mean(scene.coefficient) * (1.0 if scene.law.holds else fastest)
@@ -87,7 +101,11 @@ class RigidLimitMethod(Dynamics):
         return float(np.mean(self.inertia)) * self.largest / (scene.slip_radius * force)
 
     def _step(self) -> None:
-        """One step that is accurate enough, or as short as steps may be."""
+        """Make one step, shortened until it is accurate enough or as short as steps may be.
+
+        A step that would pass the next time of interest (`aim`) ends there. A fixed step of the user is not shortened
+        by its error.
+        """
         least, most = LEAST_STEP * self.relaxation_time, MOST_STEP * self.relaxation_time
         chosen, length = self.options.time_step is not None, self.length
         while True:
@@ -106,7 +124,7 @@ class RigidLimitMethod(Dynamics):
             self.length = min(max(duration * factor, least), most)
 
     def _tried(self, duration: float) -> Step:
-        """A step with all components, those at rest included."""
+        """Return the result of a step of a length, time, for all components, those at rest included."""
         scene, force = self.scene, np.zeros_like(self.force)
         if self.steps is None:
             return Step(self.staggered, force, np.zeros(scene.replicas, dtype=int), 0.0, 0, True)
@@ -117,10 +135,12 @@ class RigidLimitMethod(Dynamics):
         return Step(staggered, force, step.slipping, step.creep, step.newton_steps, step.solved)
 
     def _error(self, step: Step, duration: float) -> float:
-        """Error of the spins in a step, root mean square of the worst sample, relative to the largest spin.
+        """Return the error of the spins in a step, root mean square in the worst sample, over the largest spin.
 
-        Implicit Euler errs by h^2 / 2 times the second derivative; that is h / (h + last h) of the difference from what
-        the forces of the step before would have made of the spins.
+        step : its result. duration : its length h, time. The error of implicit Euler is h^2 / 2 times the second
+        derivative of the spins. The mean forces of this step and of the one before, of length h', belong to times that
+        are (h + h') / 2 apart. So the difference between this step and one made with the forces of the step before is
+        h (h + h') / 2 times that derivative, and the error is h / (h + h') of this difference.
         """
         scene = self.scene
         impulse = duration * scene.slip_radius / self.inertia
@@ -130,6 +150,10 @@ class RigidLimitMethod(Dynamics):
         return duration / (duration + self.last_length) * float(np.sqrt(mean_square)) / self.largest
 
     def _take(self, step: Step, duration: float, time: float) -> None:
+        """Accept a step: its spins and forces, the energies that it moved, and whether the power fell in it.
+
+        duration : length of the step. time : simulated time at its end.
+        """
         scene = self.scene
         before, objective_before = self.staggered, scene.objective(self.staggered, self.spin_axes)
         self.staggered, self.force = step.staggered, step.force
@@ -144,7 +168,11 @@ class RigidLimitMethod(Dynamics):
         self.still = 0 if falls.any() else self.still + 1
 
     def _lay_to_rest(self) -> None:
-        """Stop the components that the driving leaves alone and that vary no more."""
+        """Set to rest the spin components that the driving does not move and that no longer vary.
+
+        One is set to rest if no spin changes thereby by more than STOPPED_SPREAD, and the kinetic energy by no more
+        than STOPPED_ENERGY.
+        """
         moving, bottom = [], self.absolute(np.zeros_like(self.staggered))
         for component in self.moving:
             slot = self.spin_axes.index(component)
@@ -154,8 +182,8 @@ class RigidLimitMethod(Dynamics):
                 moving.append(component)
                 continue
             energy = self.inertia / 2 * replica_sum(((spins - rest) * (spins + rest + 2 * bottom[slot]))[None])
-            unfelt = bool((np.abs(energy) <= STOPPED_ENERGY * self.energy_at_start).all())
-            if unfelt and np.abs(spins - rest).max() <= STOPPED_SPREAD * self.unit:
+            is_small = bool((np.abs(energy) <= STOPPED_ENERGY * self.energy_at_start).all())
+            if is_small and np.abs(spins - rest).max() <= STOPPED_SPREAD * self.unit:
                 spins[...] = rest
             else:
                 moving.append(component)
@@ -179,7 +207,10 @@ class RigidLimitMethod(Dynamics):
         return replace(found, at_rest=at_rest, exhausted=stuck)
 
     def is_believed(self, found: Progress) -> bool:
-        """By the best bound so far; where none can be proven, as the steps need no springs to load."""
+        """Return whether a state without change may be called rest: if its gap to the best lower bound is small.
+
+        Where no bound can be proven it is believed at once, as there are no springs that would have to load.
+        """
         if self.contacts.has_no_bound:
             return True
         return super().is_believed(replace(found, lower_bound=self.contacts.best_bound(found.lower_bound)))
