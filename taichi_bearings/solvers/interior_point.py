@@ -6,9 +6,11 @@ central path (central_path.py). Bounds above the slips and zero forces are stric
 on there are an upper and a lower bound. Eliminating the bounds from the Newton system leaves a weighted Laplacian over
 the free spins, which is factorised once a step (taichi_bearings.numerics.cholesky).
 
-Viscosity adds half its power to what is least, and its stiffness to that Laplacian. Near the end the contact states are
-settled: exactly, with a proof, where resolution.py can; else by the ratio of slip and friction margin, which the
-central path drives apart.
+Viscosity adds half its power to what is minimised, and its stiffness to that Laplacian. Near the end the contact states
+are settled: exactly, with a proof, where resolution.py can; else by the ratio of slip and friction margin (friction
+limit minus force), which on the central path goes to infinity for slipping contacts and to 0 for slipless ones.
+
+Letters: R samples, E contacts of the lattice, n contacts among them that a free sphere has, C carried spin components.
 """
 
 import threading
@@ -41,13 +43,17 @@ from taichi_bearings.scene import Bearing, Progress, Scene
 from taichi_bearings.solvers.method import Method
 from taichi_bearings.solvers.table import InteriorPoint
 
-OF_A_POINT = ("spins", "bound", "difference", "dual")  # what of an iterate changes along the path
+OF_A_POINT = ("spins", "bound", "difference", "dual")  # fields of an iterate that change along the path
 BATCHED_SITES = InteriorPoint.alike_in_a_block  # spheres up to which samples are factorised side by side
-KEPT_SITES = 10_000  # spheres up to which what all samples of a lattice share is kept
+KEPT_SITES = 10_000  # spheres up to which the parts that all samples of a lattice share are kept for later runs
 
 
 def _states(sample: Sample) -> np.ndarray:
-    """Contact states (n,)."""
+    """Return the contact states (n,) of a sample.
+
+    If they are settled, these are the settled ones. Else a contact slips if its slip is above DECIDED_RATIO times its
+    friction margin, is slipless if the margin is as much greater than the slip, and is undecided otherwise.
+    """
     slipping, slipless, undecided = ContactState.SLIPPING, ContactState.SLIPLESS, ContactState.UNDECIDED
     if (of := sample.resolved) is not None:
         return np.select([of.ties, of.at_limit, of.slipping], [ContactState.TIED, undecided, slipping], slipless)
@@ -61,8 +67,11 @@ _Skeleton = tuple[ContactSystem, np.ndarray, Any]  # the matrix is None where no
 
 
 def _skeleton(*alike: Any) -> _Skeleton:
-    """What all samples of a lattice have in common: made once for small ones, of which there are many, by each thread,
-    as the numbers of a factorisation are kept in the matrix."""
+    """Return what all samples of a lattice have in common: contact system, order of elimination and Newton matrix.
+
+    alike : the arguments of `_made` after the first. For small lattices, of which many are solved, it is kept for the
+    next call. Each thread has its own, as the matrix holds the numbers of its factorisation.
+    """
     if alike[0].sites < KEPT_SITES:
         return _made(threading.get_ident(), *alike)
     _made.cache_clear()
@@ -71,15 +80,24 @@ def _skeleton(*alike: Any) -> _Skeleton:
 
 @lru_cache(maxsize=1)
 def _made(thread: int, lattice: Lattice, spin_axes: tuple[int, ...], jump: bytes) -> _Skeleton:
+    """Build the contact system, the order of elimination and the Newton matrix of a lattice.
+
+    thread : that uses them, as a key of the cache. spin_axes : the carried spin components. jump : imposed spins of the
+    top plane over those of the bottom, in units, as the bytes of an array.
+    """
     top = np.frombuffer(jump).reshape(len(spin_axes), *lattice.shape[:-1])
     system, order = lattice_system(lattice, spin_axes, top), dissect(lattice, spin_axes)
-    if not top.any():  # nothing turns
+    if not top.any():  # the planes have the same spins: nothing has to be solved
         return system, order, None
     return system, order, NewtonMatrix(system, order, engine=Engine.LAUNCH if lattice.sites < BATCHED_SITES else None)
 
 
 class InteriorPointMethod(Descent, Method):
-    """See the module docstring. An iteration is one Newton step of every replica that is not yet done."""
+    """The interior-point method (see the module docstring).
+
+    An iteration is one Newton step of every sample that is not yet done. unit : of spins, 1/time. frustrated : the
+    driven planes have different spins, so that something has to be solved.
+    """
 
     scene: Scene
     resumes = True
@@ -94,7 +112,8 @@ class InteriorPointMethod(Descent, Method):
         self.frustrated = bool(top[0].any())
         self.system, order, matrix = _skeleton(scene.lattice, self.spin_axes, top[0].tobytes())
         sphere = (len(self.spin_axes), 1, *scene.lattice.shape)
-        high, low = (free_spins(np.broadcast_to(part[:, None, ..., None], sphere))[0] for part in top)  # above each
+        # spin of the top above each free sphere, as a pair of doubles
+        high, low = (free_spins(np.broadcast_to(part[:, None, ..., None], sphere))[0] for part in top)
         shared = Surroundings(self.system, order, matrix, (high, low))
         small = scene.lattice.sites < BATCHED_SITES
         super().__init__(shared, scene.lattice.sites, small, True, self.options.settle)
@@ -108,6 +127,12 @@ class InteriorPointMethod(Descent, Method):
         self.samples = [self._sample(replica, spins) for replica, spins in enumerate(start)]
 
     def _sample(self, replica: int, spins: np.ndarray) -> Sample:
+        """Return the start of the central path of one sample. spins : free spins (unknowns,) in units of `unit`.
+
+        Forces are measured in a unit near the mean coefficient. Without viscosity, contacts that are so strong that
+        they are slipless at every minimum get less friction, as wide contrasts cost precision; with it, the path starts
+        at the spins that balance the viscous forces.
+        """
         scene = self.scene
         friction, viscosity = scene.positive_coefficient[replica, self.system.contact], None
         strength = friction
@@ -132,15 +157,18 @@ class InteriorPointMethod(Descent, Method):
         return max(sample.steps for sample in self.samples)
 
     def state(self) -> dict[str, np.ndarray]:
-        """The points of the paths. States that are settled are not kept: they are settled again from there."""
+        """Return the points of all samples on their paths, by name, for a checkpoint.
+
+        Contact states that are settled are not kept: they are settled again from there.
+        """
         found = {"iteration": np.array(self.iteration)}
         for number, sample in enumerate(self.samples):
             for place, point in (("now", sample.iterate), ("before", sample.before or sample.iterate)):
                 found |= {f"{number}/{place}/{name}": getattr(point, name) for name in OF_A_POINT}
             again = sample.resolved is not None
-            told = (sample.steps, sample.gap, sample.done and not again, sample.at_end and not again)
+            flags = (sample.steps, sample.gap, sample.done and not again, sample.at_end and not again)
             tried = np.inf if again else sample.tried
-            found[f"{number}/path"] = np.array([*told, sample.before is not None, tried], dtype=float)
+            found[f"{number}/path"] = np.array([*flags, sample.before is not None, tried], dtype=float)
         return found
 
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
@@ -156,7 +184,11 @@ class InteriorPointMethod(Descent, Method):
             sample.done, sample.at_end = bool(done), bool(at_end)
 
     def next_check(self, iteration: int) -> int:
-        """At iterations that do not depend on what is beside a sample. A look costs half a step at 10^3."""
+        """Return the iteration of the next look, which does not depend on the other samples that are solved at a time.
+
+        Small samples are looked at once, when they mostly have ended. Others are looked at every second step far from
+        the end, as a look costs half a step at 10^3 spheres, and every step near it.
+        """
         if self.small and self.options.settle:
             return iteration + MOST_NEWTON_STEPS  # mostly all they need
         far = self.frustrated and max(sample.gap for sample in self.samples) > DISTANT_GAP
@@ -205,11 +237,12 @@ class InteriorPointMethod(Descent, Method):
         )
 
     def _spins(self) -> Pair:
-        """Staggered spins (C, R, *N) in twice the precision, 1/time; zero in the driven planes."""
+        """Return staggered spins (C, R, *N) as pairs of doubles, 1/time; zero in the driven planes."""
         high, low = np.zeros((2, len(self.samples), self.system.unknowns))
         for number, sample in enumerate(self.samples):
             high[number] = sample.iterate.spins if sample.resolved is None else sample.resolved.spins
-            if sample.resolved is None and sample.firm is not None:  # the least slip there costs all that was left out
+            # contacts whose friction was reduced must not slip at all, or their whole friction would dissipate
+            if sample.resolved is None and sample.firm is not None:
                 tied = Contraction(self.system, self.shared.order, sample.firm)
                 high[number] = tied.expanded(tied.contracted(exactly(high[number])))[0]
             if sample.resolved is not None and sample.resolved.rest is not None:
@@ -220,7 +253,11 @@ class InteriorPointMethod(Descent, Method):
         return found[0], found[1]
 
     def _lower_bound(self, force: np.ndarray, objective: np.ndarray) -> np.ndarray:
-        """Quickly until a sample is at the end of its path, and there, too, if nothing is left to gain."""
+        """Return lower bounds (R,) from forces (C, R, E). objective : (R,), at the spins of now.
+
+        A sample has the quick bound until it has ended, and also then if the gap to that is small enough. Otherwise the
+        slower bound of the certificate is computed.
+        """
         ended = np.array([sample.done or not self.frustrated for sample in self.samples])
         if not self.scene.law.is_rate_independent:
             return lower_bound(self.scene, force, self.spin_axes)

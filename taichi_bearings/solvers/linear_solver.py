@@ -8,6 +8,9 @@ With coefficients over many decades the difference of two spins that a stiff con
 rounding of the spins, and with it the contact's force. So each spin is kept as a sum of two numbers, spin + rest, and
 the leftover torques of that sum are solved for again until they no longer fall (iterative refinement): torques then
 balance to the rounding of the forces, however large the contrast.
+
+Letters: a *plane* is the two-dimensional grid of one layer and sample, with m x n spheres, the height last; a *bundle*
+has B planes. R samples, N spheres, C carried spin components.
 """
 
 import numpy as np
@@ -21,15 +24,18 @@ from taichi_bearings.numerics.graph_laplacian import factorised, graph_laplacian
 from taichi_bearings.scene import Bearing, Progress, Scene
 from taichi_bearings.solvers.method import Method
 
-BUNDLE_SITES = 250_000  # spheres that are solved for together: about 0.1 GB in planes of 64 x 64
-MOST_CHECKS = 4  # looks at the progress in a run of many bundles
+BUNDLE_SITES = 250_000  # spheres of a bundle: about 0.1 GB in planes of 64 x 64
+MOST_CHECKS = 4  # how often the progress is read in a run of many bundles
 MOST_SOLUTION_REFINEMENTS = 50  # two or three do, unless the contrast is near the end of float64
 
 Planes = tuple[np.ndarray, np.ndarray]  # replica and layer of each plane of a bundle
 
 
 class LinearSolverMethod(Method):
-    """See the module docstring. An iteration is one bundle of planes, solved to round-off."""
+    """The linear solver (see the module docstring). An iteration is one bundle of planes, solved to round-off.
+
+    spin, rest : (C, R, *N), staggered spins as sums of two doubles. bundles : place of the spin component, and planes.
+    """
 
     scene: Scene
 
@@ -42,7 +48,7 @@ class LinearSolverMethod(Method):
         self.iteration = 0
 
     def _planes(self, slot: int) -> list[Planes]:
-        """The planes of a spin component in bundles."""
+        """Return the planes of a spin component in bundles. slot : place of it among the carried components."""
         replicas, layers, *sides = self.by_plane(self.spin[slot], self.spin_axes[slot]).shape
         replica, layer = (index.ravel() for index in np.indices((replicas, layers)))
         step = max(1, BUNDLE_SITES // int(np.prod(sides)))
@@ -58,7 +64,10 @@ class LinearSolverMethod(Method):
         self.iteration = min(self.iteration + steps, len(self.bundles))
 
     def _solve(self, slot: int, planes: Planes) -> None:
-        """Solve for the free spins of some planes, then for what their rounding leaves, as long as that helps."""
+        """Solve for the free spins of a bundle, then refine them as long as the leftover torques fall.
+
+        slot : place of the spin component among those carried. planes : samples and layers of the planes.
+        """
         scene, component = self.scene, self.spin_axes[slot]
         plane = scene.lattice.across(component)
         first, second = (
@@ -72,6 +81,7 @@ class LinearSolverMethod(Method):
             return
         spins, rests = self.by_plane(self.spin[slot], component), self.by_plane(self.rest[slot], component)
         spin, rest = spins[planes], rests[planes]
+        # each refinement solves for the torques that are left, and is kept in the planes where these fall
         load = _free_torques(plane, first, second, spin, rest)
         size = _total(load)
         for _ in range(MOST_SOLUTION_REFINEMENTS):
@@ -105,7 +115,10 @@ class LinearSolverMethod(Method):
 
 
 def _laplacian(plane: Lattice, first: np.ndarray, second: np.ndarray) -> csc_array:
-    """Of the free nodes of planes (B, m, n), whose weights along either axis are given."""
+    """Return the weighted Laplacian of the free nodes of B planes.
+
+    plane : grid of m x n nodes. first, second : weights of its contacts along either axis, one row a plane.
+    """
     shape = (len(first), *plane.shape)
     node, held = np.arange(np.prod(shape)).reshape(shape), np.ones(shape, dtype=bool)
     held[..., 1:-1] = False
@@ -117,7 +130,10 @@ def _laplacian(plane: Lattice, first: np.ndarray, second: np.ndarray) -> csc_arr
 def _free_torques(
     plane: Lattice, first: np.ndarray, second: np.ndarray, spin: np.ndarray, rest: np.ndarray
 ) -> np.ndarray:
-    """Sum of coefficient * difference at each free node (B, m, n - 2) of planes (B, m, n); unit radius."""
+    """Return the torque on each free node (B, m, n - 2) of B planes, for spheres of radius 1.
+
+    plane, first, second : as of `_laplacian`. spin, rest : (B, m, n), spins as sums of two doubles.
+    """
     pull = np.zeros_like(spin)
     for axis, coefficient in enumerate((first, second)):
         add_pull(pull, coefficient * (difference(spin, axis, plane) + difference(rest, axis, plane)), axis, plane)
@@ -125,5 +141,5 @@ def _free_torques(
 
 
 def _total(load: np.ndarray) -> np.ndarray:
-    """Sum of the sizes in each plane, (B,): what the certificate pays for leftover torques."""
+    """Return the sum (B,) of the absolute torques in each plane, by which the lower bound is reduced."""
     return np.abs(load).sum(axis=(1, 2))

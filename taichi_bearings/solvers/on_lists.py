@@ -1,5 +1,8 @@
-"""The contacts of any packing as methods step them: in lists, with forces along two tangents, and bounds by exact
-arithmetic."""
+"""The contacts of any packing as methods step them: in lists, with bounds that are proven by exact arithmetic.
+
+Letters: T unit tangents of a contact, d their number (1 for discs, 2 for spheres), R = 1 sample, N spheres, E contacts
+that take part, C components of a spin. The unknowns are u = R omega, radius times spin.
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -25,15 +28,18 @@ from taichi_bearings.solvers.contacts import Contacts, Ended, Launch
 from taichi_bearings.solvers.packing_bounds import PackingBounds
 from taichi_bearings.solvers.stopping import ended_as
 
-NOTHING = (0.0,)  # in the place of constants that all copies of the lists share
+NOTHING = (0.0,)  # passed for constants that all copies of the lists share, as there are none
 
 
 class OnLists(Contacts):
-    """The contacts of one sample of a packing. Fields hold of each the force as a vector, and what is along its two
+    """The contacts of one sample of a packing.
+
+    The field `force` holds the force on each contact as a vector; other fields of contacts hold components along its
     tangents T.
 
-    scene : all contacts that act, and no others. bounds : what is proven of the packing. lists : where they stand in
-    memory; fields : these numbers, or the part of those of several samples that are stepped together.
+    scene : the packing with the contacts that take part alone. bounds : what is proven of the packing. lists : the
+    order of spheres and contacts in memory. fields : the numbers on the device, which may be a part of the fields of
+    several samples that are stepped together.
     """
 
     scene: Packing
@@ -50,7 +56,7 @@ class OnLists(Contacts):
 
     @property
     def across(self) -> np.ndarray:
-        """The tangents T, (d, E, C)."""
+        """The unit tangents T of the contacts, (d, E, C)."""
         return self.scene.network.tangents
 
     def specified(self, spheres: dict[str, int], contacts: list[str]) -> ListSpec:
@@ -72,7 +78,7 @@ class OnLists(Contacts):
             self.fields.load("viscosity", viscosity[None])
 
     def _sweeps(self, kind: Callable[..., Sweeps], corrector: tuple[float, ...]) -> tuple[Team, Sweeps]:
-        """Workers, and kernels of a kind with this corrector of Gear's method, if any."""
+        """Return the threads, and kernels of class `kind`. corrector : of Gear's method; empty for a descent."""
         return team_of(self.fields, self.spec), made_once(kind, self.spec, self.scene.law.name, corrector)
 
     def springs(self, corrector: tuple[float, ...]) -> tuple[Team, Sweeps]:
@@ -86,7 +92,7 @@ class OnLists(Contacts):
         sweeps.run(self.fields, team, launch.turns, NOTHING)
 
     def load_numbers(self, launch: Launch) -> None:
-        """Give the kernels the constants of a launch, where these are others than those of the last one."""
+        """Load the constants of a launch for the kernels, unless they are those of the last one."""
         given = np.zeros(COPY_NUMBERS)
         given[: len(launch.numbers)] = launch.numbers
         given[-1] = 2 * launch.first  # in sweeps, which come in pairs
@@ -102,7 +108,11 @@ class OnLists(Contacts):
         self.fields.load("force", np.einsum("tre,tek->kre", force, self.across))
 
     def weights(self, bounds: np.ndarray) -> np.ndarray:
-        """At each sphere sum b_e P_e with P = T^T T is no larger than the diagonal matrix of its rows' sizes."""
+        """Return upper bounds (C, 1, N) on the curvature at each sphere. bounds : (1, E), on that of each contact.
+
+        The curvature of a sphere is the matrix of the sum of b_e T^T T over its contacts. It is no larger than the
+        diagonal matrix that has the sums of the absolute entries of its rows.
+        """
         network = self.scene.network
         rows = np.abs(np.einsum("tek,tel->ekl", self.across, self.across)).sum(axis=2) * bounds[0][:, None]
         total = np.zeros((network.spheres, network.components))
@@ -117,7 +127,7 @@ class OnLists(Contacts):
         return 1.0
 
     def fastest_modes(self, inertia: Any) -> tuple[float, float]:
-        """Bounds that are proven, by Collatz and Wielandt."""
+        """Return R^2 lambda / I of the fastest modes, as of `Contacts`, bounded rigorously by Collatz and Wielandt."""
         network, viscosities = self.scene.network, self.scene.viscosities
         decay = 0.0 if viscosities is None else network.largest_eigenvalue(viscosities[0], inertia)
         return decay, network.largest_eigenvalue(np.ones(network.contacts), inertia)
@@ -152,7 +162,7 @@ class OnLists(Contacts):
         )  # fmt: skip
 
     def state(self) -> dict[str, np.ndarray]:
-        """The best bound, the spins beside which it was proven, and when bounds were last looked for."""
+        """Return the best bound, the spins with which it was proven, and the iteration of the last factorisation."""
         bounds = self.bounds
         return {
             "bounds.proven": np.array(bounds.proven),
@@ -166,8 +176,11 @@ class OnLists(Contacts):
         bounds.witness = np.array(state["bounds.witness"])
 
     def answered(self, ended: Ended) -> Solution:
-        """The best state and the best forces; `force`, the states of a dynamics, and those of parts that nothing drives
-        are those of now."""
+        """Return the answer from the best state and the best forces of a run that ended.
+
+        In three places it has the values of the last state, not those that are proven of the minima: in `force`, in
+        the states of a dynamics, and in those of contacts in parts that nothing drives.
+        """
         scene, bounds, row, stop, last = self.scene, self.bounds, ended.options, ended.stop, ended.best
         system, acting = bounds.system, bounds.acting
         with one_thread():
@@ -177,23 +190,24 @@ class OnLists(Contacts):
                 np.zeros(system.unknowns), proof[:, 0, bounds.of_system], row.name, everywhere=last.staggered[:, 0].T
             )
             result = judged(system, bounds.packing, found, stop.tolerance, row.is_dynamics)
-        force, told, slip = result.force.copy(), result.state.copy(), result.slip[0]
+        force, observed, slip = result.force.copy(), result.state.copy(), result.slip[0]
         force[:, acting] = vector_length(last.force)
         loose = np.setdiff1d(acting, system.numbers)
-        told[0, loose] = np.where(slip[loose] > last.resolution, SLIPPING, SLIPLESS)
+        observed[0, loose] = np.where(slip[loose] > last.resolution, SLIPPING, SLIPLESS)
         if scene.law.holds:
             now = result.slip[:, acting], last.force, float(np.max(last.resolution))
-            told[:, acting] = classify(scene, *now)
-        if not scene.law.holds:  # sum eta |slip - that of the minimum|^2 is no more than what is open of the power
+            observed[:, acting] = classify(scene, *now)
+        if not scene.law.holds:
+            # sum eta |slip - slip at the minimum|^2 is at most power minus bound: smaller slips may be none
             left = max(result.objective[0] - result.lower_bound[0], 0.0)
             apart = np.sqrt(left / scene.acting_coefficient[0])
-            told[0, acting[slip[acting] <= apart]] = UNDECIDED
+            observed[0, acting[slip[acting] <= apart]] = UNDECIDED
         status = ended_as(ended.status, result, stop, row.is_dynamics)
         moves, known = row.is_dynamics and not scene.law.flows, what_is_proven(result.state, result.proven)
-        state, proven = decided(told, known, moves, has_ended=moves and result.status is Status.CERTIFIED)
+        state, proven = decided(observed, known, moves, has_ended=moves and result.status is Status.CERTIFIED)
         return replace(result, status=status, iterations=ended.iterations, force=force, state=state, proven=proven)
 
 
 def team_of(fields: Fields, spec: ListSpec) -> Team:
-    """Workers for sweeps over these fields."""
+    """Return the threads for sweeps over these fields. spec : their names and sizes."""
     return Team(team_size(fields.layout, sum(count for _, count in spec[0])))

@@ -1,4 +1,8 @@
-"""The contacts of a lattice as methods step them: neighbours are a stride apart, transforms balance their forces."""
+"""The contacts of a lattice as methods step them: neighbours are a constant stride apart in memory.
+
+Leftover torques are balanced by fast transforms where a lower bound needs it. Shapes: R samples, N spheres (the shape
+of the lattice), E contacts, C carried spin components.
+"""
 
 from typing import TYPE_CHECKING, Any
 
@@ -37,11 +41,11 @@ class OnStrides(Contacts):
         return (*spheres.items(), *((name, counts.get(name, forces)) for name in (*contacts, *self.of_law)))
 
     def stencil_of(self, block: int) -> Stencil:
-        """Constants that kernels over blocks of so many sites are compiled for."""
+        """Return the constants for which kernels are compiled. block : spheres that a kernel works on together."""
         return Stencil(self.spin_axes, self.scene.lattice.dimension, block, self.scene.lattice.periodic)
 
     def on_device(self, spec: FieldSpec) -> Fields:
-        """Return fields of a spec, on the device that runs."""
+        """Return new fields on the device. spec : their names, with the numbers that each sphere has in them."""
         lattice = self.scene.lattice
         return Fields(Layout(self.scene.replicas, lattice.shape, block_size(), lattice.periodic), spec)
 
@@ -83,11 +87,11 @@ class OnStrides(Contacts):
         sweeps.run(self.fields, team, launch.turns, launch.numbers, first=launch.first)
 
     def weights(self, bounds: np.ndarray) -> np.ndarray:
-        """Sums (C, R, *N) of these numbers (R, E) of the contacts that act on each spin component."""
+        """Return the sums (C, R, *N) of `bounds`, (R, E), over the contacts that couple each spin component."""
         return weights(bounds, self.scene.lattice, self.spin_axes)
 
     def inertias(self, options: Any, density: Any) -> float:
-        """The one that is given, or m R^2 / 2 of a disc or 2 m R^2 / 5 of a sphere; not over the radius."""
+        """Return the moment of inertia of every sphere, mass * length^2, as `inertia_of` says."""
         return inertia_of(self.scene, options)
 
     def unit_inertia(self, inertia: Any) -> float:
@@ -102,7 +106,10 @@ class OnStrides(Contacts):
         return OfLattice(self.scene, spin_axes, unit)
 
     def died_out(self, component: int, spins: np.ndarray) -> np.ndarray | None:
-        """Zero, or about the height, where no contact turns a layer as a whole, the mean of each layer."""
+        """Return spins (R, *N) of a component that friction has stopped; None for one in which the top is driven.
+
+        About the height they are the mean of each layer, which no contact changes; in other components they are 0.
+        """
         rest, free = spins.copy(), spins[..., 1:-1]
         if component == self.scene.lattice.height_axis:
             rest[..., 1:-1] = free.mean(axis=(1, 2), keepdims=True)
@@ -136,16 +143,22 @@ def inertia_of(scene: Scene, options: Any) -> float:
 
 
 def fastest_modes(scene: Scene, spin_axes: tuple[int, ...], inertia: float) -> tuple[float, float]:
-    """As of `Contacts`: of viscosity the largest eigenvalue of the weighted Laplacian, raised by what Lanczos' method
-    may miss; of contacts that stick the known one of the lattice."""
+    """Return the decay rate by viscosity, 1/time, and R^2 lambda / I, 1/mass, of the fastest modes of a lattice.
+
+    The first follows from the largest eigenvalue of the weighted Laplacian, raised by what Lanczos' method may miss.
+    The second is that of contacts that all stick, whose largest eigenvalue is known. inertia : mass * length^2.
+    """
     over = scene.slip_radius**2 / inertia
     decay = over * largest_weighted_eigenvalue(scene, spin_axes) if scene.law.flows else 0.0
     return decay, over * largest_laplacian_eigenvalue(scene.lattice, spin_axes)
 
 
 def _moving_axes(scene: Scene, spin: np.ndarray) -> tuple[int, ...]:
-    """The components that a motion needs: those of the minimum, and any in which these laboratory spins (R, *N, 3)
-    start unlike the driven planes."""
+    """Return the spin components that a motion needs: those of the minimum, and others that are not at rest at first.
+
+    spin : laboratory spins (R, *N, 3) at the start. A component is needed if some sphere has another staggered spin
+    than the bottom plane.
+    """
     needed, every = scene.minimum_spin_axes, scene.lattice.all_spin_axes
     if scene.lattice.dimension == 2:
         return needed

@@ -1,4 +1,8 @@
-"""Lower bounds that methods prove on their way through a packing, from forces on the contacts that act."""
+"""Lower bounds that methods prove on their way through a packing, from forces on its contacts.
+
+Letters: d tangents of a contact (1 for discs, 2 for spheres), E contacts that take part, A contacts among them that are
+in parts of the packing which touch a driven sphere, N spheres, C components of a spin, u = R omega.
+"""
 
 import numpy as np
 
@@ -16,12 +20,12 @@ from taichi_bearings.scene.packing import Packing
 
 
 class PackingBounds:
-    """What is proven of a packing so far.
+    """The best lower bound of a packing so far, and what proves it.
 
-    packing : with all contacts, of which `acting` are those that forces are given of. of_system : (A,), places of the
-    contacts of the system among these.
-    proven : the best bound. witness : u (C, 1, N) beside which it was proven. looked : iteration of the last look that
-    cost a factorisation.
+    packing : with all contacts. acting : (E,), numbers of those that take part, for which forces are given. system : of
+    the A contacts. of_system : (A,), their places among the E.
+    proven : the best bound, energy/time. witness : u (C, 1, N), the spins with which it was proven. looked : iteration
+    at which a bound was last computed by a factorisation.
     """
 
     def __init__(self, packing: Packing) -> None:
@@ -31,7 +35,7 @@ class PackingBounds:
         self.proven, self.witness, self.looked = 0.0, np.zeros((packing.network.components, 1, packing.spheres)), 0
 
     def is_at_rest(self) -> np.ndarray:
-        """(1,), True where a state without any slip is proven to exist."""
+        """Return (1,) True if a state without any slip is proven to exist."""
         system = self.system
         spins, rest = rolled(
             system, self.packing, exactly(np.zeros(system.unknowns)), np.ones(len(system.numbers), dtype=bool)
@@ -40,10 +44,10 @@ class PackingBounds:
         return judgement.slipless if judgement.can_be_judged else np.zeros(1, dtype=bool)
 
     def of(self, force: np.ndarray, spins: np.ndarray, whole: bool) -> tuple[float, np.ndarray]:
-        """Proven lower bound on the objective from forces (d, 1, E), 0 where none follows, and forces that prove it.
+        """Return a proven lower bound on the objective, 0 if none follows, and the forces (d, 1, E) that prove it.
 
-        whole : also from the forces without the torques they leave, by a factorisation; where normals are oblique no
-        others prove anything.
+        force : contact forces (d, 1, E). spins : u (C, 1, N). whole : also try these forces with their leftover torques
+        balanced, which costs a factorisation. Where normals are oblique only balanced forces prove a bound.
         """
         system = self.system
         if not system.offset.any() or not np.isfinite(force).all() or not np.isfinite(spins).all():
@@ -60,25 +64,25 @@ class PackingBounds:
         return best, proving
 
     def again(self, force: np.ndarray) -> float:
-        """What the forces (d, 1, E) of the best bound prove; after a checkpoint, whose word for it is not taken."""
+        """Return the bound that the forces (d, 1, E) of the best bound prove, computed anew after a checkpoint."""
         if not self.proven > 0:
             return 0.0
         return min(self.proven, self._proven_by(force[:, 0, self.of_system], self.witness))
 
     def take(self, bound: float, spins: np.ndarray) -> None:
-        """Keep a bound, if it is the best one, and the spins that it was proven beside."""
+        """Keep a bound if it is the best one, with the spins u (C, 1, N) with which it was proven."""
         if bound >= self.proven:
             self.proven, self.witness = bound, spins
 
     def _proven_by(self, force: np.ndarray, spins: np.ndarray) -> float:
-        """What these forces (d, A) prove, beside spins (C, 1, N); energy/time."""
+        """Return the lower bound, energy/time, that forces (d, A) and spins u (C, 1, N) prove; 0 if none follows."""
         packing, friction = self.packing, forces_of(self.system, force)[1]
         spin = packing.spins_of(exactly(spins[:, 0].T))
         judgement = Judgement(packing, *spin, friction)
         return float(judgement.lower_bound[0]) if judgement.can_be_judged else 0.0
 
     def _balanced(self, force: np.ndarray) -> np.ndarray:
-        """Forces (d, A) of the system in balance; as they are where that needs a division by 0."""
+        """Return forces (d, A) with their leftover torques balanced, or as they are if the matrix is singular."""
         try:
             return self.matrix.balanced(force, isotropic(force, self.system.of_contacts(self.packing)[0]))
         except NotPositiveDefinite:

@@ -2,11 +2,13 @@
 
 A component k is coupled only by the contacts that are not along k, so that a square lattice, or each plane k = constant
 of a cubic one, is a grid of its own. With one component the power is a sum of weighted |differences|, and some
-minimiser takes no other values than the two driven ones (equations.md, 5): all slip happens at the interface between
-the spheres that turn with the bottom and those that turn with the top, the lightest cut of the grid. The largest flow
-proves it and is the friction (planar/cuts.py). Every minimum is a mixture of lightest cuts, grid by grid: a contact
-slips at all minima if it is in all of these cuts, and at some if it is in some. On a periodic grid the cut is the
-lightest ring around it, and a general largest flow finds it.
+minimiser takes no other values than the two driven ones (equations.md, 5). So all slip is at the interface between the
+spheres that rotate with the bottom and those that rotate with the top, and that is the minimum cut of the grid. The
+maximum flow proves it and is the friction (planar/cuts.py). Every minimum is a mixture of minimum cuts, grid by grid: a
+contact slips at all minima if it is in all of these cuts, and at some if it is in some; then it is *tied*. On a
+periodic grid the cut is the lightest ring around it, and a general maximum flow finds it.
+
+Letters: R samples; a *plane* is the grid of one layer across the axis k.
 """
 
 import numpy as np
@@ -20,7 +22,12 @@ from taichi_bearings.solvers.method import Method
 
 
 class PlanarCutMethod(Method):
-    """See the module docstring. The only iteration cuts all grids."""
+    """The planar cut (see the module docstring). The only iteration cuts all grids.
+
+    component : the spin component k. top : (planes,), jump of the imposed spins in each plane, 1/time. tied : (R,
+    planes), number of contacts that are in some but not in all minimum cuts. next_over_minimum : (R, planes), weight of
+    the lightest other cut over that of the minimum cut.
+    """
 
     scene: Scene
 
@@ -30,17 +37,17 @@ class PlanarCutMethod(Method):
         (self.component,) = self.spin_axes
         self.staggered = scene.staggered_spin(spin, self.spin_axes)
         self.force, self.states = np.zeros((1, *scene.coefficient.shape)), all_slipless(scene)
-        self.top = self.by_plane(scene.top_spin(self.spin_axes)[..., None], self.component)[0, :, 0, 0]  # (planes,)
+        self.top = self.by_plane(scene.top_spin(self.spin_axes)[..., None], self.component)[0, :, 0, 0]
         planes = len(self.top)
         self.tied = np.zeros((scene.replicas, planes), dtype=np.int64)
         self.next_over_minimum = np.full((scene.replicas, planes), np.inf)
         self.iteration = 0
 
     def advance(self, steps: int) -> None:
-        """Cut every grid, or turn everything alike where top and bottom agree."""
+        """Cut every grid, or let all its spheres rotate alike where top and bottom have the same spin."""
         self.iteration += 1
         spins = self.by_plane(self.staggered[0], self.component)
-        spins[:, self.top == 0] = 0.0  # no jump: all turns alike
+        spins[:, self.top == 0] = 0.0  # no jump: all rotate with the bottom
         height = self.scene.lattice.height_axis
         (sideways,) = (axis for axis in range(height) if axis != self.component)
         coefficient = self.scene.lattice.by_axis(self.scene.coefficient)
@@ -52,10 +59,11 @@ class PlanarCutMethod(Method):
         for part, cuts in cuts_of(*weights) if len(plane) else ():
             where = replica[part], plane[part]
             spins[where] = np.where(cuts.above, self.top[plane[part], None, None], 0.0)
-            beside, rising = (cuts.above[low] != cuts.above[high] for low, high in map(grid.along, range(2)))
-            beside, rising = (cut & (of[part] > 0) for cut, of in zip((beside, rising), weights, strict=True))
-            self._store(sideways, where, beside, cuts.sideways_flow, cuts.sideways_tied)
-            self._store(height, where, rising, cuts.upward_flow, cuts.upward_tied)
+            # contacts along the rows and along the height whose ends are on different sides of the cut
+            along, upward = (cuts.above[low] != cuts.above[high] for low, high in map(grid.along, range(2)))
+            along, upward = (cut & (of[part] > 0) for cut, of in zip((along, upward), weights, strict=True))
+            self._store(sideways, where, along, cuts.sideways_flow, cuts.sideways_tied)
+            self._store(height, where, upward, cuts.upward_flow, cuts.upward_tied)
             self.tied[where] = cuts.tied
             joined = cuts.weight > 0
             self.next_over_minimum[where] = np.divide(
@@ -65,7 +73,12 @@ class PlanarCutMethod(Method):
     def _store(
         self, axis: int, where: tuple[np.ndarray, np.ndarray], cut: np.ndarray, flow: np.ndarray, tied: np.ndarray
     ) -> None:
-        """Friction and states of the contacts along `axis`; those that slip at some minima only are tied."""
+        """Store friction and states of the contacts along a lattice axis in some planes.
+
+        axis : of the lattice. where : samples and numbers of the planes. cut, tied : masks of the contacts that are in
+        the cut that was found, and of those that are in some minimum cuts only. flow : maximum flow in the contacts, in
+        units of the normal force.
+        """
         friction = flow * (np.sign(self.top[where[1], None, None]) * self.scene.normal_force)
         self.by_plane(self.scene.lattice.by_axis(self.force[0])[axis], self.component)[where] = friction
         states = self.by_plane(self.scene.lattice.by_axis(self.states)[axis], self.component)

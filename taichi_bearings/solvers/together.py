@@ -1,7 +1,7 @@
-"""Samples of a packing side by side: one method each, whose steps are made together where their sweeps are alike.
+"""Samples of a packing stepped side by side: each has a method of its own, but one call of the kernels steps them all.
 
-Every sample has its own constants, looks and end, so it comes to the bits that it has alone. Beside others it only
-saves launches, which on a GPU take longer than the steps of a small packing.
+Every sample has its own constants, looks and end, so its result has the same bits as if it were solved alone. Stepping
+several at a time only saves launches of kernels, which on a GPU take longer than the steps of a small packing.
 """
 
 from collections.abc import Iterator, Sequence
@@ -27,10 +27,10 @@ def samples_at_once(scene: Bearing) -> int:
 
 
 class Together:
-    """Methods that have begun, each with a sample of one packing, advanced by the same numbers of steps.
+    """Methods that have begun, each with a sample of one packing, and that advance by the same numbers of steps.
 
-    going : those that have not ended. joined : those whose fields lie in one memory; none where their contacts differ,
-    or where a method makes its steps otherwise, and each is then advanced for itself.
+    going : the methods that have not ended. joined : the methods whose fields lie in one memory. It is empty, and each
+    method is advanced alone, where the samples have different contacts or a method does not step by sweeps.
     """
 
     def __init__(self, methods: Sequence[Method]) -> None:
@@ -46,7 +46,7 @@ class Together:
             self.joined = []
 
     def _join(self) -> None:
-        """Bring the fields of all into one memory, one after the other."""
+        """Move the fields of all joined methods into one memory, one after the other."""
         first = _contacts(self.joined[0])
         self.fields = Fields(first.lists.several(len(self.joined)), first.spec)
         for number, method in enumerate(self.joined):
@@ -57,7 +57,11 @@ class Together:
         self.team, self.sweeps = team_of(self.fields, first.spec), self.joined[0].sweeps
 
     def advance(self, steps: int) -> None:
-        """Let each make so many steps."""
+        """Let each method make `steps` steps.
+
+        Each plans its launches. All of them are made together for as many turns as the shortest one has; then each goes
+        on with the rest of its launch, or with its next one.
+        """
         if not self.joined:
             for method in self.going:
                 method.advance(steps)
@@ -72,7 +76,7 @@ class Together:
             launches = [_rest(launch, turns, plan) for launch, (_, plan) in zip(launches, plans, strict=True)]
 
     def drop(self, ended: Method) -> None:
-        """Go on without one that has ended. It is stepped for nothing until half of all have ended."""
+        """Take out a method that has ended. Its fields are still stepped until half of the methods have ended."""
         self.going = [method for method in self.going if method is not ended]
         if self.joined and self.going and 2 * len(self.going) <= len(self.joined):
             self.joined = [method for method in self.joined if method in self.going]
@@ -80,12 +84,13 @@ class Together:
 
 
 def _contacts(method: "Swept") -> OnLists:
+    """Return the contacts of a method that steps a packing."""
     assert isinstance(method.contacts, OnLists)
     return method.contacts
 
 
 def _rest(launch: Launch | None, turns: int, plan: Iterator[Launch]) -> Launch | None:
-    """What is left of a launch of which so many turns were made, or the next one of the plan; None at its end."""
+    """Return what is left of a launch after `turns` turns, or the next launch of the plan; None at the end of it."""
     if launch is None or launch.turns == turns:
         return next(plan, None)
     return replace(launch, turns=launch.turns - turns, first=launch.first + turns)
