@@ -1,11 +1,12 @@
-"""Operator splitting for Coulomb friction: balance all torques as if by equal springs, let friction limit each force.
+"""Operator splitting for Coulomb friction: one step balances all torques, the next one applies the friction limits.
 
-Write P(Omega) = R sum over contacts of mu F_n |D Omega| and give each contact a slip z of its own. The alternating
-direction method of multipliers, which is Douglas-Rachford splitting, ties z to D Omega by springs of stiffness rho:
+The power is P(Omega) = R sum over contacts of mu F_n |D Omega|, with spins Omega and their differences D Omega across
+contacts. Each contact gets a slip z of its own. The alternating direction method of multipliers, which is
+Douglas-Rachford splitting, ties z to D Omega by springs of stiffness rho:
 
     f, z    per contact: the trial force v = f + rho z is split into f, v limited to the friction disc, and the rest
     Omega   minimises sum over contacts of |v - 2 f - rho D Omega|^2, a Poisson problem with constant coefficients,
-            solved for the change that takes away what the springs leave on each sphere
+            solved for the change of Omega that cancels the torque which the springs leave on each sphere
     v       <- f + (1 - alpha) rho z + alpha rho D Omega, with alpha = 1.9 (over-relaxation)
 
 Both halves are exact, so v converges from any start for any rho > 0 and 0 < alpha < 2 (Eckstein and Bertsekas 1992).
@@ -15,8 +16,11 @@ scaled into the friction discs it proves the lower bound. docs/methods.md has th
 Contacts along the height carry the drive and slip most, so their springs are four times softer. The stiffness is
 steered by the proven gap, which splits into (P - W) + (W - bound) with W the work that the driven planes would do
 against the balanced forces. The first part is large when the springs are too soft (the spins are late), the second when
-they are too hard (the forces are late). At each check rho is changed, replica by replica, towards a second part that is
+they are too hard (the forces are late). At each look rho is changed, sample by sample, towards a second part that is
 five times the first.
+
+Shapes are (C, R, *N) for spins and (C, R, E) for forces: C carried spin components, N spheres, E contacts, and R in
+shapes is the number of samples; in formulas it is the radius.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -52,28 +56,30 @@ from taichi_bearings.solvers.on_strides import OnStrides
 
 RELAXATION = 1.9  # alpha
 HEIGHT_WEIGHT = 0.25  # stiffness of springs along the height over that of the others
-USUAL_STIFFNESS = 15.0  # of the force that a column of spheres transmits / imposed jump
-FORCES_BEHIND = 5.0  # (W - bound) / (P - W) that the stiffness is steered to
+USUAL_STIFFNESS = 15.0  # stiffness at the start, in units of the force that a column of spheres transmits over the jump
+FORCES_BEHIND = 5.0  # ratio (W - bound) / (P - W) to which the stiffness is steered
 LARGEST_CHANGE, LEAST_CHANGE = 2.0, 1.2  # factor on the stiffness at one check; smaller changes are not made
 STEERED_ITERATIONS = 20_000  # iterations after which the stiffness stays, so that the proof of convergence applies
-FIRST_CHECK, CHECKS_A_RUN = 50, 6  # checks 50 iterations or 1/6 of the run apart, for 5 to 20 % of the time
-# a sphere: 136 for fields in double precision, 220 for a check, the rest for the answer and its proof
+FIRST_CHECK, CHECKS_A_RUN = 50, 6  # looks are 50 iterations or 1/6 of the run apart; they take 5 to 20 % of the time
+# bytes: 136 for the fields in double precision, 220 for a look, the rest for the answer and its proof
 BYTES_A_SPHERE = 1000.0
 GAP_FALLS_AS = 2.0  # the gap falls about as iteration^-2, measured from 24^3 to 48^3
-RESOLVED_SLIP = 0.01  # of the imposed jump: contacts that slip more are told from resting ones at any stage
+RESOLVED_SLIP = 0.01  # of the imposed jump: faster contacts count as slipping at any stage
 
 SHARED_BY_BLAS = 32  # spheres along the height from which the BLAS library would use threads of its own
-PRODUCT_TYPE = np.float32  # numbers that are multiplied on a CPU
-CACHED_NUMBERS = 65_536  # numbers that are still in the second cache when they are added to others
+PRODUCT_TYPE = np.float32  # precision of the products with sines on a CPU
+CACHED_NUMBERS = 65_536  # numbers that are still in the second-level cache when they are added to others
 
-Planes = list[tuple[np.ndarray, np.ndarray]]
+Planes = list[tuple[np.ndarray, np.ndarray]]  # some planes of a field, and the same planes of its modes
 
 
 class OperatorSplittingMethod(Method):
-    """See the module docstring. An iteration is one pass over all contacts and one Poisson solve a spin component.
+    """Operator splitting (see the module docstring).
 
-    The fields: `friction` mu F_n, `trial` v, `spring` rho D Omega - (v - 2 f), `potential` rho Omega, `pull` the
-    springs of each sphere before the Poisson step.
+    An iteration is one pass over all contacts and one Poisson solve for each spin component. The fields are `friction`,
+    mu F_n; `trial`, v; `spring`, rho D Omega - (v - 2 f); `potential`, rho Omega; and `pull`, the sum of the spring
+    forces on each sphere before the Poisson step. stiffness : (R,), rho. weights, weight : stiffness of the springs
+    over rho, by lattice axis and by contact.
     """
 
     scene: Scene
@@ -102,7 +108,10 @@ class OperatorSplittingMethod(Method):
         self._load(scene.clip_to_box(scene.staggered_spin(spin, self.spin_axes), self.spin_axes))
 
     def _load(self, staggered: np.ndarray) -> None:
-        """Start from these spins, with the forces that springs of the first stiffness would bear."""
+        """Load the start: staggered spins (C, R, *N), and the forces that springs of the first stiffness would bear.
+
+        The first stiffness follows from the power of spins that change linearly with the height.
+        """
         scene = self.scene
         friction = np.full((scene.lattice.dimension, scene.replicas, *scene.lattice.shape), ABSENT_FRICTION)
         for axis, coefficient in enumerate(scene.lattice.by_axis(scene.acting_coefficient)):
@@ -116,6 +125,7 @@ class OperatorSplittingMethod(Method):
         self._load_trial(self.weight * self.stiffness[:, None] * self.differences(staggered))
 
     def _load_trial(self, trial: Forces) -> None:
+        """Write trial forces v (C, R, E) into their field."""
         self.fields.load("trial", self.stencil.forces_at_lower_sphere(trial, self.layout))
 
     def state(self) -> dict[str, np.ndarray]:
@@ -128,6 +138,7 @@ class OperatorSplittingMethod(Method):
         self.iteration, self.stiffness = int(state["iteration"]), np.array(state["stiffness"])
 
     def _by_replica(self, values: np.ndarray) -> np.ndarray:
+        """Return values (R,) with axes of length 1 for those of the lattice."""
         return values.reshape(-1, *(1,) * self.scene.lattice.dimension)
 
     def next_check(self, iteration: int) -> int:
@@ -142,12 +153,20 @@ class OperatorSplittingMethod(Method):
                 self.iteration += 1
 
     def _step_contacts(self, relaxation: float) -> None:
+        """Make the pass over the contacts: limit the trial forces, update v, and sum the spring forces on spheres.
+
+        relaxation : alpha; with 0 the trial forces stay, and only the spring forces are computed anew.
+        """
         self.contact_step.run(self.fields, self.team, 1, (self.weights[0], self.weights[-1], relaxation))
 
     def progress(self) -> Progress:
-        """`force` is the limited friction f; the torque it leaves is reported and vanishes with the gap."""
+        """Return spins, the limited friction f, and the bound that the balanced spring forces prove.
+
+        The friction f leaves a torque on the spheres, which is reported and vanishes with the gap. The stiffness is
+        steered here, so that looks are part of the iteration.
+        """
         scene, axes = self.scene, self.spin_axes
-        if self.balance.is_rough and self.iteration:  # once more, for what its rounding has left
+        if self.balance.is_rough and self.iteration:  # balance once more, for the torques that its rounding has left
             self._step_contacts(0.0)
             self.balance.solve()
         potential = self.fields.read("potential")
@@ -164,7 +183,7 @@ class OperatorSplittingMethod(Method):
             self.fields.load("potential", self._by_replica(change) * potential)
             limited = self._limited(trial)
             self._load_trial(limited + change[:, None] * (trial - limited))
-        # the fastest creep of a contact that rests, z = 0 exactly, as long as the two halves do not quite agree
+        # slips of contacts with z = 0 exactly, which are slipless: how far the two steps still disagree
         creep = float((slips * ((trial == friction).all(axis=0) & (scene.acting_coefficient > 0))).max())
         return Progress(
             iteration=self.iteration,
@@ -180,16 +199,17 @@ class OperatorSplittingMethod(Method):
         )
 
     def _limited(self, trial: Forces) -> Forces:
-        """The friction f of trial forces, to the last bit as the contact step has it."""
+        """Return the friction f of trial forces (C, R, E), with the same bits as in the pass over the contacts."""
         scene, alone = self.scene, self.scene.lattice.tangential_mask(self.spin_axes).sum(axis=0) == 1
         limit, size = scene.strength * scene.acting_coefficient, np.sqrt((trial**2).sum(axis=0))
         share = np.divide(limit, size, out=np.ones_like(size), where=size > limit)
         return np.where(alone, np.clip(trial, -limit, limit), trial * share)
 
     def _spring_force(self, potential: np.ndarray, trial: Forces, friction: Forces) -> Forces:
-        """rho D Omega - (v - 2 f), (C, R, E).
+        """Return the spring forces rho D Omega - (v - 2 f), (C, R, E), balanced to double precision.
 
-        After a Poisson step they leave no torque but round-off on free spheres; some exceed their friction discs.
+        potential : rho Omega, (C, R, *N). trial : v. friction : f. After a Poisson step they leave no torque but
+        round-off on free spheres; some exceed their friction limits. In single precision they are balanced once more.
         """
         differences = self.differences(potential)
         force = self.weight * differences - (trial - 2 * friction)
@@ -197,7 +217,10 @@ class OperatorSplittingMethod(Method):
         return force if exact else balance(self.scene, force, self.spin_axes)
 
     def _usual_stiffness(self, power: np.ndarray) -> np.ndarray:
-        """USUAL_STIFFNESS in its units, (R,): a column transmits the force power / (R * jump * columns)."""
+        """Return the usual stiffness (R,): USUAL_STIFFNESS times the force of a column over the jump.
+
+        power : (R,). A column of spheres transmits the force power / (radius * jump * number of columns).
+        """
         scene = self.scene
         jump, columns = scene.jump or 1.0, scene.lattice.sites // scene.lattice.shape[-1]
         return (
@@ -205,10 +228,11 @@ class OperatorSplittingMethod(Method):
         )
 
     def _steered(self, power: np.ndarray, balanced_power: np.ndarray, bound: np.ndarray) -> np.ndarray:
-        """Factors (R,) on the stiffness from the two parts of the gap, within a reach that only grows with the
-        iterations.
+        """Return factors (R,) by which the stiffness is to change, from the two parts of the gap; 1 for small changes.
 
-        Without that limit a scene whose parts shrink in proportion would drive the stiffness away without end.
+        power : P. balanced_power : W, the work against the balanced forces. bound : the lower bound; (R,) each. The
+        stiffness may be off its usual value by a ratio that grows only slowly with the iterations. Without that limit a
+        scene whose two parts shrink in proportion would change the stiffness without end.
         """
         if not 0 < self.iteration < STEERED_ITERATIONS:
             return np.ones(len(power))
@@ -216,22 +240,27 @@ class OperatorSplittingMethod(Method):
         spins_late = np.maximum(power - balanced_power, least)
         forces_late = np.maximum(balanced_power - bound, least)
         factor = np.sqrt(FORCES_BEHIND * spins_late / forces_late).clip(1 / LARGEST_CHANGE, LARGEST_CHANGE)
-        reach = np.sqrt(max(self.iteration / FIRST_CHECK, 1.0))
+        ratio = np.sqrt(max(self.iteration / FIRST_CHECK, 1.0))
         usual = self._usual_stiffness(power)
-        wanted = (self.stiffness * factor).clip(usual / reach, usual * reach)
+        wanted = (self.stiffness * factor).clip(usual / ratio, usual * ratio)
         factor = wanted / self.stiffness
         return np.where(np.abs(np.log(factor)) > np.log(LEAST_CHANGE), factor, 1.0)
 
 
 class TorqueBalance:
-    """Adds u to the field `potential`: sum over axes a of weight_a (-Laplace_a) u = `pull`, u = 0 on driven planes.
+    """Solves the Poisson problem of a step, and adds its solution u to the field `potential`.
 
-    What is added is small once the springs nearly balance, and so is its rounding error. On a GPU all of it is one
-    launch. On a CPU the products with sines are those of the BLAS library, plane by plane, so that no number depends on
-    what else is solved at the time, nor on how many threads share the planes. They are in single precision, which is
-    twice as fast: what is solved for is a change, and the next change makes up for its rounding.
+    The problem is: sum over axes a of weight_a (-Laplace_a) u = `pull`, with u = 0 on the driven planes. A spin
+    component is coupled along the height and one other axis only. A sine transform along the height separates the
+    modes; each of them is a chain, or a ring, along the other axis, and is solved with factors that are computed once.
 
-    weights : one an axis, those sideways alike.
+    u is small once the springs nearly balance, and so is its rounding error. On a GPU all of it is one launch. On a CPU
+    the products with sines are those of the BLAS library, plane by plane, so that no number depends on what else is
+    solved at the time, nor on how many threads share the planes. They are in single precision, which is twice as fast:
+    u is only a change, and the next one makes up for the rounding.
+
+    weights : stiffness of the springs along each axis, equal along the sides. is_rough : the products are less precise
+    than the fields.
     """
 
     def __init__(self, spec: FieldSpec, stencil: Stencil, weights: tuple[float, ...], fields: Fields) -> None:
@@ -261,11 +290,11 @@ class TorqueBalance:
             self.pulls, self.potentials = self._shares("pull"), self._shares("potential")
 
     def _numbers(self, values: np.ndarray) -> Any:
-        """Numbers beside the fields: on a GPU as precise as these."""
+        """Return an array of constants where the kernels read it: on the GPU as precise as fields, else as products."""
         return on_device(values) if runtime.current().is_gpu else values.astype(self.products)
 
     def begin(self) -> AbstractContextManager[None]:
-        """In which many solves are made."""
+        """Return the context in which solves are made, where the BLAS library uses no threads of its own."""
         return nullcontext() if self.workers == 0 or self.is_small else one_thread()
 
     def solve(self) -> None:
@@ -280,11 +309,14 @@ class TorqueBalance:
         list(self.each(_from_modes, self.potentials, repeat(self.sines)))
 
     def _shares(self, name: str) -> list[Planes]:
-        """The spheres of a field and their modes, a few planes across a side at a time, a list a thread."""
+        """Return for each thread its share of a field: a few planes at a time, with the same planes of the modes.
+
+        name : of the field. The axes of a plane are the last side of the lattice and the height.
+        """
         layout = self.fields.layout
-        planes, room = (-1, *layout.shape[-2:]), self.modes[: -layout.block].reshape(-1, layout.sites)
+        planes, of_modes = (-1, *layout.shape[-2:]), self.modes[: -layout.block].reshape(-1, layout.sites)
         shares: list[Planes] = [[] for _ in range(self.workers)]
-        for parts in zip(self.fields.view(name), room, strict=True):
+        for parts in zip(self.fields.view(name), of_modes, strict=True):
             field, modes = (part.reshape(planes) for part in parts)
             few = max(1, CACHED_NUMBERS // field[0].size)
             for worker, share in enumerate(shares):
@@ -296,10 +328,12 @@ class TorqueBalance:
 
 
 def _to_modes(planes: Planes, sines: np.ndarray) -> None:
+    """Write the sine transform along the height of some planes of `pull` into their modes. sines : its matrix."""
     for pull, modes in planes:
         np.matmul(pull.astype(sines.dtype, copy=False), sines, out=modes)
 
 
 def _from_modes(planes: Planes, sines: np.ndarray) -> None:
+    """Add the inverse sine transform of some modes to the planes of `potential`. sines : the matrix of it."""
     for potential, modes in planes:
         potential += np.matmul(modes, sines)

@@ -1,4 +1,4 @@
-"""The one table of methods: what each is called and solves, and the options that it owns.
+"""The table of methods: the name of each, which scenes it solves, what it costs, and its options.
 
 A method is named by a small frozen object that holds its options, such as ``CundallStrack(stiffness=1e6)``; `build`
 loads what does the work. Nothing here loads Taichi or SciPy.
@@ -35,16 +35,23 @@ if TYPE_CHECKING:
     from taichi_bearings.solvers.method import Method
 
 MOST_FACTORISED = 120_000  # spheres of a cubic lattice up to which a factorisation pays and fits (about 48^3)
-SPLITTING_TOLERANCE = 3e-5  # tolerance that operator splitting reaches sooner than the interior-point method
+SPLITTING_TOLERANCE = 3e-5  # from this tolerance on operator splitting is faster than the interior-point method
 
 
 def _laws(condition: Callable[[Law], bool] = lambda law: True) -> "staticmethod[[Law], bool]":
-    """Friction, viscosity or both, and with this condition: what most methods here are made for."""
+    """Return a function that is True for laws with friction, viscosity or both that fulfil a condition.
+
+    condition : function of the law. Laws that users have defined are excluded.
+    """
     return staticmethod(lambda law: law.is_sum and condition(law))
 
 
 def _descends(law: Law) -> bool:
-    """True for these laws, and for one of a user that flows, rests nowhere, and says how steep its force is."""
+    """Return whether gradient descent solves a law: one with friction, viscosity or both, or a suitable one of a user.
+
+    Such a law has a force that grows with the slip, holds no force without slip, and defines `steepest`, the slope of
+    its force.
+    """
     return law.is_sum or (law.flows and not law.holds and type(law).steepest is not Law.steepest)
 
 
@@ -59,7 +66,10 @@ FACTORISING_BYTES = {2: 2800.0, 3: 5500.0}
 
 
 def _factorising_bytes(shape: Sequence[int], periodic: Sequence[int]) -> float:
-    """The most memory of a method that factorises a Laplacian of the free spins; infinite if that cannot be indexed."""
+    """Return the most memory, bytes, that a method takes which factorises a Laplacian of the free spins of a lattice.
+
+    shape : of the lattice. periodic : its periodic axes. The result is infinite if the factor is too large to index.
+    """
     from taichi_bearings.lattice import Lattice
     from taichi_bearings.numerics.cholesky.size import factor_numbers
     from taichi_bearings.numerics.cholesky.tuning import MOST_FACTOR_NUMBERS
@@ -76,13 +86,15 @@ material = partial(option, laws=attrgetter("holds"))  # of contacts that bear a 
 class MethodOptions:
     """A method and its options. The facts of a method are class variables, its options the fields.
 
-    name : for --method. implementation : "module:class", which is called with the options. steps_packings : it steps
-    the contacts of packings too. minimises_packings : packing/answer.py finds minima of packings by this name.
-    is_dynamics : it steps in time.
-    keeps_checkpoints : it can go on from a checkpoint, unless it minimises a packing.
+    name : for --method. implementation : "module:class", which is called with the options.
+    steps_packings : it also solves packings, step by step. minimises_packings : packing/answer.py finds minima of
+    packings by a method of this name.
+    is_dynamics : its iterations are steps in time. keeps_checkpoints : it can continue from a checkpoint, unless it
+    minimises a packing. needs_taichi : it uses kernels or fields.
     cpu_only : it works in the memory of the CPU, in double precision whatever is asked.
-    alike_in_a_block : spheres up to which it gives a seed the same bits alone and beside others, and gains by it.
-    colour, marker : in every figure. solves : True for a law.
+    alike_in_a_block : number of spheres up to which solving several seeds at once is faster, and gives each seed the
+    same bits as solving it alone.
+    colour, marker : of its curves in figures. solves : a function that is True for the laws that it solves.
     """
 
     name: ClassVar[str]
@@ -103,7 +115,7 @@ class MethodOptions:
             object.__setattr__(self, name, item.read(name, getattr(self, name)))
 
     def build(self) -> "Method":
-        """What does the work, ready for :func:`taichi_bearings.solvers.drive.solve`."""
+        """Return the method with these options, ready for :func:`taichi_bearings.solvers.drive.solve`."""
         module, _, attribute = self.implementation.partition(":")
         with warnings.catch_warnings():  # SciPy adds filters of its own
             built: Method = getattr(importlib.import_module(module), attribute)(self)
@@ -111,7 +123,7 @@ class MethodOptions:
 
     @classmethod
     def refusal(cls, scene: "Scene") -> str:
-        """Why the method cannot solve this scene, as a sentence; empty if it can."""
+        """Return why the method cannot solve this scene, as a sentence; empty if it can."""
         if cls.solves(scene.law):
             return ""
         laws = " or ".join(name for name, law in LAWS.items() if cls.solves(law))
@@ -119,33 +131,42 @@ class MethodOptions:
 
     @classmethod
     def suits(cls, scene: "Scene", tolerance: float, on_gpu: bool) -> bool:
-        """True if `auto` should take it, unless it comes to another method earlier in the table."""
+        """Return whether `auto` may take the method; it takes the first one of the table that may be taken.
+
+        tolerance : relative gap that is asked for. on_gpu : the run has a GPU.
+        """
         return not cls.is_dynamics and not (cls.cpu_only and on_gpu) and not cls.refusal(scene)
 
     @classmethod
     def seconds(cls, shape: Sequence[int], tolerance: float) -> float | None:
-        """Time to solve one sample on one core of a common server, within a factor of three; None if unknown."""
+        """Return the seconds to solve one sample on one core of a common server, within a factor of three.
+
+        shape : of the lattice. tolerance : relative gap that is asked for. None if the time is not known.
+        """
         return None
 
     @classmethod
     def step_seconds(cls, shape: Sequence[int]) -> float | None:
-        """Time of a step of a dynamics or descent whose steps are alike, as :meth:`seconds`; None of other methods."""
+        """Return the seconds of a step, if all steps of the method take the same time; else None."""
         return None
 
     @classmethod
     def bytes(cls, shape: Sequence[int], periodic: Sequence[int] = ()) -> float:
-        """The most memory that one sample takes until its answer is written, beside that of an interpreter: where the
-        method keeps no more itself, that in which the answer is judged. Good to a factor of 1.3."""
+        """Return the most memory, bytes, that one sample takes until its answer is written, within a factor of 1.3.
+
+        The memory of the interpreter itself comes on top. Judging the answer takes the most, unless a method overrides
+        this because it keeps more itself. shape : of the lattice. periodic : its periodic axes.
+        """
         return JUDGED_BYTES[len(shape)] * prod(shape)
 
 
 METHODS: dict[str, type[MethodOptions]] = {}
-"""The methods by name, in the order in which `auto` asks them and tables list them."""
+"""The methods by name, in the order in which `auto` tries them and tables list them."""
 Row = TypeVar("Row", bound=type[MethodOptions])
 
 
 def register(row: Row) -> Row:
-    """Add a method to the table; also a decorator."""
+    """Add a method to the table and return it, as a decorator does; raise InputError if its name is taken."""
     if row.name in METHODS or row.name == "auto":
         raise InputError(f"method is {row.name!r}; there is one of that name already")
     METHODS[row.name] = row
@@ -269,17 +290,19 @@ class GradientDescent(MethodOptions):
 
 
 def _rest_tolerance(default: float) -> float:
+    """Return the option by which a dynamics counts as being at rest."""
     return how(default, POSITIVE, "Relative change of P that counts as rest.", unset=True, rare=True)
 
 
 def _error_tolerance() -> float:
+    """Return the option for the error of a time step that a method chooses itself."""
     help = "Steps chosen by error: root mean square error of the spins in a step, relative to the largest spin."
     return how(1e-3, POSITIVE, help, unset=True, rare=True)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Motion(MethodOptions):
-    """What all dynamics have."""
+    """The options that all dynamics have: mass and moment of inertia of the spheres, and the time step."""
 
     is_dynamics = keeps_checkpoints = True
 
@@ -328,8 +351,9 @@ class CundallStrack(Motion):
     """The paper's second method: springs and dampers of Cundall and Strack, the paper's values as defaults, in explicit
     steps by Gear's method.
 
-    At rest once the power changes by less than rest_tolerance over three checks in a row, no contact changes between
-    sticking and slipping, and no free sphere feels more than this share of the typical friction torque.
+    At rest once, over three checks in a row, the power changes by less than rest_tolerance, no contact changes between
+    sticking and slipping, and the torque on each free sphere is below 1000 rest_tolerance times the typical one of
+    friction.
     """
 
     name = "cundall-strack"
@@ -359,9 +383,11 @@ class CundallStrack(Motion):
     energy: bool = how(False, TRUTH, "Keep an energy balance; a step takes a third longer.", rare=True)
 
     def after_slip(self, span: float) -> tuple[float, float]:
-        """Elongation of a slipping contact after a time `span`: so much of its force, and of the elongation before.
+        """Return how the elongation of a slipping contact follows from its force, after a time `span`.
 
-        reset : paper Eq. 9, with a unit vector. relax : A d(delta)/dt = F - K delta, by implicit Euler.
+        The two numbers are the factor of the force, length/force, and that of the elongation before. With `reset` the
+        elongation is F / K (paper Eq. 9, with a unit vector); with `relax` it obeys A d(delta)/dt = F - K delta, solved
+        by implicit Euler.
         """
         if self.slipping_spring == "reset":
             return 1 / self.stiffness, 0.0
@@ -370,7 +396,10 @@ class CundallStrack(Motion):
 
 
 def fastest(scene: "Scene", tolerance: float, on_gpu: bool) -> type[MethodOptions]:
-    """The fastest method that certifies a scene: what `auto` stands for."""
+    """Return the fastest method that certifies a scene, for which `auto` stands.
+
+    tolerance : relative gap that is asked for. on_gpu : the run has a GPU. Raises InputError if there is none.
+    """
     for row in METHODS.values():
         if row.suits(scene, tolerance, on_gpu):
             return row
@@ -378,7 +407,10 @@ def fastest(scene: "Scene", tolerance: float, on_gpu: bool) -> type[MethodOption
 
 
 def row_of_packing(method: str) -> type[MethodOptions] | None:
-    """The row of a dynamics or descent, None for what finds minima; InputError for a method that packings lack."""
+    """Return the row of a method that steps packings, or None for one that finds their minima directly.
+
+    method : its name, or "auto". Raises InputError for a method that does not solve packings.
+    """
     row = METHODS.get(method)
     able = [name for name, built in METHODS.items() if built.steps_packings or built.minimises_packings]
     if method not in ("auto", *able):
