@@ -1,11 +1,12 @@
-"""The last decades of the central path, on to where every contact either slips or sticks.
+"""The last decades of the central path, down to where every contact either slips or sticks.
 
-On the central path slip times friction margin is the same for all contacts. The path itself ends near products of
-1e-14: margins fall below what forces are rounded to, and slips below what spins are. Here contacts that slip far leave
-their cones and obey the law of friction exactly, and spins are sums of two doubles. Slips then are known to all their
-digits, and add up to nothing round every loop of contacts: where they do not, contacts at rest seem to slip by what is
-missing. So the product can be brought down by another ten decades, until of every contact either slip or margin falls
-with it. Long before, few contacts are in doubt; with those tied that surely stick a step takes a third of the time.
+On the central path slip times friction margin, the product, is the same for all contacts. The path itself ends near
+products of 1e-14: margins fall below the rounding of forces, and slips below that of spins. Here contacts that slip far
+leave their cones and obey the law of friction exactly, and spins are sums of two doubles. So all digits of the slips
+are known, and slips add up to exactly nothing round every loop of contacts; otherwise contacts at rest would seem to
+slip by what is missing. The product can then be brought down by another ten decades, until either slip or margin of
+every contact falls in proportion to it. Long before, few contacts are in doubt; with those tied that surely stick, a
+step takes a third of the time.
 """
 
 from dataclasses import replace
@@ -19,26 +20,31 @@ from taichi_bearings.conic.iterate import Iterate
 from taichi_bearings.conic.newton_matrix import MOST_NEWTON_STEPS, NewtonMatrix
 from taichi_bearings.numerics.double_double import Pair, exactly
 
-DECIDED_EXPONENT = 0.5  # power of the product with which slip or margin of a contact falls that is decided
+DECIDED_EXPONENT = 0.5  # a contact is decided if slip / margin changes faster than the product to this power
 # margin below which a contact can be at its limit (12^3 seeds 110 and 350), and below which one at rest surely is
 LEAST_MARGIN_AT_LIMIT, LOST_MARGIN = 1e-6, 1e-11
-VANISHING_PRODUCT = 1e-20  # product from which on contacts are judged whose slip and margin both vanish
-SLIPPING_RATIO = 1e4  # ratio of slip and margin from which a contact surely slips
-# and below which one surely sticks, if it falls with the product; and its least margin
+VANISHING_PRODUCT = 1e-20  # product below which contacts are judged whose slip and margin both vanish
+SLIPPING_RATIO = 1e4  # ratio slip / margin above which a contact surely slips
+# ratio slip / margin below which a contact surely sticks, if the ratio falls with the product and the margin is above
+# the second number
 STICKING_RATIO, STICKING_MARGIN = 1e-5, 1e-5
 LEAST_PRODUCT = 1e-25  # product at which double precision ends
-# share of the product that a step leaves if rounding stops it, and such steps in a row
+# a step has stalled by rounding if more than this share of the product is left; the path ends after so many in a row
 STALLED_SHARE, MOST_STALLED_STEPS = 0.6, 10
-JUDGED_TORQUE = 1e-6  # torques, of the mean friction, up to which a point can be judged
+JUDGED_TORQUE = 1e-6  # torque over the mean friction, up to which a point can be judged
 EPS = np.finfo(np.float64).eps
 
 
 class LastDecades:
-    """A point of the path, its spins the small parts of sums of two doubles."""
+    """A point of the path whose spins are sums of two doubles: `point` is an iterate that holds their small parts.
+
+    sticking : (n,) mask of contacts that surely stick, once :meth:`decide` has ended.
+    at_limit : (n,) mask of contacts that bear all their friction and yet do not slip, likewise.
+    """
 
     def __init__(self, iterate: Iterate, spins: Pair, difference: np.ndarray, matrix: NewtonMatrix) -> None:
-        """Begin at the point `iterate`, which is not changed, with these spins and differences more precise than its
-        own. matrix : of its system."""
+        """Begin at the point `iterate`, which is not changed, with spins and slips (d, n) that are more precise than
+        its own. matrix : Newton matrix of its system."""
         self._large, self._matrix = spins[0], matrix
         bound = iterate.bound - length(iterate.difference) + length(difference)
         self.point = replace(iterate, spins=spins[1], bound=bound, difference=difference)
@@ -47,14 +53,14 @@ class LastDecades:
 
     @classmethod
     def after(cls, iterate: Iterate, before: Iterate | None, matrix: NewtonMatrix) -> "LastDecades":
-        """Begin where the central path ends. before : where it was a step before, if that is known."""
+        """Begin at `iterate`, where the central path ends. before : the point one step before, None if unknown."""
         path = cls(iterate, exactly(iterate.spins), iterate.system.differences(iterate.spins), matrix)
         if before is not None:
             path._ratios, path._product = before.slip_over_margin, before.complementarity
         return path
 
     def over(self, tied: Contraction) -> "LastDecades":
-        """The same point of what is left of its system."""
+        """The same point over the contacts and unknowns that are left when some contacts are tied."""
         spins, point = tied.contracted(self.spins), self.point
         friction, bound, difference, dual = (
             values[..., tied.kept] for values in (point.friction, point.bound, point.difference, point.dual)
@@ -66,24 +72,27 @@ class LastDecades:
 
     @property
     def spins(self) -> Pair:
+        """The spins (unknowns,) as a sum of two doubles."""
         return self._large, self.point.spins
 
     def decide(self, doubtful: int = 0, to_the_end: bool = False) -> np.ndarray | None:
-        """Go on until either slip or margin falls with the product everywhere, but for so many contacts, or until
-        double precision ends; `to_the_end` anyhow: mask (n,), the contacts that slip, or come to slip; None if
-        that fails.
+        """Go on along the path until slips are decided, and return a mask (n,) of the contacts that slip, or come to
+        slip; None if that fails.
 
-        Contacts that surely stick then are the `sticking` ones, (n,) mask; where the path ends, contacts whose
-        slip and margin both vanish, like the root of the product, are the `at_limit` ones, and do not slip. The next
-        time it goes on from there by at least one step.
+        A contact is decided if slip or margin falls with the product. The path goes on until all but `doubtful`
+        contacts are decided, or double precision ends; with `to_the_end` always until double precision ends. Afterwards
+        `sticking` marks contacts that surely stick. Where the path has ended, `at_limit` marks contacts whose slip and
+        margin both vanish, like the root of the product; they do not slip. The next call goes on from there by at least
+        one step.
         """
         before, last, stalled, fell = self._ratios, self._product, 0, np.ones(len(self.point.friction), dtype=bool)
-        late: tuple[np.ndarray, float] | None = None  # ratios and product where contacts at their limit begin to tell
+        late: tuple[np.ndarray, float] | None = None  # ratios and product at the first point below VANISHING_PRODUCT
         for _ in range(MOST_NEWTON_STEPS):
             ratios, product = self.point.slip_over_margin, self.point.complementarity
             if not product > 0:  # it underflows where coefficients differ by thirty decades
                 return None
             stalled = stalled + 1 if product > STALLED_SHARE * last else 0
+            # Exponent with which slip / margin changes with the product over the last step.
             power = np.log(ratios / before) / abs(np.log(product / last))
             decided = (np.abs(power) > DECIDED_EXPONENT) | (ratios > SLIPPING_RATIO)
             enough = product < LEAST_PRODUCT or (not to_the_end and (~decided).sum() <= doubtful)
@@ -94,7 +103,9 @@ class LastDecades:
                 self._ratios, self._product = np.zeros_like(before), np.inf
                 if product >= LEAST_PRODUCT or late is None:
                     return (ratios > 1) | (ratios > before)
-                fall = abs(np.log(product / late[1]))  # of the product, with which steady ratios have not changed
+                fall = abs(
+                    np.log(product / late[1])
+                )  # how far the product fell while ratios of contacts at their limit stayed
                 steady = np.abs(np.log(ratios / late[0])) < DECIDED_EXPONENT * fall
                 margin, rests = self.point.margin, ratios < 1
                 full = (steady & (margin < LEAST_MARGIN_AT_LIMIT)) | (rests & (margin < LOST_MARGIN))
@@ -102,7 +113,7 @@ class LastDecades:
                 return (ratios > 1) & ~self.at_limit
             if late is None and product < VANISHING_PRODUCT:
                 late = ratios, product
-            # beyond this slip the distance from the cone is lost in rounding; never near the slips in doubt
+            # with larger slips contacts leave their cones, as rounding hides the distance; slips in doubt are smaller
             far = length(self.point.difference) > max(product / (1000 * EPS), 100 * np.sqrt(product))
             slips = far & ((power > DECIDED_EXPONENT) | self._smooth)
             self.point = newton_step(self.point.let_slip(slips), self._matrix)
@@ -111,5 +122,6 @@ class LastDecades:
 
     @property
     def _smooth(self) -> np.ndarray:
+        """(n,) mask of the contacts that have left their cones."""
         none = np.zeros(len(self.point.friction), dtype=bool)
         return none if self.point.smooth is None else self.point.smooth

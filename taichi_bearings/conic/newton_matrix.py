@@ -1,4 +1,7 @@
-"""The matrix of a Newton step: a Laplacian over the spins with a d x d stiffness at every contact."""
+"""The matrix of a Newton step: a Laplacian over the spins, with a stiffness (d, d) at every contact.
+
+Letters: n contacts with up to d slip components, S samples side by side (conic/__init__.py).
+"""
 
 from collections.abc import Callable, Sequence
 from functools import lru_cache, partial
@@ -11,20 +14,20 @@ from taichi_bearings.conic.rows import ContactRows
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.numerics.cholesky import Cholesky, Engine, Factor, Memory, NotPositiveDefinite, dissect
 
-MOST_NEWTON_STEPS = 60  # of Newton's method or of a search along its step: what succeeds takes some 10 to 30
-REFINEMENTS = 4  # of solutions; two do where the springs are of one size
+MOST_NEWTON_STEPS = 60  # steps of Newton's method, or of a search along one; successful ones take some 10 to 30
+REFINEMENTS = 4  # refinements of a solution; two are enough where stiffnesses are of one size
 DIAGONAL_SHIFTS = (1e-14, 1e-12, 1e-10)  # relative additions to the diagonal, tried one after the other
-INVERSE_ITERATIONS, SURELY_REGULAR = 3, 1e-8  # steps to the least eigenvalue, and what is surely not 0
+INVERSE_ITERATIONS, SURELY_REGULAR = 3, 1e-8  # inverse iterations, and a least eigenvalue that is surely not 0
 Order = np.ndarray | Callable[[int], np.ndarray]
 
 
 class NewtonMatrix:
-    """Factorised weighted Laplacians of a contact system in one sample or in several; patterns are analysed once.
+    """Factorised weighted Laplacians of a contact system, in one sample or in several; patterns are analysed once.
 
-    Several samples are alike, their numbers side by side, up to LANES of them, or they are parts of the system that no
-    contact joins. What becomes of one, bit by bit, does not depend on the others.
+    Several samples are either alike, with their numbers side by side, up to LANES of them; or they are parts of the
+    system that no contact joins. The result for one, bit by bit, does not depend on the others.
 
-    Stiffnesses over twenty decades can leave a pivot that rounding made negative; then the diagonal is raised by as
+    Stiffnesses over twenty decades can leave a pivot that rounding made negative. Then the diagonal is raised by as
     little as helps, and iterative refinement has to mend the rest.
     """
 
@@ -36,17 +39,20 @@ class NewtonMatrix:
         engine: Engine | None = None,
         parts: Sequence[slice] | None = None,
     ) -> None:
-        """order : of elimination of the unknowns of `system`, or of those of a part, counted from its first.
+        """Analyse the pattern of a system.
 
-        memory : of a matrix that is not needed as long as this one. engine : LAUNCH if there are to be several alike
-        samples, else the quickest. parts : unknowns of each sample; those of a single one if None.
+        order : order of elimination of its unknowns; or a function that returns the order for a part by its number,
+            counted from the first unknown of the part.
+        memory : memory of another matrix that is not needed as long as this one.
+        engine : LAUNCH if there are to be several alike samples; if None, the quickest.
+        parts : the unknowns of each sample; None if there is a single one.
         """
         self.memory, self._system, self._parts = memory or Memory(), system, parts or [slice(0, system.unknowns)]
         own_memory = self.memory if len(self._parts) == 1 else None
         first, second, source, sign = system.terms()
         part_of = np.searchsorted([part.start for part in self._parts], first, side="right") - 1
         places, self._choleskys, end = np.empty_like(first), list[Cholesky](), 0
-        self._entries = list[tuple[slice | np.ndarray, slice]]()  # that change, of each part, and where of all
+        self._entries = list[tuple[slice | np.ndarray, slice]]()  # for each part: entries that change, and their places
         for number, part in enumerate(self._parts):
             own = np.flatnonzero(part_of == number) if parts else slice(None)
             pairs = first[own] - part.start, second[own] - part.start
@@ -67,22 +73,25 @@ class NewtonMatrix:
         self._kept = dict[int, ContactRows]()
 
     def compile(self, samples: int = 1) -> None:
-        """Compile what so many alike samples need, and smaller systems, before the clock starts."""
+        """Compile the kernels that so many alike samples, and smaller systems, need, before the clock starts."""
         _compile(self._choleskys[0].engine, samples)
         _compile(Engine.LAUNCH, 1)
 
     def factorise(self, stiffness: np.ndarray, inertia: float | np.ndarray = 0.0) -> None:
-        """As :meth:`factorise_each`, of all samples. Raises NotPositiveDefinite if one of them is singular."""
+        """Factorise all samples, with arguments as of :meth:`factorise_each`. Raises NotPositiveDefinite if one is
+        singular."""
         if not self.factorise_each(stiffness, None, inertia).all():
             raise NotPositiveDefinite
 
     def factorise_each(
         self, stiffness: np.ndarray, wanted: np.ndarray | None = None, inertia: float | np.ndarray = 0.0
     ) -> np.ndarray:
-        """Factorise for symmetric positive stiffnesses, (d, d, n), or (d, d, n, S) of alike samples, and a
-        spring at every spin, (unknowns,) or (unknowns, S).
+        """Factorise the Laplacians of symmetric positive stiffnesses. Returns a mask (S,) of the `wanted` samples in
+        which that succeeds, if need be with a raised diagonal.
 
-        True (S,) for `wanted` samples, all if None, where that succeeds, if need be with a raised diagonal.
+        stiffness : (d, d, n), or (d, d, n, S) of alike samples.
+        wanted : (S,) mask, None for all.
+        inertia : stiffness of a spring at every spin, (unknowns,) or (unknowns, S).
         """
         values = _side_by_side(self._map @ stacked(stiffness))
         samples = values.shape[1]
@@ -98,14 +107,14 @@ class NewtonMatrix:
             springs = _side_by_side(inertia[part])[pattern.order] if isinstance(inertia, np.ndarray) else inertia
             factor.entries[pattern.diagonal, :samples] += springs
             of_lanes = np.append(regular[own], np.zeros(factor.entries.shape[1] - samples, dtype=bool))
-            regular[own] = _raised(factor, pattern.diagonal, of_lanes)[:samples]
+            regular[own] = _factorise_raising(factor, pattern.diagonal, of_lanes)[:samples]
         return regular
 
     def is_regular(self, stiffness: np.ndarray) -> bool:
-        """True where no change of the spins surely goes without any force. stiffness : (d, d, n), of size 1 or 0.
+        """True where surely every change of the spins meets some force. stiffness : (d, d, n), of size 1 or 0.
 
-        The least eigenvalue, by inverse iteration from a drawn vector, is then far above what rounding makes of 0, and
-        above the most by which a diagonal is raised.
+        The least eigenvalue, by inverse iteration from a random vector, is then far above what rounding makes of 0, and
+        above the largest amount by which a diagonal is raised.
         """
         if not self.factorise_each(stiffness).all():
             return False
@@ -115,7 +124,8 @@ class NewtonMatrix:
         return bool(np.linalg.norm(vector) < 1 / SURELY_REGULAR)  # False for NaN
 
     def solve(self, right: np.ndarray, wanted: np.ndarray | None = None) -> np.ndarray:
-        """Solutions, (unknowns,) or (unknowns, S), of the factorised systems; 0 in parts that are not `wanted`."""
+        """Solutions of the factorised systems for right-hand sides (unknowns,) or (unknowns, S); 0 in parts that are
+        not `wanted` (S,)."""
         columns = _side_by_side(right)
         found = np.zeros(columns.shape)
         for number, (part, cholesky) in enumerate(zip(self._parts, self._choleskys, strict=True)):
@@ -124,7 +134,8 @@ class NewtonMatrix:
         return found.reshape(right.shape)
 
     def rows(self, samples: int = 1) -> ContactRows:
-        """Memory for Newton steps of a single sample or of LANES; right-hand sides and solutions go to its spins."""
+        """Memory for Newton steps of one sample or of LANES samples; its spins hold right-hand sides, then
+        solutions."""
         if samples not in self._kept:
             cholesky = self._choleskys[0]
             solution, place = cholesky.factor(samples).solution, cholesky.pattern.place
@@ -134,18 +145,18 @@ class NewtonMatrix:
     def factorise_rows(
         self, rows: ContactRows, wanted: np.ndarray, inertia: float = 0.0, viscous: np.ndarray | None = None
     ) -> np.ndarray:
-        """As :meth:`factorise_each`, for the stiffnesses in the rows, and `viscous` ones to add, as `stacked` gives
-        them, (entries, S)."""
+        """Factorise the Laplacians of the stiffnesses stored in `rows`; returns and takes what :meth:`factorise_each`
+        does. viscous : (entries, S), stiffnesses to add, in the order of :func:`stacked`."""
         factor, diagonal = self._choleskys[0].factor(rows.samples), self._choleskys[0].pattern.diagonal
         rows.add_stiffnesses(factor.entries)
         if viscous is not None:
             factor.entries[: self._map.shape[0]] += self._map @ viscous
         if inertia:
             factor.entries[diagonal] += inertia
-        return _raised(factor, diagonal, wanted)
+        return _factorise_raising(factor, diagonal, wanted)
 
     def solve_rows(self, rows: ContactRows) -> None:
-        """In place."""
+        """Replace the right-hand sides in the spins of `rows` by the solutions."""
         self._choleskys[0].factor(rows.samples).substitute()
 
     def forget(self) -> None:
@@ -154,12 +165,12 @@ class NewtonMatrix:
             cholesky.forget()
 
     def balanced(self, dual: np.ndarray, stiffness: np.ndarray, load: np.ndarray | float = 0.0) -> np.ndarray:
-        """The dual (d, n) with its torques taken away by springs of these stiffnesses (d, d, n), refined.
+        """The dual (d, n) after springs of these stiffnesses (d, d, n) have taken its torques away.
 
         load : torques (unknowns,) that are to stay. Raises NotPositiveDefinite if the springs do not hold every spin.
         """
         self.factorise(stiffness)
-        # each from the forces of the last: what a stretch rounds falls with the stretch
+        # each solve starts from the last forces: stretches become smaller, and so does what they are rounded by
         for _ in range(REFINEMENTS):
             spins = self.solve(self._system.torques(dual) - load)
             dual = dual - resisted(stiffness, self._system.change(spins))
@@ -167,12 +178,13 @@ class NewtonMatrix:
 
 
 def _side_by_side(values: np.ndarray) -> np.ndarray:
-    """Numbers (n, S) from (n,) of one sample, or from themselves."""
+    """An array (n, S) as it is, or (n,) of one sample as (n, 1)."""
     return values if values.ndim == 2 else values[:, None]
 
 
-def _raised(factor: Factor, diagonal: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """Factorise with the diagonal raised as little as helps; True (S,) for `wanted` matrices where it does."""
+def _factorise_raising(factor: Factor, diagonal: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """Factorise with the diagonal raised by as little as helps. Returns a mask (S,) of the `wanted` (S,) matrices in
+    which that succeeds. diagonal : places of the diagonal among the entries of the factor."""
     regular = factor.factorise()
     if (regular | ~wanted).all():
         return regular & wanted
@@ -189,7 +201,7 @@ def _raised(factor: Factor, diagonal: np.ndarray, wanted: np.ndarray) -> np.ndar
 
 @lru_cache
 def _compile(engine: Engine, samples: int) -> None:
-    """Compile the kernels of one or of several samples, on a tiny lattice: they are the same for all."""
+    """Compile the kernels for one sample or for several, on a tiny lattice: they are the same for all systems."""
     lattice, spin_axes = Lattice((2, 2, 3)), (0, 1)
     system = lattice_system(lattice, spin_axes, np.ones(2))
     matrix = NewtonMatrix(system, dissect(lattice, spin_axes), engine=engine)
@@ -199,5 +211,5 @@ def _compile(engine: Engine, samples: int) -> None:
 
 
 def resisted(stiffness: np.ndarray, change: np.ndarray) -> np.ndarray:
-    """Forces (d, n) that stiffnesses (d, d, n) put up against a change (d, n) of the differences."""
+    """Forces (d, n) of contacts with stiffnesses (d, d, n) against a change (d, n) of the slips."""
     return np.einsum("ijn,jn->in", stiffness, change)

@@ -1,16 +1,18 @@
 """The exact minimum, from a point near the end of the central path: which contacts slip, to the last decade of slip.
 
-On the central path slip times friction margin is the same for all contacts, so a slip of 1e-9 can be seen only where
-margins of 1e-9 can, and double precision ends before. Here
+On the central path slip times friction margin is the same for all contacts. So a slip of 1e-9 can be seen only where
+margins of 1e-9 can, and double precision ends before. The way on has these steps:
 
-1. contacts that seem to stick are tied. In small samples all others mostly slip. If more of them come to rest, or the
-   tied ones cannot bear what is left to them, and in large samples always, the path goes on until every contact is
-   decided (last_decades.py);
-2. with all slipless contacts tied the power is a smooth function, and Newton's method finds its minimum, in the end in
-   twice the precision (polish.py);
-3. the tied contacts have to bear what the slipping ones leave to them (slipless_forces.py). If they can, the contact
-   states are those of a minimum; whether that is proven is for the judgement to say;
-4. if they cannot, the path is followed once more with other contacts tied.
+1. Contacts that seem to stick are tied. In small samples mostly all others slip. The path goes on until every contact
+   is decided (last_decades.py) if more contacts come to rest, or if the tied ones cannot bear what is left to them, and
+   in large samples always.
+2. With all slipless contacts tied the power is a smooth function. Newton's method finds its minimum, in the end in
+   twice the precision (polish.py).
+3. The tied contacts have to bear what the slipping ones leave to them (slipless_forces.py). If they can, the contact
+   states are those of a minimum; whether that is proven is for taichi_bearings/proof to say.
+4. If they cannot, the path is followed once more with other contacts tied.
+
+Letters and words (n, d, unknowns, tied, margin, ...) are explained in conic/__init__.py.
 """
 
 from collections.abc import Sequence
@@ -33,16 +35,16 @@ from taichi_bearings.conic.ties import tied_contacts
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.numerics.double_double import Pair, exactly
 
-POWER_BELOW, POWER_ABOVE = 1e-12, 1e-6  # how far the power may be above and below that of the path, relative
+POWER_BELOW, POWER_ABOVE = 1e-12, 1e-6  # relative bounds on the rise and on the fall of power from that of the path
 DECIDED_RATIO = 1e2  # ratio of slip and margin, either way, beyond which a contact is decided without a proof
 STICKING_TREND = 0.6  # a contact sticks if its slip fell by more than this factor in a step, and its margin by less
 DOUBTFUL_SHARE = 1e-2  # share of the contacts that may be in doubt when those are tied that surely stick
-LEAST_DOUBTFUL, MOST_DOUBTFUL = 30, 300  # and their number, at least and at most
+LEAST_DOUBTFUL, MOST_DOUBTFUL = 30, 300  # bounds on the number of contacts that this share allows
 FEW_DOUBTFUL = 3  # contacts that may be in doubt when the states are tried where no minima may tie
-# torques, of the mean friction, that end Newton's method; and that will do if double precision ends before
+# torques over the mean friction: at the first Newton's method ends, the second is accepted after its last step
 NEWTON_TORQUE, ROUNDED_TORQUE = 1e-12, 1e-4
-NEWTON_TRIALS = 2  # of Newton's method, with contacts tied that come to rest
-# of a slip, by which a step may change it; if the whole step would turn it round
+NEWTON_TRIALS = 2  # runs of Newton's method; before the second, contacts that have come to rest are tied
+# largest change of a slip by a step, over the slip; the second if the whole step would reverse the slip
 TURNED_SLIP_STEP, SLIP_STEP = 0.5, 0.95
 RESTING_SHARE = 1e-2  # share of its first slip below which a contact comes to rest if the next step would turn it round
 # smallest slip that needs no second look, known in twice the precision, and in one: 10^3 seed 559 asks for it
@@ -52,14 +54,20 @@ TINY = np.finfo(np.float64).tiny
 
 @dataclass(frozen=True)
 class Resolved:
-    """spins (unknowns,), difference and dual (d, n), minus the forces of friction; masks (n,): slipping, at_limit,
-    contacts that bear all their friction and yet do not slip, and tied, those that slip at some minima and rest at
-    others. viscosity : as of iterates.
+    """A minimum of one sample: spins, slips, forces and contact states.
 
-    heads : (unknowns,) mask of a spin each of all that turns as one and is tied to no driven plane.
-
-    The differences are more precise than those of the spins, whose rounding can be a part of the smallest slips, unless
-    `rest` (unknowns,), what is to be added to the spins, makes up for it. borne : slipless contacts bear their load.
+    spins : (unknowns,).
+    difference : (d, n), slips. They are more precise than those of `spins`, whose rounding can be a part of the
+        smallest slips, unless `rest` is added.
+    dual : (d, n), minus the friction forces.
+    slipping : (n,) mask of contacts that slip.
+    at_limit : (n,) mask of contacts that bear all their friction and yet do not slip.
+    heads : (unknowns,) mask, one representative unknown for each set of tied spins without a driven plane; holding
+        these makes the matrix of slipless contacts regular.
+    rest : (unknowns,), what the spins lack, in twice the precision; None if that is not known.
+    borne : whether the slipless contacts bear their load.
+    tied : (n,) mask of contacts that slip at some minima and rest at others; None if not looked for.
+    viscosity : (n,), None for friction alone.
     """
 
     spins: np.ndarray
@@ -75,12 +83,13 @@ class Resolved:
 
     @property
     def ties(self) -> np.ndarray:
-        """Mask (n,), contacts that are known to be tied."""
+        """(n,) mask of the contacts that are known to slip at some minima and rest at others."""
         return np.zeros_like(self.at_limit) if self.tied is None else self.tied
 
     @property
     def sure(self) -> bool:
-        """Can the states be proven? Slips at the level of rounding may be none, which is told from closer by."""
+        """Whether a proof of the states can be expected: slipless contacts bear their load, and no slip is as small as
+        rounding."""
         faintest = LEAST_SLIP_IN_DOUBLES if self.rest is None else LEAST_SLIP_IN_PAIRS
         return self.borne and length(self.difference)[self.slipping].min(initial=np.inf) > faintest
 
@@ -92,10 +101,13 @@ class Resolved:
 
 @dataclass(frozen=True)
 class Surroundings:
-    """What samples of one lattice share. system : of each; order : of elimination of its unknowns.
+    """What samples of one network share.
 
-    matrix : of one of them, or of several at once. top : imposed on the top above each spin of a sample, in twice
-        the precision; None where imposed spins are doubles.
+    system : the contacts of a sample.
+    order : order of elimination of its unknowns.
+    matrix : Newton matrix of one sample, or of several at once.
+    top : for each spin of a sample the imposed spin of the top above it, in twice the precision; None where imposed
+        spins are doubles.
     """
 
     system: ContactSystem
@@ -107,19 +119,22 @@ class Surroundings:
 def resolve(
     iterates: Sequence[Iterate], before: Sequence[Iterate | None], lattice: Surroundings, small: bool
 ) -> list[Resolved | None]:
-    """Spins, forces and contact states of each sample at the minimum; None if they cannot be had in double precision.
+    """The minimum of each sample; None where double precision does not reach it. The result for a sample does not
+    depend on the others, bit by bit.
 
-    What becomes of a sample, bit by bit, does not depend on the others.
-
-    iterates : near the end of the central path; not changed. before : where they were a step before; None if that is
-    not known. small : most contacts that seem to stick do.
+    iterates : points near the end of the central path, one for each sample; not changed.
+    before : the points one step before, None where unknown.
+    small : whether in these samples most contacts that seem to stick do stick.
     """
     with np.errstate(all="ignore"):  # what fails shows up as a number that is not finite and is discarded
         steps = zip(iterates, before, strict=True)
+        # Step 1: guess the slipping contacts from the last two points of the path.
         slipping = [~_sticking(here, there) if small and there is not None else None for here, there in steps]
         minima = _minima(iterates, [exactly(iterate.spins) for iterate in iterates], slipping, lattice)
-        found = _borne(iterates, minima, [iterate.dual for iterate in iterates], lattice)
+        # Steps 2 and 3: minima for these guesses, and forces of the slipless contacts.
+        found = _with_slipless_forces(iterates, minima, [iterate.dual for iterate in iterates], lattice)
         for number, iterate in enumerate(iterates):
+            # Step 4, for samples without a sure minimum.
             quickly = found[number]
             if quickly is None or not quickly.sure:
                 with suppress(NotPositiveDefinite):
@@ -130,7 +145,8 @@ def resolve(
 
 
 def _least(iterate: Iterate, settled: Resolved, lattice: Surroundings) -> Resolved | None:
-    """The same, with what is known of other minima; None if the power is not that of the path."""
+    """The minimum `settled`, completed by the contacts that slip at some minima only; None if its power is too far from
+    that of the path."""
     cost = replace(iterate, difference=settled.difference).cost
     if not -POWER_ABOVE < cost / iterate.cost - 1 < POWER_BELOW:
         return None
@@ -141,17 +157,23 @@ def _least(iterate: Iterate, settled: Resolved, lattice: Surroundings) -> Resolv
 
 
 def _sticking(iterate: Iterate, before: Iterate) -> np.ndarray:
-    """Mask (n,), contacts that seem to stick: along the path their slips vanish, their margins do not."""
+    """(n,) mask of contacts that seem to stick: over the last step of the path their slips fell, their margins did
+    not."""
     slip, slip_before = length(iterate.difference), length(before.difference)
     apart = iterate.margin > DECIDED_RATIO * slip
     return apart & (slip < STICKING_TREND * slip_before) & (iterate.margin > STICKING_TREND * before.margin)
 
 
 def _followed(iterate: Iterate, before: Iterate | None, lattice: Surroundings) -> Resolved | None:
-    """The same by the last decades of the path, from where few contacts are in doubt: with nothing tied, first until
-    hardly any is in doubt, then until none is, and where that settles nothing with those tied that surely stick. Where
-    minima may tie, with these tied first, then up to twice to the end with those, too, that surely stick at the end of
-    the one before, whose stiffness blurs the forces of the others; at last with nothing tied."""
+    """The minimum found along the last decades of the path; None if none is found.
+
+    The path is followed until few contacts are in doubt. Then come trials, until the states of one are sure:
+    - Where minima cannot tie: with nothing tied, first until hardly any contact is in doubt, then until none is; then
+      with the contacts tied that surely stick.
+    - Where minima may tie: with these tied; then up to twice to the end of the path, with those tied as well that
+      surely stick at the end of the trial before, whose stiffness blurs the forces of the others; at last with nothing
+      tied.
+    """
     path, settled = LastDecades.after(iterate, before, lattice.matrix), None
     if path.decide(int(min(max(DOUBTFUL_SHARE * iterate.in_cones, LEAST_DOUBTFUL), MOST_DOUBTFUL))) is None:
         return None
@@ -161,7 +183,11 @@ def _followed(iterate: Iterate, before: Iterate | None, lattice: Surroundings) -
             early = _tried_early(iterate, copy(path), lattice)
             if early is not None and early.sure:
                 return early
-    first, second, free = (True, False), (True, True), (False, False)  # are some tied, and does it go to the end
+    first, second, free = (
+        (True, False),
+        (True, True),
+        (False, False),
+    )  # (are contacts tied, is the path followed to its end)
     for ties, to_the_end in (first, second, second, free) if ties_possible else (free, first):
         with suppress(NotPositiveDefinite):
             found, more = _over_tied(iterate, path, sticking if ties else none, lattice, to_the_end)
@@ -172,25 +198,29 @@ def _followed(iterate: Iterate, before: Iterate | None, lattice: Surroundings) -
 
 
 def _tried_early(iterate: Iterate, path: LastDecades, lattice: Surroundings) -> Resolved | None:
-    """The minimum, with balanced forces, where all contacts but a few are decided; None where it is none. How the
-    ratios of the few change tells nearly always what becomes of them: the last steps, each with the matrix of the whole
-    lattice, would only make it certain, and balanced forces are certain enough."""
+    """The minimum if nearly all contacts are decided on `path`, with forces in balance; None where there is none.
+
+    How the ratios of the few others change nearly always tells whether they slip. The last steps, each with the matrix
+    of the whole lattice, would only make that certain, and balanced forces are certain enough.
+    """
     slipping = path.decide(FEW_DOUBTFUL)
     if slipping is None:
         return None
     (found,) = _minima([iterate], [path.spins], [slipping], lattice)
-    (settled,) = _borne([iterate], [found], [path.point.dual], lattice)
+    (settled,) = _with_slipless_forces([iterate], [found], [path.point.dual], lattice)
     return settled
 
 
 def _over_tied(
     iterate: Iterate, path: LastDecades, sticking: np.ndarray, lattice: Surroundings, to_the_end: bool
 ) -> tuple[Resolved | None, np.ndarray]:
-    """The minimum, with balanced forces, where the path goes on with these contacts, (n,) mask, tied; None where it is
-    none; and the contacts that surely stick in the end, too.
+    """The minimum found when the path goes on with the contacts `sticking` (n,) tied, None if there is none; and a mask
+    (n,) of further contacts that surely stick at its end.
 
-    Slipless contacts begin with their forces in the end. Where minima may tie, a path with others tied can change these
-    a lot, so those of before are tried too."""
+    to_the_end : follow the path to its end, not only until no contact is in doubt. Slipless contacts begin with the
+        forces that they have at the end of the path. Where minima may tie, a path with other contacts tied can change
+        these forces a lot; then the forces from before are tried as well.
+    """
     none, later = np.zeros_like(sticking), path.point.dual.copy()
     tied = Contraction(lattice.system, lattice.order, sticking) if sticking.any() else None
     rest = path.over(tied) if tied else copy(path)
@@ -204,16 +234,17 @@ def _over_tied(
     if found is not None and at_limit.any():  # as are those that Newton's method has brought to rest
         found = replace(found, at_limit=(at_limit | slipping) & ~found.slipping)
     earlier = np.where(at_limit | (path.point.slip_over_margin > 1), later, path.point.dual)
-    (settled,) = _borne([iterate], [found], [later], lattice)
+    (settled,) = _with_slipless_forces([iterate], [found], [later], lattice)
     if settled is None and may_tie(iterate.friction, at_limit):
-        (settled,) = _borne([iterate], [found], [earlier], lattice)
+        (settled,) = _with_slipless_forces([iterate], [found], [earlier], lattice)
     return settled, sticking
 
 
-def _borne(
+def _with_slipless_forces(
     iterates: Sequence[Iterate], minima: Sequence[Resolved | None], near: Sequence[np.ndarray], lattice: Surroundings
 ) -> list[Resolved | None]:
-    """The same with forces of the slipless contacts, where they can have nearly those of which `near` is the dual."""
+    """The minima, completed by forces of the slipless contacts that balance the others; None for a sample where no such
+    forces are found. near : duals (d, n) of the samples, near which they are looked for."""
     settled: list[Resolved | None] = [None] * len(minima)
     some = [(number, found) for number, found in enumerate(minima) if found is not None]
     if some:
@@ -233,10 +264,11 @@ def _borne(
 def _minima(
     iterates: Sequence[Iterate], spins: Sequence[Pair], given: Sequence[np.ndarray | None], lattice: Surroundings
 ) -> list[Resolved | None]:
-    """The least power of each sample if just the contacts given, (n,) masks, slip, or those of them that do not
-    come to rest; None for a sample of which they are not known.
+    """The least power of each sample if only given contacts slip, or those of them that do not come to rest; None for a
+    sample where it is not found.
 
-    spins : where to begin.
+    spins : of each sample, where to begin.
+    given : (n,) mask of the contacts that slip, None for a sample that is left out.
     """
     found: list[Resolved | None] = [None] * len(iterates)
     slipping = [mask for mask in given if mask is not None]
@@ -259,12 +291,14 @@ def _minima(
 
 
 class _Slipping:
-    """The power of some contacts of samples, (n,) masks, while all others are tied: a smooth function.
+    """The power of samples as a function of the slips of some contacts, while all others are tied. It is smooth.
 
-    balanced : (samples,), those that have come to its minimum.
+    slipping : (n,) mask for each sample.
+    balanced : (samples,) mask of those that have come to the minimum of this function.
     """
 
     def __init__(self, iterates: Sequence[Iterate], slipping: Sequence[np.ndarray], lattice: Surroundings) -> None:
+        """Tie all contacts that do not slip, and analyse the Newton matrix of what is left."""
         self.iterates, self.samples, whole = iterates, len(iterates), lattice.system.copies(len(iterates))
         self.tied = Contraction(whole, lattice.order, ~np.concatenate(slipping), self.samples)
         self.slipping = self.everywhere(np.ones(len(self.tied.kept), dtype=bool))
@@ -278,11 +312,12 @@ class _Slipping:
         self.difference: np.ndarray
 
     def descend(self, spins: Pair) -> np.ndarray:
-        """Newton's method from these spins of the whole systems until the torques are in balance. No slip may turn
-        round.
+        """Run Newton's method from these spins of the whole systems until the torques are in balance. No slip may be
+        reversed.
 
-        Returns a mask (n,), contacts that come to rest and have to be tied: that did not slip after what was
-        last tied, or that the next step would turn round. Their samples, and those where it fails, end unbalanced.
+        Returns a mask over the contacts that are left, true for those that come to rest and have to be tied: they did
+        not slip to begin with, or the next step would reverse their slip. Their samples, and those in which the method
+        fails, end unbalanced.
         """
         system, owners, self.spins = self.tied.system, self.tied.owners, self.tied.contracted(spins)
         self.difference = self.tied.differences(self.spins)
@@ -297,10 +332,12 @@ class _Slipping:
             going = going & ~self.balanced
             if not going.any():
                 return at_rest
+            # A Newton step for the samples that go on.
             stiffness = friction_stiffness(self.friction, self.viscosity, self.difference, LEAST_WORK)
             going = self.matrix.factorise_each(stiffness, going)
             step = self.matrix.solve(torques, going)
             change, slip = system.change(step), length(self.difference)
+            # Slips that the whole step would reverse: small ones come to rest, others make the step shorter.
             turned = inner(self.difference + change, self.difference) <= 0
             resting = turned & (slip < RESTING_SHARE * first) & going[of_contacts]
             at_rest, going = at_rest | resting, going & ~owners.any(resting)
@@ -316,7 +353,8 @@ class _Slipping:
         return -self.friction * self.difference / length(self.difference)
 
     def resolved(self, top: Pair | None) -> list[Resolved | None]:
-        """The minima of samples that are balanced, in twice the precision where that can be had."""
+        """The minima of the samples that are balanced, None for the others; in twice the precision where that is
+        reached. top : as of :class:`Surroundings`."""
         if not self.balanced.any():
             return [None] * self.samples
         (spins, rest), difference, dual, fine = polished(
@@ -333,6 +371,8 @@ class _Slipping:
     def _each(
         self, spins: np.ndarray, rests: Sequence[np.ndarray | None], difference: np.ndarray, dual: np.ndarray
     ) -> list[Resolved]:
+        """The minima sample by sample, from arrays over all samples. rests : of each sample what its spins lack, or
+        None."""
         of_samples = np.split(spins, self.samples), self.everywhere(difference), self.everywhere(dual)
         at_limit = [np.zeros_like(mask) for mask in self.slipping]
         heads = np.split(self.tied.heads, self.samples)
@@ -340,7 +380,8 @@ class _Slipping:
         return [replace(of, viscosity=iterate.viscosity) for of, iterate in zip(found, self.iterates, strict=True)]
 
     def everywhere(self, values: np.ndarray) -> list[np.ndarray]:
-        """Values of slipping contacts with zeros for the others, sample by sample."""
+        """Values (..., kept) of the slipping contacts, spread over all contacts with zeros for the others: an array
+        (..., n) for each sample."""
         found = np.zeros((*values.shape[:-1], self.tied.whole.offset.shape[1]), values.dtype)
         found[..., self.tied.kept] = values
         return np.split(found, self.samples, axis=-1)
