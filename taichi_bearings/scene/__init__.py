@@ -1,4 +1,4 @@
-"""What is solved and what comes out. NumPy only; nothing here knows Taichi."""
+"""What is solved, scenes and packings, and what comes out, solutions; in NumPy, without Taichi."""
 
 from taichi_bearings.scene.bearing import Bearing
 from taichi_bearings.scene.law import LAWS as LAWS

@@ -1,4 +1,8 @@
-"""Spins to start from. Every start obeys the driving; the stationary power does not depend on the choice."""
+"""Spins from which methods start. The stationary power does not depend on the choice.
+
+Letters: R samples, *N the shape of arrays over the N spheres. Spins are those of the laboratory, 1/time, (R, *N) of
+discs and (R, *N, 3) of spheres. Where they miss the imposed spins of driven spheres, methods put these in.
+"""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -14,28 +18,34 @@ from taichi_bearings.words import meant, shown
 
 
 def random_spin(bearing: Bearing) -> np.ndarray:
-    """Free spheres uniform in [-w, w] for each component, w the largest imposed spin; drawn from [seed, 1]."""
+    """Return random spins, each component uniform in [-w, w] with w the largest imposed spin.
+
+    Those of each sample are drawn from ``default_rng([seed, 1])`` with its seed.
+    """
     largest, shape = bearing.driving.largest_spin, zero_spin(bearing).shape[1:]
     draws = [np.random.default_rng([seed, 1]).uniform(-largest, largest, shape) for seed in bearing.seeds]
     return np.stack(draws)
 
 
 def linear_spin(bearing: Bearing) -> np.ndarray:
-    """The viscous answer if all contacts had the same viscosity: on a lattice linear in the height."""
+    """Return the spins of least power if all contacts had the same viscosity: on a lattice linear in the height."""
     even, every = bearing.driving.evenly(), bearing.driving.every
     full = np.broadcast_to(even, (len(every), bearing.replicas, *even.shape[2:]))
     return bearing.laboratory_spin(full, every)
 
 
 def zero_spin(bearing: Bearing) -> np.ndarray:
-    """No sphere turns but those that are driven."""
+    """Return spins that are 0."""
     shape = (bearing.replicas, *bearing.network.shape)
     return np.zeros(shape if bearing.network.components == 1 else (*shape, 3))
 
 
 def minimum_cut_spin(bearing: Bearing) -> np.ndarray:
-    """Every sphere turns with the bottom or with the top, in the components that a minimum needs: of all such states
-    the one of least power, or what else the stationary state minimises. The other components slip nowhere."""
+    """Return the spins of two rigid domains, one in the state of the bottom and one in that of the top.
+
+    Of all such pairs of domains these have the least objective, which is the power, or what else the stationary state
+    minimises. Raises InputError for packings that have no such pair.
+    """
     carried = spins_of_two_domains(bearing)
     if carried is None:
         raise InputError(
@@ -48,13 +58,15 @@ def minimum_cut_spin(bearing: Bearing) -> np.ndarray:
 STARTS: dict[str, Callable[[Bearing], np.ndarray]] = {
     "random": random_spin, "zero": zero_spin, "linear": linear_spin, "minimum-cut": minimum_cut_spin,
 }  # fmt: skip
+"""Functions that make the initial spins of a bearing, by the names that users give."""
 
 
 def initial_spin(bearing: Bearing, start: str | np.ndarray, called: str = "initial") -> np.ndarray:
-    """Laboratory spins (R, *N), of spheres (R, *N, 3), 1/time.
+    """Return laboratory spins, (R, *N) of discs or (R, *N, 3) of spheres, 1/time.
 
-    start : "random", "zero", "linear", "minimum-cut", a file with an array or data set ``spin`` (npy, npz, or HDF5
-        such as run.h5), or such an array; that of a single sample serves all. called : its name in an InputError.
+    start : "random", "zero", "linear" or "minimum-cut"; or the path of a file with an array or data set ``spin`` (npy,
+        npz, or HDF5 such as run.h5); or such an array. An array without the axis R serves all samples.
+    called : name of the argument in messages.
     """
     if not isinstance(start, str):
         return _fitting(bearing, start, "start")
@@ -67,7 +79,10 @@ def initial_spin(bearing: Bearing, start: str | np.ndarray, called: str = "initi
 
 
 def _fitting(bearing: Bearing, given: Any, source: str) -> np.ndarray:
-    """Spins that users bring, checked. source : where they are from, for people."""
+    """Return spins of users with the axis R; raise InputError for a wrong shape or a value that is not finite.
+
+    given : array of spins, 1/time. source : where they come from, for messages.
+    """
     spin = own_array(f"the spins in {source}", given)
     expected = zero_spin(bearing).shape
     if spin.shape == expected[1:]:

@@ -1,8 +1,15 @@
-"""The lightest interface of two rigid domains, and how it is found in a packing, with the spins of its two sides.
+"""The lightest interface between two rigid domains of a bearing, found as a minimum cut, and the spins of the domains.
 
-Where the network has no odd loops and two driven bodies, each in a bearing state s u = A + c x of its own, a contact on
-the interface slips with their jump across its normal. Where normals lie along the axes, components of spins that can be
-the same everywhere are not needed, and the jump has none of them: of a cubic lattice that along its height.
+A bearing state is a set of spins at which no contact slips: s u = A + c x at each sphere, with u = R omega its surface
+speed, x its centre, and s = +1 or -1 its sublattice. If the network has no odd loops and two driven bodies, each in a
+bearing state of its own, every sphere may follow one of the two states. Then only contacts between the two domains
+slip, by the part of the jump across their normals. The jump is the second state less the first.
+
+Where normals lie along the axes, a component of the spins by which no contact has to slip is left out of the jump: on
+a cubic lattice that along the height.
+
+The weight of a contact is its share of the objective, if it is on the interface. The objective is what the stationary
+state minimises, the power or the dissipation potential. Letters: R samples, N spheres, E contacts, C spin components.
 """
 
 from dataclasses import dataclass
@@ -15,15 +22,18 @@ from taichi_bearings.numerics.minimum_cut import WEIGHT_ROUNDING, MinimumCut, gr
 from taichi_bearings.scene.bearing import Bearing, vector_length
 from taichi_bearings.scene.scene import Scene, of_lattice
 
-SAME_STATE = 1e-9  # of the largest R omega, by which spins may miss a bearing state
-ACROSS = 1e-12  # of the jump, what rounding leaves of it across a normal along it
-STATE_ROUNDING = 2.0**-48  # of R omega: a dozen roundings of 2^-53 each
+SAME_STATE = 1e-9  # spins may miss a bearing state by this, relative to the largest R omega
+ACROSS = 1e-12  # a part of the jump across a normal that is smaller than this, relative to the jump, is rounding
+STATE_ROUNDING = 2.0**-48  # relative rounding of R omega: a dozen roundings of 2^-53 each, and some margin
 
 
 def bearing_states(bearing: Bearing) -> tuple[np.ndarray, np.ndarray] | None:
-    """Signs (N,) by which neighbours differ, and s u (2, N, C) of all spheres if they turned with the first or with the
-    second of two driven bodies in bearing states; None where it has odd loops, or others, or where a state slips at a
-    contact, as across a periodic side."""
+    """Return the signs s of the sublattices, (N,), and the two bearing states, s u of all spheres, (2, N, C).
+
+    The first state is that of the first driven body, the second that of the second. None if the network has odd loops,
+    or another number of driven bodies, or a body that is in no bearing state, or if a contact slips in one of the
+    states, as some do across a periodic side.
+    """
     (odd, sign), bodies = bearing.network.sublattices, bearing.network.bodies
     if odd.any() or len(bodies) != 2:
         return None
@@ -41,7 +51,10 @@ def bearing_states(bearing: Bearing) -> tuple[np.ndarray, np.ndarray] | None:
 
 
 def _state(center: np.ndarray, turned: np.ndarray, own: np.ndarray) -> np.ndarray | None:
-    """A + c x, (N, C), of the bearing state that these spheres have, with c = 0 where that does; None if none."""
+    """Return the bearing state A + c x of a driven body at all spheres, (N, C), with c = 0 where that fits; or None.
+
+    center : (N, D), length. turned : s u, (N, C). own : (N,) mask of the spheres of the body, whose s u are fitted.
+    """
     value = turned[own][0]
     if (turned[own] == value).all():
         return np.broadcast_to(value, turned.shape)
@@ -55,22 +68,23 @@ def _state(center: np.ndarray, turned: np.ndarray, own: np.ndarray) -> np.ndarra
 
 @dataclass(frozen=True)
 class Interface:
-    """The lightest interface of two rigid domains of one sample: a minimum cut.
+    """The lightest interface between two rigid domains of one sample: a minimum cut.
 
-    If every sphere turned with the bottom or with the top, of a packing with the first or with the second body, all
-    slip would be at the interface of the two domains, and the lightest one would dissipate least. In 2D with Coulomb
-    friction that is the minimum itself; in 3D, and for the viscous law, states between the two dissipate less
+    If every sphere turned with the bottom or with the top (in a packing with the first or the second driven body), all
+    slip would be at the interface of the two domains, and the lightest interface would dissipate least. In 2D with
+    Coulomb friction that is the minimum itself; in 3D, and for the viscous law, other states dissipate less
     (equations.md, 5).
 
-    power : energy/time, if the two domains are rigid. contacts : (E,) True for those that slip.
-    above : N, True for the spheres that turn with the top or the second body.
-    between : N, True for the spheres that another cut that is as light, or to rounding, may put on the other side; if
-        there are none every other interface is proven to dissipate more.
-    lower_bound : of a lattice: no two rigid domains dissipate less, or have less of what the stationary state minimises
-        if that is not the power; proven.
-    next_power : the same of the cheapest other interface that leaves either domain in one piece; NaN in 3D and of
-        packings, where it is not known (see :func:`taichi_bearings.numerics.minimum_cut.next_cut`).
-    spins : of a packing, u (N, C) of the two rigid domains.
+    power : energy/time, that the two rigid domains dissipate.
+    contacts : (E,) mask of the contacts that slip between them.
+    above : mask over the spheres, in the shape of the lattice or (N,): those that turn with the top or second body.
+    between : mask of the same shape: spheres that may be on the other side of another interface that is equally light,
+        or so nearly that rounding hides the difference. If there are none, every other interface is proven heavier.
+    lower_bound : energy/time, proven, of lattices alone: no two rigid domains have a smaller objective.
+    next_power : objective, energy/time, of the lightest other interface of which both domains are in one piece; NaN
+        where it is not known, as in 3D and in packings (see
+        :func:`taichi_bearings.numerics.minimum_cut.next_cut`).
+    spins : of packings alone: u of the two rigid domains, (N, C), length/time.
     """
 
     power: float
@@ -83,12 +97,13 @@ class Interface:
 
     @property
     def unique(self) -> bool:
-        """Every other one is proven to be heavier."""
+        """True if every other interface is proven to be heavier, and this one has a power above 0."""
         return self.power > 0 and not self.between.any()
 
     @classmethod
     def of(cls, bearing: Bearing) -> "Interface | None":
-        """Of the least power, or what else the stationary state minimises; None without two bearing states."""
+        """Return the lightest interface of a packing with one sample; None without two bearing states, or if no contact
+        between them has a weight."""
         states = bearing_states(bearing)
         if states is None:
             return None
@@ -96,7 +111,7 @@ class Interface:
         known, needed = _needed_components(bearing)
         jump = ((high - low) * needed)[bearing.network.contact[0]]
         across = bearing.network.across(jump)
-        across[across <= ACROSS * np.linalg.norm(jump, axis=1)] = 0.0
+        across[across <= ACROSS * np.linalg.norm(jump, axis=1)] = 0.0  # (E,) slip of each contact on the interface
         material = tuple(values[0] for values in bearing.material)
         weight = bearing.law.objective(material, across)
         node, taken = number_bodies(bearing.network.body), np.zeros(bearing.network.contacts, dtype=bool)
@@ -107,7 +122,7 @@ class Interface:
         if not weight.sum() > 0:
             return None
         size = int(node.max()) + 1
-        edges = np.append(ends, [[0], [size - 1]], axis=1)  # one of no weight, so that both ends are there
+        edges = np.append(ends, [[0], [size - 1]], axis=1)  # an edge without weight, so that both bodies are there
         slack = _slack(bearing, np.flatnonzero(taken), across, states[1])
         found = graph_cut(edges, np.append(weight, 0.0), np.arange(size) > 0, STATE_ROUNDING, slack)
         above, between = found.above[node], found.between[node]
@@ -120,15 +135,22 @@ class Interface:
 
 
 def _needed_components(bearing: Bearing) -> tuple[np.ndarray, np.ndarray]:
-    """Spins u (N, C) at which the components that are not needed slip nowhere; and (C,) True for those that are needed:
-    all but those that can turn without any slip where normals lie along the axes."""
+    """Return u (N, C), length/time, for the components that are not needed, and a mask (C,) of those that are.
+
+    A component is not needed if all spheres can have values in it by which no contact slips, the driven ones their
+    imposed values. That is looked for only where normals lie along the axes.
+    """
     known, wanted, _ = bearing.network.needed(bearing.driven_speed, bearing.acting, bearing.network.free)
     return known, np.asarray(wanted.any(axis=0))
 
 
 def _slack(bearing: Bearing, contact: np.ndarray, across: np.ndarray, states: np.ndarray) -> float:
-    """What the weights of contacts (n,) may differ in all from those of the bearing states that are meant: these
-    (2, N, C) are known from spins to rounding, or to what these miss a state by. across : (E,) of the jump."""
+    """Return how far the sum of the weights of some contacts may be off, energy/time.
+
+    contact : (n,) numbers of the contacts. across : (E,) slip of each contact on the interface, length/time.
+    states : (2, N, C), s u of the two bearing states, length/time. These are fitted to imposed spins, so they are
+    uncertain by rounding, and by as much as the imposed spins miss them.
+    """
     bodies, sign = bearing.network.bodies, bearing.network.sublattices[1]
     turned, largest = sign[:, None] * bearing.driven_speed, np.abs(states).max()
     missed = [
@@ -141,10 +163,11 @@ def _slack(bearing: Bearing, contact: np.ndarray, across: np.ndarray, states: np
 
 
 def find_interface(bearing: Bearing, replica: int = 0) -> Interface | None:
-    """The cheapest interface of one sample: of the least power, or what else the stationary state minimises; None where
-    there are no two bearing states, as there are in every lattice.
+    """Return the lightest interface of one sample, that of the least objective.
 
-    replica : number of the sample.
+    replica : number of the sample, from 0.
+
+    None for packings without two driven bodies in bearing states. Every lattice has them: its two planes.
     """
     bearing = bearing.sample(replica)
     if bearing.network.lattice is None:
@@ -167,40 +190,44 @@ def find_interface(bearing: Bearing, replica: int = 0) -> Interface | None:
 
 
 def _interface_slips(scene: Scene) -> np.ndarray:
-    """(E,) slips of contacts on an interface of two rigid domains, length/time; of the jump itself, as spins in the
-    laboratory lose the digits of a jump that is small beside them."""
+    """Return the slip (E,) of each contact of a lattice, if it is on the interface, length/time.
+
+    It is computed from the jump, as laboratory spins lose the digits of a jump that is small beside them.
+    """
     axes = scene.minimum_spin_axes
     jump = scene.top_spin(axes).reshape(len(axes), -1)[:, scene.lattice.column]
     return scene.lattice.radius * vector_length(np.where(scene.lattice.tangential_mask(axes), jump, 0.0))
 
 
 def cut_of(scene: Scene) -> MinimumCut:
-    """The lightest interface between spheres that turn with the bottom and spheres that turn with the top."""
+    """Return the lightest interfaces of a lattice, of all samples, as minimum cuts with weights in :func:`cut_unit`."""
     weight, rounding = scene.lattice.by_axis(cut_weights(scene)), cut_rounding(scene)
     cut = minimum_cut(weight, rounding)
     return with_exact_ties(cut, weight, rounding) if rounding or scene.periodic else cut
 
 
 def cut_rounding(scene: Scene) -> float:
-    """Share by which the weights of :func:`cut_weights` may miss the exact ones; 0 of discs with one coefficient, which
-    is the weight."""
+    """Return the relative rounding error of the weights of :func:`cut_weights`.
+
+    It is 0 for discs with a law of one coefficient, as the weight then is the coefficient.
+    """
     return 0.0 if scene.lattice.dimension == 2 and len(scene.law.quantities) == 1 else WEIGHT_ROUNDING
 
 
 def _cut_speed(scene: Scene) -> float:
-    """Unit of the jump, 1/time: of discs the jump itself, if there is one."""
+    """Return the unit, 1/time, in which :func:`cut_weights` measures the jump: for discs the jump itself, if not 0."""
     if scene.lattice.dimension == 2 and scene.jump:
         return scene.jump
     return float(scene.driving.unit[0][0])
 
 
 def cut_weights(scene: Scene) -> np.ndarray:
-    """Share of each contact in the objective of such an interface, over :func:`cut_unit`; (R, E).
+    """Return the weight of each contact of a lattice, (R, E): its part of the objective over :func:`cut_unit`.
 
-    A contact of the interface slips by R |J x n|, J the jump of the imposed states at its place and n its axis. Of J
-    only the components that a minimum needs count: the one along the height can change from bottom to top layer by
-    layer, where no contact feels it. Viscous contacts weigh by the square of their slip, and viscosities beside a
-    friction by their share in it. How far rounding takes them from the exact ones says :func:`cut_rounding`.
+    A contact on the interface slips by r |J x n|: r is the radius, J the jump of the imposed states at its place, and n
+    its axis. J is taken without the component along the height, which can change from bottom to top layer by layer
+    without any slip. The objective of a viscous contact grows with the square of its slip; with friction and viscosity
+    it is the sum of both parts. :func:`cut_rounding` bounds the rounding errors.
     """
     unit = _cut_speed(scene)
     units = (1.0, scene.lattice.radius * unit / scene.normal_force)
@@ -214,14 +241,20 @@ def cut_weights(scene: Scene) -> np.ndarray:
 
 
 def cut_unit(scene: Scene) -> float:
-    """Objective of an interface over its weight: strength * R unit with friction, else (R unit)^2; energy/time."""
+    """Return the objective, energy/time, of an interface whose weight is 1.
+
+    With w the unit of the jump and r the radius it is `scene.strength` * r w with friction, and (r w)^2 without.
+    """
     speed = scene.lattice.radius * _cut_speed(scene)
     return scene.strength * (speed if scene.law.holds else speed**2)
 
 
 def spins_of_two_domains(bearing: Bearing) -> np.ndarray | None:
-    """Carried spins (C, R, *N), in the components that a minimum needs, of the two rigid domains beside the lightest
-    interface of each sample; None where there are no two bearing states."""
+    """Return the carried spins (C, R, *N) of the two rigid domains at the lightest interface of each sample.
+
+    C are the components in `bearing.minimum_spin_axes`, *N is the shape of arrays over the spheres.
+    None if some sample has no such interface.
+    """
     if bearing.network.lattice is not None:
         scene = of_lattice(bearing)
         return np.where(cut_of(scene).above, scene.top_spin(scene.minimum_spin_axes)[:, None, ..., None], 0.0)

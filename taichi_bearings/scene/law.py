@@ -8,7 +8,10 @@ dual phi*(f) = max_v (f v - phi(v)) of the forces gives lower bounds: for any fo
     least potential >= work of the driven planes - sum_e phi*(|f_e|).
 
 A law works on arrays of coefficients, in units of force or of force * time / length as `Bearing.material` has them;
-slips are speeds, length/time, and forces are sizes. Its device twin is in kernels/contact.py.
+slips are speeds, length/time, and forces are sizes. kernels/contact.py has the same laws for kernels.
+
+of : as an argument, the coefficients of the law, a tuple of arrays (..., E) in the order of `Law.quantities`, for E
+contacts. holding force : the largest force that a contact bears without slipping, its friction force.
 """
 
 from dataclasses import dataclass
@@ -19,18 +22,23 @@ from taichi_bearings.errors import InputError
 from taichi_bearings.words import meant, shown
 
 Coefficients = tuple[np.ndarray, ...]
+"""One array for each coefficient of a law, all of the same shape, whose last axis is that of the contacts."""
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """A coefficient of a law. name : in the field's words. unit : of the numbers that users give; "1" for a ratio to
-    the normal force, by which it is multiplied to have a force."""
+    """A coefficient of a law.
+
+    name : "friction" or "damping", or another word for messages and labels.
+    unit : of the numbers that users give. The unit "1" says that the number times the normal force is a force.
+    """
 
     name: str
     unit: str
 
     @property
     def is_friction(self) -> bool:
+        """True if the coefficient is a pure number, that of friction."""
         return self.unit == "1"
 
 
@@ -39,11 +47,12 @@ FRICTION, DAMPING = Quantity("friction", "1"), Quantity("damping", "force*time/l
 
 @dataclass(frozen=True)
 class Law:
-    """F = holding force + viscosity * v, with either of the two left out, or another law that overrides its functions.
+    """The law F(v) = holding force + viscosity * v, or one of the two terms alone; a subclass may define another law.
 
-    name : of the option. quantities : its coefficients, in the order of `Coefficients`; those of the first are
-    `Scene.coefficient`, those of the second `Scene.viscosity`. minimises : "power" or "potential", what lower bounds
-    and gaps are of. share : of that in a unit of potential.
+    name : as users write it in the option `law`.
+    quantities : its one or two coefficients. Users give the first as `coefficient`, the second as `viscosity`.
+    minimises : "power" or "potential", of which lower bounds and gaps are: the objective.
+    share : the objective divided by the potential.
     """
 
     name: str
@@ -58,7 +67,7 @@ class Law:
     def is_sum(self) -> bool:
         """True for friction, viscosity and their sum, which every method and the proofs of contact states know.
 
-        False for a law that overrides a function. What is certified of such a law rests on its own conjugate.
+        False for a law that overrides a function. Lower bounds for such a law are only as good as its own `conjugate`.
         """
         return all(getattr(type(self), name) is getattr(Law, name) for name in OVERRIDDEN)
 
@@ -69,27 +78,27 @@ class Law:
 
     @property
     def flows(self) -> bool:
-        """True if the force grows with the slip: the slips of least potential are unique."""
+        """True if not all coefficients are friction. The force then grows with the slip, so that slips are unique."""
         return not all(quantity.is_friction for quantity in self.quantities)
 
     @property
     def is_rate_independent(self) -> bool:
-        """True if the force does not depend on the speed of the slip, so that contacts rest exactly or slip."""
+        """True for friction alone, whose force does not depend on the speed of the slip."""
         return self.holds and not self.flows
 
     def holding_force(self, of: Coefficients) -> np.ndarray | None:
-        """Largest force that a contact bears without slipping; None where it bears none."""
+        """Return the largest force that each contact bears without slipping; None for a law without friction."""
         return of[0] if self.holds else None
 
     def viscosity(self, of: Coefficients) -> np.ndarray | None:
-        """Slope of the force over the slip; None where there is none."""
+        """Return the slope of the force over the slip, force * time/length; None for a law without viscosity."""
         return of[-1] if self.flows else None
 
     def resistance(self, of: Coefficients, slip: np.ndarray) -> np.ndarray | None:
-        """Force beyond the holding force over the slip, (..., E), force * time/length; None for friction alone.
+        """Return (force - holding force) / slip, (..., E), force * time/length; None for friction alone.
 
-        of : coefficients (..., E) each. slip : speeds (..., E). That is the viscosity, whatever the slip; of a law that
-        overrides `force` it is found from that, 0 where nothing slips.
+        slip : speeds (..., E), length/time. The result is the viscosity at any slip. For a law that overrides `force`
+        it is computed from that function, and is 0 where nothing slips.
         """
         if type(self).force is Law.force:
             return self.viscosity(of)
@@ -98,10 +107,11 @@ class Law:
         return np.divide(excess, slip, out=np.zeros_like(excess), where=slip > 0)
 
     def steepest(self, of: Coefficients, slip: float) -> np.ndarray:
-        """Largest slope of the force over the slip, (..., E), at slips from 0 to this one; infinite if it is not known.
+        """Return the largest slope of the force over the slip, (..., E), between a slip of 0 and this one.
 
-        of : coefficients (..., E) each. A law that overrides `force` overrides this too if gradient descent is to
-        solve it: its steps are as long as the slope allows.
+        slip : speed, length/time. The slope is infinite for laws with friction, and where it is not known. A law that
+        overrides `force` has to override this as well if gradient descent is to solve it, as the slope limits its
+        steps.
         """
         found = self.viscosity(of)
         if self.is_sum and found is not None and not self.holds:
@@ -109,22 +119,29 @@ class Law:
         return np.full_like(of[0], np.inf)
 
     def force(self, of: Coefficients, slip: np.ndarray) -> np.ndarray:
-        """Of a slipping contact."""
+        """Return the size of the force at each slipping contact, (..., E). slip : speeds (..., E), length/time."""
         return self._sum(of, np.ones_like(slip), slip)
 
     def power(self, of: Coefficients, slip: np.ndarray) -> np.ndarray:
+        """Return the dissipated power of each contact, (..., E), energy/time. slip : speeds (..., E), length/time."""
         return self._sum(of, slip, slip**2)
 
     def potential(self, of: Coefficients, slip: np.ndarray) -> np.ndarray:
-        """Integral of the force over the slip, energy/time."""
+        """Return the potential of each contact, (..., E), energy/time: the integral of the force from 0 to the slip.
+
+        slip : speeds (..., E), length/time.
+        """
         return self._sum(of, slip, slip**2 / 2)
 
     def objective(self, of: Coefficients, slip: np.ndarray) -> np.ndarray:
-        """What the stationary state minimises, `share` times the potential."""
+        """Return the power or the potential of each contact, (..., E), energy/time: whichever the law `minimises`."""
         return self.power(of, slip) if self.minimises == "power" else self.potential(of, slip)
 
     def conjugate(self, of: Coefficients, force: np.ndarray) -> np.ndarray:
-        """phi*(f), energy/time, for forces of these sizes; infinite beyond what friction alone can bear."""
+        """Return the dual phi*(f) of each contact, (..., E), energy/time. force : sizes of forces, (..., E).
+
+        With friction alone it is infinite for a force above the holding force.
+        """
         held, viscosity = self.holding_force(of), self.viscosity(of)
         excess = force if held is None else np.maximum(force - held, 0.0)
         if viscosity is None:
@@ -132,7 +149,10 @@ class Law:
         return excess**2 * np.divide(0.5, viscosity, out=np.zeros_like(viscosity), where=viscosity > 0)
 
     def _sum(self, of: Coefficients, friction: np.ndarray, viscous: np.ndarray) -> np.ndarray:
-        """Each coefficient times its function of the slip."""
+        """Return the sum over the coefficients, each times its function of the slip.
+
+        friction, viscous : values (..., E) of that function for friction and for viscosity.
+        """
         terms = [
             values * (friction if quantity.is_friction else viscous)
             for quantity, values in zip(self.quantities, of, strict=True)
@@ -141,19 +161,19 @@ class Law:
 
 
 OVERRIDDEN = ("force", "power", "potential", "conjugate")
-"""Functions of which a law of one's own overrides all four."""
+"""The methods that a law of one's own must override, all four."""
 COULOMB = Law("coulomb", (FRICTION,))
 VISCOUS = Law("viscous", (DAMPING,), share=2.0)
 COULOMB_VISCOUS = Law("coulomb-viscous", (FRICTION, DAMPING), minimises="potential")
 LAWS = {law.name: law for law in (COULOMB, VISCOUS, COULOMB_VISCOUS)}
-"""The laws that scenes can have, by the names of the option."""
+"""The laws that scenes can have, by the names that users give."""
 
 
 def check_law(law: Law, of: Coefficients, fastest: float) -> None:
-    """Spot-check a law of one's own: InputError names the first statement about it that is false.
+    """Check a law of one's own at some contacts and slips; raise InputError with the first condition that it violates.
 
-    law : it. of : coefficients (..., E) each; some of the contacts are tried. fastest : slip speed around which, over
-    twelve decades, the force is looked at.
+    law : the law. of : its coefficients, (..., E) each, of which `CONTACTS_TRIED` contacts are tried.
+    fastest : length/time. The slips that are tried are 0, and 1e-9 to 1e3 times this speed.
 
     A lower bound follows from any balanced forces if phi is convex and phi* is its conjugate (Rockafellar, Convex
     Analysis, section 12). So the force must grow with the slip, force times slip must be the power, and with f = F(v)
@@ -197,12 +217,12 @@ def check_law(law: Law, of: Coefficients, fastest: float) -> None:
             )
 
 
-CONTACTS_TRIED = 32  # contacts at which a law is looked at
-TERM_ROUNDING = 1e-9  # of the terms of a statement, that rounding may leave
+CONTACTS_TRIED = 32  # contacts at which a law is checked
+TERM_ROUNDING = 1e-9  # rounding error that a condition may have, relative to its terms
 
 
 def law_named(law: "str | Law") -> Law:
-    """The law of this name, or the law itself; InputError if there is none."""
+    """Return the law of this name, or the law itself; raise InputError if there is no such law."""
     if isinstance(law, Law):
         return law
     if not isinstance(law, str) or law not in LAWS:

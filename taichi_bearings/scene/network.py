@@ -1,11 +1,15 @@
-"""Who touches whom: spheres or discs at fixed places, their contacts, and what follows from these alone.
+"""The spheres or discs of a bearing at their fixed places, their contacts, and what follows from these alone.
 
-With u = R omega the slip at a contact with unit normal n, from the first to the second sphere, is -(u_i + u_j) x n.
-Along two tangents across n, of discs along one, it is y = T (u_i + u_j): the sparse operator K takes spins to slips
-without their direction, and its transpose takes forces to torques over the radius.
+With u = R omega (R the radius, omega the spin) the slip at a contact with unit normal n, from the first sphere i to the
+second sphere j, is -(u_i + u_j) x n. Along two tangents across n, or one for discs, it is y = T (u_i + u_j), up to a
+rotation about n that does not change its size. The sparse matrix K has these rows for all contacts: y = K u. Its
+transpose turns contact forces into torques over the radius.
 
-Letters: N spheres, E contacts, D = 2 or 3 dimensions, C spin components (of discs 1, of spheres 3), d = C - 1 tangents
-of spheres and 1 of discs. "contact" as an argument is (n,), numbers of the contacts that are meant.
+Letters: N spheres (*N the shape of arrays over them: that of a lattice, or (N,)), E contacts, D = 2 or 3 dimensions,
+C spin components (1 of discs, 3 of spheres), d tangents (1 of discs, 2 of spheres), R samples in shapes.
+contact : as an argument, (n,) numbers of contacts. driven body : a set of driven spheres with a number, from 0.
+piece : a connected part of the network. odd loop : a closed chain of an odd number of contacts; in a piece without odd
+loops spheres have signs, +1 or -1, that differ across every contact: the sublattices.
 """
 
 from collections.abc import Callable
@@ -22,8 +26,9 @@ from taichi_bearings.numerics.graphs import odd_pieces, pieces
 from taichi_bearings.numerics.motions import Motions, Parts, slipless_motions
 from taichi_bearings.read_only import cached_read_only, read_only
 
-PERRON_STEPS, LEAST_SHARE = 30, 1e-3  # of the vector that bounds an eigenvalue: improvements, and its smallest entries
-LEAF_SPHERES = 8  # of a region that nested dissection does not divide further
+PERRON_STEPS = 30  # steps by which the vector that bounds the largest eigenvalue is improved
+LEAST_SHARE = 1e-3  # smallest entry of that vector, relative to its largest
+LEAF_SPHERES = 8  # nested dissection divides no region with so few spheres
 
 
 OF_LATTICE: dict[str, Callable[[Lattice], np.ndarray]] = {
@@ -33,16 +38,18 @@ OF_LATTICE: dict[str, Callable[[Lattice], np.ndarray]] = {
     "normal": lambda lattice: np.eye(lattice.dimension)[lattice.axis],
     "body": lambda lattice: lattice.driven.ravel(),
 }
-"""The arrays of a network whose contacts are those of a lattice. Driven are its bottom, body 0, and its top, body 1."""
+"""Functions that make the arrays of a network from a lattice, by field. The bottom is body 0, and the top is body 1."""
 
 
 @dataclass(frozen=True, eq=False)
 class Network:
     """Spheres and their contacts; arrays are read-only.
 
-    center : (N, D), length. radius : (N,), length. contact : (2, E), the first and the second sphere of each contact.
-    normal : (E, D), unit vectors from the first to the second sphere. body : (N,), -1 for a free sphere, else the
-    number of its driven body. lattice : where the contacts are those of a lattice, what knows their strides.
+    center : (N, D), length. radius : (N,), length.
+    contact : (2, E), numbers of the first and the second sphere of each contact.
+    normal : (E, D), unit vectors from the first to the second sphere.
+    body : (N,), number of the driven body of each sphere, -1 for free spheres.
+    lattice : the lattice whose contacts these are, None for other packings.
     """
 
     center: np.ndarray
@@ -54,12 +61,13 @@ class Network:
 
     @classmethod
     def of(cls, lattice: Lattice) -> "Network":
-        """The spheres and contacts of a lattice; each array is made when it is first asked for."""
+        """Return the network of a lattice; each of its arrays is made when it is first asked for."""
         found = object.__new__(cls)
         vars(found)["lattice"] = lattice
         return found
 
     def __getattr__(self, name: str) -> np.ndarray:
+        """Return an array of a lattice that is asked for the first time, and keep it."""
         if name not in OF_LATTICE:
             raise AttributeError(f"a network has no attribute {name!r}")
         values = vars(self)[name] = read_only(OF_LATTICE[name](vars(self)["lattice"]))
@@ -67,52 +75,52 @@ class Network:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Shape of arrays over the spheres as users have them: that of a lattice, else (N,)."""
+        """Shape *N of arrays over the spheres: that of the lattice, or (N,)."""
         return (len(self.body),) if self.lattice is None else self.lattice.shape
 
     @property
     def spheres(self) -> int:
-        """N."""
+        """Number N of spheres."""
         return len(self.body)
 
     @property
     def contacts(self) -> int:
-        """E."""
+        """Number E of contacts."""
         return int(self.contact.shape[1])
 
     @property
     def dimension(self) -> int:
-        """D."""
+        """Number D of dimensions, 2 or 3."""
         return int(self.center.shape[1]) if self.lattice is None else self.lattice.dimension
 
     @property
     def components(self) -> int:
-        """C."""
+        """Number C of spin components: 1 for discs, 3 for spheres."""
         return 1 if self.dimension == 2 else 3
 
     @cached_read_only
     def free(self) -> np.ndarray:
-        """(N,) True for the spheres that nothing drives."""
+        """(N,) mask of the free spheres, which are not driven."""
         return self.body < 0
 
     @cached_read_only
     def is_driven(self) -> np.ndarray:
-        """True for the spheres whose spin is imposed, in the shape that arrays over the spheres have."""
+        """(*N) mask of the spheres whose spin is imposed."""
         return ~self.free if self.lattice is None else self.lattice.is_driven
 
     @cached_read_only
     def bodies(self) -> np.ndarray:
-        """Numbers of the driven bodies."""
+        """Numbers of the driven bodies that there are, in ascending order."""
         return np.unique(self.body[~self.free])
 
     @cached_read_only
     def has_free_end(self) -> np.ndarray:
-        """(E,) True for the contacts that can slip: those that do not join two driven spheres."""
+        """(E,) mask of the contacts of which at least one sphere is free."""
         return self.free[self.contact].any(axis=0) if self.lattice is None else ~self.lattice.between_driven
 
     @cached_read_only
     def tangents(self) -> np.ndarray:
-        """Unit vectors (d, E, C) that span the slips: two across each normal of spheres, 1 for discs."""
+        """(d, E, C) unit vectors that span the slips: two of them across each normal; for discs the number 1."""
         if self.dimension == 2:
             return np.ones((1, self.contacts, 1))
         axis = np.eye(3)[np.argmin(np.abs(self.normal), axis=1)]
@@ -122,22 +130,28 @@ class Network:
 
     @cached_read_only
     def sublattices(self) -> tuple[np.ndarray, np.ndarray]:
-        """(N,) True in pieces with odd loops; and signs (N,) by which neighbours differ in the other pieces."""
+        """(N,) mask of the spheres in pieces with odd loops; and (N,) signs +1 or -1, which differ across each contact
+        of the other pieces."""
         return odd_pieces(self.spheres, *self.contact)
 
     def across(self, vectors: np.ndarray, contact: np.ndarray | slice = slice(None)) -> np.ndarray:
-        """(n,) sizes of vectors (n, C) across the normals of these contacts; of discs all of them."""
+        """Return the sizes (n,) of vectors (n, C) without their parts along the normals.
+
+        contact : numbers of the n contacts, or a slice; all by default. In 2D vectors have one component, across the
+        plane, and the size is its absolute value.
+        """
         turned = vectors if self.dimension == 2 else np.cross(vectors, self.normal[contact])
         return np.asarray(np.linalg.norm(turned, axis=1))
 
     def slips(self, u: np.ndarray) -> np.ndarray:
-        """(E,) slip speeds of u = R omega (N, C); length/time."""
+        """Return the slip speeds (E,) at u = R omega, (N, C); both length/time."""
         return self.across(u[self.contact].sum(axis=0))
 
     def operator(self, contact: np.ndarray, unknown: np.ndarray) -> sparse.csr_array:
-        """K (d * n, unknowns): y = T (u_i + u_j) of these contacts, first along their first tangents.
+        """Return the matrix K, (d * n, unknowns), by which unknown components of u give slips y = T (u_i + u_j).
 
-        unknown : (N, C), the column of each component of a spin, -1 for one that has none.
+        contact : (n,) numbers of contacts. The rows of all their first tangents come first, then those of the second.
+        unknown : (N, C), the column of each component of u, -1 for a component without a column.
         """
         across = self.tangents[:, contact]
         d, count, components = across.shape
@@ -155,19 +169,20 @@ class Network:
 
     @cached_property
     def whole(self) -> sparse.csr_array:
-        """K (d * E, N * C) of all contacts and all spins; column = sphere * C + component."""
+        """The matrix K, (d * E, N * C), of all contacts and all spheres; column = sphere * C + component."""
         every = np.arange(self.spheres * self.components).reshape(-1, self.components)
         return self.operator(np.arange(self.contacts), every)
 
     @cached_property
     def whole_transposed(self) -> sparse.csr_array:
+        """The transpose of `whole`, (N * C, d * E)."""
         return self.whole.T.tocsr()
 
     def differences(self, spins: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Vectors (d, R, E) across all contacts, whose length is the slip.
+        """Return vectors (d, R, E) across all contacts: the slips y = K u, or on lattices differences of spins.
 
-        spins : (C, R, *N). Of a lattice staggered spins with components as named by `spin_axes`, whose differences are
-        taken by strides; else u = R omega in all components, and y = K u.
+        spins : (C, R, *N). On lattices staggered spins; a slip is then the radius times the length of a vector, and d
+        is the number C of components in `spin_axes`. Else u = R omega in all components.
         """
         if self.lattice is not None:
             return contact_differences(spins, self.lattice, spin_axes)
@@ -176,8 +191,10 @@ class Network:
         return (self.whole @ columns).reshape(shape).transpose(0, 2, 1)
 
     def pulls(self, force: np.ndarray, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Minus the transpose of :meth:`differences`: sums of the contact forces (d, R, E) that pull on each sphere,
-        (C, R, *N)."""
+        """Return the sum of the contact forces on each sphere, (C, R, *N): minus the transpose of :meth:`differences`.
+
+        force : (d, R, E), along the vectors of that method. The result times the radius is a torque.
+        """
         if self.lattice is not None:
             return torques(force, self.lattice, spin_axes)
         columns = np.moveaxis(force, 1, 2).reshape(-1, force.shape[1])
@@ -185,10 +202,12 @@ class Network:
         return -(self.whole_transposed @ columns).reshape(shape).transpose(1, 2, 0)
 
     def largest_eigenvalue(self, weight: np.ndarray, inertia: np.ndarray) -> float:
-        """No eigenvalue of M^-1 K^T W K over the free spheres is larger. weight : W, (E,). inertia : M, (N,).
+        """Return an upper bound on the eigenvalues of M^-1 K^T W K over the free spheres.
 
-        Of a matrix A none exceeds max (|A| x)_i / x_i, for any x > 0 (Gershgorin's circles are x = 1; Collatz and
-        Wielandt); x is brought near the vector for which that is least.
+        weight : diagonal of W, (E,), one number for all tangents of a contact. inertia : diagonal of M, (N,).
+
+        For any vector x > 0 no eigenvalue of a matrix A exceeds the largest (|A| x)_i / x_i (Collatz and Wielandt; x =
+        1 gives Gershgorin's circles). Here x comes near the best such vector by steps of the power method.
         """
         scale = np.repeat(np.where(self.free, 1 / np.sqrt(inertia), 0.0), self.components)
         rows = np.tile(np.sqrt(weight), len(self.tangents))
@@ -204,11 +223,11 @@ class Network:
         return least * (1 + 1e-9)
 
     def along_axes(self, contact: np.ndarray) -> bool:
-        """True where components do not mix: discs, or normals along the axes at these contacts."""
+        """Return True if spin components do not mix: in 2D, or if the normals of these contacts lie along the axes."""
         return self.dimension == 2 or bool(((self.normal[contact] != 0).sum(axis=1) == 1).all())
 
     def reached(self, contact: np.ndarray) -> np.ndarray:
-        """(N,) True for free spheres of pieces, joined by these contacts, that touch a driven sphere."""
+        """Return a mask (N,) of the free spheres that chains of these contacts connect to a driven sphere."""
         first, second = self.contact[:, contact]
         inner = self.free[first] & self.free[second]
         label = pieces(self.spheres, first[inner], second[inner])
@@ -220,15 +239,19 @@ class Network:
     def needed(
         self, imposed: np.ndarray, contact: np.ndarray, moves: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, int | None]:
-        """Which components of spins a minimum needs: u (N, C) of driven spheres and of components that slip nowhere;
-        mask (N, C) of what is to be found; and how many motions slip nowhere, one spin of each held at 0, None where
-        normals are oblique.
+        """Return which components of the spins have to be found, and those that are known beforehand.
 
-        Where normals lie along the axes, components meet in the norms of the slips alone, so a component that can turn
-        without any slip does so at a minimum: along it no driven spheres of a piece differ but by the sign of a
-        sublattice. A piece without driven spheres and odd loops has a motion.
+        Three things are returned: u (N, C) of driven spheres, and of components by which no contact needs to slip; a
+        mask (N, C) of the components that have to be found; and the number of independent motions without slip, None
+        where normals are oblique. In each such motion one spin is held at 0, so that it is not to be found.
 
-        imposed : u (N, C) of driven spheres, 0 of others. moves : (N,) mask of the spheres whose spins are asked for.
+        imposed : u (N, C) of driven spheres, 0 of others, length/time. contact : numbers of the contacts to consider.
+        moves : (N,) mask of the spheres whose spins are asked for.
+
+        Where normals lie along the axes, a component takes part in slips of other components by their lengths alone.
+        So if all spheres can have values in one component by which no contact slips, they have them at some minimum.
+        That is so where, in each piece, the imposed values times the sign of the sublattice agree, or are 0 if the
+        piece has odd loops. A piece without driven spheres and without odd loops has one motion without slip.
         """
         known, wanted = imposed.copy(), np.tile(moves[:, None], imposed.shape[1])
         if not self.along_axes(contact):
@@ -254,7 +277,10 @@ class Network:
         return known, wanted, number
 
     def order(self, contact: np.ndarray, free: np.ndarray) -> Parts:
-        """An order of elimination of all spheres from their centres, by these contacts between `free` spheres, (N,)."""
+        """Return an order in which all spheres may be eliminated, by nested dissection, with the tree of its regions.
+
+        contact : numbers of contacts, of which those between free spheres couple two of them. free : (N,) mask.
+        """
         ends = self.contact[:, contact]
         first, second = np.sort(ends[:, free[ends].all(axis=0)], axis=0)
         size = (self.spheres,) * 2
@@ -263,8 +289,9 @@ class Network:
         return [(part.nodes, part.children) for part in dissected(graph, self.center.T, LEAF_SPHERES)]
 
     def motions(self, slips: sparse.csr_array, sphere: np.ndarray, contact: np.ndarray, free: np.ndarray) -> Motions:
-        """Spins that make none of these slips, (rows, unknowns).
+        """Return the spins at which `slips` times the unknown spins is 0: the motions without slip.
 
-        sphere : (unknowns,) that each belongs to. contact, free : as of :meth:`order`.
+        slips : (rows, unknowns), a matrix of :meth:`operator`. sphere : (unknowns,), number of the sphere of each
+        unknown. contact : (n,) numbers of contacts, and free : (N,) mask of free spheres, as of :meth:`order`.
         """
         return slipless_motions(slips, sphere, self.order(contact, free))

@@ -1,7 +1,10 @@
-"""Any bearing: spheres or discs at fixed places, what touches what, and which of them are driven.
+"""Packings: spheres or discs at fixed places, the contacts between them, and which of them are driven.
 
-With u = R omega the slip at a contact with unit normal n, from the first to the second sphere, is -(u_i + u_j) x n:
-radii drop out, and a packing out of a simulation, a space-filling bearing and a lattice are the same convex problem.
+With u = R omega (radius times spin) the slip at a contact with unit normal n, from the first sphere i to the second
+sphere j, is -(u_i + u_j) x n. Radii drop out, so a packing from a simulation, a space-filling bearing and a lattice are
+the same convex problem.
+
+Letters: N spheres, E contacts, D = 2 or 3 dimensions, C spin components (1 of discs, 3 of spheres), R samples.
 """
 
 import logging
@@ -36,37 +39,71 @@ from taichi_bearings.scene.scene import bearing_state, imposed_direction
 from taichi_bearings.text_lines import is_table
 from taichi_bearings.words import html_table, meant, shown
 
+# names of the arrays that a file of a packing must hold, and of those that it may hold
 NEEDED, OPTIONAL = (
     ("center", "contact", "driven", "spin"),
     ("radius", "normal", "friction", "viscosity", "normal_force", "schematic"),
 )
-DISTRIBUTION = "uniform:0.1,1.0"
+DISTRIBUTION = "uniform:0.1,1.0"  # of coefficients for which none is given
+# fields that all samples of a packing share, and fields of which each sample has its own numbers
 OF_ALL_SAMPLES = ("center", "contact", "driven", "spin", "radius", "normal", "law", "schematic")
 OF_SAMPLES = ("friction", "viscosity", "normal_force")
-SIDES_GIVEN = [item.name for item in fields(Sides)]
+SIDES_GIVEN = [item.name for item in fields(Sides)]  # arguments that say how the lowest and highest spheres turn
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Packing(Bearing):
-    """Spheres (D = 3) or discs (D = 2) that touch; N of them, with E contacts. Arrays are copied and read-only.
+    """Spheres or discs that touch: the general bearing, of which a lattice is a special case.
 
-    center : (N, D), length. contact : (E, 2) integers, the first and the second sphere of each contact.
-    driven : (N,) integers, -1 for a free sphere, else the number of the driven body that it belongs to.
-    spin : (N, 3), of discs (N,), 1/time; laboratory frame; imposed on driven spheres, ignored on others. Driven spheres
-        whose radius times spin differs by rounding alone have one surface speed, see ``driven_speed``.
-    radius : (N,) or one for all, length. normal : (E, D), unit vectors from the first to the second sphere; from the
-        centres if None. A contact across a periodic side needs it, and so do several contacts of the same two spheres.
-    friction : (E,), the coefficient of the law: friction, a pure number, or of the law "viscous" damping,
-        force * time / length; 0 where nothing acts. If None drawn in the order of the contacts from ``distribution``.
-    viscosity : (E,), of the law "coulomb-viscous", force * time / length, or what they are drawn from, as a
-        `distribution`, the usual one if None. normal_force : (E,) or one for all, force.
-    law : "coulomb", "viscous" or "coulomb-viscous"; if None the last one where a viscosity is given, else the first.
-    distribution, seed : of coefficients that are not given: a text such as "uniform:0.1,1.0" or a function
-        (rng, shape), and the seed of ``default_rng``; viscosities take ``default_rng([seed, 2])``.
-    schematic : True for a network whose centres only say where it is drawn: contacts then need not lie where spheres
-        touch, and normals that are given are taken as they are.
+    N is the number of spheres, E that of contacts, and D the dimension, 3 for spheres and 2 for discs. All arrays are
+    copied and read-only.
 
-    Raises InputError, one sentence that names the value, for what is no packing.
+    Parameters
+    ----------
+    center : (N, D) array
+        Centres, length.
+    contact : (E, 2) array of int
+        The first and the second sphere of each contact, counted from 0.
+    driven : (N,) array of int or bool
+        -1 for a free sphere, else the number of the driven body that it belongs to; True drives a sphere as body 0.
+    spin : (N, 3) array, in 2D (N,)
+        Imposed spins of driven spheres in the laboratory frame, 1/time; those of free spheres are ignored. Driven
+        spheres whose radius times spin differs by rounding alone have one surface speed, see ``driven_speed``.
+    radius : float or (N,) array
+        Radii, length.
+    normal : (E, D) array, optional
+        Unit vectors from the first to the second sphere, by default along the centres. They are needed for contacts
+        across a periodic side, and for several contacts of the same two spheres.
+    friction : (E,) array, optional
+        First coefficient of the law at each contact: friction, a pure number, or damping of the law "viscous",
+        force * time/length. It is 0 where nothing acts. By default it is drawn from `distribution`.
+    viscosity : (E,) array or str or callable, optional
+        Second coefficient, of the law "coulomb-viscous", force * time/length, or the distribution it is drawn from; by
+        default "uniform:0.1,1.0".
+    normal_force : float or (E,) array
+        Normal forces, force.
+    law : str or Law, optional
+        "coulomb", "viscous" or "coulomb-viscous". Default: "coulomb", or "coulomb-viscous" with a viscosity.
+    distribution : str or callable
+        Where friction is drawn from: a text such as "uniform:0.1,1.0", or a function (rng, shape) -> array. Numbers are
+        drawn in the order of the contacts.
+    seed : int
+        Seed of ``default_rng`` for friction; the viscosity takes ``default_rng([seed, 2])``.
+    schematic : bool
+        True for a network whose centres only say where it is drawn. Spheres of a contact then need not touch, and
+        normals that are given are taken as they are.
+
+    Raises
+    ------
+    InputError
+        For arrays that make no packing: one sentence that names the value.
+
+    Examples
+    --------
+    >>> import taichi_bearings as tb
+    >>> places, contacts = [[0, 0], [1, 0], [2, 0]], [[0, 1], [1, 2]]
+    >>> tb.Packing(places, contacts, driven=[0, -1, 1], spin=[0, 0, 1], friction=[0.2, 0.5])
+    <Packing of 3 discs, 2 contacts, 2 driven, coulomb>
     """
 
     center: np.ndarray
@@ -88,7 +125,7 @@ class Packing(Bearing):
     def __post_init__(self) -> None:
         object.__setattr__(self, "normals_given", self.normal is not None)
         object.__setattr__(self, "schematic", bool(np.any(self.schematic)))
-        put = lambda name, values: object.__setattr__(self, name, values)  # noqa: E731
+        put = lambda name, values: object.__setattr__(self, name, values)  # noqa: E731  # fields are frozen
         put("center", checks.places(self.center))
         put("contact", checks.pairs(self.contact, self.spheres))
         put("driven", checks.bodies(self.driven, self.spheres))
@@ -105,6 +142,7 @@ class Packing(Bearing):
         self._take_coefficients(put)
 
     def _checked_normals(self) -> np.ndarray:
+        """Return the normals (E, D), from the centres if none are given; raise InputError where the two disagree."""
         places = (self.center, self.contact, self.radius)
         if self.normal is None:
             normal = geometry.from_places(*places)
@@ -115,6 +153,10 @@ class Packing(Bearing):
         return normal
 
     def _take_coefficients(self, put: Any) -> None:
+        """Set friction and viscosity to checked arrays, drawn from the seed where none are given.
+
+        put : the function (name, value) that sets a field.
+        """
         two = len(self.law.quantities) > 1
         if self.viscosity is not None and not two:
             raise InputError(f"viscosity is given, but the law {self.law} does not use it; it needs coulomb-viscous")
@@ -131,15 +173,17 @@ class Packing(Bearing):
 
     @property
     def spheres(self) -> int:
+        """Number N of spheres."""
         return len(self.center)
 
     @property
     def contacts(self) -> int:
+        """Number E of contacts."""
         return len(self.contact)
 
     @cached_property
     def network(self) -> Network:
-        """Who touches whom."""
+        """The spheres, their contacts, and which spheres are driven."""
         assert self.normal is not None
         return Network(self.center, np.asarray(self.radius), self.contact.T, self.normal, self.driven)
 
@@ -150,27 +194,41 @@ class Packing(Bearing):
 
     @property
     def dimension(self) -> int:
+        """Number D of dimensions: 2 for discs, 3 for spheres."""
         return self.center.shape[1]
 
     @property
     def named_coefficients(self) -> dict[str, np.ndarray]:
+        """The coefficients of the law, (R, E) each: `friction` under the name "coefficient", and "viscosity"."""
         given = {"coefficient": self.friction, "viscosity": self.viscosity}
         return {name: np.reshape(v, (self.replicas, -1)) for name, v in given.items() if v is not None}
 
     def slip_speeds(self, spin: np.ndarray) -> np.ndarray:
-        """(E,) of spins (N, 3), of discs (N,); length/time."""
+        """Return the slip speed of each contact, (E,), length/time.
+
+        spin : laboratory spins, (N, 3) of spheres or (N,) of discs, 1/time.
+        """
         return self.network.slips(spin.reshape(self.spheres, -1) * self.network.radius[:, None])
 
     def spins_of(self, u: Pair) -> Pair:
-        """Spins (N, 3), of discs (N,), of u = R omega (N, C); those of driven spheres bit by bit as imposed."""
+        """Return laboratory spins u / R, (N, 3) of spheres or (N,) of discs, 1/time, in twice the precision.
+
+        u : surface speeds (N, C), length/time, in twice the precision. Driven spheres get exactly their imposed spins.
+        """
         held, shape = self.is_driven, self.spin.shape
         spin, rest = (part.reshape(shape) for part in divide(u, exactly(self.network.radius[:, None])))
         spin[held], rest[held] = self.spin[held], 0.0
         return spin, rest
 
     def inertias(self, mass: float, inertia: float | None, density: Any = None) -> np.ndarray:
-        """I / R^2 (N,), mass, of spheres whose mean one has this mass, or moment of inertia, or all of this density,
-        (N,) or one, mass / length^D."""
+        """Return moments of inertia over squared radii, (N,), mass.
+
+        mass : of a sphere of the mean radius, if neither of the others is given. Masses grow with the radius to the D.
+        inertia : moment of inertia of a sphere of the mean radius, mass * length^2, or None.
+        density : mass / length^D, one number or (N,), or None.
+
+        Raises InputError if both inertia and density are given.
+        """
         radius, shape = self.network.radius, 0.5 if self.dimension == 2 else 0.4
         if density is not None:
             if inertia is not None:
@@ -181,10 +239,11 @@ class Packing(Bearing):
         return (shape * mass if inertia is None else inertia / mean**2) * (radius / mean) ** self.dimension
 
     def as_stepped(self, spins: np.ndarray, at_rest: np.ndarray) -> "Packing":
-        """The contacts that act alone, for methods that step all of them.
+        """Return a copy without contacts that are absent or between driven spheres, for methods that step all contacts.
 
-        spins : u (C, 1, N) at the start, the natural unit of speeds where nothing is driven unlike.
-        at_rest : (R,), True where a state without any slip is proven to exist.
+        spins : u at the start, (C, 1, N), length/time; its largest size is the unit of speeds if imposed spins do not
+        differ.
+        at_rest : (R,) mask of the samples for which a state without any slip is proven to exist.
         """
         own = self.acting
         of = {name: None if (v := getattr(self, name)) is None else v[..., own] for name in OF_SAMPLES}
@@ -194,16 +253,21 @@ class Packing(Bearing):
         return found
 
     def with_top(self, strength: float) -> "Packing":
+        """Return a copy whose top, the driven body of the largest number, has its spins multiplied by `strength`."""
         top = self.driving.is_top.reshape(-1, *(1,) * (self.spin.ndim - 1))
         return replace(self, spin=np.where(top, strength, 1.0) * self.spin)
 
     def with_friction_alone(self) -> "Packing":
+        """Return a copy with friction but without viscosity."""
         return replace(self, law=COULOMB, viscosity=None)
 
     @classmethod
     def together(cls, samples: Sequence["Packing"]) -> "Packing":
-        """Packings that differ in their coefficients alone as the samples of one, whose arrays of the contacts then
-        have a leading axis R. InputError where they differ in anything else."""
+        """Return one packing with R samples, made of R packings that differ in their coefficients alone.
+
+        samples : the packings, one sample each. Friction, viscosity and normal force of the result have a leading axis
+        R. Raises InputError if the packings differ in anything else.
+        """
         first = samples[0]
         if len(samples) == 1:
             return first
@@ -215,12 +279,13 @@ class Packing(Bearing):
         return first._with(**stacked, seeds=tuple(one.seed for one in samples))
 
     def _as_samples(self, pick: int | slice, seeds: tuple[int, ...]) -> "Packing":
+        """Return a copy with some of the samples. pick : number of one, or a slice. seeds : of these samples."""
         given = {name: getattr(self, name) for name in OF_SAMPLES}
         some = {name: None if values is None else values[pick] for name, values in given.items()}
         return self._with(**some, seed=seeds[0], seeds=seeds)
 
     def _with(self, **changes: Any) -> "Packing":
-        """The same with other values of fields, which are not checked."""
+        """Return a copy with other values of some fields, which are not checked. It shares the network."""
         other = object.__new__(type(self))
         vars(other).update({item.name: getattr(self, item.name) for item in fields(self)} | changes)
         vars(other)["network"] = self.network
@@ -232,7 +297,7 @@ class Packing(Bearing):
         return f"<Packing of {self.spheres:,} {what}, {self.contacts:,} contacts, {held:,} driven, {self.law}>"
 
     def _repr_html_(self) -> str:
-        """For notebooks."""
+        """Return a table of the packing for notebooks."""
         bodies = len(np.unique(self.driven[self.driven >= 0]))
         given = {name: getattr(self, name) for name in ("radius", "friction", "viscosity", "normal_force")}
         ranges = [
@@ -242,18 +307,32 @@ class Packing(Bearing):
 
     @classmethod
     def lattice(cls, kind: str, cells: Any, periodic: Any = (), seed: int = 0, **others: Any) -> "Packing":
-        """Spheres of a lattice, two bodies of them driven: 0, the bottom, and 1, the top.
+        """Return the spheres of a lattice with two driven bodies: 0, the bottom, and 1, the top.
 
-        kind : "square", "triangular", "honeycomb" (discs), "cubic", "bcc", "fcc", "diamond". cells : how many
-            along each axis; a rectangular cell of these lattices has 1, 2, 4, 1, 2, 4 and 8 spheres.
-        periodic : names of axes that close on themselves, ("x", "y"); with the last one among them nothing is driven.
-        seed : of the coefficients.
-        others : `radius`, one for all, length; `spin_top`, `spin_bottom` (1/time; 1 and 0) about `direction` (of
-            spheres; (1, 1, 0)), with the sign of the sublattice where there are two, or the bearing states `top`,
-            `bottom`, (A_x, A_y, A_z, C) as of scenes; `driven`, what the bodies are: "planes", the lowest and the
-            highest layer along the last axis; "walls", those along x; "shaft:r", all walls along x and y and the
-            spheres within r diameters of the vertical axis through the middle, of discs of the middle; and fields of
-            this class.
+        Parameters
+        ----------
+        kind : str
+            "square", "triangular" or "honeycomb", of discs, or "cubic", "bcc", "fcc" or "diamond".
+        cells : sequence of int
+            Number of rectangular cells along each axis. A cell of these lattices, in the order above, has 1, 2, 4, 1,
+            2, 4 and 8 spheres.
+        periodic : sequence of str
+            Names of axes that close on themselves, such as ("x", "y"). With the last axis among them nothing is driven.
+        seed : int
+            Seed of the coefficients.
+        **others
+            `radius`, one for all, length; `spin_top` and `spin_bottom` (1/time; 1 and 0) about `direction` (of
+            spheres; (1, 1, 0)), with the sign of the sublattice where there are two; or, instead of spins, the bearing
+            states `top` and `bottom`, (A_x, A_y, A_z, C) as of :class:`Scene`; `driven`, which spheres the bodies are:
+            "planes", the lowest and the highest layer along the last axis, "walls", those along x, or "shaft:r", where
+            all walls along x and y are body 0, and body 1 are the spheres within r diameters of the vertical axis
+            through the middle (of discs, of the middle); and other fields of this class.
+
+        Examples
+        --------
+        >>> import taichi_bearings as tb
+        >>> tb.Packing.lattice("triangular", (3, 2), seed=1)
+        <Packing of 12 discs, 23 contacts, 6 driven, coulomb>
         """
         if not isinstance(kind, str) or kind not in KINDS:
             raise InputError(f"kind is {shown(kind)}; allowed are {', '.join(KINDS)}{meant(kind, KINDS)}")
@@ -266,12 +345,33 @@ class Packing(Bearing):
         cls, spheres: int, dimension: int = 3, ratio: float = 1.4, large: float = 0.5, width: float | None = None,
         seed: int = 0, **others: Any,
     ) -> "Packing":  # fmt: skip
-        """Spheres of two sizes, put one by one into the lowest pocket on a floor of spheres at random; sides periodic.
+        """Return spheres of two sizes that were put one by one into the lowest pocket on a floor of spheres.
 
-        Each touches D earlier ones, to rounding, so that contacts are as many as hold it. Driven are the floor, as body
-        0, and the spheres at the surface, as body 1. ratio : of the radii. large : share of large spheres.
-        width : of the box in diameters of small spheres; if None about its height. seed : of places and coefficients.
-        others : as of :meth:`lattice`; `radius` is that of the small spheres.
+        Sides are periodic. Each sphere touches D earlier ones, to rounding, so that there are just as many contacts as
+        hold it. Driven are the floor, as body 0, and the spheres at the surface, as body 1.
+
+        Parameters
+        ----------
+        spheres : int
+            Number of spheres.
+        dimension : int
+            3, or 2 for discs.
+        ratio : float
+            Radius of the large spheres over that of the small ones.
+        large : float
+            Fraction of the spheres that are large.
+        width : float, optional
+            Width of the box in diameters of small spheres; by default about its height.
+        seed : int
+            Seed of places and coefficients.
+        **others
+            As of :meth:`lattice`, without `driven`; `radius` is that of the small spheres.
+
+        Examples
+        --------
+        >>> import taichi_bearings as tb
+        >>> tb.Packing.random(50, dimension=2, seed=1).spheres
+        50
         """
         seed = SEED.named("seed", seed)
         radius, found = random_packing.built(spheres, dimension, ratio, large, width, np.random.default_rng([seed, 3]))
@@ -281,11 +381,30 @@ class Packing(Bearing):
     def space_filling(
         cls, m: int = 0, n: int = 0, least_radius: float = 0.01, periods: int = 1, seed: int = 0, **others: Any
     ) -> "Packing":
-        """Discs that fill a strip of height 1, the first family of Herrmann, Mantica and Bessis (1990); x is periodic.
+        """Return discs that fill a strip of height 1: the first family of Herrmann, Mantica and Bessis (1990).
 
-        m, n : numbers of the family. least_radius : of the discs, all others left out. No loop is odd: neighbours can
-        turn against each other everywhere. Driven are the discs on the lower line, body 0, and on the upper, body 1.
-        others : `spin_top`, `spin_bottom` (surface speeds, length/time; 1 and 0), with the sign of the kind; fields.
+        No loop of contacts is odd, so neighbours can turn against each other everywhere. Driven are the discs on the
+        lower line, as body 0, and those on the upper line, as body 1. The strip is periodic along x.
+
+        Parameters
+        ----------
+        m, n : int
+            Numbers of the family.
+        least_radius : float
+            Radius of the smallest discs that are kept, length.
+        periods : int
+            Number of periods of the strip along x.
+        seed : int
+            Seed of the coefficients.
+        **others
+            `spin_top` and `spin_bottom`: surface speeds here, length/time, 1 and 0, with the sign of the sublattice;
+            and other fields of this class.
+
+        Examples
+        --------
+        >>> import taichi_bearings as tb
+        >>> tb.Packing.space_filling(least_radius=0.05).dimension
+        2
         """
         radius, found = space_filling.built(m, n, least_radius, periods)
         if "radius" in others:
@@ -294,9 +413,27 @@ class Packing(Bearing):
 
     @classmethod
     def from_lammps(cls, atoms: str | Path, contacts: str | Path, columns: Any, **others: Any) -> "Packing":
-        """From a `dump custom` of atoms and the named columns of a `dump local` of their contacts at the same timestep.
+        """Return the packing in two dumps of LAMMPS or LIGGGHTS at the same timestep.
 
-        others : of :class:`taichi_bearings.scene.readers.lammps.Asked`, and fields of this class.
+        Parameters
+        ----------
+        atoms : str or Path
+            A `dump custom` of the atoms.
+        contacts : str or Path
+            A `dump local` of their contacts.
+        columns : sequence of str
+            Names of columns of `contacts`: the ids of both atoms, then none, or the normal force, or the components of
+            the force on the first atom, as :func:`taichi_bearings.scene.readers.lammps.read_dumps` describes.
+        **others
+            Fields of :class:`taichi_bearings.scene.readers.lammps.Asked`, such as `step` and `driven_types`, and fields
+            of this class that dumps do not hold.
+
+        Raises
+        ------
+        FileError
+            For a dump that cannot be read.
+        InputError
+            For what makes no packing.
         """
         known = {item.name for item in fields(Asked)}
         asked = Asked(**{name: others.pop(name) for name in list(others) if name in known})
@@ -304,7 +441,14 @@ class Packing(Bearing):
 
     @classmethod
     def _between_sides(cls, size: Any, found: Built, unit: float, seed: int, others: dict[str, Any]) -> "Packing":
-        """Of places and sides: lengths are in `unit` radii, `size` is that of each sphere in radii."""
+        """Return the packing of spheres whose lowest and highest ones are driven.
+
+        size : radius of each sphere, (N,) or one, in units of the argument `radius`. found : places, contacts, normals,
+        signs of the sublattice, and driven bodies. unit : unit of the places, in the same units. seed : of the
+        coefficients. others : arguments of the caller, from which what is used here is taken out.
+
+        Raises InputError for an argument that is unknown.
+        """
         radius = finite_number("radius", others.pop("radius", 0.5))
         place, contact, normal, sign, body = found
         at_surface = others.pop("at_surface", False)
@@ -322,16 +466,38 @@ class Packing(Bearing):
         cls, center: Any, radius: Any = 0.5, tolerance: float = TOLERANCE, driven: Any = None, spin: Any = None,
         periodic: Any = None, **others: Any,
     ) -> "Packing":  # fmt: skip
-        """Spheres or discs that touch where |d - R_i - R_j| <= tolerance (R_i + R_j), d being between their centres.
+        """Return spheres or discs that are in contact wherever they touch.
 
-        center : (N, D), length. radius : (N,), or one for all. driven, spin : as of this class. Without `driven` those
-            within tolerance radii of the lowest and of the highest along the last axis are driven, as body 0, the
-            bottom, and 1, the top. periodic : lengths of the periodic sides, 0 along other axes, as (4.0, 4.0, 0).
-        others : without `spin`, `spin_bottom`, `spin_top` (0 and 1, 1/time) and, of spheres, `direction` ((1, 1, 0));
-            and fields of this class.
+        Two of them touch where ``abs(d - R_i - R_j) <= tolerance * (R_i + R_j)``, with d between their centres.
+        A log line says how many contacts were found; it is a warning if some spheres touch nothing.
 
-        Raises InputError for two spheres that overlap by more than the tolerance. A log line tells how many contacts
-        were found and how many spheres touch nothing, a warning if there are such.
+        Parameters
+        ----------
+        center : (N, D) array
+            Centres, length.
+        radius : float or (N,) array
+            Radii, length.
+        tolerance : float
+            Relative gap or overlap at which spheres still touch.
+        driven, spin : array, optional
+            As of this class. Without `driven`, spheres within `tolerance` radii of the lowest one along the last axis
+            are driven as body 0, the bottom, and those of the highest one as body 1, the top.
+        periodic : sequence of float, optional
+            Length of the periodic side along each axis, 0 for other axes, as in (4.0, 4.0, 0).
+        **others
+            Without `spin`: `spin_bottom` and `spin_top` (0 and 1, 1/time) and, of spheres, `direction` ((1, 1, 0)).
+            Also other fields of this class.
+
+        Raises
+        ------
+        InputError
+            For two spheres that overlap by more than the tolerance, and for what makes no packing.
+
+        Examples
+        --------
+        >>> import taichi_bearings as tb
+        >>> tb.Packing.from_centers([[0, 0], [1, 0], [0.5, 0.75**0.5]], seed=1)
+        <Packing of 3 discs, 3 contacts, 3 driven, coulomb>
         """
         sides = Sides(**{name: others.pop(name) for name in SIDES_GIVEN if name in others})
         given = {name: values for name, values in (("driven", driven), ("spin", spin)) if values is not None}
@@ -342,11 +508,34 @@ class Packing(Bearing):
 
     @classmethod
     def load(cls, path: str | Path, contacts: str | Path | None = None, **others: Any) -> "Packing":
-        """From an npz or HDF5 file with arrays of the names above, in HDF5 also below ``packing``; or a table (.csv) of
-        centres, as of :meth:`from_centers`, and one of `contacts`, if they are not to be found.
+        """Return the packing in a file.
 
-        others : what the file does not hold, such as `law`, `seed`, or a `radius` for all; of tables also what
-        :meth:`from_centers` takes. Raises FileError for what cannot be read, InputError for what is no packing.
+        Parameters
+        ----------
+        path : str or Path
+            An npz or HDF5 file with arrays named as the fields, in HDF5 also below ``packing``; or a table (.csv)
+            of centres, whose contacts are found as by :meth:`from_centers`.
+        contacts : str or Path, optional
+            Beside a table of centres, a table of contacts.
+        **others
+            Fields that the file does not hold, such as `law`, `seed`, or one `radius` for all; with a table also the
+            arguments of :meth:`from_centers`.
+
+        Raises
+        ------
+        FileError
+            For what cannot be read.
+        InputError
+            For what makes no packing.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> import taichi_bearings as tb
+        >>> discs = tb.Packing.lattice("square", (3, 4))
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     tb.Packing.load(discs.save(folder + "/mine.npz"))
+        <Packing of 12 discs, 17 contacts, 6 driven, coulomb>
         """
         found = cls.read(path, contacts)
         if not is_table(path):
@@ -358,7 +547,18 @@ class Packing(Bearing):
 
     @staticmethod
     def read(path: str | Path, contacts: str | Path | None = None) -> dict[str, np.ndarray]:
-        """The arrays of such files by name, no more than they hold; FileError if they cannot be read."""
+        """Return the arrays of such files by name, without those that the files lack.
+
+        Parameters
+        ----------
+        path, contacts : str or Path
+            As of :meth:`load`.
+
+        Raises
+        ------
+        FileError
+            For what cannot be read.
+        """
         path = Path(path)
         if is_table(path):
             found = read_spheres(path)
@@ -380,7 +580,18 @@ class Packing(Bearing):
         return checks.columns_as_rows(found)
 
     def save(self, path: str | Path) -> Path:
-        """Write the arrays into a new file, npz or HDF5 by its name; WriteError if it is there or cannot be written."""
+        """Write the arrays of the packing into a new file, and return its path.
+
+        Parameters
+        ----------
+        path : str or Path
+            Of a file that does not exist, with the ending .npz, .h5 or .hdf5.
+
+        Raises
+        ------
+        WriteError
+            If the file exists, or cannot be written, or has another ending.
+        """
         path = Path(path)
         with writing(path):
             if path.suffix == ".npz":
@@ -396,7 +607,10 @@ class Packing(Bearing):
 
 
 def _states(given: dict[str, Any], dimension: int) -> np.ndarray:
-    """Bearing states (2, 4) of bottom and top: A and C. given : what says so is taken out."""
+    """Return the bearing states of bottom and top, (2, 4): A_x, A_y, A_z in 1/time, and C in 1/(time length).
+
+    given : arguments of the caller; `spin_bottom`, `spin_top`, `direction`, `bottom` and `top` are taken out.
+    """
     spins = [finite_number(n, given.pop(n, d)) for n, d in (("spin_bottom", 0.0), ("spin_top", 1.0))]
     direction = np.array(imposed_direction(given.pop("direction", (1.0, 1.0, 0.0))))
     states = {name: given.pop(name, None) for name in ("bottom", "top")}
@@ -408,10 +622,11 @@ def _states(given: dict[str, Any], dimension: int) -> np.ndarray:
 
 
 def _in_space(place: np.ndarray) -> np.ndarray:
+    """Return places (N, 2) or (N, 3) as (N, 3), with z = 0 in 2D."""
     return place if place.shape[1] == 3 else np.column_stack([place, np.zeros(len(place))])
 
 
 def of_packing(bearing: Bearing) -> Packing:
-    """Return the same, where packings alone are spoken of."""
+    """Return the bearing itself, typed as a packing; it must be one."""
     assert isinstance(bearing, Packing)
     return bearing

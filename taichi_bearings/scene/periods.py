@@ -1,18 +1,22 @@
-"""Boxes with periodic sides: their vectors, and the images of spheres in them."""
+"""Boxes with periodic sides: their vectors, and the nearest images of spheres in them.
+
+An image is a copy of a sphere, shifted by a sum of periods. Letters: D = 2 or 3 dimensions, k periods, E contacts.
+"""
 
 from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
 
-MOST_SIDE = 1e15  # length
+MOST_SIDE = 1e15  # the largest bound of a box, length
 
 
 @dataclass(frozen=True)
 class Box:
-    """A parallelepiped. origin : (3,), length. edges : (3, 3), its edge vectors, a row each, length.
+    """A parallelepiped.
 
-    periodic : which edges are periods; None where the dump does not say.
+    origin : (3,), length, the corner from which the edges start. edges : (3, 3), length, one edge vector a row.
+    periodic : for each edge, whether it is a period; None where the file does not say.
     """
 
     origin: np.ndarray
@@ -21,8 +25,11 @@ class Box:
 
     @classmethod
     def of_bounds(cls, rows: np.ndarray, periodic: list[bool] | None) -> "Box | None":
-        """Out of the three rows of LAMMPS: low and high; bounds of the tilted box and its tilts xy, xz, yz; or edge
-        vectors and origin. None if they are of no box."""
+        """Return the box that three rows of LAMMPS describe; None if they describe none.
+
+        rows : (3, 2), low and high of each axis; or (3, 3), the bounds of a tilted box with its tilts xy, xz and yz; or
+        (3, 4), one edge vector a row and a component of the origin.
+        """
         if not (np.abs(rows) <= MOST_SIDE).all():
             return None
         if rows.shape[1] == 4:
@@ -37,23 +44,26 @@ class Box:
         return cls(origin, edges, periodic)
 
     def places(self, shares: np.ndarray) -> np.ndarray:
-        """Places (N, 3) of shares of the edges."""
+        """Return the places (N, 3), length, of points that are given as fractions (N, 3) of the edges."""
         return np.asarray(self.origin + shares @ self.edges)
 
     def periods(self, dimension: int) -> np.ndarray:
-        """The periodic edges within the first axes, (k, dimension)."""
+        """Return the periodic edges among the first `dimension` ones, with so many components: (k, dimension)."""
         return self.edges[[axis for axis in range(dimension) if self.periodic and self.periodic[axis]], :dimension]
 
     def is_as(self, other: "Box") -> bool:
-        """True if another box is the same, but for digits that printing has lost."""
+        """Return True if another box is the same, apart from digits that were lost in printing."""
         size = np.abs(self.edges).max()
         near = np.abs(np.vstack([self.edges - other.edges, self.origin - other.origin])).max() <= 1e-4 * size
         return bool(near) and (self.periodic is None or other.periodic is None or self.periodic == other.periodic)
 
 
 def reduced(periods: np.ndarray) -> np.ndarray:
-    """The shortest vectors (k, D) that make the same lattice: each is reduced by sums of the others until none gets
-    shorter. Then steps of -1, 0 and 1 along them lead from any image to the nearest one (Minkowski, k up to 3)."""
+    """Return the shortest vectors (k, D) whose sums give the same lattice of points as these periods (k, D).
+
+    Sums of the others are taken from each vector until none gets shorter. From an image that is not the nearest one,
+    a step of -1, 0 or 1 along each such vector leads to a nearer one (Minkowski, for k up to 3).
+    """
     periods = np.array(periods, dtype=float)
     for _ in range(1000):
         is_shorter = False
@@ -74,9 +84,10 @@ def reduced(periods: np.ndarray) -> np.ndarray:
 
 
 def nearest_images(vector: np.ndarray, periods: np.ndarray, reach: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Vectors (E, D) to the nearest images, and whether a second image (E,) is as near as `reach` (E,), length.
+    """Return vectors (E, D) to the nearest images, and a mask (E,): a second image is no farther than `reach`.
 
-    vector : (E, D), length, between places anywhere. periods : (k, D), independent.
+    vector : (E, D), length, from one place to another, whichever images these are. periods : (k, D), length, linearly
+    independent. reach : (E,), length.
     """
     found, doubtful = np.array(vector, dtype=float), np.zeros(len(vector), dtype=bool)
     if not len(periods):

@@ -1,4 +1,8 @@
-"""What is solved: a lattice, a contact law, a coefficient for every contact, and the imposed bearing states."""
+"""What is solved: a lattice, a contact law, a coefficient for every contact, and the imposed bearing states.
+
+Letters: R samples, E contacts, C spin components; nx, ny, nz spheres along the axes of the lattice, the last of them
+the height. spin_axes : as an argument, the spin components, 0 to 2, along the first axis of an array (C, ...).
+"""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
@@ -23,32 +27,64 @@ from taichi_bearings.words import html_table, shown
 if TYPE_CHECKING:
     from taichi_bearings.scene.network import Network
 
-LEAST_DIRECTION = 1e-100  # least part of a direction that counts
-LEAST_COEFFICIENT, MOST_COEFFICIENT = 1e-15, 1e15
-ALIKE = ("lattice", "network", "driving", "exact_driving")  # of all samples of a scene: found once
+LEAST_DIRECTION = 1e-100  # smallest part of a direction that is not 0, relative to its largest part
+LEAST_COEFFICIENT, MOST_COEFFICIENT = 1e-15, 1e15  # limits of coefficients that are not 0
+ALIKE = ("lattice", "network", "driving", "exact_driving")  # what all samples of a scene share
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Scene(Bearing):
-    """What is solved: a frustrated bearing, or several samples of it (replicas) on one lattice with one driving.
+    """A frustrated bearing on a lattice, or several samples of it that differ in their coefficients alone.
 
-    coefficients : one array an axis, x, y(, z): (nx-1, ny, nz), (nx, ny-1, nz), (nx, ny, nz-1), in 2D (nx-1, ny),
-        (nx, ny-1); several samples have a leading axis R. Entry [i, j, k] of an axis is of the contact of sphere
-        (i, j, k) with its upper neighbour along it. Friction, a pure number, or damping of the viscous law,
-        force * time / length; from 1e-15 to 1e15, or 0 where spheres do not touch. The last axis is the height,
-        bottom first.
-    law : "coulomb", "viscous" or "coulomb-viscous".
-    spin_top, spin_bottom : 1/time; imposed spin of the top and bottom planes, with the sign of the sublattice.
-    direction : axis of the imposed spins in 3D, normalised; ignored in 2D, where spins point along z.
-    top, bottom : bearing states (A_x, A_y, A_z, C) imposed instead: staggered spins A + C x, with x from the centre of
-        sphere (0, 0, 0); C, 1/(time length), may be left out. In 2D one number. One of the two alone: the other is 0.
-    periodic : names of the axes that close on themselves, ("x",), ("y",) or both, not the height. The array of such an
-        axis is as long as the lattice: entry [i] is of the contact of i with i + 1 mod n, n even.
-    normal_force : force at every contact, of laws with friction. radius : of the spheres, length.
-    seeds : seed of each sample, for the record and for random initial spins. Default: 0, 1, ...
-    viscosity : like the coefficients, of a law that has both, else empty; force * time / length.
-    drawn : distributions that the seeds were drawn from, by option of `bearings run`; empty for given coefficients.
-    file : name of the file that the coefficients were read from, if any.
+    Parameters
+    ----------
+    coefficients : tuple of arrays
+        One array for each axis, x, y(, z), of shape (nx-1, ny, nz), (nx, ny-1, nz), (nx, ny, nz-1), in 2D (nx-1, ny),
+        (nx, ny-1); several samples have a leading axis R. The last axis of the lattice is the height, bottom first.
+        Entry [i, j, k] belongs to the contact of sphere (i, j, k) with its upper neighbour along that axis: friction, a
+        pure number, or damping of the viscous law, force * time/length. Numbers are from 1e-15 to 1e15, or 0 where
+        spheres do not touch.
+    law : str or Law
+        "coulomb", "viscous" or "coulomb-viscous".
+    spin_top, spin_bottom : float
+        Imposed spins of the top and the bottom plane, 1/time; the spin of each sphere has the sign of its sublattice.
+    direction : sequence of float
+        Axis of the imposed spins in 3D, of any length but 0; ignored in 2D, where spins point along z.
+    normal_force : float
+        Force at every contact, for laws with friction.
+    radius : float
+        Radius of the spheres, length.
+    seeds : sequence of int
+        Seed of each sample, for the record and for random initial spins. Default: 0, 1, ...
+    viscosity : tuple of arrays
+        Second coefficient, of the law "coulomb-viscous", force * time/length, in the layout of `coefficients`.
+    top, bottom : sequence of float, optional
+        Bearing states (A_x, A_y, A_z, C) that are imposed instead of spins, in 2D one number: the staggered spin is A +
+        C x, with x from the centre of sphere (0, 0, 0). A is in 1/time; C, 1/(time length), may be left out. If only
+        one of the two is given, the other is 0.
+    periodic : sequence of str
+        Names of the axes that close on themselves, ("x",), ("y",) or both, not the height. Along such an axis n is even
+        and the array has n entries: entry [i] belongs to the contact of i with i + 1 mod n.
+
+    Attributes
+    ----------
+    drawn : mapping
+        Distributions that the coefficients were drawn from with the seeds, by the name of the option of `bearings run`;
+        empty for coefficients that are given.
+    file : str
+        Name of the file that the coefficients were read from, if any.
+
+    Raises
+    ------
+    InputError
+        For values that make no scene: one sentence that names the value.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import taichi_bearings as tb
+    >>> tb.Scene((np.full((3, 5), 0.2), np.full((4, 4), 0.5)), spin_bottom=0.1)
+    <Scene 4x5 coulomb, coefficients given, top 1, bottom 0.1>
     """
 
     coefficients: tuple[np.ndarray, ...]
@@ -81,13 +117,33 @@ class Scene(Bearing):
         direction: tuple[float, float, float] = (1.0, 1.0, 0.0),
         **others: Any,
     ) -> "Scene":
-        """A scene whose coefficients are drawn from its seed: the same on any machine.
+        """Return a scene whose coefficients are drawn from its seed: the same on any machine.
 
-        shape : spheres along each axis, (nx, ny) or (nx, ny, nz), height last.
-        distribution : "uniform:low,high", "lognormal:median,sigma", "power-law:low,high,exponent",
-            "bimodal:low,high,fraction" or "constant:value", or a function (rng, shape) -> array of coefficients.
-        others : `replicas`, for the seeds seed ... seed + replicas - 1; `viscosity`, the distribution of the second
-            coefficient of "coulomb-viscous"; `normal_force`, `radius`, `periodic`, and the states `top` and `bottom`.
+        Parameters
+        ----------
+        shape : sequence of int
+            Spheres along each axis, (nx, ny) or (nx, ny, nz), height last.
+        seed : int
+            Seed of the first sample; the others have seed + 1, seed + 2, ...
+        distribution : str or callable
+            "uniform:low,high", "lognormal:median,sigma", "power-law:low,high,exponent", "bimodal:low,high,fraction" or
+            "constant:value", or a function (rng, shape) -> array of coefficients.
+        law, spin_top, spin_bottom, direction
+            As of :class:`Scene`.
+        **others
+            `replicas`, the number of samples; `viscosity`, the distribution of the second coefficient of
+            "coulomb-viscous"; and `normal_force`, `radius`, `periodic`, `top` and `bottom` as of :class:`Scene`.
+
+        Raises
+        ------
+        InputError
+            For values that make no scene.
+
+        Examples
+        --------
+        >>> import taichi_bearings as tb
+        >>> tb.Scene.random((4, 5), seed=3)
+        <Scene 4x5 coulomb, seed 3, top 1, bottom 0>
         """
         law, replicas = law_named(law), others.pop("replicas", 1)
         seed, replicas = SEED.named("seed", seed), COUNT.named("replicas", replicas)
@@ -115,18 +171,21 @@ class Scene(Bearing):
         return scene.drawn_from(texts if len(texts) == len(sources) else {})
 
     def drawn_from(self, distributions: Mapping[str, str]) -> "Scene":
-        """The scene, known to be drawn from its seeds. A scene that is made from it with changes is not."""
+        """Mark this scene as drawn from its seeds, and return it. Copies with changes do not have the mark.
+
+        distributions : by the name of the option of `bearings run`; empty to take the mark away.
+        """
         object.__setattr__(self, "drawn", distributions)
         return self
 
     def read_from(self, file: str) -> "Scene":
-        """The scene, known to have the coefficients of the file of this name."""
+        """Keep the name of the file that the coefficients were read from, and return this scene."""
         object.__setattr__(self, "file", file)
         return self
 
     @property
     def source(self) -> str:
-        """Where the coefficients come from, in words for a title: a seed, a file, or neither is known."""
+        """Where the coefficients come from, in words for a title: seeds, a file, or "coefficients given"."""
         if self.drawn:
             return f"seed {self.seeds[0]}" if self.replicas == 1 else f"seeds {self.seeds[0]} to {self.seeds[-1]}"
         return f"coefficients of {self.file}" if self.file else "coefficients given"
@@ -173,7 +232,7 @@ class Scene(Bearing):
             check_law(self.law, self.material, self.lattice.radius * (self.jump or 1.0))
 
     def _read_states(self) -> None:
-        """The states as tuples of 1 or 4 numbers, both or none."""
+        """Set `top` and `bottom` to tuples of 1 (2D) or 4 numbers if one is given; then no spins may be given."""
         if self.top is None and self.bottom is None:
             return
         for name in self.BY_SPINS:
@@ -185,6 +244,10 @@ class Scene(Bearing):
             object.__setattr__(self, name, bearing_state(name, (0.0,) if given is None else given, dimension))
 
     def _check(self, kind: str, coefficients: tuple[np.ndarray, ...]) -> None:
+        """Raise InputError if coefficients have a wrong shape or a value out of range.
+
+        kind : "coefficients" or "viscosities", for messages. coefficients : one array an axis.
+        """
         for axis, values in enumerate(coefficients):
             name, one = AXIS_NAMES[axis], self.lattice.contact_shape(axis)
             if values.shape != (len(self.seeds), *one) and (values.shape != one or self.replicas > 1):
@@ -206,7 +269,7 @@ class Scene(Bearing):
         return f"<Scene {shape} {self.law}, {seeds}, top {top}, bottom {bottom}{self.closed}>"
 
     def _repr_html_(self) -> str:
-        """For notebooks."""
+        """Return a table of the scene for notebooks."""
         names = [name for name in self.PARAMETERS if self.top is None or name not in self.BY_SPINS]
         given = [(name, value) for name in names if (value := getattr(self, name)) not in (None, ())]
         counts = [("spheres", self.lattice.sites), ("contacts", self.lattice.all_contacts)]
@@ -215,37 +278,41 @@ class Scene(Bearing):
 
     @property
     def closed(self) -> str:
-        """Its periodic sides, as the end of a list in words; empty if there are none."""
+        """The periodic sides, as the end of a list in words; empty if there are none."""
         return f", periodic along {' and '.join(self.periodic)}" if self.periodic else ""
 
     @cached_property
     def lattice(self) -> Lattice:
+        """The lattice: its shape, the radius of the spheres, and the periodic axes."""
         along_x, closed = self.coefficients[0].shape[-len(self.coefficients) :], axis_numbers(self.periodic)
         return Lattice((along_x[0] + (0 not in closed), *along_x[1:]), self.radius, closed)
 
     @cached_property
     def network(self) -> "Network":
-        """Who touches whom; it makes arrays of the spheres and contacts when it is asked for them."""
+        """The spheres, their contacts, and which are driven; its arrays are made when they are asked for."""
         from taichi_bearings.scene.network import Network  # and with it SciPy, which takes a third of a second
 
         return Network.of(self.lattice)
 
     @cached_property
     def coefficient(self) -> np.ndarray:
-        """(R, E) the coefficients of all contacts."""
+        """(R, E) first coefficient of the law at all contacts: friction, a pure number, or damping."""
         return self._of_contacts(self.coefficients)
 
     def _of_contacts(self, parts: tuple[np.ndarray, ...]) -> np.ndarray:
+        """Return coefficients that are given axis by axis as one array (R, E)."""
         values = self.lattice.flat(parts).reshape(self.replicas, -1)
         values.setflags(write=False)
         return values
 
     @cached_property
     def named_coefficients(self) -> dict[str, np.ndarray]:
+        """The coefficients of the law, (R, E) each, by name: "coefficient", and "viscosity" if the law has both."""
         beside = {"viscosity": self._of_contacts(self.viscosity)} if self.viscosity else {}
         return {"coefficient": self.coefficient, **beside}
 
     def _as_samples(self, pick: int | slice, seeds: tuple[int, ...]) -> "Scene":
+        """Return a copy with some of the samples. pick : number of one, or a slice. seeds : of these samples."""
         found = object.__new__(Scene)
         vars(found).update({name: getattr(self, name) for name in (*(item.name for item in fields(self)), *ALIKE)})
         vars(found).update(
@@ -257,42 +324,44 @@ class Scene(Bearing):
 
     @cached_property
     def driving(self) -> Planes:
-        """What is imposed on the two planes."""
+        """What is imposed on the two planes, and how laboratory spins become staggered ones."""
         if self.top is not None and self.bottom is not None:
             return Planes.by_states(self.lattice, self.top, self.bottom)
         return Planes.by_spins(self.lattice, self.spin_top, self.spin_bottom, self.direction)
 
     @cached_property
     def exact_driving(self) -> ExactDriving:
-        """What is imposed to 300 digits, as proofs take it."""
+        """What is imposed on the two planes, to 300 digits, as proofs need it."""
         if self.top is not None and self.bottom is not None:
             return ExactDriving.by_states(self.lattice, self.top, self.bottom)
         return ExactDriving.by_spins(self.lattice, self.spin_top, self.spin_bottom, self.direction)
 
     @property
     def imposed(self) -> tuple[float, float]:
-        """Spins of top and bottom, 1/time; where states are imposed, their largest sizes on the planes."""
+        """The imposed spins of top and bottom, 1/time; of bearing states the largest sizes on the two planes."""
         return self.driving.sides
 
     def with_top(self, strength: float) -> "Scene":
+        """Return a copy whose top has its spin, or its bearing state, multiplied by `strength`."""
         if self.top is None:
             return replace(self, spin_top=strength * self.spin_top)
         return replace(self, top=tuple(strength * part for part in self.top))
 
     def with_friction_alone(self) -> "Scene":
+        """Return a copy with friction but without viscosity."""
         return replace(self, law=COULOMB, viscosity=())
 
     def top_spin(self, spin_axes: tuple[int, ...]) -> np.ndarray:
-        """Staggered spin of the top plane, (C, *plane), 1/time; that of the bottom is 0.
+        """Return the staggered spin of the top plane, (C, nx, ny), in 2D (C, nx), 1/time; that of the bottom is 0.
 
         All staggered spins are measured from the bottom's bearing state, in which no contact slips (equations.md, 1).
-        Where the driving is nearly equal, slips are then not lost in the rounding of the spins.
+        So slips keep their digits if bottom and top are driven nearly alike.
         """
         return self.driving.imposed_on_top(spin_axes)[0]
 
 
 def imposed_direction(given: Any) -> tuple[float, float, float]:
-    """Three finite numbers, not all 0."""
+    """Return a direction as three finite numbers, not all 0; raise InputError for anything else."""
     try:
         parts = tuple(finite_number("direction", part) for part in given)
     except (TypeError, InputError):
@@ -309,7 +378,10 @@ def imposed_direction(given: Any) -> tuple[float, float, float]:
 
 
 def bearing_state(name: str, given: Any, dimension: int) -> tuple[float, ...]:
-    """A state as (A_x, A_y, A_z, C), in 2D (A_z,), of three or four numbers, in 2D of one; 0 alone is at rest."""
+    """Return the state of a plane as (A_x, A_y, A_z, C), in 2D as (A_z,); raise InputError for anything else.
+
+    name : "top" or "bottom", for messages. given : three or four numbers, in 2D one; a single 0 is the state at rest.
+    """
     try:
         parts = tuple(finite_number(name, part) for part in (given if isinstance(given, Iterable) else (given,)))
     except (TypeError, InputError):
@@ -323,7 +395,10 @@ def bearing_state(name: str, given: Any, dimension: int) -> tuple[float, ...]:
 
 
 def periodic_axes(given: Any, allowed: tuple[str, ...] = AXIS_NAMES[:2]) -> tuple[str, ...]:
-    """Names of axes in their order, of several in a list or in one text, x,y."""
+    """Return the names of axes in their order; raise InputError for names that are not allowed.
+
+    given : one name, several in a list, or several in one text, "x,y".
+    """
     parts = (given.split(",") if given else ()) if isinstance(given, str) else given
     is_one = not isinstance(parts, Iterable) or (isinstance(parts, np.ndarray) and parts.ndim == 0)
     parts = (parts,) if is_one else tuple(parts)
@@ -334,6 +409,7 @@ def periodic_axes(given: Any, allowed: tuple[str, ...] = AXIS_NAMES[:2]) -> tupl
 
 
 def _seeds(given: Any) -> tuple[int, ...]:
+    """Return seeds as integers; raise InputError for anything else."""
     try:
         return tuple(SEED.read(seed) for seed in given)
     except (TypeError, ValueError, OverflowError):
@@ -341,7 +417,10 @@ def _seeds(given: Any) -> tuple[int, ...]:
 
 
 def _arrays(kind: str, given: Any) -> tuple[np.ndarray, ...]:
-    """Coefficients that users give, one array an axis, as read-only copies."""
+    """Return coefficients of users, one array an axis, as read-only copies.
+
+    kind : "coefficients" or "viscosities", for messages.
+    """
     is_one = isinstance(given, str) or (isinstance(given, np.ndarray) and given.ndim == 0)
     if is_one or not isinstance(given, Iterable):
         raise InputError(f"{kind} are {shown(given)}; they must be one array an axis, two or three")
@@ -352,6 +431,6 @@ def _arrays(kind: str, given: Any) -> tuple[np.ndarray, ...]:
 
 
 def of_lattice(bearing: Bearing) -> Scene:
-    """The same, where lattices alone are spoken of."""
+    """Return the bearing itself, typed as a scene on a lattice; it must be one."""
     assert isinstance(bearing, Scene)
     return bearing

@@ -1,4 +1,10 @@
-"""What any method returns: where it stands (Progress), how it ended (Status), and the answer (Solution)."""
+"""What any method returns: where it stands (Progress), how it ended (Status), and the answer (Solution).
+
+Letters: R replicas (samples), *N the shape of arrays over the N spheres, E contacts, C spin components, d components of
+a slip. replica : one sample of a scene among several that are solved together. objective : what the stationary state
+minimises, energy/time: the power, or the dissipation potential of laws whose power is no multiple of that.
+gap : relative distance of the objective from its lower bound.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
@@ -12,11 +18,15 @@ from taichi_bearings.read_only import read_only
 from taichi_bearings.runtime import HOST, Runtime
 from taichi_bearings.scene.bearing import Bearing
 
-CROSSED_BOUND = 1e-11  # relative amount by which a lower bound may seem to lie above the power
+CROSSED_BOUND = 1e-11  # rounding may put a lower bound above the power by this, relative to the power
 
 
 def is_crossed(value: float | None, bound: float | None, gap: float | None) -> bool:
-    """True where a lower bound lies above what it bounds by more than rounding; None and not-a-number say nothing."""
+    """Return True if a lower bound lies above the value that it bounds by more than rounding.
+
+    value, bound : energy/time. gap : relative, negative if the bound lies above. None and not-a-number stand for
+    unknown numbers.
+    """
     above = value is not None and bound is not None and value > 0 and bound > value * (1 + CROSSED_BOUND)
     return above or (gap is not None and gap < -CROSSED_BOUND)
 
@@ -40,7 +50,7 @@ class Status(Enum):
 
 
 class ContactState(IntEnum):
-    """One word for a contact, as in ``/contact/<axis>/state``; whether it is proven stands beside it."""
+    """State of a contact, as in ``/contact/<axis>/state`` of run.h5; another array says whether it is proven."""
 
     SLIPLESS = 0  # it slips at no minimum
     SLIPPING = 1  # it slips at every minimum
@@ -54,10 +64,12 @@ SLIPLESS, SLIPPING, UNDECIDED, DRIVEN, TIED = ContactState
 
 @dataclass(frozen=True)
 class Energy:
-    """Energy balance of a dynamics since its start, (R,) each, energy. Every account is kept from its own data.
+    """Energy balance of a dynamics since its start, (R,) each, energy. No account is computed from the others.
 
-    kinetic : of the free spheres. spring : in the elongations of the contacts.
-    injected : work of the driven spheres. dissipated : work done on the contacts that is not in their springs.
+    kinetic : kinetic energy of the free spheres.
+    spring : energy of the elongated springs at the contacts.
+    injected : work of the driven spheres since the start.
+    dissipated : work done on the contacts since the start that is not in their springs.
     at_start : kinetic and spring energy at time 0.
     """
 
@@ -69,7 +81,10 @@ class Energy:
 
     @property
     def residual(self) -> np.ndarray:
-        """(R,) what the balance leaves unexplained, relative to the energy that was turned over."""
+        """(R,) error of the balance, at_start + injected - dissipated - kinetic - spring, relative to the turnover.
+
+        The turnover is at_start + abs(injected), or abs(dissipated) if that is larger.
+        """
         turnover = np.maximum(self.at_start + np.abs(self.injected), np.abs(self.dissipated))
         missing = self.at_start + self.injected - self.dissipated - self.kinetic - self.spring
         return np.asarray(np.divide(missing, turnover, out=np.zeros_like(missing), where=turnover > 0))
@@ -77,7 +92,11 @@ class Energy:
 
 @dataclass(frozen=True)
 class Snapshots:
-    """Spins of a dynamics at some times. time : (S,). spin : laboratory frame, (S, R, *N) or (S, R, *N, 3), 1/time."""
+    """Spins of a dynamics at S times.
+
+    time : (S,), simulated time.
+    spin : laboratory spins, (S, R, *N) of discs or (S, R, *N, 3) of spheres, 1/time.
+    """
 
     time: np.ndarray
     spin: np.ndarray
@@ -85,29 +104,34 @@ class Snapshots:
 
 @dataclass(frozen=True)
 class Progress:
-    """State of a method at one check; everything float64 on the host.
+    """State of a method at one check; all numbers are float64 on the host.
 
-    staggered : (C, R, *N) spins that this check stands for, components as named by spin_axes.
-    rest : (C, R, *N), what is to be added to them, of a method that knows more than their rounding, else None.
-    force : contact forces (C, R, E), along the spin difference of the contact.
-    objective : (R,), what the stationary state minimises (`Scene.objective`); lower_bound : (R,), on its least value;
-        energy/time.
-    proof : forces like `force` from which lower_bound follows, where these are others.
+    iteration : iterations so far.
+    staggered : carried spins (C, R, *N) at this check (scene/driving.py); `spin_axes` names their components.
+    rest : (C, R, *N), small numbers to add to them, from a method that knows its spins beyond rounding, else None.
+    force : contact forces (d, R, E), along the spin differences of the contacts.
+    objective : (R,), energy/time, at these spins. lower_bound : (R,), energy/time, on the minimum of the objective.
+    proof : the forces from which lower_bound follows, shaped as `force`, if these are others.
     time : simulated time of a dynamics, else None.
-    energy : balance of a dynamics that keeps one. slipping : (R,), contacts of a dynamics that slip now.
-    resolution : slip speed below which the method cannot tell slip from rest, length/time; of all, or (R,).
-    largest_balance_residual : (R,), largest torque that is left on a free sphere, force * length.
-    at_rest : a dynamics has come to rest.
-    exhausted : going on brings it no closer in its precision. halted : a dynamics cannot make another step.
-    state : contact states (R, E) that the method itself has established, else None; TIED is its belief.
-    slip : slip speeds (R, E) where they are more precise than those of the spins, else None.
-    settled : (R,), True where the states are final. states_believed : (R,), where the method takes them for those of
-        every minimum; whether they are is for the judgement to prove.
-    settles_more : going on would settle more contact states, whatever the gap.
-    findings : what else the method has found, by name, (R,) each. columns : the same of this check, for the history.
-    falls_to : gap to which the gap falls by like factors in like times at least; 0 if it does not.
-    falls_as : power k if the gap falls about as iteration^-k; 0 if it does not.
-    ended : (R,), iteration with which each replica was done, of a method that steps them apart.
+    energy : energy balance, of a dynamics that keeps one.
+    slipping : (R,), number of contacts that slip at this moment of a dynamics.
+    resolution : slip speed, length/time, below which the method cannot tell slip from rest; one number or (R,).
+    largest_balance_residual : (R,), largest unbalanced torque on a free sphere, force * length.
+    at_rest : True if a dynamics has come to rest.
+    exhausted : True if further iterations bring the method no closer in its precision.
+    halted : True if a dynamics cannot make another step.
+    state : contact states (R, E) that the method has established, else None; TIED is a guess of the method.
+    slip : slip speeds (R, E), length/time, where they are more precise than those of the spins, else None.
+    settled : (R,) mask of the replicas whose states are final.
+    states_believed : (R,) mask of the replicas whose states the method takes for those of every minimum; the proof is
+        made elsewhere.
+    settles_more : True if further iterations would settle more contact states, whatever the gap.
+    findings : other numbers that the method has found, by name, (R,) each. columns : numbers of this check for the
+        history, by name, (R,) each.
+    falls_to : the gap down to which each further stretch of time reduces the gap by at least the same factor; 0 if
+        that is not known.
+    falls_as : exponent k, if the gap falls about as iteration^-k, else 0.
+    ended : (R,), the iteration at which each replica was done, of a method that steps them one by one, else None.
     """
 
     iteration: int
@@ -138,7 +162,7 @@ class Progress:
     ended: np.ndarray | None = None
 
     def where(self, better: np.ndarray, other: "Progress") -> "Progress":
-        """This state in the replicas where `better` (R,) is True, and `other` in the rest."""
+        """Return a state that has the numbers of this one where the mask `better`, (R,), is True, else of `other`."""
         if better.all():
             return self
         mixed = {name: _picked(better, axis, getattr(self, name), getattr(other, name)) for name, axis in OF_REPLICAS}
@@ -151,11 +175,14 @@ OF_REPLICAS = (
     ("objective", 0), ("largest_balance_residual", 0), ("states_believed", 0), ("state", 0), ("slip", 0),
     ("staggered", 1), ("rest", 1), ("force", 1),
 )  # fmt: skip
-"""What belongs to a replica in the state of a method, and the axis that counts the replicas."""
+"""Fields of Progress that hold numbers of each replica, and the axis of their arrays that counts the replicas."""
 
 
 def _picked(better: np.ndarray, axis: int, new: Any, old: Any) -> Any:
-    """An array of the chosen replicas; None unless both states have it."""
+    """Return `new` in the replicas where `better` is True and `old` in the others; None if either is None.
+
+    better : (R,) mask. axis : number of the axis of both arrays that counts the replicas.
+    """
     if new is None or old is None:
         return None
     return np.where(better.reshape(*(1,) * axis, -1, *(1,) * (new.ndim - axis - 1)), new, old)
@@ -167,31 +194,38 @@ OF_ALL = ("iteration", "seconds", "time")
 
 @dataclass(frozen=True)
 class Solution:
-    """The answer of a run, one entry a replica where an axis R is named.
+    """The answer of a run, with one entry for each replica where an axis R is named.
 
-    scene : what was solved, of all replicas. Of packings N is the number of spheres, `friction` is that
-        on the second sphere of each contact, and `findings` has what is said of them alone: `proof`, "proven", or of
-        which spins the bound is, where some motions slip by no more than the rounding of the normals, or why there is
-        none; `driven_power`, energy/time, what contacts between driven spheres dissipate; `slipless_motions` of the
-        free spheres that driven ones reach, None if undecided.
-    spin, spin_rounding : laboratory frame, (R, *N) in 2D and (R, *N, 3) in 3D, 1/time; the spins are their sums.
-    slip, power_per_contact, force, state : (R, E); force is its magnitude.
-    friction : on the upper sphere of each contact, laboratory frame, (R, E, 3); in 2D (R, E),
-        the component along z x n (lattice.grid.laboratory_forces). The lower bound follows from it: within the friction
-        discs, and in balance where such forces prove as much as others (certificate.certifying_forces).
-    state : values of `ContactState`. proven : (R, E), True where the state is proven, and where a contact
-        takes no part.
-    power : (R,). objective : (R,), what the stationary state minimises: the power, or the potential where no multiple
-        of it is the power. lower_bound, gap : (R,), of the objective; BearingsError where a bound lies above it.
-    findings : what else the method has found, by name, (R,) each.
-    own : of `iterations`, `slip_threshold`, `status` and `seconds` what they are of each replica alone, (R,), where
-        that can be told.
-    history : columns of equal length; power and lower_bound are (checks, R).
-    snapshots : spins of a dynamics at the times asked for.
-        Of replicas that were solved one after another all columns and times have the axis R, and those that end sooner
-        than the longest stay at their end.
-    interrupted : Ctrl-C or SIGTERM was heard, even if too late to change the answer.
-    running : device, precision and threads that it was computed with.
+    scene : the bearing that was solved, with all replicas. method : name of the method. status : how the run ended.
+    iterations : number of iterations, the largest of all replicas.
+    spin, spin_rounding : laboratory spins, (R, *N) in 2D and (R, *N, 3) in 3D, 1/time, and what their rounding leaves
+        out; the sum of both is the spin.
+    slip, power_per_contact, force : (R, E): slip speed, length/time; power, energy/time; size of the force.
+    friction : force on the upper sphere of each contact of a lattice, or on the second one in a packing, laboratory
+        frame, (R, E, 3); in 2D (R, E), the component along z x n (lattice.grid.laboratory_forces). The lower bound
+        follows from these forces: none exceeds the friction force of its contact, and they are in balance where such
+        forces prove as much as others (certificate.certifying_forces).
+    state : (R, E), values of `ContactState`. proven : (R, E) mask of the contacts whose state is proven, and of those
+        that are absent or between driven spheres.
+    power : (R,), energy/time. objective : (R,), energy/time.
+    lower_bound : (R,), energy/time, on the minimum of the objective. gap : (R,). BearingsError is raised if a bound
+        lies above the objective.
+    largest_balance_residual : (R,), largest unbalanced torque on a free sphere, force * length.
+    slip_threshold : slip speed, length/time, up to which a contact counts as slipless.
+    seconds, seconds_compile : wall time, and the part of it in which kernels were compiled.
+    history : columns of equal length, by name; power and lower_bound are (checks, R).
+    findings : other numbers that the method has found, by name, (R,) each. Those of packings alone are `proof`, which
+        is "proven", or words that say for which spins the bound holds where some motions slip by no more than the
+        rounding of the normals, or why there is no bound; `driven_power`, energy/time, the power of contacts between
+        driven spheres; and `slipless_motions`, the number of motions without slip of the free spheres that contacts
+        connect to driven ones, None if undecided.
+    own : `iterations`, `slip_threshold`, `status` and `seconds` of each replica alone, (R,), where these are known.
+    snapshots : spins of a dynamics at the times that were asked for.
+    interrupted : True if Ctrl-C or SIGTERM came, even if too late to change the answer.
+    running : device, precision and threads with which it was computed.
+
+    If replicas were solved one after another, all columns of the history and all times have the axis R. Replicas that
+    ended sooner than the longest repeat their last row.
     """
 
     scene: Bearing
@@ -233,27 +267,30 @@ class Solution:
 
     @property
     def unproven(self) -> np.ndarray:
-        """(R,), contacts whose state is not proven."""
+        """(R,) number of the contacts whose state is not proven."""
         return np.asarray((~self.proven).sum(axis=1))
 
     @property
     def states_proven(self) -> np.ndarray:
-        """(R,), True where the state of every contact is proven."""
+        """(R,) mask of the replicas in which the state of every contact is proven."""
         return np.asarray(self.proven.all(axis=1))
 
     @property
     def minimum_is_unique(self) -> list[bool | None]:
-        """(R,), True where it is proven that no other slips have the least power, False that others do, else None.
+        """For each replica, True if it is proven that no other slips have the least power, False if it is proven that
+        others have, None if neither is.
 
-        Of packings True is never said: where several values are imposed, contacts that slip at every minimum may do so
-        by several speeds.
+        It is never True for packings: contacts that slip at every minimum may do so at several speeds there.
         """
         tied = (self.state == ContactState.TIED).any(axis=1)
         proven = self.states_proven & (self.scene.network.lattice is not None)
         return [False if ties else True if known else None for ties, known in zip(tied, proven, strict=True)]
 
     def sample(self, number: int) -> "Solution":
-        """One replica of it as if it had been solved alone; its seconds are its share where its own are not known."""
+        """Return the answer of one replica, counted from 0, as if it had been solved alone.
+
+        Where its own time is not known, it is an equal share of the time of all.
+        """
         scene, one = self.scene, slice(number, number + 1)
         if scene.replicas == 1:
             return self
@@ -276,10 +313,10 @@ class Solution:
         return replace(self, **changes)
 
     def _history_of(self, number: int) -> dict[str, np.ndarray]:
-        """(rows,) columns: the rows of the history up to the one at which a replica had ended.
+        """Return the columns of the history of one replica, up to the row at which it had ended.
 
-        number : of the replica. Rows of a block come at iterations of its slowest replica; the last one has as its
-        iteration the one at which this replica itself ended.
+        number : number of the replica. Replicas that are solved together have rows at the same iterations; the last
+        row that is returned gets the iteration at which this replica itself ended.
         """
         found = {
             name: v if v.ndim == 1 else v[:, number] if name in OF_ALL else v[:, number : number + 1]
@@ -296,7 +333,10 @@ class Solution:
 
     @classmethod
     def joined(cls, ones: Sequence["Solution"], scene: Bearing) -> "Solution":
-        """The answers to each sample of a scene, solved one after another, as one."""
+        """Return one answer for a scene whose samples were solved one after another.
+
+        ones : the answer to each sample, in their order. scene : the scene with all of these samples.
+        """
         if len(ones) == 1:
             return ones[0]
         first = ones[0]
@@ -325,7 +365,11 @@ class Solution:
         )
 
     def with_sample(self, number: int, one: "Solution", last: "Solution") -> "Solution":
-        """The same with another answer to one replica. last : how the search for it went on, and ended."""
+        """Return a copy with another answer for one replica.
+
+        number : number of the replica. one : its new answer. last : the answer of the search that was made last, from
+        which seconds, status and interruption are taken.
+        """
         spent = self.seconds + last.seconds
         ended: dict[str, Any] = {"seconds": spent, "status": last.status, "interrupted": last.interrupted}
         if self.scene.replicas == 1:
@@ -345,8 +389,11 @@ class Solution:
 
 
 def stacked(each: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    """Arrays of each replica with a leading axis; those that end sooner than the longest stay at their end, and those
-    that one does not have are not-a-number."""
+    """Return arrays of all replicas, by name, stacked along a new first axis.
+
+    each : arrays by name, for each replica. Arrays that are shorter than the longest are filled up with their last
+    entry; a replica that lacks one gets not-a-number.
+    """
     found = {}
     for name in {name: None for one in each for name in one}:
         longest = max((one[name] for one in each if name in one), key=len)

@@ -1,4 +1,7 @@
-"""Which spheres touch, out of their centres and radii: by trees of places, one for each octave of radii."""
+"""Pairs of spheres that touch, found from centres and radii by trees of places, one tree for each octave of radii.
+
+An octave holds the radii from a power of two up to the next. D is the dimension, 2 or 3.
+"""
 
 from collections.abc import Iterator
 from itertools import chain
@@ -11,13 +14,16 @@ SEARCHED_AT_ONCE = 50_000  # spheres whose neighbours are looked for together; e
 def near_pairs(
     places: np.ndarray, sizes: np.ndarray, center: np.ndarray, radius: np.ndarray, factor: float
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Pairs of a sphere a of the first set and b of the second, in pieces (pairs,) and (pairs,), that are no farther
-    apart than `factor` times the sum of their radii.
+    """Yield pairs of a sphere of a first set and one of a second set that are near each other.
 
-    places (A, D), sizes (A,) : centres and radii of the first set, length. center (B, D), radius (B,) : of the second.
+    Each piece that is yielded has the numbers of the first spheres, (pairs,), and of the second ones, (pairs,).
 
-    A sphere looks for neighbours up to the largest radius of an octave, so a large sphere never counts all the small
-    ones that would fit around another large one.
+    places, sizes : centres (A, D) and radii (A,) of the first set, length.
+    center, radius : centres (B, D) and radii (B,) of the second set, length.
+    factor : two spheres are near if their centres are no farther apart than this factor times the sum of their radii.
+
+    Each octave of the second set is searched up to its own largest radius, so that around a large sphere not all small
+    ones within the reach of another large one are looked at.
     """
     if not len(center):
         return
@@ -39,9 +45,13 @@ def near_pairs(
 
 
 def images(center: np.ndarray, radius: np.ndarray, periods: np.ndarray, factor: float) -> tuple[np.ndarray, np.ndarray]:
-    """Numbers (I,) of spheres and shifts (I, D), length, by sums of periods, of all images that may touch a sphere.
+    """Return the images of spheres that may touch a sphere: their spheres' numbers (I,), and shifts (I, D), length.
 
-    center : (N, D), at most half a period from the middle. periods : (k, D), along axes, each longer than spheres.
+    An image is a copy of a sphere shifted by a sum of periods; the spheres themselves, with shift 0, are among them.
+
+    center : (N, D), length, at most half a period from the middle. radius : (N,), length.
+    periods : (k, D), length, along axes, each longer than the largest sphere.
+    factor : spheres touch up to this factor times the sum of their radii.
     """
     number, shift = np.arange(len(center)), np.zeros_like(center)
     margin, low, high = 2 * factor * radius.max(), center.min(axis=0), center.max(axis=0)
