@@ -131,8 +131,8 @@ class Scene(Bearing):
         law, spin_top, spin_bottom, direction
             As of :class:`Scene`.
         **others
-            `replicas`, the number of samples; `viscosity`, the distribution of the second coefficient of
-            "coulomb-viscous"; and `normal_force`, `radius`, `periodic`, `top` and `bottom` as of :class:`Scene`.
+            `replicas`, the number of samples; `viscosity`, the distribution of viscosities; and, as of :class:`Scene`,
+            `normal_force`, `radius`, `periodic`, `top` and `bottom`.
 
         Raises
         ------
@@ -147,8 +147,7 @@ class Scene(Bearing):
         """
         law, replicas = law_named(law), others.pop("replicas", 1)
         seed, replicas = SEED.named("seed", seed), COUNT.named("replicas", replicas)
-        viscosity = others.pop("viscosity", None)
-        if viscosity is not None and len(law.quantities) == 1:
+        if (viscosity := others.pop("viscosity", None)) is not None and len(law.quantities) == 1:
             laws = " or ".join(name for name, other in LAWS.items() if len(other.quantities) > 1)
             raise InputError(f"viscosity is {shown(viscosity)}, but the law {law} does not use it; it needs law {laws}")
         others["periodic"] = periodic_axes(others.get("periodic", ()))
@@ -159,11 +158,8 @@ class Scene(Bearing):
         others["seeds"] = tuple(range(seed, seed + replicas))
         sources = dict(zip(cls.DRAWN, (distribution, viscosity or "uniform:0.1,1.0"), strict=True))
         values = [source if callable(source) else Distribution.parse(source) for source in sources.values()]
-        found = []
-        for second, value in enumerate(values[: len(law.quantities)]):
-            drawn = (draw_coefficients(lattice, value, number, bool(second)) for number in others["seeds"])
-            parts = zip(*drawn, strict=True)
-            found.append(tuple(np.stack(part) if replicas > 1 else part[0] for part in parts))
+        given = values[: len(law.quantities)]
+        found = [_drawn(lattice, value, others["seeds"], bool(second)) for second, value in enumerate(given)]
         if len(found) > 1:
             others["viscosity"] = found[1]
         texts = {name: source for name, source in sources.items() if isinstance(source, str)}
@@ -358,6 +354,15 @@ class Scene(Bearing):
         So slips keep their digits if bottom and top are driven nearly alike.
         """
         return self.driving.imposed_on_top(spin_axes)[0]
+
+
+def _drawn(lattice: Lattice, source: Draw, seeds: tuple[int, ...], second: bool) -> tuple[np.ndarray, ...]:
+    """Return coefficients drawn from `source`, one array an axis, with a leading axis of samples if seeds are several.
+
+    second : True for the second coefficient of a law that has two, the viscosity.
+    """
+    parts = zip(*(draw_coefficients(lattice, source, seed, second) for seed in seeds), strict=True)
+    return tuple(np.stack(part) if len(seeds) > 1 else part[0] for part in parts)
 
 
 def imposed_direction(given: Any) -> tuple[float, float, float]:
