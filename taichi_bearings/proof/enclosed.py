@@ -12,16 +12,17 @@ from taichi_bearings.proof.slices import Grid
 from taichi_bearings.scene import Bearing
 from taichi_bearings.scene.exact_driving import power_of_two
 
-LEAST_SPEED = 1e-100  # of the fastest surface that is imposed
-ONE_SPEED = 4  # units in the last place, up to which imposed speeds are one
+LEAST_SPEED = 1e-100  # slowest allowed value of the fastest imposed surface speed
+ONE_SPEED = 4  # units in the last place by which imposed speeds may differ that are taken for one
 
 
 def judged_network(
     scene: Bearing, spin: np.ndarray, spin_rounding: np.ndarray, friction: np.ndarray
 ) -> JudgedNetwork | None:
-    """What is judged; None for numbers that are not finite, or of scales for which no arithmetic here is made.
+    """The network to be judged; None for numbers that are not finite, or whose scales are too large or small for
+    products.
 
-    Arrays : as of :class:`Judgement`; of contacts in lists those of one sample.
+    spin, spin_rounding, friction : as of :class:`Judgement`; of contacts in lists those of one sample.
     """
     samples = samples_of_lattice(scene, spin, spin_rounding, friction)
     if samples is None:
@@ -30,7 +31,7 @@ def judged_network(
 
 
 def _on_lattice(samples: OnLattice) -> JudgedNetwork:
-    """Samples of a lattice side by side."""
+    """The network of samples of a lattice, side by side."""
     scene, grid, force = samples.scene, Grid(samples), samples.force_unit
     strength, radius, law = scene.strength, scene.lattice.radius, scene.law
     coefficient, free = scene.coefficient.ravel(), np.ones(grid.spheres, dtype=bool)
@@ -50,7 +51,8 @@ def _on_lattice(samples: OnLattice) -> JudgedNetwork:
 
 
 def _in_lists(packing: Bearing, spin: np.ndarray, rounding: np.ndarray, friction: np.ndarray) -> JudgedNetwork | None:
-    """One sample of a bearing whose contacts are in lists."""
+    """The network of a bearing whose contacts are in lists. spin, rounding, friction : as of :class:`Judgement`, one
+    sample."""
     contacts, law = packing.network, packing.law
     free, radius = contacts.free, contacts.radius
     spin, rounding, imposed = (of.reshape(contacts.spheres, -1) for of in (spin, rounding, packing.imposed_spins()[0]))
@@ -67,6 +69,7 @@ def _in_lists(packing: Bearing, spin: np.ndarray, rounding: np.ndarray, friction
         slope = beside[0] if law.holds else given
     largest = float(slope.max(initial=0.0)) * unit * fastest
     largest = max(float(first.max(initial=0.0)) if law.holds else 0.0, largest)
+    # Scale speeds and forces by powers of two, by which nothing is rounded.
     if not all(LEAST_SPEED < fast < MOST_SCALE for fast in (fastest, fastest * unit)):
         return None
     if largest and not LEAST_SCALE < largest < MOST_SCALE:
@@ -95,9 +98,12 @@ def _in_lists(packing: Bearing, spin: np.ndarray, rounding: np.ndarray, friction
 
 
 def _drive_as_one(u: Enclosure, driven: np.ndarray) -> None:
-    """Give driven spheres (numbers) of which a component u, (N,), has sizes that differ by no more than 4 units in the
-    last place the least of these sizes, as a double; in place. A spin that is a speed over a radius, rounded, makes
-    several of one driving. What differs from nothing else stays as it is, with all its digits."""
+    """Change a component u (N,) in place: driven spheres (numbers) whose sizes of u differ by no more than 4 units in
+    the last place all get the smallest of these sizes, as a double.
+
+    A spin that was computed as speed over radius is rounded, so that one driving appears as several. Sizes that are
+    close to no other one keep all their digits.
+    """
     own = driven[u.high[driven] != 0]
     sign = np.sign(u.high[own])
     (size, _), place = np.unique(np.stack([sign * u.high[own], sign * u.low[own]]), axis=1, return_inverse=True)

@@ -21,9 +21,11 @@ from taichi_bearings.scene.solution import SLIPLESS
 class Judgement:
     """What spins and friction of a scene prove, in energy/time, speeds and forces; bounds are rounded outwards.
 
-    scene : a lattice with R samples, or a packing (R = 1). spin, spin_rounding : in the laboratory frame, (R, *N, 3),
-    of discs (R, *N), 1/time; the spin is the sum of the two. friction : on the second sphere of each contact,
-    (R, E, 3); of discs (R, E), the component along z x n. Of a packing they may be without the axis R.
+    scene : a lattice with R samples, or a packing (R = 1).
+    spin, spin_rounding : in the laboratory frame, (R, *N, 3), of discs (R, *N), 1/time; the spin is the sum of the two.
+    friction : on the second sphere of each contact, (R, E, 3); of discs (R, E), the component along z x n.
+
+    Arrays of a packing may come without the axis R.
     """
 
     scene: Bearing
@@ -36,7 +38,7 @@ class Judgement:
         return self.scene.law
 
     def one(self, number: int) -> Judgement:
-        """Of one of the samples alone."""
+        """The judgement of the sample with this number alone."""
         if self.scene.replicas == 1:
             return self
         pick = slice(number, number + 1)
@@ -45,38 +47,43 @@ class Judgement:
 
     @property
     def can_be_judged(self) -> bool:
-        """False for numbers that are not finite, or of scales for which no arithmetic here is made."""
+        """False for numbers that are not finite, or whose scales are too large or small for products."""
         return self._network is not None
 
     @cached_property
     def _network(self) -> JudgedNetwork | None:
+        """The network to be judged; None where it cannot be."""
         return judged_network(self.scene, self.spin, self.spin_rounding, self.friction)
 
     @property
     def network(self) -> JudgedNetwork:
+        """The network to be judged, where it can be."""
         assert self._network is not None
         return self._network
 
     @cached_property
     def bounds(self) -> Bounds:
+        """Upper and lower bounds on the least potential, in units of the network."""
         return Bounds.of(self.network)
 
     def _by_sample(self, of_contacts: np.ndarray) -> np.ndarray:
+        """Values (R * E,) of contacts as (R, E)."""
         return of_contacts.reshape(self.network.count, -1)
 
     @property
     def acts(self) -> np.ndarray:
-        """(R, E) mask of the contacts that take part."""
+        """(R, E) mask of the contacts that take part: with a coefficient and a free end."""
         return self._by_sample(self.network.acts)
 
     @property
     def limit(self) -> np.ndarray:
-        """(R, E), friction that a contact bears, or without friction its damping."""
+        """(R, E), the largest friction of each contact, force; for laws without friction its damping, force * time /
+        length."""
         return self._by_sample(self.network.holding.value * self.force_unit) if self.law.holds else self.damping
 
     @property
     def damping(self) -> np.ndarray:
-        """(R, E), 0 of friction alone."""
+        """(R, E), damping of each contact, force * time / length; 0 for friction alone."""
         return self._by_sample(self.network.slope.value * (self.force_unit / self.network.speed_unit))
 
     @property
@@ -85,7 +92,8 @@ class Judgement:
 
     @property
     def friction_along(self) -> np.ndarray:
-        """(R, E) mask of the contacts along which friction acts, on packings by more than rounding."""
+        """(R, E) mask of the contacts whose friction has a component along the normal, on packings by more than
+        rounding."""
         friction, normal = self.network.graph.friction, self.network.graph.normal
         if friction.shape != normal.shape:
             return np.zeros(self.acts.shape, dtype=bool)
@@ -95,17 +103,18 @@ class Judgement:
 
     @property
     def friction_size(self) -> np.ndarray:
-        """(R, E), of the same friction."""
+        """(R, E), size of the stored friction, force."""
         return self._by_sample(np.linalg.norm(self.network.graph.friction, axis=1)) * self.force_unit
 
     @cached_property
     def slipless(self) -> np.ndarray:
-        """(R,) mask of the samples of which a state without any slip is proven to exist: their least objective is 0."""
+        """(R,) mask of the samples for which a state without any slip is proven to exist: their least objective is
+        0."""
         return exists_without_slip(self.network)
 
     @cached_property
     def at_rest(self) -> np.ndarray:
-        """(R,) mask of those among them whose spins are such a state, but for what doubles cannot say."""
+        """(R,) mask of those samples whose spins are such a state, as far as doubles can tell."""
         found = self.slipless.copy()
         if found.any():
             network = self.network
@@ -116,13 +125,13 @@ class Judgement:
 
     @cached_property
     def slip(self) -> np.ndarray:
-        """(R, E), speeds of the slips of these spins, to the nearest doubles; none where they are at rest."""
+        """(R, E), slip speeds of these spins, to the nearest doubles; 0 where the sample is at rest."""
         slip = self._by_sample(self.network.slip.value * self.network.speed_unit)
         return np.where(self.at_rest[:, None] & self.acts, 0.0, slip) if self.at_rest.any() else slip
 
     @cached_property
     def states(self) -> list[States]:
-        """Contact states at every minimum, sample by sample; where a state without slip exists, each is one."""
+        """Contact states at every minimum, sample by sample; all slipless where a state without slip exists."""
         none, slipless = (
             States(np.full(self.acts.shape[1], SLIPLESS), self.network.graph.layered or None),
             self.slipless,
@@ -138,13 +147,14 @@ class Judgement:
         return np.stack([of.known for of in self.states])
 
     def _reported(self, values: np.ndarray, towards: float) -> np.ndarray:
-        """Bounds of the potential, as what is least at rest in energy/time, rounded that way."""
+        """Bounds (R,) of the potential converted to the objective in energy/time, rounded towards `towards`, an
+        infinity."""
         return rounded_out(values, self.network.power_unit * self.law.share, towards)
 
     @property
     def lower_bound(self) -> np.ndarray:
-        """(R,), not above the least objective. It is lowered by what rounding takes from the objective that is
-        reported, so that the gap of the reported numbers is not below the one before any rounding."""
+        """(R,), not above the least objective. It is lowered in proportion where the reported objective is rounded
+        down, so that the gap of the reported numbers is not below the one before any rounding."""
         lower = np.maximum(self._reported(np.minimum(self.bounds.lower, self.bounds.upper), -np.inf), 0.0)
         upper, objective = self.upper_bound, self.objective
         share = np.divide(objective, upper, out=np.ones_like(upper), where=np.isfinite(upper) & (upper > objective))
@@ -153,34 +163,36 @@ class Judgement:
 
     @property
     def upper_bound(self) -> np.ndarray:
-        """(R,), not below the least objective: that of these spins, rounded up, or 0 at rest."""
+        """(R,), not below the least objective: the objective of these spins, rounded up; 0 at rest."""
         return np.where(self.at_rest, 0.0, self._reported(self.bounds.upper, np.inf))
 
     @property
     def power(self) -> np.ndarray:
-        """(R,), what these spins dissipate, to the nearest doubles; 0 at rest."""
+        """(R,), the power that these spins dissipate, to the nearest doubles; 0 at rest."""
         return self._of_spins(1.0, self.network.power_unit)
 
     @property
     def objective(self) -> np.ndarray:
-        """(R,), what is least at rest: the power, or with friction and viscosity the potential; nearest doubles."""
+        """(R,), the quantity that the stationary state minimises, at these spins: the power, or with friction and
+        viscosity the potential; to the nearest doubles."""
         return self._of_spins(0.5, self.network.power_unit * self.law.share)
 
     def _of_spins(self, of_slope: float, unit: float) -> np.ndarray:
-        """(R,), what friction and `of_slope` times damping take, in the unit, infinite where spins are impossible."""
+        """(R,), friction times slip plus `of_slope` times damping times the squared slip, in the given unit; infinite
+        for spins that are impossible, 0 at rest."""
         taken = np.where(np.isinf(self.bounds.upper), np.inf, self.network.dissipated(of_slope).value * unit)
         return np.where(self.at_rest, 0.0, taken)
 
     @property
     def price(self) -> np.ndarray:
-        """(R,), what torques left over on free spheres cost, over the objective."""
+        """(R,), what torques left over on free spheres cost the lower bound, over the objective."""
         price, upper = np.where(self.slipless, 0.0, self.bounds.price), self.bounds.upper
         return np.divide(price, upper, out=np.where(price > 0, np.inf, 0.0), where=upper > 0)
 
     @property
     def gap(self) -> np.ndarray:
-        """(R,), (objective - lower bound) / objective of the numbers that are reported; 0 at rest, NaN of spins that
-        are impossible."""
+        """(R,), (objective - lower bound) / objective of the reported numbers; 0 at rest, NaN for spins that are
+        impossible."""
         objective = self.objective
         gap = np.where(np.isfinite(objective), 0.0, np.nan)
         some = np.isfinite(objective) & (objective > 0)
@@ -189,25 +201,26 @@ class Judgement:
 
     @property
     def proof(self) -> str:
-        """What spins the lower bound is proven of."""
+        """The words that say for which spins the lower bound is proven."""
         return PROVEN if self.slipless.all() else self.bounds.proof
 
     @property
     def largest_torque(self) -> np.ndarray:
-        """(R,), left over on a free sphere, rounded up; force * length, of packings over the radius."""
+        """(R,), the largest torque left over on a free sphere, rounded up, force * length; for packings over the radius
+        of the sphere, force."""
         radius = self.scene.slip_radius
         return rounded_out(self.bounds.largest_torque, self.force_unit * radius, np.inf)
 
     @property
     def driven_power(self) -> float:
-        """What contacts between driven spheres of a packing dissipate."""
+        """Power that contacts between driven spheres of a packing dissipate, energy/time."""
         between = ~self.network.free[self.network.graph.contact].any(axis=0)
         return float(self.network.dissipated(1.0, between).value[0] * self.network.power_unit)
 
 
 def rounded_out(values: np.ndarray, unit: float, towards: float) -> np.ndarray:
-    """Values times a unit, rounded that way: by two roundings, which a unit and the product with it have at most. 0
-    stays as it is, and by a power of two nothing is lost that is not tiny."""
+    """Values times a unit, rounded towards `towards`, an infinity: by two units in the last place, as the unit and the
+    product are each rounded once. 0 stays 0, and a power of two rounds only tiny numbers."""
     found = values * unit
     for _ in range(2):
         inexact = (np.frexp(unit)[0] != 0.5) | (np.abs(found) < np.finfo(float).tiny * 2**60)

@@ -1,7 +1,8 @@
 """The contacts of a network that is judged, in lists: where they are, which components they slip with, and what the
 proofs ask of them. `Grid` (slices.py) answers the same questions by slices where the contacts are those of a lattice.
 
-Letters: R samples beside each other, with n spheres and m contacts in all; D = 2 or 3, and C = 1 or 3 components.
+Letters: R samples beside each other, with n spheres and m contacts in all; D = 2 or 3 dimensions, C = 1 or 3
+components, each with a number k; n in products such as n x F is the unit normal from the first to the second sphere.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from taichi_bearings.proof.enclosure import Enclosure, grouped_sum, joined, leng
 
 
 class Listed:
-    """Contacts given by the numbers of their spheres. Nothing of it changes once it is made."""
+    """Contacts given by the numbers of their spheres. Nothing in it changes once it is made."""
 
     layered = False
     """True where spins are signed by sublattice and measured from the bottom of a lattice, whose two driven planes hold
@@ -29,87 +30,92 @@ class Listed:
 
     @property
     def place(self) -> np.ndarray:
-        """(n, D), of each sphere in its sample."""
+        """(n, D), place of each sphere in its sample."""
         return self._arrays[0]
 
     @property
     def contact(self) -> np.ndarray:
-        """(2, m), numbers of the first and the second sphere."""
+        """(2, m), numbers of the first and the second sphere of each contact."""
         return self._arrays[1]
 
     @property
     def normal(self) -> np.ndarray:
-        """(m, D), from the first to the second sphere."""
+        """(m, D), unit normals from the first to the second sphere."""
         return self._arrays[2]
 
     @property
     def friction(self) -> np.ndarray:
-        """F on the second sphere, (m, C)."""
+        """(m, C), friction F on the second sphere of each contact."""
         return self._arrays[3]
 
     def some(self, pick: slice) -> Listed:
-        """The contacts of some of the samples: contacts in lists are those of one."""
+        """The contacts of the samples in the slice `pick`: all of them, as contacts in lists belong to one sample."""
         assert pick.indices(1)[:2] == (0, 1)
         return self
 
     def any_end(self, mask: np.ndarray) -> np.ndarray:
-        """(m,), is the mask (n,) true of either sphere?"""
+        """(m,) mask, true where the mask (n,) is true of either sphere."""
         return np.asarray(mask[self.contact].any(axis=0))
 
     @property
     def slips_with(self) -> np.ndarray:
-        """(C, m) mask of the components that contacts slip with, where components do not mix."""
+        """(C, m) mask, true where a component of the spins makes a contact slip; only where components do not mix."""
         return self.normal.T == 0 if self.normal.shape[1] == 3 else np.ones((1, len(self.normal)), dtype=bool)
 
     def mixes(self, counts: np.ndarray) -> bool:
-        """False where components do not mix at the contacts of a mask (m,): discs, and unit normals along the axes."""
+        """Whether slips mix components of the spins at the contacts of the mask `counts` (m,). They do not for discs,
+        nor where unit normals are along the axes."""
         normal = self.normal
         return normal.shape[1] == 3 and not bool((np.sort(np.abs(normal[counts])) == (0, 0, 1)).all())
 
     def lengths(self, parts: list[Enclosure]) -> Enclosure:
-        """(m,), of vectors given by component."""
+        """(m,), lengths of vectors given by component, (m,) each."""
         return length(parts)
 
     def torques(self, moment: list[Enclosure]) -> list[Enclosure]:
-        """Sums of moments at each sphere, (n,) by component."""
+        """Sums at each sphere, (n,) by component, of moments given by component, (m,) each."""
         return [grouped_sum(joined([part, part]), self.contact.ravel(), len(self.place)) for part in moment]
 
     def signs(self, feels: np.ndarray) -> list[np.ndarray]:
-        """(n,) by component, signs by which neighbours differ, but in odd loops. feels : (C, m) mask."""
+        """Signs by component, (n,) each, by which neighbours differ, except in parts with odd loops. feels : (C, m)
+        mask of the contacts that join spheres in each component."""
         return [signs(self.contact[:, own], len(self.place))[2] for own in feels]
 
     def reach(self, box: np.ndarray, sign: list[np.ndarray]) -> list[Enclosure]:
-        """By component, (n,): the size up to which some minimum has u of a free sphere, where components do not mix;
-        `layered` says that it is between 0 and this. box : (C,), the largest that is imposed. sign : (n,) each."""
+        """Bound (n,) by component on the size of u of each sphere at some minimum, where components do not mix; with
+        `layered` u lies between 0 and the bound. box : (C,), the largest imposed size. sign : by component, (n,) each.
+        """
         return [Enclosure.exact(np.full(len(self.place), size)) for size in box]
 
     def needed(self, box: np.ndarray, differs: Callable[[int], bool]) -> list[int]:
-        """Components that some minimum needs. box : (C,), the largest that is imposed. differs : whether spins that
-        are imposed in a component cannot go together without slip."""
+        """Numbers of the components that some minimum needs. box : (C,), the largest imposed size. differs : says of a
+        component whether the imposed spins cannot go together without slip."""
         return [k for k in range(len(box)) if differs(k)]
 
     def working(self, box: np.ndarray) -> list[bool]:
-        """By component, False if its moments do no work whatever they are. box : (C,), the largest that is imposed."""
+        """By component, False if its moments do no work whatever they are. box : (C,), the largest imposed size."""
         return [True] * len(box)
 
     def borne(self, moment: list[Enclosure], counts: np.ndarray) -> list[Enclosure]:
-        """Vectors as long as the friction of the contacts that count, by component, (m,) each. moment : n x F."""
+        """Vectors as long as the friction of the contacts in the mask `counts` (m,), by component, (m,) each; 0 for
+        others. moment : n x F by component."""
         return [Enclosure.exact(np.where(counts, part, 0.0)) for part in self.friction.T]
 
     def anchor(self, k: int) -> np.ndarray:
-        """(n,), the sphere that each turns as in component k, whatever the contacts are."""
+        """(n,), the sphere with which each turns in component k, whatever the contacts do: itself."""
         return np.arange(len(self.place))
 
     def signed(self, spin: Enclosure, sign: np.ndarray) -> Enclosure:
-        """(n,), spins with their signs: neighbours without slip have the same."""
+        """Spins (n,) times their signs (n,): then neighbours without slip have equal ones."""
         return spin.signed(sign)
 
     def shift(self, k: int) -> Enclosure | None:
-        """(n,), what stored spins of driven spheres lack of the imposed ones in component k; None of nothing."""
+        """(n,), what stored spins of driven spheres lack of the imposed ones in component k; None, as they lack
+        nothing."""
         return None
 
     def still(self, spin: list[Enclosure]) -> np.ndarray:
-        """(m,) mask: no slip at all, exactly. spin : u by component, (n,) each."""
+        """(m,) mask of contacts whose slip is exactly 0. spin : u by component, (n,) each."""
         (first, second), found = self.contact, np.ones(len(self.normal), dtype=bool)
         for part, feels in zip(spin, self.slips_with, strict=True):
             for of in part.parts[:2]:
@@ -117,17 +123,19 @@ class Listed:
         return found
 
     def middle(self, some: np.ndarray) -> np.ndarray:
-        """(n, D), where some contacts are, (n,) numbers."""
+        """(q, D), places of the middles of the contacts with numbers `some` (q,)."""
         begin, end = self.place[self.contact[:, some]]
         return np.asarray(begin + (end - begin) / 2)
 
     def natural_speed(self, box: np.ndarray, speed_unit: float) -> float:
-        """The imposed speed by which a contact might slip, in units of `speed_unit`. box : (C,), of what is imposed."""
+        """A speed by which contacts might slip, in units of `speed_unit`: the largest in `box` (C,), the imposed
+        sizes."""
         return float(box.max(initial=0.0))
 
 
 def across(vectors: list[Enclosure], normal: np.ndarray) -> list[Enclosure]:
-    """Vectors (m,) x n; those of discs as they are."""
+    """Cross products with the normals (m, D), by component, of vectors (m,) by component; for discs the vectors as they
+    are."""
     if len(vectors) == 1:
         return vectors
     n = normal.T
@@ -136,13 +144,13 @@ def across(vectors: list[Enclosure], normal: np.ndarray) -> list[Enclosure]:
 
 
 def moments(friction: list[Enclosure], normal: np.ndarray) -> list[Enclosure]:
-    """n x F by component, (m,) each."""
+    """n x F by component, (m,) each, of friction given by component."""
     return friction if len(friction) == 1 else [-part for part in across(friction, normal)]
 
 
 def signs(ends: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Parts that edges (2, n) make of nodes: label (size,), mask of those with odd loops, and signs s by which
-    neighbours differ in the others."""
+    """Parts that edges (2, q) make of nodes 0 to size - 1, as label (size,), mask (size,) of nodes in parts with odd
+    loops, and signs s (size,) by which neighbours differ in all other parts."""
     first, second = ends
     copy = pieces(2 * size, np.append(first, second), np.append(second, first) + size).reshape(2, -1)
     return copy.min(axis=0), copy[0] == copy[1], np.where(copy[0] > copy[1], -1.0, 1.0)

@@ -25,14 +25,14 @@ from taichi_bearings.scene import Bearing, Scene
 from taichi_bearings.scene.exact_driving import DIGITS, power_of_two
 from taichi_bearings.scene.scene import of_lattice
 
-LEAST_SCALE, MOST_SCALE = 1e-60, 1e60  # scales of a sample
-LEAST_JUMP = 1e-140  # component of the jump, of the whole
+LEAST_SCALE, MOST_SCALE = 1e-60, 1e60  # between these the scales of a sample must lie, for products not to overflow
+LEAST_JUMP = 1e-140  # smallest component of the jump over the whole, that is not 0
 
 
 def samples_of_lattice(
     scene: Bearing, spin: np.ndarray, spin_rounding: np.ndarray, friction: np.ndarray
 ) -> OnLattice | None:
-    """What is judged as samples of a lattice; None where contacts are in lists. Arrays : as of :class:`OnLattice`."""
+    """The samples of a lattice to be judged; None where contacts are in lists. Arguments as of :class:`OnLattice`."""
     return None if scene.network.lattice is None else OnLattice(of_lattice(scene), spin, spin_rounding, friction)
 
 
@@ -50,7 +50,7 @@ class OnLattice:
     friction: np.ndarray
 
     def some(self, pick: slice) -> OnLattice:
-        """Several of the samples."""
+        """The samples in the slice `pick` alone."""
         scene = self.scene.some(pick)
         if scene.replicas == 1:
             scene = self.scene.sample(pick.indices(self.count)[0])
@@ -58,7 +58,7 @@ class OnLattice:
 
     @property
     def count(self) -> int:
-        """R."""
+        """The number R of samples."""
         return self.scene.replicas
 
     @property
@@ -67,13 +67,13 @@ class OnLattice:
 
     @property
     def components(self) -> tuple[int, ...]:
-        """Of the spins: about z in 2D, and about x, y and z in 3D."""
+        """The components of the spins: about z in 2D; about x, y and z in 3D."""
         return self.lattice.all_spin_axes
 
     @property
     def can_be_judged(self) -> bool:
-        """False for a law that is not known here, and for numbers that are not finite, or too large or small for
-        products."""
+        """False for a law whose proofs are not known here, and for numbers that are not finite, or too large or small
+        for products."""
         scene, driving = self.scene, self.scene.exact_driving
         if not scene.law.is_sum:
             return False
@@ -110,31 +110,34 @@ class OnLattice:
 
     @cached_property
     def sublattice(self) -> np.ndarray:
-        """s = +1 or -1, (*N,)."""
+        """The sign s = +1 or -1 of each sphere, (*N,)."""
         return self.lattice.parity.astype(float)
 
     def jump_at(self, component: int) -> Enclosure:
-        """(R * N,), the jump of a component in the layer of each sphere; read-only where it is the same in all."""
+        """(R * N,), the jump of a component in the layer of each sphere; a read-only view where it is the same in all
+        layers."""
         jump, count = self.jump[component], self.count * self.sublattice.size
         if len(jump.high) == 1:
             return jump.spread((count,))
         return jump.at(np.tile(self.layer(component), self.count))
 
     def layer(self, component: int) -> np.ndarray:
-        """(N,), the layer of `jump` of each sphere: its number along k, or 0 where the top turns as one."""
+        """(N,), for each sphere the place of its layer in `jump`: its coordinate along the component, or 0 where the
+        whole top has one jump."""
         if len(self.jump[component].high) == 1:
             return np.zeros(self.lattice.sites, dtype=np.int64)
         return np.indices(self.lattice.shape)[component].ravel()
 
     def leader(self, component: int) -> np.ndarray:
-        """(2, R * N), the first spheres of the bottom and of the top in the layer of each sphere, which turn about k as
-        all driven ones there."""
+        """(2, R * N), for each sphere the first spheres of the bottom and of the top in its layer: all driven spheres
+        there have the same component of the spin."""
         first = self.layer(component) * math.prod(self.lattice.shape[component + 1 :])
         low = (np.arange(self.count)[:, None] * first.size + first).ravel()
         return np.stack([low, low + self.lattice.shape[-1] - 1])
 
     def as_led(self, values: np.ndarray, component: int) -> np.ndarray:
-        """The same array (R * N,), in which driven spheres have what the first of their plane and layer has."""
+        """The array `values` (R * N,), changed in place such that driven spheres have what the first of their plane and
+        layer has."""
         spheres = values.reshape(self.count, *self.lattice.shape)
         first = [slice(None), *[slice(0, 1)] * self.lattice.height_axis]
         if len(self.jump[component].high) > 1:
@@ -144,13 +147,14 @@ class OnLattice:
         return values
 
     def anchor(self, component: int) -> np.ndarray:
-        """(R * N,), the sphere that each turns as along a component: itself, or the first of its plane and layer."""
+        """(R * N,), the sphere whose component of the spin each shares: the first of its plane and layer for driven
+        ones, else itself."""
         return self.as_led(np.arange(self.count * self.sublattice.size), component)
 
     @cached_property
     def signed_spin(self) -> dict[int, Enclosure]:
-        """(R * N,) component by component, spins with the sign of their sublattice, in units of `spin_unit`; driven
-        spheres as their leaders. Without any error."""
+        """By component, (R * N,), spins times the sign of their sublattice in units of `spin_unit`, without any error;
+        driven spheres have those of their leaders."""
         sign, found, shape = self.sublattice / self.spin_unit, {}, (self.count, *self.lattice.shape, -1)
         for at, k in enumerate(self.components):
             pair = (part.reshape(shape)[..., at] * sign for part in (self.spin, self.spin_rounding))
@@ -160,17 +164,20 @@ class OnLattice:
 
     @cached_property
     def shift(self) -> dict[int, Enclosure]:
-        """(R * N,) by component, what the signed spin of spheres of the top, as stored, lacks of the imposed one,
-        measured from the bottom; 0 of all others."""
+        """By component, (R * N,), what stored signed spins of the top lack of the imposed ones, measured from the
+        bottom; 0 for all other spheres."""
         return {k: self._shift(k, stored) for k, stored in self.signed_spin.items()}
 
     def _shift(self, component: int, stored: Enclosure) -> Enclosure:
+        """The same for one component. stored : its signed spins, (R * N,)."""
         jump, size = self.scene.exact_driving.jump[component], self.sublattice.size
+        # Only leaders of the bottom and the top are needed, one pair for each sample and layer.
         first = np.arange(self.count)[:, None] * size
         if len(jump) > 1:
             first = first + np.arange(len(jump)) * math.prod(self.lattice.shape[component + 1 :])
         ends = (first, first + self.lattice.shape[-1] - 1)
         bottom, top = (stored.at(end.ravel()).parts[:2] for end in ends)
+        # Jump less (top less bottom), in decimals with all digits.
         with localcontext() as context:
             context.prec = DIGITS
             given = zip(*(np.transpose(pair).tolist() for pair in (bottom, top)), strict=True)

@@ -1,5 +1,9 @@
-"""The contacts of samples of a lattice, by slices: what is asked of all of them reads arrays over the spheres where
-they lie, and writes no list of contacts."""
+"""The contacts of samples of a lattice, by slices: functions of all contacts read arrays over the spheres where they
+lie, and write no list of contacts.
+
+Letters: R samples with N spheres and E contacts each, n = R N and m = R E in all; D dimensions, C spin components.
+Contacts are numbered as in judged_network.py. A contact "feels" a component of the spins that makes it slip.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +20,7 @@ Place = tuple[slice, ...]
 
 
 class Grid(Listed):
-    """Of R samples with N spheres and E contacts each, n = R N and m = R E in all, numbered as in judged_network.py."""
+    """The contacts of R samples of a lattice, for the proofs."""
 
     layered = True
     normal_rounding = 0.0
@@ -26,12 +30,14 @@ class Grid(Listed):
         self.samples = samples
 
     def some(self, pick: slice) -> Grid:
+        """The contacts of the samples in the slice `pick` alone."""
         return Grid(self.samples.some(pick) if self.samples.count > 1 else self.samples)
 
     @cached_property
     def pieces(self) -> list[tuple[int, Place, Place, Place]]:
-        """Axis by axis: places of contacts in the array (R, *contacts) of that axis, and of their first and their
-        second spheres in arrays (R, *N). Contacts across a periodic side are a piece of their own."""
+        """Groups of contacts, each as (axis, own, first, second): the places of the contacts in the array (R,
+        *contacts) of their axis, and of their first and second spheres in arrays (R, *N). Contacts across a periodic
+        side are a group of their own."""
         found, lattice = [], self.samples.lattice
         for axis, side in enumerate(lattice.shape):
             last = side - 1
@@ -42,29 +48,31 @@ class Grid(Listed):
 
     @staticmethod
     def _piece(axis: int, *along: slice) -> tuple[int, Place, Place, Place]:
+        """One such group. along : slices along `axis` for the contacts, their first and their second spheres."""
         own, first, second = ((slice(None),) * (1 + axis) + (part,) for part in along)
         return axis, own, first, second
 
     @property
     def spheres(self) -> int:
-        """n."""
+        """The number n of spheres of all samples."""
         return self.samples.count * self.samples.sublattice.size
 
     @cached_property
     def contacts(self) -> int:
-        """m."""
+        """The number m of contacts of all samples."""
         return self.samples.count * self.samples.lattice.all_contacts
 
     def on_spheres(self, values: np.ndarray) -> np.ndarray:
-        """(R, *N), a view of (n,)."""
+        """A view (R, *N) of values (n,)."""
         return values.reshape(self.samples.count, *self.samples.lattice.shape)
 
     def by_axis(self, values: np.ndarray) -> list[np.ndarray]:
-        """An array (R, *contacts) an axis, views of (m,)."""
+        """Views (R, *contacts), one for each axis, of values (m,)."""
         return list(self.samples.lattice.by_axis(values.reshape(self.samples.count, -1)))
 
     def across(self, made: np.ufunc, values: np.ndarray, kind: type) -> np.ndarray:
-        """(m,), a function of the values (n,) of the first and of the second sphere of each contact."""
+        """The function `made` of the values (n,) of the first and the second sphere, for each contact, (m,). kind :
+        type of the result."""
         found: np.ndarray = np.empty(self.contacts, dtype=kind)
         spheres = self.on_spheres(values)
         by_axis = self.by_axis(found)
@@ -73,12 +81,12 @@ class Grid(Listed):
         return found
 
     def any_end(self, mask: np.ndarray) -> np.ndarray:
-        """(m,), is the mask (n,) true of either sphere?"""
+        """(m,) mask, true where the mask (n,) is true of either sphere."""
         return self.across(np.logical_or, mask, bool)
 
     @cached_property
     def contact(self) -> np.ndarray:
-        """(2, m), numbers of the first and the second sphere."""
+        """(2, m), numbers of the first and the second sphere of each contact."""
         found, number = np.empty((2, self.contacts), dtype=np.intp), self.on_spheres(np.arange(self.spheres))
         for side, ends in enumerate(found):
             by_axis = self.by_axis(ends)
@@ -88,14 +96,14 @@ class Grid(Listed):
 
     @cached_property
     def place(self) -> np.ndarray:
-        """(n, D), of each sphere in its sample."""
+        """(n, D), place of each sphere in its sample."""
         lattice = self.samples.lattice
         place = np.indices(lattice.shape).reshape(lattice.dimension, -1).T
         return np.tile(place, (self.samples.count, 1)).astype(float)
 
     @cached_property
     def normal(self) -> np.ndarray:
-        """(m, D)."""
+        """(m, D), unit vectors from the first to the second sphere."""
         found = np.zeros((self.contacts, self.samples.lattice.dimension), dtype=np.int8)
         for axis in range(self.samples.lattice.dimension):
             self.by_axis(found[:, axis])[axis][...] = 1
@@ -103,7 +111,7 @@ class Grid(Listed):
 
     @cached_property
     def slips_with(self) -> np.ndarray:
-        """(C, m) mask of the components that contacts slip with."""
+        """(C, m) mask, true where a component of the spins makes a contact slip."""
         found = np.ones((len(self.samples.components), self.contacts), dtype=bool)
         for mask, component in zip(found, self.samples.components, strict=True):
             if component < self.samples.lattice.dimension:
@@ -112,14 +120,14 @@ class Grid(Listed):
 
     @cached_property
     def friction(self) -> np.ndarray:
-        """(m, C), on the second sphere in units of force, 0 at contacts that are absent."""
+        """(m, C), friction on the second sphere in `force_unit`, 0 at contacts that are absent."""
         samples = self.samples
         found = samples.friction.reshape(self.contacts, -1) / samples.force_unit
         found[samples.scene.coefficient.ravel() == 0] = 0.0
         return found
 
     def moment(self, acts: np.ndarray) -> list[Enclosure]:
-        """n x F by component, (m,) each, of the contacts that act."""
+        """n x F by component, (m,) each, for the contacts of the mask `acts` (m,), 0 for others."""
         samples, nothing = self.samples, np.broadcast_to(0.0, self.contacts)  # takes no memory
         found, acting = (
             np.zeros((len(samples.components), *samples.scene.coefficient.shape)),
@@ -139,11 +147,11 @@ class Grid(Listed):
         return [Enclosure(part.reshape(-1), nothing, nothing) for part in found]
 
     def felt(self, axis: int) -> list[int]:
-        """Places among the components of those that contacts along an axis slip with."""
+        """The slots (0 to C - 1) of the components that contacts along `axis` feel."""
         return [slot for slot, k in enumerate(self.samples.components) if k != axis]
 
     def imposed(self, component: int) -> Enclosure:
-        """(n,), on the top what is imposed along a component, measured from the bottom."""
+        """(n,), the imposed u of a component, measured from the bottom: 0 except on the top."""
         found, jump = nothing(self.spheres), self.samples.jump_at(component)
         for whole, part, sign in zip(found.parts, jump.parts, (1, 1, 0), strict=True):
             signs = self.samples.sublattice[..., -1] if sign else 1.0
@@ -151,51 +159,66 @@ class Grid(Listed):
         return found
 
     def mixes(self, counts: np.ndarray) -> bool:
+        """False: on lattices components never mix."""
         return False
 
     def signs(self, feels: np.ndarray) -> list[np.ndarray]:
+        """Signs of the sublattice by component, (n,) each: neighbours always differ. feels : not used."""
         return [np.tile(self.samples.sublattice.ravel(), self.samples.count)] * len(self.samples.components)
 
     def reach(self, box: np.ndarray, sign: list[np.ndarray]) -> list[Enclosure]:
+        """By component, (n,), the bound between which and 0 some minimum has u of a sphere: the jump in its layer. box
+        : not used. sign : signs by component, (n,) each."""
         return [self.samples.jump_at(k).signed(s) for k, s in zip(self.samples.components, sign, strict=True)]
 
     def needed(self, box: np.ndarray, differs: Callable[[int], bool]) -> list[int]:
+        """Components with a jump, except the one about the height: each layer may turn freely about it. box : (C,), the
+        largest imposed size. differs : not used."""
         samples = self.samples
         return [k for k, of in enumerate(samples.components) if box[k] > 0 and of != samples.lattice.height_axis]
 
     def working(self, box: np.ndarray) -> list[bool]:
-        """By component, True where the planes differ."""
+        """By component, True where the planes are driven differently: only there moments do work. box : as of
+        :meth:`needed`."""
         return [bool(size > 0) for size in box]
 
     def borne(self, moment: list[Enclosure], counts: np.ndarray) -> list[Enclosure]:
+        """Vectors as long as the friction, by component: the moments themselves. counts : not used."""
         return moment
 
     def anchor(self, k: int) -> np.ndarray:
+        """(n,), the sphere with which each turns in component k: for driven ones the first of their plane and layer,
+        else itself."""
         return self.samples.anchor(self.samples.components[k])
 
     def signed(self, spin: Enclosure, sign: np.ndarray) -> Enclosure:
-        """The same: they have their signs."""
+        """The spins as they are: on lattices they are stored with their signs."""
         return spin
 
     def shift(self, k: int) -> Enclosure:
+        """(n,), what stored spins of the top lack of the imposed ones in component k."""
         return self.samples.shift[self.samples.components[k]]
 
     def middle(self, some: np.ndarray) -> np.ndarray:
-        """(n, D), where some contacts are, (n,) numbers; those across a periodic side half beyond it."""
+        """(q, D), places of the middles of the contacts with numbers `some` (q,); those across a periodic side lie half
+        beyond it."""
         return np.asarray(self.place[self.contact[0, some]] + self.normal[some] / 2)
 
     def natural_speed(self, box: np.ndarray, speed_unit: float) -> float:
+        """Surface speed of the jump, or of the bottom's spin if there is no jump, in units of `speed_unit`. box : not
+        used."""
         scene = self.samples.scene
         speed = scene.exact_driving.jump_size or abs(scene.imposed[0])
         return float(scene.lattice.radius * speed / speed_unit)
 
     def leader(self, k: int) -> np.ndarray:
-        """(2, n), the first spheres of the bottom and of the top that turn in component k as all driven ones of the
-        layer of each sphere do."""
+        """(2, n), for each sphere the first spheres of the bottom and of the top in its layer, as which all driven ones
+        there turn in component k."""
         return self.samples.leader(self.samples.components[k])
 
     def still(self, spin: list[Enclosure]) -> np.ndarray:
-        """(m,), are the signed spins of both spheres the same in all that a contact slips with?"""
+        """(m,) mask, true where the signed spins of both spheres are equal in all components that the contact feels.
+        spin : by component, (n,) each."""
         found = np.ones(self.contacts, dtype=bool)
         into = self.by_axis(found)
         parts = [[self.on_spheres(of) for of in part.parts[:2] if of.any()] for part in spin]
@@ -205,8 +228,12 @@ class Grid(Listed):
         return found
 
     def slips(self, spin: list[Enclosure], shift: list[Enclosure | None], still: np.ndarray) -> Enclosure:
-        """(m,), sizes of the differences of signed spins. shift : what to add to the spins by component, in twice the
-        precision. still : (m,) mask of contacts that do not slip at all."""
+        """(m,), slip speeds: lengths of the differences of signed spins over the components that a contact feels.
+
+        spin : by component, (n,) each.
+        shift : by component, (n,), what is to be added to the spins, known to twice the precision; None for nothing.
+        still : (m,) mask of contacts that do not slip at all.
+        """
         found = nothing(self.contacts)
         into, at_rest = [self.by_axis(part) for part in found.parts], self.by_axis(still)
         added = {slot: self.of_spheres(part) for slot, part in enumerate(shift) if part is not None}
@@ -228,11 +255,11 @@ class Grid(Listed):
         return found
 
     def of_spheres(self, values: Enclosure) -> Enclosure:
-        """(R, *N), views of (n,)."""
+        """Views (R, *N) of an enclosure (n,)."""
         return Enclosure(*(self.on_spheres(part) for part in values.parts))
 
     def lengths(self, parts: list[Enclosure]) -> Enclosure:
-        """(m,), of vectors across contacts given by component."""
+        """(m,), lengths of vectors across contacts given by component, (m,) each."""
         found = nothing(self.contacts)
         into = [self.by_axis(part) for part in found.parts]
         there = {slot: [self.by_axis(of) for of in part.parts] for slot, part in enumerate(parts) if _any(part)}
@@ -244,7 +271,8 @@ class Grid(Listed):
         return found
 
     def torques(self, moment: list[Enclosure]) -> list[Enclosure]:
-        """Sums of exact moments at each sphere, (n,) by component: axis by axis, first spheres before second ones."""
+        """Sums of exact moments at each sphere, (n,) by component; always in the same order: axis by axis, first
+        spheres before second ones. moment : by component, (m,) each."""
         found = []
         for slot, part in enumerate(moment):
             found.append(nothing(self.spheres))
@@ -261,26 +289,28 @@ class Grid(Listed):
 
 
 def slices(graph: Listed) -> Grid:
-    """The slices of contacts that are those of a lattice; only what is said of lattices alone asks for them."""
+    """The same graph, known to be a Grid; only code for lattices alone calls this."""
     assert isinstance(graph, Grid)
     return graph
 
 
 def nothing(count: int) -> Enclosure:
-    """(count,) zeros."""
+    """An enclosure (count,) of exact zeros."""
     return Enclosure(np.zeros(count), np.zeros(count), np.zeros(count))
 
 
 def size_of(parts: list[Enclosure]) -> Enclosure:
-    """Length of vectors given by one or two parts."""
+    """Length of vectors given by one or two components, of any shape."""
     return abs(parts[0]) if len(parts) == 1 else _length_of_two(*parts)
 
 
 @in_cache
 def _length_of_two(first: Enclosure, second: Enclosure) -> Enclosure:
+    """Length of vectors given by two components, of any shape."""
     shape = first.high.shape
     return length([part.reshaped((-1,)) for part in (first, second)]).reshaped(shape)
 
 
 def _any(part: Enclosure) -> bool:
+    """True if any number of the enclosure may differ from 0."""
     return any(bool(of.any()) for of in part.parts)

@@ -23,15 +23,15 @@ from taichi_bearings.numerics.graphs import pieces
 from taichi_bearings.proof.judged_network import JudgedNetwork
 from taichi_bearings.proof.springs import rolling, turning_freely
 
-LEAST_IMPOSED = 1e-200  # of the fastest imposed spin, below which products with radii are not exact
-NEARLY_NONE = 1e-10  # of the fastest imposed component: slips of packings below which the proof is tried
-MOST_IN_FRACTIONS = 8  # free spheres of a part, beyond which fractions become long
-IMPOSED = -1  # the column of what is imposed
+LEAST_IMPOSED = 1e-200  # imposed surface speed in `speed_unit`, below which products with radii are not exact
+NEARLY_NONE = 1e-10  # largest slip over the fastest imposed component, up to which the proof is tried for packings
+MOST_IN_FRACTIONS = 8  # most free spheres of a part for which fractions are used: they become long
+IMPOSED = -1  # the key for the constant term of an equation, from imposed spins
 
 
 def exists_without_slip(network: JudgedNetwork) -> np.ndarray:
-    """(R,) mask of the samples of which it is proven that some spins of the free spheres leave all contacts without
-    slip. False says nothing."""
+    """(R,) mask of the samples for which it is proven that some spins of the free spheres leave all contacts without
+    slip. False means that nothing is proven."""
     if network.graph.layered:
         return _of_layers(network)
     if not network.counts.any():
@@ -43,7 +43,7 @@ def exists_without_slip(network: JudgedNetwork) -> np.ndarray:
 
 
 def _of_layers(network: JudgedNetwork) -> np.ndarray:
-    """(R,) mask of the samples of a lattice that have such a state."""
+    """(R,) mask of the samples of a lattice in which nothing joins the planes in a component in which they differ."""
     if not network.needed:
         return np.ones(network.count, dtype=bool)
     absent = network.graph.any_end(network.free) & ~network.acts
@@ -60,12 +60,14 @@ def imposed_exactly(network: JudgedNetwork) -> bool:
 
 @np.errstate(all="ignore")  # what is not finite proves nothing
 def _rolls_exactly(network: JudgedNetwork) -> bool:
-    """Case 3, where the given spins are nearly such a state."""
+    """True if case 3 is proven; tried only where the given spins are nearly such a state."""
     from taichi_bearings.proof.exact_motions import ExactMotions  # which only packings need
 
     fastest = network.box.max(initial=0.0)
     if not (network.slip.most[network.counts] <= NEARLY_NONE * fastest).all():
         return False
+    # Leave out spheres that can make any slips, then contacts that exact motions let roll; try the other parts in
+    # fractions.
     left = replace(network, rolling=rolling(network))
     if not left.counts.any():
         return True
@@ -82,8 +84,8 @@ def _rolls_exactly(network: JudgedNetwork) -> bool:
 
 
 def _is_consistent(network: JudgedNetwork, contacts: np.ndarray) -> bool:
-    """True if spins exist at which the contacts (E,) of one part roll, by elimination in fractions, without any
-    rounding; False of parts too large for that."""
+    """True if spins exist at which the contacts (E,) of one part roll, by Gaussian elimination in fractions, without
+    any rounding; False for parts too large for that."""
     spheres = np.unique(network.graph.contact[:, contacts])
     spheres = spheres[network.free[spheres]]
     if len(spheres) > MOST_IN_FRACTIONS:
@@ -106,7 +108,8 @@ def _is_consistent(network: JudgedNetwork, contacts: np.ndarray) -> bool:
 
 
 def _equations(network: JudgedNetwork, contact: int, unknown: dict[int, int]) -> list[dict[int, Fraction]]:
-    """Coefficients by unknown, and of IMPOSED what is imposed, of (u_i + u_j) x n = 0 by component, exactly."""
+    """The three equations (u_i + u_j) x n = 0 of a contact, exactly: for each a table of coefficients by unknown, and
+    under IMPOSED the constant term. unknown : number of the first of the three unknowns of each free sphere."""
     normal = [Fraction(float(value)) for value in network.graph.normal[contact]]
     rows = list[dict[int, Fraction]]()
     for a, b in ((1, 2), (2, 0), (0, 1)):

@@ -1,35 +1,41 @@
-"""Which contacts slip at every minimum, proven from approximate spins and friction: theorems 4 to 6, and which else.
+"""Which contacts slip at every minimum, proven from approximate spins and friction: theorems 4 to 6, and which file
+proves what.
 
-Let T be the contacts without any slip and S the others. Spheres joined by T are one domain of a component.
+Letters: in shapes E contacts of one sample, m of all samples, R samples; in formulas T the contacts without any slip, S
+the others, D a domain (spheres that T joins in a component, which turn as one), E the excess: potential of the given
+spins less what the friction proves; y and y* slips at hand and at a minimum, F friction.
 
 1. Over motions that keep every domain in one piece the power is a convex function with a single minimum, close to these
    spins (curvature.py).
 2. At that minimum every contact of S still slips and exerts its friction along the slip; this is known closely. What
    the contacts of T bear, as the file says, balances it up to E_D, the sum of the torques left over in a domain D. Each
-   domain is in balance as a whole, or held by a driven plane: so forces along the contacts that join it, none larger
+   domain is in balance as a whole, or held by a driven plane. So forces along the contacts that join it, none larger
    than E_D, take away what is left over. If then every contact of T stays inside its friction disc, the result is in
    balance and admissible, and it agrees with the law at every contact: the minimum of step 1 is one of the whole power.
 3. All minima share all optimal forces (equations.md, 7): where the friction is below its limit nothing slips. So T
-   rests at every minimum; every minimum then is one of step 1, where there is only one, and S slips at it.
+   rests at every minimum. Every minimum then is one of step 1, where there is only one, and S slips at it.
 
 With one component (all of 2D, and cubic lattices driven about x or y) step 1 has no curvature. There minima are
-mixtures of lightest cuts, and friction in balance leaves little room on them. With G the gap between the bounds over
-the jump, a force, a contact from u to v on such a cut has mu F_n - f <= G. Spheres from which and to which one can go
-with more room than G are on one side of every lightest cut. That decides contacts one by one. What it leaves open,
-where cuts tie, is counted in whole numbers: which contacts are in all lightest cuts, in some, in none
-(numerics/exact_cuts.py).
+mixtures of lightest cuts, and friction in balance leaves little unused on them. Let G be the gap between the bounds
+over the jump, a force. A contact from u to v on such a cut, with friction f in the direction of the cut, has mu F_n - f
+<= G. So if one can go from a sphere to another and back along contacts with mu F_n - f > G, both are on one side of
+every lightest cut. That decides contacts one by one. Where cuts tie, the contacts that are left open are counted in
+whole numbers: which are in all lightest cuts, in some, in none (numerics/exact_cuts.py).
 
-Any network. At any minimum all contacts together have sum phi(y) + phi*(F) - F . y <= E, the excess of the potential of
-the given spins over what the friction proves. So with damping eta no slip is further than (2 E / eta)^1/2 from the
-given one; steps 1 to 3 say the rest, with domains of the contacts that have more room in their discs than they slip,
-or where components mix oblique.py: slips are the same at all minima. One component alone may have many imposed values
-(then each step between them has its cuts) and odd loops (then the cuts are those of the double cover, each sphere
-with either sign). Where components mix the minimum is enclosed (oblique.py). Where that fails, each contact has its
-share of E: one at its limit at least mu F_n b^2 / (2 |y*|), b the part of its slip y* across its friction F, and one
-with the room m = mu F_n - |F| at least m |y*|. With |y*| bounded above, their sum is a quadratic form of y* that is at
-most E, and so is that of the given slips. Its floor, by an elimination, says how far minima are.
-What stays open of packings with damping is tried part by part (resting.py), oblique ones beside loops that cannot roll
-as their normals are rounded (loops.py, borne.py).
+For any network: at any minimum the sum over all contacts of phi(y) + phi*(F) - F . y is at most E. So with damping eta
+no slip is further than (2 E / eta)^1/2 from the given one. Steps 1 to 3 say the rest: the domains are those of contacts
+whose share of friction left exceeds their slip over the jump. Slips are the same at all minima.
+
+One component alone may have many imposed values (then each step between them has its cuts) and odd loops (then the cuts
+are those of the double cover, each sphere with either sign).
+
+Where components mix the minimum is enclosed (oblique.py). Where that fails, each contact has its share of E: one at its
+limit at least mu F_n b^2 / (2 |y*|), b the part of its slip y* across its friction F; one with m = mu F_n - |F| left at
+least m |y*|. With |y*| bounded above, their sum is a quadratic form of y* that is at most E, and so is that of the
+given slips. Its floor, by an elimination, says how far minima are.
+
+What is still undecided of packings with damping is tried part by part (resting.py); oblique ones also beside loops that
+cannot roll as their normals are rounded (loops.py, borne.py).
 """
 
 from __future__ import annotations
@@ -54,21 +60,24 @@ from taichi_bearings.proof.springs import slip_rows, weighed
 from taichi_bearings.proof.tied_minima import MISSED_LIMIT, tied_states
 from taichi_bearings.scene.solution import SLIPLESS, SLIPPING, TIED, UNDECIDED
 
-PROVEN_AT_ONCE = 200_000  # spheres of the samples that are proven at once, at most
-NEARLY_LEAST = 1e-9  # of the power, that the bounds leave open, up to which cuts are counted in whole numbers
-MOST_COUNTED = 40_000  # contacts of spheres that lie between cuts that (nearly) tie, up to which that is done
-MOST_LEVELS = 100  # steps of imposed values of a part that are looked at, the largest
-STILL, STILL_IN_PAIRS = 1e-12, 1e-28  # of the fastest imposed component, below which slips of packings may be none
-CLEAR_RATIO = 10  # of slips over the jump to rooms over the friction, from which damping leaves the state clear
-CLEAR_ROOM = 1e-3  # of its friction, from which a contact may well rest
-STIFFEST = 1e4  # stiffness of what rests, over that of what slips
-PASSES = 2
+PROVEN_AT_ONCE = 200_000  # most spheres of samples that are proven together
+NEARLY_LEAST = 1e-9  # excess over the power, up to which cuts are counted in whole numbers
+MOST_COUNTED = 40_000  # most contacts of a sample for which that is done
+MOST_LEVELS = 100  # most steps between imposed values of a part that are looked at, the largest ones
+STILL, STILL_IN_PAIRS = 1e-12, 1e-28  # slip over the fastest imposed one that may be 0; by spins in twice the precision
+CLEAR_RATIO = 10  # ratio of slip / jump and (friction left) / limit, either way, from which damping leaves no doubt
+CLEAR_ROOM = 1e-3  # friction left over the limit, above which a contact may well rest
+STIFFEST = 1e4  # largest weight of a contact off its limit in the form, over the one that it would have at its limit
+PASSES = 2  # number of times that the form is made, the second time with the bounds on slips of the first
 
 
 @dataclass(frozen=True)
 class States:
-    """Of one sample. known : (E,), the states that are proven of all minima, UNDECIDED where nothing is. unique : True
-    if there is only one minimum, None if that is not known. reason : why not all is proven, or "".
+    """Proven contact states of one sample.
+
+    known : (E,), the states that hold at all minima, UNDECIDED where nothing is proven.
+    unique : True if there is only one minimum, False if there are more, None if that is not known.
+    reason : why not all is proven, or "".
     """
 
     known: np.ndarray
@@ -78,11 +87,13 @@ class States:
 
 @np.errstate(all="ignore")  # what is not finite proves nothing
 def proven_states(bounds: Bounds) -> list[States]:
-    """States at every minimum, sample by sample."""
+    """Contact states at every minimum, sample by sample, from the bounds on the power."""
     network, layered = bounds.network, bounds.network.graph.layered
+    # Contacts that do not count, or are in samples without any potential, rest.
     rests = ~network.counts | network.on_contacts(bounds.upper == 0)
     if bounds.proof != PROVEN:
         found = _nothing(network, "the bound is proven of some spins alone")
+    # Which theorem applies depends on damping, on whether components mix, and on how many are needed.
     elif network.law.flows:
         far = np.sqrt(2 * network.on_contacts(bounds.excess) / network.slope.least) * UP
         known = _apart(network, far)
@@ -101,6 +112,7 @@ def proven_states(bounds: Bounds) -> list[States]:
         found = _by_cuts(bounds, network.needed[0]) if len(network.needed) == 1 else _by_curvature(network)
     told = []
     for states, rest, acts in zip(found, *(v.reshape(network.count, -1) for v in (rests, network.acts)), strict=True):
+        # Add the contacts that rest anyhow, and the reason only where some contact is undecided.
         known = np.where(rest, SLIPLESS, states.known)
         open_ = bool((acts & (known == UNDECIDED)).any())
         told.append(States(known, states.unique if layered else None, states.reason if open_ else ""))
@@ -108,26 +120,26 @@ def proven_states(bounds: Bounds) -> list[States]:
 
 
 def _samples(network: JudgedNetwork, states: np.ndarray, reason: str, unique: bool | None) -> list[States]:
-    """States (m,) sample by sample."""
+    """The states (m,) of all samples as one object a sample, with the same reason and uniqueness."""
     return [States(own, unique, reason) for own in states.reshape(network.count, -1)]
 
 
 def _enclosed_minimum(bounds: Bounds) -> tuple[np.ndarray, np.ndarray] | None:
-    """As oblique.py has it, which is loaded for packings alone."""
+    """The result of :func:`oblique.enclosed_minimum`, whose module is loaded for packings alone."""
     from taichi_bearings.proof.oblique import enclosed_minimum
 
     return enclosed_minimum(bounds)
 
 
 def _beside_loops(bounds: Bounds, far: np.ndarray) -> np.ndarray:
-    """As borne.py has it, which is loaded for packings alone."""
+    """The result of :func:`borne.at_rest_beside_loops`, whose module is loaded for packings alone."""
     from taichi_bearings.proof.borne import at_rest_beside_loops
 
     return at_rest_beside_loops(bounds, far)
 
 
 def _enclosed(network: JudgedNetwork, near: tuple[np.ndarray, np.ndarray]) -> list[States]:
-    """States by the mask S and the distances of :func:`enclosed_minimum`."""
+    """States that follow from the mask S and the distances `near` of :func:`oblique.enclosed_minimum`."""
     slides, far = near
     known = (network.holding.high > 0) | (network.slip.least > far)
     slips = np.where(known, SLIPPING, UNDECIDED)
@@ -135,19 +147,21 @@ def _enclosed(network: JudgedNetwork, near: tuple[np.ndarray, np.ndarray]) -> li
 
 
 def _nothing(network: JudgedNetwork, reason: str) -> list[States]:
+    """Undecided states for all contacts of all samples, with this reason."""
     return _samples(network, np.full(len(network.acts), UNDECIDED), reason, None)
 
 
 def _apart(network: JudgedNetwork, far: np.ndarray) -> np.ndarray:
-    """States (m,), SLIPPING of what slips further than `far` (m,), by which slips of minima differ at most from the
-    given ones."""
+    """States (m,): SLIPPING where the given slip exceeds `far` (m,), a bound on how far slips of minima are from it;
+    SLIPLESS where a contact does not act, UNDECIDED elsewhere."""
     slips = network.counts & (network.slip.least > far)
     return np.where(slips, SLIPPING, np.where(network.acts, UNDECIDED, SLIPLESS))
 
 
 def _by_cuts(bounds: Bounds, k: int) -> list[States]:
-    """One component: what is on one side of the lightest cuts of all steps, or on two of those of one; part by part,
-    sample by sample."""
+    """States where component k alone is needed, by its lightest cuts, part by part and sample by sample. A contact
+    slips if it is between the sides of a lightest cut of any step of imposed values, and rests if it is on one side at
+    all steps."""
     network, count = bounds.network, len(bounds.network.free)
     own = np.flatnonzero(network.feels[k])
     (first, second), sample = network.graph.contact[:, own], network.sample_of(own)
@@ -159,7 +173,7 @@ def _by_cuts(bounds: Bounds, k: int) -> list[States]:
     held = np.unique(network.graph.contact[:, own])
     held = held[~network.free[held]]
     is_double = bool(odd[first].any())
-    if is_double:  # u_i + u_j is high less low, in either copy
+    if is_double:  # double cover: nodes u and -u of each sphere, so that u_i + u_j is high less low, in either copy
         low, high = np.append(second + count, first + count), np.append(first, second)
         pull, strength = joined([pull, pull]), joined([strength, strength])
         label = pieces(2 * count, low, high)
@@ -182,7 +196,7 @@ def _by_cuts(bounds: Bounds, k: int) -> list[States]:
         mine = steps[rank == number]
         begin, most, least = np.full(size, len(node)), np.zeros(size), np.zeros(size)
         begin[part[mine]], most[part[mine]], least[part[mine]] = mine, step.most[mine], step[mine].lower()
-        # with more room than all have together: if the one is above the cut, so is the other
+        # ends of a contact with more friction left than the excess allows: if the one is above the cut, so is the other
         room = (1 + is_double) * np.tile(bounds.excess[sample], 1 + is_double) / np.maximum(least[label[low]], 0.0) * UP
         rises, falls = up > room, down > room
         tail, head = np.append(high[rises], low[falls]), np.append(low[rises], high[falls])
@@ -206,19 +220,21 @@ def _by_cuts(bounds: Bounds, k: int) -> list[States]:
 
 
 def _is_one(states: np.ndarray) -> bool | None:
-    """Is there only one minimum, by the states (E,) of all contacts? None if that is not known."""
+    """Whether there is only one minimum, by the states (E,) of all contacts; None if that is not known."""
     return False if (states == TIED).any() else None if (states == UNDECIDED).any() else True
 
 
 def _in_whole_numbers(
     bounds: Bounds, own: np.ndarray, ends: np.ndarray, above: np.ndarray, below: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Numbers, among the m contacts, of those that touch a sphere between cuts that (nearly) tie; masks of these that
-    are in some lightest cut, and in all.
+    """Numbers (0 to m - 1) of the contacts that touch a sphere between cuts that (nearly) tie; and masks of these
+    contacts, in some lightest cut, and in all.
 
-    own : (m,), the contacts by their numbers in the network. ends : (2, m), their spheres. above, below : masks of the
-    spheres on either side of every lightest cut. Samples far from their minimum, or with more contacts than can be
-    counted, have none.
+    own : (m,), the contacts by their numbers in the network.
+    ends : (2, m), their spheres.
+    above, below : masks of the spheres on either side of every lightest cut.
+
+    Samples far from their minimum, or with too many contacts to be counted, have none.
     """
     network, between = bounds.network, ~(above | below)
     near = np.flatnonzero(between[ends].any(axis=0))
@@ -233,7 +249,8 @@ def _in_whole_numbers(
 
 
 def reached(follows: sparse.csr_array, starts: np.ndarray) -> np.ndarray:
-    """Mask of the nodes that can be reached from any of the starts."""
+    """Mask of the nodes that can be reached from any of the nodes `starts`, in the directed graph `follows` (nodes,
+    nodes)."""
     size = follows.shape[0]
     ends = (np.full(len(starts), size), starts)
     source = sparse.csr_array((np.ones(len(starts), dtype=np.int8), ends), shape=(size + 1, size + 1))
@@ -244,13 +261,14 @@ def reached(follows: sparse.csr_array, starts: np.ndarray) -> np.ndarray:
 
 
 def _by_curvature(network: JudgedNetwork) -> list[States]:
-    """Two components, or more along the axes: steps 1 to 3 of the module docstring, of all samples at once, or else of
-    each half of them; of each alone where friction is repeated, so that there may be ties."""
+    """States where two components are needed, or more along the axes, by steps 1 to 3 of the module docstring. Samples
+    are proven all at once, or else half by half, or one by one where friction is repeated, so that there may be ties.
+    """
     count = network.count
     if not network.graph.layered:
         slip, fastest = network.slip.value, network.box.max()
         still, nearly = (network.counts & (slip <= most * fastest) for most in (STILL_IN_PAIRS, STILL))
-        known = _by_domains(network, still)  # spins can be known in twice the precision
+        known = _by_domains(network, still)  # first as if spins were known in twice the precision
         if isinstance(known, str) and (nearly != still).any():
             known = _by_domains(network, nearly)
         return _nothing(network, known) if isinstance(known, str) else _samples(network, known, "", None)
@@ -268,7 +286,7 @@ def _by_curvature(network: JudgedNetwork) -> list[States]:
 
 
 def _with_ties(network: JudgedNetwork) -> States:
-    """Of one sample, with ties: first where friction is repeated."""
+    """States of one sample, in which minima may tie: ties are tried first where friction is repeated."""
     contacts, repeats = Slipping.of(network.motion), _repeats(network)
     tied = tied_states(network.motion, contacts) if repeats else None
     if tied is None and isinstance(doubt := _near(network.motion, contacts), tuple):
@@ -280,11 +298,13 @@ def _with_ties(network: JudgedNetwork) -> States:
 
 
 def _with_damping(bounds: Bounds, known: list[States]) -> list[States]:
-    """Of friction with damping: contacts that have more room in their discs than they slip are tried as domains."""
+    """States of friction with damping, `known` or better: contacts whose share of friction left exceeds their slip over
+    the jump are tried as resting."""
     network, count = bounds.network, bounds.network.count
     if not network.law.holds or network.mixes or not network.needed:
         return known
     room, slip = 1 - bounds.size.value / network.holding.value, network.slip.value / network.box.max()
+    # Tried only where every contact is clear: one of the two numbers is much larger than the other.
     rests = network.counts & (room > slip)
     unclear = network.counts & (np.maximum(room, slip) < CLEAR_RATIO * np.minimum(room, slip))
     told = []
@@ -299,8 +319,8 @@ def _with_damping(bounds: Bounds, known: list[States]) -> list[States]:
 
 
 def _with_parts_at_rest(bounds: Bounds, far: np.ndarray, told: States) -> States:
-    """What is known of a packing, and the contacts that resting.py proves to rest. far : (E,), how far slips of minima
-    are from the given ones at most."""
+    """The states `told` of a packing, with the contacts that resting.py or borne.py proves to rest. far : (E,), bound
+    on how far slips of minima are from the given ones."""
     network = bounds.network
     if not network.law.holds or not (network.counts & (told.known == UNDECIDED)).any():
         return told
@@ -309,8 +329,8 @@ def _with_parts_at_rest(bounds: Bounds, far: np.ndarray, told: States) -> States
 
 
 def _by_domains(network: JudgedNetwork, rests: np.ndarray) -> np.ndarray | str:
-    """(m,) states if nothing slips at the minimum but contacts between domains of those that rest; or what is missing
-    in the proof."""
+    """States (m,) if at the minimum nothing slips except contacts between domains of those that `rests` (m,) marks; or
+    a text that says what is missing in the proof."""
     if not network.graph.layered and any(
         network.signs(k)[1][network.graph.contact[:, network.counts]].any() for k in network.needed
     ):
@@ -324,12 +344,12 @@ def _by_domains(network: JudgedNetwork, rests: np.ndarray) -> np.ndarray | str:
 
 
 def _as_stored(motion: Motion) -> np.ndarray:
-    """(m,): what slips in the file slips at the only minimum, and nothing else."""
+    """States (m,) at the only minimum: the contacts that slip in the stored motion slip, and no others."""
     return np.where(motion.network.counts & ~motion.rests, SLIPPING, SLIPLESS)
 
 
 def _repeats(network: JudgedNetwork) -> bool:
-    """Have two slipping contacts of some sample the same friction?"""
+    """True if two slipping contacts of some sample have the same friction."""
     own = np.flatnonzero(network.counts & ~network.motion.rests)
     values, sample = network.holding.high[own], network.sample_of(own)
     order = np.lexsort((values, sample))
@@ -337,8 +357,8 @@ def _repeats(network: JudgedNetwork) -> bool:
 
 
 def _near(motion: Motion, contacts: Slipping) -> tuple[Slipping, np.ndarray] | str:
-    """Contacts near the minimum, and the share (n,) by which each slip differs there at most; or what is missing in the
-    proof. Samples are like parts of one that no contact joins."""
+    """Contacts near the minimum, and the share (n,) by which each slip differs there at most; or a text that says what
+    is missing in the proof. Several samples are treated as parts of one that no contact joins."""
     if motion.torn.any():
         return "contacts without slip join driven spheres that turn otherwise"
     if not _saturated(motion.network, contacts):
@@ -352,7 +372,8 @@ def _near(motion: Motion, contacts: Slipping) -> tuple[Slipping, np.ndarray] | s
 
 
 def _saturated(network: JudgedNetwork, contacts: Slipping) -> bool:
-    """True if the friction of all slipping contacts of a lattice is about at its limit, as it is near a minimum."""
+    """True if the friction of all slipping contacts of a lattice is about at its limit, as it is near a minimum; True
+    for packings."""
     if not network.graph.layered:
         return True
     parts = [part.high[contacts.own] for part in network.moment]
@@ -360,30 +381,35 @@ def _saturated(network: JudgedNetwork, contacts: Slipping) -> bool:
 
 
 def _by_cones(bounds: Bounds) -> np.ndarray:
-    """(E,), how far slips of minima are from the given ones at most, of a Coulomb network whose components mix."""
+    """(E,), bound on how far slips of minima are from the given ones, for a Coulomb network whose components mix;
+    infinite where nothing is proven."""
     network, springs = bounds.network, bounds.springs
     if springs is None:
         return np.full(len(network.acts), np.inf)
     holding, slip = np.where(network.counts, network.holding.value, 0.0), network.slip.most
     room = np.maximum((network.holding - bounds.size).lower(), 0.0)
+    # Direction n x F / |F|, across friction and normal, for contacts near their limit.
     moment = np.stack([part.value for part in moments(bounds.friction, network.graph.normal)], axis=1)
     across = moment / np.linalg.norm(moment, axis=1)[:, None]
     slides = network.counts & (room <= CLEAR_ROOM * holding) & np.isfinite(across).all(axis=1)
     count, own = len(holding), np.flatnonzero(slides)
     at = np.tile(own, 3), np.concatenate([k * count + own for k in range(3)])
     kept = np.flatnonzero(np.tile(network.counts & ~slides, 3))
+    # Rows: the slip across friction of contacts near their limit, all components of the slip of the others.
     pick = sparse.csr_array((np.append(across[own].T.ravel(), np.ones(len(kept))),
                              (np.append(at[0], kept), np.append(at[1], kept))), shape=(3 * count,) * 2)  # fmt: skip
     rows = sparse.csr_array(pick @ slip_rows(network, springs.number))
     excess, far, most = float(bounds.excess[0]), np.full(count, np.inf), bounds.upper / holding * UP
     for _ in range(PASSES):
         fastest = np.maximum(np.fmin(most, slip + far), slip)
+        # mu F_n / (2 |y*|) for contacts near their limit. For others m |y*| >= m^2 |y*|^2 / E as m |y*| <= E.
         weight = np.where(network.counts, holding / (2 * fastest), 0.0)
         stiff = np.minimum(room**2 / excess, STIFFEST * weight)
         weight = np.where(slides, weight, np.where(network.counts, stiff, 0.0))
         form = weighed(network, rows, np.sqrt(np.tile(weight, 3)), springs.number)
         if form is None or (floor := form.floor()) is None:
             break
+        # Both y* and the given slips have a form of at most E, so they differ by at most twice its root.
         rounded = 16 * EPS * np.sqrt((weight * fastest**2)[slides].sum())
         radius = 2 * (np.sqrt(excess) + rounded) / np.sqrt(floor) * UP**2
         scale = np.zeros(springs.number.shape)
