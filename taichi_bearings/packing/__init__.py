@@ -1,6 +1,7 @@
-"""Any bearing that users bring: its state of least dissipation, what is proven of it.
+"""Packings: any bearing that users bring, with its state of least dissipation and what is proven of it.
 
-Shapes: N spheres (of discs D = 2, else 3), E contacts, C = 3 components of a spin, of discs 1; u = R omega.
+Letters: N spheres, in D = 2 (discs) or 3 dimensions; E contacts; C components of a spin, 1 for discs, else 3; R radius
+of a sphere, omega its spin, and u = R omega, which methods solve for.
 """
 
 from typing import TYPE_CHECKING, Any
@@ -16,7 +17,7 @@ MODULES = {
 
 
 def __getattr__(name: str) -> Any:
-    """What packings are and what solves them, loaded when it is first used: runs of lattices need none of it."""
+    """Return a name of this package, loaded when it is first used, as runs of lattices need none of them."""
     if name not in MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     import importlib

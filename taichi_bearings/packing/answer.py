@@ -1,4 +1,11 @@
-"""A packing solved: spins of least dissipation, what is proven of them, and which contacts slip."""
+"""The answer to a packing: spins of least dissipation, what is proven of them, and which contacts slip.
+
+`solve_packing` chooses a method, has it find spins and forces (`Found`), and has them judged.
+
+Letters: N spheres, E contacts, A contacts of the *system* (those that take part in the motion and lie in parts of the
+packing that touch a driven sphere), d tangents of a contact (1 for discs, 2 for spheres), C components of a spin,
+u = R omega. The *unknowns* are the components of u of the free spheres of the system. A contact *bears* a force.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -23,22 +30,28 @@ from taichi_bearings.scene.solution import DRIVEN, SLIPLESS, SLIPPING, UNDECIDED
 from taichi_bearings.stages import stage
 from taichi_bearings.words import shown
 
-SURE_MARGIN, SURE_SLIP = 1e-6, 1e-11  # at exact minima, slips in units of the largest imposed one
-MOST_TIES = 200  # whose motions are found; more of them leave every slipping contact undecided
-ENOUGH_FRICTION = 1e3  # of the power over the fastest driven surface
-MOST_CAPS, LESS_POWER = 12, 0.5  # times that friction is cut off; share of the power to which that has to bring it
-AT_REST = 1e-9  # of the fastest imposed surface, up to which a slip may well be none
-MOVED = 1e-7  # of a slip that a motion makes
+# at exact minima: relative friction margin above which a contact is surely slipless; slip, in units of the fastest
+# imposed surface, above which it surely slips
+SURE_MARGIN, SURE_SLIP = 1e-6, 1e-11
+MOST_TIES = 200  # motions between minima that are computed; with more of them every slipping contact is undecided
+ENOUGH_FRICTION = 1e3  # friction beyond which a contact hardly slips, in units of power over fastest driven surface
+MOST_CAPS, LESS_POWER = 12, 0.5  # how often friction is cut off at most; factor by which that has to lower the power
+AT_REST = 1e-9  # slip, in units of the fastest imposed surface, up to which a contact may be slipless
+MOVED = 1e-7  # relative slip above which a motion moves a contact
 
 
 def solve_packing(packing: Bearing, tolerance: float = 1e-8, method: str = "auto") -> Solution:
-    """The state of least dissipation of every sample; slipless motions that nothing decides are left at rest.
+    """Return the state of least dissipation of every sample of a packing.
 
-    tolerance : proven relative gap at which it counts as certified. method : one of those below by its name.
+    packing : a `taichi_bearings.Packing`. tolerance : proven relative gap at which the answer counts as certified.
+    method : "auto", or the name of a method that solves this packing:
 
-    Friction of discs, and of spheres whose contacts feel one spin component each, by minimum cuts, exactly; viscous
-    networks by one linear system; all else by the central path. Small samples are solved side by side: what becomes of
-    one, bit by bit, does not depend on the others.
+    * planar-cut, exact minimum cuts: friction of discs, and of spheres where each contact couples one spin component;
+    * linear-solver, one linear system: viscous contacts alone;
+    * interior-point, the central path: all laws with friction.
+
+    Motions that make no contact slip are left at rest where nothing drives them. Small samples are solved side by side;
+    the bits of each do not depend on the others. Raises InputError for a wrong argument.
     """
     if not isinstance(packing, Packing):
         raise InputError(f"the packing is a {type(packing).__name__}; it must be a taichi_bearings.Packing")
@@ -53,7 +66,7 @@ def solve_packing(packing: Bearing, tolerance: float = 1e-8, method: str = "auto
 
 
 def _alike_samples(samples: Sequence[Packing]) -> list[list[int]]:
-    """Numbers of the samples in groups in which the same contacts act."""
+    """Return the numbers of the samples in groups, in each of which the same contacts take part."""
     found: dict[bytes, list[int]] = {}
     for number, sample in enumerate(samples):
         found.setdefault(sample.acting.tobytes(), []).append(number)
@@ -61,7 +74,10 @@ def _alike_samples(samples: Sequence[Packing]) -> list[list[int]]:
 
 
 def _solved(samples: Sequence[Packing], tolerance: float, method: str) -> list[Solution]:
-    """The answers to samples of one network in which the same contacts act; seconds are shared."""
+    """Return the answers to samples in which the same contacts take part; each is given an equal share of the seconds.
+
+    tolerance, method : as of `solve_packing`.
+    """
     begun = perf_counter()
     runtime.current()
     with one_thread():
@@ -79,11 +95,12 @@ def _solved(samples: Sequence[Packing], tolerance: float, method: str) -> list[S
 
 
 def _without_contrast(system: ContactSystem, packing: Packing, found: Solution, tolerance: float) -> Solution:
-    """The answer, or a better one where frictions are far apart and it is not certified.
+    """Return the answer `found`, or a better one if it is not certified and some contacts have far more friction.
 
-    A contact that can bear far more than the power over the fastest driven surface hardly slips: that much of its
-    friction will do, so the rest is cut off, which no lower bound minds. Where no such contact slips in the answer to
-    that, it is one to all of the friction, once their slips are brought down to the rounding of sums of two doubles.
+    A contact that can bear far more than the power over the fastest driven surface hardly slips. So its friction is cut
+    off there, which makes the problem better conditioned; a lower bound for less friction is one for the whole. The
+    spins of that solution are then corrected so that these contacts roll, to the rounding of sums of two doubles, and
+    judged with the whole friction. This is repeated with the new power while it pays.
     """
     from taichi_bearings.packing.rolling import rolled  # and with it Taichi's kernels
 
@@ -103,12 +120,12 @@ def _without_contrast(system: ContactSystem, packing: Packing, found: Solution, 
     return found
 
 
-_last: tuple[Packing, ContactSystem] | None = None  # of this process
-OF_A_NETWORK = ("center", "contact", "driven", "spin", "radius", "normal")
+_last: tuple[Packing, ContactSystem] | None = None  # last packing that this process solved, and its system
+OF_A_NETWORK = ("center", "contact", "driven", "spin", "radius", "normal")  # all that a contact system depends on
 
 
 def _system_of(packing: Packing) -> ContactSystem:
-    """That of the last packing, if they differ in nothing but their coefficients, as seeds do."""
+    """Return the contact system of a packing: that of the last one if only coefficients differ, as between seeds."""
     from taichi_bearings.conic.shared import system_of  # and with it Taichi's kernels
 
     global _last
@@ -120,6 +137,7 @@ def _system_of(packing: Packing) -> ContactSystem:
 
 
 def _alike(one: Packing, other: Packing) -> bool:
+    """Return whether two packings have the same network, and the same contacts of it take part."""
     same = all(np.array_equal(getattr(one, name), getattr(other, name)) for name in OF_A_NETWORK)
     return same and np.array_equal(one.acting, other.acting)
 
@@ -130,9 +148,10 @@ def _found(
     method: str,
     resisting: Sequence[tuple[np.ndarray, ...]] | None = None,
 ) -> list[Found]:
-    """What a method finds of each sample.
+    """Return the spins and forces that a method finds for each sample.
 
-    resisting : what the law takes of the contacts of each, (A,) arrays, where that is not what the samples say.
+    system : the contacts that all samples share. method : as of `solve_packing`. resisting : for each sample the
+    coefficients of the law, (A,) arrays, if these are not those of the samples.
     """
     law = samples[0].law
     exact = law.is_rate_independent and not (system.feels.sum(axis=1) > 1).any()
@@ -166,8 +185,11 @@ def _found(
 
 
 def judged(system: ContactSystem, packing: Packing, found: Found, tolerance: float, moves: bool = False) -> Solution:
-    """What was found, with all that is proven of it. moves : it is a motion on its way, so that its spins are kept;
-    else, where a state without any slip is proven to exist, they become that state."""
+    """Return what was found as an answer, with all that is proven of it.
+
+    found : spins and forces. tolerance : gap at which the answer is certified. moves : the spins are those of a motion
+    and are kept. Otherwise they are replaced by the slipless state if one is proven to exist.
+    """
     law, judgement = packing.law, judgement_of(system, packing, found)
     if judgement.can_be_judged and judgement.slipless[0] and not moves and (judgement.network.slip.most > 0).any():
         found = _without_slip(system, packing, found)
@@ -178,8 +200,8 @@ def judged(system: ContactSystem, packing: Packing, found: Found, tolerance: flo
         )
     spin, rounding = judgement.spin, judgement.spin_rounding
     force, friction = forces_of(system, np.nan_to_num(found.force, posinf=0.0, neginf=0.0))
-    slip, told = judgement.slip, np.where(judgement.acts, _states(system, packing, found, judgement), DRIVEN)
-    state, proven = decided(told, judgement.known)
+    slip, observed = judgement.slip, np.where(judgement.acts, _states(system, packing, found, judgement), DRIVEN)
+    state, proven = decided(observed, judgement.known)
     return Solution(
         scene=packing,
         method=found.method,
@@ -207,7 +229,7 @@ def judged(system: ContactSystem, packing: Packing, found: Found, tolerance: flo
 
 
 def judgement_of(system: ContactSystem, packing: Packing, found: Found) -> Judgement:
-    """What judges the spins and the forces that were found."""
+    """Return the judgement of the spins and the forces that were found; numbers that are not finite count as 0."""
     u = system.all_spins(found.spins) if found.everywhere is None else found.everywhere
     rest = np.append(np.zeros(system.unknowns) if found.rest is None else found.rest, 0.0)[system.moved]
     spin, rounding = packing.spins_of((np.nan_to_num(u, posinf=0.0, neginf=0.0), rest))
@@ -216,7 +238,7 @@ def judgement_of(system: ContactSystem, packing: Packing, found: Found) -> Judge
 
 
 def _without_slip(system: ContactSystem, packing: Packing, found: Found) -> Found:
-    """The state in which no contact slips, as well as sums of two doubles have it; no contact bears anything there."""
+    """Return the state in which no contact slips and none bears a force, to the rounding of sums of two doubles."""
     from taichi_bearings.packing.rolling import rolled  # and with it Taichi's kernels
 
     start = exactly(np.zeros(system.unknowns))
@@ -225,7 +247,11 @@ def _without_slip(system: ContactSystem, packing: Packing, found: Found) -> Foun
 
 
 def forces_of(system: ContactSystem, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Sizes (E,) and friction on the second sphere, (E, 3), of discs (E,), along z x n."""
+    """Return the sizes (E,) of contact forces, and the friction on the second sphere of each contact.
+
+    force : (d, A), components along the tangents. The friction is a vector, (E, 3), or for discs its component along
+    z x n, (E,), with the normal n.
+    """
     network = system.network
     size, vectors = np.zeros(network.contacts), system.on_contacts(force)
     size[system.contact] = np.linalg.norm(force, axis=0)
@@ -233,7 +259,12 @@ def forces_of(system: ContactSystem, force: np.ndarray) -> tuple[np.ndarray, np.
 
 
 def _states(system: ContactSystem, packing: Packing, found: Found, judgement: Judgement) -> np.ndarray:
-    """States (E,), as slips and margins tell them, of contacts of which nothing is proven."""
+    """Return the contact states (E,) that slips and friction margins show, for contacts without a proven state.
+
+    A contact slips if it is fast and its friction is at the limit, is slipless if neither, and is undecided otherwise.
+    Where the method has settled the states these are taken instead, if slip or margin is clear (SURE_SLIP,
+    SURE_MARGIN). Slips that are not the same at all minima leave a contact undecided.
+    """
     law = packing.law
     fastest = float(np.abs(packing.driven_speed).max(initial=0.0))
     held, slip = law.holding_force(system.of_contacts(packing)), judgement.slip[0]
@@ -257,11 +288,14 @@ def _states(system: ContactSystem, packing: Packing, found: Found, judgement: Ju
 
 
 def tied(system: ContactSystem, force: np.ndarray, state: np.ndarray) -> np.ndarray:
-    """True (A,) for slipping contacts whose slip is not the same at all minima. force : (d, A). state : (A,).
+    """Return True (A,) for slipping contacts whose slip is not the same at all minima.
 
-    Forces of slipping contacts are the same at all minima, so the slips of two minima differ along them alone. The
-    spins that make no slip across the force of a slipping contact, nor any slip of one that rests, are a kernel; if it
-    is that of the network itself, the minimum is the only one.
+    force : (d, A), forces at a minimum. state : (A,), states of the contacts.
+
+    The force of a slipping contact is the same at all minima, so that the slips of two minima differ along it alone. So
+    the changes of spins between minima lie in a kernel: they make no slip across the force of a slipping contact, and
+    none at all of a slipless contact. If only the slipless motions of the whole network are in that kernel, all minima
+    have the same slips.
     """
     d, count = force.shape
     size = np.linalg.norm(force, axis=0)
@@ -289,8 +323,11 @@ def tied(system: ContactSystem, force: np.ndarray, state: np.ndarray) -> np.ndar
 
 
 def _is_only_one(system: ContactSystem, along: np.ndarray, state: np.ndarray) -> bool:
-    """True where surely no change of the spins leaves all contacts that rest, (A,) states, at rest and all that slip
-    their directions `along`, (2, A): one factorisation tells, where normals are oblique."""
+    """Return True if one factorisation proves that all minima have the same slips; for oblique normals.
+
+    along : (2, A), directions of the forces. state : (A,). The matrix counts slips of slipless contacts, and slips of
+    slipping contacts across their force. If it is regular, no change of the spins avoids both.
+    """
     from taichi_bearings.conic.shared import surroundings_of  # and with it Taichi's kernels
 
     shared = surroundings_of(system)

@@ -1,4 +1,7 @@
-"""What a method has found of a packing."""
+"""`Found`, the spins and forces that a method has found for a packing.
+
+Letters: N spheres, A contacts of the system, d tangents of a contact, C components of a spin, u = R omega.
+"""
 
 from dataclasses import dataclass
 
@@ -7,12 +10,16 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Found:
-    """What a method has found. spins (unknowns,), force (d, A) in units of force. steps : factorisations. rest :
-    (unknowns,), what rounding leaves out of the spins.
+    """Spins and forces that a method has found, not yet judged.
 
-    slips : (A,), of contacts that are settled, but for some that are `open`, (A,), and slip by more than rounding,
-    though less than friction allows; and there ties : (A,) those that are not the same at all minima, or bear all their
-    friction at rest, if that is known. everywhere : u (N, C) of all spheres, where a method moves all.
+    spins : (unknowns,), length/time. force : (d, A), force. method : its name. steps : factorisations that it made.
+    rest : (unknowns,), the second double of each spin, where a method computes sums of two.
+    slips : mask (A,) of slipping contacts, if the method has settled the contact states, else None.
+    open : mask (A,) of contacts that could not be settled: they slip by more than rounding, but bear less than the
+    friction limit.
+    ties : mask (A,) of contacts whose slip is not the same at all minima, or that bear all their friction without slip;
+    None if that is not known.
+    everywhere : u (N, C) of all spheres, from methods that step all of them.
     """
 
     spins: np.ndarray

@@ -1,12 +1,16 @@
-"""Packings on the central path of lattices, to where their contacts are settled.
+"""The interior-point method for packings: the central path, and the settling of contact states at its end.
 
-A contact along an axis feels the two other components alone. Where they have no odd loop, signs by which neighbours
-differ, those of each component its own, make of their sums the differences of a lattice: its settling of contact states
-and its ties serve any such network.
+A contact along an axis couples only the two spin components across it. If the contacts that couple a component form no
+odd loop, signs by which neighbours differ turn the sums u_i + u_j into differences, as on a lattice. Networks of such
+contacts alone have their contact states settled in the same way as lattices.
 
-Any other one is settled by multipliers (Hestenes 1969; for friction Alart & Curnier 1991): each contact has a stiff
-spring that slips where it would bear more than friction does, and begins with the force that the last minimum left in
-it. A contact that rests slips the less each time; those beyond their friction slip along it.
+Any other network is settled by the method of multipliers (Hestenes 1969; for friction Alart & Curnier 1991). Each
+contact gets a stiff spring that slips where it would bear more than friction allows. The minimum with these springs is
+found repeatedly, and each time a spring begins with the force that it bore at the last one. So a slipless contact
+creeps less each time, and a contact at its friction limit slips along its force.
+
+Letters: A contacts of the system of the packing; n contacts of the system on the path (those with a coupled component);
+d tangents of a contact; the unknowns are components of u = R omega. The *dual* is minus the contact force.
 """
 
 from collections.abc import Sequence
@@ -31,18 +35,20 @@ from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.packing.found import Found
 from taichi_bearings.stages import Step, stage
 
-HOLDS = (1e6, 1e8, 1e10, 1e10)  # stiffnesses of the springs, over friction
-SETTLED_FORCE = 1e-11  # change of a force, of the mean friction, at which they are settled
-LEAST_SLIP = 1e-13  # of the largest imposed one, that is none of rounding
-WORSE = 10.0  # times the last change of the forces, by which springs are too stiff
-WORSE_POWER = 1e-10  # of what the path has reached, that settling may cost
-SMALL_SPINS = 1e-8  # of what is left to settle
-MOST_STEPS, SLACK = 80, 0.3  # of the path; of the bounds at its start, in mean slips
+HOLDS = (1e6, 1e8, 1e10, 1e10)  # stiffnesses of the springs one after the other, in units of friction
+SETTLED_FORCE = 1e-11  # largest change of a force, in units of the mean friction, at which the forces are settled
+LEAST_SLIP = 1e-13  # slip, in units of the largest imposed one, that is more than rounding
+WORSE = 10.0  # growth of the change of the forces by which springs are too stiff for double precision
+WORSE_POWER = 1e-10  # relative growth of the power that settling may cause
+SMALL_SPINS = 1e-8  # scale of the spins that are still to be found when the states are settled
+MOST_STEPS, SLACK = 80, 0.3  # steps of the path; slack of the bounds over the slips at its start, in mean slips
 
 
 def viscous_spins(system: ContactSystem, viscosity: np.ndarray) -> np.ndarray:
-    """Spins (unknowns,) at which viscous forces are in balance: both tangents of a contact are contacts of their own,
-    as nothing couples them. viscosity : (A,)."""
+    """Return the spins (unknowns,) at which viscous forces are in balance. viscosity : (A,), of the contacts.
+
+    Each tangent of a contact is treated as a contact of its own, as viscosity does not couple them.
+    """
     offset = system.offset.reshape(1, -1)
     rows = ContactSystem(system.unknowns, offset, np.ones(offset.shape, dtype=bool), None, system.operator)
     matrix = NewtonMatrix(rows, order_by_place(rows, system.place))
@@ -51,8 +57,11 @@ def viscous_spins(system: ContactSystem, viscosity: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Strengths:
-    """What the contacts of one sample resist with. friction, viscosity : (A,), in units in which the fastest imposed
-    spin and the largest of both are about 1. power_unit, force_unit : of these, energy/time and force."""
+    """Friction and viscosity of the contacts of one sample, in units in which the largest of both is about 1.
+
+    friction, viscosity : (A,). The unit of spins is such that the fastest imposed one is about 1. power_unit,
+    force_unit : the units, energy/time and force.
+    """
 
     friction: np.ndarray
     viscosity: np.ndarray
@@ -61,11 +70,10 @@ class Strengths:
 
 
 def followed(system: ContactSystem, fastest: float, samples: Sequence[Strengths]) -> list[Found]:
-    """Where the central path and the settling of states lead, of each sample.
+    """Return what the central path, and the settling of contact states at its end, find for each sample.
 
-    Small samples are followed side by side; what becomes of one, bit by bit, does not depend on the others.
-
-    fastest : unit of the spins, near the fastest imposed one.
+    system : the contacts. fastest : unit of the spins, near the fastest imposed one. samples : friction and viscosity
+    of each. Small samples are followed side by side; the bits of each do not depend on the others.
     """
     shared = surroundings_of(system)
     contacts = shared.system.in_units(fastest)
@@ -74,12 +82,13 @@ def followed(system: ContactSystem, fastest: float, samples: Sequence[Strengths]
     of_way = {id(way): strengths for way, strengths in zip(ways, samples, strict=True)}
     with stage("following the central path") as under_way:
 
-        def told(of: Sample, cost: float) -> None:
+        def tell(of: Sample, cost: float) -> None:
+            """Report the progress of one sample. cost : its power, in units of the path."""
             aim = descent.settles_at if settles else LEAST_GAP
             power = cost * of.unit * of_way[id(of)].power_unit
             under_way.tell(Step(of.steps, power, of.gap, aim))
 
-        descent = Descent(replace(shared, system=contacts), spheres, is_small(contacts), settles, told=told)
+        descent = Descent(replace(shared, system=contacts), spheres, is_small(contacts), settles, told=tell)
         descent.samples = ways
         for _ in range(MOST_STEPS):
             look_up()
@@ -91,9 +100,12 @@ def followed(system: ContactSystem, fastest: float, samples: Sequence[Strengths]
 
 
 def _begun(system: ContactSystem, contacts: ContactSystem, of: Strengths, matrix: NewtonMatrix) -> Sample:
-    """The start of the path of one sample: spins at which viscous forces alone would be in balance."""
+    """Return the start of the path of one sample: the spins that would balance if friction were viscous.
+
+    system, contacts : of the packing, and of the path. of : friction and viscosity. matrix : Newton matrix of the path.
+    """
     own = np.searchsorted(system.numbers, contacts.numbers)
-    unit = float(np.exp2(np.round(np.log2((of.friction + of.viscosity).mean()))))  # as of lattices
+    unit = float(np.exp2(np.round(np.log2((of.friction + of.viscosity).mean()))))  # dividing by it rounds nothing
     strength, viscous = of.friction[own] / unit, of.viscosity[own] / unit
     spins = np.zeros(contacts.unknowns)
     with suppress(NotPositiveDefinite):
@@ -104,7 +116,10 @@ def _begun(system: ContactSystem, contacts: ContactSystem, of: Strengths, matrix
 
 
 def _ended(system: ContactSystem, way: Sample, of: Strengths, matrix: NewtonMatrix, fastest: float) -> Found:
-    """What the end of a path amounts to: its states as they are settled, or else by multipliers."""
+    """Return what a path has found: with the contact states that it has settled, or else settled by multipliers.
+
+    way : the end of the path. Other arguments as of `_begun`. fastest : unit of the spins.
+    """
     contacts, settled, ties, open_ = way.iterate.system, way.resolved, None, None
     if settled is None:
         with stage("settling contact states"):
@@ -114,8 +129,8 @@ def _ended(system: ContactSystem, way: Sample, of: Strengths, matrix: NewtonMatr
         ties = settled.ties | settled.at_limit
     rest = None if settled is None else settled.rest
     if contacts.sign is not None:
-        turned = contacts.sign[system.moved >= 0]
-        spins, rest = turned * spins, None if rest is None else turned * rest
+        sign = contacts.sign[system.moved >= 0]
+        spins, rest = sign * spins, None if rest is None else sign * rest
     own = np.searchsorted(system.numbers, contacts.numbers)
     slips, opens, tie = (
         None if kind is None else _everywhere(own, kind, len(of.friction)) for kind in (slipping, open_, ties)
@@ -129,13 +144,17 @@ def _ended(system: ContactSystem, way: Sample, of: Strengths, matrix: NewtonMatr
 def _settled(
     point: Iterate, matrix: NewtonMatrix
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, np.ndarray | None]:
-    """Spins, minus the forces, and, (n,) masks, which contacts slip and which are open, as of Found; None where nothing
-    is settled."""
+    """Settle the contact states at the end of a path by the method of multipliers.
+
+    Returns spins (unknowns,), dual (d, n), and masks (n,) of the slipping and of the open contacts, as of `Found`. The
+    masks are None, and the spins those of the path, where nothing is settled.
+    """
     contacts, spins, held, whole = point.system, point.spins, -point.dual, point.whole_dual
     slipping: Any = None
     open_, last = slipping, np.inf
     firm, rest = np.where(point.friction > 0, point.friction, 1.0), np.zeros(contacts.unknowns)
     for hold in HOLDS:
+        # the change of the spins is solved for, with slips in twice the precision, and springs that bear `held`
         here = contacts.with_offset(contacts.to_all_digits(spins))
         stage = FrictionStage(here, matrix, 1.0, SMALL_SPINS, 1.0)
         with one_thread():
@@ -147,12 +166,13 @@ def _settled(
         creeps = np.where(end.slips, 0.0, slip) >= LEAST_SLIP
         if change < WORSE * last:
             slipping, open_, last = end.slips, creeps, change
-        else:  # rounding moves such stiff springs: of what they change nothing is known
+        else:  # the springs are so stiff that rounding moves them: what changes its state now is open
             open_ = open_ | creeps | (end.slips != slipping)
         if change < SETTLED_FORCE and not open_.any():
             break
     powers = (_power(point, of) for of in (point.spins, spins))
-    if next(powers) * (1 + WORSE_POWER) < next(powers):  # where many minima tie, springs can lead away from all of them
+    if next(powers) * (1 + WORSE_POWER) < next(powers):
+        # with many minima of the same power, springs can lead away from all of them: the path itself is returned
         with suppress(NotPositiveDefinite):
             point = balance(point, matrix)
         return point.spins, point.whole_dual, None, None
@@ -160,21 +180,27 @@ def _settled(
 
 
 def _power(point: Iterate, spins: np.ndarray) -> float:
-    """What spins (unknowns,) dissipate, or with viscosity the potential, to all digits of their slips."""
+    """Return the power of spins (unknowns,), or with viscosity the potential, from slips in twice the precision."""
     slip = length(point.system.to_all_digits(spins))
     damped = 0.0 if point.viscosity is None else float((point.viscosity * slip**2).sum()) / 2
     return float((point.friction * slip).sum()) + damped
 
 
 def along_tangents(system: ContactSystem, contacts: ContactSystem, forces: np.ndarray) -> np.ndarray:
-    """Forces (d, A) along the tangents of a system from those in the rows of its `contacts`."""
+    """Return forces (d, A) along the tangents of a system.
+
+    contacts : the system of the path. forces : in the rows of that.
+    """
     if contacts is system or contacts.sign is None:
         return forces
     return np.einsum("tek,ek->te", system.across, contacts.on_contacts(forces)[system.contact])
 
 
 def _everywhere(own: np.ndarray, of: np.ndarray, count: int) -> np.ndarray:
-    """(A,) from what is known of the contacts `own`, (n,); False for contacts that feel no component which moves."""
+    """Return values (A,) of all contacts from those of n contacts; False for contacts that couple no unknown.
+
+    own : (n,), their numbers among the A. of : (n,), their values. count : A.
+    """
     whole = np.zeros(count, dtype=of.dtype)
     whole[own] = of
     return whole

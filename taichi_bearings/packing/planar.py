@@ -1,15 +1,21 @@
-"""Discs with friction, exactly: nested minimum cuts, on the double cover where loops are odd.
+"""Discs with friction, exactly: nested minimum cuts, on the double cover of parts with odd loops.
 
-With u = s U the sums u_i + u_j of a network without odd loops are differences, and for any driven values (coarea)
+Let s be signs by which neighbours differ, and u = s U. In a network without odd loops the sums u_i + u_j are then
+differences of U, and for any driven values of U (coarea formula)
 
     least power = sum_k (t_{k+1} - t_k) cut({driven >= t_{k+1}} | {driven <= t_k})
 
-over the sorted driven values t. Parts with odd loops take two copies of each spin, U = u and U = -u, and half the
-friction; exchanging the copies turns the cut of (a, b) into that of (-b, -a), so cuts at positive values are enough.
+over the sorted driven values t, with the weight cut(. | .) of the lightest cut between two sets of driven spheres. A
+part with odd loops has no such signs. It takes two copies of each spin, U = u and U = -u, and half the friction (double
+cover); exchanging the copies maps the cut of (a, b) to that of (-b, -a), so that cuts at positive values are enough.
 All of it is exact: frictions, products of two doubles, are whole multiples of a unit, however far apart they are, and
 flows are whole numbers of any length (numerics/exact_flow.py). A flow that fills all nested cuts and is balanced is the
 friction of a minimum; each part of the network that the cuts leave together carries no more than what they bring to it,
 so that forces in doubles are balanced to the rounding of what flows there.
+
+Words: the *level* of a node is the number k of its value t_k at the minimum. Nodes are the free spins, then their
+second copies (twins), then one node for each driven value. *Rim* contacts have one driven sphere. Letters: A contacts
+of the system, d tangents of a contact.
 """
 
 from dataclasses import dataclass
@@ -28,13 +34,16 @@ MANTISSA_BITS = 53
 
 @dataclass(frozen=True)
 class _Cover:
-    """Edges (low, high) between nodes: the first `free` ones are to be found, each other one has one of the driven
-    `values`, sums of two doubles: R omega is no double in general. opposite : number of the value that is the negative
-    of each one, if there is such a value. weight : (edges,), whole numbers of Python, of units of force.
+    """The graph whose nested minimum cuts give the spins; a double cover in parts with odd loops.
 
-    contact, sign : of each edge; the force of the contact is the sum of sign * flow, from low to high.
-    mirror : (free,), the other copy of a node, -1 if it has none. rest : the highest level of such parts that is not
-    positive.
+    free : number of nodes that are to be found; further nodes stand for the driven values.
+    low, high : (edges,), the two nodes of each edge. weight : (edges,), friction limits as whole numbers of `unit`,
+    force.
+    contact, sign : (edges,), the contact of each edge; its force is the sum of sign * flow from low to high.
+    values : the sorted driven values of U, as sums of two doubles, because R omega is no double in general.
+    opposite : number of the value that is the negative of each value, 0 if there is none.
+    mirror : (free,), the twin of each node, -1 if it has none. rest : the highest level of parts with twins whose value
+    is not positive.
     """
 
     free: int
@@ -51,9 +60,11 @@ class _Cover:
 
 
 def least_power(system: ContactSystem, packing: Packing) -> tuple[Pair, np.ndarray]:
-    """Spins (unknowns,) as sums of two doubles, and forces (d, A), balanced but for one rounding, of friction alone
-    where no contact feels two components."""
-    component = system.feels.argmax(axis=1)  # (A,); any of contacts that feel none
+    """Return spins of least power (unknowns,), as sums of two doubles, and forces (d, A) balanced to one rounding.
+
+    The law has friction alone, and each contact couples one spin component.
+    """
+    component = system.feels.argmax(axis=1)  # (A,), the coupled component; any one where none is
     cover, sign = _covered(system, packing, component)
     place = _nested(cover)
     force = np.zeros(len(component), dtype=object)
@@ -63,12 +74,16 @@ def least_power(system: ContactSystem, packing: Packing) -> tuple[Pair, np.ndarr
 
 
 def least_spins(system: ContactSystem, packing: Packing) -> np.ndarray:
-    """The same spins alone, rounded to doubles, in about half the time."""
+    """Return the spins (unknowns,) of `least_power` without the forces, rounded to doubles, in about half the time."""
     cover, sign = _covered(system, packing, system.feels.argmax(axis=1))
     return _spins(cover, _nested(cover), sign)[0]
 
 
 def _spins(cover: _Cover, place: np.ndarray, sign: np.ndarray) -> Pair:
+    """Return the spins u (unknowns,) from the levels of all nodes, as sums of two doubles.
+
+    place : (nodes,), levels. sign : (unknowns,), s. A spin with a twin is half the difference of the two copies.
+    """
     own, twin = np.arange(len(sign)), cover.mirror[: len(sign)]
     high, low = (part[place] if len(part) else np.zeros(len(place)) for part in cover.values)
     half = subtract((high[own] / 2, low[own] / 2), (high[twin] / 2, low[twin] / 2))
@@ -78,7 +93,11 @@ def _spins(cover: _Cover, place: np.ndarray, sign: np.ndarray) -> Pair:
 
 
 def _covered(system: ContactSystem, packing: Packing, component: np.ndarray) -> tuple[_Cover, np.ndarray]:
-    """The network of differences; the sign of each unknown (unknowns,)."""
+    """Return the graph of a packing, and the sign s of each unknown (unknowns,).
+
+    component : (A,), the spin component that each contact couples.
+    """
+    # signs by which neighbours differ, or a second copy of the unknowns in odd parts
     count = system.unknowns
     spheres = packing.contact[system.numbers]
     feels = np.any(system.feels, axis=1)
@@ -86,6 +105,7 @@ def _covered(system: ContactSystem, packing: Packing, component: np.ndarray) -> 
     within, some = np.all(ends >= 0, axis=1), np.any(ends >= 0, axis=1)
     odd, sign = odd_pieces(count, *ends[within].T)
     mirrored = np.where(odd, count + np.cumsum(odd) - 1, -1)
+    # contacts between two unknowns, and those of an unknown with an imposed spin
     inner, rim = np.flatnonzero(within), np.flatnonzero(some & ~within)
     units, unit = _whole(packing, system.numbers)
     units = np.minimum(units, units[rim].sum())  # no minimum cut holds more
@@ -96,6 +116,7 @@ def _covered(system: ContactSystem, packing: Packing, component: np.ndarray) -> 
     values, level, opposite = _ordered(*(np.append(part, of[pair]) + 0.0 for part, of in zip(single, u, strict=True)))
     driven = count + int(odd.sum()) + level
     of_rim, of_pair = np.split(driven, [len(rim)])
+    # an even contact is one edge with twice the weight, an odd one is two edges between opposite copies
     low = [first, second[twice], own, mirrored[own[pair]]]
     high = [np.where(twice, mirrored[second], second), mirrored[first[twice]], of_rim, of_pair]
     contact = np.concatenate([inner, inner[twice], rim, rim[pair]])
@@ -111,7 +132,10 @@ def _covered(system: ContactSystem, packing: Packing, component: np.ndarray) -> 
 
 
 def _imposed(system: ContactSystem, packing: Packing, spheres: np.ndarray, component: np.ndarray) -> Pair:
-    """u = R omega of spheres (n,), exactly where they are driven; of the others it is chosen, a double."""
+    """Return the imposed u = R omega of spheres (n,) in some components (n,), as sums of two doubles.
+
+    It is exact for driven spheres. A free sphere whose spin was fixed, as nothing determines it, has a chosen double.
+    """
     spin = packing.spin.reshape(system.known.shape)[spheres, component]
     high, low = two_product(np.asarray(packing.radius)[spheres], spin)
     held, known = packing.driven[spheres] >= 0, system.known[spheres, component]
@@ -119,7 +143,11 @@ def _imposed(system: ContactSystem, packing: Packing, spheres: np.ndarray, compo
 
 
 def _ordered(high: np.ndarray, low: np.ndarray) -> tuple[Pair, np.ndarray, np.ndarray]:
-    """Different ones of sums of two doubles (n,) in order; number of each of the n, and of the negative of each."""
+    """Sort numbers (n,) that are sums of two doubles.
+
+    Returns the different values in order; for each of the n the number of its value; for each value the number of its
+    negative, 0 if there is none.
+    """
     keys, number = np.unique(np.stack([high, low], axis=1), axis=0, return_inverse=True)
     place = {tuple(key): k for k, key in enumerate(keys.tolist())}
     opposite = np.array([place.get((-a, -b), 0) for a, b in keys.tolist()], dtype=np.int64)
@@ -127,8 +155,11 @@ def _ordered(high: np.ndarray, low: np.ndarray) -> tuple[Pair, np.ndarray, np.nd
 
 
 def _whole(packing: Packing, contact: np.ndarray) -> tuple[np.ndarray, float]:
-    """Friction times normal force of contacts (A,), exactly: whole numbers of Python, and the unit of force. A normal
-    force that all of them have is left to the unit."""
+    """Return the friction limits of contacts (A,) exactly, as whole numbers of Python, and their unit of force.
+
+    contact : (A,), numbers of the contacts. A limit is friction coefficient times normal force; a normal force that all
+    contacts have is part of the unit.
+    """
     normal = np.broadcast_to(packing.normal_force, packing.contacts)[contact]
     same = bool((normal == normal[:1]).all())
     (part, power), (more, further) = (np.frexp(v) for v in (np.asarray(packing.friction)[contact], normal))
@@ -145,9 +176,11 @@ def _whole(packing: Packing, contact: np.ndarray) -> tuple[np.ndarray, float]:
 
 
 def _nested(cover: _Cover) -> np.ndarray:
-    """Level (nodes,) of each node at a minimum.
+    """Return the level (nodes,) of each node at a minimum.
 
-    Of copies that exchange, the least positive parts; the negative ones are the images of the largest positive parts.
+    Without twins this is the minimum with the lowest levels. A node with a twin has its lowest level if that is above
+    `cover.rest`. Otherwise, if the highest level of its twin is, it has the opposite of that, so that the two copies
+    have opposite values.
     """
     twin, rounds = cover.mirror >= 0, list[_Round]()
     lowest = _levels(cover, np.zeros_like(twin), rounds)
@@ -160,14 +193,17 @@ def _nested(cover: _Cover) -> np.ndarray:
 
 
 _Arcs = tuple[np.ndarray, np.ndarray, np.ndarray]  # from, to, and the nodes to start at
-_Round = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, _Arcs]  # what _halved gives
+_Round = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, _Arcs]  # what _halved returns
 
 
 def _levels(cover: _Cover, largest: np.ndarray, rounds: list[_Round]) -> np.ndarray:
-    """Level (nodes,) of each node, of those with a copy from `rest` on: all ranges of levels are halved at once, by one
-    flow. Where cuts tie, by the smallest source sides, or the largest ones of the nodes that are `largest` (free,).
+    """Return the level (nodes,) of each node by bisection; one maximum flow halves the ranges of all nodes at once.
 
-    rounds : of a search before; as long as ranges are the same its flows serve again. Gets those of this one.
+    The range of a node with a twin begins at `cover.rest`. Where several cuts are lightest, the one with the smallest
+    side of high levels is taken, but for the nodes in the mask `largest`, (free,), the one with the largest such side.
+
+    rounds : the bisections of an earlier search, whose flows are used again as long as the ranges are the same; it is
+    replaced by those of this search.
     """
     levels, count = np.arange(len(cover.opposite)), 0
     least = np.concatenate([np.where(cover.mirror >= 0, cover.rest, 0), levels])
@@ -186,11 +222,16 @@ def _levels(cover: _Cover, largest: np.ndarray, rounds: list[_Round]) -> np.ndar
 
 
 def _halved(cover: _Cover, least: np.ndarray, most: np.ndarray) -> _Round:
-    """A cut of all ranges that are open. Of each node: least and greatest level, the middle from which on the upper
-    half begins, and True on the smallest source side. Then what a largest flow leaves, backwards from the nodes that
-    could still be drained: they reach the smallest sink side."""
+    """Halve the ranges of levels of all nodes by one maximum flow.
+
+    least, most : (nodes,), lowest and highest level that each node may have. Returned are these two, the middle level
+    at which the upper half of each range begins, and the mask (nodes,) of the nodes in the upper half, for the smallest
+    upper side. The last entry is the residual graph with reversed arcs and the nodes whose sink is not saturated: what
+    is reached from them is the smallest lower side.
+    """
     middle, (low, high), open_ = (least + most + 1) // 2, (cover.low, cover.high), least < most
     together = (least[low] == least[high]) & (most[low] == most[high]) & open_[low]
+    # edges within a range are arcs; one to a node of a higher range is a source, of a lower range a sink
     source, sink = np.zeros((2, len(least)), dtype=object)
     for own, other in ((low, high), (high, low)):
         above = least[other] >= middle[own]  # ranges are the same or share no level; driven nodes have one
@@ -205,7 +246,11 @@ def _halved(cover: _Cover, least: np.ndarray, most: np.ndarray) -> _Round:
 
 
 def _filling(cover: _Cover, place: np.ndarray) -> np.ndarray:
-    """Flow (edges,) from low to high: full across the nested cuts, balanced at all nodes that are not driven."""
+    """Return the flow (edges,) from low to high that saturates the nested cuts and is balanced at all free nodes.
+
+    place : (nodes,), levels. It is a whole number of `cover.unit` for each edge.
+    """
+    # edges between different levels are saturated; a maximum flow within each level balances what they bring
     fall = np.sign(place[cover.low] - place[cover.high])
     flow, flat = fall * cover.weight, fall == 0
     need = np.zeros(len(place), dtype=object)  # what flows in

@@ -1,4 +1,7 @@
-"""Spins that let some contacts of a packing roll, in twice the precision of a double."""
+"""Spins at which chosen contacts of a packing roll, that is do not slip, as sums of two doubles.
+
+Letters: A contacts of the system, d tangents of a contact (1 for discs, 2 for spheres), u = R omega.
+"""
 
 import numpy as np
 
@@ -10,18 +13,20 @@ from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.numerics.double_double import Pair, add, scaled, subtract, two_product
 from taichi_bearings.scene.packing import Packing
 
-LOOSE = 1e-8  # stiffness of the contacts that may slip, over that of the contacts that are to roll
-MOST_CORRECTIONS = 8
-NONE_IN_PAIRS = 1e-30  # of the fastest imposed surface: slips that sums of two doubles cannot bring down further
+LOOSE = 1e-8  # stiffness of the contacts that may slip, over that of the contacts that have to roll
+MOST_CORRECTIONS = 8  # least-squares corrections of the spins at most
+NONE_IN_PAIRS = 1e-30  # slip, in units of the fastest imposed surface, that sums of two doubles cannot reduce further
 
 
 def rolled(system: ContactSystem, packing: Packing, spins: Pair, rolls: np.ndarray) -> Pair:
-    """The spins nearest to the given ones, both sums of two doubles (unknowns,), at which the contacts of a mask (A,)
-    roll; the given ones where no such are found.
+    """Return spins near the given ones at which some contacts roll, or the given ones where none are found.
+
+    spins : (unknowns,), sums of two doubles, as is the result. rolls : (A,), mask of the contacts that have to roll.
 
     The slips y of these contacts are computed from the normals and the imposed spins as they are stored. Each
-    correction x solves the least squares K x = -y, softened by the other contacts, which only keep the matrix regular,
-    so that slips fall by some orders of magnitude each time, down to the rounding of sums of two doubles.
+    correction x of the spins solves K x = -y by least squares, with the operator K from spins to slips. The other
+    contacts enter with a weak weight that only keeps the matrix regular. So slips fall by some orders of magnitude each
+    time, down to the rounding of sums of two doubles.
     """
     matrix = NewtonMatrix(system, order_by_place(system))
     try:
@@ -42,7 +47,10 @@ def rolled(system: ContactSystem, packing: Packing, spins: Pair, rolls: np.ndarr
 
 
 def slips_in_pairs(system: ContactSystem, packing: Packing, spins: Pair) -> np.ndarray:
-    """(d, A), slips of the contacts along their tangents, to all digits. spins : (unknowns,)."""
+    """Return the slips (d, A) of the contacts along their tangents, computed in sums of two doubles.
+
+    spins : (unknowns,), length/time.
+    """
     network = system.network
     first, second = network.contact[:, system.contact]
     shape = system.known.shape
