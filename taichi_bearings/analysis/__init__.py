@@ -1,1 +1,4 @@
-"""What a state means: contact states, distributions. NumPy only; accepts results of any method."""
+"""Analysis of solved samples: networks of slipless contacts, rigid domains, bottlenecks, histograms, statistics.
+
+Nothing here needs Taichi; results of any method are accepted.
+"""

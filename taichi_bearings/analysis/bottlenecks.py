@@ -1,26 +1,30 @@
-"""Bottlenecks: the few links of the slipless network that carry most of what goes from bottom to top, or between the
-two driven bodies of a packing, called so too.
+"""Bottlenecks: the few links of the slipless network that carry most of the shortest paths from bottom to top.
 
-Two ways to look for them. *Shortest paths*: a path leads from a driven sphere s of one body over free spheres alone to
-a driven sphere t of another body. Driven spheres are ends only: contacts within a body are no links, and no path runs
-through a third driven sphere, though it may have several links. Two spheres s and t that some path joins are a *pair*.
-Let sigma_st be the number of shortest paths from s to t and sigma_st(e) the number of those through link e; two links
-between the same two spheres, as in a ring of two, are two ways. The betweenness of e is the sum over all pairs of
-sigma_st(e) / sigma_st: every pair sends one unit from s to t, split evenly over its shortest paths (Freeman, Sociometry
-40, 35, 1977, with these sources and targets only). Over the number of pairs it is the share of the link.
+A *link* is a slipless contact, a *body* is a set of driven spheres that rotate as one: the bottom or the top plane of a
+lattice, or a driven body of a packing. There are two kinds of bottleneck.
 
-And *what parts the planes alone*, in words of percolation theory (Stauffer and Aharony, Introduction to Percolation
-Theory, 1994): the *backbone* is all that lies on some path from the bottom to the top that visits nothing twice; what
-hangs on it without leading through is a dangling end. A link of the backbone whose removal cuts it *parts* bottom from
-top: every path takes it (a "red bond" of Pike and Stanley, J. Phys. A 14, L169, 1981). Extra links from each body to a
-node outside close every path between two bodies into a cycle, so the backbone is made of the biconnected blocks that
-hold these links (Hopcroft and Tarjan, Comm. ACM 16, 372, 1973). With more than two bodies pairs are of any two of them.
+*Shortest paths*: a path leads from a driven sphere s of one body over free spheres alone to a driven sphere t of
+another body. Driven spheres are ends only: contacts within a body are no links, and no path runs through a third driven
+sphere. Two spheres s and t that some path joins are a *pair*. Let sigma_st be the number of shortest paths from s to t
+and sigma_st(e) the number of those through link e; two links between the same two spheres, as in a ring of two spheres,
+make two paths. The betweenness, or *load*, of e is the sum over all pairs of sigma_st(e) / sigma_st: every pair sends
+one unit from s to t, split evenly over its shortest paths (Freeman, Sociometry 40, 35, 1977, with these sources and
+targets only). Divided by the number of pairs it is the *share* of the link.
+
+*Single links that separate the bodies*, in words of percolation theory (Stauffer and Aharony, Introduction to
+Percolation Theory, 1994): the *backbone* has all links on some path from the bottom to the top that visits nothing
+twice; other links are dangling ends. A link of the backbone whose removal separates bottom from top is *parting*: every
+path takes it (a "red bond" of Pike and Stanley, J. Phys. A 14, L169, 1981). Extra links from each body to a node
+outside close every path between two bodies into a cycle, so the backbone is made of the biconnected blocks that hold
+these links (Hopcroft and Tarjan, Comm. ACM 16, 372, 1973). With more than two bodies, pairs are of any two of them.
 
 Paths are counted by Brandes' algorithm (J. Math. Sociol. 25, 163, 2001), one level of a breadth-first search at a time
 for many sources at once. The sweep out counts paths: sigma_s(w) is the sum of sigma_s(v) over the neighbours v in the
-level before. The sweep home takes what has gathered at w to each such v in proportion to sigma_s(v) / sigma_s(w). Only
-these shares are kept, so the counts, which grow exponentially with the distance, are rescaled at every level and never
-overflow. The work grows like sources times links.
+level before. The sweep home carries the load gathered at w back to each such v in proportion to sigma_s(v) /
+sigma_s(w). Only these ratios are kept, so the counts, which grow exponentially with the distance, are rescaled at every
+level and never overflow. The work grows like sources times links.
+
+Shapes: E links, N spheres (the shape of a lattice, else their number); `sites` is the number of spheres.
 """
 
 from collections import Counter
@@ -37,18 +41,19 @@ from scipy.sparse.csgraph import connected_components
 from taichi_bearings.analysis.slipless_network import SliplessNetwork
 from taichi_bearings.stages import alike, each, stage
 
-LEAST_LOAD = 1e-12  # a load that is less is none
-EXACT_WORK = 200_000_000  # sources times links; beyond it a sample of the sources must do
+LEAST_LOAD = 1e-12  # share below which a link is not listed
+EXACT_WORK = 200_000_000  # sources times links up to which all sources are searched; beyond it a random sample of them
 BATCH_WORK = 2_000_000  # sources times links, or spheres, searched at once: some 100 MB
-LEAST_COUNT = 1e-200  # of paths, in units of the largest of its level
+LEAST_COUNT = 1e-200  # smallest number of paths that is kept, in units of the largest of its level
 
 
 @dataclass(frozen=True)
 class Betweenness:
-    """Load of each link (E,) and each sphere (sites,) by all pairs; a sphere carries the pairs that it ends, too.
+    """The loads of all links and spheres by the shortest paths of all pairs.
 
-    link, sphere : in pairs; exact if paths were counted from all sources, else an unbiased estimate.
-    pairs : number of connected pairs. mean_distance : mean length of their shortest paths in links; 0 without pairs.
+    link : (E,), sphere : (sites,), loads in pairs; a sphere also carries the pairs whose end it is. pairs : number of
+    connected pairs. mean_distance : mean length of their shortest paths in links; 0 without pairs. is_exact : paths
+    were counted from all sources; else the loads are an unbiased estimate.
     """
 
     link: np.ndarray
@@ -60,14 +65,16 @@ class Betweenness:
 
 @dataclass(frozen=True)
 class Bottlenecks:
-    """Loads and weak places of one sample; links (E,) and spheres (sites,) are those of `network`."""
+    """The loads, the backbone and the parting links of one sample. network : its slipless network."""
 
     network: SliplessNetwork
 
     @cached_property
     def backbone(self) -> np.ndarray:
-        """(E,) True for links on some path from bottom to top that visits no body twice: they alone are on shortest
-        paths. All False if the planes are apart."""
+        """(E,) True for links on some path from bottom to top that visits no node twice; all False if there is none.
+
+        No other link is on a shortest path.
+        """
         network, through = self.network, np.zeros(self.network.ends.shape[1], dtype=bool)
         if not network.spans:
             return through
@@ -81,7 +88,7 @@ class Bottlenecks:
 
     @cached_property
     def parting(self) -> np.ndarray:
-        """(E,) True for links of the backbone whose removal alone parts bottom from top: blocks of one link."""
+        """(E,) True for links of the backbone whose removal separates bottom from top: they are blocks of one link."""
         parting = np.zeros(len(self.backbone), dtype=bool)
         low, high = self.network.body[self.network.ends[:, self.backbone]]
         block = _blocks(low, high, self.network.bodies)
@@ -90,6 +97,7 @@ class Bottlenecks:
 
     @cached_property
     def betweenness(self) -> Betweenness:
+        """The loads of links and spheres; only links of the backbone are searched."""
         return betweenness(self.network, self.backbone)
 
     @property
@@ -105,14 +113,19 @@ class Bottlenecks:
 
     @property
     def effective_links(self) -> float:
-        """Participation number (sum load)^2 / sum load^2: as many links as would bear the load of the shortest paths if
-        they all bore the same; 0 without pairs."""
+        """Participation number (sum load)^2 / sum load^2 of the links; 0 without pairs.
+
+        That many links would have the same participation number if they shared the load equally and others had none.
+        """
         load = self.share
         return float(load.sum() ** 2 / (load**2).sum()) if load.any() else 0.0
 
     def most_loaded(self, number: int = 10) -> list[dict[str, Any]]:
-        """The links that carry most pairs, the heaviest first: where they are, what they carry and whether they part
-        the planes alone."""
+        """Return the links of greatest load, the greatest first, each as a dictionary.
+
+        number : how many at most. The entries are the names of a link (contact, and axis or spheres), its `share`, and
+        whether it separates the planes alone (`parts_the_planes`).
+        """
         columns = {**self.network.names, "share": self.share, "parts_the_planes": self.parting}
         rank = np.argsort(-self.share.round(12), kind="stable")
         chosen = rank[self.share[rank] > LEAST_LOAD][:number]
@@ -120,7 +133,10 @@ class Bottlenecks:
 
 
 def _blocks(low: np.ndarray, high: np.ndarray, bodies: int) -> np.ndarray:
-    """Label of the biconnected block of each link from body `low` to body `high`; links of the same two share it."""
+    """Return the label (E,) of the biconnected block of each link; links between the same two nodes share it.
+
+    low, high : (E,), the nodes of each link. bodies : number of nodes.
+    """
     graph = rustworkx.PyGraph(multigraph=False)
     graph.add_nodes_from(range(bodies))
     graph.add_edges_from_no_data(list(zip(low.tolist(), high.tolist(), strict=True)))
@@ -133,10 +149,11 @@ def _blocks(low: np.ndarray, high: np.ndarray, bodies: int) -> np.ndarray:
 
 
 def betweenness(network: SliplessNetwork, links: np.ndarray | None = None) -> Betweenness:
-    """The betweenness of one sample.
+    """Return the loads of links and spheres of one sample.
 
-    links : (E,) bool, those that can lie on a shortest path (the backbone), to save work; default all. Where EXACT_WORK
-    does not allow to count from all sources, the spheres of the driven plane that has fewer, some are drawn.
+    links : (E,) mask of the links that can lie on a shortest path (the backbone), to save work; default all. Paths are
+    counted from the driven spheres of the body that has fewer in pairs. Where EXACT_WORK does not allow to count from
+    all of them, a random sample of them is taken.
     """
     sites, edges = len(network.body), network.ends.shape[1]
     neighbours = _neighbours(network, np.arange(edges) if links is None else np.flatnonzero(links))
@@ -152,8 +169,11 @@ def betweenness(network: SliplessNetwork, links: np.ndarray | None = None) -> Be
 def _between(
     neighbours: "_Neighbours", passed: np.ndarray, edges: int, starts: np.ndarray, targets: np.ndarray, pairs: int
 ) -> Betweenness:
-    """The betweenness of the pairs of one of the `starts` and one of the `targets`, so many. passed : (sites,) True for
-    the spheres that paths may run through. edges : number of links of the network."""
+    """Return the loads by the pairs of two bodies.
+
+    passed : (sites,) mask of the spheres that paths may run through. edges : number of links of the network.
+    starts, targets : spheres of the one and of the other body. pairs : number of connected pairs of these.
+    """
     sites = len(passed)
     is_target = np.zeros(sites, dtype=bool)
     is_target[targets] = True
@@ -177,14 +197,17 @@ def _between(
 
 
 def _ends_of_pairs(network: SliplessNetwork) -> Iterator[tuple[np.ndarray, np.ndarray, int]]:
-    """For each driven body and those behind it: the spheres, as indices, that belong to a pair, of the side that has
-    fewer of them and of the other; and the number of pairs."""
-    beside = _pieces_beside(network)
+    """Yield, for each driven body and all bodies of higher number, the spheres that belong to pairs between them.
+
+    Each item has the spheres of the side with fewer of them, those of the other side, both as indices, and the number
+    of pairs. Two driven spheres are a pair if they have links to the same connected piece of free spheres.
+    """
+    touching = _pieces_beside(network)
     touched = [network.touched_of(body).tolist() for body in network.held]
     for number, own in enumerate(touched[:-1]):
         others = [sphere for of in touched[number + 1 :] for sphere in of]
-        spanning = _all_of(beside[sphere] for sphere in own) & _all_of(beside[sphere] for sphere in others)
-        low, high = ({sphere: beside[sphere] & spanning for sphere in side} for side in (own, others))
+        spanning = _all_of(touching[sphere] for sphere in own) & _all_of(touching[sphere] for sphere in others)
+        low, high = ({sphere: touching[sphere] & spanning for sphere in side} for side in (own, others))
         counts = Counter(low.values()), Counter(high.values())
         pairs = sum(n * m for one, n in counts[0].items() for other, m in counts[1].items() if one & other)
         bottom, top = (np.array([n for n, pieces in side.items() if pieces], np.int64) for side in (low, high))
@@ -192,12 +215,12 @@ def _ends_of_pairs(network: SliplessNetwork) -> Iterator[tuple[np.ndarray, np.nd
 
 
 def _all_of(sets: Iterable[frozenset[int]]) -> frozenset[int]:
-    """What is in some of the sets."""
+    """Return the union of the sets."""
     return frozenset[int]().union(*sets)
 
 
 def _pieces_beside(network: SliplessNetwork) -> dict[int, frozenset[int]]:
-    """The connected pieces of free spheres and links between them, by number, that each driven sphere has a link to."""
+    """Return for each driven sphere the numbers of the connected pieces of free spheres that it has a link to."""
     sites, free = len(network.body), network.free.ravel()
     inner = free[network.ends].all(axis=0)
     ones = np.ones(int(inner.sum()), dtype=np.int8)
@@ -211,7 +234,10 @@ def _pieces_beside(network: SliplessNetwork) -> dict[int, frozenset[int]]:
 
 
 class _Neighbours(NamedTuple):
-    """Neighbours of sphere i: sphere[first[i] : first[i] + degree[i]], over the links of the same numbers."""
+    """The neighbours of all spheres, one sphere after the other.
+
+    Those of sphere i are sphere[k] over the links link[k], with k from first[i] to first[i] + degree[i] - 1.
+    """
 
     first: np.ndarray
     degree: np.ndarray
@@ -220,7 +246,7 @@ class _Neighbours(NamedTuple):
 
 
 def _neighbours(network: SliplessNetwork, links: np.ndarray) -> _Neighbours:
-    """Over the links of these numbers."""
+    """Return the neighbours of all spheres over some links, given by their numbers."""
     low, high = network.ends[:, links]
     here, there = np.concatenate([low, high]), np.concatenate([high, low])
     order = np.argsort(here, kind="stable")
@@ -229,10 +255,11 @@ def _neighbours(network: SliplessNetwork, links: np.ndarray) -> _Neighbours:
 
 
 class _Level(NamedTuple):
-    """Spheres at one distance from their source, of several searches, and the links that lead to them.
+    """The spheres at one distance from the sources of several searches, and the links that lead to them.
 
-    sphere, search : (K,). For each link: tail, index of its sphere in the level before; head, in this one; share, of
-    the shortest paths to the head that come over it.
+    sphere, search : (K,), each sphere found, and the number of the search that found it. Of each link that leads there:
+    tail, index of its nearer sphere in the level before; head, index of its farther sphere in this level; link, its
+    number; share, the fraction of the shortest paths to the head that come over it.
     """
 
     sphere: np.ndarray
@@ -244,8 +271,10 @@ class _Level(NamedTuple):
 
 
 def _count_paths(neighbours: _Neighbours, passed: np.ndarray, sources: np.ndarray) -> list[_Level]:
-    """The levels of the breadth-first searches from `sources`, nearest first, the sources themselves level 0. passed :
-    (sites,) True for the spheres from which a search goes on."""
+    """Return the levels of breadth-first searches, nearest first; level 0 has the sources themselves.
+
+    passed : (sites,) mask of the spheres from which a search goes on. sources : spheres, one for each search.
+    """
     searches, sites = len(sources), len(neighbours.degree)
     place = np.full(searches * sites, -1, dtype=np.int32)  # index in the level of a sphere found; -1 if not found yet
     none = np.empty(0, dtype=np.int64)
@@ -254,6 +283,7 @@ def _count_paths(neighbours: _Neighbours, passed: np.ndarray, sources: np.ndarra
     count, levels = np.ones(searches), []
     while len(level.sphere):
         levels.append(level)
+        # all links from this level, by their place in the list of neighbours
         degree = neighbours.degree[level.sphere]
         if len(levels) > 1:
             degree = np.where(passed[level.sphere], degree, 0)
@@ -267,6 +297,7 @@ def _count_paths(neighbours: _Neighbours, passed: np.ndarray, sources: np.ndarra
         one_each = place[found] == number
         place[found[one_each]] = number[: one_each.sum()]
         head = place[found]
+        # paths to a sphere: the sum over the links that lead to it
         total = np.bincount(head, weights=count[tail])
         spheres, searched = neighbours.sphere[slot[one_each]], level.search[tail[one_each]]
         level = _Level(spheres, searched, tail, head, neighbours.link[slot], count[tail] / total[head])
@@ -275,8 +306,11 @@ def _count_paths(neighbours: _Neighbours, passed: np.ndarray, sources: np.ndarra
 
 
 def _send_home(levels: Sequence[_Level], is_target: np.ndarray) -> tuple[list[np.ndarray], np.ndarray]:
-    """Take a unit home from every target of every search: what arrives at the spheres of each level, and what flows
-    over the links, from the farthest level to the nearest. is_target : (sites,) bool."""
+    """Send one unit from every target back to the source of each search, split over its shortest paths.
+
+    levels : of the searches. is_target : (sites,) mask. Returned are the loads of the spheres of each level, and those
+    of the links, from the farthest level to the nearest.
+    """
     arrived, flows = [is_target[level.sphere].astype(float) for level in levels], [np.empty(0)]
     for distance in range(len(levels) - 1, 0, -1):
         level = levels[distance]

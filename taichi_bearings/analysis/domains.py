@@ -1,16 +1,21 @@
-"""Rigid domains: spheres that slipless contacts force to turn alike, component by component and as a whole.
+"""Rigid domains: spheres that slipless contacts force to have the same spin, by component and as a whole.
 
-A slipless contact along an axis ties the components of the staggered spin perpendicular to it and leaves the one along
-it free. So there are domains of each component k: spheres that contacts tie in k, each driven plane being one body. A
-*rigid domain* is a common refinement: spheres that share their domain in every component that the driving needs. They
-have the same staggered spin, so they roll on each other as one bearing. In 2D, with its one component, the two notions
-agree.
+Spins are *staggered*: with signs by which neighbours differ, measured from the bottom plane. A slipless contact along
+an axis makes the components of the staggered spin perpendicular to it equal and does not couple the one along it. So
+there are domains of each component k: spheres that slipless contacts join in k, each driven plane being one body. A
+*rigid domain* is a class of the common refinement: spheres that share their domain in every component that the driving
+needs. They have the same staggered spin, so they roll on each other as one bearing. In 2D, with its one component, the
+two notions agree.
 
-A domain is locked to a driven plane in component k if contacts tie it to that plane in k. At a minimum no domain is
-locked to both planes in a component that they drive differently; slip thresholds can make it look so. Where the imposed
-states differ in their dilation, planes turn unevenly, and what joins them in a layer without a jump is no lock of
-others: then a plane is a body a layer of component k, and all that turns with the bottom, or with the top as it turns
-there, still is one domain of k.
+A domain is *locked* to a driven plane in component k if slipless contacts join it to that plane in k. At a minimum no
+domain is locked to both planes in a component that they drive differently; slip thresholds can make it look so.
+
+Where the imposed states differ in their dilation, the spins of a driven plane vary from layer to layer (a layer is a
+plane across the axis k). Contacts that join bottom and top in a layer where both have the same spin then must not lock
+other layers. So each layer of a driven plane is a body of its own; all spheres locked to the bottom, in whatever layer,
+still are one domain of k, and so are all locked to the top.
+
+Shapes: C components, D rigid domains, N spheres (the shape of a lattice, else their number), `sites` their number.
 """
 
 from dataclasses import dataclass
@@ -26,7 +31,7 @@ from taichi_bearings.scene.interface import SAME_STATE
 
 
 class Lock(IntFlag):
-    """What a domain of one component is tied to."""
+    """The driven planes to which a domain of one component is locked."""
 
     NEITHER = 0
     BOTTOM = 1
@@ -35,24 +40,24 @@ class Lock(IntFlag):
 
 
 LOCKS = ("bottom", "top", "both", "mixed", "partly", "neither")
-"""Rigid domains locked in every component to the bottom, to the top, to both, to the one or the other; in some
-components only, in none."""
+"""Kinds of rigid domain. In every component it is locked to the bottom, to the top, or to both; mixed: in every
+component to some plane, but not the same; partly: in some components only; neither: in none."""
 INTERMEDIATE = LOCKS.index("mixed")  # the first of the kinds that are not locked to one plane in all components
 
 
 @dataclass(frozen=True)
 class RigidDomains:
-    """Domains of one sample; C components as named by spin_axes, D rigid domains; N the shape of the spheres.
+    """The domains of one sample.
 
-    component_domain : (C, *N) label of the domain of each component.
-    domain : N, label of the rigid domain: 0, 1, ... by falling number of spheres.
-    spheres : (D,) spheres of each, driven ones included. staggered : (D, C) mean staggered spin, 1/time.
-    spread : largest distance of a sphere from the mean of its domain, or from the top where it is locked to that, over
-        all components: 0 but for rounding.
-    lock : (D, C) values of Lock, a bit for each body. jump : (D, C) staggered spin of the top in the layers of each
-    domain, 1/time. bodies : what is driven.
+    spin_axes : numbers of the C components. component_domain : (C, *N), label of the domain of each component.
+    domain : shape N, label of the rigid domain: 0, 1, ... by falling number of spheres.
+    spheres : (D,), spheres of each, driven ones included. staggered : (D, C), mean staggered spin, 1/time.
+    spread : largest difference between the spin of a sphere and the mean of its domain (the spin of the top where it is
+        locked to that) over all components: 0 but for rounding.
+    lock : (D, C), values of `Lock`, one bit for each body. jump : (D, C), staggered spin of the top in the layers of
+    each domain, 1/time. bodies : names of the driven bodies.
 
-    Of a packing the spins are s R omega, s the signs by which neighbours differ.
+    For a packing the spins are s R omega, length/time, with signs s by which neighbours differ.
     """
 
     spin_axes: tuple[int, ...]
@@ -70,8 +75,12 @@ class RigidDomains:
         cls, spin_axes: tuple[int, ...], labels: np.ndarray, tied: np.ndarray, spins: np.ndarray,
         jump: np.ndarray | None, shape: tuple[int, ...], bodies: tuple[str, ...] = ("bottom", "top"),
     ) -> "RigidDomains":  # fmt: skip
-        """From what each sphere has of each component: the label of its domain, what that is tied to, its spin above
-        the bottom's, and that of the top, if bodies turn as one; (C, sites)."""
+        """Return the rigid domains from the domains of each component.
+
+        labels : (C, sites), label of the domain of each component. tied : (C, sites), what that domain is locked to, as
+        `Lock`. spins : (C, sites), spins measured from the bottom. jump : (C, sites), spin of the top measured from the
+        bottom; None where driven bodies are not in bearing states. shape : N. bodies : names of the driven bodies.
+        """
         domain = refined(labels)
         spheres, first = np.bincount(domain), np.unique(domain, return_index=True)[1]
         mean = np.stack([np.bincount(domain, values) / spheres for values in spins])
@@ -85,11 +94,12 @@ class RigidDomains:
 
     @property
     def locks(self) -> tuple[str, ...]:
-        """As LOCKS, for these bodies."""
+        """Names of the kinds of rigid domain, like LOCKS, for these bodies."""
         return (*self.bodies, "both" if len(self.bodies) == 2 else "several", *LOCKS[INTERMEDIATE:])
 
     @property
     def number(self) -> int:
+        """Number of rigid domains."""
         return len(self.spheres)
 
     @cached_property
@@ -103,8 +113,10 @@ class RigidDomains:
 
     @property
     def turn(self) -> np.ndarray:
-        """(D, C) staggered spin between that of the bottom (0) and that of the top (1) in its layers, 0 where these
-        agree."""
+        """(D, C), staggered spin of each domain as a fraction: 0 that of the bottom, 1 that of the top in its layers.
+
+        It is 0 where bottom and top have the same spin.
+        """
         share = np.divide(self.staggered, self.jump, out=np.zeros_like(self.staggered), where=self.jump != 0)
         return np.where(self.lock == Lock.TOP, 1.0, np.where(self.lock == Lock.NEITHER, share, 0.0))
 
@@ -118,15 +130,15 @@ class RigidDomains:
         return dict(zip(self.locks, np.bincount(self.kind, minlength=len(self.locks)).tolist(), strict=True))
 
     def spheres_of_kind(self, counted: np.ndarray) -> dict[str, int]:
-        """Number of spheres of each kind among those where `counted` (shape N) is True."""
+        """Number of spheres in domains of each kind. counted : mask, shape N, of the spheres that are counted."""
         each = np.bincount(self.kind[self.domain[counted]], minlength=len(self.locks))
         return dict(zip(self.locks, each.tolist(), strict=True))
 
 
 def rigid_domains(network: SliplessNetwork, staggered: np.ndarray, spin_axes: tuple[int, ...]) -> RigidDomains:
-    """The domains of one sample.
+    """Return the domains of a sample of a lattice, from the contacts that force spins to be equal.
 
-    staggered : (C, *N) spins, components as named by spin_axes, 1/time.
+    staggered : (C, *N), spins, 1/time. spin_axes : numbers of the C components.
     """
     top = staggered[..., -1].reshape(len(spin_axes), -1)
     uneven = bool((top != top[:, :1]).any())
@@ -138,16 +150,19 @@ def rigid_domains(network: SliplessNetwork, staggered: np.ndarray, spin_axes: tu
 def turning_domains(
     network: SliplessNetwork, turned: np.ndarray, states: np.ndarray | None, near: float, axes: tuple[int, ...]
 ) -> RigidDomains:
-    """Rigid domains of one sample by its spins: spheres of one connected piece of slipless contacts that turn as fast.
-    Those of one piece with a body that turn as it does are locked to it.
+    """Return the rigid domains of a sample of a packing, from its spins.
 
-    turned : (N, C) s R omega, length/time. states : (2, N, C), what it would be if all turned with the first or with
-    the second of two bodies; None without two bearing states. near : by how much speeds of one domain may differ,
-    length/time. axes : components that are looked at.
+    A domain has spheres of one connected piece of slipless contacts with the same s R omega, where s are signs by which
+    neighbours differ. It is locked to a driven body that is among them.
+
+    turned : (N, C), s R omega, length/time. states : (2, N, C), s R omega if all spheres rotated with the first, or
+    with the second, of two bodies; None without two bearing states. near : difference of speeds within a domain that is
+    allowed for rounding, length/time. axes : numbers of the components that are compared.
     """
     piece, whole, largest = network.component, network.whole, np.abs(turned).max(initial=0.0)
     low, high = np.zeros((2, *turned.shape)) if states is None else states
-    apart = 4 * largest  # with bodies that turn unevenly all is one domain that turns as they do
+    # spheres with the bearing state of a body are one domain, though their speeds may differ: two values stand for them
+    apart = 4 * largest
     values = np.where(np.abs(turned - low) <= near, -apart, np.where(np.abs(turned - high) <= near, apart, turned))
     labels = np.stack([_alike(piece, (turned if states is None else values)[:, k], near) for k in axes])
     held = np.flatnonzero(~whole.free)
@@ -164,7 +179,10 @@ def turning_domains(
 
 
 def _alike(piece: np.ndarray, values: np.ndarray, near: float) -> np.ndarray:
-    """(N,) one label for the spheres of each piece whose values follow each other by no more than `near`."""
+    """Return labels (N,), equal for spheres of one piece whose sorted values have no gap above `near`.
+
+    piece : (N,), label of the connected piece of each sphere. values : (N,).
+    """
     order = np.lexsort([values, piece])
     new = (np.diff(piece[order], prepend=-1) != 0) | (np.diff(values[order], prepend=np.inf) > near)
     label = np.empty(len(piece), dtype=np.int64)
@@ -173,16 +191,20 @@ def _alike(piece: np.ndarray, values: np.ndarray, near: float) -> np.ndarray:
 
 
 def refined(labels: np.ndarray) -> np.ndarray:
-    """Label (sites,) of the common refinement of classes (C, sites), by falling number of spheres."""
+    """Return labels (sites,) of the common refinement of C partitions, by falling number of spheres.
+
+    labels : (C, sites). Two spheres are in one class if all their labels are equal.
+    """
     together = np.unique(labels, axis=1, return_inverse=True)[1].ravel()
     order = np.argsort(-np.bincount(together), kind="stable")
     return np.asarray(np.argsort(order)[together])
 
 
 def _of_component(network: SliplessNetwork, component: int, uneven: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Label (sites,) of the domain of one component that each sphere is in, and what it is locked to.
+    """Return for each sphere the label (sites,) of its domain of one component, and what that is locked to, as `Lock`.
 
-    uneven : the planes are a body a layer along the component.
+    uneven : the imposed spins vary along a driven plane, so that each layer across the component's axis has its own
+    bottom and top body.
     """
     chosen = network.axis != component
     if not uneven:

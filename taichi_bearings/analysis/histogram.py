@@ -49,11 +49,11 @@ class PowerHistogram:
     edges : (B + 1,) power in `units`, evenly spaced in the logarithm.
     count : (B,) slipping contacts in each bin. standard_error : (B,) of the count.
     density, density_error : (B,) share of the slipping contacts per decade of power, and its standard error.
-    slipless, tied, undecided : number of contacts that are in no bin.
-    slip_threshold : length/time, of the coarsest run.
-    samples : how many are pooled.
-    units : of the power.
-    left_out : why other samples are not in it, and how many.
+    slipless, tied, undecided : numbers of contacts in these states, which are in no bin.
+    slip_threshold : largest slip speed, length/time, up to which contacts counted as slipless in one of the runs.
+    samples : number of samples that are pooled.
+    units : unit of the power.
+    left_out : for each reason, how many other samples were left out.
 
     With several samples the errors are those of sums and of ratios of sums over independent samples, so contacts of one
     sample may depend on each other, and samples of one disorder count as one. With one they are those of contacts that
@@ -75,10 +75,12 @@ class PowerHistogram:
 
     @property
     def census(self) -> Census:
+        """How many samples were pooled, and how many were left out."""
         return Census(self.samples, self.left_out)
 
     @property
     def slipping(self) -> int:
+        """Number of slipping contacts in all bins."""
         return int(self.count.sum())
 
 
@@ -88,9 +90,10 @@ def count_powers(
     bins_per_decade: int = 5,
     unit: np.ndarray | None = None,
 ) -> SampleCounts:
-    """Return the slipping contacts of R replicas in bins. power, state : (R, E).
+    """Return how many slipping contacts of each of R samples fall into each bin of power.
 
-    unit : (R,) power that is taken for 1 in each replica; default 1.
+    power : (R, E), energy/time. state : (R, E), contact states. unit : (R,), the unit of power in each sample; default
+    1. Slipping contacts that dissipate exactly nothing are in no bin.
     """
     replica, contact = np.nonzero((state == ContactState.SLIPPING) & (power > 0))
     scale = np.ones(len(power)) if unit is None else unit
@@ -104,12 +107,11 @@ MOST_POWER_BINS = 100_000  # no spread of floating-point numbers needs more
 
 
 def rebinned(fine: SampleCounts, bins_per_decade: int, unit: np.ndarray) -> SampleCounts:
-    """Return counts in other bins, for powers that are no longer known one by one.
+    """Return counts in coarser bins and other units, from counts in fine bins alone.
 
-    The new bins are of powers in multiples of `unit`, and fewer a decade. The bins of each sample move by whole fine
-    bins, to the nearest: by half a fine bin too much or too little at worst, and exactly where the unit is 1.
-
-    bins_per_decade : must divide that of `fine`, which callers check. unit : (S,).
+    fine : the counts. bins_per_decade : of the new bins; it must divide that of `fine`, which callers check. unit :
+    (S,), the new unit of power in each sample. Each sample is shifted by a whole number of fine bins, so that a power
+    may be off by half a fine bin; where the unit is 1 nothing is shifted.
     """
     merged = fine.bins_per_decade // bins_per_decade
     move = np.rint(fine.bins_per_decade * np.log10(1 / unit)).astype(int)
@@ -127,7 +129,10 @@ def rebinned(fine: SampleCounts, bins_per_decade: int, unit: np.ndarray) -> Samp
 
 
 def joined_counts(parts: Sequence[SampleCounts]) -> SampleCounts:
-    """Return the samples of several sources, of equal `bins_per_decade`, in bins that hold them all."""
+    """Return the counts of the samples of all `parts` together, in bins that hold them all.
+
+    All parts must have the same `bins_per_decade`.
+    """
     filled = [part for part in parts if part.count.shape[1]]
     first = min((part.first for part in filled), default=0)
     bins = max((part.first + part.count.shape[1] for part in filled), default=0) - first
@@ -148,10 +153,11 @@ def pool(
 ) -> PowerHistogram:
     """Return one histogram of all samples.
 
-    units : of the power, for the record.
-    disorder : (S,) equal numbers for samples that depend on each other; by default none do.
-    left_out : see :class:`PowerHistogram`.
+    of : counts of S samples. slip_threshold, units, left_out : as of :class:`PowerHistogram`.
+    disorder : (S,) equal numbers for samples that depend on each other, as they have the same coefficients; by default
+    all are independent.
     """
+    # samples of one disorder are summed first; errors are those of sums, and of their ratios, over independent samples
     own = of.count if disorder is None else _by_disorder(of.count, disorder)
     samples, count = len(own), of.count.sum(axis=0)
     total = max(int(count.sum()), 1)

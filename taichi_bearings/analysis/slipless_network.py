@@ -1,8 +1,11 @@
-"""The network of slipless contacts: what it reaches, whether it joins the driven bodies, and by which paths.
+"""The network of slipless contacts: which spheres it reaches, whether it joins the driven bodies, and by which paths.
 
-Nodes are spheres, edges are slipless contacts. Each driven body, of a lattice a plane, is one node, because its spheres
-turn as one bearing, so contacts between two of its spheres are not edges and a path starts where it leaves the body.
-Graph searches and flows are SciPy's.
+Edges are slipless contacts. Nodes are free spheres and driven *bodies*: a body is a set of driven spheres that rotate
+as one bearing, for a lattice the bottom or the top plane. Contacts between two spheres of a body are not edges, so a
+path starts where it leaves the body. A *piece* is a connected component of this graph.
+
+Shapes: N spheres (the shape of a lattice, else their number), `sites` their number, E edges. Indices of spheres are in
+C order. Graph searches and flows are SciPy's.
 """
 
 from dataclasses import dataclass
@@ -22,10 +25,10 @@ MOST_BODIES = 50  # between which paths are looked for
 
 @dataclass(frozen=True)
 class SliplessNetwork:
-    """Spheres of one sample and the slipless contacts that join them.
+    """The spheres of one sample and the slipless contacts that join them.
 
-    whole : all spheres and contacts. slipless : (contacts,) bool, of all contacts, False between two driven spheres.
-    Spheres have their shape N, where there is no lattice (sites,); as indices they are in C order.
+    whole : the network of all spheres and contacts. slipless : (contacts,) mask of the slipless ones among all
+    contacts; False between two driven spheres.
     """
 
     whole: Network
@@ -33,45 +36,47 @@ class SliplessNetwork:
 
     @property
     def lattice(self) -> Lattice:
-        """The lattice whose contacts these are, where there is one."""
+        """The lattice of the sample; asked for only where there is one."""
         assert self.whole.lattice is not None
         return self.whole.lattice
 
     @cached_property
     def body(self) -> np.ndarray:
-        """Node (sites,) of each sphere in the graph of bodies: 0 the first driven body, then the free spheres, then the
-        other driven bodies, of a lattice the top plane."""
+        """(sites,), node of each sphere: 0 for the first driven body, then free spheres, then the other driven bodies.
+
+        For a lattice the first body is the bottom plane, and the last node is the top plane.
+        """
         return number_bodies(self.whole.body)
 
     @cached_property
     def ends(self) -> np.ndarray:
-        """First and second, of a lattice lower and upper, sphere (2, E) of each edge, as indices."""
+        """(2, E), indices of the first and the second sphere of each edge; on a lattice the lower and the upper one."""
         return np.asarray(self.whole.contact[:, self.slipless])
 
     @cached_property
     def axis(self) -> np.ndarray:
-        """Of a lattice: axis (E,) of each edge: all x-contacts first, then y (then z), each in C order."""
+        """(E,), axis of each edge of a lattice: all x-contacts first, then y (then z), each in C order."""
         return np.asarray(self.lattice.axis[self.slipless])
 
     @cached_property
     def contact(self) -> np.ndarray:
-        """Of a lattice: position (E, dimension) of each edge's lower sphere, which names the contact along `axis`."""
+        """(E, dimension), lattice position of each edge's lower sphere, which with `axis` names the contact."""
         return self.places(self.ends[0])
 
     @property
     def names(self) -> dict[str, np.ndarray]:
-        """What tells people which edges these are, (E, ...)."""
+        """Columns (E, ...) that identify the edges in listings: place and axis on a lattice, else numbers."""
         if self.whole.lattice is None:
             return {"contact": np.flatnonzero(self.slipless), "spheres": self.ends.T}
         return {"contact": self.contact, "axis": self.axis}
 
     def places(self, spheres: np.ndarray) -> np.ndarray:
-        """Of a lattice: positions (n, dimension) of spheres (n,)."""
+        """Return the lattice positions (n, dimension) of spheres (n,), given as indices."""
         return np.stack(np.unravel_index(spheres, self.shape), axis=1)
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """N."""
+        """Shape N of arrays of spheres: that of the lattice, or (sites,)."""
         return self.whole.shape
 
     @property
@@ -81,11 +86,12 @@ class SliplessNetwork:
 
     @cached_property
     def touched(self) -> np.ndarray:
-        """True for spheres that touch a slipless contact, shape N."""
+        """True for spheres that have a slipless contact, shape N."""
         return (np.bincount(self.ends.ravel(), minlength=len(self.body)) > 0).reshape(self.shape)
 
     @property
     def bodies(self) -> int:
+        """Number of nodes: free spheres and driven bodies."""
         return int(self.body.max(initial=-1)) + 1
 
     @cached_property
@@ -94,34 +100,40 @@ class SliplessNetwork:
         return np.unique(self.body[~self.free.ravel()])
 
     def touched_of(self, body: int) -> np.ndarray:
-        """Spheres of a body that touch a slipless contact, as indices."""
+        """Return the spheres of a driven body that have a slipless contact, as indices. body : its node."""
         return np.flatnonzero(self.touched.ravel() & (self.body == body))
 
     def graph(self, chosen: np.ndarray | None = None) -> csr_array:
-        """Adjacency matrix (bodies, bodies) of int32 ones, symmetric; chosen : (E,) bool, edges that take part."""
+        """Return the symmetric adjacency matrix (bodies, bodies) of ones.
+
+        chosen : (E,), mask of the edges that take part; default all.
+        """
         ends = self.body[self.ends if chosen is None else self.ends[:, chosen]]
         both = np.concatenate([ends, ends[::-1]], axis=1)
         ones = np.ones(both.shape[1], dtype=np.int32)
         return csr_array((ones, (both[0], both[1])), shape=(self.bodies, self.bodies))
 
     def pieces(self, chosen: np.ndarray | None = None) -> np.ndarray:
-        """Label (bodies,) of the connected piece of each body, 0 that of the bottom plane. chosen : as of `graph`."""
+        """Return the label (bodies,) of the piece of each node; 0 is that of the first driven body.
+
+        chosen : (E,), mask of the edges that take part; default all.
+        """
         label: np.ndarray = connected_components(self.graph(chosen), directed=False)[1]
         return label
 
     @cached_property
     def component(self) -> np.ndarray:
-        """Label, shape N, of the connected piece of each sphere; 0 is the piece of the first driven body."""
+        """Label of the piece of each sphere, shape N; 0 is the piece of the first driven body."""
         return self.pieces()[self.body].reshape(self.shape)
 
     @property
     def components(self) -> int:
-        """Pieces that hold a slipless contact."""
+        """Number of pieces that have a slipless contact."""
         return len(np.unique(self.component[self.touched]))
 
     @property
     def spans(self) -> bool:
-        """True if slipless contacts join two driven bodies, of a lattice the bottom and the top plane."""
+        """Whether slipless contacts join two driven bodies; for a lattice the bottom and the top plane."""
         return bool(self.spanning.any())
 
     @cached_property
@@ -132,35 +144,40 @@ class SliplessNetwork:
         return np.asarray(several[self.component])
 
     def _share(self, chosen: np.ndarray) -> Any:
+        """Return the share of the free spheres that are in a mask, shape N; None without free spheres."""
         return float(chosen[self.free].mean()) if self.free.any() else None
 
     @property
     def reached_fraction(self) -> Any:
-        """Share of the free spheres that touch a slipless contact; None without any."""
+        """Share of the free spheres that have a slipless contact; None without free spheres."""
         return self._share(self.touched)
 
     @property
     def spanning_fraction(self) -> Any:
-        """Share of the free spheres that belong to pieces that join driven bodies; None without any."""
+        """Share of the free spheres that are in pieces which join driven bodies; None without free spheres."""
         return self._share(self.spanning)
 
     @property
     def disjoint_paths(self) -> Any:
-        """Number of paths between the two driven bodies that share no contact, as many as there are, and the fewest
-        contacts whose removal parts them (Menger); None with more or fewer bodies."""
+        """Largest number of paths between the two driven bodies that share no contact; None unless there are two.
+
+        It is also the smallest number of contacts whose removal separates the bodies (Menger's theorem).
+        """
         return int(maximum_flow(self.graph(), *self.held).flow_value) if len(self.held) == 2 else None
 
     def on_contacts(self, values: np.ndarray) -> np.ndarray:
-        """Values (E,) of the edges spread over all contacts, 0 elsewhere."""
+        """Return values (contacts,) of all contacts: those of the edges, (E,), and 0 elsewhere."""
         spread = np.zeros(self.slipless.shape, dtype=values.dtype)
         spread[self.slipless] = values
         return spread
 
     @cached_property
     def path(self) -> np.ndarray:
-        """Spheres (L,), as indices, along one of the shortest paths between driven bodies, of a lattice from bottom to
-        top; (0,) if there is none, or more than MOST_BODIES bodies. Of equally short ones the first that a
-        breadth-first search finds."""
+        """Indices (L,) of the spheres along one of the shortest paths between two driven bodies.
+
+        It leads from bottom to top on a lattice; among equally short paths it is the first that a breadth-first search
+        finds. It is empty if there is no path, or more than MOST_BODIES bodies.
+        """
         if not self.spans or len(self.held) > MOST_BODIES:
             return np.empty(0, dtype=int)
         graph, (start, stop) = self.graph(), self.held[[0, -1]]
@@ -175,20 +192,22 @@ class SliplessNetwork:
         return np.array([self._beside(inner[0], start), *inner, self._beside(inner[-1], stop)])
 
     def _beside(self, sphere: int, body: int) -> int:
-        """A sphere of a body to which this sphere has a link."""
+        """Return a sphere of a driven body that has an edge to a sphere. body : node of the body."""
         first, second = self.ends
         others = np.concatenate([second[first == sphere], first[second == sphere]])
         return int(others[self.body[others] == body][0])
 
     @property
     def shortest_path(self) -> np.ndarray:
-        """Of a lattice: positions (L, dimension) of these spheres."""
+        """(L, dimension), lattice positions of the spheres along `path`."""
         return self.places(self.path)
 
     @cached_property
     def on_path(self) -> np.ndarray:
-        """True (contacts,) for those of the shortest path; of two between the same spheres, in a ring of two, the first
-        is."""
+        """(contacts,) True for the contacts along `path`.
+
+        Two spheres in a ring of two have two contacts with each other, of which the first one is taken.
+        """
         place, path = np.full(len(self.body), -2), self.path
         place[path] = np.arange(len(path))
         low, high = place[self.ends]
@@ -198,38 +217,45 @@ class SliplessNetwork:
 
     @property
     def path_planes(self) -> Any:
-        """Number of lattice planes across each sideways axis that this path visits; None of a packing."""
+        """Number of lattice planes across each sideways axis that `path` visits; None for a packing."""
         if self.whole.lattice is None:
             return None
         return [len(np.unique(places)) for places in self.shortest_path.T[:-1]]
 
     def winding(self, axis: int) -> np.ndarray:
-        """Of a lattice: True, shape N, for spheres of pieces in which a closed way of slipless contacts goes around
-        this axis. No way leads along a driven plane, which would go around in any case."""
+        """Return True, shape N, for spheres of pieces with a closed path that goes around a periodic axis of a lattice.
+
+        axis : its number. Only slipless contacts make such paths; a driven plane, which would always go around, is not
+        one node here.
+        """
         over_the_side = (self.axis == axis) & (self.contact[:, axis] == self.shape[axis] - 1)
         return winding(len(self.body), self.ends, over_the_side.astype(int)).reshape(self.shape)
 
     def winds_around(self, axis: int, spanning: bool = False) -> bool | None:
-        """Whether slipless contacts, or those of the piece that joins the planes, go around this axis; None where it is
-        not a periodic one of a lattice."""
+        """Return whether slipless contacts form a closed path around an axis; None if it is no periodic lattice axis.
+
+        axis : its number. spanning : count only paths in pieces that join the planes.
+        """
         if self.whole.lattice is None or axis not in self.whole.lattice.periodic:
             return None
         return bool((self.winding(axis) & (self.spanning if spanning else True)).any())
 
 
 def winding(nodes: int, ends: np.ndarray, turns: np.ndarray) -> np.ndarray:
-    """True (nodes,) for those of pieces of a graph with a closed way along which the turns do not add up to 0.
+    """Return True (nodes,) for nodes in pieces of a graph with a closed path that goes around.
 
-    ends : (2, E) of the edges. turns : (E,) whole numbers, how often an edge goes around from its first end to the
-    second. A piece without such a way can be unrolled: its nodes have places whose differences are the turns.
+    nodes : their number. ends : (2, E), nodes of each edge. turns : (E,), whole numbers, how often an edge goes around
+    from its first end to the second. A closed path goes around if its turns do not add up to 0. A piece without such a
+    path can be unrolled: its nodes have whole numbers (places) whose differences are the turns of the edges.
     """
+    # edges that do not go around join nodes into parts of one place; the others join these parts (union-find)
     still = turns == 0
     pairs = (np.ones(still.sum()), tuple(ends[:, still]))
     pieces, piece = connected_components(coo_array(pairs, shape=(nodes, nodes)), directed=False)
     above, place, winds = list(range(pieces)), [0] * pieces, [False] * pieces
 
     def root_of(one: int) -> tuple[int, int]:
-        """Root of a piece in the tree of those that are joined already, and its place as that root has it."""
+        """Return the root of a part in the tree of parts that are joined already, and its place relative to that."""
         way = []
         while above[one] != one:
             way.append(one)

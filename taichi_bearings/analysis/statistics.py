@@ -9,7 +9,7 @@ Samples are independent draws. The interval of a mean, or of a ratio of means, d
 * fewer or more have the interval of normally distributed numbers: with few samples the bootstrap covers too little,
   with many the two agree.
 
-Measured in docs/figures.md.
+docs/figures.md has the measured coverage of these intervals.
 """
 
 import re

@@ -1,16 +1,19 @@
-"""The structure of one sample, of a lattice or a packing, part by part; a part is computed when it is first asked for.
+"""The structure of one sample, of a lattice or a packing: networks, domains, bottlenecks, and the flow of torque.
 
-All is said once of a network of contacts, whose spins a lattice measures from its bottom. Where a network has strides,
-these tell three things that are found by searches else: how high a sphere lies, what contacts along axes force to turn
-alike, and around how many loops torque can circulate.
+Each part is computed when it is first asked for. Lattices and packings are treated alike, as networks of contacts; a
+lattice has simpler ways to three results that packings need a search for: the height of a sphere, the rigid domains,
+and the number of loops around which torque can circulate.
 
-**Torque.** With signs s by which neighbours differ, s times what a contact pulls with at u = R omega is a current of
-each component, from one of its spheres to the other. No free sphere stores any of it; it enters at the one driven body
-and leaves at the other. Of a lattice the same torque T_k goes through every gap between two layers, so the driven
-planes spend the power sum_k T_k (Omega_top - Omega_bottom)_k. T_k is unique at the minimum if top and bottom differ in
-component k, and so is what the slipless contacts carry of it as a whole. The force of a single slipless contact is not,
-as long as there are loops of slipless contacts around which torque can circulate: states of self-stress, as in frames
-(Pellegrino and Calladine, Int. J. Solids Struct. 22, 1986). Then such forces are one admissible choice: the method's.
+**Torque.** Let s be signs by which neighbours differ. Then s times the force that a contact exerts on u = R omega is a
+current of each component, from one of its spheres to the other. No free sphere stores any of it; it enters at one
+driven body and leaves at the other. On a lattice the same torque T_k goes through every gap between two layers, so the
+driven planes spend the power sum_k T_k (Omega_top - Omega_bottom)_k. T_k is unique at the minimum if top and bottom
+differ in component k, and so is the part of it that all slipless contacts carry together. The force of a single
+slipless contact is not unique if there are loops of slipless contacts around which torque can circulate: *states of
+self-stress*, as in frames (Pellegrino and Calladine, Int. J. Solids Struct. 22, 1986). Then the forces are one
+admissible choice, which depends on the method.
+
+Shapes: N spheres (the shape of a lattice, else their number), E contacts, C components of a spin.
 """
 
 from collections.abc import Iterator
@@ -37,18 +40,21 @@ from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.stages import stage
 
 OF_THE_RUN = ("power", "lower_bound", "slipping", "slipless", "tied", "undecided", "minimum_is_unique")
-"""Numbers of the run itself that stand before those of the structure."""
+"""Results of the run itself, which come before those of the structure in `numbers`."""
 MAY_BE_ABSENT = ("planes_crossed", "winds_x", "winds_y", "spanning_winds_x", "spanning_winds_y", "mean_saturation")
-"""Numbers that are left out where they make no sense."""
+"""Results that are left out of `numbers` where they make no sense."""
 
 
 @dataclass(frozen=True)
 class TorqueFlow:
-    """total : (C,) torque that drives the top plane, or the second of two bodies, and holds the other; with fewer or
-    more bodies that of each, (bodies, C); force * length; signs of a sublattice are taken away.
-    power : that each body spends, (bodies,), energy/time; for certifying forces of the Coulomb law a lower bound.
-    slipless_share : of the power from the first of two bodies to the second what slipless contacts carry, None where
-    these are in no bearing states of their own; 0 without power.
+    """The torque that drives a sample, and the power that goes through its network.
+
+    total : (C,), torque that drives the top plane, or the second of two bodies, and holds the other one, force *
+    length; with fewer or more than two bodies that of each, (bodies, C). The signs of the sublattices are taken away.
+    power : (bodies,), power that each body spends, energy/time; from certifying forces of the Coulomb law it is a lower
+    bound.
+    slipless_share : fraction of the power between two bodies that slipless contacts carry; 0 without power, None where
+    the two bodies are not in bearing states.
     """
 
     total: np.ndarray
@@ -60,11 +66,12 @@ class TorqueFlow:
 class Structure:
     """A solved sample and what its contacts form.
 
-    answer : that of one sample, R = 1. spin : laboratory frame, of a lattice (*N) or (*N, 3), of a
-    packing (N,) or (N, 3), 1/time. slip, found : (E,), found the states of the answer. friction : on the second sphere
-    of each contact, laboratory frame, (E, 3), in 2D (E,). power_per_contact : (E,). power, lower_bound : energy/time.
-    threshold : slip speed, length/time, up to which contacts count as slipless, whatever is found; if None the states
-    found.
+    answer : the answer to this sample alone. spin : laboratory spins, 1/time; (*N) or (*N, 3) for a lattice, (N,) or
+    (N, 3) for a packing. slip : (E,), slip speeds, length/time. found : (E,), contact states of the answer. friction :
+    laboratory force on the second sphere of each contact, (E, 3), or (E,) in 2D. power_per_contact : (E,), energy/time.
+    power, lower_bound : energy/time.
+    threshold : slip speed, length/time, up to which contacts count as slipless, whatever the answer says; None to take
+    the states of the answer.
     """
 
     answer: Solution
@@ -79,22 +86,22 @@ class Structure:
 
     @cached_property
     def state(self) -> np.ndarray:
-        """(E,) contact states, by the threshold if there is one; contacts between driven spheres stay what they are."""
+        """(E,), contact states, by the threshold if there is one; contacts that take no part stay DRIVEN."""
         if self.threshold is None:
             return self.found
         return by_threshold(self.slip, self.found, self.threshold)
 
     def by_threshold(self, threshold: float) -> "Structure":
-        """The structure of the same sample if contacts count as slipless up to this slip speed, length/time."""
+        """Return the structure of this sample if contacts count as slipless up to a slip speed, length/time."""
         return replace(self, threshold=threshold)
 
     def contacts_in(self, which: ContactState) -> int:
-        """Number of contacts in a state."""
+        """Return the number of contacts in a state."""
         return int((self.state == which).sum())
 
     @property
     def movable(self) -> int:
-        """Contacts that can slip: all but absent ones and those between driven spheres."""
+        """Number of contacts that can slip: all but absent ones and those between driven spheres."""
         return len(self.state) - self.contacts_in(ContactState.DRIVEN)
 
     @cached_read_only
@@ -104,35 +111,35 @@ class Structure:
 
     @property
     def states_proven(self) -> bool:
-        """True if the state of every contact is proven to be that of every minimum."""
+        """Whether the state of every contact is proven to be that of every minimum."""
         return self.threshold is None and bool(self.answer.states_proven[0])
 
     @property
     def minimum_is_unique(self) -> bool | None:
-        """True if no other slips have the least power, False if others have, None if neither is proven."""
+        """Whether all minima have the same slips: True or False where that is proven, else None."""
         return self.answer.minimum_is_unique[0] if self.threshold is None else None
 
     @property
     def scene(self) -> Bearing:
-        """What was solved."""
+        """The lattice or packing that was solved."""
         return self.answer.scene
 
     @property
     def whole(self) -> Network:
-        """All spheres and contacts."""
+        """The network of all spheres and contacts."""
         return self.scene.network
 
     @property
     def fastest(self) -> float:
-        """The largest imposed R omega, length/time, of a lattice measured from its bottom."""
+        """The largest imposed R omega, length/time; for a lattice measured from its bottom plane."""
         return float(np.linalg.norm(self.scene.driven_speed, axis=1).max(initial=0.0))
 
     def shown_spin(self, spin: np.ndarray) -> np.ndarray:
-        """Spins (..., *N, 3) or (..., *N) as pictures show them, without what no contact feels.
+        """Return spins (..., *N, 3) or (..., *N) as pictures show them, without rotations that no contact resists.
 
-        No contact of a lattice feels by how much a whole layer turns about the height (up to the sign of the
-        sublattice), so a dynamics keeps whatever mean each layer began with. Where both planes have the same mean, free
-        layers get it too; else, in 2D, and without layers, the spins stay as they are.
+        No contact of a lattice resists a rotation of a whole layer about the height (with the signs of the
+        sublattices), so that a dynamics keeps whatever mean each layer began with. If both driven planes have the same
+        mean, free layers are shown with it too. Otherwise, in 2D, and in packings, the spins stay as they are.
         """
         lattice = self.whole.lattice
         if lattice is None or lattice.dimension == 2:
@@ -148,25 +155,26 @@ class Structure:
 
     @property
     def snapshots(self) -> np.ndarray:
-        """Spins (S, ...) of a dynamics that kept some."""
+        """Spins (S, ...) at the S snapshots of a dynamics; asked for only where there are some."""
         assert self.answer.snapshots is not None
         return np.asarray(self.answer.snapshots.spin[:, 0])
 
     def slips_of(self, spin: np.ndarray) -> np.ndarray:
-        """Slip speeds (E,) with other spins."""
+        """Return the slip speeds (E,), length/time, of other spins."""
         return self.whole.slips(self.speeds(spin))
 
     def speeds(self, spin: np.ndarray) -> np.ndarray:
-        """R omega (N, C) of spins in the shape that they have; length/time."""
+        """Return R omega (N, C), length/time, of spins that have the shape of `spin`."""
         return np.asarray(spin.reshape(self.whole.spheres, -1) * self.whole.radius[:, None])
 
     @cached_property
     def network(self) -> SliplessNetwork:
+        """The network of the slipless contacts."""
         return SliplessNetwork(self.whole, self.slipless)
 
     @cached_property
     def bottlenecks(self) -> Bottlenecks | None:
-        """Contacts that paths between bodies cannot avoid; None with fewer than two, or more than MOST_BODIES."""
+        """Contacts that carry most paths between driven bodies; None with fewer than two, or more than MOST_BODIES."""
         return Bottlenecks(self.network) if 2 <= len(self.network.held) <= MOST_BODIES else None
 
     @cached_property
@@ -177,20 +185,24 @@ class Structure:
 
     @cached_read_only
     def signs(self) -> tuple[np.ndarray, np.ndarray]:
-        """(N,) True in parts with odd loops, and the signs by which neighbours differ in others."""
+        """Mask (N,) of spheres in parts with odd loops, and signs (N,) by which neighbours differ in other parts."""
         return self.whole.sublattices
 
     @cached_read_only
     def states(self) -> np.ndarray | None:
-        """s u (2, N, C) of all spheres if they turned with the first or with the second of two driven bodies,
-        length/time; None where these are in no bearing states."""
+        """(2, N, C), s R omega of all spheres if they rotated with the first, or with the second, of two driven bodies.
+
+        Length/time. None where these bodies are not in bearing states.
+        """
         found = bearing_states(self.scene)
         return None if found is None else found[1]
 
     @cached_read_only
     def turned(self) -> np.ndarray:
-        """s R omega (N, C), length/time, with signs s by which neighbours differ; in parts with odd loops, where each
-        sphere has neighbours of its own sign, that of its first component is taken away."""
+        """(N, C), s R omega, length/time, with signs s by which neighbours differ.
+
+        Parts with odd loops have no such signs; there the first component that is not 0 is made positive.
+        """
         odd, sign = self.signs
         u = sign[:, None] * self.speeds(self.spin)
         first = np.argmax(np.abs(u) > SAME_STATE * np.abs(u).max(initial=0.0), axis=1)
@@ -198,8 +210,11 @@ class Structure:
 
     @cached_property
     def rigid_domains(self) -> RigidDomains:
-        """Spheres that turn as one, but for the signs of their sublattice: what contacts along the axes of a lattice
-        force to do so; without strides spheres of one connected piece of slipless contacts that turn as fast."""
+        """The rigid domains: spheres with the same spin, up to the signs of the sublattices.
+
+        On a lattice they are the spheres whose spins slipless contacts force to be equal. In a packing they are the
+        spheres of one connected piece of slipless contacts that have the same s R omega.
+        """
         with stage("finding rigid domains"):
             if self.whole.lattice is not None:
                 axes = self.scene.minimum_spin_axes
@@ -209,11 +224,11 @@ class Structure:
 
     @cached_read_only
     def domain(self) -> np.ndarray:
-        """N, label of the rigid domain of each sphere, the largest first."""
+        """Label of the rigid domain of each sphere, shape N; 0 is the largest one."""
         return self.rigid_domains.domain
 
     def _slipping_components(self, near: float) -> tuple[int, ...]:
-        """Components in which some contact slips; all where none does."""
+        """Return the components in which some contact slips by more than `near`, length/time; all if none does."""
         acts = self.state != ContactState.DRIVEN
         both, normal = self.speeds(self.spin)[self.whole.contact[:, acts]].sum(axis=0), self.whole.normal[acts]
         if self.whole.dimension == 3:
@@ -223,8 +238,11 @@ class Structure:
 
     @cached_read_only
     def height(self) -> np.ndarray:
-        """(N,) 0 on the first body and 1 on the last one: the layer of a lattice; without layers the mean of that of
-        the neighbours, and 0 where these two bodies do not reach."""
+        """(N,), height of each sphere: 0 on the first driven body and 1 on the last one.
+
+        On a lattice it is the number of the layer over that of the top. In a packing the height of a free sphere is the
+        mean of those of its neighbours; it is 0 in parts that are not joined to either body.
+        """
         if self.whole.lattice is not None:
             *_, layer = np.indices(self.whole.lattice.shape)
             return np.asarray(layer.ravel() / layer.max())
@@ -242,7 +260,10 @@ class Structure:
 
     @cached_property
     def torque_flow(self) -> TorqueFlow:
-        """What drives the bodies, and how it goes through the network: layers are those of `height`."""
+        """The torque on the driven bodies, the power they spend, and the share that slipless contacts carry.
+
+        That share is taken over the differences of `height` across the contacts.
+        """
         whole, imposed, (odd, sign) = self.whole, self.scene.driven_speed, self.signs
         first, second = whole.contact
         friction, sign = self.friction, np.where(odd, 1, sign)
@@ -264,8 +285,10 @@ class Structure:
 
     @property
     def mean_saturation(self) -> float | None:
-        """Mean share of their friction limit that slipless contacts bear: not-a-number where there are none, None
-        without a limit of friction."""
+        """Mean ratio of friction to friction limit of the slipless contacts.
+
+        It is not-a-number if there are none, and None for laws other than Coulomb friction.
+        """
         if not self.scene.law.is_rate_independent:
             return None
         limit, size = self.scene.material[0][0], vector_length(np.atleast_2d(self.friction.T))
@@ -274,7 +297,7 @@ class Structure:
 
     @cached_property
     def self_stress(self) -> int | None:
-        """States of self-stress: how far the forces of slipless contacts are left open; None if rounding hides it."""
+        """Number of states of self-stress, by which slipless forces are not unique; None if rounding hides it."""
         with stage("counting states of self-stress"):
             chosen, axes = np.flatnonzero(self.slipless), self.rigid_domains.spin_axes
             if self.whole.lattice is not None:
@@ -284,23 +307,24 @@ class Structure:
 
     @cached_property
     def numbers(self) -> dict[str, Any]:
-        """As `bearings analyse --json` has them, for JSON. Those that are not finite, or of which there are none,
-        are None."""
+        """All results by name, as `bearings analyse --json` writes them; None for numbers that are not finite."""
         states = {which.name.lower(): self.contacts_in(which) for which in ContactState}
-        told = {name: states[name] if name in states else getattr(self, name) for name in OF_THE_RUN}
+        of_run = {name: states[name] if name in states else getattr(self, name) for name in OF_THE_RUN}
         found = {row.name: row.of(self) for row in self._rows()}
-        return told | {n: plain(v) for n, v in found.items() if v is not None or n not in MAY_BE_ABSENT}
+        return of_run | {n: plain(v) for n, v in found.items() if v is not None or n not in MAY_BE_ABSENT}
 
     def _rows(self) -> Iterator[Quantity]:
+        """Yield the quantities that this sample has: all but bottlenecks where there are none."""
         for section, rows in STRUCTURE.items():
             if section != "bottlenecks" or self.bottlenecks is not None:
                 yield from rows
 
 
 def structure_of(answer: Solution, number: int = 0, threshold: float | None = None) -> Structure:
-    """The structure of one sample of an answer, ready to be looked at.
+    """Return the structure of one sample of an answer.
 
-    number : of the sample. threshold : as of :class:`Structure`.
+    number : of the sample. threshold : slip speed, length/time, up to which contacts count as slipless; None for the
+    states of the answer.
     """
     one = answer.sample(number)
     power, lower_bound = float(one.power[0]), float(one.lower_bound[0])
@@ -309,12 +333,13 @@ def structure_of(answer: Solution, number: int = 0, threshold: float | None = No
 
 
 def self_stress(network: SliplessNetwork, spin_axes: tuple[int, ...]) -> np.ndarray:
-    """(C,) states of self-stress of a lattice: independent loops of slipless contacts around which a component can
-    circulate.
+    """Return the number (C,) of states of self-stress of a lattice, for each spin component.
 
-    With the forces of slipping contacts and the total torque of each component given, balance is one equation for each
-    body of a connected piece, one of them a consequence of the others, and one unknown for each slipless contact. So
-    the sum is the number of free parameters of the forces while nothing is at its limit of friction.
+    network : of the slipless contacts. spin_axes : numbers of the C components. These states are the independent loops
+    of slipless contacts around which torque of a component can circulate. Let the forces of slipping contacts and the
+    total torque be given. Then each connected piece has one unknown for each slipless contact, and one equation of
+    balance for each node, one of which follows from the others. So the sum over the components is the number of free
+    parameters of the forces while no slipless contact is at its friction limit.
     """
     states = []
     for component in spin_axes:

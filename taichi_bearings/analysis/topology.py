@@ -1,5 +1,8 @@
-"""What a network of contacts is before anything is solved: its loops, its loose parts, and the spins at which nothing
-slips."""
+"""The topology of a network of contacts, before anything is solved: its parts, its odd loops, its slipless motions.
+
+A *slipless motion* is a set of spins, not all 0, at which no contact slips. Letters: N spheres, n contacts that are
+looked at.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,21 +16,25 @@ from taichi_bearings.numerics.motions import MOST_UNKNOWNS
 from taichi_bearings.scene.bearing import Bearing
 from taichi_bearings.scene.network import Network
 
-MOST_LOOPS = 20_000  # spheres in parts with odd loops up to which the smallest one is looked for
-CHUNK = 256
-DENSE_UNKNOWNS = 600  # up to which the rank is found by singular values
-RANK = 1e-9  # of the largest singular value
+MOST_LOOPS = 20_000  # spheres in parts with odd loops up to which the smallest odd loop is searched for
+CHUNK = 256  # searches that are made at a time
+DENSE_UNKNOWNS = 600  # unknowns up to which a rank is found by singular values
+RANK = 1e-9  # singular values below this fraction of the largest one count as 0
 
 
 @dataclass(frozen=True)
 class Topology:
-    """spheres, contacts, driven, bodies : numbers. parts : connected ones. floating : parts with no driven sphere, and
-    rattlers : spheres without contact; free_dangling : free spheres with one contact.
+    """The numbers that describe the topology of a network.
 
-    bipartite : True if no loop is odd: neighbours can turn against each other everywhere. smallest_odd_loop : its
-    contacts; None if there is none or if it was not looked for.
-    free_motions, all_motions : number of slipless motions of the free spheres with the driven at rest, and of all
-    spheres; None where the network is too large, or rounding leaves it open. decided_by : how, in words.
+    spheres, contacts, driven, bodies : numbers of spheres, contacts, driven spheres and driven bodies.
+    parts : connected parts. floating : parts of several spheres with no driven one. rattlers : free spheres without
+    contact. free_dangling : free spheres with one contact.
+    bipartite : no loop has an odd number of contacts, so that all neighbours can rotate against each other.
+    smallest_odd_loop : number of contacts in the smallest odd loop; None if there is none, or if the network is too
+    large to search.
+    free_motions, all_motions : number of independent slipless motions of the free spheres with the driven ones at rest,
+    and of all spheres; None where the network is too large, or where rounding leaves the number open.
+    decided_by : how the number of motions was found, in words.
     """
 
     spheres: int
@@ -46,7 +53,7 @@ class Topology:
 
 
 def topology_of(bearing: Bearing) -> Topology:
-    """What the contacts of a bearing alone say of it; its coefficients play no part."""
+    """Return the topology of a bearing, which depends on its contacts alone and not on their coefficients."""
     network = bearing.network
     count, held = network.spheres, ~network.free
     label = pieces(count, *network.contact)
@@ -65,18 +72,23 @@ def topology_of(bearing: Bearing) -> Topology:
 
 
 def smallest_odd_loop(network: Network) -> int | None:
-    """Contacts of the smallest odd loop: the shortest way in the double cover from a sphere to its other copy."""
+    """Return the number of contacts in the smallest odd loop; None if there is none or the network is too large.
+
+    An odd loop through a sphere is a path in the double cover from the sphere to its other copy. The double cover has
+    two copies of each sphere, and each contact joins opposite copies.
+    """
     count, inside = network.spheres, network.sublattices[0]
     if not inside.any():
         return None
     one = sparse.csr_array((np.ones(network.contacts, dtype=np.int8), tuple(network.contact)), shape=(count, count))
     both = ((one + one.T) > 0).astype(np.int64)
-    if (both @ both).multiply(both).nnz:
+    if (both @ both).multiply(both).nnz:  # two neighbours of a sphere touch: a triangle
         return 3
     starts = np.flatnonzero(inside)
     if len(starts) > MOST_LOOPS:
         return None
     cover = sparse.csr_array(sparse.block_array([[None, both], [both, None]]), dtype=np.float64)
+    # some odd loop gives a first limit on the length of the searches
     first, best = int(starts[0]), 2.0 * count + 1
     _, before = breadth_first_order(cover, first)
     here, best = first + count, 0.0
@@ -90,14 +102,20 @@ def smallest_odd_loop(network: Network) -> int | None:
 
 
 def slipless_number(network: Network, free: np.ndarray) -> tuple[int | None, str]:
-    """Number of slipless motions of the spheres that are `free`, (N,), the others at rest; and how it was found."""
+    """Return the number of independent slipless motions, and in words how it was found.
+
+    free : (N,), mask of the spheres that may rotate; the others are at rest.
+    """
     contact = np.flatnonzero(free[network.contact].any(axis=0))
     return _motions(network, free, contact, range(network.components))[1:]
 
 
 def self_stress_of(network: Network, contact: np.ndarray, components: Sequence[int]) -> int | None:
-    """How many independent forces of these contacts, (n,) numbers, are in balance on all free spheres, in these
-    components of the spins; None where rounding leaves it open."""
+    """Return the number of states of self-stress: independent contact forces in balance on all free spheres.
+
+    contact : (n,), numbers of the contacts that bear forces. components : spin components in which the torques are
+    balanced. None where rounding leaves the number open.
+    """
     free = np.zeros(network.spheres, dtype=bool)
     free[network.contact[:, contact]] = True
     free &= network.free
@@ -109,8 +127,12 @@ def self_stress_of(network: Network, contact: np.ndarray, components: Sequence[i
 def _motions(
     network: Network, free: np.ndarray, contact: np.ndarray, components: Sequence[int]
 ) -> tuple[sparse.csr_array, int | None, str]:
-    """Slips of contacts by spins of `free` spheres, (N,), in these components, the slipless motions, how they were
-    found."""
+    """Return the operator from spins to slips, the number of slipless motions (or None), and how it was found.
+
+    free : (N,), mask of the spheres that may rotate. contact : (n,), numbers of the contacts. components : numbers of
+    the spin components that may be other than 0.
+    """
+    # the motions are the kernel of the operator: by singular values if it is small, else by sparse elimination
     moved = np.full((network.spheres, network.components), -1)
     unknowns = int(free.sum()) * len(components)
     moved[np.ix_(free, np.array(components))] = np.arange(unknowns).reshape(-1, len(components))
