@@ -85,12 +85,14 @@ def solve_packings(
 
 def _blocks(settings: RunSettings, scene: Bearing) -> Iterator[tuple[int, int]]:
     """First and one beyond the last number of the replicas that are solved together."""
-    together = (
-        minimises(settings) and settings.torque is None and scene.network.spheres < InteriorPoint.alike_in_a_block
-    )
-    size = BLOCK_REPLICAS if together else 1
+    size = BLOCK_REPLICAS if are_solved_together(settings, scene.network.spheres) else 1
     for begin in range(0, scene.replicas, size):
         yield begin, min(begin + size, scene.replicas)
+
+
+def are_solved_together(settings: RunSettings, spheres: int) -> bool:
+    """Return True if samples of a packing of so many spheres are solved side by side, with the bits of each alone."""
+    return minimises(settings) and settings.torque is None and spheres < InteriorPoint.alike_in_a_block
 
 
 def minimises(settings: RunSettings) -> bool:
@@ -121,12 +123,18 @@ def refuse_packing(settings: RunSettings, has_seeds: bool) -> None:
         )
 
 
-def packing_of(settings: RunSettings, found: Mapping[str, Any] | None = None) -> Packing:
-    """The packing that the settings describe, a sample a replica: the arrays of the file, and of the settings what that
-    lacks, drawn from seeds; or lattices with other driven bodies than planes. found : the arrays of the file by name,
-    where they are read already."""
+def packing_of(
+    settings: RunSettings, found: Mapping[str, Any] | None = None, seeds: Sequence[int] | None = None
+) -> Packing:
+    """Return the packing that the settings describe: the arrays of the file, and of the settings what that lacks, drawn
+    from seeds; or lattices with other driven bodies than planes.
+
+    found : the arrays of the file by name, where they are read already.
+    seeds : a sample each, of settings that are those of each of them alone; None for a sample a replica.
+    """
+    seeds = settings.seeds if seeds is None else seeds
     if settings.packing is None:
-        return Packing.together([_lattice(replace(settings, seed=seed)) for seed in settings.seeds])
+        return Packing.together([_lattice(replace(settings, seed=seed)) for seed in seeds])
     found = Packing.read(settings.packing, settings.contacts) if found is None else found
     _refuse_twice(settings, found)
     if settings.has_table:
@@ -148,7 +156,7 @@ def packing_of(settings: RunSettings, found: Mapping[str, Any] | None = None) ->
     return Packing.together(
         [
             Packing(**{**others, "seed": seed, **{n: v[number] if axes[n] == 1 else v for n, v in found.items()}})
-            for number, seed in enumerate(settings.seeds)
+            for number, seed in enumerate(seeds)
         ]
     )
 

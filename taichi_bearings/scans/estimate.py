@@ -11,17 +11,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from taichi_bearings.runs.cost import OBLIQUE_BYTES, PROCESS_BYTES, bytes_of_lattice
+from taichi_bearings.runs.cost import MOST_TOGETHER, OBLIQUE_BYTES, OBLIQUE_FACTOR, PROCESS_BYTES, bytes_of_lattice
 from taichi_bearings.runs.run import row_of
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scans.engine import Record, Unit
 from taichi_bearings.scans.plan import Sample, groups_of, spheres_of
-from taichi_bearings.solvers.table import JUDGED_SECONDS
+from taichi_bearings.solvers.table import JUDGED_SECONDS, InteriorPoint
 
 WORKER_START = 1.0  # seconds to start a worker, its imports included
 OVERHEAD = 5e-4  # seconds to summarise a sample and write it down
 UNIT_SECONDS = 1.0  # estimated work that is sent to a worker at a time
 BLOCK_SAMPLES = 24  # samples of a unit for the interior point, which steps eight at once: others follow those done
+BLOCK_SECONDS = 30.0  # estimated work of a unit of packings, which a kill can lose
+BESIDE_BYTES = 10e3  # a sphere, of each other sample of a packing that is solved beside one
 MOST_IN_A_UNIT = 256  # samples
 MOST_SITES_IN_A_UNIT = 200_000  # spheres of all its samples
 KIND_KEYS = (
@@ -53,7 +55,8 @@ def bytes_of(settings: RunSettings) -> float:
     """Return the memory of a worker that solves such samples."""
     sites = spheres_of(settings)
     if settings.is_packing:
-        return PROCESS_BYTES + OBLIQUE_BYTES * sites
+        beside = min(_packings_together(settings), MOST_TOGETHER) - 1
+        return PROCESS_BYTES + (OBLIQUE_BYTES + BESIDE_BYTES * beside) * sites
     periodic = ["xyz".index(name) for name in settings.periodic]
     together = max(1, min(MOST_IN_A_UNIT, MOST_SITES_IN_A_UNIT // sites))
     return bytes_of_lattice(row_of(settings), settings.shape, periodic, together)
@@ -75,7 +78,9 @@ def units_of(samples: Sequence[Sample], structure: bool = False, workers: int = 
     for group in groups_of(samples):
         settings = group[0].settings
         number = int(UNIT_SECONDS / seconds_of(settings, structure))
-        if not settings.is_packing and spheres_of(settings) < row_of(settings).alike_in_a_block:
+        if settings.is_packing:
+            number = _packings_together(settings)
+        elif spheres_of(settings) < row_of(settings).alike_in_a_block:
             number = max(number, BLOCK_SAMPLES)
         number = max(1, min(number, MOST_IN_A_UNIT, MOST_SITES_IN_A_UNIT // spheres_of(settings)))
         rounds = math.ceil(len(group) / (number * workers))
@@ -83,6 +88,17 @@ def units_of(samples: Sequence[Sample], structure: bool = False, workers: int = 
         units += [tuple(group[start : start + number]) for start in range(0, len(group), number)]
     first = {kind_of(unit[0].settings): unit for unit in reversed(units)}
     return sorted(units, key=lambda unit: first[kind_of(unit[0].settings)] is not unit)
+
+
+def _packings_together(settings: RunSettings) -> int:
+    """Return how many samples of a packing are sent to a worker at a time: a block, or what takes BLOCK_SECONDS."""
+    from taichi_bearings.runs.packing_run import BLOCK_REPLICAS, are_solved_together  # and with it SciPy
+
+    spheres = spheres_of(settings)
+    if not are_solved_together(settings, spheres):
+        return 1
+    alike = InteriorPoint.seconds((spheres, 1, 1), settings.tolerance) or 0.0
+    return min(BLOCK_REPLICAS, int(BLOCK_SECONDS / (OBLIQUE_FACTOR * alike)))
 
 
 def seconds_in_all(samples: Sequence[Sample], workers: int, structure: bool = False) -> float:

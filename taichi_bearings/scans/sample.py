@@ -21,7 +21,7 @@ from taichi_bearings.runs.run import Job, prepare, row_of
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.runs.writing import self_contained, write_state
 from taichi_bearings.scans.engine import LocalEngine, failure, run_samples
-from taichi_bearings.scans.plan import Sample, files_of, groups_of, sample_key
+from taichi_bearings.scans.plan import Sample, files_of, groups_of, sample_key, spheres_of
 from taichi_bearings.scene import Bearing
 
 STATES = "states"  # folder of the full states
@@ -60,13 +60,16 @@ def solve_samples(samples: Sequence[Sample], analyse: bool = False, states: Path
 
 
 def _blocks(samples: Sequence[Sample]) -> Iterator[list[Sample]]:
-    """Yield samples that can be solved as one block of replicas: their seeds are consecutive, and nothing else
-    differs.
+    """Yield samples that can be solved as one block of replicas: nothing but their seeds differs, and those of lattices
+    are consecutive.
     """
     for group in groups_of(samples):
         settings = group[0].settings
+        if settings.is_packing:
+            yield from [group] if _are_alike_packings(group) else [[sample] for sample in group]
+            continue
         ends_early = settings.time_limit is not None or getattr(settings, "settle", None) is False
-        alone = settings.coefficients is not None or settings.is_packing or ends_early
+        alone = settings.coefficients is not None or ends_early
         is_alike = len(group) > 1 and not alone and math.prod(settings.shape) < row_of(settings).alike_in_a_block
         block: list[Sample] = []
         for sample in sorted(group, key=lambda sample: sample.settings.seed):
@@ -77,18 +80,47 @@ def _blocks(samples: Sequence[Sample]) -> Iterator[list[Sample]]:
         yield block
 
 
+def _are_alike_packings(group: Sequence[Sample]) -> bool:
+    """Return True if several samples of a packing that differ in their seeds have the same bits beside each other.
+
+    Files of one start or of one set of coefficients say nothing of other seeds, and what cannot be read is left to each
+    sample to say.
+    """
+    from taichi_bearings.runs.packing_run import are_solved_together  # and with it SciPy
+
+    settings = group[0].settings
+    if len(group) == 1 or not {name for name, _ in files_of(settings)} <= {"packing", "contacts"}:
+        return False
+    try:
+        return are_solved_together(settings, spheres_of(settings))
+    except BearingsError:
+        return False
+
+
+def _job_of(block: Sequence[Sample]) -> Job:
+    """Return what solves a block. Of packings each sample is what it is alone; their file is read once."""
+    first = block[0].settings
+    settings = replace(first, threads=first.threads or 1)
+    if not first.is_packing or len(block) == 1:
+        return prepare(replace(settings, replicas=len(block)), strict=False)
+    from taichi_bearings.runs.packing_run import fitting, packing_of
+
+    settings = fitting(settings, strict=False)
+    packing = packing_of(settings, seeds=[sample.settings.seed for sample in block])
+    return Job(replace(settings, replicas=len(block)), packing, None)
+
+
 def _solve_block(block: Sequence[Sample], analyse: bool, states: Path | None) -> list[dict[str, Any]]:
-    """Return the records of a block; the block of a packing is one sample."""
+    """Return the records of a block of samples."""
     first = block[0].settings
     files = [file for _, file in files_of(first)]
     if files and sample_key(first) != block[0].key:
         raise InputError(f"{' or '.join(files)} has changed since the scan began; the same scan again would do it anew")
-    settings = replace(first, replicas=len(block), threads=first.threads or 1)
-    found = prepare(settings, strict=False).solve()
+    found = _job_of(block).solve()
     if found.interrupted:
         raise Interrupted
     runs = [found.sample(number) for number in range(len(block))]
-    if not settings.is_packing:
+    if not first.is_packing:
         runs = [replace(run, asked=sample.settings) for run, sample in zip(runs, block, strict=True)]
     for sample, run in zip(block, runs, strict=True):
         if states is not None:

@@ -219,7 +219,8 @@ class Solution:
         rounding of the normals, or why there is no bound; `driven_power`, energy/time, the power of contacts between
         driven spheres; and `slipless_motions`, the number of motions without slip of the free spheres that contacts
         connect to driven ones, None if undecided.
-    own : `iterations`, `slip_threshold`, `status` and `seconds` of each replica alone, (R,), where these are known.
+    own : `iterations`, `slip_threshold`, `status` and `seconds` of each replica alone, (R,), where these are known; and
+        `method` if several methods solved the replicas.
     snapshots : spins of a dynamics at the times that were asked for.
     interrupted : True if Ctrl-C or SIGTERM came, even if too late to change the answer.
     running : device, precision and threads with which it was computed.
@@ -343,7 +344,8 @@ class Solution:
         arrays = [item.name for item in fields(first) if isinstance(getattr(first, item.name), np.ndarray)]
         changes: dict[str, Any] = {n: np.concatenate([getattr(one, n) for one in ones]) for n in arrays}
         ended, seconds = [one.status for one in ones], [one.seconds for one in ones]
-        iterations = np.array([one.iterations for one in ones])
+        iterations, methods = np.array([one.iterations for one in ones]), [one.method for one in ones]
+        differing = {"method": np.array(methods, dtype=object)} if len(set(methods)) > 1 else {}
         columns = stacked([{n: v.reshape(len(v)) for n, v in one.history.items()} for one in ones])
         kept = [one.snapshots for one in ones]
         ways = stacked([{} if s is None else {"time": s.time, "spin": s.spin[:, 0]} for s in kept])
@@ -354,7 +356,8 @@ class Solution:
             iterations=int(iterations.max()),
             status=next((status for status in ended if not status.reached), first.status),
             seconds=sum(seconds),
-            own={"iterations": iterations, "status": np.array(ended, dtype=object), "seconds": np.array(seconds)},
+            own={"iterations": iterations, "status": np.array(ended, dtype=object), "seconds": np.array(seconds)}
+            | differing,
             history={name: values.T for name, values in columns.items()},
             findings={
                 name: np.concatenate([one.findings[name] for one in ones])

@@ -20,6 +20,12 @@ def with_absent_contacts(seed):
     return tb.Packing(**packing.arrays() | {"friction": friction})
 
 
+def with_none_that_holds(seed):
+    """Packings of which every second has no friction at all, so that another method solves it."""
+    packing = tb.Packing.lattice("bcc", (3, 3, 3), seed=seed)
+    return tb.Packing(**packing.arrays() | {"friction": packing.friction * (seed % 2)})
+
+
 @pytest.mark.parametrize(
     "draw",
     [
@@ -29,8 +35,9 @@ def with_absent_contacts(seed):
         lambda seed: tb.Packing.lattice("fcc", (2, 2, 3), seed=seed, law="coulomb-viscous"),
         lambda seed: tb.Packing.lattice("diamond", (2, 2, 2), seed=seed, law="viscous"),
         with_absent_contacts,
+        with_none_that_holds,
     ],
-    ids=["bcc", "cubic", "triangular", "both", "viscous", "absent"],
+    ids=["bcc", "cubic", "triangular", "both", "viscous", "absent", "none"],
 )
 def test_a_sample_has_the_same_bits_alone_and_beside_others(draw, monkeypatch):
     packings = [draw(seed) for seed in range(3)]
