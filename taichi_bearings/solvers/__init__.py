@@ -1,4 +1,4 @@
-"""Methods that reach the state of least dissipation, and the one loop that drives them."""
+"""Methods that find the state of least dissipation, and the loop that runs them."""
 
 from taichi_bearings.solvers.table import (
     METHODS,

@@ -51,6 +51,10 @@ class CundallStrackMethod(Swept, SpringDynamics):
     books_before: tuple[np.ndarray, ...] | None = None  # work, injected, power and pull of contacts before that step
 
     def begin(self, scene: Bearing, spin: np.ndarray) -> None:
+        """Prepare the dynamics: choose the time step, and load spins, derivatives and inertias.
+
+        Raises InputError for a `time_step` that is not stable. spin : laboratory spins to start from, 1/time.
+        """
         super().begin(scene, spin)
         scene = self.scene
         options, beside, replicas = self.options, scene.viscosity_beside_friction, scene.replicas
@@ -58,7 +62,7 @@ class CundallStrackMethod(Swept, SpringDynamics):
         self.contacts.use(self.needed(), None if beside is None else scene.slip_radius * beside)
         bound = largest_step(options, scene.law.holds, *self.contacts.fastest_modes(self.inertia))
         self.unit_inertia = self.contacts.unit_inertia(self.inertia)
-        self.stability_bound = bound if np.isfinite(bound) else 1.0  # where nothing acts any step is right
+        self.stability_bound = bound if np.isfinite(bound) else 1.0  # without contacts any step is stable
         if (options.time_step or 0.0) > self.stability_bound:
             given, most = options.time_step, self.stability_bound
             raise InputError(f"time_step is {given:g}; this scene is stable only up to {most:.6g}")
@@ -149,6 +153,7 @@ class CundallStrackMethod(Swept, SpringDynamics):
         return [name for name in self.fields.names if name not in CONSTANT]
 
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
+        """Continue from a checkpoint; raise InputError if it has another time step."""
         if float(state["time_step"]) != self.time_step:
             raise InputError(
                 f"time_step is {self.time_step!r}, but the run to be resumed has {float(state['time_step'])!r}; "
@@ -220,12 +225,18 @@ class CundallStrackMethod(Swept, SpringDynamics):
         return self.scene.impose_driving(self.fields.read("gear_0"), self.spin_axes)
 
     def motion(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the staggered spins (C, R, *N), the contact forces and the elongations (C, R, E) now."""
         staggered = self.spins()
         force = self.contacts.read_forces("force") if self.iteration else self.damping_force(staggered)
         stretch = self.contacts.read_forces("elongation") if self.scene.law.holds else np.zeros_like(force)
         return staggered, force, stretch
 
     def findings(self, last: Progress) -> dict[str, np.ndarray]:
+        """Return the elastic share and, for lattices, the error of the time step and a step that is accurate.
+
+        last : the state at the end. The error is that of the spins, relative to the largest one, estimated from the
+        modes of sticking contacts (gear.py); (R,) each.
+        """
         if self.scene.network.lattice is None:  # whose modes are not known
             return super().findings(last)
         scene = of_lattice(self.scene)

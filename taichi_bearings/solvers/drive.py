@@ -73,6 +73,8 @@ class Checkpoints:
         arrays = dict(self.resume or {})
 
         def of(begin: str) -> Checkpoints:
+            """Return the checkpoints of the sample whose arrays have names that begin with `begin`."""
+
             def write(state: Mapping[str, np.ndarray]) -> None:
                 arrays.update({begin + name: values for name, values in state.items()})
                 self.write(arrays)
@@ -271,6 +273,10 @@ class Course:
         checkpoints: Checkpoints | None,
         interrupt: Interrupt,
     ) -> None:
+        """Begin at the start, or where a checkpoint leaves off; raise FileError if that does not fit the method.
+
+        method : one that has begun. stop, recording, checkpoints : as of :func:`solve`. interrupt : hears Ctrl-C.
+        """
         self.scene, self.method, self.stop, self.recording = method.scene, method, stop, recording
         self.checkpoints, self.interrupt = checkpoints, interrupt
         self.best, self.recorder = _Best(method), Recorder(method.scene, recording)
@@ -424,6 +430,7 @@ class _Best:
     """
 
     def __init__(self, method: Method) -> None:
+        """Begin without any state. method : whose states will be compared."""
         self.scene, self.method, self.keeps_best = method.scene, method, not isinstance(method, Dynamics)
         self.progress: Progress
         self.proof: Forces = np.zeros(0)  # none yet

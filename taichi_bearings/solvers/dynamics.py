@@ -151,6 +151,7 @@ class Dynamics(Method):
         return bool((relative_gap(self.scene, found.objective, found.lower_bound) <= self.rest_gap).all())
 
     def advance(self, steps: int) -> None:
+        """Make `steps` steps, or fewer if one cannot be made."""
         with one_thread():  # fronts are shared among threads here, not inside the library
             for _ in range(steps):
                 self._step()
@@ -234,6 +235,7 @@ class SpringDynamics(Dynamics):
         return {"elastic_share": vector_length(self.motion()[2]).max(axis=1) / slid} if slid > 0 else {}
 
     def progress(self) -> Progress:
+        """Return the state now with its bounds, energies and slipping contacts, and whether it is at rest."""
         scene, stiffness = self.scene, self.options.stiffness
         staggered, force, stretch = self.motion()
         springs = force

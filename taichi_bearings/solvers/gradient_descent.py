@@ -56,6 +56,10 @@ class GradientDescentMethod(Swept):
         self.momentum = options.momentum
 
     def begin(self, scene: Bearing, spin: np.ndarray) -> None:
+        """Prepare the descent: load the start and the metric, and compile the kernels.
+
+        spin : laboratory spins to start from, 1/time; they are clipped to the box.
+        """
         super().begin(scene, spin)
         scene, contacts = self.scene, self.contacts
         beside = scene.viscosity_beside_friction  # in units of the coefficients:
@@ -116,6 +120,7 @@ class GradientDescentMethod(Swept):
             self.fields.load(name, staggered)
 
     def _begin_epoch(self, length: int) -> None:
+        """Begin an epoch of `length` iterations with empty averages."""
         self.epoch_start, self.epoch_length, self.averaged = self.iteration, length, 0
         if self.averages:
             self.fields.clear("spin_sum")
@@ -150,6 +155,7 @@ class GradientDescentMethod(Swept):
         return fields | numbers | {"last_smooth": self.last_smooth} | self.contacts.state()
 
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
+        """Continue from what `state` returned in an earlier call."""
         for name in self._changing:
             self.fields.load(name, state[name])
         for name in self.numbers_kept:
@@ -168,6 +174,10 @@ class GradientDescentMethod(Swept):
         return (self.width / 2 if self.momentum else self.step_length), 1.0 / self.width
 
     def progress(self) -> Progress:
+        """Return the state now, or the average of the epoch, with its bounds; then steer the next sweeps.
+
+        With momentum that is `_steer`; without, an epoch that has ended is followed by one of twice the length.
+        """
         scene = self.scene
         if self.averaged:
             staggered = scene.impose_driving(self.fields.read("spin_sum") / self.averaged, self.spin_axes)

@@ -106,6 +106,10 @@ class InteriorPointMethod(Descent, Method):
         self.options = options
 
     def begin(self, scene: Bearing, spin: np.ndarray) -> None:
+        """Prepare the path: build the contact system and its matrix, and put all samples at their starts.
+
+        spin : laboratory spins to start from, 1/time; they are clipped to the interval between the driven spins.
+        """
         Method.begin(self, scene, spin)
         scene = self.scene
         top, self.unit = scene.driving.top_in_units(self.spin_axes), float(scene.driving.unit[0][0])
@@ -172,6 +176,7 @@ class InteriorPointMethod(Descent, Method):
         return found
 
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
+        """Continue from what `state` returned in an earlier call."""
         for number, sample in enumerate(self.samples):
             points: list[Any] = [
                 {name: np.array(state[f"{number}/{place}/{name}"]) for name in OF_A_POINT}
@@ -195,6 +200,10 @@ class InteriorPointMethod(Descent, Method):
         return iteration + (2 if far else 1)
 
     def progress(self) -> Progress:
+        """Return the state of all samples: the settled one where there is one, else the point on the path.
+
+        Slips and states come from the path itself, as they are more precise than those of the rounded spins.
+        """
         scene = self.scene
         (staggered, rest), speed = self._spins(), scene.lattice.radius * self.unit
         state, slip = all_slipless(scene), np.zeros(scene.coefficient.shape)

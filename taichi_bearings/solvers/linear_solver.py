@@ -40,6 +40,10 @@ class LinearSolverMethod(Method):
     scene: Scene
 
     def begin(self, scene: Bearing, spin: np.ndarray) -> None:
+        """Prepare to solve: split the planes of each spin component into bundles.
+
+        spin : laboratory spins, 1/time, which give those of the driven planes.
+        """
         super().begin(scene, spin)
         scene = self.scene
         self.spin = scene.clip_to_box(scene.staggered_spin(spin, self.spin_axes), self.spin_axes)
@@ -58,6 +62,7 @@ class LinearSolverMethod(Method):
         return iteration + -(-len(self.bundles) // MOST_CHECKS)
 
     def advance(self, steps: int) -> None:
+        """Solve the next `steps` bundles."""
         with one_thread():
             for slot, planes in self.bundles[self.iteration : self.iteration + steps]:
                 self._solve(slot, planes)
@@ -100,6 +105,7 @@ class LinearSolverMethod(Method):
         spins[planes], rests[planes] = spin, rest
 
     def progress(self) -> Progress:
+        """Return spins, forces and bounds now; the method is exhausted when all bundles are solved."""
         scene = self.scene
         staggered = scene.clip_to_box(self.spin, self.spin_axes)
         difference = self.differences(self.spin) + self.differences(self.rest)

@@ -47,6 +47,10 @@ class OnLists(Contacts):
     points, forces = ("point",), ("force",)
 
     def __init__(self, bearing: Bearing, spin: np.ndarray) -> None:
+        """Take a packing of one sample, and find out whether it has a state without slip.
+
+        bearing : the packing. spin : laboratory spins to start from, 1/time.
+        """
         packing = of_packing(bearing)
         self.spin_axes = packing.minimum_spin_axes
         with one_thread():
@@ -60,6 +64,7 @@ class OnLists(Contacts):
         return self.scene.network.tangents
 
     def specified(self, spheres: dict[str, int], contacts: list[str]) -> ListSpec:
+        """Return the fields of spheres and those of contacts, each as pairs of name and count; as of `Contacts`."""
         tangents, _, components = self.across.shape
         counts: dict[str, int] = {"force": components, "coefficient": 1, "viscosity": 1, "work": 1}
         counts["across"] = 6 if components == 3 else 0
@@ -67,6 +72,7 @@ class OnLists(Contacts):
         return tuple(spheres.items()), tuple((name, counts.get(name, int(tangents))) for name in names)
 
     def use(self, spec: Any, viscosity: np.ndarray | None) -> None:
+        """Allocate the fields of `spec`, and load tangents and coefficients; as of `Contacts`."""
         network = self.scene.network
         self._numbers = np.zeros(COPY_NUMBERS)
         self.lists = Lists.of(network.spheres, network.contact.T)
@@ -147,6 +153,11 @@ class OnLists(Contacts):
             return np.array([self.bounds.again(force)])
 
     def judged(self, staggered: np.ndarray, force: Forces, proof: Forces | None, **more: Any) -> Progress:
+        """Return the progress of spins and forces; arguments as of `Contacts`.
+
+        The bound that costs a factorisation is computed only if the iterations have grown by a factor `look_again`
+        since the last one.
+        """
         scene, bounds, axes = self.scene, self.bounds, self.spin_axes
         objective = scene.objective(staggered, axes)
         whole = not bounds.looked < more["iteration"] < self.look_again * bounds.looked

@@ -50,6 +50,7 @@ class OnStrides(Contacts):
         return Fields(Layout(self.scene.replicas, lattice.shape, block_size(), lattice.periodic), spec)
 
     def use(self, spec: Any, viscosity: np.ndarray | None) -> None:
+        """Allocate the fields of `spec`, and load the coefficients; as of `Contacts`."""
         self.spec, self.fields = spec, self.on_device(spec)
         layout = self.fields.layout
         self.stencil = self.stencil_of(layout.block)
@@ -64,6 +65,7 @@ class OnStrides(Contacts):
         self.fields.load("force", self.stencil.forces_at_lower_sphere(force, self.fields.layout))
 
     def springs(self, corrector: tuple[float, ...]) -> "tuple[Team, Sweeps]":
+        """Return the threads and the kernels for the dynamics of Cundall and Strack; as of `Contacts`."""
         from taichi_bearings.kernels.cundall_strack import CundallStrackSteps  # methods without sweeps need no Taichi
         from taichi_bearings.kernels.team import Team, made_once
 
@@ -71,6 +73,10 @@ class OnStrides(Contacts):
         return team, made_once(CundallStrackSteps, self.spec, self.stencil, corrector)
 
     def descents(self) -> "tuple[Team, Sweeps]":
+        """Return the threads and the kernels for gradient descent; as of `Contacts`.
+
+        Raises InputError for a law whose force is not known on the device.
+        """
         from taichi_bearings.kernels.contact import FORCES
         from taichi_bearings.kernels.descent import DescentSweeps
         from taichi_bearings.kernels.team import Team, made_once
@@ -123,6 +129,7 @@ class OnStrides(Contacts):
         return lower_bound(self.scene, force, self.spin_axes)
 
     def judged(self, staggered: np.ndarray, force: Forces, proof: Forces | None, **more: Any) -> Progress:
+        """Return the progress of spins and forces, with the bounds of the certificate; arguments as of `Contacts`."""
         scene, axes = self.scene, self.spin_axes
         return Progress(
             staggered=staggered,

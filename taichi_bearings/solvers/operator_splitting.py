@@ -88,6 +88,10 @@ class OperatorSplittingMethod(Method):
     changing = ("trial", "spring", "potential", "pull")  # fields that iterations and looks change
 
     def begin(self, scene: Bearing, spin: np.ndarray) -> None:
+        """Prepare the iteration: allocate the fields, build the Poisson solver, compile, and load the start.
+
+        Raises an error if the memory does not suffice. spin : laboratory spins to start from, 1/time.
+        """
         super().begin(scene, spin)
         scene = self.scene
         dimension, components = scene.lattice.dimension, len(self.spin_axes)
@@ -145,6 +149,7 @@ class OperatorSplittingMethod(Method):
         return iteration + max(FIRST_CHECK, iteration // CHECKS_A_RUN)
 
     def advance(self, steps: int) -> None:
+        """Make `steps` iterations: a pass over the contacts, then a Poisson solve."""
         with self.balance.begin():
             for _ in range(steps):
                 look_up()
@@ -264,6 +269,10 @@ class TorqueBalance:
     """
 
     def __init__(self, spec: FieldSpec, stencil: Stencil, weights: tuple[float, ...], fields: Fields) -> None:
+        """Compute the factors of all chains, and share the planes among the threads.
+
+        spec, fields : names and sizes of the fields, and their numbers. stencil : constants of the kernels.
+        """
         self.fields, self.kernels, self.weight = fields, made_once(BalanceKernels, spec, stencil), weights[0]
         shape, layout = fields.layout.shape, fields.layout
         self.products = min(np.dtype(PRODUCT_TYPE), fields.dtype, key=lambda kind: kind.itemsize)

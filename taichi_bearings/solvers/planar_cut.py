@@ -32,6 +32,10 @@ class PlanarCutMethod(Method):
     scene: Scene
 
     def begin(self, scene: Bearing, spin: np.ndarray) -> None:
+        """Prepare to cut: find the imposed jump of each plane.
+
+        spin : laboratory spins, 1/time, which stay until the cut is made.
+        """
         super().begin(scene, spin)
         scene = self.scene
         (self.component,) = self.spin_axes
@@ -85,6 +89,7 @@ class PlanarCutMethod(Method):
         states[where] = np.where(tied, ContactState.TIED, np.where(cut, ContactState.SLIPPING, states[where]))
 
     def progress(self) -> Progress:
+        """Return spins, friction and states, which are the minimum once the grids are cut."""
         scene, axes, cut = self.scene, self.spin_axes, self.iteration > 0
         unique = self.tied.sum(axis=1) == 0
         findings = {

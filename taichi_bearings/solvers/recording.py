@@ -64,6 +64,7 @@ class Recorder:
     """The history and the snapshots of a run, as they grow."""
 
     def __init__(self, scene: Bearing, recording: Recording) -> None:
+        """Begin with an empty record. recording : the simulated times that are asked for."""
         self._scene, self.recording = scene, recording
         self._columns: dict[str, list] = {}
         self._snapshot_times: list[float] = []

@@ -52,6 +52,10 @@ class RigidLimitMethod(Dynamics):
     rest_gap = 1e-9
 
     def begin(self, scene: Bearing, spin: np.ndarray) -> None:
+        """Prepare the dynamics: set up the steps, choose the first length, and begin the energy balance.
+
+        spin : laboratory spins to start from, 1/time.
+        """
         super().begin(scene, spin)
         scene, self.contacts.look_again = self.scene, 1.0
         self.staggered = scene.staggered_spin(spin, self.spin_axes)
@@ -89,7 +93,7 @@ class RigidLimitMethod(Dynamics):
         """The time in which a typical contact alone stops a sphere from the largest spin."""
         scene, fastest = self.scene, self.scene.slip_radius * self.largest
         if not scene.network.has_free_end.any():
-            return 1.0  # no contact acts on a free sphere, and any step is right
+            return 1.0  # no contact acts on a free sphere, and any step is exact
 
         def mean(coefficient: np.ndarray) -> float:
             """Return the mean coefficient of the contacts with a free sphere."""
@@ -192,6 +196,7 @@ class RigidLimitMethod(Dynamics):
             self._prepare()
 
     def progress(self) -> Progress:
+        """Return the state now with its bounds and energies, whether it is at rest, and whether it is stuck."""
         scene = self.scene
         found = self.judged(
             self.staggered.copy(),

@@ -55,13 +55,13 @@ def _descends(law: Law) -> bool:
     return law.is_sum or (law.flows and not law.holds and type(law).steepest is not Law.steepest)
 
 
-# bytes a sphere of a lattice of 2 or 3 dimensions while its answer is judged: enclosures (16 or 24 bytes a number) of
-# the slips, forces and moments of 2 or 3 contacts a sphere, beside the answer; the peak that tracemalloc shows
+# bytes for each sphere of a lattice of 2 or 3 dimensions while its answer is judged: the answer, and enclosures (16 or
+# 24 bytes a number) of the slips, forces and moments of 2 or 3 contacts a sphere; the peak that tracemalloc shows
 JUDGED_BYTES = {2: 1180.0, 3: 1750.0}
-# seconds a sphere of a lattice to judge its answer, write it, and seal it with checksums
+# seconds for each sphere of a lattice to judge its answer, write it, and seal it with checksums
 JUDGED_SECONDS = {2: 5e-6, 3: 1.5e-5}
-# bytes a sphere of a method that factorises, beside the numbers of the factor: some 20 rows of the contacts along the
-# path, the pattern of the factor and its tables
+# bytes for each sphere in a method that factorises, in addition to the numbers of the factor: some 20 rows of the
+# contacts along the path, the pattern of the factor and its tables
 FACTORISING_BYTES = {2: 2800.0, 3: 5500.0}
 
 
@@ -188,6 +188,7 @@ class PlanarCut(MethodOptions):
 
     @classmethod
     def refusal(cls, scene: "Scene") -> str:
+        """Return why the method cannot solve this scene, such as imposed spins about two axes; empty if it can."""
         if reason := super().refusal(scene):
             return reason
         if len(scene.minimum_spin_axes) == 1:

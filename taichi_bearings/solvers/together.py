@@ -34,6 +34,7 @@ class Together:
     """
 
     def __init__(self, methods: Sequence[Method]) -> None:
+        """Join the fields of the methods if their samples have the same contacts and they step by sweeps."""
         self.going = list(methods)
         self.joined = [
             method for method in methods if isinstance(method, Swept) and isinstance(method.contacts, OnLists)
