@@ -78,6 +78,7 @@ class Bottlenecks:
         network, through = self.network, np.zeros(self.network.ends.shape[1], dtype=bool)
         if not network.spans:
             return through
+        # links of pieces that span, and links from each body to a node outside, form biconnected blocks
         with stage("finding the backbone"):
             in_piece = network.spanning.ravel()[network.ends[0]]
             low, high = network.body[network.ends[:, in_piece]]
@@ -191,6 +192,7 @@ def _between(
         place = np.concatenate([level.sphere for level in levels])
         sphere += np.bincount(place, weights=np.concatenate(arrived), minlength=sites)
         distance += sum(n * is_target[level.sphere].sum() for n, level in enumerate(levels))
+    # with a random sample of the sources the loads are scaled up to all of them
     scale = len(starts) / max(1, len(drawn))
     mean = float(scale * distance) / max(1, pairs)
     return Betweenness(scale * link, scale * sphere, pairs, mean, is_exact=len(drawn) == len(starts))

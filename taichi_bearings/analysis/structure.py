@@ -246,6 +246,7 @@ class Structure:
         if self.whole.lattice is not None:
             *_, layer = np.indices(self.whole.lattice.shape)
             return np.asarray(layer.ravel() / layer.max())
+        # harmonic function on the graph of free spheres and bodies: 0 on the first body, 1 on the last one
         node = self.network.body
         ends, size = node[self.whole.contact[:, self.scene.acting]], int(node.max()) + 1
         ones = np.ones(ends.shape[1])
@@ -269,14 +270,17 @@ class Structure:
         friction, sign = self.friction, np.where(odd, 1, sign)
         pull = friction[:, None] if whole.dimension == 2 else np.cross(whole.normal, friction)
         pull = np.where((self.state != ContactState.DRIVEN)[:, None], pull, 0.0)
+        # force on u = R omega of each sphere, summed over its contacts
         drive, held = np.zeros(imposed.shape), np.flatnonzero(~whole.free)
         for end in (first, second):
             np.add.at(drive, end, pull)
+        # torque on each body without the signs of the sublattices, and power that it spends
         bodies, body = np.unique(whole.body[held], return_inverse=True)
         total, spent = np.zeros((len(bodies), pull.shape[1])), (drive * imposed).sum(axis=1)
         np.add.at(total, body, (sign * whole.radius)[held, None] * drive[held])
         power, share = np.bincount(body, spent[held], len(bodies)), None
         if self.states is not None:
+            # power carried by each contact: its current, times the fraction of the height, times the jump of the states
             drop = sign[first] * (self.height[first] - self.height[second])
             carried = (pull * drop[:, None] * (self.states[1] - self.states[0])[first]).sum(axis=1)
             share = float(carried[self.slipless].sum() / carried.sum()) if carried.sum() else 0.0

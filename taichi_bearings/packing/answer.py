@@ -158,7 +158,7 @@ def _found(
     able = ["planar-cut"] * exact + ["interior-point" if law.holds else "linear-solver"]
     if method not in ("auto", *able):
         raise InputError(f"method is {shown(method)}, but this packing is solved by {' or '.join(able)}")
-    if not system.unknowns or not system.offset.any():
+    if not system.unknowns or not system.offset.any():  # nothing is driven: all at rest
         still = Found(np.zeros(system.unknowns), np.zeros_like(system.offset), "linear-solver")
         return [still for _ in samples]
     if exact and method != "interior-point":
@@ -168,6 +168,7 @@ def _found(
 
     found: dict[int, Found] = {}
     ways: dict[int, Strengths] = {}
+    # units in which spins and forces are about 1; contacts without friction need a linear system alone
     fastest = float(np.abs(system.offset).max())
     speed = float(np.exp2(np.round(np.log2(fastest))))  # dividing by it rounds nothing
     for number, of in enumerate(resisting or [system.of_contacts(sample) for sample in samples]):
@@ -298,6 +299,7 @@ def tied(system: ContactSystem, force: np.ndarray, state: np.ndarray) -> np.ndar
     have the same slips.
     """
     d, count = force.shape
+    # rows of the operator whose kernel has the changes of spins between minima
     size = np.linalg.norm(force, axis=0)
     along = force / np.where(size > 0, size, 1.0)
     found = np.zeros(count, dtype=bool)
@@ -316,6 +318,7 @@ def tied(system: ContactSystem, force: np.ndarray, state: np.ndarray) -> np.ndar
     if motions.number > MOST_TIES:
         found[slipping] = True
         return found
+    # a contact is tied if some motion of the kernel changes its slip along its force
     basis = motions.basis()
     moved = sum(np.abs(along[t, :, None] * (system.operator[t * count : (t + 1) * count] @ basis)) for t in range(d))
     found[slipping] = (moved > MOVED * np.abs(basis).max()).any(axis=1)[slipping]

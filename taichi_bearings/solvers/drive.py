@@ -322,7 +322,7 @@ class Course:
             yield from self._launches(self.target - iteration)
             on_the_way = method.resumes and method.iteration < self.target
             if on_the_way:
-                self._write(looked=False)  # before anything is looked at that an undisturbed run would not look at
+                self._write(looked=False)  # before this look, which a run that was not interrupted would not make
             progress = method.progress()
             iteration = progress.iteration
             best.take(progress)

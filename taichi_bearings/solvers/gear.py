@@ -51,6 +51,7 @@ def amplification(corrector: tuple[float, ...], decay: np.ndarray, oscillation: 
     the scaled derivatives 0 ... q of the spin, the stretch of the spring (in units of radius * time step), and the last
     corrector error.
     """
+    # Taylor series one step on (Pascal's triangle); then the corrector adds its coefficients times the error
     values = len(corrector)
     decay, oscillation = np.broadcast_arrays(np.asarray(decay, float), np.asarray(oscillation, float))
     pascal = np.array([[comb(n, k) for n in range(values)] for k in range(values)], dtype=float)

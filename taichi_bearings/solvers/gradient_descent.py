@@ -204,7 +204,8 @@ class GradientDescentMethod(Swept):
         staggered : spins (C, R, *N) now. objective, bound : (R,), what is minimised, and its best lower bound.
         """
         shorten, smooth, scene = False, objective, self.scene
-        if scene.law.holds:  # the smooth objective is less by at most width / 2 a contact and unit of force
+        # the regularised objective is less than the true one, by at most radius * width / 2 times friction a contact
+        if scene.law.holds:
             size = np.minimum(vector_length(self.differences(staggered)), self.width)
             error = scene.slip_radius * (size - size**2 / (2 * self.width))
             smooth = objective - (scene.strength * scene.acting_coefficient * error).sum(axis=1)

@@ -175,15 +175,17 @@ class OperatorSplittingMethod(Method):
             self._step_contacts(0.0)
             self.balance.solve()
         potential = self.fields.read("potential")
+        # upper bound: the power of the spins rho Omega / rho
         staggered = scene.impose_driving(potential / self._by_replica(self.stiffness), axes)
         trial = self.stencil.forces_of_contacts(self.fields.read("trial"), self.layout)
         friction = capped(trial, saturation(scene, trial))
         slips = scene.slips(staggered, axes)
         power = scene.law.power(scene.material, slips).sum(axis=1)
+        # lower bound: the spring forces are balanced, and are scaled or capped into the friction limits
         balanced = self._spring_force(potential, trial, friction)
         work, bound = work_and_bound(scene, balanced, axes)
         change = self._steered(power, work, bound)
-        if (change != 1).any():  # of rho z and rho Omega; spins and friction f stay
+        if (change != 1).any():  # rho z and rho Omega are scaled; spins and friction f stay
             self.stiffness = change * self.stiffness
             self.fields.load("potential", self._by_replica(change) * potential)
             limited = self._limited(trial)
@@ -276,20 +278,22 @@ class TorqueBalance:
         self.fields, self.kernels, self.weight = fields, made_once(BalanceKernels, spec, stencil), weights[0]
         shape, layout = fields.layout.shape, fields.layout
         self.products = min(np.dtype(PRODUCT_TYPE), fields.dtype, key=lambda kind: kind.itemsize)
+        # modes and eigenvalues of the chain of free spheres along the height; driven spheres have 0
         modes, held = chain_modes(shape[-1] - 2, is_held=True), np.zeros(shape[-1])
         held[1:-1] = weights[-1] * chain_eigenvalues(shape[-1] - 2, is_held=True)
         sides = [shape[axis] for axis in stencil.coupled_sides]
         numbers = (chain_factors, ring_closures)[: 2 if stencil.periodic else 1]
+        # factors of the chain along the other axis of each spin component, for each mode; rings have a second row
         chains = np.zeros((len(numbers), len(sides), max(sides), shape[-1]))
         for kind, number in enumerate(numbers):
             for slot, side in enumerate(sides):
                 chains[kind, slot, :side, 1:-1] = number(side, held[1:-1], self.weight)
-        padded = np.arange(shape[-1] + layout.block)  # rows go on from their begin for a block
+        padded = np.arange(shape[-1] + layout.block)  # each row is continued by its beginning, for one block
         self.chains = self._numbers(np.take(chains, padded, axis=-1, mode="wrap").ravel())
         self.modes = self._numbers(np.zeros(len(sides) * layout.sites + layout.block))
         self.measures = self.kernels.measures(layout, max(sides))
         on_gpu = runtime.current().is_gpu
-        # on a CPU 0 for driven spheres: rows that are whole are worth more than the products that are not needed
+        # on a CPU driven spheres have sines 0: products of whole rows are faster than shorter ones
         self.sines = self._numbers(modes if on_gpu else np.pad(modes, 1))
         self.workers = team_size(layout, stencil.components)
         self.each: Callable[..., Iterable[None]] = ThreadPoolExecutor(self.workers).map if self.workers > 1 else map

@@ -117,12 +117,14 @@ class RigidLimitMethod(Dynamics):
             duration = self.aim - self.time if aimed else length
             step = self._tried(duration)
             error = self._error(step, duration) / self.options.error_tolerance
+            # a rejected step is repeated at half its length at most
             if chosen or duration <= least or (step.solved and error <= ACCEPTED_ERROR):
                 break
             factor = STEP_SAFETY / error if step.solved else MOST_SHRINKAGE
             length = max(least, duration * max(MOST_SHRINKAGE, min(factor, 0.5)))
         self.length = length
         self._take(step, duration, self.aim if aimed else self.time + duration)
+        # the error is proportional to the square of the step, which gives the length of the next one
         factor = min(MOST_GROWTH, STEP_SAFETY / np.sqrt(max(error, 1e-30)))
         if not chosen and (not aimed or factor < 1):
             self.length = min(max(duration * factor, least), most)
