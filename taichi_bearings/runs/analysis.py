@@ -1,5 +1,7 @@
-"""The structure of all samples of an answer, in numbers and arrays, whether it lies in a file (`bearings analyse`) or
-not."""
+"""The structure of all samples of an answer, in numbers and arrays: what `bearings analyse` prints and writes.
+
+The structure of a sample is what its contacts form: its slipless network, rigid domains, minimum cut and bottlenecks.
+"""
 
 import time
 from collections.abc import Mapping, Sequence
@@ -28,8 +30,9 @@ if TYPE_CHECKING:
 
 
 FILL = {"b": 0, "i": -1, "u": 255, "f": np.nan}
-"""What pads arrays of samples that have not the same length, by kind of number."""
+"""Numbers that fill up shorter arrays where samples are stacked, by NumPy's letter for the kind of number."""
 TOLD_OF_RUN = ("status", "method", "law", "shape", "spheres", "contacts", "seed", "spin_top", "spin_bottom", "version")
+"""Numbers and words of the run that the report of an analysis repeats."""
 
 
 class Analysis:
@@ -91,6 +94,7 @@ class Analysis:
         }
 
     def __getattr__(self, name: str) -> Any:
+        """Return a row of the report, or an attribute of the structure of the sample that is shown."""
         known = self.__dict__.get("report", {})
         if name in known:
             return known[name]
@@ -107,7 +111,7 @@ class Analysis:
         return f"<Analysis of {sized(self.report)} {self.report['law']}: {words}>"
 
     def _repr_html_(self) -> str:
-        """For notebooks: the numbers of a sample, or some of each of several."""
+        """Return a table for notebooks: all numbers of a single sample, or some numbers of each of several."""
         if len(self.arrays) == 1:
             return html_table(repr(self), self.report.items())
         names = ("seed", "power", "power_over_cut", "slipless_fraction", "spans", "domains")
@@ -121,7 +125,25 @@ class Analysis:
         return [*FIGURES]
 
     def plot(self, kind: str, page: "Page | None" = None) -> "Figure":
-        """One of `figures`, as a matplotlib Figure. page : how it is printed."""
+        """Draw a figure of the sample that is shown.
+
+        Parameters
+        ----------
+        kind : str
+            One of `figures`.
+        page : taichi_bearings.plots.page.Page, optional
+            How it is printed: width, planes and view.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            The figure.
+
+        Raises
+        ------
+        InputError
+            For another kind.
+        """
         from taichi_bearings.plots.page import PAGE
         from taichi_bearings.runs.figures import FIGURES
 
@@ -139,9 +161,13 @@ def analyse(
 ) -> dict[str, Any]:
     """Analyse every sample of a stored run, write /analysis and the figures, and return the report.
 
-    path : a run directory or its run.h5. out : folder for analysis.h5 and the figures; default: into the run itself,
-    where an earlier analysis is replaced. replica : the sample that is drawn alone. threshold : as of
-    :class:`Analysis`. title : whether words stand above the figures.
+    path : a run directory or its run.h5.
+    out : folder for analysis.h5 and the figures. Default: the run itself, where an earlier analysis is replaced.
+    force : replace files that stand in `out`.
+    replica : number of the sample that the figures show.
+    threshold : slip speed, length/time, up to which contacts count as slipless. Default: the contact states of the run.
+    figures : whether figures are drawn. title : whether they have words above them.
+
     Raises InputError or FileError before anything is computed.
     """
     from taichi_bearings.plots.page import Page
@@ -167,13 +193,17 @@ def analyse(
 def write_analysis(
     path: Path, samples: Sequence[Mapping[str, Finding]], attributes: Mapping[str, Any], into_run: bool
 ) -> None:
-    """Write the findings of all samples into the run file `path`, or into a new file that holds nothing else.
+    """Write the findings of all samples as the group /analysis of a file.
 
-    With several samples every array has a leading replica axis, padded where their lengths differ. Attributes that are
-    no numbers, texts or lists of these are left out.
+    path : the file. samples : arrays of each sample, by name. attributes : numbers and words, by name; those that are
+    dictionaries, or lists of lists or dictionaries, are left out.
+    into_run : True if the file is a run.h5 to which the group is added; False to write a file with the group alone.
+
+    With several samples every array has a leading axis of samples, filled up where their lengths differ.
     """
 
     def fill(group: h5py.Group) -> None:
+        """Write everything into the group."""
         listed = {key: value if isinstance(value, list) else [value] for key, value in attributes.items()}
         nested = {key for key, parts in listed.items() if any(isinstance(part, (dict, list)) for part in parts)}
         put_attributes(group, {key: value for key, value in attributes.items() if key not in nested})

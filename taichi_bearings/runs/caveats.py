@@ -1,6 +1,7 @@
-"""Warnings: where an answer could be misread, a sentence with a number says so; none where there is nothing to say.
+"""Warnings: sentences, each with a number, that say where an answer could be misread.
 
-They are `warnings` in the summary of a run, and lines on stderr.
+They are `warnings` in the summary of a run, and lines on stderr. Each function here takes an answer and the settings of
+its run, and yields the sentences on one matter; it yields none where there is nothing to warn of.
 """
 
 from collections.abc import Callable, Iterator
@@ -21,10 +22,10 @@ from taichi_bearings.scene.scene import of_lattice
 from taichi_bearings.solvers.gear import ACCURATE_ERROR
 from taichi_bearings.words import counted
 
-DECADE = 10.0  # slips closer than that to what is resolved, or to those of the other kind, are named
-STRETCHED_SHARE = 1e-2  # of the distance that the planes have slid past each other, that springs may take up
-ROUNDED_SLIP = 1e-10  # of the fastest imposed surface, up to which a slip may be none but for rounding
-UNFINISHED = {
+DECADE = 10.0  # ratio below which slipping contacts are named as too close to slipless ones, or to what is resolved
+STRETCHED_SHARE = 1e-2  # springs may be stretched by this part of the distance that the planes slid past each other
+ROUNDED_SLIP = 1e-10  # slips up to this part of the fastest imposed surface speed may be rounding
+UNFINISHED = {  # words for why a run ended early
     Status.STEP_LIMIT: "the limit of iterations came",
     Status.TIME_LIMIT: "the time limit came",
     Status.INTERRUPTED: "it was interrupted",
@@ -33,7 +34,7 @@ UNFINISHED = {
 
 
 def caveats(solution: Solution, settings: RunSettings) -> list[str]:
-    """All that is to be said of an answer, (R,) samples together."""
+    """Return all warnings about an answer, each for all of its samples together."""
     of_packings = (_without_power, _too_wide, _not_proven, _untouched, _tied)
     is_lattice = solution.scene.network.lattice is not None
     of_kind = (_torque_between, *(CAVEATS if is_lattice else of_packings))
@@ -41,7 +42,7 @@ def caveats(solution: Solution, settings: RunSettings) -> list[str]:
 
 
 def _torque_between(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """That a torque lies between what is proven to be held and what is proven not to be."""
+    """Warn that the torque lies between what friction is proven to hold and what it is proven not to hold."""
     found = solution.findings
     if settings.torque is None or "yields" not in found:
         return
@@ -55,7 +56,7 @@ def _torque_between(solution: Solution, settings: RunSettings) -> Iterator[str]:
 
 
 def _not_proven(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Of packings, why a lower bound is not one of the least power."""
+    """Say of a packing why its lower bound is not proven for the least power, or only in part."""
     several = solution.scene.replicas > 1
     for seed, proof in zip(solution.scene.seeds, solution.findings["proof"], strict=True):
         if proof != "proven":
@@ -63,7 +64,7 @@ def _not_proven(solution: Solution, settings: RunSettings) -> Iterator[str]:
 
 
 def _untouched(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Of packings, contacts that were found out of places, spheres that have none, and contacts that bear nothing."""
+    """Say how many contacts of a packing were found from its centres, and how many have no normal force."""
     network, pressing = solution.scene.network, solution.scene.sample(0).normal_force
     if settings.has_table and settings.contacts is None:
         from taichi_bearings.scene.readers.found import TOLERANCE, told
@@ -77,7 +78,7 @@ def _untouched(solution: Solution, settings: RunSettings) -> Iterator[str]:
 
 
 def _without_power(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Why no contact of a packing need slip."""
+    """Say why the least power of a packing is 0: no sphere is driven, or there are spins without any slip."""
     idle = np.full(solution.scene.replicas, not len(solution.scene.network.bodies))
     still = (solution.objective == 0) & (solution.gap == 0) & ~idle
     if idle.any():
@@ -87,7 +88,7 @@ def _without_power(solution: Solution, settings: RunSettings) -> Iterator[str]:
 
 
 def _too_wide(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Why a minimum of a packing is not certified."""
+    """Say why the minimum of a packing is not certified to the tolerance where the method got no closer."""
     short = ~(solution.gap <= settings.tolerance)
     if not short.any() or solution.status is not Status.STALLED:
         return
@@ -106,12 +107,12 @@ def _too_wide(solution: Solution, settings: RunSettings) -> Iterator[str]:
 
 
 def _in_samples(which: np.ndarray) -> str:
-    """Of several samples in how many."""
+    """Return words for the number of samples in the mask `which`, (R,); empty for a single sample."""
     return f" in {int(which.sum()):,} of {len(which):,} samples" if len(which) > 1 else ""
 
 
 def _law_of_ones_own(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """What a lower bound rests on where the law is not one of the program's."""
+    """Say which properties of a law of one's own its lower bounds assume."""
     if not solution.scene.law.is_sum:
         yield (
             f"what is proven rests on the law {solution.scene.law.name!r} as it was given: that its potential is "
@@ -121,7 +122,7 @@ def _law_of_ones_own(solution: Solution, settings: RunSettings) -> Iterator[str]
 
 
 def _powerless(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Why no contact need slip."""
+    """Say why the least power on a lattice is 0, where it is known beforehand."""
     scene = of_lattice(solution.scene)
     if scene.jump == 0:
         yield "the least power is 0: top and bottom are driven alike, so that all spheres turn in one bearing state"
@@ -138,7 +139,7 @@ def _powerless(solution: Solution, settings: RunSettings) -> Iterator[str]:
 
 
 def _unfinished(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """What remains where a run has ended too early."""
+    """Say why a run ended early, and with which gap, time or torque."""
     reason, history = UNFINISHED.get(solution.status), solution.history
     if reason is None:
         return
@@ -162,7 +163,7 @@ def _unfinished(solution: Solution, settings: RunSettings) -> Iterator[str]:
 
 
 def _undecided(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Contacts whose slip and friction disagree."""
+    """Count the contacts whose states are undecided, by reason."""
     number = int(count(solution.state, ContactState.UNDECIDED).sum())
     named = ~solution.proven & (solution.state != ContactState.UNDECIDED)
     uneven = too_uneven(solution) & ~named.any(axis=1)
@@ -182,12 +183,12 @@ def _undecided(solution: Solution, settings: RunSettings) -> Iterator[str]:
             "are at their friction limit, and move too slowly to be told from rest": number - held - passing,
             "slip now, and are not known to slip at every minimum": passing,
         }
-        told = "; ".join(f"{count:,} {words}" for words, count in kinds.items() if count)
-        yield f"{number:,} of {counted(all_contacts, 'contact')} undecided: {told}"
+        reasons = "; ".join(f"{count:,} {words}" for words, count in kinds.items() if count)
+        yield f"{number:,} of {counted(all_contacts, 'contact')} undecided: {reasons}"
 
 
 def _mingled(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Slips of the two kinds of contacts that are less than a decade apart, or less than one above what is resolved."""
+    """Warn of slipping contacts whose slip is less than a decade above what is resolved, or above slipless ones."""
     near = (solution.gap <= settings.tolerance) & ~solution.states_proven
     if not solution.scene.law.holds or not near.any():
         return
@@ -207,13 +208,14 @@ def _mingled(solution: Solution, settings: RunSettings) -> Iterator[str]:
 
 
 def _tied(solution: Solution, settings: RunSettings) -> Iterator[str]:
+    """Count the contacts that slip at some minima and not at others."""
     tied = int(count(solution.state, ContactState.TIED).sum())
     if tied:
         yield f"minima tie exactly: {counted(tied, 'contact')} slip at some of them and not at others"
 
 
 def _step(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """A time step that is too long to follow the course."""
+    """Warn of a time step that is too long for the accuracy of the spins on their way."""
     error, advised = (solution.findings.get(name) for name in ("step_error", "accurate_time_step"))
     if error is not None and error.max() > ACCURATE_ERROR:
         words = f"the time step makes spins wrong by about {error.max():.1e} of the largest one on their way"
@@ -222,7 +224,7 @@ def _step(solution: Solution, settings: RunSettings) -> Iterator[str]:
 
 
 def _springs(solution: Solution, settings: RunSettings) -> Iterator[str]:
-    """Springs that take up a part of the motion which rigid contacts would slip."""
+    """Warn of springs whose elongation is a noticeable part of the distance that the planes have slid."""
     share = solution.findings.get("elastic_share", np.zeros(1))
     largest = float(np.nanmax(share, initial=0.0))
     if largest > STRETCHED_SHARE:
@@ -236,3 +238,4 @@ def _springs(solution: Solution, settings: RunSettings) -> Iterator[str]:
 CAVEATS: tuple[Callable[[Solution, RunSettings], Iterator[str]], ...] = (
     _law_of_ones_own, _powerless, _unfinished, _undecided, _mingled, _tied, _step, _springs,
 )  # fmt: skip
+"""The warnings about answers on lattices, in their order."""

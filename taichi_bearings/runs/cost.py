@@ -1,7 +1,9 @@
-"""What a run costs, told before anything is solved: seconds of its solve, its proof and its files, and memory.
+"""Estimates of what a run costs, made before anything is solved: its time, with proof and files, and its memory.
 
-Seconds are those of one core of a common server, memory is the most that the process holds at a time, both good to a
-factor of two at most; docs/measurements.md holds them against measured ones.
+Seconds are those of one core of a common server; bytes are the most that the process holds at a time. Both may be wrong
+by a factor of two; docs/measurements.md compares them with measured ones.
+
+row : as an argument, the class of a method in solvers/table.py, such as `InteriorPoint`.
 """
 
 from collections.abc import Sequence
@@ -18,21 +20,25 @@ from taichi_bearings.scene.scene import of_lattice
 from taichi_bearings.solvers.table import JUDGED_SECONDS, InteriorPoint, MethodOptions
 from taichi_bearings.words import counted
 
-PROCESS_BYTES = 190e6  # of an interpreter with this package, SciPy and Taichi started
-PROCESS_SECONDS = 2.0  # to start it, and to draw the figures of a run
-MOST_TOGETHER = 8  # samples whose factors an interior point holds at a time
-# of packings a sphere: bytes of a minimum with contacts along the axes and others, bytes and seconds of a dynamics
+PROCESS_BYTES = 190e6  # memory of an interpreter in which this package, SciPy and Taichi are loaded
+PROCESS_SECONDS = 2.0  # time to start it, and to draw the figures of a run
+MOST_TOGETHER = 8  # number of samples whose matrix factors an interior point holds at a time
+# for each sphere of a packing: bytes of a minimum with normals along the axes, and with others; bytes and seconds a
+# step of a dynamics
 ALONG_BYTES, OBLIQUE_BYTES, STEPPED_BYTES, STEP_SECONDS = 15.5e3, 31e3, 6e3, 8e-8
-ALONG_FACTOR, OBLIQUE_FACTOR = 2.0, 11.0  # of the time of a lattice with as many spheres
+# time of a packing with normals along the axes, and with others, over that of a lattice with as many spheres
+ALONG_FACTOR, OBLIQUE_FACTOR = 2.0, 11.0
 
 
 @dataclass(frozen=True)
 class Cost:
-    """What a run takes.
+    """The estimated cost of a run.
 
-    method : its name. seconds : in all; None where nobody knows when it ends. step_seconds : of a step of a dynamics,
-    None of what makes no steps in time. steps : how many of these it makes, None where they are not fixed. bytes : at
-    their most.
+    method : name of the method.
+    seconds : time of the whole run; None where it is not known when it ends.
+    step_seconds : time of one step of a dynamics or descent; None for other methods.
+    steps : number of these steps; None where it is not fixed beforehand.
+    bytes : the most memory that the process holds at a time.
     """
 
     method: str
@@ -43,7 +49,7 @@ class Cost:
 
     @property
     def report(self) -> dict[str, Any]:
-        """The same by name, for JSON."""
+        """The fields by name, as JSON has them."""
         return {
             "method": self.method,
             "seconds": self.seconds,
@@ -56,7 +62,10 @@ class Cost:
 def bytes_of_lattice(
     row: type[MethodOptions], shape: Sequence[int], periodic: Sequence[int] = (), replicas: int = 1
 ) -> float:
-    """The most memory of a process that solves so many samples of a lattice together."""
+    """Return the most memory, bytes, of a process that solves samples of a lattice together.
+
+    shape : spheres along each axis. periodic : numbers of the periodic axes. replicas : number of samples.
+    """
     each = row.bytes(shape, periodic)
     if row is InteriorPoint and prod(shape) < InteriorPoint.alike_in_a_block:
         return PROCESS_BYTES + each * min(replicas, MOST_TOGETHER) + MethodOptions.bytes(shape) * replicas
@@ -64,9 +73,9 @@ def bytes_of_lattice(
 
 
 def refuse_too_large(row: type[MethodOptions], scene: Bearing) -> None:
-    """NotEnoughMemory where a solve of this scene, its proof and its file need more than there is.
+    """Raise NotEnoughMemory if a solve of this scene on a lattice, its proof and its file need more than is free.
 
-    A scene that stands already is part of what is told, so nothing is refused that fits.
+    The estimate includes the scene, although that is in memory already.
     """
     lattice = of_lattice(scene).lattice
     needed = bytes_of_lattice(row, lattice.shape, lattice.periodic, scene.replicas) - PROCESS_BYTES
@@ -77,7 +86,7 @@ def refuse_too_large(row: type[MethodOptions], scene: Bearing) -> None:
 
 
 def cost_of(settings: RunSettings, row: type[MethodOptions], scene: Bearing) -> Cost:
-    """What the run of these settings takes. row : its method. scene : as of a runs.run.Job."""
+    """Return the estimated cost of a run. row : its method. scene : what it solves, with all samples."""
     if (lattice := scene.network.lattice) is None:
         return _of_packings(settings, row, scene)
     shape = settings.shape
@@ -93,14 +102,21 @@ def cost_of(settings: RunSettings, row: type[MethodOptions], scene: Bearing) -> 
 
 
 def _limited(settings: RunSettings, beside: float, solve: float | None) -> float | None:
-    """Seconds in all of a solve, which a limit on the time may end."""
+    """Return the seconds of a whole run, None if they are not known.
+
+    beside : seconds of all but the solve. solve : seconds of the solve, None if not known; the time limit of the
+    settings may end it sooner.
+    """
     most = inf if settings.time_limit is None else settings.time_limit
     least = min(most, inf if solve is None else solve)
     return None if least == inf else beside + least
 
 
 def _steps(settings: RunSettings, row: type[MethodOptions], scene: Bearing) -> int | None:
-    """Steps of a dynamics whose length is fixed; None where it goes on until it is at rest."""
+    """Return the number of steps of a method on a lattice; None where it goes on until it is at rest.
+
+    It is the limit on the iterations, or the duration of a dynamics over the length of its time step, if that is less.
+    """
     limit = settings.iterations
     if not row.is_dynamics or settings.duration is None:
         return limit
@@ -116,7 +132,7 @@ def _steps(settings: RunSettings, row: type[MethodOptions], scene: Bearing) -> i
 
 
 def _of_packings(settings: RunSettings, row: type[MethodOptions], scene: Bearing) -> Cost:
-    """Of packings, solved one after the other."""
+    """Return the estimated cost of a run of packings, which are solved one after the other."""
     network, count = scene.network, scene.replicas
     spheres = network.spheres
     if row.step_seconds((spheres, 1, 1)) is not None and settings.method != "auto":

@@ -1,4 +1,4 @@
-"""The figures of one run by their names, whether it lies in a file or not."""
+"""The figures of one answer by their names, whether it was read from a file or solved just now."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -18,17 +18,18 @@ from taichi_bearings.plots.style import describe, driving, mathematics
 from taichi_bearings.scene import Solution
 
 FIGURES: dict[str, Callable[[Any, Page], Figure]] = {"domains": draw_domains, "network": draw_network}
-"""How each figure of `bearings analyse` is drawn, of the structure of a sample."""
+"""Functions that draw the figures of `bearings analyse`, by name, from the structure of a sample."""
 OF_STRUCTURES = {"spins": draw_spins, "power": draw_power} | FIGURES
+"""Functions that draw all figures that need the structure of a sample, by name."""
 OF_ANSWERS: dict[str, Callable[[Any, int, Page], Figure]] = {
     "history": lambda answer, _, page: draw_history(answer, page),
     "energy": lambda answer, sample, page: draw_energy(answer.sample(sample), page),
 }
-"""How each figure of an answer is drawn."""
+"""Functions that draw the figures of an answer, by name; the number is that of the sample."""
 FIGURE_KINDS = ("spins", "power", *OF_ANSWERS, *FIGURES)
-STRETCHED_SLIP = 1e-3  # of R times the imposed jump: slower contacts may only stretch their springs
-WITH_PLANES = ("spins", "power", "domains")
-WITH_VIEW = ("spins", "domains", "network")
+STRETCHED_SLIP = 1e-3  # slower contacts, relative to the largest imposed R omega, may only stretch their springs
+WITH_PLANES = ("spins", "power", "domains")  # figures that show planes of a cubic lattice
+WITH_VIEW = ("spins", "domains", "network")  # figures that show a cubic lattice in 3D
 
 
 def draw_figure(
@@ -39,10 +40,13 @@ def draw_figure(
     slip_threshold: float | None = None,
     page: Page = PAGE,
 ) -> Figure:
-    """The figure called `kind`; InputError if there is none, or nothing for it to show.
+    """Draw the figure of an answer that is called `kind`; raise InputError if there is none, or nothing to show.
 
-    time : of the snapshot whose spins are drawn; slip_threshold : that the run was asked for, if it was.
-    page : how it is printed.
+    sample : number of the sample that is drawn.
+    time : simulated time of the snapshot whose spins are drawn; None for the answer itself.
+    slip_threshold : slip speed, length/time, up to which contacts of a snapshot count as slipless, if the run was asked
+    for one.
+    page : how the figure is printed: width, planes and view.
     """
     OneOf(*FIGURE_KINDS).named("the figure", kind)
     if time is not None and kind != "spins":
@@ -61,7 +65,10 @@ def draw_figure(
 
 
 def _check_page(kind: str, shape: tuple[int, ...], page: Page) -> None:
-    """InputError for planes or a view that the figure of a lattice does not have."""
+    """Raise InputError if the page asks for planes or a view that the figure `kind` of a lattice does not have.
+
+    shape : spheres along each axis of the lattice.
+    """
     if page.planes and kind not in WITH_PLANES:
         raise InputError(f"plane is given, but {kind} shows no planes; these do: {', '.join(WITH_PLANES)}")
     if page.view and kind not in WITH_VIEW:
@@ -78,10 +85,12 @@ def draw_snapshot(
     slip_threshold: float | None = None,
     page: Page = PAGE,
 ) -> Figure:
-    """The snapshot nearest to a simulated time, which the title names, and the contacts that slip in it.
+    """Draw the spins of the snapshot that is nearest to a simulated time, and the contacts that slip in it.
 
-    A contact slips as :func:`moment_of` says. InputError if the run has no snapshots or does
-    not reach that time.
+    replica : number of the sample. time : simulated time. slip_threshold, and which contacts slip : as of
+    :func:`moment_of`. The title has the time of the snapshot.
+
+    Raises InputError if the run has no snapshots or does not reach that time.
     """
     structure = structure_of(answer, replica)
     at, nearest = _nearest(structure.answer, time)
@@ -98,7 +107,10 @@ def draw_snapshot(
 
 
 def _nearest(answer: Solution, time: float) -> tuple[float, int]:
-    """Time and number of the snapshot nearest to a time; InputError if there are none or the run does not reach it."""
+    """Return time and number of the snapshot that is nearest to a simulated time.
+
+    Raises InputError if there are no snapshots, or if the run does not reach that time.
+    """
     if answer.snapshots is None:
         raise InputError("the run holds no snapshots; run a dynamics with --snapshots")
     kept = answer.snapshots.time
@@ -112,11 +124,14 @@ def _nearest(answer: Solution, time: float) -> tuple[float, int]:
 
 
 def moment_of(structure: Structure, spin: np.ndarray, slip_threshold: float | None = None) -> Structure:
-    """A sample with the spins of a snapshot: a contact slips that is faster than the threshold of the run, by slip
-    alone: friction, which would tell more, is not kept with a snapshot.
+    """Return the structure of a sample with the spins of a snapshot in place of those of the answer.
 
-    Springs give way, so with them that is at least a thousandth of the largest imposed R omega, of a lattice measured
-    from its bottom, unless the run was asked for `slip_threshold`. spin : laboratory frame, (*N) or (*N, 3), 1/time.
+    spin : laboratory spins of the snapshot, (*N) of discs or (*N, 3) of spheres, 1/time.
+    slip_threshold : the slip threshold that the run was asked for, length/time, if it was asked for one.
+
+    A contact counts as slipping if its slip is above the threshold of the run; friction, which would be a better
+    criterion, is not kept with snapshots. Springs that stretch look like slip: in a dynamics with springs the threshold
+    is at least a thousandth of the largest imposed R omega, unless `slip_threshold` is given.
     """
     threshold = float(structure.answer.slip_threshold)
     if structure.answer.method.endswith("cundall-strack") and slip_threshold is None:

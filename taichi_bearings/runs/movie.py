@@ -25,7 +25,7 @@ from taichi_bearings.runs.figures import draw_snapshot
 from taichi_bearings.runs.run_file import opened_to_draw, replica_drawn
 from taichi_bearings.stages import alike, each
 
-FILM_ENDINGS = (".mp4", ".gif")
+FILM_ENDINGS = (".mp4", ".gif")  # endings of file names
 MOST_FRAMES_PER_SECOND = 60
 
 
@@ -37,11 +37,15 @@ def movie(
     frames_per_second: float = 4.0,
     title: bool = True,
 ) -> dict[str, Any]:
-    """Draw each snapshot of one sample, as `bearings plot spins --time` does, and join them to a film.
+    """Write a film of the snapshots of one sample, each drawn as by `bearings plot spins --time`; return a report.
 
-    out : the file, MP4 or GIF by its ending; default: movie.mp4 in the run directory, or movie.gif without ffmpeg.
-        Of another replica than the first the name has its number, as in movie-replica-2.mp4.
-    title : whether words stand above each picture.
+    run : a run directory or its run.h5.
+    out : the file, MP4 or GIF by its ending. Default: movie.mp4 in the run directory, or movie.gif without ffmpeg; for
+        a replica other than the first the name has its number, as in movie-replica-2.mp4.
+    force : replace a file that stands there.
+    replica : number of the sample.
+    title : whether there are words above each picture.
+
     Raises InputError or FileError before anything is drawn.
     """
     out = None if out is None else Path(out)
@@ -63,13 +67,16 @@ def movie(
         frames = (_picture(draw(time), height) for time in moments)
         film = _mp4(str(encoder), frames, frames_per_second) if ending == ".mp4" else _gif(frames, frames_per_second)
         replace_file(path, film)
-    told = {"frames": len(times), "fps": frames_per_second, **replica_drawn(stored, replica)}
-    return {"file": str(path), "bytes": path.stat().st_size, **told}
+    frames_made = {"frames": len(times), "fps": frames_per_second, **replica_drawn(stored, replica)}
+    return {"file": str(path), "bytes": path.stat().st_size, **frames_made}
 
 
 @in_our_style
 def _picture(figure: Any, inches: float) -> np.ndarray:
-    """(height, width, 3) of bytes, of even sides; so many inches high."""
+    """Return the pixels of a figure, (height, width, 3) bytes, with even height and width.
+
+    inches : height of the picture.
+    """
     figure.set_figheight(inches)
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
@@ -79,7 +86,11 @@ def _picture(figure: Any, inches: float) -> np.ndarray:
 
 
 def _mp4(encoder: str, frames: Iterator[np.ndarray], frames_per_second: float) -> bytes:
-    """H.264 in the colours that every player knows, at least 10 frames a second, as some players need."""
+    """Return the bytes of an MP4 film, H.264 in colours that every player can show.
+
+    encoder : path of ffmpeg. frames : pictures of equal size. Each picture is repeated so that the file has at least 10
+    frames a second, as some players need. Raises WriteError if ffmpeg fails.
+    """
     first = next(frames)
     height, width = first.shape[:2]
     repeated = max(1, math.ceil(10 / frames_per_second))
@@ -103,7 +114,7 @@ def _mp4(encoder: str, frames: Iterator[np.ndarray], frames_per_second: float) -
 
 
 def _gif(frames: Iterator[np.ndarray], frames_per_second: float) -> bytes:
-    """For ever in a circle."""
+    """Return the bytes of a GIF film that starts again at its end, without limit."""
     first, *rest = [Image.fromarray(frame).quantize(256) for frame in frames]
     film, milliseconds = io.BytesIO(), max(20, round(1000 / frames_per_second))
     first.save(film, "GIF", save_all=True, append_images=rest, duration=milliseconds, loop=0)

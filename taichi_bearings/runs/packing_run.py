@@ -1,4 +1,8 @@
-"""Packings as runs solve them: what the settings describe, and what the method that they name finds."""
+"""Runs of packings: the packing that settings describe, and its answer by the method that they name.
+
+A replica is one sample of several that differ in their coefficients alone. The minimum of a packing is found at once,
+or by a method that steps from initial spins, a dynamics or a descent.
+"""
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext
@@ -27,15 +31,17 @@ from taichi_bearings.stages import stage
 from taichi_bearings.words import counted, shown
 
 TWICE = {"distribution": "friction", "viscosity": "viscosity", **{name: name for name in SIZES}}
-"""Options that say what arrays of a file may say too."""
-COEFFICIENTS = ("friction", "viscosity")  # arrays of a packing
-BLOCK_REPLICAS = 16  # replicas whose minima are found together: what Ctrl-C can lose
-AXES_OF_PACKINGS = {"center": 2, "contact": 2, "normal": 2}  # of arrays of one sample; others have one
+"""Options, and the arrays of a file that make them superfluous: only one of the two may be given."""
+COEFFICIENTS = ("friction", "viscosity")  # arrays of a packing, in the order of the coefficients of a law
+BLOCK_REPLICAS = 16  # number of replicas whose minima are found together, and that Ctrl-C can lose
+AXES_OF_PACKINGS = {"center": 2, "contact": 2, "normal": 2}  # axes of an array of one sample; other arrays have one
 
 
 def packings_to_solve(settings: RunSettings) -> tuple[Packing, np.ndarray | None]:
-    """The packings of all replicas, and the spins that they start from if those lie in a file. Raises InputError or
-    FileError."""
+    """Return the packing with all replicas, and its initial spins if they are in a file, else None.
+
+    Raises InputError or FileError.
+    """
     packing, named = packing_of(settings), settings.initial
     if named in STARTS or not Path(named).exists():
         return packing, None
@@ -53,9 +59,18 @@ def solve_packings(
     checkpoints: Any = None,
     **others: Any,
 ) -> Result:
-    """Each replica as alone: dynamics and descents by the loop of `solvers.drive.solve`, all else block by block, with
-    minima of small ones side by side. Ctrl-C leaves those that were begun; with checkpoints, from which the others can
-    go on, it is a KeyboardInterrupt unless all were."""
+    """Solve all replicas of a packing, each as if it were alone.
+
+    start : initial spins, (N, 3) or (R, N, 3), of discs (N,) or (R, N); None if the settings name them.
+    monitors : functions that are called at each check. checkpoints : where and how often checkpoints are written, and
+    the one to go on from; None for no checkpoints. others : as of :func:`solved_packing`.
+
+    Dynamics and descents run in the loop of `solvers.drive.solve`. Minima are found block by block, those of small
+    packings side by side.
+
+    After Ctrl-C the result holds the replicas that were begun. With checkpoints, from which the others can be solved
+    later, KeyboardInterrupt is raised instead, unless all replicas were begun.
+    """
     count, found = scene.replicas, list[Solution]()
     several, is_interrupted = np.ndim(start) > scene.imposed_spins()[0].ndim, False
     if not minimises(settings) and settings.torque is None:
@@ -65,12 +80,12 @@ def solve_packings(
         return Result(settings, solution, start, interrupted=solution.interrupted)
     written = [None] * count if checkpoints is None else checkpoints.of_each(count)
     for begin, end in _blocks(settings, scene):
-        told = {} if minimises(settings) else {"monitors": monitors, "checkpoints": written[begin]}
+        of_steps = {} if minimises(settings) else {"monitors": monitors, "checkpoints": written[begin]}
         try:
             with stage("solving"), leaving.saving() if found else nullcontext():
                 first = start[begin] if several else start
                 block = scene if scene.replicas == 1 else scene.some(slice(begin, end))
-                solved = solved_packing(settings, block, start=first, **told, **others)
+                solved = solved_packing(settings, block, start=first, **of_steps, **others)
                 found += [solved.sample(number) for number in range(end - begin)]
         except KeyboardInterrupt:
             if not found:
@@ -84,7 +99,7 @@ def solve_packings(
 
 
 def _blocks(settings: RunSettings, scene: Bearing) -> Iterator[tuple[int, int]]:
-    """First and one beyond the last number of the replicas that are solved together."""
+    """Yield blocks of replicas that are solved together: the first number, and the one after the last."""
     size = BLOCK_REPLICAS if are_solved_together(settings, scene.network.spheres) else 1
     for begin in range(0, scene.replicas, size):
         yield begin, min(begin + size, scene.replicas)
@@ -96,22 +111,33 @@ def are_solved_together(settings: RunSettings, spheres: int) -> bool:
 
 
 def minimises(settings: RunSettings) -> bool:
-    """Whether its method finds the minimum at once; InputError for one that packings lack."""
+    """Return True if the method of the settings finds the minimum of a packing at once, without initial spins.
+
+    Raises InputError for a method that packings do not have.
+    """
     return row_of_packing(settings.method) is None
 
 
 def method_of_packing(settings: RunSettings) -> type[MethodOptions]:
+    """Return the class of the method that solves a packing, the interior point where it is chosen automatically."""
     return row_of_packing(settings.method) or METHODS.get(settings.method, InteriorPoint)
 
 
 def fitting(settings: RunSettings, strict: bool = True) -> RunSettings:
-    """As the method of this name of settings, and InputError for a torque that a packing cannot have."""
+    """Return the settings without what a packing, its method or its law does not use.
+
+    strict : True to raise InputError for the first of these instead. InputError is also raised for a torque together
+    with the spins that it replaces.
+    """
     refuse_driven(settings, method_of_packing(settings))
     return settings.fitting(method_of_packing(settings), strict)
 
 
 def refuse_packing(settings: RunSettings, has_seeds: bool) -> None:
-    """InputError for what cannot be solved. has_seeds : several are asked for, which must not be all the same."""
+    """Raise InputError for settings that describe no packing that can be solved.
+
+    has_seeds : True if a scan asks for several seeds; something must then be drawn from them.
+    """
     settings = fitting(settings, strict=False)
     packing_of(settings)
     if not has_seeds or settings.packing is None or settings.initial == "random":
@@ -126,11 +152,13 @@ def refuse_packing(settings: RunSettings, has_seeds: bool) -> None:
 def packing_of(
     settings: RunSettings, found: Mapping[str, Any] | None = None, seeds: Sequence[int] | None = None
 ) -> Packing:
-    """Return the packing that the settings describe: the arrays of the file, and of the settings what that lacks, drawn
-    from seeds; or lattices with other driven bodies than planes.
+    """Return the packing that the settings describe, with one sample for each replica, or for each of `seeds`.
 
-    found : the arrays of the file by name, where they are read already.
-    seeds : a sample each, of settings that are those of each of them alone; None for a sample a replica.
+    It is that of a file, completed by what the settings say and draw from seeds; or, without a file, a lattice whose
+    driven bodies are no planes.
+
+    found : the arrays of the file by name, if they are read already.
+    seeds : seeds of samples, each of which the settings describe as if it were alone; None for those of the settings.
     """
     seeds = settings.seeds if seeds is None else seeds
     if settings.packing is None:
@@ -162,7 +190,7 @@ def packing_of(
 
 
 def _refuse_twice(settings: RunSettings, found: Mapping[str, Any]) -> None:
-    """InputError for an option that says again what the file holds."""
+    """Raise InputError for an option whose value the file has as well. found : the arrays of the file by name."""
     pairs = list(TWICE.items())
     pairs += [(key, "spin") for key in OF_SIDES] if settings.has_table else []
     for key, name in pairs:
@@ -172,7 +200,7 @@ def _refuse_twice(settings: RunSettings, found: Mapping[str, Any]) -> None:
 
 
 def idle_seed(settings: RunSettings) -> list[str]:
-    """A sentence if the seed of these settings draws nothing, as the file of a packing holds all coefficients."""
+    """Return a sentence, in a list, if the file of a packing has all coefficients, so that the seed draws nothing."""
     if settings.packing is None or not Path(settings.packing).is_file():
         return []
     if not _draws_nothing(settings, Packing.read(settings.packing, settings.contacts)):
@@ -181,12 +209,15 @@ def idle_seed(settings: RunSettings) -> list[str]:
 
 
 def _draws_nothing(settings: RunSettings, found: Mapping[str, Any]) -> bool:
-    """Whether an array of the file gives every coefficient, and no spins to start from are drawn."""
+    """Return True if the file has every coefficient and the initial spins are not random.
+
+    found : the arrays of the file by name.
+    """
     return set(COEFFICIENTS[: len(settings.drawn)]) <= found.keys() and settings.initial != "random"
 
 
 def _lattice(settings: RunSettings) -> Packing:
-    """A square or cubic lattice with the coefficients that it has between planes."""
+    """Return a square or cubic lattice as a packing, with the coefficients that a scene with these settings has."""
     names = ("periodic", "seed", "law", "driven", "spin_top", "spin_bottom", "top", "bottom", *SIZES)
     others = {key: getattr(settings, key) for key in names} | settings.drawn
     if len(settings.shape) == 3:
@@ -202,12 +233,15 @@ def _lattice(settings: RunSettings) -> Packing:
     return Packing.lattice("cubic" if len(settings.shape) == 3 else "square", settings.shape, **others)
 
 
-ON_DEVICE = ("arch", "precision", "threads")
+ON_DEVICE = ("arch", "precision", "threads")  # settings of the device
 
 
 def solved_packing(settings: RunSettings, packing: Bearing, start: Any = None, **others: Any) -> Solution:
-    """The answer of the method that the settings name. start : instead of the one that they name. others : density,
-    monitors and checkpoints of :func:`_stepped`."""
+    """Return the answer for a packing by the method that the settings name.
+
+    start : initial spins, in place of those that the settings name, or None.
+    others : `density`, `monitors` and `checkpoints` of :func:`_stepped`, for dynamics and descents alone.
+    """
     row, given = row_of_packing(settings.method), settings.given
     device = {key: given[key] for key in ON_DEVICE if key in given}
     if row is None:
@@ -227,8 +261,8 @@ def solved_packing(settings: RunSettings, packing: Bearing, start: Any = None, *
         found = under_torque(found, settings.torque, lambda other: solved_packing(free, other, **others))
     if (threshold := settings.slip_threshold) is None:
         return found
-    told, known = by_threshold(found.slip, found.state, threshold), what_is_proven(found.state, found.proven)
-    state, proven = decided(told, known, is_present=True)
+    by_slip, known = by_threshold(found.slip, found.state, threshold), what_is_proven(found.state, found.proven)
+    state, proven = decided(by_slip, known, is_present=True)
     return replace(found, state=state, proven=proven, slip_threshold=threshold)
 
 
@@ -241,8 +275,11 @@ def _stepped(
     monitors: Sequence[Any] = (),
     checkpoints: Any = None,
 ) -> Solution:
-    """A dynamics or descent of the samples of a packing. start : as of `initial_spin`.
-    density : as of `Packing.inertias`. monitors, checkpoints : as of `solvers.drive.solve`."""
+    """Return the answer for all samples of a packing by a dynamics or a descent.
+
+    options : the method. start : initial spins, as of `initial_spin`. density : of the spheres, as of
+    `Packing.inertias`, for dynamics alone. monitors, checkpoints : as of `solvers.drive.solve`.
+    """
     from taichi_bearings.solvers.drive import solve  # and with it Taichi's kernels
     from taichi_bearings.solvers.dynamics import Dynamics
     from taichi_bearings.solvers.recording import Recording

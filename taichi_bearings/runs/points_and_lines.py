@@ -1,6 +1,7 @@
-"""One sample of a stored run as points and lines: every sphere and every contact a row, what is known of it a column.
+"""One sample of a stored run as points and lines, for the interactive 3D page and for ParaView.
 
-The interactive 3D page and ParaView draw these, of lattices and of packings.
+Each sphere is a point and each contact a line. What is known of them are columns: arrays (N, ...) over N spheres and
+(E,) over E contacts, with units.
 """
 
 from dataclasses import dataclass, field
@@ -26,9 +27,11 @@ DOMAIN_KINDS = "0 bottom, 1 top, 2 both, 3 mixed, 4 partly, 5 neither"
 
 @dataclass(frozen=True)
 class Moments:
-    """The way of a dynamics, without its end. time : (S,). spin : (S, N, 3). slip, state : (S, E).
+    """Snapshots of a dynamics at S times before its end.
 
-    state : by slip alone, as friction is not kept with a snapshot: slipping where it is faster than `threshold`.
+    time : (S,), simulated time. spin : (S, N, 3), laboratory spins, 1/time. slip : (S, E), slip speeds, length/time.
+    state : (S, E), contact states: slipping where the slip is above `threshold`, length/time. Friction, which would be
+    a better criterion, is not kept with snapshots.
     """
 
     time: np.ndarray
@@ -40,12 +43,16 @@ class Moments:
 
 @dataclass(frozen=True)
 class PointsAndLines:
-    """N spheres and E contacts of one sample in D dimensions.
+    """The spheres and contacts of one sample as points and lines with columns.
 
-    Of lattices spheres are in C order; contacts along x first, then y (, z), each in C order of their lower spheres.
-    structure : of the answer that is shown, to be asked for nothing that was not analysed. spheres, contacts : a column
-    (N, ...) or (E,) each, by name. drawn : what is known of the structure.
-    time : of the end of a dynamics, else None. moments : of its snapshots before the end, if it has any.
+    On lattices spheres are in C order; contacts along x come first, then those along y (and z), each in C order of
+    their lower spheres.
+
+    structure : spheres, contacts and answer of the sample. Its properties that take long to compute, such as rigid
+    domains, are not to be asked for; `drawn` has those that are known.
+    spheres, contacts : columns (N, ...) of the spheres, and (E,) of the contacts, by name.
+    time : simulated time at the end of a dynamics, else None.
+    moments : its snapshots before the end, None if there are none.
     """
 
     structure: Structure
@@ -57,22 +64,25 @@ class PointsAndLines:
 
     @property
     def answer(self) -> Any:
+        """The answer of the sample."""
         return self.structure.answer
 
     @property
     def network(self) -> Network:
-        """Where the spheres are, and what touches what; of a lattice its bottom is body 0, and its top body 1."""
+        """The spheres and contacts of the sample; on a lattice the bottom is body 0, and the top is body 1."""
         return self.structure.whole
 
     @property
     def is_lattice(self) -> bool:
+        """True for a lattice, False for other packings."""
         return self.network.lattice is not None
 
 
 def points_and_lines(run: Result, replica: int = 0, analyse: bool = False) -> PointsAndLines:
-    """One sample of a run; InputError if it has no such sample, or is not finite.
+    """Return one sample of a run as points and lines.
 
-    analyse : compute its structure; else what its file holds of that is taken, if anything.
+    replica : number of the sample. analyse : True to compute its structure; False to take what the file of the run has
+    of it, if anything. Raises InputError if there is no such sample, or if its spins or slips are not finite.
     """
     answer = run.sample(replica).solution
     if not all(np.isfinite(values).all() for values in (answer.spin, answer.slip)):
@@ -91,7 +101,11 @@ def points_and_lines(run: Result, replica: int = 0, analyse: bool = False) -> Po
 
 
 def _collected(structure: Structure, drawn: Drawn, time: float | None, slip_threshold: float | None) -> PointsAndLines:
-    """Everything that is known of the spheres and contacts of a sample. time : of the end of a dynamics."""
+    """Return all columns of a sample that are known.
+
+    drawn : what is known of its structure. time : simulated time at the end of a dynamics, else None. slip_threshold :
+    as of :func:`taichi_bearings.runs.figures.moment_of`.
+    """
     answer, moments = structure.answer, _moments(structure, time, slip_threshold)
     spheres, contacts, network, row = dict(drawn.spheres), dict(drawn.contacts), structure.whole, SPHERES["spin"]
     spheres["spin"] = Finding(_in_space(structure.spin[None], network.dimension)[0], row.unit, row.text)
@@ -113,12 +127,15 @@ def _collected(structure: Structure, drawn: Drawn, time: float | None, slip_thre
 
 
 def _of_contacts(answer: Solution) -> dict[str, Finding]:
-    """What the table of quantities has of contacts, and of which states are proven."""
+    """Return the columns of the contacts in the table of quantities, such as slip, power and state, by name."""
     return {row.name: Finding(v[0], row.unit, row.text) for row, v in found_in(answer, CONTACTS)}
 
 
 def _in_space(spin: np.ndarray, dimension: int) -> np.ndarray:
-    """Spins (S, N, 3) of (S, ..., 3), or of discs (S, ...), where they point along z."""
+    """Return spins as vectors, (S, N, 3).
+
+    spin : (S, ..., 3) of spheres, or (S, ...) of discs, whose spins point along z. dimension : 2 for discs, or 3.
+    """
     if dimension == 3:
         return spin.reshape(len(spin), -1, 3)
     rows = np.zeros((len(spin), spin[0].size, 3))
@@ -127,7 +144,11 @@ def _in_space(spin: np.ndarray, dimension: int) -> np.ndarray:
 
 
 def _moments(structure: Structure, end: float | None, slip_threshold: float | None) -> Moments | None:
-    """Of the snapshots before the end, whose place the answer of the run takes."""
+    """Return the snapshots before the end of a dynamics; None if there are none. The answer shows the end itself.
+
+    end : simulated time at the end, None for other methods. slip_threshold : as of
+    :func:`taichi_bearings.runs.figures.moment_of`.
+    """
     kept = structure.answer.snapshots
     if kept is None or end is None or not (early := np.flatnonzero(kept.time < end)).size:
         return None

@@ -33,16 +33,17 @@ if TYPE_CHECKING:
     from taichi_bearings.plots.page import Page
 
 OfSamples = Any
-"""A number or word, or with several samples an array or list with one each, (R,)."""
+"""A number or word; with several samples an array or a list of R of them."""
 OfContacts = Any
-"""Of a lattice an array an axis, x, y(, z), of the shapes of `Scene.coefficients`, of a packing one of its E contacts;
-with several samples with a leading axis R."""
+"""On a lattice a tuple of arrays, one for each axis, of the shapes of `Scene.coefficients`; in a packing one array (E,)
+over its E contacts. With several samples each array has a leading axis R."""
 
 
 TABLED = (
     "seed", "status", "proof", "power", "lower_bound", "gap", "slipping", "slipless", "tied", "undecided",
     "driven_power",
 )  # fmt: skip
+"""Columns of the table that notebooks show, as far as an answer has them."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -96,7 +97,7 @@ class Result:
 
     @property
     def packing(self) -> Bearing | None:
-        """The :class:`Packing` that was solved, of several samples the first; None of lattices."""
+        """The :class:`Packing` that was solved, or the first of several samples; None for lattices."""
         return self.scene.sample(0) if self.scene.network.lattice is None else None
 
     @property
@@ -135,46 +136,47 @@ class Result:
 
     @property
     def ended(self) -> list[Status]:
-        """How each sample ended, (R,), as members of an enumeration; `status` has the same in words.
+        """How each of the R samples ended, as members of an enumeration; `status` has the same in words.
 
-        One whose own gap is within the tolerance is certified, however the run as a whole ended, unless a limit came
-        before the simulated time that was asked for.
+        A sample whose own gap is within the tolerance is certified, however the other samples ended. The exception is a
+        dynamics that reached a limit before the simulated time that was asked for.
         """
         limits = () if self.asked.duration is None else (Status.STEP_LIMIT, Status.TIME_LIMIT)
-        told = self.solution.own.get("status", [self.solution.status] * len(self))
+        each = self.solution.own.get("status", [self.solution.status] * len(self))
         return [
             Status.CERTIFIED if gap <= self.asked.tolerance and status not in limits else status
-            for status, gap in zip(told, self.solution.gap, strict=True)
+            for status, gap in zip(each, self.solution.gap, strict=True)
         ]
 
     @property
     def reached(self) -> bool:
-        """True if what was asked for was reached."""
+        """True if all samples reached what was asked for: the tolerance, rest, or the simulated time."""
         return all(status.reached for status in self.ended)
 
     @property
     def potential(self) -> OfSamples:
-        """What the stationary state minimises, energy/time; (R,). The power, but for the law coulomb-viscous."""
+        """What the stationary state minimises, energy/time: the power, or for the law coulomb-viscous the dissipation
+        potential. With several samples an array (R,)."""
         return self._of_samples(self.solution.objective)
 
     @property
     def findings(self) -> dict[str, OfSamples]:
-        """What else the method has found, by name; numbers, (R,)."""
+        """Other numbers and words that the method has found, by name; with several samples arrays (R,)."""
         return {name: self._of_samples(values) for name, values in self.solution.findings.items()}
 
     @cached_property
     def numbers(self) -> dict[str, Any]:
-        """The rows of the table of quantities by name, and the warnings."""
+        """The numbers and words of all samples in the table of quantities, by name, and the warnings."""
         return numbers_of(self) | {"warnings": caveats(self.solution, self.asked)}
 
     @property
     def warnings(self) -> list[str]:
-        """Warnings, sentences with a number; an empty list if there is none."""
+        """Sentences, each with a number, that say where the answer could be misread; often an empty list."""
         return list(self.numbers["warnings"])
 
     @property
     def summary(self) -> dict[str, Any]:
-        """All numbers by name, as `bearings run --json` prints them; of several samples lists where they may differ."""
+        """All numbers by name, as `bearings run --json` prints them; lists where several samples may differ."""
         where = {"coefficients": None, "run": None if self.path is None else str(self.path)}
         if self.scene.network.lattice is not None:
             where |= {name: getattr(self.solution.running, name) for name in ("arch", "precision", "threads")}
@@ -183,32 +185,38 @@ class Result:
 
     @property
     def friction(self) -> OfContacts:
-        """Force on the upper sphere of each contact, laboratory frame, force; an array (*contacts, 3) an axis, in 2D
-        (*contacts), its component along z x n. Of packings that on the second sphere, (E, 3), of discs (E,). The lower
-        bound follows from it."""
+        """Friction on the upper sphere of each contact in the laboratory frame, force: for each axis an array
+        (*contacts, 3), or in 2D (*contacts), the component along z x n. For packings it is the force on the second
+        sphere, one array (E, 3), or (E,) for discs. The lower bound follows from these forces."""
         found, lattice = self._of_samples(self.solution.friction), self.scene.network.lattice
         return found if lattice is None else read_only(friction_by_axis(found, lattice))
 
     @property
     def history(self) -> dict[str, np.ndarray]:
-        """The trajectory to the answer: columns (checks,); of several samples (R, checks), but for these three.
+        """The course of the solve: columns (checks,) by name; with several samples (R, checks), except for iteration,
+        seconds and time, which samples that are solved together share.
 
-        iteration. seconds : wall time, s. time : simulated time of a dynamics. power, lower_bound : energy/time.
-        largest_balance_residual : force * length. slipping : contacts. kinetic_energy, spring_energy, injected_energy,
-        dissipated_energy : energy; energy_residual : relative; of a dynamics that keeps an energy balance.
+        iteration : iterations done. seconds : wall time, s. time : simulated time of a dynamics.
+        power, lower_bound : energy/time. largest_balance_residual : force * length. slipping : number of contacts that
+        slip. kinetic_energy, spring_energy, injected_energy, dissipated_energy : energy, and energy_residual, relative:
+        the energy balance of a dynamics that keeps one.
         """
         columns = self.solution.history.items()
         return {name: values if values.ndim == 1 else self._of_samples(values.T) for name, values in columns}
 
     @property
     def snapshots(self) -> Snapshots | None:
-        """Spins of a dynamics at the times asked for, if any: `time` (S,) and `spin` (S, *N), in 3D (S, *N, 3),
-        1/time; of several samples (R, S, ...)."""
+        """Spins of a dynamics at the S times that were asked for: `time`, (S,), and `spin`, (S, *N), in 3D (S, *N, 3),
+        1/time; with several samples (R, S, ...), but one `time` if it is the same for all. None
+        if no times were asked for."""
         kept = self.solution.snapshots
         return None if kept is None else Snapshots(kept.time.T, self._of_samples(np.moveaxis(kept.spin, 1, 0)))
 
     def _of_samples(self, values: Any) -> Any:
-        """The values of all samples, (R, ...), as users meet them; what is one for all stays."""
+        """Return values (R, ...) of all samples as users see them: without the axis R if there is a single sample.
+
+        A value that is no array or list is one for all samples and stays as it is.
+        """
         if len(self) > 1 or not isinstance(values, (np.ndarray, list)):
             return values
         return values.item() if isinstance(values, np.ndarray) and values.ndim == 1 else values[0]
@@ -234,7 +242,7 @@ class Result:
         return replace(self, asked=asked, solution=solution, started_from=one)
 
     def start(self) -> np.ndarray | None:
-        """Spins that it started from, (R, *N) or (R, *N, 3), 1/time; None of a packing whose start has a name."""
+        """Return the initial spins, (R, *N) or (R, *N, 3), 1/time; None for a packing whose start has only a name."""
         named, path = self.asked.initial, self.path
         if self.started_from is not None or self.scene.network.lattice is None:
             return self.started_from
@@ -243,7 +251,7 @@ class Result:
 
     @cached_property
     def histogram(self) -> "PowerHistogram":
-        """Numbers of slipping contacts by what they dissipate, of all samples together."""
+        """Histogram of the slipping contacts of all samples by the power that they dissipate."""
         from taichi_bearings.analysis.histogram import count_powers, pool
 
         found = self.solution
@@ -253,7 +261,7 @@ class Result:
         return self.scene.replicas
 
     def __getitem__(self, number: int) -> "Result":
-        """One of the samples as if it had been solved alone."""
+        """Return the result of one sample as if it had been solved alone; negative numbers count from the end."""
         samples = len(self)
         if not -samples <= number < samples:
             raise IndexError(f"sample {number} of {samples}")
@@ -271,7 +279,7 @@ class Result:
         return f"{words}: {self.status}, P = {self.power:.12g}, gap {self.gap:.1e}, {self.seconds:.2g} s>"
 
     def _repr_html_(self) -> str:
-        """A table for notebooks, a row a sample."""
+        """Return a table for notebooks with one row for each sample."""
         columns = {name: listed(found) for name in TABLED if (found := self.summary.get(name)) is not None}
         return html_table(repr(self), zip(*columns.values(), strict=True), list(columns))
 
@@ -336,30 +344,33 @@ class Result:
 
 
 def _described(row: Quantity) -> str:
+    """Return text and unit of a row of the table of quantities as a docstring."""
     unit = "" if row.unit == "1" else f", {row.unit}"
     return f"{row.text[0].upper()}{row.text[1:]}{unit}."
 
 
 def _of_samples(row: Quantity) -> property:
-    """A number or word of each sample."""
+    """Return a property of `Result` that shows a row of samples: a number or word of each."""
     return property(lambda result: result._of_samples(row.of(result)), doc=_described(row))
 
 
 def _of_contacts(row: Quantity) -> property:
-    """An array an axis, or one of a packing; none where nothing is known."""
+    """Return a property of `Result` that shows a row of contacts: on a lattice an array for each axis, in a packing
+    one array; an empty tuple where nothing is known."""
 
     def found(result: Result) -> OfContacts:
+        """Return the values of the row in the shapes of users."""
         values = row.of(result.solution)
         if values is None:
             return ()
         values, lattice = result._of_samples(values), result.scene.network.lattice
         return values if lattice is None else lattice.by_axis(values)
 
-    return property(found, doc=f"{_described(row)[:-1]}; of lattices an array an axis.")
+    return property(found, doc=f"{_described(row)[:-1]}; on lattices one array for each axis.")
 
 
 def _of_findings(row: Quantity) -> property:
-    """A number or word of each sample; None where there is none."""
+    """Return a property of `Result` that shows what a method has found, for each sample; None where it has not."""
     return property(lambda result: result.findings.get(row.name), doc=_described(row))
 
 
@@ -367,7 +378,7 @@ for _name in Result.__annotations__.keys() & SAMPLES.keys():
     setattr(Result, _name, _of_samples(SAMPLES[_name]))
 for _name in Result.__annotations__.keys() & FINDINGS.keys():
     setattr(Result, _name, _of_findings(FINDINGS[_name]))
-for _name, _row in SPHERES.items():  # of each sphere: N, or (*N, 3); zeros, too, of which files have none
+for _name, _row in SPHERES.items():  # shape N, or (*N, 3); also arrays of zeros, which files leave out
     _found = partial(lambda name, result: result._of_samples(getattr(result.solution, name)), _name)
     setattr(Result, _name, property(_found, doc=_described(_row)))
 for _name, _row in CONTACTS.items():
@@ -375,5 +386,8 @@ for _name, _row in CONTACTS.items():
 
 
 def together(ones: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Numbers by name: those of one sample, of several a list each."""
+    """Return the numbers of all samples by name: lists of them, or those of a single sample as they are.
+
+    ones : the numbers of each sample by name.
+    """
     return dict(ones[0]) if len(ones) == 1 else {key: [one[key] for one in ones] for key in ones[0]}

@@ -1,5 +1,8 @@
-"""The directory of a run: there in full under its name, or not at all, and in one process's hands at a time; and
-checkpoint.h5 in it, what a dynamics needs to go on with the same bits."""
+"""The directory of a run, which appears under its name whole or not at all, and which one process at a time may change.
+
+Also the file checkpoint.h5 in it, which has what a dynamics needs to go on with the same bits. Whoever changes a
+directory holds a lock on a file in it or beside it; the lock ends with its process, even if that is killed.
+"""
 
 import contextlib
 import ctypes
@@ -25,20 +28,27 @@ from taichi_bearings.plain_files import locked, real_path, remove, remove_leftov
 CHECKPOINT_NAME = "checkpoint.h5"
 
 LEFTOVER = re.compile(r"\.(?P<name>.+)\.(?P<kind>in-use|partial-\d+-[0-9a-f]{6}(?P<old>-replaced)?)", re.DOTALL)
-"""Hidden names beside the file or directory `name`: its lock, an unpublished new one, an old one to be removed."""
+"""Hidden names beside a file or directory `name`: its lock, a new one that does not have the name yet, and an old one
+that is to be removed."""
 
 
 @dataclass
 class RunDirectory:
-    """A run directory before it is published: its files go to `partial`, which :meth:`publish` names `path`."""
+    """A run directory that is being written.
+
+    path : the name that it gets. partial : the hidden folder that its files are written to until :meth:`publish` gives
+    that folder the name. replaced : what stood under the name at the beginning, None if there was nothing.
+    """
 
     path: Path
     partial: Path
     replaced: os.stat_result | None = None
 
     def publish(self) -> None:
-        """Give the directory its name in one move, in exchange for the one that it replaces; WriteError if that cannot
-        be, such as if something else has taken the name meanwhile, which stays."""
+        """Give the directory its name in one move; the directory that it replaces is removed.
+
+        Raises WriteError if that is not possible. Whatever else has taken the name in the meantime stays.
+        """
         with writing(self.path):
             standing = os.lstat(self.path) if os.path.lexists(self.path) else None
             if standing is None or self.replaced is None:
@@ -52,11 +62,13 @@ class RunDirectory:
 
 @contextlib.contextmanager
 def run_directory(path: Path, force: bool = False) -> Iterator[RunDirectory]:
-    """A run directory that appears under its name only when it is complete and published.
+    """Yield a new run directory, which appears under its name `path` when it is published.
 
-    No other process gets this name meanwhile. A run directory that stands there is replaced with `force` only, and
-    only if nobody works in it; nothing else is replaced ever. Unpublished files are removed at the end.
-    Raises FileError, before anything is written, if the name cannot be had.
+    No other process can write to this name in the meantime. A run directory that stands there is replaced only with
+    `force`, and only if no process works in it; anything else that stands there is never replaced. Files that were not
+    published are removed at the end.
+
+    Raises FileError, before anything is written, if the name cannot be used.
     """
     refuse_name(path)
     if path.is_symlink() or path.name in ("", ".."):
@@ -89,12 +101,12 @@ def run_directory(path: Path, force: bool = False) -> Iterator[RunDirectory]:
 
 
 def is_run(path: Path) -> bool:
-    """True for a run directory, a run that is not finished too."""
+    """Return True for the directory of a run, whether it is finished or not."""
     return any((path / name).is_file() for name in ("run.h5", CHECKPOINT_NAME))
 
 
 def refuse_name(path: Path) -> None:
-    """InputError for a name that files cannot hold."""
+    """Raise InputError for a path that cannot be encoded in UTF-8, as run files store it."""
     try:
         str(path).encode()
     except UnicodeEncodeError:
@@ -102,16 +114,18 @@ def refuse_name(path: Path) -> None:
 
 
 def _remove_empty(folders: Iterable[Path]) -> None:
+    """Remove the folders that are empty, one after the other."""
     for folder in folders:
         with contextlib.suppress(OSError):
             folder.rmdir()
 
 
 def tidy(parent: Path, ours: str = "") -> None:
-    """Remove what killed processes have left in a folder, files and directories on their way, and give an old directory
-    its name back if the kill came while it was replaced. What a living process holds stays.
+    """Remove the unfinished files and directories that killed processes have left in a folder.
 
-    ours : the name that this process holds itself.
+    A directory that was just being replaced gets its name back. What a running process has locked stays.
+
+    parent : the folder. ours : a name in it that this process itself has locked.
     """
     found: dict[str, list[re.Match[str]]] = {}
     for match in filter(None, map(LEFTOVER.fullmatch, os.listdir(parent))):
@@ -132,7 +146,10 @@ def tidy(parent: Path, ours: str = "") -> None:
 
 
 def exchange(one: Path, other: Path) -> None:
-    """Swap two directories, in one move where the system can; else :func:`tidy` mends what a kill leaves."""
+    """Swap the names of two directories, in one move where the system can do that.
+
+    Elsewhere it takes three moves, and :func:`tidy` repairs what is left if the process is killed between them.
+    """
     if _swap(one, other):
         return
     retired = one.with_name(one.name + "-replaced")
@@ -146,7 +163,10 @@ def exchange(one: Path, other: Path) -> None:
 
 
 def _swap(one: Path, other: Path) -> bool:
-    """Swap two names in one move; False where the system or the file system cannot. OSError if it fails."""
+    """Swap two names in one move; return False where the system or the file system has no such move.
+
+    Raises OSError if the move fails for another reason.
+    """
     if sys.platform not in ("linux", "darwin"):
         return False
     library, names = ctypes.CDLL(None, use_errno=True), (os.fsencode(one), os.fsencode(other))
@@ -164,10 +184,13 @@ def _swap(one: Path, other: Path) -> bool:
 
 @contextlib.contextmanager
 def completed(path: Path, outdated: Sequence[str] = ()) -> Iterator[Path]:
-    """A folder for files that go together into a directory, which stands and is in our use; others there stay.
+    """Yield a folder for files that are then moved together into a run directory, whose other files stay.
 
-    Once all are written a kill no longer matters: :func:`in_use` then moves the rest.
-    outdated : names of files in the directory, figures of the answer that is replaced, that go right before.
+    path : the run directory, which this process has locked. outdated : names of files in it that are removed before,
+    such as figures of the answer that is replaced.
+
+    If the process is killed while files are written, none of them is moved; if it is killed while they are moved,
+    :func:`in_use` moves the rest when the directory is used next.
     """
     folder = path / PARTIAL
     try:
@@ -184,7 +207,7 @@ def completed(path: Path, outdated: Sequence[str] = ()) -> Iterator[Path]:
         remove(folder)
 
 
-PARTIAL, COMPLETE = ".partial", ".complete"
+PARTIAL, COMPLETE = ".partial", ".complete"  # names of that folder before and after all of its files are written
 
 
 def _complete(path: Path) -> None:
@@ -197,10 +220,12 @@ def _complete(path: Path) -> None:
 
 @contextlib.contextmanager
 def in_use(path: Path, part: str = "") -> Iterator[None]:
-    """Keep other processes from working in a run directory; FileError if one does. A lock ends with its process.
+    """Keep other processes from working in a run directory inside the block; raise FileError if one already does.
 
-    What a killed process has left there is removed, or completed if it was whole.
-    part : keeps others from that part of the work alone.
+    path : the run directory. part : a name for one part of the work, to keep others from that part alone; empty for
+    all work.
+
+    Files that a killed process has left there are removed, or moved to their places if they were complete.
     """
     with locked(path / (f".in-use-{part}" if part else ".in-use"), f"{part} in {path}" if part else f"{path}") as held:
         with writing(path):
@@ -215,8 +240,10 @@ def in_use(path: Path, part: str = "") -> Iterator[None]:
 
 @contextlib.contextmanager
 def claimed(path: Path, force: bool = False) -> Iterator[None]:
-    """Keep other processes from writing a file, and from working in the run directory that it lies in; FileError if one
-    does, or if the file stands, unless `force`."""
+    """Keep other processes from writing a file, and from working in the run directory in which it lies.
+
+    Raises FileError if one does already, or if the file exists, unless `force`.
+    """
     refuse_name(path)
     with contextlib.ExitStack() as stack:
         if is_run(path.parent):
@@ -229,9 +256,9 @@ def claimed(path: Path, force: bool = False) -> Iterator[None]:
 
 @contextlib.contextmanager
 def writable_folder(path: Path, part: str = "") -> Iterator[None]:
-    """A folder that files can be written to, made if need be, kept from others meanwhile; FileError if it cannot be.
+    """Make a folder unless it exists, and keep other processes from working in it inside the block.
 
-    part : as in :func:`in_use`.
+    part : as of :func:`in_use`. Raises FileError if the folder cannot be made, or if another process works in it.
     """
     refuse_name(path)
     make_folder(path)
@@ -240,21 +267,22 @@ def writable_folder(path: Path, part: str = "") -> Iterator[None]:
 
 
 def default_run_path(command: str = "run") -> Path:
-    """outputs/<time>-<command>-<id> below the working folder."""
+    """Return a new name for a run directory, outputs/<time>-<command>-<id> below the working folder."""
     return Path("outputs") / f"{time.strftime('%Y%m%d-%H%M%S')}-{command}-{secrets.token_hex(2)}"
 
 
 def write_checkpoint(folder: Path, scene: str, versions: Mapping[str, str], arrays: Mapping[str, np.ndarray]) -> None:
-    """Replace the checkpoint of a run directory in one move: a process killed meanwhile leaves the earlier one.
+    """Replace the checkpoint of a run directory in one move, so that a process that is killed leaves the earlier one.
 
-    scene : the settings as TOML. arrays : none before the first step.
+    folder : the run directory. scene : the settings as TOML. versions : of the programs that compute it, by name.
+    arrays : state of the method, by name; empty before the first step.
     """
     attributes = layout_of("checkpoint") | {"scene": scene} | dict(versions)
     write_hdf5(folder / CHECKPOINT_NAME, lambda file: file.update(arrays), attributes)
 
 
 def checkpoint_of(folder: Path) -> Path:
-    """The checkpoint of a run directory; FileError if there is none."""
+    """Return the path of the checkpoint in a run directory; raise FileError if there is none."""
     path = folder / CHECKPOINT_NAME
     if not path.is_file():
         raise FileError(f"{folder} cannot be resumed: there is no {path}; only runs with --checkpoint-every have one")
@@ -262,8 +290,11 @@ def checkpoint_of(folder: Path) -> Path:
 
 
 def read_checkpoint(folder: Path) -> tuple[str, dict[str, np.ndarray]]:
-    """Scene and arrays of the checkpoint of a run directory, none if the run had not come to its first one; FileError
-    if there is no checkpoint, or one damaged, changed or unknown."""
+    """Return the settings, as TOML, and the arrays, by name, in the checkpoint of a run directory.
+
+    There are no arrays if the run had not reached its first checkpoint. Raises FileError if there is no checkpoint, or
+    if it is damaged, was changed or has an unknown layout.
+    """
     arrays: dict[str, np.ndarray] = {}
     with read_hdf5(checkpoint_of(folder), "checkpoint") as file:
         file.visititems(lambda name, item: arrays.update({name: item[()]}) if isinstance(item, h5py.Dataset) else None)

@@ -1,6 +1,9 @@
-"""The layout of run.h5 and how it is written: coefficients and contacts of a lattice by axis, else in lists.
+"""The layout of run.h5 and how it is written.
 
-The layout is part of what others build on; :mod:`taichi_bearings.runs.run_file` reads it.
+Arrays over the contacts of a lattice are written axis by axis, those of a packing in one piece. Other programs read
+these files, so the layout does not change without a new version; :mod:`taichi_bearings.runs.run_file` reads it here.
+
+A replica is one sample of several. Data sets have a leading axis of replicas if there are several.
 """
 
 from collections.abc import Iterator, Mapping
@@ -30,23 +33,28 @@ PACKING_ARRAYS = {
     "normal_force": ("force", "normal force of the contacts"),
     "schematic": ("1", "1: contacts need not lie where spheres touch"),
 }
-"""Data sets of the group /packing: unit and words."""
+"""Units and descriptions of the data sets in the group /packing, by name."""
 FRICTION_OF_SECOND = {
     2: "friction on the second disc, component along z x n",
     3: "friction on the second sphere, laboratory frame",
 }
-"""By dimension. It is in balance and within the friction limits, so the lower bound follows from it."""
-OF_VECTORS = 5  # axes of friction on cubic lattices, of which a component is 0: replicas, lattice, components
+"""Descriptions of the friction of packings, by dimension. These forces prove the lower bound: they balance, and none
+exceeds the friction limit."""
+OF_VECTORS = 5  # axes of friction on cubic lattices: replicas, three of the lattice, and components, of which one is 0
 
 Row = tuple[str, np.ndarray, str, str]
-"""Name, values with an axis of replicas, unit and text of a data set."""
+"""Name, values with a leading axis of replicas, unit and description of a data set."""
 
 
 def write_run_file(path: Path, solution: Solution, attributes: Mapping[str, Any]) -> None:
-    """Write run.h5 in full or not at all. With one replica the replica axis is left out."""
+    """Write run.h5, whole or not at all. With a single replica data sets have no axis of replicas.
+
+    attributes : numbers and words, by name, that become attributes of the file.
+    """
     one = solution.scene.replicas == 1
 
     def fill(file: h5py.File) -> None:
+        """Write all data sets; whole numbers and vectors with many zeros are compressed."""
         for name, values, unit, text in _rows(solution):
             values = values.astype(np.uint8) if values.dtype == bool else values
             sparse = values.dtype == np.uint8 or (name.endswith("/friction") and values.ndim == OF_VECTORS)
@@ -57,13 +65,14 @@ def write_run_file(path: Path, solution: Solution, attributes: Mapping[str, Any]
 
 
 def _rows(solution: Solution) -> Iterator[Row]:
+    """Yield all data sets: coefficients, contacts, spins, history and snapshots."""
     scene, replicas = solution.scene, solution.scene.replicas
     yield from (_rows_of_packings if scene.network.lattice is None else _rows_of_lattice)(solution)
     for row, found in found_in(solution, SPHERES):
         yield row.name, found, row.unit, row.text
 
     def of_each(column: np.ndarray, replica_axis: int) -> np.ndarray:
-        """With a leading axis of replicas, like everything else."""
+        """Return a column with a leading axis of replicas. replica_axis : its axis of replicas, if it has any."""
         return np.moveaxis(column, replica_axis, 0) if column.ndim > 1 else np.tile(column, (replicas, 1))
 
     for key, column in solution.history.items():
@@ -75,6 +84,7 @@ def _rows(solution: Solution) -> Iterator[Row]:
 
 
 def _rows_of_lattice(solution: Solution) -> Iterator[Row]:
+    """Yield the data sets of coefficients and contacts of a lattice, one for each axis."""
     scene = of_lattice(solution.scene)
     lattice = scene.lattice
     friction = friction_by_axis(solution.friction, lattice)
@@ -92,6 +102,7 @@ def _rows_of_lattice(solution: Solution) -> Iterator[Row]:
 
 
 def _rows_of_packings(solution: Solution) -> Iterator[Row]:
+    """Yield the data sets of a packing and of its contacts."""
     scene = solution.scene
     for name, values in stacked([scene.sample(number).arrays() for number in range(scene.replicas)]).items():
         yield f"packing/{name}", values, *PACKING_ARRAYS[name]
