@@ -22,7 +22,8 @@ margin              1 - |dual| / friction, the share of its friction that a cont
 product             bound times what is left of the friction, the same for all contacts on the path
 excess, gap         cost less what the forces prove; the same over the cost
 stick, slip         margin stays and slip vanishes at the end of the path, or the other way round
-tied                spins made equal across contacts that do not slip: one unknown for all of them
+tied                spins made equal across contacts that do not slip: one unknown for all of them;
+                    but a contact state TIED means: slips at some minima and rests at others
 at limit            contacts that bear all their friction and yet do not slip
 head                one chosen unknown of each set of tied spins without a driven plane
 smooth              contacts that have left their cones and obey the friction law exactly

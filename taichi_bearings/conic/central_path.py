@@ -2,11 +2,14 @@
 
 At a point of the path every contact has the same product of slip bound and friction margin. Mehrotra's predictor and
 corrector (1992) and Gondzio's further correctors (1996), in the Nesterov-Todd scaling, bring that product down by a
-factor of about five a step, with one factorisation and a few solves.
+factor of about five in a step, with one factorisation and a few solves.
 
-Contacts can have a viscosity besides: the cost is the sum of mu b + eta |v|^2 / 2 over bounds b >= |v|, and a contact
-bears the force of its cone and eta v. Nothing else changes: eta adds to the stiffness of the Newton matrix, eta v to
-the torques that the forces leave, and cost less dual cost stays friction times slip less force times slip in the cones.
+Contacts can have a viscosity as well. The cost is then the sum of mu b + eta |v|^2 / 2 over bounds b >= |v|, and a
+contact bears the force of its cone and eta v. Nothing else changes: eta adds to the stiffness of the Newton matrix, and
+eta v to the torques that the forces leave. Cost less dual cost stays friction times slip less force times slip, summed
+over the cones.
+
+Letters: n contacts with up to d slip components, S samples side by side (conic/__init__.py).
 """
 
 from dataclasses import dataclass, replace
@@ -20,14 +23,15 @@ from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.kernels import central_path as kernels
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 
-MOST_CORRECTORS = 3  # Gondzio's, at most; each costs a solve and spares a part of a factorisation
+MOST_CORRECTORS = 3  # most of Gondzio's correctors; each costs a solve and saves part of a factorisation
 FULL_STEP = 0.9  # step length beyond which no further corrector is tried
 LEAST_GAIN = 0.02  # gain in step length below which a corrector is dropped and none is tried after it
-STEP_SHARE = 0.95  # of the way to the boundary of the cones
+STEP_SHARE = 0.95  # share of the way to the boundary of the cones that a step goes
 TINY = np.finfo(np.float64).tiny
-# slip times stiffness along it, or share of the stiffness across it, that keeps matrices regular; it slows nothing down
+# stiffness along a slip, times the slip squared (or over the stiffness across), that keeps matrices regular; it slows
+# nothing down
 LEAST_WORK = 1e-14
-# of the last solve, at most; torque, of the mean friction, that needs no second one
+# most refinements of the last solve; torque over the mean friction that needs none
 STEP_REFINEMENTS, STEP_TORQUE = 4, 1e-11
 PRODUCT_SPREAD = 10.0  # correctors bring products into [target / PRODUCT_SPREAD, target * PRODUCT_SPREAD]
 Viscous = np.ndarray | None
@@ -36,8 +40,12 @@ Viscous = np.ndarray | None
 def friction_stiffness(
     friction: np.ndarray, viscosity: np.ndarray | None, difference: np.ndarray, share: float = np.inf
 ) -> np.ndarray:
-    """Second derivative (d, d, n) of friction * |difference| and, if there is a viscosity, viscosity * |difference|^2 /
-    2, plus the weak LEAST_WORK / slip^2 along the slip, which is at most `share` of that of friction across it."""
+    """Second derivative (d, d, n) of friction * |difference| and, if there is a viscosity, + viscosity * |difference|^2
+    / 2.
+
+    Along the slip, where friction has no curvature, it gets the weak stiffness LEAST_WORK / slip^2, at most `share`
+    times the stiffness friction / slip across it. friction, viscosity : (n,). difference : (d, n), not 0.
+    """
     size = length(difference)
     along = difference / size
     weak = np.minimum(LEAST_WORK / size**2, share * friction / size) if share < np.inf else LEAST_WORK / size**2
@@ -49,7 +57,7 @@ def friction_stiffness(
 
 
 def newton_step(iterate: Iterate, matrix: NewtonMatrix) -> Iterate:
-    """The next point along the path.
+    """The next point along the path. matrix : Newton matrix of the system of the iterate.
 
     Raises NotPositiveDefinite if the Newton matrix is singular to working precision.
     """
@@ -67,10 +75,11 @@ def flowing(
     spins: np.ndarray,
     inertia: Inertia | None = None,
 ) -> np.ndarray:
-    """Spins (unknowns,) at which viscous forces alone are in balance, refined as long as that helps.
+    """Spins (unknowns,) at which viscous forces alone are in balance, refined as long as that helps. A path that begins
+    there leaves no torque on its way.
 
-    A path that begins there leaves no torque on its way. spins : where to begin. Raises NotPositiveDefinite if the
-    contrast of the viscosities is too large.
+    viscosity : (n,). spins : where to begin. inertia : what resists a change of the spins, if anything. Raises
+        NotPositiveDefinite if the contrast of the viscosities is too large.
     """
     matrix.factorise(isotropic(system.offset, viscosity), inertia.weight if inertia else 0.0)
     best, least = spins, np.inf
@@ -87,7 +96,8 @@ def flowing(
 
 
 def balance(iterate: Iterate, matrix: NewtonMatrix) -> Iterate:
-    """Take away the torques that rounding has left, from contacts in cones in proportion to the square of their margin.
+    """The iterate with the torques taken away that rounding has left. Forces of contacts in cones change in proportion
+    to the square of their margin.
 
     Stiff contacts feel the rounding of the spins: over six decades of friction a Newton step leaves torques of 1e-8.
     Raises NotPositiveDefinite if the forces cannot be balanced.
@@ -104,7 +114,8 @@ def balance(iterate: Iterate, matrix: NewtonMatrix) -> Iterate:
 
 @dataclass(frozen=True)
 class _Step:
-    """A step of the spins (unknowns, S), its contacts in slot `slot` of the rows.
+    """A step of S samples: changes of the spins (unknowns, S), and of the numbers of contacts in slot `slot` of the
+    rows.
 
     found : (numbers, S), what the kernel found: how far primal and dual points may go, and the sums of products.
     """
@@ -115,15 +126,17 @@ class _Step:
 
     @property
     def lengths(self) -> np.ndarray:
-        """How far primal and dual points may go, (2, S)."""
+        """(2, S), the multiples of the step up to which primal and dual points stay in their cones."""
         return self.found[: kernels.LEAST_FOUND]
 
     @property
     def shorter(self) -> np.ndarray:
+        """(S,), the smaller one of both lengths."""
         return self.lengths.min(axis=0)
 
     @property
     def reach(self) -> np.ndarray:
+        """(S,), sum of both lengths, each counted as 1 at most: how good the step is."""
         along, dual_along = self.within(1.0)
         return along + dual_along
 
@@ -132,7 +145,7 @@ class _Step:
         return np.minimum(1.0, share * self.lengths)
 
     def but(self, kept: np.ndarray, other: "_Step") -> "_Step":
-        """The same with what another one knows of the samples (S,) that are `kept`."""
+        """This step, with spins and findings of the `other` one for the samples (S,) that are `kept`."""
         return replace(
             self,
             spins=np.where(kept, other.spins, self.spins),
@@ -143,26 +156,28 @@ class _Step:
 class Path:
     """Up to S samples of one system side by side, each at a point of its central path.
 
-    Their numbers stay in the rows from step to step, and do not depend on each other.
+    The numbers of contacts stay in the rows from step to step. Samples do not influence each other.
     """
 
     def __init__(self, matrix: NewtonMatrix, samples: int = 1) -> None:
+        """Reserve places for `samples` samples of the system of a Newton matrix."""
         self.samples, self._matrix, self._rows = samples, matrix, matrix.rows(samples)
         self._given: list[Iterate | None] = [None] * samples
         self._spins = self._spins_before = np.zeros_like(self._rows.spins)
         self._moving = self._together = False
         self._inertia = 0.0
-        self._viscosity: np.ndarray | None = None  # of the slips in two rows, and as stiffnesses
+        self._viscosity: np.ndarray | None = None  # as factors of the slips in two rows, then (below) as stiffnesses
         self._viscous: Viscous = None
         self._power, self._excess = np.zeros((2, samples))
         self._price: np.ndarray | None = None
 
     @property
     def used(self) -> np.ndarray:
+        """(S,) mask of the places that hold a sample."""
         return np.array([iterate is not None for iterate in self._given])
 
     def put(self, sample: int, iterate: Iterate | None) -> None:
-        """Have a sample go on from there; with None, its place is free."""
+        """Set place `sample` to go on from an iterate; with None it becomes free."""
         self._given[sample] = iterate
         if iterate is None:
             return
@@ -192,16 +207,20 @@ class Path:
 
     @np.errstate(all="ignore")  # at the end, and where there is no sample, numbers that are not finite turn up
     def step(self) -> np.ndarray:
-        """One Newton step of every sample: predictor, corrector and recentring, most of the way to the boundary.
+        """Take one Newton step of every sample: predictor, corrector and recentring, most of the way to the boundary.
 
-        True (S,) where it could be taken, and is: not where the Newton matrix is singular to working precision.
+        Returns a mask (S,), True where the step was taken; False where the Newton matrix is singular to working
+        precision.
         """
         rows = self._rows
+        # Scaling of all cones, factorisation, and the predictor: a step towards product 0.
         rows.run(kernels.prepare, (0, 0), LEAST_WORK)
         going = self._matrix.factorise_rows(rows, self.used, self._inertia, self._viscous)
         taken, step = going.copy(), self._solved(0)
         target = self._target(step)
+        # Mehrotra's corrector: the product that the predictor makes credible, and its second-order terms.
         rows.run(kernels.correct, (0, 1), target)
+        # Gondzio's correctors, sample by sample, as long as each makes the step longer.
         step, rejected = self._solved(1), np.zeros_like(going)
         for _ in range(MOST_CORRECTORS):
             going &= ~(step.shorter > FULL_STEP)
@@ -214,6 +233,7 @@ class Path:
         if rejected.any():  # what is better is in the other slot
             slots = [rows.values[_in(slot, 0) : _in(slot, kernels.STEP_ROWS)] for slot in (0, 1)]
             slots[step.slot][..., rejected] = slots[1 - step.slot][..., rejected]
+        # Refine the last solve, and go STEP_SHARE of the way to the boundary.
         step = self._refined(step)
         along, dual_along = step.within(STEP_SHARE)
         found = rows.run(kernels.take, (step.slot, step.slot), along, dual_along)
@@ -222,7 +242,8 @@ class Path:
         return taken
 
     def _target(self, step: _Step) -> np.ndarray:
-        """Mehrotra: a product (S,) that the predictor makes credible."""
+        """(S,), the product to aim at: the present mean times the square of the share that the predictor `step` would
+        leave (Mehrotra), over 4."""
         count = np.array([max(1, iterate.in_cones) if iterate else 1 for iterate in self._given])
         product, by_reach, by_dual_reach, by_both = step.found[kernels.PRODUCT :]
         along, dual_along = step.within(1.0)
@@ -231,9 +252,10 @@ class Path:
         return np.minimum(1.0, remaining**2) * product / count / 4
 
     def _recentred(self, step: _Step, target: np.ndarray, going: np.ndarray, rejected: np.ndarray) -> _Step:
-        """Gondzio: bring outlying products of a longer step closer to the target, of the samples that are `going`.
+        """Gondzio's corrector: a step (in the other slot) that brings outlying products of a longer step closer to the
+        `target` (S,), for the samples that are `going` (S,).
 
-        The others have the same step once more, of which `rejected` ones had a better one before.
+        The other samples keep the step, or, where it was `rejected` (S,), the better one before it.
         """
         lengths = np.minimum(1.0, 1.5 * step.lengths + 0.1)
         other = np.where(rejected, kernels.AS_WRITTEN, kernels.AS_READ)
@@ -243,7 +265,7 @@ class Path:
         return self._solved(1 - step.slot)
 
     def _refined(self, step: _Step) -> _Step:
-        """Solve for the torques that rounding left, as long as that helps."""
+        """The step, solved again for the torques that rounding left, as long as that helps."""
         rows, last, going = self._rows, np.full(self.samples, np.inf), self.used
         for _ in range(STEP_REFINEMENTS):
             force = rows.two(kernels.FORCE)
@@ -262,7 +284,8 @@ class Path:
         return step
 
     def _solved(self, slot: int) -> _Step:
-        """Steps for W^-2 d(primal) + d(dual) = right-hand side that leave the forces balanced."""
+        """The solution of W^-2 d(primal) + d(dual) = right-hand side that leaves the forces balanced, with W the
+        scaling of the cones and the right-hand side in slot `slot`."""
         pull = _in(slot, kernels.PULL)
         if self._viscosity is not None:
             forces = self._rows.two(pull) - self._viscosity * self._rows.two(kernels.SLIP)
@@ -272,8 +295,8 @@ class Path:
         return self._expanded(slot)
 
     def _imbalance(self, row: int, spins: np.ndarray) -> None:
-        """Torques that the forces in two rows leave on the spheres, less what they are to balance there at these spins
-        (unknowns, S), in place of the spins."""
+        """Overwrite the spins of the rows by the torques of the forces in two rows from `row` on, less those that the
+        inertia needs at `spins` (unknowns, S)."""
         rows = self._rows
         rows.torques(row)
         if self._moving:
@@ -282,7 +305,8 @@ class Path:
                     rows.spins[rows.place, sample] -= iterate.to_balance(spins[rows.place, sample])
 
     def _expanded(self, slot: int) -> _Step:
-        """Steps of bounds, differences and duals that belong to the step of the spins, and how far they may go."""
+        """The step of bounds, slips and duals that belongs to the step of the spins, in slot `slot`, and how far it may
+        go."""
         spins = self._rows.spins.copy()
         self._rows.change(_in(slot, kernels.CHANGE))
         found = self._rows.run(kernels.expand, (slot, slot))
@@ -291,17 +315,17 @@ class Path:
         return _Step(slot, spins, found)
 
     def gap(self, sample: int) -> float:
-        """:attr:`Iterate.gap` after a step."""
+        """The relative gap of a sample after a step, as :attr:`Iterate.gap`."""
         if self._viscosity is not None:
             return self.iterate(sample).gap
         return float(self._excess[sample] / self._power[sample])
 
     def cost(self, sample: int) -> float:
-        """:attr:`Iterate.cost` after a step."""
+        """The cost of a sample after a step, as :attr:`Iterate.cost`."""
         return float(self._power[sample]) if self._viscosity is None else self.iterate(sample).cost
 
     def price_of_torques(self, sample: int) -> float:
-        """:attr:`Iterate.price_of_torques` after a step."""
+        """What leftover torques of a sample cost after a step, as :attr:`Iterate.price_of_torques`."""
         if self._viscosity is not None:
             return self.iterate(sample).price_of_torques
         if self._price is None:
@@ -311,15 +335,16 @@ class Path:
         return float(self._price[sample])
 
     def iterate(self, sample: int) -> Iterate:
-        """Where a sample is."""
+        """The point at which a sample is."""
         return self._read(sample, self._spins, kernels.BOUND, kernels.SLIP, kernels.DUAL)
 
     def before(self, sample: int) -> Iterate:
-        """Where it was before the last step."""
+        """The point at which a sample was before the last step."""
         of_before = kernels.BOUND_BEFORE, kernels.SLIP_BEFORE, kernels.DUAL_BEFORE
         return self._read(sample, self._spins_before, *of_before)
 
     def _read(self, sample: int, spins: np.ndarray, bound: int, slip: int, dual: int) -> Iterate:
+        """A point of a sample, read from the rows `bound`, `slip` and `dual`. spins : (unknowns or more, S)."""
         iterate, rows = self._given[sample], self._rows
         assert iterate is not None
         d = len(iterate.difference)
@@ -334,5 +359,5 @@ class Path:
 
 
 def _in(slot: int, row: int) -> int:
-    """Where a row of a step is among all rows."""
+    """Place, among all rows, of a row of the step in slot 0 or 1."""
     return kernels.STATE_ROWS + slot * kernels.STEP_ROWS + row

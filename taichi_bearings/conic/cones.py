@@ -26,7 +26,7 @@ def inner(tail: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 def longest_step(point: Point, step: Point) -> float:
-    """Largest a for which point + a * step stays in the cone; infinity if it never leaves."""
+    """Largest factor a for which point + a * step stays in the cone of every contact; infinity if it never leaves."""
     (head, tail), (dhead, dtail) = point, step
     # a solves quadratic * a^2 + 2 linear * a + constant = 0; the smallest positive root counts
     quadratic = dhead * dhead - inner(dtail, dtail)
@@ -41,5 +41,6 @@ def longest_step(point: Point, step: Point) -> float:
 
 
 def isotropic(vectors: np.ndarray, strength: np.ndarray | float = 1.0) -> np.ndarray:
-    """Stiffness (d, d, n), `strength` in every direction, of contacts with these vectors (d, n); or (d, d, n, S)."""
+    """Stiffness `strength` (a number or (n,)) in every direction, as (d, d, n), for contacts with `vectors` (d, n); or
+    (d, d, n, S) for vectors (d, n, S)."""
     return np.multiply.outer(np.eye(len(vectors)), strength * np.ones_like(vectors[0]))

@@ -1,14 +1,15 @@
-"""What there is to find, and the slips that it makes: rows y = K x + b over the contacts that act.
+"""The unknown spins of a problem, and the slips that they make: rows y = K x + b over the contacts that act.
 
-The unknowns x are spins of the free spheres by component. Of a network of any kind the rows lie along the tangents of
-its contacts (:meth:`ContactSystem.of`). Where components do not mix and have no odd loop, signs by which neighbours
-differ make differences of the sums of spins, and a row is that of two unknowns (:meth:`ContactSystem.signed`). Of a
-lattice such rows follow from its strides (:func:`lattice_system`): staggered spins are measured from the bottom plane
-in units of the imposed jump, forces in units of the sample's mean coefficient times the normal force, so that every
-number is of order one whatever units the scene is in.
+The unknowns x are components of the spins of free spheres. In a network of any kind the rows lie along the tangents of
+its contacts (:meth:`ContactSystem.of`). Where components do not mix and no loop is odd, signs by which neighbours
+differ turn sums of spins into differences, and a row is the difference of two unknowns (:meth:`ContactSystem.signed`).
+For a lattice such rows follow from its strides (:func:`lattice_system`): staggered spins are measured from the bottom
+plane in units of the imposed jump, forces in units of the sample's mean coefficient times the normal force, so that
+every number is of order one whatever units the scene is in.
 
-Letters: R samples, N spheres, E contacts, C spin components; of the n contacts of a system d is the most rows that one
-has (equations.md). Vectors across contacts are (d, n): a contact with fewer rows has them first, and 0 in the others.
+Letters: R samples, N spheres, E contacts, C spin components, D dimensions; n contacts of a system, of which d is the
+most rows that one has (equations.md). Vectors across contacts are (d, n): a contact with fewer rows has them first, and
+0 in the others. A contact "feels" a component of the spins that makes it slip.
 """
 
 from dataclasses import dataclass, field, replace
@@ -31,7 +32,7 @@ OF_ROWS = ("operator", "transposed", "across", "feels")  # properties that do no
 
 
 def _nothing() -> np.ndarray:
-    """An empty array, of a system that is not that of a whole network."""
+    """An empty array, for fields that only the system of a whole network has."""
     return np.zeros((0, 0), dtype=np.int64)
 
 
@@ -39,18 +40,25 @@ def _nothing() -> np.ndarray:
 class ContactSystem:
     """n contacts, each with up to d rows, over a vector of unknown spins.
 
-    offset : b, (d, n), what the imposed spins add to the slips. felt : (d, n) mask, the rows that there are.
+    unknowns : their number.
+    offset : b, (d, n), what the imposed spins contribute to the slips.
+    felt : (d, n) mask of the rows that exist.
     ends : (2, d, n), the unknowns whose difference is taken, the one below first; -1 where the spin is imposed. None
-    where the slips are any sums of unknowns: `slips`, K, (d*n, unknowns), one row of one contact after the other.
+        where slips are other sums of unknowns.
+    slips : K, (d*n, unknowns), where `ends` is None: all first rows of the contacts, then all second ones.
 
-    What follows is empty or None in a system that is not that of a whole network:
-    contact : (n,), the numbers of the contacts among the E of the network. slot : (d, n), the spin component or the
-    tangent of each row. place : (D, unknowns), where the spins are.
-    network : whose contacts these are; None of a lattice in strides. sphere : (unknowns,), that each belongs to.
-    moved : (N, C), number of each unknown, -1 where the spin is imposed, or held at 0. known : (N, C), spins
-    u = R omega that are no unknowns. sign : (N, C), factors that turn u into unknowns; None for all 1.
-    motions : number of motions without slip before a spin of each was held; None if undecided. kept : what methods have
-    made of the network, for other coefficients on it.
+    The other fields are empty or None unless the system is that of a whole network:
+
+    contact : (n,), numbers of the contacts among the E of the network.
+    slot : (d, n), the spin component or the tangent of each row.
+    place : (D, unknowns), where the spins are.
+    network : whose contacts these are; None for a lattice in strides.
+    sphere : (unknowns,), the sphere of each unknown.
+    moved : (N, C), number of each unknown, -1 where the spin is imposed, or held at 0.
+    known : (N, C), spins u = R omega that are not unknown.
+    sign : (N, C), factors that turn u into unknowns; None for all 1.
+    motions : number of motions without slip before one spin of each was held; None if undecided.
+    kept : what methods have made of the network, for other coefficients on it.
     """
 
     unknowns: int
@@ -71,16 +79,16 @@ class ContactSystem:
 
     @classmethod
     def of(cls, bearing: Bearing) -> "ContactSystem":
-        """Rows along the tangents of all contacts that act in parts which touch a driven sphere: those with a
-        coefficient in some sample, and a free end. The unknowns are u of the spheres that these reach, without a spin
-        of each motion that slips nowhere."""
+        """The system of a bearing: rows along the tangents of all contacts that act (with a coefficient in some sample,
+        and a free end) in parts which touch a driven sphere. The unknowns are u of the spheres in these parts; of each
+        motion that makes no contact slip one spin is left out."""
         found = cls.before_motions(bearing)
         return found if found.motions is not None else found.without_motions()
 
     @classmethod
     def before_motions(cls, bearing: Bearing) -> "ContactSystem":
-        """As :meth:`of`; where normals are oblique, motions that slip nowhere are still among the unknowns, and their
-        number is None."""
+        """The system as :meth:`of` makes it, except that with oblique normals motions that make no contact slip are
+        still among the unknowns; then `motions` is None."""
         network, contact = bearing.network, bearing.acting
         moves = network.reached(contact)
         contact = contact[moves[network.contact[:, contact]].any(axis=0)]
@@ -91,7 +99,11 @@ class ContactSystem:
     def _over(
         cls, network: Network, contact: np.ndarray, known: np.ndarray, wanted: np.ndarray, number: int | None
     ) -> "ContactSystem":
-        """Rows along the tangents of these contacts over the spins that are `wanted`, (N, C) mask."""
+        """Rows along the tangents of some contacts over some spins.
+
+        contact : numbers (n,) of the contacts. known : (N, C), spins that are imposed. wanted : (N, C) mask of the
+            unknowns. number : `motions`.
+        """
         spins, sphere = known[network.contact[:, contact]].sum(axis=0), np.nonzero(wanted)[0]
         moved = np.where(wanted, np.cumsum(wanted).reshape(wanted.shape) - 1, -1)
         offset = np.einsum("tek,ek->te", network.tangents[:, contact], spins)
@@ -111,7 +123,8 @@ class ContactSystem:
         )
 
     def without_motions(self) -> "ContactSystem":
-        """The same with one spin held of each motion that slips nowhere, and the number of these."""
+        """The system in which one spin of each motion that makes no contact slip is held at 0, with the number of such
+        motions."""
         network, moves = self.network, np.any(self.moved >= 0, axis=1)
         found = network.motions(self.operator, self.sphere, self.numbers, moves)
         wanted = (self.moved >= 0) & ~np.isin(self.moved, found.held)
@@ -119,19 +132,20 @@ class ContactSystem:
         return ContactSystem._over(network, self.numbers, self.known, wanted, number)
 
     def with_motions(self, number: int) -> "ContactSystem":
-        """The same where it is known how many motions slip nowhere."""
+        """The same system with a known number of motions that make no contact slip."""
         return self._with(motions=number)
 
     def _with(self, **changes: Any) -> "ContactSystem":
-        """The same rows and spins with other values of some fields; what follows from rows alone is kept."""
+        """A system with the same rows and unknowns, and other values of some fields; properties that follow from rows
+        alone are kept."""
         found = replace(self, **changes)
         vars(found).update({name: of for name, of in vars(self).items() if name in OF_ROWS})
         return found
 
     def signed(self) -> "ContactSystem | None":
-        """The same unknowns and contacts, but for those that feel none of them, over signed spins s u, (N, C) signs s;
-        None where components mix or have an odd loop. The difference s_j u_j - s_i u_i of a contact is s_j (u_i + u_j).
-        """
+        """The system over signed spins s u, with signs s (N, C), without contacts that feel no unknown; None where
+        components mix or have an odd loop. The difference s_j u_j - s_i u_i of a contact between spheres i and j is s_j
+        (u_i + u_j)."""
         network, needed = self.network, np.flatnonzero((self.moved >= 0).any(axis=0))
         if not network.along_axes(self.contact):
             return None
@@ -153,7 +167,7 @@ class ContactSystem:
 
     @property
     def numbers(self) -> np.ndarray:
-        """`contact`, of a system of a whole network."""
+        """`contact` (n,), for the system of a whole network."""
         assert self.contact is not None
         return self.contact
 
@@ -164,19 +178,20 @@ class ContactSystem:
 
     @cached_property
     def feels(self) -> np.ndarray:
-        """(n, C), True for the components of spins that move and make a contact slip."""
+        """(n, C) mask, true for the components of spins that are unknown for some sphere and make a contact slip."""
         return np.any(self.across, axis=0) & np.any(self.moved >= 0, axis=0)
 
     def of_contacts(self, bearing: Bearing, sample: int = 0) -> tuple[np.ndarray, ...]:
-        """What the functions of the law take of these contacts in one sample, (n,) each."""
+        """Material constants of these contacts in one sample, as the functions of the contact law take them, (n,)
+        each."""
         return tuple(values[sample, self.contact] for values in bearing.material)
 
     def in_units(self, speed: float) -> "ContactSystem":
-        """The same with imposed spins in units of a speed."""
+        """The system with imposed spins in units of a speed."""
         return self._with(offset=self.offset / speed, known=self.known / speed)
 
     def with_offset(self, offset: np.ndarray) -> "ContactSystem":
-        """The same with other slips (d, n) of the imposed spins."""
+        """The system with other slips (d, n) from the imposed spins."""
         return self._with(offset=offset)
 
     def all_spins(self, spins: np.ndarray) -> np.ndarray:
@@ -185,7 +200,8 @@ class ContactSystem:
         return np.where(self.moved >= 0, own if self.sign is None else self.sign * own, self.known)
 
     def to_all_digits(self, spins: np.ndarray) -> np.ndarray:
-        """Slips (d, n) of these spins (unknowns,), to all digits of theirs."""
+        """Slips (d, n) for these unknowns (unknowns,), with the relative precision of doubles even where terms
+        cancel."""
         if self.ends is not None:
             return self.differences(spins)
         first, second = self.all_spins(spins)[self.network.contact[:, self.contact]]
@@ -194,7 +210,8 @@ class ContactSystem:
         return np.asarray(reduce(add, parts)[0])
 
     def on_contacts(self, forces: np.ndarray) -> np.ndarray:
-        """T^T f, (E, C), of forces (d, n) in the rows; 0 on contacts of the network that are not in the system."""
+        """Vectors T^T f, (E, C), with T the tangents, of forces f (d, n) in the rows; 0 on contacts that are not in the
+        system."""
         network: Network = self.network
         found = np.zeros((network.contacts, network.components))
         if self.sign is None:
@@ -208,7 +225,8 @@ class ContactSystem:
 
     @cached_property
     def operator(self) -> sparse.csr_array:
-        """(d*n, unknowns): the part of the differences that is linear in the spins, one component after the other."""
+        """The matrix K, (d*n, unknowns): the part of the slips that is linear in the unknowns, all first rows, then all
+        second ones."""
         if self.ends is None:
             return self.slips
         ends = self.ends.reshape(2, -1)
@@ -218,11 +236,12 @@ class ContactSystem:
 
     @cached_property
     def transposed(self) -> sparse.csr_array:
+        """The transpose of `operator`, (unknowns, d*n)."""
         return self.operator.T.tocsr()
 
     def copies(self, count: int) -> "ContactSystem":
-        """The same contacts so many times, each time over spins of their own: samples, one after the other, as parts of
-        one system that no contact joins."""
+        """`count` copies of the contacts, each over spins of its own: samples as parts of one system that no contact
+        joins."""
         if count == 1:
             return self
         shift = np.repeat(self.unknowns * np.arange(count), self.offset.shape[1])
@@ -233,27 +252,29 @@ class ContactSystem:
         return ContactSystem(self.unknowns * count, offset, felt, ends, place=place)
 
     def change(self, step: np.ndarray) -> np.ndarray:
-        """Change of the differences (d, n) that a change of the spins (unknowns,) makes; or (d, n, S) of S samples."""
+        """Change of the slips (d, n) for a change `step` (unknowns,) of the spins; or (d, n, S) for (unknowns, S)."""
         return (self.operator @ step).reshape(*self.offset.shape, *step.shape[1:])
 
     def differences(self, spins: np.ndarray) -> np.ndarray:
-        """Difference of the spins across each contact, (d, n)."""
+        """Slips (d, n) for spins (unknowns,): the differences of spins across contacts."""
         return self.change(spins) + self.offset
 
     def torques(self, forces: np.ndarray) -> np.ndarray:
-        """Transpose of the differences: (unknowns,) from (d, n), or (unknowns, S) from (d, n, S)."""
+        """Torques (unknowns,) of forces (d, n), or (unknowns, S) of forces (d, n, S): K^T times the forces."""
         return self.transposed @ forces.reshape(-1, *forces.shape[2:])
 
     def gather_vectors(self, values: np.ndarray, replica: int) -> np.ndarray:
-        """Vectors (d, n) of one sample; values : (C, R, E)."""
+        """Vectors (d, n) of one sample, read from values (C, R, E)."""
         return values[self.slot, replica, self.contact]
 
     def scatter_vectors(self, vectors: np.ndarray, values: np.ndarray, replica: int | slice) -> None:
-        """Inverse of :meth:`gather_vectors`: write vectors (d, n) into the values, or (R, d, n) of several samples."""
+        """Write vectors (d, n) of one sample, or (R, d, n) of several, into values (C, R, E): the inverse of
+        :meth:`gather_vectors`."""
         np.moveaxis(values, 1, 0)[replica][..., self.slot, self.contact] = vectors
 
     def pieces(self, chosen: np.ndarray) -> tuple[int, np.ndarray]:
-        """Number of the pieces that the chosen contacts, (n,) mask, join the spins to, and that of each."""
+        """Number of the pieces that the contacts of the mask `chosen` (n,) make of the unknowns, and the number
+        (unknowns,) of the piece of each unknown."""
         below, above = self.ends[:, :, chosen].reshape(2, -1)
         both, size = (below >= 0) & (above >= 0), (self.unknowns, self.unknowns)
         graph = sparse.coo_matrix((np.ones(both.sum(), dtype=np.int8), (below[both], above[both])), shape=size)
@@ -261,7 +282,8 @@ class ContactSystem:
         return count, piece
 
     def terms(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """All terms of the Laplacian, each pair once: first, second unknown, place in `stacked` stiffness, factor."""
+        """All terms of the Laplacian K^T (stiffness) K, each pair of unknowns once, as four arrays: first and second
+        unknown, place in the `stacked` stiffness, factor."""
         d, count = self.offset.shape
         found, ends = [], [self._unknowns_of(slip) for slip in range(d)]
         for number, (i, j) in enumerate(combinations_with_replacement(range(d), 2)):
@@ -274,8 +296,8 @@ class ContactSystem:
         return first, second, source, factor
 
     def _unknowns_of(self, slip: int) -> list[tuple[np.ndarray, np.ndarray]]:
-        """The first unknown (n,) of this slip of each contact, and its factor, 0 where there is none; the second, and
-        so on."""
+        """For row `slip` (0 to d - 1) of every contact, a list of pairs of arrays (n,): its first unknown and the
+        factor of that, 0 if it has none; then its second, and so on."""
         if self.ends is None:
             count = self.offset.shape[1]
             return _ends(self.operator[slip * count : (slip + 1) * count])
@@ -287,7 +309,7 @@ class ContactSystem:
 
 
 def _ends(slips: sparse.csr_matrix) -> list[tuple[np.ndarray, np.ndarray]]:
-    """The first unknown (n,) of each of these slips, and its factor, 0 where there is none; the second, and so on."""
+    """For each row of the matrix `slips` (n, unknowns) the list that :meth:`ContactSystem._unknowns_of` describes."""
     counts = np.diff(slips.indptr)
     row, most = np.repeat(np.arange(len(counts)), counts), int(counts.max(initial=1))
     place = np.arange(len(row)) - slips.indptr[row]
@@ -297,33 +319,36 @@ def _ends(slips: sparse.csr_matrix) -> list[tuple[np.ndarray, np.ndarray]]:
 
 
 def stacked(stiffness: np.ndarray) -> np.ndarray:
-    """Upper triangles of the stiffnesses (d, d, n), in the order that `terms` counts them."""
+    """Upper triangles of the stiffnesses (d, d, n), as one vector, in the order in which :meth:`ContactSystem.terms`
+    counts them."""
     return np.concatenate([stiffness[i, j] for i in range(len(stiffness)) for j in range(i, len(stiffness))])
 
 
 def slipping_components(felt: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Contacts (n,) that feel any of the C components, mask (C, E); slots (d, n), those that each feels first; and
-    which of these it feels, (d, n)."""
+    """Contacts (n,) that feel any component; the components (d, n) that each feels, first; and a mask (d, n) that is
+    false where fewer than d are felt. felt : (C, E) mask of the components that each contact feels."""
     contact, most = np.flatnonzero(felt.any(axis=0)), felt.sum(axis=0).max(initial=1)
     slot = np.argsort(~felt[:, contact], axis=0, kind="stable")[:most]
     return contact, slot, felt[slot, contact]
 
 
 def free_spins(staggered: np.ndarray) -> np.ndarray:
-    """Spins (R, unknowns) of the free spheres; staggered : (C, R, *N)."""
+    """Spins (R, unknowns) of the free spheres, from staggered spins (C, R, *N) of all."""
     return np.moveaxis(staggered[..., 1:-1], 0, -1).reshape(staggered.shape[1], -1)
 
 
 def place_free_spins(staggered: np.ndarray, replica: int | slice, spins: np.ndarray) -> None:
-    """Inverse of :func:`free_spins`: write the spins (unknowns,) of one sample, or those (R, unknowns) of several."""
+    """Write spins (unknowns,) of one sample, or (R, unknowns) of several, into staggered spins (C, R, *N): the inverse
+    of :func:`free_spins`."""
     free = staggered[:, replica, ..., 1:-1]
     free[...] = np.moveaxis(spins.reshape(*free.shape[1:], -1), -1, 0)
 
 
 def lattice_system(lattice: Lattice, spin_axes: tuple[int, ...], jump: np.ndarray) -> ContactSystem:
-    """All contacts of a lattice that can slip; unknown = free sphere * components + position in `spin_axes`.
+    """The system of all contacts of a lattice that can slip. The number of an unknown is that of its free sphere times
+    the number of components, plus its position in `spin_axes`.
 
-    jump : (C, *plane), staggered spin of the top, measured from the bottom; (C,) if it is the same on all of it.
+    jump : (C, *plane), staggered spin of the top, measured from the bottom; (C,) if it is the same on the whole top.
     """
     sphere, unknowns = number_free(lattice.shape), int(np.prod(lattice.free_shape)) * len(spin_axes)
     is_top = np.zeros(lattice.shape, dtype=bool)

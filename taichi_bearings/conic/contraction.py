@@ -1,9 +1,10 @@
-"""Tie together the spins that slipless contacts join, and carry on with what is left.
+"""Contact systems in which spins that slipless contacts join are tied together, as one unknown.
 
-A slipless contact makes the spin components across it equal. Near the minimum that leaves about one unknown in six at
-32^3, and a contact system in which no stiffness is huge: there the last digits can be had.
+A slipless contact makes the spin components across it equal. Near the minimum tying them leaves about one unknown in
+six at 32^3, and a contact system without huge stiffnesses: there the last digits can be computed.
 
-Several samples of one lattice are parts of one system that no contact joins.
+Several samples of one lattice are parts of one system that no contact joins. Letters: n contacts with up to d slip
+components; D dimensions; a Pair is a sum of two doubles.
 """
 
 from dataclasses import dataclass
@@ -15,32 +16,36 @@ from taichi_bearings.dissection import dissected
 from taichi_bearings.numerics.cholesky.fronts import coupled
 from taichi_bearings.numerics.double_double import Pair, two_sum
 
-# unknowns of a sample with an order of its own, and of a region that then is not divided
+# number of unknowns from which a sample has an order of its own, and of a region that then is not divided
 OWN_ORDER_UNKNOWNS, OWN_LEAF_UNKNOWNS = 2_000, 20
 
 
 @dataclass(frozen=True)
 class Owners:
-    """The sample, of so many, that each spin (unknowns,) and each contact (n,) belongs to; they ascend."""
+    """The sample (0 to samples - 1) to which each spin (unknowns,) and each contact (n,) belongs; both arrays
+    ascend."""
 
     samples: int
     spins: np.ndarray
     contacts: np.ndarray
 
     def largest(self, values: np.ndarray) -> np.ndarray:
-        """Of numbers (n,) or vectors (d, n) on contacts that are not negative, (samples,); 0 of none."""
+        """(samples,), largest number of each sample, from numbers (n,) or vectors (d, n) on contacts that are not
+        negative; 0 for a sample without contacts."""
         return _largest(self.samples, self.contacts, values if values.ndim == 1 else values.max(axis=0))
 
     def largest_of_spins(self, values: np.ndarray) -> np.ndarray:
-        """The same of one number (unknowns,) a spin."""
+        """(samples,), largest number of each sample, from values (unknowns,) that are not negative."""
         return _largest(self.samples, self.spins, values)
 
     def any(self, chosen: np.ndarray) -> np.ndarray:
-        """Samples (samples,) with one of the chosen contacts, (n,) mask."""
+        """(samples,) mask of samples with a contact in the mask `chosen` (n,)."""
         return self.largest(chosen) > 0
 
 
 def _largest(samples: int, owner: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """(samples,), largest of the values of each owner, 0 if it has none. owner : ascending numbers of samples, one for
+    each value."""
     begins, found = np.searchsorted(owner, np.arange(samples + 1)), np.zeros(samples)
     some = begins[1:] > begins[:-1]
     if some.any():
@@ -49,23 +54,27 @@ def _largest(samples: int, owner: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 class Contraction:
-    """The contacts that are left, over one unknown for each set of tied spins.
+    """The contacts that are left when some contacts are tied, over one unknown for each set of tied spins.
 
-    whole : the systems before. system : contacts that are not tied, over the new unknowns; kept : (n,), their places in
-    the old system. Contacts that loops of tied ones leave no slip are tied, too. owners : what belongs to which sample.
-    contradicts : (samples,), tied contacts join bottom and top, which turn differently.
+    whole : the system before.
+    system : contacts that are not tied, over the new unknowns.
+    kept : their numbers in the system before. Contacts that cannot slip, as loops of tied ones make their ends equal,
+        are not kept.
+    owners : the sample of each new unknown and kept contact.
+    contradicts : (samples,) mask, true where tied contacts join driven planes that turn differently.
     """
 
     def __init__(self, whole: ContactSystem, order: np.ndarray, tied: np.ndarray, samples: int = 1) -> None:
-        """whole : contacts before, of all samples; order : of elimination of the unknowns of a sample; tied : (n,)
-        mask."""
+        """Tie some contacts. whole : contacts of all samples. order : order of elimination of the unknowns of one
+        sample. tied : (n,) mask."""
         self.whole, self._order = whole, order
         self._label(whole, tied, samples)
         self.kept, self.system = self._left(whole, np.flatnonzero(~tied))
         self.owners = Owners(samples, self._owner, self.kept // max(len(tied) // samples, 1))
 
     def _label(self, whole: ContactSystem, tied: np.ndarray, samples: int) -> None:
-        """Number of the set that each spin belongs to, or its imposed value if the set is tied to a driven plane."""
+        """Number the sets of tied spins: `number` (unknowns before,) is that of the set of each spin, or -1 if the set
+        is tied to a driven plane; `imposed` is then its value."""
         (below, above), offset = whole.ends[:, :, tied], whole.offset[:, tied]
         # a difference of zero with one end imposed: spin below = offset, or spin above = -offset
         up, down = (below >= 0) & (above < 0), (above >= 0) & (below < 0)
@@ -83,7 +92,8 @@ class Contraction:
         self.number, self.imposed = number[label], np.where(is_free, 0.0, imposed_value)[label]
 
     def _left(self, whole: ContactSystem, places: np.ndarray) -> tuple[np.ndarray, ContactSystem]:
-        """Those of the places at which the ends are not the same by what is tied; their contacts over the sets."""
+        """Numbers of those contacts, among `places`, that can still slip, and the system of these contacts over the
+        sets."""
         ends = whole.ends[:, :, places]  # -1 where a spin was imposed before
         (below, above), imposed = np.append(self.number, -1)[ends], np.append(self.imposed, 0.0)[ends]
         offset, same = whole.offset[:, places] + imposed[1] - imposed[0], below == above
@@ -94,7 +104,7 @@ class Contraction:
 
     @property
     def heads(self) -> np.ndarray:
-        """Mask (unknowns before,) of one spin, the first, of each set that is tied to no plane."""
+        """(unknowns before,) mask of one spin, the first, of each set that is tied to no driven plane."""
         free = np.flatnonzero(self.number >= 0)
         first, found = np.empty(self.unknowns, dtype=np.int64), np.zeros(len(self.number), dtype=bool)
         first[self.number[free[::-1]]] = free[::-1]
@@ -102,12 +112,13 @@ class Contraction:
         return found
 
     def span(self, sample: int) -> slice:
-        """The unknowns of a sample: they are one after the other."""
+        """The unknowns of a sample, which follow each other."""
         return slice(*np.searchsorted(self._owner, [sample, sample + 1]).tolist())
 
     def order(self, sample: int) -> np.ndarray:
-        """Of elimination of the unknowns of a sample, counted from its first. In small ones a set goes when the last of
-        its spins would. In large ones the sets, which reach across any plane, are dissected anew: by where they are."""
+        """Order of elimination of the unknowns of a sample, counted from its first. In small samples a set is
+        eliminated when the last of its spins would be. In large ones the sets, which extend across any plane, are
+        dissected anew by their places."""
         own = self.span(sample)
         if self.whole.place is not None and own.stop - own.start >= OWN_ORDER_UNKNOWNS:
             return self._dissected(own, self.whole.place)
@@ -118,14 +129,16 @@ class Contraction:
         return np.argsort(last)
 
     def _dissected(self, own: slice, place: np.ndarray) -> np.ndarray:
-        """The order of these unknowns by nested dissection; place : (D, unknowns before)."""
+        """The order of the unknowns `own` by nested dissection, with each set at the mean place of its spins. place :
+        (D, unknowns before)."""
         free = self.number >= 0
         number = self.number[free]
         centre = np.stack([np.bincount(number, weights=along[free]) for along in place]) / np.bincount(number)
         return order_by_place(self.system, centre, own)
 
     def contracted(self, spins: Pair) -> Pair:
-        """Mean of the tied spins, (unknowns,): one of them, and by how much they are more on average."""
+        """Mean (unknowns,) of the spins (unknowns before,) of each set, to twice the precision: one of the spins, plus
+        the mean difference of the others from it."""
         free = self.number >= 0
         number, one = self.number[free], np.zeros(self.unknowns)
         one[number] = spins[0][free]
@@ -133,24 +146,25 @@ class Contraction:
         return two_sum(one, more / np.bincount(number, minlength=self.unknowns))
 
     def expanded(self, spins: Pair) -> Pair:
-        """Spins of the whole system: equal within each set."""
+        """Spins of the whole system from the unknowns: equal within each set, imposed where a set is tied to a
+        plane."""
         high, low = (np.append(part, 0.0)[self.number] for part in spins)  # number is -1 where a spin is imposed
         return high + self.imposed, low
 
     def differences(self, spins: Pair) -> np.ndarray:
-        """Of the spins across each contact that is left, (d, n), good to the digits of the smallest.
+        """Slips (d, n) of the contacts that are left, with all digits of the smallest.
 
-        They add up to nothing round every loop of contacts but for the rounding of the small parts. Differences that
-        are followed on their own do not; contacts that rest then seem to slip by what is missing.
+        They add up to nothing round every loop of contacts, but for the rounding of the small parts. If they were
+        followed on their own they would not, and contacts at rest would seem to slip by what is missing.
         """
         return self.system.differences(spins[0]) + self.system.change(spins[1])
 
 
 def order_by_place(system: ContactSystem, place: np.ndarray | None = None, own: slice | None = None) -> np.ndarray:
-    """Order of elimination by nested dissection of all unknowns, or of the `own` ones, counted from their first.
+    """Order of elimination by nested dissection of all unknowns, or of the range `own`, counted from its first.
 
-    place : (D, unknowns), where they are; as the system says if None. What contacts couple tells them apart, so
-    components that a contact does not join are divided each for itself.
+    place : (D, unknowns), where they are; that of the system if None. Unknowns are coupled if a contact joins them, so
+        components that no contact joins are divided separately.
     """
     own, place = own or slice(0, system.unknowns), system.place if place is None else place
     assert place is not None

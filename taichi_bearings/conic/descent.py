@@ -15,21 +15,32 @@ from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.stages import stage
 
-# relative gap from which settling is tried, and from which it still is where the path ends (32^3 seed 2); factor to the
+# next trial
+# relative gap below which settling is tried, also where the path ends (32^3 seed 2); the next trial comes when the gap
+# is smaller by the factor
 # next trial
 SETTLING_GAP, RETRY_FACTOR = 1e-9, 100
 # in small samples the gap is SETTLING_GAP_FACTOR / spheres^2, at most FIRST_SETTLING_GAP: their slips are larger
 FIRST_SETTLING_GAP, SETTLING_GAP_FACTOR = 1e-8, 1e-4
-SETTLING_STEPS = 5.0  # of the path that settling takes as long as
-DISTANT_GAP = 1e-4  # relative gap that is far from any tolerance of this method
+SETTLING_STEPS = 5.0  # number of steps along the path that take as long as settling the contact states
+DISTANT_GAP = 1e-4  # relative gap above which the price of leftover torques does not matter yet
 
 
 @dataclass
 class Sample:
-    """One replica: its iterate, and the power of two near the mean coefficient in which its friction is measured.
+    """One sample on its way.
 
-    firm : (n,) mask of contacts that rest at every minimum, as they have more friction than the iterate counts; None of
-    none.
+    iterate : where it is on the path.
+    unit : power of two near the mean coefficient, in which its friction is measured.
+    steps : number of steps taken.
+    gap : relative gap.
+    done : nothing is left to gain.
+    at_end : its contact states are to be settled before it goes on.
+    before : where it was one step before that, if known.
+    tried : relative gap at the last trial to settle the states.
+    resolved : the best minimum found so far.
+    firm : (n,) mask of contacts that rest at every minimum, as they have more friction than the iterate counts; None
+        for none.
     """
 
     iterate: Iterate
@@ -45,7 +56,10 @@ class Sample:
 
 
 class Descent:
-    """See the module docstring. samples : all of them; each is done where nothing is left to gain for it."""
+    """Samples of one system on their way along the central path, until the states of their contacts are settled.
+
+    samples : all of them; each is done where nothing is left to gain for it.
+    """
 
     samples: list[Sample]
 
@@ -58,16 +72,24 @@ class Descent:
         asked: bool = True,
         told: Callable[[Sample, float], None] | None = None,
     ) -> None:
-        """shared : by all samples. small : samples are treated as small ones, several side by side. settles : slips of
-        any size are met with the same force, so that there are contacts at rest, and these are found here. asked :
-        they are wanted, and not a bound alone. told : hears of each sample after each step, and its cost then."""
+        """Prepare a descent; `samples` are set by the subclass.
+
+        shared : what all samples share.
+        spheres : their number, by which the first gap for settling is chosen.
+        small : whether samples are treated as small ones, several side by side.
+        settles : whether contact states are settled here. This needs a law whose force does not depend on the slip
+            speed, so that contacts rest.
+        asked : whether states are wanted, and not only a bound.
+        told : function that is called with each sample and its cost after each of its steps.
+        """
         self.shared, self.spheres, self.small, self.settles, self.asked = shared, spheres, small, settles, asked
-        self.told, self.step_seconds = told, 0.0  # of the last step
+        self.told, self.step_seconds = told, 0.0  # duration of the last step
 
     def advance(self, steps: int) -> None:
-        """As many of every sample that is not done. Where one leaves, another takes its place beside the others.
+        """Take up to `steps` further steps of every sample that is not done. Where one leaves, another takes its place
+        beside the others.
 
-        Samples near the end of their paths wait for others: together their states are settled in half the time.
+        Samples near the end of their paths wait for others: settling their states together takes half the time.
         """
         waiting = deque((sample, sample.steps + steps) for sample in self.samples if not sample.done)
         together = self.small and len(waiting) > 1
@@ -98,18 +120,21 @@ class Descent:
                     self._leave(path, place, sample)
 
     def _leave(self, path: Path, place: int, sample: Sample) -> None:
+        """Store the point that a sample has reached, unless it is done, and free its place on the path."""
         if not sample.done:
             sample.iterate = path.iterate(place)
         path.put(place, None)
 
     @property
     def settles_at(self) -> float:
-        """Relative gap. In small samples it is one at which contacts that seem to stick mostly do, and nothing else; in
-        large ones none is, and a step costs more than to follow the last decades of the path that much further."""
+        """Relative gap below which states are settled. In small samples it is one at which contacts that seem to stick
+        mostly do. In large ones there is no such gap, and a step costs more than following the last decades of the path
+        that much further."""
         return min(SETTLING_GAP_FACTOR / self.spheres**2, FIRST_SETTLING_GAP) if self.small else SETTLING_GAP
 
     def _judge(self, sample: Sample, path: Path, place: int, taken: bool) -> None:
-        """See where a step of a sample has led, and whether to try to settle its states."""
+        """Note where a step of a sample has led, and whether its states are to be settled next. place : its place on
+        the path. taken : whether the step could be taken."""
         gap = self._gap(sample, path, place) if taken else np.nan
         sample.steps, accepted = sample.steps + 1, bool(np.isfinite(gap))
         sample.gap, sample.done = gap if accepted else sample.gap, not accepted or not gap > LEAST_GAP
@@ -122,16 +147,20 @@ class Descent:
             sample.before = path.before(place) if accepted else None
 
     def _near(self, sample: Sample) -> float:
-        """Relative gap from which the states of a sample are to be settled; 0 if never. In small samples that is tried
-        once, and where the path ends: the last decades are followed each time, and tell no more from closer by."""
+        """Relative gap below which the states of a sample are to be settled; 0 if never. In small samples that is tried
+        once, and again where the path ends: the last decades are followed each time, and show no more from closer by.
+        """
         again = 0.0 if self.small and np.isfinite(sample.tried) else sample.tried / RETRY_FACTOR
         return min(self.settles_at, again) if self.settles else 0.0
 
     @np.errstate(all="ignore")  # at the end numbers that are not finite turn up
     def _gap(self, sample: Sample, path: Path, place: int) -> float:
-        """Relative gap of a sample after a step, with the price of torques that are left. Its forces are balanced where
-        nothing else keeps it from being settled; where states are settled by others, these balance them. Not finite if
-        it cannot be told."""
+        """Relative gap of a sample after a step, with the price of torques that are left; not finite if it cannot be
+        computed.
+
+        Its forces are balanced if they alone keep the sample from being settled; not if the settling of states balances
+        them.
+        """
         gap = path.gap(place)
         price = 0.0 if gap > DISTANT_GAP else path.price_of_torques(place)
         if not price > max(gap, LEAST_GAP) or (not self.settles and price < SETTLING_GAP):
@@ -149,6 +178,7 @@ class Descent:
         return balanced.gap
 
     def _settle(self, samples: list[Sample]) -> None:
+        """Try to settle the states of some samples, and keep the better one of the minima found for each."""
         with stage("settling contact states", SETTLING_STEPS * self.step_seconds):
             resolved = resolve([s.iterate for s in samples], [s.before for s in samples], self.shared, self.small)
         for sample, found in zip(samples, resolved, strict=True):
@@ -160,8 +190,8 @@ class Descent:
             sample.done |= found.sure
 
     def _misses(self, sample: Sample, found: Resolved) -> tuple[bool, bool, float]:
-        """What a settled state misses, the most important first: balanced forces that bear the load, certainty, and the
-        gap with what torques on the spheres take from the bound, at most: the more where coefficients differ by many
-        decades, the further the path goes."""
+        """What a settled minimum misses, the most important first: forces that balance and bear the load; certainty;
+        and its gap with the price of leftover torques. The latter is the larger the more decades the coefficients span
+        and the further the path goes."""
         settled = replace(sample.iterate, difference=found.difference, dual=found.dual)
         return not found.borne, not found.sure, settled.gap + settled.price_of_torques

@@ -1,15 +1,18 @@
-"""Spheres held by springs that friction limits: their spins in balance, and the contact forces there.
+"""Spheres held by springs whose force friction limits: their spins in balance, and the contact forces there.
 
-With inertia it is one implicit step of a dynamics, without it one step of the method of multipliers. With the trial
-force F* = start + resistance * R D Omega of every contact, limited to |F| <= limit, and a viscous force viscosity *
-R D Omega beside it, if there is one, the spins obey
+With inertia this is one implicit step of a dynamics, without it one step of the method of multipliers. Let D Omega be
+the differences of spins across contacts and R the radius. Every contact has the trial force F* = start + resistance * R
+D Omega, limited to |F| <= limit, and beside it a viscous force viscosity * R D Omega, if there is a viscosity. The
+spins then obey
 
     inertia (Omega - base) + R D^T F(Omega) = 0,
 
-the minimum of the strictly convex, once differentiable function inertia |Omega - base|^2 / 2 + sum_e huber(F*_e) /
-resistance_e and the viscous potential. Newton's method finds it: a contact that sticks resists with its resistance, one
-that slips only across its force, resistance * limit / |F*|. A line search on the slope makes every step go down.
-Contacts change between the two branches finitely often, and then convergence is quadratic.
+which holds at the minimum of the strictly convex, once differentiable function inertia |Omega - base|^2 / 2 + sum_e
+huber(F*_e) / resistance_e + the viscous potential. Newton's method finds it: a contact that sticks resists with its
+resistance; one that slips resists only across its force, with resistance * limit / |F*|. A line search on the slope
+makes every step go down. Contacts change between the two branches finitely often; after that convergence is quadratic.
+
+Letters: n contacts with up to d slip components.
 """
 
 from dataclasses import dataclass
@@ -21,11 +24,11 @@ from taichi_bearings.conic.newton_matrix import MOST_NEWTON_STEPS, REFINEMENTS, 
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.scene.scene import vector_length
 
-# torque left, relative to friction and inertia: Newton ends; linear corrections end
+# torque left, relative to friction and inertia, at which Newton's method ends, and at which linear corrections end
 STAGE_TORQUE, CORRECTED_TORQUE = 1e-10, 1e-15
 LARGEST_EIGENVALUE = 8  # a Laplacian of lattice contacts is at most so large: twice the four contacts of a component
 GRADIENT_RATIO = 200.0  # ratio of contact stiffness and inertia up to which conjugate gradients solve
-GRADIENT_RESIDUAL = 1e-5  # residual to which they do, relative
+GRADIENT_RESIDUAL = 1e-5  # relative residual at which conjugate gradients end
 SEARCH_SLOPE = 0.1  # share of its slope at which a line search ends
 LEAST_FORCE = 1e-280  # far below any force, and no limit over it overflows
 EPS = np.finfo(np.float64).eps
@@ -33,7 +36,12 @@ EPS = np.finfo(np.float64).eps
 
 @dataclass(frozen=True)
 class StageEnd:
-    """spins : (unknowns,). force, held : (d, n), in all and without its viscous part. slips : (n,)."""
+    """Where a stage ends.
+
+    spins : (unknowns,).
+    force, held : (d, n), the whole contact force, and without its viscous part.
+    slips : (n,) mask of the contacts that slip.
+    """
 
     spins: np.ndarray
     force: np.ndarray
@@ -43,11 +51,12 @@ class StageEnd:
 
 @dataclass(frozen=True)
 class Friction:
-    """Contacts of one sample in a stage, (n,) each.
+    """Contacts of one sample in a stage, arrays (n,).
 
-    limit : largest force; infinite for linear contacts. resistance : force * time / length.
-    inertia : moment of inertia / time of the stage.
-    viscosity : of contacts that have it beside all that, force * time / length.
+    limit : largest force; infinite for linear contacts.
+    resistance : stiffness of the springs, force * time / length.
+    inertia : moment of inertia over the duration of the stage.
+    viscosity : force * time / length, of contacts that have one beside friction; None for none.
     """
 
     limit: np.ndarray
@@ -57,19 +66,20 @@ class Friction:
 
     @property
     def stiffest(self) -> float:
-        """Largest derivative of a force by the slip."""
+        """Largest derivative of a contact force with respect to the slip."""
         viscosity = 0.0 if self.viscosity is None else self.viscosity.max(initial=0.0)
         return float(self.resistance.max(initial=0.0) + viscosity)
 
     def limited(self, trial: np.ndarray) -> np.ndarray:
-        """Forces (d, n) that friction allows."""
+        """Forces (d, n) that friction allows, from trial forces (d, n)."""
         return trial * np.minimum(1.0, self.limit / np.maximum(vector_length(trial), LEAST_FORCE))
 
     def slips(self, trial: np.ndarray) -> np.ndarray:
+        """(n,) mask of contacts whose trial force (d, n) exceeds the limit."""
         return vector_length(trial) > self.limit
 
     def stiffness(self, trial: np.ndarray) -> np.ndarray:
-        """Derivative of the limited force by the slip, (d, d, n)."""
+        """Derivative (d, d, n) of the contact force with respect to the slip, at trial forces (d, n)."""
         size = np.maximum(vector_length(trial), LEAST_FORCE)
         slips, along = size > self.limit, trial / size
         across = self.resistance * np.where(slips, self.limit / size, 1.0)
@@ -81,8 +91,10 @@ class Friction:
 class FrictionStage:
     """Solver for stages over one system of contacts.
 
-    system : the contacts. matrix : factorises their Newton matrix. radius : of the spheres. spin_scale, force_scale :
-    sizes of spins and forces, of which rounding is a share.
+    system : the contacts.
+    matrix : factorises their Newton matrix.
+    radius : of the spheres.
+    spin_scale, force_scale : typical sizes of spins and forces, by which rounding is judged.
     """
 
     def __init__(
@@ -93,21 +105,23 @@ class FrictionStage:
         spin_scale: float,
         force_scale: float,
     ) -> None:
+        """Take a system and its Newton matrix; nothing is factorised yet."""
         self.system, self.matrix, self.radius = system, matrix, radius
         self.spin_scale, self.force_scale = spin_scale, force_scale
         self.factorisations = 0
         self._factorised: tuple[float, np.ndarray] | None = None  # inertia and stiffness
 
     def solve(self, friction: Friction, base: np.ndarray, start: np.ndarray, guess: np.ndarray) -> StageEnd | None:
-        """Spins and forces at the end of the stage; None if Newton's method gets nowhere.
+        """Spins and forces at the end of a stage; None if Newton's method gets nowhere.
 
-        base, guess : (unknowns,). start : (d, n), force.
+        friction : the contacts. base : (unknowns,), spins from which inertia acts. start : (d, n), force at no slip.
+            guess : (unknowns,), spins to begin with.
         """
         inertia, resistance = friction.inertia, friction.resistance
         spins = guess
         trial = self._trial(start, resistance, spins)
         scale = inertia * self.spin_scale + self.radius * self.force_scale
-        # of torques, from rounding the spins
+        # torques that the rounding of spins makes
         noise = 8 * EPS * friction.stiffest * self.radius**2 * self.spin_scale
         prepared = False
         for _ in range(MOST_NEWTON_STEPS):
@@ -126,21 +140,24 @@ class FrictionStage:
         return None
 
     def _trial(self, start: np.ndarray, resistance: np.ndarray, spins: np.ndarray) -> np.ndarray:
+        """Trial forces (d, n) of the springs, unlimited."""
         return start + resistance * self.radius * self.system.differences(spins)
 
     def _with_viscosity(self, friction: Friction, force: np.ndarray, spins: np.ndarray) -> np.ndarray:
+        """The force (d, n) plus the viscous force at these spins."""
         if friction.viscosity is None:
             return force
         return force + friction.viscosity * self.radius * self.system.differences(spins)
 
     def _torque(self, force: np.ndarray, inertia: float, gained: np.ndarray) -> np.ndarray:
-        """What is to become zero, (unknowns,)."""
+        """Torques (unknowns,) that are to become zero. gained : (unknowns,), spins less base."""
         return inertia * gained + self.radius * self.system.torques(force)
 
     def _prepare(self, friction: Friction, trial: np.ndarray) -> bool:
-        """Make ready to solve with the derivative of the torques; False if rounding does not let it be factorised.
+        """Prepare to solve with the derivative of the torques at trial forces (d, n); False if rounding makes it
+        singular.
 
-        Short stages are ruled by inertia, and a few conjugate gradients do. A factorisation is kept as long as nothing
+        In short stages inertia dominates, and a few conjugate gradients do. A factorisation is kept as long as nothing
         changes.
         """
         self._inertia, self._stiffness = friction.inertia, np.zeros(0)  # gives the memory of the last one back
@@ -163,7 +180,8 @@ class FrictionStage:
         return True
 
     def _solved(self, right: np.ndarray) -> np.ndarray:
-        """Solution with what was prepared last; by conjugate gradients to GRADIENT_RESIDUAL, relative."""
+        """Solution (unknowns,) with the matrix that was prepared last; by conjugate gradients to a relative
+        GRADIENT_RESIDUAL."""
         if not self._by_gradients:
             return self.matrix.solve(right)
         solution, left, enough = np.zeros_like(right), right, GRADIENT_RESIDUAL**2 * float(right @ right)
@@ -187,10 +205,14 @@ class FrictionStage:
         step: np.ndarray,
         first: float,
     ) -> float:
-        """Length in (0, 1] at which the function is nearly flat along the step, or 1 if it still falls there."""
+        """Length in (0, 1] at which the function is nearly flat along the step, or 1 if it still falls there.
+
+        trial, change : (d, n), trial forces, and their change by the whole step. first : slope at length 0, below 0.
+        """
         gained = spins - base
 
         def slope(length: float) -> float:
+            """Derivative of the function along the step, at this length."""
             force = self._with_viscosity(friction, friction.limited(trial + length * change), spins + length * step)
             work = float((force * change / friction.resistance).sum())
             return friction.inertia * float((gained + length * step) @ step) + work
@@ -220,7 +242,9 @@ class FrictionStage:
         force: np.ndarray,
         scale: float,
     ) -> StageEnd:
-        """The end, with the last torques taken away: forces that stiff contacts owe to spins closer than rounding."""
+        """The end of the stage, with the last torques taken away by linear corrections of the forces: stiff contacts
+        have forces that depend on spins to more digits than doubles have. scale : torque by which the rest is judged.
+        """
         for _ in range(REFINEMENTS):
             torque = self._torque(force, friction.inertia, spins - base)
             if np.abs(torque).max(initial=0.0) <= CORRECTED_TORQUE * scale:

@@ -1,4 +1,7 @@
-"""A point of the central path: spins, bounds, differences and forces of all contacts, and what they come to."""
+"""A point of the central path: spins, bounds, slips and forces of all contacts, and numbers that follow from them.
+
+Letters: n contacts with up to d slip components (conic/__init__.py).
+"""
 
 from dataclasses import dataclass, replace
 
@@ -25,11 +28,18 @@ class Inertia:
 
 @dataclass(frozen=True)
 class Iterate:
-    """A point inside all cones: spins (unknowns,); friction and bound (n,), difference and dual (d, n).
+    """A point inside all cones.
 
-    The dual is minus the contact force, without its viscous part. viscosity : (n,), None for Coulomb friction.
-    smooth : (n,) mask, contacts that are in no cone but obey the law of friction exactly: dual = - friction *
-    direction of slip; None for none. inertia : what resists a change of the spins, None at the minimum.
+    system : the contacts.
+    spins : (unknowns,).
+    friction : (n,), largest friction force.
+    bound : (n,), above the slip speed.
+    difference : (d, n), slips.
+    dual : (d, n), minus the contact force without its viscous part.
+    smooth : (n,) mask of contacts that are in no cone but obey the law of friction exactly: dual = -friction *
+        direction of slip; None for none.
+    viscosity : (n,), None for Coulomb friction.
+    inertia : what resists a change of the spins; None if the minimum is sought.
     """
 
     system: ContactSystem
@@ -51,16 +61,21 @@ class Iterate:
         slack: float,
         viscosity: np.ndarray | None = None,
     ) -> "Iterate":
-        """Bounds above the slips by about `slack`, and no forces but viscous ones."""
+        """A point with bounds above the slips by about `slack`, and without forces other than viscous ones. spins :
+        (unknowns,). friction, viscosity : (n,)."""
         difference = system.differences(spins)
         bound = np.hypot(length(difference), slack)
         return cls(system, spins, friction, bound, difference, np.zeros_like(difference), viscosity=viscosity)
 
     def let_slip(self, slips: np.ndarray) -> "Iterate":
-        """These contacts, (n,) mask, leave their cones, others come back into them."""
+        """The point after contacts of the mask `slips` (n,) have left their cones, and all others have come back into
+        them."""
         bound, dual = self.bound, self.dual
         if self.smooth is not None:
-            back, product = self.smooth & ~slips, self.complementarity / self.friction  # along the slip
+            back, product = (
+                self.smooth & ~slips,
+                self.complementarity / self.friction,
+            )  # put back on the path, force along the slip
             central = (product + np.hypot(product, 2 * length(self.difference))) / 2
             bound, dual = (
                 np.where(back, central, bound),
@@ -73,38 +88,39 @@ class Iterate:
 
     @property
     def in_cones(self) -> int:
-        """Number of contacts in cones."""
+        """The number of contacts in cones."""
         return len(self.friction) - (0 if self.smooth is None else int(self.smooth.sum()))
 
     @property
     def complementarity(self) -> float:
-        """Mean over the contacts in cones of friction * bound - difference . force."""
+        """The product of the path: mean over the contacts in cones of friction * bound - slip . force."""
         products = self.friction * self.bound + inner(self.difference, self.dual)
         products = products if self.smooth is None else np.where(self.smooth, 0.0, products)
         return float(products.sum()) / max(1, self.in_cones)
 
     @property
     def margin(self) -> np.ndarray:
-        """Share of the friction that is left, (n,)."""
+        """(n,), the share of its friction that each contact has left."""
         return 1 - length(self.dual) / self.friction
 
     @property
     def slip_over_margin(self) -> np.ndarray:
-        """(n,): along the path it goes to 0 or to infinity."""
+        """(n,), slip speed over margin: along the path it goes to 0 where a contact sticks, and to infinity where it
+        slips."""
         return length(self.difference) / np.maximum(self.margin, TINY)
 
     @property
     def whole_dual(self) -> np.ndarray:
-        """Minus the force of every contact, (d, n), with its viscous part."""
+        """(d, n), minus the force of every contact, with its viscous part."""
         return whole_dual(self.dual, self.viscosity, self.difference)
 
     def to_balance(self, spins: np.ndarray) -> np.ndarray | float:
-        """Torques (unknowns,) of the inertia."""
+        """Torques (unknowns,) that the inertia needs to have these spins; 0 without inertia."""
         return 0.0 if self.inertia is None else self.inertia.torques(spins)
 
     @property
     def unbalanced(self) -> float:
-        """Largest torque that the forces leave on a sphere beside those that they are to balance."""
+        """Largest torque that the forces leave on a sphere, apart from those that the inertia needs."""
         left = self.system.torques(self.whole_dual) - self.to_balance(self.spins)
         return float(np.abs(left).max(initial=0.0))
 
@@ -115,22 +131,23 @@ class Iterate:
 
     @property
     def cost(self) -> float:
-        """What is minimised, apart from inertia: the power, and half that of the viscous forces."""
+        """The function that is minimised, without its part from inertia: friction times slip, and half the viscous
+        power."""
         if self.viscosity is None:
             return self.power
         return self.power + float((self.viscosity * self.difference**2).sum()) / 2
 
     @property
     def price_of_torques(self) -> float:
-        """What the torques left on the spheres take from the lower bound, at most, relative to the cost."""
+        """Bound on what leftover torques take from the lower bound, relative to the cost."""
         return float(np.abs(self.system.torques(self.whole_dual)).sum()) / max(self.cost, TINY)
 
     @property
     def excess(self) -> float:
-        """Cost less dual cost for balanced forces, summed without cancellation, with inertia or viscosity or without.
+        """Cost less dual cost for balanced forces, summed without cancellation; with or without inertia and viscosity.
 
-        With viscosity the dual cost of a force f is max(|f| - friction, 0)^2 / (2 viscosity), which is never more than
-        that of the present slip, viscosity * slip^2 / 2: that is what is counted here.
+        With viscosity the dual cost of a force f is max(|f| - friction, 0)^2 / (2 viscosity). That is never more than
+        the cost of the present slip, viscosity * slip^2 / 2, which is counted here.
         """
         return float((self.friction * length(self.difference) + inner(self.difference, self.dual)).sum())
 
@@ -141,5 +158,6 @@ class Iterate:
 
 
 def whole_dual(dual: np.ndarray, viscosity: np.ndarray | None, difference: np.ndarray) -> np.ndarray:
-    """Minus the forces (d, n) of friction and, if there is any, viscosity."""
+    """Minus the forces (d, n) of friction and viscosity. dual : (d, n). viscosity : (n,), None for none. difference :
+    slips (d, n)."""
     return dual if viscosity is None else dual - viscosity * difference

@@ -1,9 +1,11 @@
-"""The minimum with just some contacts slipping, in twice the precision.
+"""The minimum when only some contacts slip, in twice the precision.
 
-Slips reach down to 1e-15 of the jump and below, where spins are rounded. A proof that they are slips, and not what
-rounding has made of nothing, needs spins that are good to much less. Here the slipless contacts are tied exactly, the
-spins left are sums of two doubles, and Newton's method, whose matrix may be a rough one, goes on until the torques are
-in balance to some 1e-30 of the friction.
+Slips reach down to 1e-15 of the jump and below, where spins are rounded. To prove that they are slips, and not
+rounding, the spins have to be known far more precisely. Here the slipless contacts are tied exactly, the spins that are
+left are sums of two doubles (a Pair), and Newton's method, whose matrix may be a rough one, goes on until the torques
+are in balance to some 1e-30 of the friction.
+
+Letters: n contacts with up to d slip components; one array holds all samples, one after the other.
 """
 
 import numpy as np
@@ -25,10 +27,10 @@ from taichi_bearings.numerics.double_double import (
     two_sum,
 )
 
-MOST_POLISHING_STEPS, POLISHED_TORQUE = 20, 1e-31  # of Newton's method; torque, of the largest friction, that ends it
-MATRIX_CHANGE = 1e-2  # change of a slip by a step, of itself, from which on the matrix is made anew
-FREE_STIFFNESS = 1e-20  # stiffness along a slip, of that across it: for motions that nothing else resists
-MOST_SLIP_CHANGE = 0.5  # largest such change that is allowed
+MOST_POLISHING_STEPS, POLISHED_TORQUE = 20, 1e-31  # most Newton steps; torque over the largest friction that ends them
+MATRIX_CHANGE = 1e-2  # change of a slip by a step over the slip, above which the matrix is made anew
+FREE_STIFFNESS = 1e-20  # stiffness along a slip over that across it, for motions that nothing else resists
+MOST_SLIP_CHANGE = 0.5  # largest change of a slip by a step over the slip; beyond it the sample has failed
 SUM_BITS = 20  # bits that 2^20 numbers of one size may need in a sum without rounding
 Strengths = tuple[np.ndarray, np.ndarray | None]  # friction and viscosity, (n,) each
 
@@ -41,11 +43,13 @@ def polished(
     top: Pair | None,
     chosen: np.ndarray,
 ) -> tuple[Pair, np.ndarray, np.ndarray, np.ndarray]:
-    """Spins of the whole system, slips and duals (d, n) near the given ones, all torques in balance; and the
-    samples (samples,), of those chosen, in which no slip is lost.
+    """Spins of the whole system, slips and duals (d, n) near the given ones, with all torques in balance; and a mask
+    (samples,) of the `chosen` samples in which that succeeds and no slip is lost.
 
-    matrix, strengths, spins : of the contracted system. top : imposed on the top above each unknown of a sample;
-    None where imposed spins are doubles.
+    tied : slipless contacts, tied.
+    matrix, strengths, spins : Newton matrix, friction and viscosity, and where to begin, of the contracted system.
+    top : for each unknown of a sample the imposed spin of the top above it; None where imposed spins are doubles.
+    chosen : (samples,) mask.
     """
     system = _PreciseSystem(tied, top)
     balanced, fine = _balanced(
@@ -58,10 +62,8 @@ def polished(
 def _balanced(
     system: "_PreciseSystem", matrix: NewtonMatrix, strengths: Strengths, unknown: Pair, going: np.ndarray
 ) -> tuple[Pair, np.ndarray]:
-    """Newton's method until the torques do not fall any more, and where that leads anywhere; (samples,).
-
-    going : samples that it is for.
-    """
+    """Unknowns after Newton's method has reduced the torques as far as it can, and a mask (samples,) of the samples in
+    which it leads to a point without lost slips. going : (samples,) mask of those that are tried."""
     owners, strongest = system.owners, system.owners.largest(strengths[0])
     best, fine, least, factorised = unknown, np.zeros_like(going), np.full(len(going), np.inf), np.zeros_like(going)
     for _ in range(MOST_POLISHING_STEPS):
@@ -70,6 +72,7 @@ def _balanced(
         torques = system.torques(_forces(strengths, precise))
         size = owners.largest_of_spins(np.abs(torques))
         going = going & (size < least) & ~owners.any(slip == 0)
+        # Keep the best point; go on while torques are more than halved and are not yet negligible.
         best, fine = _chosen(going[owners.spins], unknown, best), fine | going
         going = going & (size <= least / 2) & (size > POLISHED_TORQUE * strongest)
         if not going.any():
@@ -87,10 +90,10 @@ def _balanced(
 
 
 class _PreciseSystem:
-    """Differences and torques of a contracted system, in twice the precision.
+    """Slips and torques of a contracted system, in twice the precision.
 
-    imposed : the places in (d, n) where imposed spins add anything to the differences, and what: -1 or 1 times the
-    jump, where that is no double.
+    imposed : places in (d, n) where imposed spins contribute to the slips, and how much: -1 or 1 times the jump, also
+        where that is no double.
     """
 
     def __init__(self, tied: Contraction, top: Pair | None) -> None:
@@ -99,6 +102,7 @@ class _PreciseSystem:
         self.imposed = self._imposed()
 
     def _imposed(self) -> tuple[tuple[np.ndarray, ...], Pair]:
+        """The value of `imposed`."""
         offset = self.contracted.offset
         places = np.nonzero(offset)
         if self.top is None:
@@ -108,7 +112,7 @@ class _PreciseSystem:
         return places, (times * self.top[0][spin], times * self.top[1][spin])
 
     def differences(self, unknown: Pair) -> Pair:
-        """Across each contact, (d, n)."""
+        """Slips (d, n) across each contact, from the unknowns."""
         (below, above), (places, more) = self.contracted.ends, self.imposed
         high, low = (np.append(part, 0.0) for part in unknown)
         found = subtract((high[above], low[above]), (high[below], low[below]))
@@ -118,7 +122,7 @@ class _PreciseSystem:
         return found
 
     def torques(self, pulls: Pair) -> np.ndarray:
-        """Sums (unknowns,) of the pulls (d, n) on the spins, rounded only once they have cancelled.
+        """Sums (unknowns,) of the forces `pulls` (d, n) on the spins, rounded only once they have cancelled.
 
         The leading bits of all numbers, multiples of one unit, are summed without any rounding, then those that follow.
         """
@@ -133,7 +137,8 @@ class _PreciseSystem:
         return total + self.contracted.torques(rest + pulls[1])
 
     def expanded(self, unknown: Pair) -> Pair:
-        """Spins of the whole system: equal within each tied set, and just those imposed where it is tied to a plane."""
+        """Spins of the whole system: equal within each set of tied spins, and exactly the imposed ones where a set is
+        tied to a plane."""
         if self.top is None:
             return self._tied.expanded(unknown)
         times = _multiples(self._tied.imposed, self.top[0])
@@ -142,17 +147,19 @@ class _PreciseSystem:
 
 
 def _multiples(values: np.ndarray, jump: np.ndarray) -> np.ndarray:
+    """The integers by which the jump is multiplied to give the values; 0 where there is no jump."""
     return np.rint(np.divide(values, jump, out=np.zeros_like(values), where=jump != 0))
 
 
 def _forces(strengths: Strengths, difference: Pair) -> Pair:
+    """Forces (d, n) of friction and viscosity for these slips, but for their sign."""
     friction, viscosity = strengths
     held = _along(friction, difference)
     return held if viscosity is None else add(held, scaled(viscosity, difference))
 
 
 def _along(friction: np.ndarray, difference: Pair) -> Pair:
-    """Friction along the slip, (d, n): exactly where that has one component."""
+    """Friction along the slip, (d, n), but for its sign: exact where the slip has one component only."""
     found = exactly(friction * np.sign(difference[0]))
     both = np.flatnonzero((difference[0] != 0).all(axis=0))
     if len(difference[0]) == 2:

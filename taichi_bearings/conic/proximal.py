@@ -29,19 +29,22 @@ from taichi_bearings.scene import Bearing, Scene
 
 # excess of the cost over its dual, relative to the work done on inertia, at which a step is solved; or LEAST_GAP
 SOLVED_EXCESS = 1e-10
-# the same where the path cannot be followed to the end: with less a step has failed
+# such limits where the path cannot be followed to the end: beyond them a step has failed
 ACCEPTED_EXCESS, ACCEPTED_GAP = 1e-3, 1e-9
-PROXIMAL_TORQUE = 1e-13  # torque, of the mean friction, that may be left on a sphere
-MOST_IDLE_STEPS = 3  # Newton steps in a row that gain nothing
+PROXIMAL_TORQUE = 1e-13  # torque over the mean friction that may be left on a sphere
+MOST_IDLE_STEPS = 3  # most Newton steps in a row that gain nothing
 
 
 @dataclass(frozen=True)
 class Step:
-    """What a step of all samples comes to.
+    """The result of one time step of all samples.
 
-    staggered : (C, R, *N) spins at its end. force : during it, (C, R, E).
-    slipping : (R,) contacts that slip. creep : largest spin difference across one that does not.
-    newton_steps : factorisations. solved : False if rounding ended the path too early.
+    staggered : (C, R, *N), spins at its end.
+    force : (C, R, E), contact forces during the step.
+    slipping : (R,), number of contacts that slip.
+    creep : largest spin difference across a contact that does not slip.
+    newton_steps : number of factorisations.
+    solved : False if rounding ended the path too early.
     """
 
     staggered: np.ndarray
@@ -53,10 +56,11 @@ class Step:
 
 
 class Unknowns(ABC):
-    """What the steps of a bearing change: the spins that contacts turn, as one vector.
+    """The spins of a bearing that contacts can turn, as one vector.
 
-    system : the contacts, with imposed spins in the unit of spin. order : of elimination of the unknowns. rows : how
-    many numbers the force on a contact has.
+    system : the contacts, with imposed spins in the unit of spin.
+    order : order of elimination of the unknowns.
+    rows : how many components the force on a contact has.
     """
 
     system: ContactSystem
@@ -86,10 +90,12 @@ class OfLattice(Unknowns):
         self.rows = len(spin_axes)
 
     def read(self, staggered: np.ndarray) -> np.ndarray:
+        """Spins (R, unknowns) of the free spheres."""
         return free_spins(staggered)
 
     def write(self, staggered: np.ndarray, replica: int, spins: np.ndarray) -> None:
-        """No contact moves the mean about the height of a layer: nor does rounding."""
+        """Put spins (unknowns,) of a sample in their places. The mean of each layer about the height stays as it was,
+        since no contact changes it; rounding must not either."""
         before = staggered[:, replica, ..., 1:-1].copy()
         place_free_spins(staggered, replica, spins)
         if self.height in self.spin_axes:
@@ -99,11 +105,11 @@ class OfLattice(Unknowns):
 
 
 class OfNetwork(Unknowns):
-    """Free spins of any network, each times the root of its inertia over the mean one: in these numbers all are equally
-    hard to turn. Components of a spin that turn none of the contacts are left out."""
+    """Free spins of any network, each multiplied by the root of its inertia over the mean one, so that all are equally
+    hard to turn. Components that turn no contact are left out."""
 
     def __init__(self, bearing: Bearing, unit: float, inertia: np.ndarray) -> None:
-        """Take a bearing all contacts of which act. unit : of u = R omega. inertia : I / R^2, (N,)."""
+        """Take a bearing all contacts of which act. unit : of u = R omega. inertia : I / R^2 of each sphere, (N,)."""
         network, contact = bearing.network, bearing.acting
         each = np.arange(network.spheres * network.components).reshape(network.spheres, -1)
         size = np.asarray(abs(network.operator(contact, each)).sum(axis=0)).reshape(each.shape)
@@ -125,20 +131,23 @@ class OfNetwork(Unknowns):
         self.order, self.rows = order_by_place(self.system), len(offset)
 
     def read(self, staggered: np.ndarray) -> np.ndarray:
+        """Spins (R, unknowns), multiplied by the roots of the inertia."""
         return np.asarray(self.root * np.moveaxis(staggered, 1, 0)[:, self.component, self.sphere])
 
     def write(self, staggered: np.ndarray, replica: int, spins: np.ndarray) -> None:
+        """Put spins (unknowns,) of a sample in their places, divided by the roots of the inertia."""
         staggered[self.component, replica, self.sphere] = spins / self.root
 
 
 class ProximalSteps:
-    """Steps of the samples of a scene in its `unknowns`.
+    """Implicit Euler steps of the samples of a scene in its `unknowns`.
 
-    unit : spin difference that is counted as one. inertia : mean moment of inertia of the spheres, as `Unknowns` has it
-    of each.
+    unit : spin difference that is counted as one. inertia : mean moment of inertia of the spheres, in the form that
+        `unknowns` asks for.
     """
 
     def __init__(self, scene: Bearing, unknowns: Unknowns, unit: float, inertia: float) -> None:
+        """Scale coefficients and inertia of every sample, and analyse the Newton matrix."""
         self.scene, self.unknowns, self.unit = scene, unknowns, unit
         self._system = unknowns.system
         self._matrix = NewtonMatrix(self._system, unknowns.order)
@@ -156,7 +165,7 @@ class ProximalSteps:
         self._slowness = inertia * unit / (scene.slip_radius * self._force_unit)
 
     def step(self, staggered: np.ndarray, duration: float) -> Step:
-        """The step of length `duration` from the spins (C, R, *N)."""
+        """The step of length `duration` (time) from the spins (C, R, *N)."""
         scene = self.scene
         after = staggered.copy()
         force = np.zeros((self.unknowns.rows, *scene.coefficient.shape))
@@ -164,7 +173,7 @@ class ProximalSteps:
         for replica, before in enumerate(self.unknowns.read(staggered / self.unit)):
             coefficient, inertia = self._coefficient[replica], Inertia(self._slowness[replica] / duration, before)
             if scene.law.holds:
-                point, steps, ended = self._rubbed(coefficient, self._viscosity[replica], inertia)
+                point, steps, ended = self._step_with_friction(coefficient, self._viscosity[replica], inertia)
             else:  # damping alone
                 spins = flowing(self._system, coefficient, self._matrix, before, inertia)
                 point, steps, ended = Iterate.start(self._system, spins, coefficient, 0.0, coefficient), 1, True
@@ -177,11 +186,14 @@ class ProximalSteps:
             newton_steps, solved = newton_steps + steps, solved and ended
         return Step(after, force, slipping, creep, newton_steps, solved)
 
-    def _rubbed(
+    def _step_with_friction(
         self, friction: np.ndarray, viscosity: np.ndarray | None, inertia: Inertia
     ) -> tuple[Iterate, int, bool]:
-        """A step with friction: where Newton steps lead from bounds well above the slips and no forces of friction, how
-        many they are, and whether that solves it."""
+        """The point at the end of a step with friction, the number of Newton steps taken, and whether it is solved.
+
+        friction, viscosity : (n,). inertia : with the spins before the step as origin. Newton steps begin with bounds
+            well above the slips and no forces of friction.
+        """
         spins = inertia.origin
         slip = length(self._system.differences(spins))
         slack = float(np.sqrt(np.mean(slip**2)))
@@ -209,7 +221,8 @@ class ProximalSteps:
 
 
 def _excess(iterate: Iterate, sharp: float = SOLVED_EXCESS, closest: float = LEAST_GAP) -> float:
-    """Excess of the cost over its dual, relative to what is allowed."""
+    """Excess of the cost over its dual, relative to what is allowed: `sharp` times the work done on inertia, or
+    `closest` times the cost, whichever is larger."""
     assert iterate.inertia is not None
     moved = iterate.spins - iterate.inertia.origin
     return iterate.excess / max(sharp * iterate.inertia.weight * float(moved @ moved), closest * iterate.cost)

@@ -1,4 +1,8 @@
-"""The numbers of all contacts as the kernels of a Newton step take them, of one sample or of several side by side."""
+"""The numbers of all contacts as the kernels of a Newton step take them, of one sample or of several side by side.
+
+Letters: n contacts with d slip components, S samples (1 or LANES), as in conic/__init__.py; rows and their names are
+those of kernels/central_path.py.
+"""
 
 from collections.abc import Callable
 from functools import lru_cache
@@ -14,18 +18,20 @@ from taichi_bearings.memory import aligned_zeros
 
 # padding contacts: finite in every formula, with negligible power
 PADDING = {kernels.FRICTION_ROW: 1e-300, kernels.BOUND: 1.0, kernels.SLIP: 1.0, kernels.SMOOTH: 1.0}
-MOST_CONSTANTS = 5  # that a law is told of each sample, at most
-# what numbers to add up or take off, for kernels.add_up; or with which factors
+MOST_CONSTANTS = 5  # most numbers of each sample that a pass over the contacts takes
+# tables that say which numbers to add and to subtract, for kernels.add_up; or a matrix of other factors
 Sums: TypeAlias = tuple[np.ndarray, np.ndarray] | sparse.csr_array
 
 
 class ContactRows:
-    """Memory for the Newton steps of S samples, and what the spins have to do with it; see kernels/central_path.py.
+    """Memory for the Newton steps of S samples, and the maps between contacts and spins.
 
-    A row holds the numbers of a contact in all samples one after the other, contact by contact. Two rows one after the
-    other, (2*contacts, S), hold slips or forces; the second counts where contacts have two slipping components.
+    A row holds one number of every contact, contact by contact, those of all samples one after the other. Slips and
+    forces take two rows, one after the other, (2*contacts, S); the second counts where contacts have two slipping
+    components.
 
-    values : (rows, contacts, S). spins : (unknowns or more, S), changes of the spins, or torques on them.
+    values : (rows, contacts, S).
+    spins : (unknowns or more, S), changes of the spins, or torques on them.
     """
 
     def __init__(
@@ -35,10 +41,14 @@ class ContactRows:
         place: np.ndarray | None = None,
         laplacian: sparse.csr_matrix | None = None,
     ) -> None:
-        """spins : where they are to be, S is 1 or LANES. place : (unknowns,), that of each among them; the same if
-        None. laplacian : map from `stacked` stiffnesses to the entries of the Laplacian, for :meth:`add_stiffnesses`.
+        """Reserve memory for the contacts of a system.
+
+        spins : array (unknowns or more, S) in which spins are to be.
+        place : (unknowns,), place of each unknown in it; None if they are in order.
+        laplacian : map from `stacked` stiffnesses to the entries of the Laplacian, for :meth:`add_stiffnesses`.
         """
         self.samples, self.spins, d = spins.shape[1], spins, len(system.offset)
+        # Contacts with one component come before those with two, each kind padded to a multiple of BLOCK.
         two = system.felt.sum(axis=0) == 2
         kinds = [np.flatnonzero(~two), np.flatnonzero(two)]
         begins = np.cumsum([0, *(-(-len(own) // kernels.BLOCK) * kernels.BLOCK for own in kinds)])
@@ -55,6 +65,7 @@ class ContactRows:
         found = aligned_zeros(kernels.FOUND * kernels.BLOCK * self.samples, kernels.BLOCK)
         self._found = found.reshape(kernels.FOUND, kernels.BLOCK, self.samples)
         self.place = np.arange(system.unknowns) if place is None else place
+        # Maps from spins to slips, and back from forces to torques.
         of_all, rows = system.operator.tocoo(), self._places(d)
         ends = rows[of_all.row], self.place[of_all.col], of_all.data
         self._changes = _sums(*ends, (2 * contacts, len(spins)))
@@ -65,15 +76,17 @@ class ContactRows:
         self._starts: dict[tuple, list[Callable[[], None]]] = {}
 
     def _places(self, count: int) -> np.ndarray:
-        """Where so many numbers of each contact are in rows one after the other, row by row."""
+        """Places of the first `count` rows of each contact in rows one after the other, row by row."""
         return (self._at + self._contacts * np.arange(count)[:, None]).ravel()
 
     def run(
         self, kernel: tuple[Callable, Callable], slots: tuple[int, int] = (0, 0), *numbers: float | np.ndarray
     ) -> np.ndarray:
-        """Walk all contacts, for what is found, (found, S). kernel : for contacts with one component, and with two.
+        """Run a pass over all contacts and return what it finds, (found, S): minima first, then sums.
 
-        slots : of the step that is read and that is written. numbers : of each sample, or all.
+        kernel : one function for contacts with one component, and one for those with two.
+        slots : the step that is read, and the one that is written.
+        numbers : constants of the pass, one for all samples or (S,).
         """
         for own, number in zip(self._numbers, numbers, strict=False):
             own[:] = number
@@ -94,18 +107,19 @@ class ContactRows:
         )
 
     def change(self, row: int) -> None:
-        """Write the change of the slips that that of the spins makes into two rows from this one on."""
+        """Write the change of the slips that follows from that of the spins into two rows from `row` on."""
         self._add_up(self._changes, self.spins, self._flat, 0, row * self._contacts)
 
     def torques(self, row: int) -> None:
-        """Write the torques of the forces in two rows from this one on over the spins: the transpose of `change`."""
+        """Write the torques of the forces in two rows from `row` on over the spins: the transpose of `change`."""
         self._add_up(self._torques, self._flat, self.spins, row * self._contacts, 0)
 
     def add_stiffnesses(self, entries: np.ndarray) -> None:
-        """Write the entries (n or more, S) of the Laplacian that they make."""
+        """Write the entries (n or more, S) of the Laplacian of the stiffnesses in the rows."""
         self._add_up(self._stiffnesses, self._flat, entries, kernels.STIFFNESS * self._contacts, 0)
 
     def _add_up(self, sums: Sums, values: np.ndarray, found: np.ndarray, first: int, to: int) -> None:
+        """Multiply numbers by one of the maps: values from `first` on, results from `to` on in `found`."""
         key, shape = (id(sums), first, to), (-1,) if self.samples == 1 else (-1, self.samples)
         if isinstance(sums, sparse.csr_array):
             rows, columns = sums.shape
@@ -117,25 +131,25 @@ class ContactRows:
         self._starts[key][0]()
 
     def put(self, row: int, sample: int, values: np.ndarray) -> None:
-        """Write numbers (n,) or vectors (d, n) from a row on."""
+        """Write numbers (n,), or vectors (d, n), of a sample into the rows from `row` on."""
         self.values[row : row + (len(values) if values.ndim == 2 else 1), self._at, sample] = values
 
     def numbers(self, row: int, sample: int) -> np.ndarray:
-        """Numbers (n,) of a sample."""
+        """Numbers (n,) of a sample in a row."""
         return self.values[row, self._at, sample]
 
     def vectors(self, row: int, sample: int, count: int) -> np.ndarray:
-        """Vectors (count, n) of a sample, from a row on."""
+        """Vectors (count, n) of a sample in the rows from `row` on."""
         return self.values[row : row + count, :, sample].take(self._at, axis=1)
 
     def two(self, row: int) -> np.ndarray:
-        """Two rows from one on, one after the other, (2*contacts, S), as a view."""
+        """View (2*contacts, S) of two rows from `row` on."""
         return self._flat[row * self._length : (row + 2) * self._length].reshape(-1, self.samples)
 
 
 @lru_cache
 def compile_passes() -> None:
-    """Compile the passes, on next to nothing: they are the same for all systems."""
+    """Compile the passes on a tiny system: they are the same for all systems."""
     felt = np.array([[True, True], [False, True]])
     slips = sparse.csr_array(np.array([[1.0], [1.0], [0.0], [1.0]]))
     rows = ContactRows(ContactSystem(1, np.zeros((2, 2)), felt, slips=slips), np.zeros((1, 1)))
@@ -145,8 +159,8 @@ def compile_passes() -> None:
 
 
 def _sums(row: np.ndarray, column: np.ndarray, sign: np.ndarray, shape: tuple[int, int]) -> Sums:
-    """Tables for kernels.add_up of a matrix with these entries, 1 or -1: terms in the order of columns. Of other
-    entries the matrix."""
+    """Tables for kernels.add_up of a matrix whose entries are 1 or -1, with terms in the order of columns; for other
+    entries the matrix itself. row, column, sign : of each entry."""
     if (np.abs(sign) != 1).any():
         return sparse.csr_array((sign, (row, column)), shape=shape)
     order = np.lexsort((column, row))

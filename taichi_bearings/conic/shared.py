@@ -1,7 +1,8 @@
-"""What all samples on a network share: its rows, an order of elimination, and the matrix of Newton steps.
+"""What all samples on a network share: its rows (slips as functions of spins), an order of elimination, and the matrix
+of Newton steps.
 
-Seeds of one network differ in nothing but their coefficients. So what follows from the network alone is made once, and
-small samples are factorised side by side.
+Seeds of one network differ only in their coefficients. So what follows from the network alone is made once, and small
+samples are factorised side by side.
 """
 
 import threading
@@ -18,15 +19,15 @@ from taichi_bearings.numerics.cholesky import Engine
 from taichi_bearings.numerics.cholesky.tuning import LAUNCH_UNKNOWNS
 from taichi_bearings.scene.bearing import Bearing
 
-KEPT_UNKNOWNS = 30_000  # up to which the matrix of a network is kept for its other samples
-SMALL_SPHERES = 5_000  # up to which states of signed rows are settled as those of small lattices
+KEPT_UNKNOWNS = 30_000  # number of unknowns from which the matrix of a network is not kept for its other samples
+SMALL_SPHERES = 5_000  # number of spheres below which states of signed rows are settled as those of small lattices
 
 
 def system_of(bearing: Bearing) -> ContactSystem:
-    """The rows of a bearing along the tangents of its contacts, with no motion left that slips nowhere.
+    """The contact system of a bearing, in which no motion is left that makes no contact slip.
 
-    Oblique networks have mostly no such motion. Whether that is so, one factorisation of their matrix tells, which is
-    needed anyhow; only where it does not, motions are looked for by elimination.
+    Oblique networks mostly have no such motion. One factorisation of their matrix, which is needed anyhow, tells
+    whether that is so. Only where it does not are motions looked for by elimination.
     """
     system = ContactSystem.before_motions(bearing)
     if system.motions is not None or not system.unknowns:
@@ -40,9 +41,9 @@ def system_of(bearing: Bearing) -> ContactSystem:
 
 
 def surroundings_of(system: ContactSystem) -> Surroundings:
-    """Rows, order and matrix for the samples of a system: over signed spins where it has them.
+    """System, order and matrix that samples share, over signed spins where the system has them.
 
-    They are made once in each thread, as the numbers of a factorisation are kept in the matrix; those of large systems
+    They are made once in each thread, as the numbers of a factorisation are kept in the matrix. Those of large systems
     are not kept for other samples.
     """
     name = _name()
@@ -57,16 +58,19 @@ def surroundings_of(system: ContactSystem) -> Surroundings:
 
 
 def is_small(system: ContactSystem) -> bool:
-    """True where samples are factorised side by side, and settled as those of small lattices if they are."""
+    """True where samples are factorised side by side and, if their contact states are settled, this is done as in small
+    lattices."""
     if system.sign is None:
         return system.unknowns < LAUNCH_UNKNOWNS
     return len(np.unique(system.sphere)) < SMALL_SPHERES
 
 
 def _name() -> tuple[str, int]:
+    """The key under which a thread keeps what it shares."""
     return "surroundings", threading.get_ident()
 
 
 def _made(system: ContactSystem, rows: ContactSystem) -> Surroundings:
+    """System, order and matrix over the given rows. system : decides whether samples are small."""
     order = order_by_place(rows)
     return Surroundings(rows, order, NewtonMatrix(rows, order, engine=Engine.LAUNCH if is_small(rows) else None), None)

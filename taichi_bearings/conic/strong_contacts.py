@@ -1,10 +1,10 @@
-"""Friction that is so strong that it might as well be less.
+"""A weaker friction, for very strong contacts, with which the minima are the same.
 
-Where all of the top turns alike, as all of the bottom does, and no force is larger than it has to be, the forces along
+Where the whole top turns alike, as the whole bottom does, and no force is larger than it has to be, the forces along
 each spin component are a flow from the top to the bottom without circles. On no contact is it larger than the friction
-C of all contacts of a cut. So a contact with more friction than C for each component that it feels rests at every
-minimum, and it rests as well with twice that friction: power, spins and slips of the minima stay the same. What is left
-spans fewer decades, and the rounding of strong contacts hides weak ones no longer.
+C of all contacts of a cut. So a contact with more friction than C for each component that it slips with rests at every
+minimum, and it still does with friction 2 C: power, spins and slips of the minima stay the same. The frictions that are
+left span fewer decades, and the rounding of strong contacts no longer hides weak ones.
 """
 
 import numpy as np
@@ -13,14 +13,12 @@ from scipy.sparse.csgraph import connected_components
 
 from taichi_bearings.conic.contact_system import ContactSystem
 
-SPREAD = 1e3  # ratio of frictions, up to which they are all taken as they are: double precision has room for that
+SPREAD = 1e3  # ratio of largest and smallest friction up to which nothing is changed: doubles can handle that
 
 
 def weakened(system: ContactSystem, friction: np.ndarray) -> np.ndarray:
-    """Friction (n,), none more than the given one, with which a lattice has the same minima.
-
-    system : of a lattice. friction : (n,), all positive.
-    """
+    """Friction (n,), nowhere above the given one, with which a lattice has the same minima. system : the contacts of a
+    lattice. friction : (n,), all positive."""
     if friction.max() <= SPREAD * friction.min() or not _is_uniform(system):
         return friction
     (low, high), contact = system.ends[:, system.felt], np.nonzero(system.felt)[1]
@@ -30,14 +28,15 @@ def weakened(system: ContactSystem, friction: np.ndarray) -> np.ndarray:
 
 
 def _is_uniform(system: ContactSystem) -> bool:
-    """True if the imposed spins add the same to all contacts of a component to which they add anything."""
+    """True if the imposed spins add the same number to all slips of a component to which they add anything."""
     pairs = np.stack([np.asarray(system.slot, dtype=float), system.offset])[:, system.offset != 0]
     return np.unique(pairs, axis=1).shape[1] == len(np.unique(pairs[0]))
 
 
 def _cut(low: np.ndarray, high: np.ndarray, friction: np.ndarray, bottom: int, top: int) -> float:
-    """Sum of the friction of links (k,) across a cut between two nodes, the strongest link of which is as weak as can
-    be. low, high : (k,), the nodes at the ends of the links, numbered up to `top`."""
+    """Sum of the friction of the links across a cut between the nodes `bottom` and `top`, chosen such that its
+    strongest link is as weak as possible. low, high : (k,), nodes at the ends of the links, numbered up to `top`.
+    friction : (k,)."""
     levels = np.unique(friction)
     begin, end = 0, len(levels) - 1
 
@@ -48,6 +47,7 @@ def _cut(low: np.ndarray, high: np.ndarray, friction: np.ndarray, bottom: int, t
         graph = sparse.coo_matrix(links, shape=(top + 1, top + 1))
         return np.asarray(connected_components(graph, directed=False)[1])
 
+    # Bisection for the weakest level of friction above which links no longer join bottom and top.
     while begin < end:
         middle = (begin + end) // 2
         label = pieces(middle)

@@ -1,8 +1,12 @@
-"""Where minima are not unique: the contacts that slip at some of them and rest at others.
+"""Where minima are not unique: the contacts that slip at some of them and rest at others (state TIED). They are found
+here in doubles, without a proof.
 
-All minima share the directions of slip, so they are a polyhedron in the sizes of the slips: motions of what slipless
-contacts tie together that turn no slip, as far as no slip turns round. Equal friction makes such motions, as of a set
-of spheres that two neighbours pull with the same force either way.
+All minima share the directions of slip. So they form a polyhedron in the slip speeds: motions of sets of spheres that
+slipless contacts tie together, which turn no slip, and go only so far that no slip is reversed. Equal friction makes
+such motions possible, for example of a set of spheres that two neighbours pull with the same force in opposite
+directions.
+
+Letters: n contacts with up to d slip components, k motions y.
 """
 
 from itertools import combinations
@@ -16,12 +20,12 @@ from taichi_bearings.conic.cones import length
 from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.conic.contraction import Contraction
 
-MOST_BLOCK_UNKNOWNS = 600  # unknowns of a block that is searched for motions which turn no slip
-NOISE_SHARE = 2e-3  # part of a force at its limit that can be noise, of the other one
+MOST_BLOCK_UNKNOWNS = 600  # most unknowns of a block that is searched for motions which turn no slip
+NOISE_SHARE = 2e-3  # component of a force at its limit, over the other one, that may be noise
 LEAST_TURN = 1e-9  # change of the direction of a unit slip, per unit of motion, that counts as none
-LEAST_MOVE = 1e-7  # least change of a slip, of the largest of its motion, that counts; share left of one at rest
-LONGEST_MOTION = 1e6  # most of a motion that is looked at
-MOST_CORNERS = 3000  # of a polyhedron, that are all looked at
+LEAST_MOVE = 1e-7  # change of a slip over the largest of its motion, and share left of a slip, that count as 0
+LONGEST_MOTION = 1e6  # largest multiple of a motion that is looked at
+MOST_CORNERS = 3000  # most candidates for corners of a polyhedron that are all looked at
 
 
 def tied_contacts(
@@ -33,10 +37,11 @@ def tied_contacts(
     slipping: np.ndarray,
     at_limit: np.ndarray,
 ) -> np.ndarray:
-    """Mask (n,) of contacts that slip at some minima and rest at others.
+    """(n,) mask of contacts that slip at some minima and rest at others. Only contacts with equal friction can do so.
 
-    order : of elimination of the unknowns of `system`. friction, slipping, at_limit (n,), difference, dual (d, n) : of
-    a minimum. Only contacts with the same friction can tie.
+    order : order of elimination of the unknowns of `system`.
+    friction, slipping, at_limit : (n,), friction and contact states at one minimum.
+    difference, dual : (d, n), slips and minus the forces there.
     """
     ties = np.zeros(len(friction), dtype=bool)
     if len(np.unique(friction)) == len(friction):
@@ -45,6 +50,7 @@ def tied_contacts(
     slipping, difference, dual = slipping[tied.kept], difference[:, tied.kept], dual[:, tied.kept]
     one_way = np.where(np.abs(dual) > NOISE_SHARE * np.abs(dual).max(axis=0), -dual, 0.0)
     towards = np.where(slipping, difference, one_way)  # contacts at their limit can slip in one way alone
+    # Motions along which minima may differ, and the rates at which they change each slip.
     motions = _turning_no_slip(tied, towards)
     if motions.shape[1] == 0:
         return ties
@@ -56,7 +62,8 @@ def tied_contacts(
 
 
 def _turning_no_slip(tied: Contraction, difference: np.ndarray) -> np.ndarray:
-    """(unknowns, k), basis of the motions of what is tied that turn no slip."""
+    """Basis (unknowns, k) of the motions of tied sets of spins that turn no slip. difference : (d, n), slips, or
+    directions in which contacts can begin to slip."""
     unknowns, count = tied.unknowns, difference.shape[1]
     conditions = sparse.csr_array((0, unknowns))
     if len(difference) == 2:
@@ -65,6 +72,7 @@ def _turning_no_slip(tied: Contraction, difference: np.ndarray) -> np.ndarray:
         take = np.tile(np.arange(count), 2), np.arange(2 * count)
         conditions = sparse.csr_array((across.ravel(), take), shape=(count, 2 * count)) @ tied.system.operator
     conditions.eliminate_zeros()
+    # Unknowns that no condition joins are independent: each block has a kernel of its own, by singular values.
     blocks, label = connected_components(abs(conditions.T) @ abs(conditions), directed=False)
     entries, motions = conditions.tocoo(), [np.zeros((unknowns, 0))]
     of_entry = label[entries.col]
@@ -85,7 +93,8 @@ def _turning_no_slip(tied: Contraction, difference: np.ndarray) -> np.ndarray:
 
 
 def _tied(slips: np.ndarray, rates: np.ndarray) -> np.ndarray:
-    """Mask (n,) of slips >= 0 that vanish at some point of the polyhedron slips + rates @ y >= 0, and not at others."""
+    """(n,) mask of the slips that vanish at some points of the polyhedron slips + rates @ y >= 0, and not at others.
+    slips : (n,), 0 or more. rates : (n, k)."""
     found = np.zeros(len(slips), dtype=bool)
     shared = (rates != 0).astype(float)
     count, label = connected_components(sparse.csr_array(shared.T @ shared), directed=False)
@@ -98,8 +107,9 @@ def _tied(slips: np.ndarray, rates: np.ndarray) -> np.ndarray:
 
 
 def _tied_together(first: np.ndarray, rates: np.ndarray) -> np.ndarray:
-    """The same of the polyhedron first + rates @ y >= 0, with 1 or 0 for `first`, at all its corners. Where these are
-    too many: all of them, as motions that mix so many contacts are those of friction that is the same everywhere."""
+    """The mask of :func:`_tied` for one connected part, with slips in units of themselves: `first` (n,) is 1 where a
+    contact slips, else 0. It is read off from all corners of the polyhedron first + rates @ y >= 0. If there are too
+    many, all are taken to be tied, as motions that mix so many contacts occur where friction is the same everywhere."""
     motions = rates.shape[1]
     if comb(len(first) + 2 * motions, motions) > MOST_CORNERS:
         return np.ones(len(first), dtype=bool)
@@ -108,7 +118,8 @@ def _tied_together(first: np.ndarray, rates: np.ndarray) -> np.ndarray:
 
 
 def _corners(first: np.ndarray, rates: np.ndarray) -> np.ndarray:
-    """(corners, k) points y of first + rates @ y >= 0, |y| <= LONGEST_MOTION, where k of these bounds meet."""
+    """Corners (corners, k) of the polyhedron first + rates @ y >= 0, |y| <= LONGEST_MOTION: points where k of these
+    bounds meet and the others hold."""
     box, motions = np.eye(rates.shape[1]), rates.shape[1]
     bounds, offsets = np.vstack([rates, box, -box]), np.append(first, np.full(2 * motions, LONGEST_MOTION))
     meeting = np.array(list(combinations(range(len(bounds)), motions)))

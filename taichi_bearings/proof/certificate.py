@@ -1,18 +1,22 @@
 """Bounds on what the stationary state minimises, from any spins and any contact forces: theorem 1 in float64.
 
+Letters: R samples (also called replicas), N spheres, E contacts, C spin components. The radius of the spheres is
+written a in the formula.
+
 The problem is convex and has a dual. With t_i the sum of the contact forces that pull on sphere i, and phi* the
-conjugate of the potential of a contact (scene/law.py), for any forces that the law admits
+conjugate of the potential of a contact (scene/law.py), for any forces f that the law admits
 
-    least potential >= R [ sum_driven -(Omega_i - c) . t_i  -  sum_free |t_i| . w ]  -  sum_e phi*(|f_e|)
+    least potential >= a [ sum_driven -(Omega_i - c) . t_i  -  sum_free |t_i| . w ]  -  sum_e phi*(|f_e|)
 
-where c and w are the middle and the half width of the interval that the two driven planes span in each component and,
-where the imposed states differ in their dilation, in each layer x_k = const of component k: a
-minimiser lies in that box, so a torque that is left over on a free sphere is paid for, never ignored. Candidates are
-made from the given forces and the best bound is kept. With friction: the forces capped contact by contact, the forces
-after removing the left-over torque by a Poisson solve, scaled into the friction discs as a whole, and the same capped.
-Where the force grows with the slip all forces are admissible: as they are, and without the left-over torque. Rounding
-is paid for as well: torques are summed in twice the precision, so what is paid is proportional to the leftover torques
-and the power, not to the much larger sum of all forces times the imposed jump.
+Here c and w are the middle and the half width of the interval that the two driven planes span in each component; where
+the imposed states differ in their dilation, in each layer x_k = const of component k. A minimiser lies in that box. So
+a torque that is left over on a free sphere is paid for, never ignored.
+
+Candidates are made from the given forces and the best bound is kept. With friction there are three: the forces capped
+contact by contact; the forces after a Poisson solve has removed the leftover torque, scaled into the friction discs as
+a whole; and the same capped. Where the force grows with the slip all forces are admissible: as they are, and without
+the leftover torque. Rounding is paid for as well: torques are summed in twice the precision, so what is paid is
+proportional to the leftover torques and the power, not to the much larger sum of all forces times the imposed jump.
 """
 
 from collections.abc import Callable
@@ -26,12 +30,12 @@ from taichi_bearings.scene.bearing import Bearing, inverse
 from taichi_bearings.scene.scene import Scene, vector_length
 
 Forces = np.ndarray  # (C, R, E), along the spin difference of each contact
-SUM_ROUNDING = 32 * np.finfo(np.float64).eps
+SUM_ROUNDING = 32 * np.finfo(np.float64).eps  # relative allowance for the rounding of sums
 ROUNDED_PULL = 1e-13  # leftover force on a sphere, relative to the largest force, that counts as rounding
-CACHED_PULLS = 16_384  # numbers of which several arrays fit the second cache of a processor
-# relative distance from the bound from which on it is worth knowing what forces prove with all roundings
+CACHED_PULLS = 16_384  # length of arrays of which several fit the second-level cache of a processor
+# relative distance from the bound below which it is worth computing what forces prove with all roundings
 ENCLOSED_GAP = 1e-9
-CERTIFIED_ERROR, MOST_PROJECTIONS = 1e-13, 100  # of certifying_forces: relative error, and projections on the discs
+CERTIFIED_ERROR, MOST_PROJECTIONS = 1e-13, 100  # for certifying_forces: relative error, and most projections on discs
 
 
 def lower_bound(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> np.ndarray:
@@ -55,13 +59,14 @@ def _candidates(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> list
 
 
 def can_prove_no_state(scene: Scene, excess: np.ndarray) -> bool:
-    """Whether so much is open of the power of every sample that it says nothing of any contact.
+    """True if the gap of every sample is so wide that no contact state can follow from it.
 
-    At any minimum a contact of friction w that bears |f| slips by no more than excess / (w - |f|). No spin of a
-    minimum leaves the box between the planes, so no contact slips faster than R times the jump across all components.
-    Where excess is at least the largest w times that, the first bound is no better for any contact, whatever f is.
+    At any minimum a contact of friction w that bears |f| slips by no more than excess / (w - |f|). No spin of a minimum
+    leaves the box between the planes, so no contact slips faster than R times the jump across all components, R the
+    radius. If the excess is at least the largest w times that, the first bound is no better for any contact, whatever f
+    is.
 
-    excess : (R,), power less its proven lower bound, energy/time.
+    excess : (R,) in samples, power less its proven lower bound, energy/time.
     """
     if scene.law.flows or not scene.law.holds:
         return False
@@ -72,14 +77,15 @@ def can_prove_no_state(scene: Scene, excess: np.ndarray) -> bool:
 def certifying_forces(
     scene: Scene, force: Forces, spin_axes: tuple[int, ...], bound: np.ndarray, excess: np.ndarray | None = None
 ) -> Forces:
-    """Forces (C, R, E) near the given ones that certify by themselves.
+    """Forces (C, R, E) near the given ones that prove a bound by themselves.
 
     They leave no torque on any free sphere but rounding, and with Coulomb friction none is longer than its disc: the
     bound is the work of the driven planes against them less the conjugates. Where such forces prove less than `bound`,
-    those that pay for leftover torques are returned.
+    forces that pay for leftover torques are returned.
 
-    bound : (R,), lower bound on the objective that these forces should prove. excess : (R,), of the objective over it,
-    if known: where that can prove no contact state, forces that pay for leftover torques do, and are found at once.
+    bound : (R,), lower bound on the objective that these forces should prove.
+    excess : (R,), objective less bound, if known: where it can prove no contact state, forces that pay for leftover
+        torques are good enough, and are found at once.
 
     Forces are projected in turn on those in balance and, with an over-relaxation of 1.5, on the friction discs. Zero
     forces are in balance and inside all discs, so that converges linearly (Bauschke and Borwein, SIAM Review 38, 1996).
@@ -98,7 +104,10 @@ def certifying_forces(
         return _most_proving(scene, force, dual_value(scene, force, spin_axes), given, spin_axes, bound)
     ratio = saturation(scene, force)
     worst, best = ratio.max(axis=1), force
-    worst_of_best, known = worst, None  # the best ones as a whole in their discs, and what they prove, once asked for
+    worst_of_best, known = (
+        worst,
+        None,
+    )  # known: the best forces scaled into their discs, and their proven bound, if computed
     proves = _work_of_planes(scene, force, spin_axes) / np.maximum(worst, 1.0)
     reached, better = np.zeros(scene.replicas), np.ones(scene.replicas, dtype=bool)
     done = np.zeros(scene.replicas, dtype=bool)  # each replica ends on its own, whatever the others need
@@ -134,7 +143,7 @@ def _work_of_planes(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> 
 def _as_a_whole(
     scene: Scene, force: Forces, worst: np.ndarray, spin_axes: tuple[int, ...]
 ) -> tuple[Forces, np.ndarray]:
-    """Forces divided by their worst saturation, and what they prove, (R,)."""
+    """Forces divided by their worst saturation `worst` (R,), and the bound (R,) that they prove."""
     whole = _divided(force, worst)
     return whole, dual_value(scene, whole, spin_axes)
 
@@ -142,7 +151,8 @@ def _as_a_whole(
 def _most_proving(
     scene: Scene, best: Forces, reached: np.ndarray, force: Forces, spin_axes: tuple[int, ...], bound: np.ndarray
 ) -> Forces:
-    """`best`, which prove `reached`, or what :func:`lower_bound` makes of `force` where that is needed and more."""
+    """The forces `best`, which prove `reached` (R,); or, where that misses `bound` (R,), the candidate that
+    :func:`lower_bound` makes of `force`, if it proves more."""
     if (reached >= bound * (1 - CERTIFIED_ERROR)).all():
         return best
     for candidate in _candidates(scene, force, spin_axes):
@@ -153,24 +163,25 @@ def _most_proving(
 
 
 def _where(chosen: np.ndarray, force: Forces, other: Forces) -> Forces:
-    """`force` in the chosen (R,) replicas and `other` in the rest."""
+    """The forces `force` in the `chosen` (R,) replicas, and `other` in the rest."""
     if chosen.all() or not chosen.any():
         return force if chosen.all() else other
     return np.where(chosen[:, None], force, other)
 
 
 def _finite(scene: Scene, force: Forces) -> Forces:
-    """The forces in float64, none between driven spheres, all zero in a replica that has one that is not finite."""
+    """The forces in float64, 0 between driven spheres, all 0 in a replica that has one that is not finite."""
     force = _without_driven_contacts(scene, np.asarray(force, dtype=np.float64))
     finite = np.isfinite(force).all(axis=(0, 2))
     return force if finite.all() else np.where(finite[:, None], force, 0.0)
 
 
 def work_and_bound(scene: Scene, balanced: Forces, spin_axes: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Work of Coulomb forces as they are, and the lower bound that they prove capped or scaled; (R,) each.
+    """Work (R,) of the driven planes against Coulomb forces as they are, and the lower bound (R,) that the forces prove
+    when they are capped or scaled.
 
-    For forces that leave practically no torque: the Poisson solve of :func:`lower_bound` is left out, and roundings are
-    counted in the bound alone, which holds for any finite forces. For methods that check often.
+    For forces that leave practically no torque, and methods that check often: the Poisson solve of :func:`lower_bound`
+    is left out, and roundings are counted in the bound alone, which holds for any finite forces.
     """
     ratio = saturation(scene, balanced)
     work = _work_of_planes(scene, balanced, spin_axes)
@@ -185,8 +196,8 @@ def relative_gap(scene: Bearing, objective: np.ndarray, bound: np.ndarray) -> np
     """(objective - lower bound) / objective, (R,); NaN where either is not a number, so that nothing follows from it.
 
     Without a jump, or where absent contacts cut the bottom from the top, the least objective is 0 and a relative gap
-    says nothing: it then counts by the natural one, of all contacts with the imposed jump, or spin, for slip, where
-    that is larger.
+    says nothing. It is then taken relative to the natural objective, if that is larger: that of all contacts slipping
+    by the imposed jump, or, without one, by the imposed spin.
     """
     unit, idle = objective, scene.is_cut_off | (scene.jump == 0)
     if idle.any():
@@ -198,13 +209,14 @@ def relative_gap(scene: Bearing, objective: np.ndarray, bound: np.ndarray) -> np
 
 
 def largest_unbalanced_torque(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> np.ndarray:
-    """Largest torque that the forces leave on a free sphere, (R,), force * length."""
+    """(R,), largest torque that the forces leave on a free sphere, force * length."""
     pull = np.abs(torques(force, scene.lattice, spin_axes)[..., 1:-1])
     return scene.lattice.radius * pull.max(axis=(0, *range(2, pull.ndim)))
 
 
 def dual_value(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> np.ndarray:
-    """What admissible forces prove (R,), torque-balanced or not: the dual objective minus an allowance for rounding."""
+    """(R,), the lower bound that admissible forces prove, balanced or not: the dual objective minus an allowance for
+    rounding."""
     pull = precise_torques(scene, force, spin_axes)
     work, allowance = np.zeros(scene.replicas), np.zeros(scene.replicas)
     for slot, half_width in enumerate(scene.top_spin(spin_axes) / 2):
@@ -246,7 +258,7 @@ def precise_torques(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> 
 
 
 def _in_cache(values: np.ndarray) -> list[tuple[slice, slice]]:
-    """Parts of (R, n, ...) arrays that the caches of a processor hold while much is done with them."""
+    """Index pairs that cut arrays (R, n, ...) into parts that fit the caches of a processor."""
     several = max(1, CACHED_PULLS // max(values[0].size, 1))
     size = max(1, CACHED_PULLS * values.shape[1] // max(values[0].size, 1))
     return [
@@ -257,18 +269,19 @@ def _in_cache(values: np.ndarray) -> list[tuple[slice, slice]]:
 
 
 def capped(force: Forces, ratio: np.ndarray) -> Forces:
-    """Forces with each one longer than its friction disc shortened to it. ratio : their saturation, (R, E)."""
+    """The forces, with each one that is longer than its friction disc shortened to it. ratio : their saturation, (R,
+    E)."""
     return _changed(force, ratio, lambda f, share: f * share)
 
 
 def _over_relaxed(force: Forces, ratio: np.ndarray) -> Forces:
-    """Forces changed by one and a half times of what :func:`capped` does to them."""
+    """The forces, changed by one and a half times what :func:`capped` changes. ratio : their saturation, (R, E)."""
     return _changed(force, ratio, lambda f, share: f + 1.5 * (f * share - f))
 
 
 def _changed(force: Forces, ratio: np.ndarray, change: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> Forces:
-    """What is made of forces, in parts that the caches of a processor hold, and of the largest share of each, up to 1,
-    that is inside its disc: 0 where the saturation is."""
+    """The result of `change` for the forces and the share of each that is inside its disc, 1 at most, and 0 for a
+    force of 0; computed in parts that fit the caches. ratio : their saturation, (R, E)."""
     found = np.empty(force.shape)
     for part in _in_cache(ratio):
         share = inverse(ratio[part])
@@ -284,15 +297,15 @@ def scaled(scene: Scene, force: Forces) -> Forces:
 
 
 def _divided(force: Forces, worst: np.ndarray) -> Forces:
-    """The same if the worst saturation (R,) is known."""
+    """The forces divided by the worst saturation `worst` (R,) of each replica, where that exceeds 1."""
     if (worst <= 1.0).all():
         return force
     return force * (1.0 / np.maximum(worst, 1.0))[:, None]
 
 
 def saturation(scene: Bearing, force: Forces) -> np.ndarray:
-    """|f| / (mu F_n) of every contact, (R, E), rounded up; 0 between driven spheres, infinite for a force at a contact
-    that is absent."""
+    """f| / (mu F_n) of every contact, (R, E), rounded up; 0 between driven spheres, infinite for a force at an absent
+    contact."""
     size, absent = vector_length(force), scene.coefficient == 0
     ratio = size * (1 + 4 * np.finfo(np.float64).eps)
     ratio *= scene.inverse_limit
@@ -302,10 +315,10 @@ def saturation(scene: Bearing, force: Forces) -> np.ndarray:
 
 
 def balance(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> Forces:
-    """Forces plus the smallest correction (in the sum of squares) that leaves no torque on any free sphere.
+    """The forces plus the smallest correction (in the sum of squares) that leaves no torque on any free sphere.
 
-    The correction is the gradient of a potential u with -Laplace u = left-over torque on the free spheres and u = 0 on
-    the driven ones: one constant-coefficient Poisson problem a component, solved by cosine and sine transforms.
+    The correction is the gradient of a potential u with -Laplace u = leftover torque on the free spheres and u = 0 on
+    the driven ones: one constant-coefficient Poisson problem for each component, solved by cosine and sine transforms.
     Component k is coupled only by the contacts that are not along k.
     """
     lattice = scene.lattice
@@ -320,4 +333,5 @@ def balance(scene: Scene, force: Forces, spin_axes: tuple[int, ...]) -> Forces:
 
 
 def _without_driven_contacts(scene: Scene, force: Forces) -> Forces:
+    """The forces, 0 at contacts that take no part."""
     return np.where(scene.idle, 0.0, force)
