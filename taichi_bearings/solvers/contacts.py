@@ -5,6 +5,9 @@ stride apart in memory; `OnLists` (solvers/on_lists.py) has those of any other n
 solvers/method.py chooses between them; nothing else asks which of the two it has.
 
 Shapes: R samples, N spheres (the shape of a lattice, or their number), E contacts, C carried spin components.
+*Staggered* spins are those that are carried: on a lattice with signs by which neighbours differ and measured from the
+bottom plane; in a packing u = R omega, radius times spin. In the shape (C, R, E) of forces of a packing C is the number
+of tangents of a contact.
 """
 
 from abc import ABC, abstractmethod

@@ -6,7 +6,8 @@ dynamical run proves its own gap.
 
 Letters: h time step, I moment of inertia, K and A stiffness and damping of a spring, lambda eigenvalue of the Laplacian
 of the contacts. Shapes: R samples, N spheres, E contacts, C carried spin components. The n-th *scaled derivative* of a
-quantity is its n-th time derivative times h^n / n!, as Gear's method keeps it.
+quantity is its n-th time derivative times h^n / n!, as Gear's method keeps it. *Staggered* spins are those that are
+carried: on a lattice with signs by which neighbours differ, measured from the bottom plane; in a packing u = R omega.
 """
 
 from collections.abc import Iterator, Mapping

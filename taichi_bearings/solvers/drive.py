@@ -194,6 +194,7 @@ def _solved(samples: Sequence[_Sample], asked: _Asked) -> list[Solution]:
     running = runtime.current() if options.needs_taichi else runtime.HOST
     if options.cpu_only:  # whose numbers are doubles, whatever those of fields are
         running = replace(running, precision="f64")
+    # each sample is given an equal share of the seconds
     share, heard, compiling = len(found), interrupt.heard, courses[0].called - began
     return [
         replace(one, interrupted=heard, running=running, seconds=one.seconds / share, seconds_compile=compiling / share)
@@ -215,7 +216,7 @@ def _follow(courses: Sequence["Course"], monitors: Sequence[Monitor]) -> None:
         now = min(left.values())
         with suppress(GivenUp), while_wanted(courses[0].is_ended):
             advance(now)
-            runtime.wait()  # or a GPU would take steps for hours ahead, deaf to any limit
+            runtime.wait()  # else hours of steps could queue up on a GPU, which no limit would end
         for number, steps in list(left.items()):
             more = steps - now if steps > now else next(ways[number], None)
             if more is not None:
@@ -280,7 +281,7 @@ class Course:
         self.scene, self.method, self.stop, self.recording = method.scene, method, stop, recording
         self.checkpoints, self.interrupt = checkpoints, interrupt
         self.best, self.recorder = _Best(method), Recorder(method.scene, recording)
-        self.target, self.launch = 0, 64  # iteration of the next look at the progress; iterations at a time
+        self.target, self.launch = 0, 64
         self.began = self.called = self.written_at = time.perf_counter()
         if isinstance(method, Dynamics):
             method.end_at(self.stop.duration, checkpoints is not None)
@@ -308,6 +309,7 @@ class Course:
 
     @property
     def _seconds_of_this_call(self) -> float:
+        """Seconds of wall time of this call alone."""
         return time.perf_counter() - self.called
 
     def steps(self, monitors: Sequence[Monitor]) -> Iterator[int]:

@@ -1,7 +1,8 @@
 """What all dynamics have in common: simulated time, energy balance, detection of rest, and the arrays of a checkpoint.
 
-Shapes: R samples (replicas), N spheres, E contacts, C carried spin components. Spins are staggered: with signs by which
-neighbours differ, measured from the bottom plane.
+Shapes: R samples (replicas), N spheres, E contacts, C carried spin components. *Staggered* spins are those that are
+carried: on a lattice with signs by which neighbours differ, measured from the bottom plane; in a packing u = R omega,
+radius times spin. In the shape (C, R, E) of forces of a packing C is the number of tangents of a contact.
 """
 
 from collections.abc import Mapping

@@ -14,7 +14,9 @@ power by 2 whatever the disorder. The rules (docs/methods.md has the proofs and 
 
 Letters: k number of steps, D spin difference of a contact, R samples, N spheres, E contacts, C carried spin components.
 The *box* is the interval between the driven spins, in which some minimum lies; spins stay in it where one is known. A
-*sweep* is one step of all spins.
+*sweep* is one step of all spins, a *look* is when the loop of drive.py reads the progress. *Staggered* spins are those
+that are carried: on a lattice with signs by which neighbours differ and measured from the bottom plane; in a packing
+u = R omega, radius times spin.
 """
 
 import math

@@ -11,6 +11,8 @@ are settled: exactly, with a proof, where resolution.py can; else by the ratio o
 limit minus force), which on the central path goes to infinity for slipping contacts and to 0 for slipless ones.
 
 Letters: R samples, E contacts of the lattice, n contacts among them that a free sphere has, C carried spin components.
+A *look* is when the loop of drive.py reads the progress. *Staggered* spins have signs by which neighbours differ, and
+are measured from the bottom plane.
 """
 
 import threading

@@ -10,7 +10,8 @@ the leftover torques of that sum are solved for again until they no longer fall 
 balance to the rounding of the forces, however large the contrast.
 
 Letters: a *plane* is the two-dimensional grid of one layer and sample, with m x n spheres, the height last; a *bundle*
-has B planes. R samples, N spheres, C carried spin components.
+has B planes. R samples, N spheres, C carried spin components. Spins are *staggered*: with signs by which neighbours
+differ, measured from the bottom plane, so that slips are differences.
 """
 
 import numpy as np

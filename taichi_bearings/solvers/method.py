@@ -1,7 +1,9 @@
 """`Method`, what every method offers to the common loop in drive.py.
 
-Spins are *staggered*: measured from the bottom plane, with signs by which neighbours differ, so that the slip of a
-contact is the radius times a difference of spins. Shapes: R samples, N spheres, E contacts, C carried spin components.
+*Staggered* spins are those that are carried: on a lattice with signs by which neighbours differ and measured from the
+bottom plane, so that the slip of a contact is the radius times a difference of spins; in a packing u = R omega, radius
+times spin. Shapes: R samples, N spheres, E contacts, C carried spin components; in the shape (C, R, E) of forces of a
+packing C is the number of tangents of a contact.
 """
 
 from collections.abc import Iterator, Mapping
@@ -67,7 +69,7 @@ class Method:
         raise NotImplementedError
 
     def differences(self, staggered: np.ndarray) -> np.ndarray:
-        """Return the differences (C, R, E) of spins (C, R, *N) across the contacts: the slips over the radius."""
+        """Return the slips (C, R, E) of the contacts over the radius (`Bearing.slip_radius`), from spins (C, R, *N)."""
         return self.scene.differences(staggered, self.spin_axes)
 
     def pulls(self, force: np.ndarray) -> np.ndarray:

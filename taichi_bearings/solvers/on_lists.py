@@ -1,7 +1,7 @@
 """The contacts of any packing as methods step them: in lists, with bounds that are proven by exact arithmetic.
 
 Letters: T unit tangents of a contact, d their number (1 for discs, 2 for spheres), R = 1 sample, N spheres, E contacts
-that take part, C components of a spin. The unknowns are u = R omega, radius times spin.
+that take part, C components of a spin. The unknowns are u = R omega, radius times spin, with the radius R.
 """
 
 from collections.abc import Callable, Mapping

@@ -20,7 +20,8 @@ they are too hard (the forces are late). At each look rho is changed, sample by 
 five times the first.
 
 Shapes are (C, R, *N) for spins and (C, R, E) for forces: C carried spin components, N spheres, E contacts, and R in
-shapes is the number of samples; in formulas it is the radius.
+shapes is the number of samples; in formulas it is the radius. A *look* is when the loop of drive.py reads the progress.
+Spins are *staggered*: with signs by which neighbours differ, measured from the bottom plane.
 """
 
 from collections.abc import Callable, Iterable, Mapping

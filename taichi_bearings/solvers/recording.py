@@ -1,4 +1,7 @@
-"""The record of a run: its history, one row a look, and for a dynamics its spins at chosen simulated times."""
+"""The record of a run: its history, and for a dynamics its spins at chosen simulated times.
+
+The history has one row for each *look*, when the loop of drive.py reads the progress. R is the number of samples.
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field

@@ -11,7 +11,9 @@ before would have done. Components of the spins that have died out (the one abou
 are set to rest and cost nothing from then on; where they have, they never start again (equations.md, 3).
 
 Letters: h length of a step, I moment of inertia, P power, R samples, N spheres, E contacts, C carried spin components.
-The *relaxation time* is that in which a typical contact alone stops a sphere from the largest spin.
+The *relaxation time* is that in which a typical contact alone stops a sphere from the largest spin. *Staggered* spins
+are those that are carried: on a lattice with signs by which neighbours differ and measured from the bottom plane; in a
+packing u = R omega, radius times spin.
 """
 
 from collections.abc import Mapping
