@@ -76,10 +76,11 @@ def flowing(
     inertia: Inertia | None = None,
 ) -> np.ndarray:
     """Spins (unknowns,) at which viscous forces alone are in balance, refined as long as that helps. A path that begins
-    there leaves no torque on its way.
+    there leaves no torque on its way. Raises NotPositiveDefinite if the contrast of the viscosities is too large.
 
-    viscosity : (n,). spins : where to begin. inertia : what resists a change of the spins, if anything. Raises
-        NotPositiveDefinite if the contrast of the viscosities is too large.
+    viscosity : (n,).
+    spins : where to begin.
+    inertia : what resists a change of the spins; None for nothing.
     """
     matrix.factorise(isotropic(system.offset, viscosity), inertia.weight if inertia else 0.0)
     best, least = spins, np.inf

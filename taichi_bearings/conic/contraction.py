@@ -162,9 +162,9 @@ class Contraction:
 
 def order_by_place(system: ContactSystem, place: np.ndarray | None = None, own: slice | None = None) -> np.ndarray:
     """Order of elimination by nested dissection of all unknowns, or of the range `own`, counted from its first.
+    Unknowns are coupled if a contact joins them, so components that no contact joins are divided separately.
 
-    place : (D, unknowns), where they are; that of the system if None. Unknowns are coupled if a contact joins them, so
-        components that no contact joins are divided separately.
+    place : (D, unknowns), where they are; that of the system if None.
     """
     own, place = own or slice(0, system.unknowns), system.place if place is None else place
     assert place is not None

@@ -148,8 +148,8 @@ class Descent:
 
     def _near(self, sample: Sample) -> float:
         """Relative gap below which the states of a sample are to be settled; 0 if never. In small samples that is tried
-        once, and again where the path ends: the last decades are followed each time, and show no more from closer by.
-        """
+        once, and again where the path ends: nothing is gained by trying again at a smaller gap, as settling follows the
+        last decades of the path anyhow."""
         again = 0.0 if self.small and np.isfinite(sample.tried) else sample.tried / RETRY_FACTOR
         return min(self.settles_at, again) if self.settles else 0.0
 

@@ -36,7 +36,7 @@ EPS = np.finfo(np.float64).eps
 
 @dataclass(frozen=True)
 class StageEnd:
-    """Where a stage ends.
+    """Spins and forces at the end of a stage.
 
     spins : (unknowns,).
     force, held : (d, n), the whole contact force, and without its viscous part.

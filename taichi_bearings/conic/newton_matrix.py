@@ -165,9 +165,10 @@ class NewtonMatrix:
             cholesky.forget()
 
     def balanced(self, dual: np.ndarray, stiffness: np.ndarray, load: np.ndarray | float = 0.0) -> np.ndarray:
-        """The dual (d, n) after springs of these stiffnesses (d, d, n) have taken its torques away.
+        """The dual (d, n) after springs of these stiffnesses (d, d, n) have taken its torques away. Raises
+        NotPositiveDefinite if the springs do not hold every spin.
 
-        load : torques (unknowns,) that are to stay. Raises NotPositiveDefinite if the springs do not hold every spin.
+        load : torques (unknowns,) that are to stay.
         """
         self.factorise(stiffness)
         # each solve starts from the last forces: stretches become smaller, and so does what they are rounded by

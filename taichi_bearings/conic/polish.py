@@ -97,6 +97,7 @@ class _PreciseSystem:
     """
 
     def __init__(self, tied: Contraction, top: Pair | None) -> None:
+        """Take what is left of a system, and what is imposed on its top, as of :func:`polished`."""
         self.contracted, self.owners, self._tied = tied.system, tied.owners, tied
         self.top = top and (np.resize(top[0], len(tied.number)), np.resize(top[1], len(tied.number)))
         self.imposed = self._imposed()

@@ -190,9 +190,10 @@ class ProximalSteps:
         self, friction: np.ndarray, viscosity: np.ndarray | None, inertia: Inertia
     ) -> tuple[Iterate, int, bool]:
         """The point at the end of a step with friction, the number of Newton steps taken, and whether it is solved.
+        Newton steps begin with bounds well above the slips and no forces of friction.
 
-        friction, viscosity : (n,). inertia : with the spins before the step as origin. Newton steps begin with bounds
-            well above the slips and no forces of friction.
+        friction, viscosity : (n,).
+        inertia : its origin is the spins before the step.
         """
         spins = inertia.origin
         slip = length(self._system.differences(spins))

@@ -217,9 +217,10 @@ def _over_tied(
     """The minimum found when the path goes on with the contacts `sticking` (n,) tied, None if there is none; and a mask
     (n,) of further contacts that surely stick at its end.
 
-    to_the_end : follow the path to its end, not only until no contact is in doubt. Slipless contacts begin with the
-        forces that they have at the end of the path. Where minima may tie, a path with other contacts tied can change
-        these forces a lot; then the forces from before are tried as well.
+    to_the_end : follow the path to its end, not only until no contact is in doubt.
+
+    Slipless contacts begin with the forces that they have at the end of the path. Where minima may tie, a path with
+    other contacts tied can change these forces a lot; then the forces from before are tried as well.
     """
     none, later = np.zeros_like(sticking), path.point.dual.copy()
     tied = Contraction(lattice.system, lattice.order, sticking) if sticking.any() else None

@@ -40,14 +40,34 @@ The theorems
    rest has one minimum there. If T can bear inside its discs what the other contacts leave to it, this is the only
    minimum of (P). [curvature.py for normals along the axes, oblique.py and exact_motions.py for others; floors of
    curvatures by rounded_elimination.py, with Higham's bound on the error of a factorisation]
-8. Parts at rest. Contacts that can all rest, and can bear what optimal friction elsewhere leaves to them, rest at every
-   minimum. [resting.py; loops.py and borne.py where loops beside them cannot roll as their normals are rounded]
+8. Parts at rest. Contacts that can all rest at once, and can bear what optimal friction elsewhere leaves to them, rest
+   at every minimum. [resting.py; loops.py and borne.py where loops beside them cannot roll as normals are rounded]
 9. Ties. Where frictions cancel exactly, the minima are a polyhedron of motions y with t + y_b - y_a >= 0; its shortest
-   paths say which slips are 0 at some minima alone: such contacts are *tied*. [tied_minima.py]
+   paths say which slips are 0 at some minima but not at all: such contacts are *tied*. [tied_minima.py]
 
-Judgement(scene, spin, spin_rounding, friction) in judgement.py is the door: power, both bounds, their gap, and what is
-proven of the state of each contact at every minimum. certificate.py has theorem 1 in plain doubles with an allowance
-for rounding, for methods on their way; what is reported rests on it for laws of one's own alone.
+The entry point is Judgement(scene, spin, spin_rounding, friction) in judgement.py: it has the power, both bounds, their
+gap, and what is proven of the state of each contact at every minimum. certificate.py has theorem 1 in plain doubles
+with an allowance for rounding, for methods that have not finished. Reported results use it only for contact laws that
+users have written.
+
+The words
+---------
+===========  ===========================================================================================
+word         meaning
+===========  ===========================================================================================
+acts         a contact that has a coefficient and a free end
+part         spheres that contacts between free spheres join
+reached      a free sphere whose part touches driven spheres
+counts       a contact that acts at a reached sphere; no other contact dissipates at any minimum
+feels        a contact that counts and slips with a component of the spins
+rests        a contact that does not slip at any minimum, or is assumed not to
+still        a contact whose slip is exactly 0 in the stored spins
+domain       spheres that resting contacts join in a component, so that they turn as one
+room         what a contact has left of its friction: mu F_n less the size of F
+odd loop     a loop of an odd number of contacts: no signs differ across all of them
+components   do not mix if each contact slips with each component of the spins separately
+mix
+===========  ===========================================================================================
 
 The symbols
 -----------
@@ -71,6 +91,6 @@ T              motion.rests             contacts that are taken to rest
 =============  =======================  ==========================================================
 
 Speeds are in units of `speed_unit`, forces of `force_unit`: powers of two, but for the radius. Oracles that share no
-code with this room try the theorems in tests/proof, tests/properties and tests/stress: exact fractions, networkx,
+code with this folder test the theorems in tests/proof, tests/properties and tests/stress: exact fractions, networkx,
 Clarabel, and Newton's method and the paper's formulas in sixty and eighty digits.
 """

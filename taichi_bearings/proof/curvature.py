@@ -214,6 +214,7 @@ def _changes_of_slips(contacts: Slipping, curvature: Curvature, last: bool) -> n
     # Theorem: sum h v^2 <= rho^2 at the minimum. 1.5 is above 1 / 0.72, and each block has a radius of its own, as no
     # contact joins two of them.
     def turn(tau: float) -> np.ndarray:
+        """(n,), bound on the change of each slip over its size, if `tau` is a floor."""
         radius = 1.5 * np.bincount(block, (slope / root) ** 2) ** 0.5 / tau * UP + TINY  # rho, block by block
         reach = radius[block] / root  # largest change of each variable
         return np.asarray(sum((e @ reach) ** 2 for e in curvature.entries) ** 0.5 / contacts.size.least * UP)

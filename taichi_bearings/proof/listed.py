@@ -102,7 +102,7 @@ class Listed:
         return [Enclosure.exact(np.where(counts, part, 0.0)) for part in self.friction.T]
 
     def anchor(self, k: int) -> np.ndarray:
-        """(n,), the sphere with which each turns in component k, whatever the contacts do: itself."""
+        """(n,), the sphere whose spin each sphere shares in component k, whatever the contacts do: itself."""
         return np.arange(len(self.place))
 
     def signed(self, spin: Enclosure, sign: np.ndarray) -> Enclosure:

@@ -202,8 +202,8 @@ class Near:
         return Form.of(rows, sparse.csr_array(doubt), self.place)
 
     def improved(self) -> Near:
-        """These spins after steps of Newton's method within V, as many as more than halve the torques that are left
-        over each."""
+        """These spins after some steps of Newton's method within V: as many as leave less than half of the torques
+        each."""
         form, there = self.form(FIRM), self.number >= 0
         # Rows of T, and a factor of their squares by which a motion is split into one that T allows and the rest.
         fixed = sparse.csr_array(self.rows[self.rows_of(self.still)])

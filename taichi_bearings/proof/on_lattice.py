@@ -169,7 +169,7 @@ class OnLattice:
         return {k: self._shift(k, stored) for k, stored in self.signed_spin.items()}
 
     def _shift(self, component: int, stored: Enclosure) -> Enclosure:
-        """The same for one component. stored : its signed spins, (R * N,)."""
+        """`shift` (R * N,) of one component. stored : its signed spins, (R * N,)."""
         jump, size = self.scene.exact_driving.jump[component], self.sublattice.size
         # Only leaders of the bottom and the top are needed, one pair for each sample and layer.
         first = np.arange(self.count)[:, None] * size

@@ -187,8 +187,8 @@ class Grid(Listed):
         return moment
 
     def anchor(self, k: int) -> np.ndarray:
-        """(n,), the sphere with which each turns in component k: for driven ones the first of their plane and layer,
-        else itself."""
+        """(n,), the sphere whose spin each sphere shares in component k: for driven ones the first of their plane and
+        layer, else itself."""
         return self.samples.anchor(self.samples.components[k])
 
     def signed(self, spin: Enclosure, sign: np.ndarray) -> Enclosure:

@@ -146,11 +146,11 @@ def floor_of_slips(
     network: JudgedNetwork, number: np.ndarray, contacts: np.ndarray, sharp: bool = False
 ) -> float | None:
     """Proven floor of the eigenvalues of K K^T for the contacts of a mask (E,); infinite for no contact, None if there
-    is none.
+    is none. Of each slip only the two components are used that are not the largest of its normal: as a slip is across
+    the normal, they fix it.
 
-    number : (N, 3), numbers of the unknowns, -1 where there is none. sharp : as of :func:`proven_floor`. Of each slip
-        only the two components are used that are not the largest of its normal: as a slip is across the normal, they
-        fix it.
+    number : (N, 3), numbers of the unknowns, -1 where there is none.
+    sharp : as of :func:`proven_floor`.
     """
     count = len(contacts)
     own = np.ones((3, count), dtype=bool) & contacts

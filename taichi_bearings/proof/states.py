@@ -262,8 +262,8 @@ def reached(follows: sparse.csr_array, starts: np.ndarray) -> np.ndarray:
 
 def _by_curvature(network: JudgedNetwork) -> list[States]:
     """States where two components are needed, or more along the axes, by steps 1 to 3 of the module docstring. Samples
-    are proven all at once, or else half by half, or one by one where friction is repeated, so that there may be ties.
-    """
+    of a lattice are proven all at once, or else half by half; one by one where friction is repeated, so that there may
+    be ties."""
     count = network.count
     if not network.graph.layered:
         slip, fastest = network.slip.value, network.box.max()
