@@ -160,7 +160,7 @@ class Structure:
         return np.asarray(self.answer.snapshots.spin[:, 0])
 
     def slips_of(self, spin: np.ndarray) -> np.ndarray:
-        """Return the slip speeds (E,), length/time, of other spins."""
+        """Return the slip speeds (E,), length/time, that other laboratory spins would make."""
         return self.whole.slips(self.speeds(spin))
 
     def speeds(self, spin: np.ndarray) -> np.ndarray:

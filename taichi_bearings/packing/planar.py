@@ -143,7 +143,7 @@ def _imposed(system: ContactSystem, packing: Packing, spheres: np.ndarray, compo
 
 
 def _ordered(high: np.ndarray, low: np.ndarray) -> tuple[Pair, np.ndarray, np.ndarray]:
-    """Sort numbers (n,) that are sums of two doubles.
+    """Sort numbers (n,) that are sums of two doubles, high + low.
 
     Returns the different values in order; for each of the n the number of its value; for each value the number of its
     negative, 0 if there is none.

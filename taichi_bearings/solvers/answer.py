@@ -146,8 +146,8 @@ def _states_and_thresholds(
 def _known_by_contact(judgement: Judgement | None, is_dynamics: bool) -> np.ndarray | None:
     """Return the states (R, E) that are proven of every minimum where a proof looks at each contact alone, else None.
 
-    That is so where the force grows with the slip, and for minima with one spin component. For a dynamics without
-    viscosity None is returned, as the states that are wanted are those of its motion, not of the minima.
+    That is so where the force grows with the slip, and for minima with one spin component. For a dynamics
+    (is_dynamics) without viscosity None is returned, as its states are those of its motion, not of the minima.
     """
     if judgement is None or not (judgement.law.flows or (len(judgement.network.needed) < 2 and not is_dynamics)):
         return None

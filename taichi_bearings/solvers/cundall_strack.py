@@ -126,10 +126,12 @@ class CundallStrackMethod(Swept, SpringDynamics):
         return self.with_viscosity(force, self.differences(derivatives[-1]))
 
     def end_at(self, time: float, resumable: bool) -> None:
+        """Set the simulated time at which the run ends. resumable : keep the state before a shorter last step."""
         super().end_at(time, resumable)
         self.resumable = resumable
 
     def next_check(self, iteration: int) -> int:
+        """Return the iteration of the next look: that of the check for rest, or the first that reaches the aim."""
         return int(min(self.rest.next_check, max(self._steps_to(self.aim), iteration + 1)))
 
     def _steps_to(self, time: float) -> float:

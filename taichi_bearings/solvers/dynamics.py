@@ -114,6 +114,7 @@ class Dynamics(Method):
     density: Any = None
 
     def begin(self, scene: Bearing, spin: np.ndarray) -> None:
+        """Prepare to solve a scene, at time 0. spin : laboratory spins to start from, 1/time."""
         super().begin(scene, spin)
         self.inertia = self.contacts.inertias(self.options, self.density)
         self.iteration, self.time, self.halted = 0, 0.0, False
@@ -207,6 +208,7 @@ class SpringDynamics(Dynamics):
     checks: ClassVar[tuple[int, int, float]]
 
     def begin(self, scene: Bearing, spin: np.ndarray) -> None:
+        """Prepare to solve a scene, and watch for rest. spin : laboratory spins to start from, 1/time."""
         super().begin(scene, spin)
         self.rest = RestWatch(*self.checks, np.full(scene.replicas, np.inf))
 

@@ -118,6 +118,7 @@ class GradientDescentMethod(Swept):
         return 3 * self.scene.slip_radius * float(np.linalg.norm(np.subtract(high, low)))
 
     def _load_spins(self, staggered: np.ndarray) -> None:
+        """Write staggered spins (C, R, *N) into all fields that hold spins."""
         for name in self.contacts.points + (("spin",) if self.momentum else ()):
             self.fields.load(name, staggered)
 
@@ -129,6 +130,7 @@ class GradientDescentMethod(Swept):
             self.fields.clear("force_sum")
 
     def next_check(self, iteration: int) -> int:
+        """Return the iteration of the next look: an eighth of an epoch on, or about an eighth of the run."""
         if self.averages:
             return iteration + self.epoch_length // CHECKS_AN_EPOCH
         return iteration + 2 * (16 + iteration // 16)
@@ -152,6 +154,7 @@ class GradientDescentMethod(Swept):
         return [name for name in self.fields.names if name not in CONSTANT]
 
     def state(self) -> dict[str, np.ndarray]:
+        """Return the fields and numbers that the further sweeps depend on, by name."""
         numbers = {name: np.array(getattr(self, name)) for name in self.numbers_kept}
         fields = {name: self.fields.read(name) for name in self._changing}
         return fields | numbers | {"last_smooth": self.last_smooth} | self.contacts.state()

@@ -133,7 +133,7 @@ class InteriorPointMethod(Descent, Method):
         self.samples = [self._sample(replica, spins) for replica, spins in enumerate(start)]
 
     def _sample(self, replica: int, spins: np.ndarray) -> Sample:
-        """Return the start of the central path of one sample. spins : free spins (unknowns,) in units of `unit`.
+        """Return the start of the central path of sample `replica`. spins : free spins (unknowns,) in units of `unit`.
 
         Forces are measured in a unit near the mean coefficient. Without viscosity, contacts that are so strong that
         they are slipless at every minimum get less friction, as wide contrasts cost precision; with it, the path starts

@@ -60,6 +60,7 @@ class LinearSolverMethod(Method):
         return [(replica[i : i + step], layer[i : i + step]) for i in range(0, replicas * layers, step)]
 
     def next_check(self, iteration: int) -> int:
+        """Return the iteration of the next look, so that there are at most MOST_CHECKS in a run."""
         return iteration + -(-len(self.bundles) // MOST_CHECKS)
 
     def advance(self, steps: int) -> None:

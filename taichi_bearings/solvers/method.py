@@ -140,6 +140,7 @@ class Swept(Method):
         raise NotImplementedError
 
     def advance(self, steps: int) -> None:
+        """Make `steps` steps by the launches that the method plans."""
         for launch in self.launches(steps):
             self.contacts.run(self.team, self.sweeps, launch)
 

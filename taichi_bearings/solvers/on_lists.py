@@ -88,12 +88,15 @@ class OnLists(Contacts):
         return team_of(self.fields, self.spec), made_once(kind, self.spec, self.scene.law.name, corrector)
 
     def springs(self, corrector: tuple[float, ...]) -> tuple[Team, Sweeps]:
+        """Return the threads and the kernels for the dynamics of Cundall and Strack; as of `Contacts`."""
         return self._sweeps(CundallStrackLists, corrector)
 
     def descents(self) -> tuple[Team, Sweeps]:
+        """Return the threads and the kernels for gradient descent."""
         return self._sweeps(DescentLists, ())
 
     def run(self, team: Team, sweeps: Sweeps, launch: Launch) -> None:
+        """Load the constants of a launch, and call the kernels as often as it says."""
         self.load_numbers(launch)
         sweeps.run(self.fields, team, launch.turns, NOTHING)
 
@@ -107,10 +110,12 @@ class OnLists(Contacts):
             self._numbers = given
 
     def read_forces(self, name: str) -> np.ndarray:
+        """Return the forces or elongations (d, 1, E) along the tangents that a field holds."""
         found = self.fields.read(name)
         return np.einsum("kre,tek->tre", found, self.across) if name == "force" else found
 
     def load_force(self, force: np.ndarray) -> None:
+        """Write forces (d, 1, E) along the tangents into the field `force`, as vectors."""
         self.fields.load("force", np.einsum("tre,tek->kre", force, self.across))
 
     def weights(self, bounds: np.ndarray) -> np.ndarray:
@@ -127,9 +132,11 @@ class OnLists(Contacts):
         return total.T[:, None]
 
     def inertias(self, options: Any, density: Any) -> np.ndarray:
+        """Return the moments of inertia (N,) over the square of the radius; arguments as of `Contacts`."""
         return self.scene.inertias(options.mass, options.inertia, density)
 
     def unit_inertia(self, inertia: Any) -> float:
+        """Return 1: `is_free` holds the inverse moment of inertia of each sphere."""
         return 1.0
 
     def fastest_modes(self, inertia: Any) -> tuple[float, float]:
@@ -139,16 +146,20 @@ class OnLists(Contacts):
         return decay, network.largest_eigenvalue(np.ones(network.contacts), inertia)
 
     def unknowns(self, spin_axes: tuple[int, ...], unit: float, inertia: Any) -> Unknowns:
+        """Return all unknowns of the packing, for rigid-limit steps; arguments as of `Contacts`."""
         return OfNetwork(self.scene, unit, inertia)
 
     @property
     def has_no_bound(self) -> bool:
+        """Whether no positive lower bound is proven yet."""
         return not self.bounds.proven > 0
 
     def best_bound(self, bound: np.ndarray) -> np.ndarray:
+        """Return the best lower bound (1,) so far, this one or an earlier one."""
         return np.maximum(bound, self.bounds.proven)
 
     def proven_by(self, force: Forces) -> np.ndarray:
+        """Return the lower bound (1,) that the forces (d, 1, E) of a checkpoint prove."""
         with one_thread():
             return np.array([self.bounds.again(force)])
 
@@ -182,6 +193,7 @@ class OnLists(Contacts):
         }
 
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
+        """Continue from what `state` returned in an earlier call."""
         bounds = self.bounds
         bounds.proven, bounds.looked = float(state["bounds.proven"]), int(state["bounds.looked"])
         bounds.witness = np.array(state["bounds.witness"])

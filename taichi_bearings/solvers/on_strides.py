@@ -32,10 +32,12 @@ class OnStrides(Contacts):
     points, forces = ("point", "point_next"), ()
 
     def __init__(self, scene: Bearing, spin: np.ndarray, moves: bool) -> None:
+        """Take a lattice. spin : laboratory spins at the start. moves : a dynamics is solved."""
         self.scene = of_lattice(scene)
         self.spin_axes = _moving_axes(self.scene, spin) if moves else scene.minimum_spin_axes
 
     def specified(self, spheres: dict[str, int], contacts: list[str]) -> FieldSpec:
+        """Return the fields as pairs of name and numbers a sphere; arguments as of `Contacts`."""
         dimension, forces = self.scene.lattice.dimension, self.stencil_of(1).force_components
         counts = {"coefficient": dimension, "viscosity": dimension, "work": 1}
         return (*spheres.items(), *((name, counts.get(name, forces)) for name in (*contacts, *self.of_law)))
@@ -59,9 +61,11 @@ class OnStrides(Contacts):
             self.fields.load("viscosity", layout.at_lower_sphere(viscosity))
 
     def read_forces(self, name: str) -> np.ndarray:
+        """Return the forces or elongations (C, R, E) that a field holds."""
         return self.stencil.forces_of_contacts(self.fields.read(name), self.fields.layout)
 
     def load_force(self, force: np.ndarray) -> None:
+        """Write forces (C, R, E) into the field `force`."""
         self.fields.load("force", self.stencil.forces_at_lower_sphere(force, self.fields.layout))
 
     def springs(self, corrector: tuple[float, ...]) -> "tuple[Team, Sweeps]":
@@ -90,6 +94,7 @@ class OnStrides(Contacts):
         return team, made_once(DescentSweeps, self.spec, self.stencil, law)
 
     def run(self, team: "Team", sweeps: "Sweeps", launch: Launch) -> None:
+        """Call the kernels as often and with the constants that a launch says."""
         sweeps.run(self.fields, team, launch.turns, launch.numbers, first=launch.first)
 
     def weights(self, bounds: np.ndarray) -> np.ndarray:
@@ -101,12 +106,15 @@ class OnStrides(Contacts):
         return inertia_of(self.scene, options)
 
     def unit_inertia(self, inertia: Any) -> float:
+        """Return the moment of inertia, which all spheres of a lattice have."""
         return float(inertia)
 
     def fastest_modes(self, inertia: Any) -> tuple[float, float]:
+        """Return the decay rate and R^2 lambda / I of the fastest modes; as of `Contacts`."""
         return fastest_modes(self.scene, self.spin_axes, inertia)
 
     def unknowns(self, spin_axes: tuple[int, ...], unit: float, inertia: Any) -> "Unknowns":
+        """Return the free spins of the components that move, for rigid-limit steps; arguments as of `Contacts`."""
         from taichi_bearings.conic.proximal import OfLattice
 
         return OfLattice(self.scene, spin_axes, unit)
@@ -126,6 +134,7 @@ class OnStrides(Contacts):
         return rest
 
     def proven_by(self, force: Forces) -> np.ndarray:
+        """Return the lower bound (R,) that the forces (C, R, E) of a checkpoint prove."""
         return lower_bound(self.scene, force, self.spin_axes)
 
     def judged(self, staggered: np.ndarray, force: Forces, proof: Forces | None, **more: Any) -> Progress:

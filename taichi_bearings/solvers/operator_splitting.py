@@ -134,10 +134,12 @@ class OperatorSplittingMethod(Method):
         self.fields.load("trial", self.stencil.forces_at_lower_sphere(trial, self.layout))
 
     def state(self) -> dict[str, np.ndarray]:
+        """Return the fields and numbers that the further iterations depend on, by name."""
         fields = {name: self.fields.read(name) for name in self.changing}
         return fields | {"iteration": np.array(self.iteration), "stiffness": self.stiffness}
 
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
+        """Continue from what `state` returned in an earlier call."""
         for name in self.changing:
             self.fields.load(name, state[name])
         self.iteration, self.stiffness = int(state["iteration"]), np.array(state["stiffness"])
@@ -147,6 +149,7 @@ class OperatorSplittingMethod(Method):
         return values.reshape(-1, *(1,) * self.scene.lattice.dimension)
 
     def next_check(self, iteration: int) -> int:
+        """Return the iteration of the next look: FIRST_CHECK iterations or a sixth of the run on."""
         return iteration + max(FIRST_CHECK, iteration // CHECKS_A_RUN)
 
     def advance(self, steps: int) -> None:

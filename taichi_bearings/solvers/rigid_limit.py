@@ -132,7 +132,7 @@ class RigidLimitMethod(Dynamics):
             self.length = min(max(duration * factor, least), most)
 
     def _tried(self, duration: float) -> Step:
-        """Return the result of a step of a length, time, for all components, those at rest included."""
+        """Return the result of a step of length `duration` for all components, those at rest included."""
         scene, force = self.scene, np.zeros_like(self.force)
         if self.steps is None:
             return Step(self.staggered, force, np.zeros(scene.replicas, dtype=int), 0.0, 0, True)
@@ -225,9 +225,11 @@ class RigidLimitMethod(Dynamics):
         return super().is_believed(replace(found, lower_bound=self.contacts.best_bound(found.lower_bound)))
 
     def findings(self, last: Progress) -> dict[str, np.ndarray]:
+        """Return the time since which the power has not fallen, NaN without rest, and the number of Newton steps."""
         rest_time = np.where(self.is_believed(last), self.rest_time, np.nan)
         return {"rest_time": rest_time, "newton_steps": np.full(self.scene.replicas, self.newton_steps)}
 
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
+        """Continue from what `state` returned in an earlier call."""
         super().restore(state)
         self._prepare()
