@@ -15,10 +15,8 @@ from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.stages import stage
 
-# next trial
 # relative gap below which settling is tried, also where the path ends (32^3 seed 2); the next trial comes when the gap
 # is smaller by the factor
-# next trial
 SETTLING_GAP, RETRY_FACTOR = 1e-9, 100
 # in small samples the gap is SETTLING_GAP_FACTOR / spheres^2, at most FIRST_SETTLING_GAP: their slips are larger
 FIRST_SETTLING_GAP, SETTLING_GAP_FACTOR = 1e-8, 1e-4

@@ -72,10 +72,8 @@ class Iterate:
         them."""
         bound, dual = self.bound, self.dual
         if self.smooth is not None:
-            back, product = (
-                self.smooth & ~slips,
-                self.complementarity / self.friction,
-            )  # put back on the path, force along the slip
+            # contacts that come back are put on the path, with the mean product and a force along the slip
+            back, product = self.smooth & ~slips, self.complementarity / self.friction
             central = (product + np.hypot(product, 2 * length(self.difference))) / 2
             bound, dual = (
                 np.where(back, central, bound),

@@ -103,9 +103,8 @@ class LastDecades:
                 self._ratios, self._product = np.zeros_like(before), np.inf
                 if product >= LEAST_PRODUCT or late is None:
                     return (ratios > 1) | (ratios > before)
-                fall = abs(
-                    np.log(product / late[1])
-                )  # how far the product fell while ratios of contacts at their limit stayed
+                # contacts whose ratio stayed while the product fell by so much may be at their limit
+                fall = abs(np.log(product / late[1]))
                 steady = np.abs(np.log(ratios / late[0])) < DECIDED_EXPONENT * fall
                 margin, rests = self.point.margin, ratios < 1
                 full = (steady & (margin < LEAST_MARGIN_AT_LIMIT)) | (rests & (margin < LOST_MARGIN))

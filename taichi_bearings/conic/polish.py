@@ -52,9 +52,8 @@ def polished(
     chosen : (samples,) mask.
     """
     system = _PreciseSystem(tied, top)
-    balanced, fine = _balanced(
-        system, matrix, strengths, two_sum(*spins), chosen
-    )  # small parts may be no mere rounding
+    # the small parts of the given spins may be larger than the rounding of the large ones
+    balanced, fine = _balanced(system, matrix, strengths, two_sum(*spins), chosen)
     slips = system.differences(balanced)
     return system.expanded(balanced), slips[0], -_along(strengths[0], slips)[0], fine
 

@@ -183,11 +183,8 @@ def _followed(iterate: Iterate, before: Iterate | None, lattice: Surroundings) -
             early = _tried_early(iterate, copy(path), lattice)
             if early is not None and early.sure:
                 return early
-    first, second, free = (
-        (True, False),
-        (True, True),
-        (False, False),
-    )  # (are contacts tied, is the path followed to its end)
+    # of each trial: are contacts tied, and is the path followed to its end?
+    first, second, free = (True, False), (True, True), (False, False)
     for ties, to_the_end in (first, second, second, free) if ties_possible else (free, first):
         with suppress(NotPositiveDefinite):
             found, more = _over_tied(iterate, path, sticking if ties else none, lattice, to_the_end)

@@ -18,10 +18,8 @@ from taichi_bearings.conic.newton_matrix import REFINEMENTS, NewtonMatrix
 LEFT_TORQUE = 1e-10  # torque over the mean friction that may be left
 # least room over the sum of all torques left; no force has to change by more than that sum to balance them
 MARGIN_PER_TORQUE = 10.0
-# can be below the limit and is still held there
 # for contacts at their limit, over the friction: room that they are given where forces are balanced, and how far below
 # the limit a force may be and is still set to the limit
-# can be below the limit and is still held there
 ROOM_AT_LIMIT, HELD_AT_LIMIT = 1e-5, 1e-9
 NOISE_ACROSS = 5e-5  # component of a force at its limit, over the other, that may be noise: above HELD_AT_LIMIT ** 0.5
 # number of balances; share of the way to the first limit that all but the last go; share of the whole way below which

@@ -104,10 +104,8 @@ def certifying_forces(
         return _most_proving(scene, force, dual_value(scene, force, spin_axes), given, spin_axes, bound)
     ratio = saturation(scene, force)
     worst, best = ratio.max(axis=1), force
-    worst_of_best, known = (
-        worst,
-        None,
-    )  # known: the best forces scaled into their discs, and their proven bound, if computed
+    # known: the best forces scaled into their discs, and the bound that they prove, if that has been computed
+    worst_of_best, known = worst, None
     proves = _work_of_planes(scene, force, spin_axes) / np.maximum(worst, 1.0)
     reached, better = np.zeros(scene.replicas), np.ones(scene.replicas, dtype=bool)
     done = np.zeros(scene.replicas, dtype=bool)  # each replica ends on its own, whatever the others need

@@ -106,9 +106,8 @@ def too_uneven(solution: Solution) -> np.ndarray:
     scene, acting = solution.scene, ~solution.scene.idle
     at_jump = scene.strength * scene.coefficient * scene.slip_radius * scene.smallest_jump  # power of a slip by it
     left = solution.objective - solution.lower_bound
-    share = (
-        scene.smallest_jump / scene.jump if scene.jump else np.nan
-    )  # a small component lengthens a slip by this share
+    # a slip by the whole jump gets longer by about this share of the smallest component added across it
+    share = scene.smallest_jump / scene.jump if scene.jump else np.nan
     lost = acting & ((share * at_jump <= left[:, None]) | (at_jump <= LOST_POWER * solution.power[:, None]))
     lost &= scene.smallest_jump > 0
     return lost.sum(axis=1) > LOST_CONTACTS * acting.sum(axis=1)
