@@ -1,4 +1,7 @@
-"""One run from its settings: build the scene, solve it, write the run directory."""
+"""One run from its settings: build the scene, solve it, write the run directory.
+
+row : as a name, the class of a method in solvers/table.py. A replica is one sample of several in a scene.
+"""
 
 import logging
 import secrets
@@ -58,7 +61,10 @@ if TYPE_CHECKING:
 
 
 def build_scene(settings: RunSettings) -> Scene:
-    """The scene that the settings describe: seeds seed ... seed + replicas - 1, drawn or read coefficients."""
+    """Return the scene on a lattice that the settings describe, with coefficients that are drawn or read from a file.
+
+    Raises InputError for settings of a packing, and for a file that does not fit them.
+    """
     if settings.is_packing:
         key = "driven" if settings.packing is None else "packing"
         raise InputError(f"{key} is {getattr(settings, key)!r}: that is for `bearings run` alone, not for this command")
@@ -86,7 +92,7 @@ def build_scene(settings: RunSettings) -> Scene:
 
 
 def method_row(settings: RunSettings, scene: Scene) -> type[MethodOptions]:
-    """The method that the settings name; auto takes the fastest one that certifies (docs/methods.md)."""
+    """Return the method that the settings name; for "auto" the fastest certified one (docs/methods.md)."""
     if settings.method == "auto":
         arch = runtime.automatic_arch(settings.precision) if settings.arch == "auto" else settings.arch
         return fastest(scene, settings.tolerance, on_gpu=arch != "cpu")
@@ -94,8 +100,11 @@ def method_row(settings: RunSettings, scene: Scene) -> type[MethodOptions]:
 
 
 def row_of(settings: RunSettings) -> type[MethodOptions]:
-    """The method that the settings lead to. Raises InputError for a scene that cannot be, or that it cannot solve; what
-    packings cannot be, `packing_of` knows."""
+    """Return the method that solves a run with these settings.
+
+    Raises InputError for a scene on a lattice that is not possible, or that the method cannot solve. Packings are not
+    checked here, but by `packing_of`.
+    """
     if settings.is_packing:
         from taichi_bearings.runs.packing_run import method_of_packing
 
@@ -105,6 +114,7 @@ def row_of(settings: RunSettings) -> type[MethodOptions]:
 
 @lru_cache(maxsize=4096)
 def _row_of(settings: RunSettings) -> type[MethodOptions]:
+    """Return the method for a lattice; its coefficients do not matter, so a scene without disorder is tried."""
     Distribution.parse(settings.distribution)
     scene = build_scene(replace(settings, distribution="constant:1"))
     row = method_row(settings, scene)
@@ -117,8 +127,10 @@ def _row_of(settings: RunSettings) -> type[MethodOptions]:
 class Job:
     """A checked run that is ready to be solved.
 
-    settings : what was asked for. scene : what is solved. spin : that it starts from, None of a packing whose start has
-    a name. method : that is taken, None where the settings of a packing name it.
+    settings : what was asked for.
+    scene : what is solved, with all replicas.
+    spin : initial spins, (R, *N) or (R, *N, 3), 1/time; None for a packing whose start has only a name.
+    method : the method for a lattice; None for a packing, whose settings name it.
     """
 
     settings: RunSettings
@@ -129,8 +141,12 @@ class Job:
     def solve(
         self, monitors: "Sequence[Monitor]" = (), checkpoints: "Checkpoints | None" = None, **others: Any
     ) -> Result:
-        """Solve it on the device that the settings name. monitors : hear of each check. checkpoints : of a method that
-        resumes, where they are written. others : what the methods of packings alone take."""
+        """Solve the run on the device that the settings name, and return its result.
+
+        monitors : functions that are called at each check.
+        checkpoints : where and how often checkpoints are written, for methods that can go on from one.
+        others : arguments for packings alone, such as `density`.
+        """
         if self.scene.network.lattice is not None:
             solution = solve_job(self, monitors, checkpoints)
             return Result(self.settings, solution, self.spin, interrupted=solution.interrupted)
@@ -140,9 +156,10 @@ class Job:
 
 
 def prepare(settings: RunSettings, strict: bool = True) -> Job:
-    """Build everything the settings describe; every input error is raised here, before anything is computed.
+    """Return the job that the settings describe; every input error is raised here, before anything is computed.
 
-    strict : refuse what neither the method nor the law uses; else, as in a scan that compares methods, leave it out.
+    strict : True to raise InputError for options that neither the method nor the law uses; False to ignore them, as a
+    scan that compares methods does.
     """
     with stage("reading"):
         if settings.is_packing:
@@ -158,14 +175,18 @@ def prepare(settings: RunSettings, strict: bool = True) -> Job:
 
 
 def cost(settings: RunSettings) -> Cost:
-    """What the run of these settings would take; every input error is raised, and nothing is solved."""
+    """Return the estimated cost of a run; every input error is raised, and nothing is solved."""
     job = prepare(settings)
     row = row_of(job.settings) if job.method is None else type(job.method.options)
     return cost_of(job.settings, row, job.scene)
 
 
 def job_of(settings: RunSettings, scene: Scene, spin: np.ndarray, strict: bool = True) -> Job:
-    """The solve of a scene from these spins that the settings describe; InputError if they do not fit each other."""
+    """Return the job that solves a scene on a lattice as the settings say.
+
+    spin : initial spins, (R, *N) or (R, *N, 3), 1/time. strict : as of :func:`prepare`. Raises InputError if settings
+    and scene do not fit each other.
+    """
     runtime.refuse_absent(settings.arch, settings.precision)
     row = method_row(settings, scene)
     refuse_driven(settings, row)
@@ -178,17 +199,23 @@ def job_of(settings: RunSettings, scene: Scene, spin: np.ndarray, strict: bool =
     return Job(settings, scene, spin, method.build())
 
 
-# relative gap down to which splitting helps after the interior point: from 1e-13 it takes minutes and gains nothing
+# Where the interior point stalls, operator splitting goes on from its spins if the gap is above this: from 1e-13 it
+# takes minutes and gains nothing.
 SPLITTING_HELPS = 1e-12
-# iterations that it may take, some 15 s for small samples: 6,6,6 lognormal:1,6 seed 2 asks for 104 253; and those after
-# which it goes on, where friction spans more decades than a double has, only if the gap has become half: it hardly has
-MOST_SPLITTINGS, FIRST_SPLITTINGS, DOUBLE_DECADES = 20_000, 100, 2.0**53
+MOST_SPLITTINGS = 20_000  # iterations of splitting, some 15 s for small samples; few need more (one needs 104 253)
+# Where coefficients differ by a larger ratio than DOUBLE_DECADES, splitting stops after its first iterations unless the
+# gap has halved, which it rarely has.
+FIRST_SPLITTINGS, DOUBLE_DECADES = 100, 2.0**53
 
 
 def solve_job(job: Job, monitors: "Sequence[Monitor]" = (), checkpoints: "Checkpoints | None" = None) -> Solution:
-    """Solve on the device that the settings name; starts Taichi if the method needs it.
+    """Solve a job on a lattice and return the answer; Taichi is started if the method needs it.
 
-    checkpoints : a solvers.drive.Checkpoints, for a dynamics.
+    monitors : functions that are called at each check. checkpoints : where and how often checkpoints are written, for a
+    dynamics.
+
+    Where the method was chosen automatically and the interior point stalled, operator splitting goes on. A torque on
+    the top is evaluated at the end, which may take further solves.
     """
     from taichi_bearings.solvers.drive import solve
     from taichi_bearings.solvers.recording import Recording
@@ -228,6 +255,7 @@ def solve_job(job: Job, monitors: "Sequence[Monitor]" = (), checkpoints: "Checkp
     free = replace(settings, torque=None)
 
     def again(bearing: Bearing) -> Solution:
+        """Solve another scene with the same settings but without a torque."""
         scene = of_lattice(bearing)
         return solve_job(Job(free, scene, initial_spin(scene, "linear"), method.options.build()))
 
@@ -235,7 +263,10 @@ def solve_job(job: Job, monitors: "Sequence[Monitor]" = (), checkpoints: "Checkp
 
 
 def _better(first: Solution, second: Solution, tolerance: float) -> Solution:
-    """Of two answers to one sample, each proven by the best forces of both, the second if it is clearly closer."""
+    """Return the better of two answers to one sample, with the better lower bound of the two.
+
+    It is the second one only if it alone is within the tolerance, or if its gap is less than half.
+    """
     from taichi_bearings.solvers.answer import with_forces_of
 
     answers = with_forces_of(first, second), with_forces_of(second, first)
@@ -250,10 +281,14 @@ def run(
     monitors: "Sequence[Monitor]" = (),
     title: bool = True,
 ) -> Result:
-    """Solve a scene or a packing and write a run directory: run.h5, summary.json, scene.toml, power_histogram.csv and
-    its figures, with words above them where there is to be a title.
+    """Solve a scene or a packing, write a run directory, and return the result.
 
-    With `checkpoint_every` the directory is there from the start, with a checkpoint that :func:`resume` goes on from.
+    out : the run directory. Default: a new one below outputs/. force : replace a run directory that stands there.
+    monitors : functions that are called at each check. title : whether figures have words above them.
+
+    The directory gets run.h5, summary.json, scene.toml, power_histogram.csv and figures. With `checkpoint_every` it is
+    there from the start, with a checkpoint from which :func:`resume` goes on.
+
     Raises InputError or FileError before anything is computed or overwritten.
     """
     job = prepare(settings)
@@ -270,17 +305,20 @@ def run(
 
 
 def command() -> str:
-    """What this process was asked for."""
+    """Return the command line of this process, for the record."""
     return " ".join(["bearings", *sys.argv[1:]])
 
 
 def kept(
     found: Result, write: Callable[[], Result], title: bool = True, otherwise: str = "the result is lost"
 ) -> Result:
-    """The result as it is written, and its figures; if its path cannot be written, in a temporary folder.
+    """Write a result and its figures, and return it with the path at which it lies.
 
-    WriteError if not even that is possible. otherwise : what then, for people. An interrupt, now or before, waits for
-    the files and leaves the figures to `bearings plot` and `histogram`.
+    found : the result. write : writes its files, and returns it. title : whether figures have words above them.
+    otherwise : end of the message if nothing can be written.
+
+    If its path cannot be written, the result goes to a temporary folder; if that cannot be written either, WriteError
+    is raised. After an interrupt, now or during the solve, the files are still written, but no figures.
     """
     with awaited() as heard:
         found = _rescued(found, write, otherwise)
@@ -295,6 +333,7 @@ def kept(
 
 
 def _rescued(found: Result, write: Callable[[], Result], otherwise: str) -> Result:
+    """Write a result, into a temporary folder if its own path cannot be written; arguments as of :func:`kept`."""
     try:
         return write()
     except WriteError as error:
@@ -314,14 +353,18 @@ def _rescued(found: Result, write: Callable[[], Result], otherwise: str) -> Resu
 CHANGEABLE = (
     "tolerance", "iterations", "time_limit", "duration", "record", "snapshots", "checkpoint_every", "threads",
 )  # fmt: skip
+"""Settings that may change when a run is resumed."""
 
 
 def resume(
     path: Path, changes: Mapping[str, Any] | None = None, monitors: "Sequence[Monitor]" = (), title: bool = True
 ) -> Result:
-    """Go on with a run that has a checkpoint, to the same bits as if it had never been stopped.
+    """Go on with a run from its checkpoint, to the same bits as if it had never been stopped, and return the result.
 
-    changes : settings that say when to stop and what to write down, those named in CHANGEABLE.
+    path : the run directory or its run.h5. changes : new values of settings that are named in CHANGEABLE.
+    monitors, title : as of :func:`run`.
+
+    Raises FileError if there is no checkpoint that can be read, InputError for a change that is not possible.
     """
     refuse_scan(path)
     path = path.parent if path.name == "run.h5" else path
@@ -355,13 +398,17 @@ def _solve_with_checkpoints(
     monitors: "Sequence[Monitor]",
     title: bool,
 ) -> Result:
-    """Solve in a run directory that is there already and in our use, and complete it; a KeyboardInterrupt names it.
+    """Solve a job in a run directory that exists and is locked by this process; write its files and return the result.
 
-    stored : the settings with files named as in the directory. arrays : the checkpoint to go on from.
+    stored : the settings, with the names of files as they are in the directory. arrays : the checkpoint to go on from,
+    None to start at the beginning. monitors, title : as of :func:`run`.
+
+    A KeyboardInterrupt that ends the solve has the path of the directory as its message.
     """
     from taichi_bearings.solvers.drive import Checkpoints
 
     def write(state: Mapping[str, np.ndarray]) -> None:
+        """Write a checkpoint; warn if that fails."""
         try:
             write_checkpoint(path, stored.to_toml(), versions(), state)
         except FileError as error:  # a full disk may have room again before the end
@@ -376,6 +423,7 @@ def _solve_with_checkpoints(
     found = replace(found, path=path, command=command())
 
     def complete() -> Result:
+        """Write the files of the finished run into its directory."""
         with completed(path, _drawn(path)) as folder:
             write_run(folder, found)
         return found
@@ -383,12 +431,11 @@ def _solve_with_checkpoints(
     return kept(found, complete, title, f"`bearings run --resume {path}` goes on from the last checkpoint")
 
 
-PICTURES = ("view.html", "run.vtkhdf", "movie.mp4", "movie.gif")
+PICTURES = ("view.html", "run.vtkhdf", "movie.mp4", "movie.gif")  # files that other commands draw into a run directory
 
 
 def _drawn(path: Path) -> list[str]:
-    """Names of files in a run directory that a new answer outdates: those of `run` itself, and of what draws, analyses
-    and exports it."""
+    """Return the names of files in a run directory that a new answer outdates: figures, histograms, films, exports."""
     from taichi_bearings.runs.figures import FIGURE_KINDS
 
     pictures = [f"{name}.{ending}" for name in (*FIGURE_KINDS, "power_histogram") for ending in ("png", "pdf")]

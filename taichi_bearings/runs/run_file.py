@@ -1,4 +1,7 @@
-"""Read a run.h5 back into what it was written from; it is readable with plain h5py, too."""
+"""Reads a run.h5 back into the result that it was written from; h5py alone can read it as well.
+
+Letters: R replicas (samples; files have no axis of replicas if there is one), E contacts.
+"""
 
 import re
 from collections.abc import Callable, Iterator, Mapping
@@ -33,7 +36,10 @@ WHOLE_SETS = re.compile("/state$|/proven$|^history/")  # data sets that may hold
 
 
 def refuse_scan(path: Path) -> None:
-    """FileError for a scan where a run is wanted, and for a file of settings; it names the command that fits."""
+    """Raise FileError if a path is that of a scan, or of a file of settings, where a run is needed.
+
+    The message names the command that fits.
+    """
     if path.suffix == ".toml" and path.is_file():
         kind, command = ("a scan", "scan") if "scan" in read_toml(path) else ("a run", "run")
         raise FileError(f"{path} describes {kind} and holds no result; `bearings {command} {path}` solves it")
@@ -46,7 +52,7 @@ def refuse_scan(path: Path) -> None:
 
 
 def refuse_run(path: Path) -> None:
-    """FileError for a run where a scan is wanted; it names the command that fits."""
+    """Raise FileError if a path is that of a run where a scan is needed; the message names the command that fits."""
     folder = path if path.is_dir() else path.parent
     if path.name == "run.h5" or (is_run(folder) and not path.is_file()):
         raise FileError(
@@ -56,25 +62,32 @@ def refuse_run(path: Path) -> None:
 
 
 def file_of(run: Path) -> Path:
-    """The run.h5 of a run directory, or the file itself."""
+    """Return the path of the run.h5 in a run directory, or the path itself if it is no directory."""
     return run / "run.h5" if run.is_dir() else run
 
 
 def read_run(run: str | Path) -> Result:
-    """A run of a lattice or a packing, by its directory or its run.h5; FileError if it is missing, damaged, changed or
-    of an unknown version."""
+    """Return the result in a run directory or a run.h5, of a lattice or a packing.
+
+    Raises FileError if the file is missing, damaged, was changed, or has an unknown layout.
+    """
     with _opened(run) as (path, file, attributes):
-        told = (np.atleast_1d(attributes.get(name, np.nan)) for name in ("power", "lower_bound", "gap"))
-        numbers = [v if v.dtype.kind in "iuf" else np.full(v.shape, np.nan) for v in told]  # no number says nothing
+        stored = (np.atleast_1d(attributes.get(name, np.nan)) for name in ("power", "lower_bound", "gap"))
+        numbers = [
+            v if v.dtype.kind in "iuf" else np.full(v.shape, np.nan) for v in stored
+        ]  # words are unknown numbers
         if any(map(is_crossed, *np.broadcast_arrays(*numbers))):
             raise FileError(f"{path} has a lower bound above its power; it is damaged or was changed")
         return _run_in(path, file, attributes)
 
 
 def read_claims(run: str | Path) -> tuple[Result, list[str]]:
-    """A run as its file has it, whatever that says of power and bound, and what in the file is not as it was written:
-    names of data sets and attributes. `Result.attributes` has what the file says; the gap of the solution is left open.
-    FileError if it is missing, of an unknown version or so damaged that it is no run."""
+    """Return the result in a run file without checking it, and the names of data sets and attributes in the file that
+    were changed after it was written.
+
+    `Result.attributes` has what the file says; the gap of the solution is not-a-number. Raises FileError if the file is
+    missing, has an unknown layout, or is so damaged that it holds no run.
+    """
     changed: list[str] = []
     with _opened(run, changed) as (path, file, attributes):
         found = _run_in(path, file, attributes | {"gap": np.nan})
@@ -83,7 +96,10 @@ def read_claims(run: str | Path) -> tuple[Result, list[str]]:
 
 @contextmanager
 def _opened(run: str | Path, changed: list[str] | None = None) -> Iterator[tuple[Path, h5py.File, dict[str, Any]]]:
-    """The run.h5 of a run, open, and its attributes. changed : as of :func:`read_hdf5`."""
+    """Yield the path of a run.h5, the opened file and its attributes.
+
+    changed : a list that gets the names of what was changed after it was written; None to raise FileError for that.
+    """
     run = Path(run)
     refuse_scan(run)
     path = file_of(run)
@@ -97,6 +113,7 @@ def _opened(run: str | Path, changed: list[str] | None = None) -> Iterator[tuple
 
 
 def _run_in(path: Path, file: h5py.File, attributes: Mapping[str, Any]) -> Result:
+    """Return the result in an opened run.h5. path : of the file. attributes : of the file."""
     if "scene" not in attributes:
         raise FileError(f"{path} lacks the attribute 'scene'; it is damaged or was changed")
     try:
@@ -119,10 +136,13 @@ def _run_in(path: Path, file: h5py.File, attributes: Mapping[str, Any]) -> Resul
 def opened_to_draw(
     run: str | Path, out: str | Path | None, name: str, force: bool, replica: int = 0
 ) -> Iterator[tuple[Result, Path]]:
-    """The run in a directory or a run.h5, and the file to write, which is ours meanwhile: `out`, or one in the run
-    directory, of this name, to which that of any but the first replica adds its number.
+    """Yield the result of a run, and the path of a file to be written, which no other process can write meanwhile.
 
-    Raises FileError if `out` exists, unless `force`; what is in the run directory is replaced.
+    run : a run directory or its run.h5.
+    out : the file, or None for a file in the run directory, which is replaced.
+    name : name of the file in the run directory; for a replica other than the first its number is added.
+    force : replace `out` if it exists; else FileError is raised.
+    replica : number of the replica that is drawn.
     """
     run, out = Path(run), None if out is None else Path(out)
     with stage("reading"):
@@ -135,20 +155,26 @@ def opened_to_draw(
 
 
 def replica_drawn(found: Result, replica: int) -> dict[str, int]:
-    """Which replica of a run a picture or a file shows, and of how many; nothing where there is only one."""
+    """Return the number of the replica that a picture shows, and how many there are; nothing if there is only one."""
     replicas = len(found.solution.state)
     return {"replica": replica, "replicas": replicas} if replicas > 1 else {}
 
 
 class _Sets:
-    """Data sets of a run file. head : the shape of their axis of replicas, () where they have none."""
+    """The data sets of a run file, read with an axis of replicas and checked.
+
+    path : of the file, for messages. head : shape of the axis of replicas in the file, (R,), or () if it has none.
+    """
 
     def __init__(self, path: Path, file: h5py.File, head: tuple[int, ...]) -> None:
         self.path, self.file, self.head = path, file, head
 
     def get(self, name: str, *expected: int | None) -> np.ndarray:
-        """With an axis of replicas. expected : the shape without it, None for any length; FileError for another one or
-        other kinds of numbers, before they are read."""
+        """Return a data set with a leading axis of replicas.
+
+        expected : the shape without that axis, None for any length. Raises FileError for another shape, or for anything
+        but numbers, before the data are read.
+        """
         stored, shape = self.file[name], (*self.head, *expected)
         fits = len(stored.shape) == len(shape) and all(w in (None, n) for n, w in zip(stored.shape, shape, strict=True))
         if not fits or stored.dtype.kind not in "fiub":
@@ -159,20 +185,29 @@ class _Sets:
         return values if self.head else values[None]
 
     def by_axis(self, name: str, lattice: Lattice, *parts: int) -> tuple[np.ndarray, ...]:
-        """Of the contacts, one array (R, *contacts, *parts) an axis; name : with {} for the axis."""
+        """Return data sets of the contacts of a lattice, one array (R, *contacts, *parts) for each axis.
+
+        name : of the data sets, with {} in place of the axis. parts : shape of the value of one contact.
+        """
         names = [name.format(axis) for axis in AXES[: lattice.dimension]]
         if lacking := [name for name in names if name not in self.file]:
             raise KeyError(f"it lacks {lacking[0]}")
         return tuple(self.get(name, *lattice.contact_shape(axis), *parts) for axis, name in enumerate(names))
 
     def of_contacts(self, lattice: Lattice, key: str, *parts: int) -> np.ndarray:
-        """Of the contacts, (R, E, *parts)."""
+        """Return data sets of the contacts of a lattice as one array, (R, E, *parts).
+
+        key : name below ``contact/<axis>``. parts : shape of the value of one contact.
+        """
         found = self.by_axis(f"contact/{{}}/{key}", lattice, *parts)
         return np.concatenate([values.reshape(len(values), -1, *parts) for values in found], axis=1)
 
     def history(self, apart: bool, is_needed: bool) -> dict[str, np.ndarray]:
-        """Columns (checks,) or (checks, R). apart : replicas have rows of their own. FileError for other columns than
-        a solve leaves, or none where some are needed."""
+        """Return the columns of the history by name, (checks,) for those of all replicas, else (checks, R).
+
+        apart : True if replicas were solved one by one, so that all columns are (checks, R). is_needed : True if there
+        must be a history. Raises FileError for columns that no solve leaves, or where they are needed and missing.
+        """
         columns = {key: self.get(f"history/{key}", None) for key in self.file.get("history", ())}
         needed = {"iteration", "power", "lower_bound"} | (ENERGIES if "energy_residual" in columns else set())
         lengths = {values.shape[1] for values in columns.values()}
@@ -182,14 +217,21 @@ class _Sets:
         return {key: column[0] if key in OF_ALL and not apart else column.T for key, column in columns.items()}
 
     def snapshots(self, apart: bool, *spins: int) -> Snapshots:
-        """spins : the shape of those of a sample."""
+        """Return the snapshots of a dynamics.
+
+        apart : True if replicas were solved one by one, so that each has its own times. spins : shape of the spins of a
+        sample. Raises FileError if times and spins differ in number.
+        """
         time, ways = self.get("snapshots/time", None), self.get("snapshots/spin", None, *spins)
         if time.shape[1] != ways.shape[1]:
             raise FileError(f"snapshots in {self.path} are damaged: times and spins differ in number")
         return Snapshots(time.T if apart else time[0], np.moveaxis(ways, 0, 1))
 
     def check(self, name: str, values: np.ndarray, is_fine: Callable[[np.ndarray], Any] = np.isfinite) -> None:
-        """FileError for numbers that no solve leaves, where what reads them would fail or mislead."""
+        """Raise FileError for values that no solve writes: not finite, negative, or no contact states.
+
+        name : of the data set. is_fine : the function that says which numbers are allowed, all finite ones by default.
+        """
         words, known = "", max(ContactState)
         if not np.all(is_fine(values)):
             words = "finite numbers"
@@ -202,8 +244,11 @@ class _Sets:
 
 
 def _read(path: Path, file: h5py.File, attributes: Mapping[str, Any], settings: RunSettings) -> Solution:
-    """What the run came to, with a replica axis. Its status is that of those replicas that are not certified; columns
-    of the history are (checks,) or (checks, R), of several packings all of them (checks, R)."""
+    """Return the solution in an opened run.h5, with an axis of replicas.
+
+    path : of the file. attributes : of the file. settings : those of the run. The status is that of the first replica
+    that is not certified, if there is one.
+    """
     is_lattice = "packing" not in file
     scene, arrays, of_contacts, sites, vector = (_lattice_in if is_lattice else _packings_in)(
         path, file, attributes, settings
@@ -211,7 +256,7 @@ def _read(path: Path, file: h5py.File, attributes: Mapping[str, Any], settings: 
     replicas, apart = scene.replicas, not is_lattice and scene.replicas > 1
 
     def number(name: str) -> np.ndarray:
-        """An attribute with one value a replica, (R,); not-a-number where it is missing or says nothing, as "" does."""
+        """Return an attribute with one value for each replica, (R,); not-a-number where it is missing or empty."""
         value = attributes.get(name, "")
         values = np.atleast_1d(np.nan if isinstance(value, str) and not value else value)
         kinds = "UO" if name == "proof" else "biuf"
@@ -239,8 +284,8 @@ def _read(path: Path, file: h5py.File, attributes: Mapping[str, Any], settings: 
         all_proven = number("states_proven") == 1
         sets["state"], sets["proven"] = _of_layout_1(sets["state"], sets.get("proven"), all_proven, "time" in history)
     sets["proven"] = sets["proven"] == 1
-    told = dict.fromkeys([*attributes.get("findings", FINDINGS), *(() if is_lattice else SAID_OF_PACKINGS)])
-    told.pop("tied_contacts", None)  # of layout 1
+    known = dict.fromkeys([*attributes.get("findings", FINDINGS), *(() if is_lattice else SAID_OF_PACKINGS)])
+    known.pop("tied_contacts", None)  # of layout 1
     return Solution(
         scene=scene,
         method=str(attributes["method"]),
@@ -249,7 +294,7 @@ def _read(path: Path, file: h5py.File, attributes: Mapping[str, Any], settings: 
         power_per_contact=sets.pop("power"),
         objective=number("potential" if scene.law.minimises == "potential" else "power"),
         history=history,
-        findings={name: number(name) for name in told if name in attributes},
+        findings={name: number(name) for name in known if name in attributes},
         own=own,
         running=Runtime(**{key: attributes.get(key, value) for key, value in vars(HOST).items()}),
         snapshots=arrays.snapshots(apart, *sites, *vector) if "snapshots" in file else None,
@@ -261,9 +306,15 @@ def _read(path: Path, file: h5py.File, attributes: Mapping[str, Any], settings: 
 def _of_layout_1(
     state: np.ndarray, proven: np.ndarray | None, all_proven: np.ndarray, is_dynamics: bool
 ) -> tuple[np.ndarray, np.ndarray]:
-    """States (R, E), and which of them are proven, of files in which `proven` was what is proven of all minima: 0, 1
-    and 4 as states are now, 2 nothing, 3 of contacts that take no part; and in which contacts at their limit that slip
-    at no minimum, and tied ones, had the state 2. all_proven : (R,), what files say that have no `proven`."""
+    """Return contact states (R, E), and a mask (R, E) of those that are proven, from a file of layout 1.
+
+    state : (R, E). In layout 1 the state 2 also stood for tied contacts, and for contacts at their friction limit that
+    slip at no minimum.
+    proven : (R, E), a code there: the state that is proven of all minima, 0, 1 or 4; 2 if none is; 3 for contacts that
+    take no part. None in files that have no such data set.
+    all_proven : (R,) mask, used where `proven` is None: all decided states of a replica are proven.
+    is_dynamics : True for a dynamics, whose states are those of its motion and stay as they are.
+    """
     acts = state != ContactState.DRIVEN
     if proven is None:
         return state, ~acts | (all_proven[:, None] & (state != ContactState.UNDECIDED))
@@ -273,16 +324,18 @@ def _of_layout_1(
     return state, ~acts | (known & (state == proven))
 
 
+# columns of the history that a dynamics with an energy balance has
 ENERGIES = {"time", "kinetic_energy", "spring_energy", "injected_energy", "dissipated_energy"}
 _Found = tuple[Bearing, _Sets, Callable[..., np.ndarray], tuple[int, ...], tuple[int, ...]]
-"""Scene or packings, data sets, what reads one of the contacts by its name, (R, E, *parts), and the shapes of the
-spheres and of a vector."""
+"""What a file holds: the scene or packing; the data sets; a function that returns a data set of the contacts by name,
+(R, E, *parts); the shape of arrays over the spheres; and that of a vector, (3,) or () in 2D."""
 
 
-OWN_COEFFICIENTS = ("run.h5", "coefficients.npz")  # files of a run directory itself, which are no source
+OWN_COEFFICIENTS = ("run.h5", "coefficients.npz")  # files that runs write: no names of where coefficients come from
 
 
 def _lattice_in(path: Path, file: h5py.File, attributes: Mapping[str, Any], settings: RunSettings) -> _Found:
+    """Return the scene on a lattice in a file, and how its data sets are read."""
     shape = tuple(int(side) for side in attributes["shape"])
     lattice, first = Lattice(shape, periodic=axis_numbers(settings.periodic)), file["coefficient/x"]
     arrays = _Sets(path, file, first.shape[: first.ndim - len(shape)])
@@ -298,13 +351,14 @@ def _lattice_in(path: Path, file: h5py.File, attributes: Mapping[str, Any], sett
 
 
 def _packings_in(path: Path, file: h5py.File, attributes: Mapping[str, Any], settings: RunSettings) -> _Found:
+    """Return the packing in a file, and how its data sets are read."""
     from taichi_bearings.runs.packing_run import TWICE, packing_of
     from taichi_bearings.scene.packing import NEEDED  # and with it much of SciPy
 
     if lacking := [name for name in SAID_OF_PACKINGS if name not in attributes]:
         raise KeyError(f"it lacks {lacking[0]}")
-    said = (*TWICE, "contacts", "touching")  # in the file now
-    usual = {key: settings_table()[key].default for key in said}
+    superfluous = (*TWICE, "contacts", "touching")  # settings whose effect the arrays of the file have
+    usual = {key: settings_table()[key].default for key in superfluous}
     stored = file["packing"]
     if lacking := [name for name in NEEDED if name not in stored]:
         raise KeyError(f"it lacks packing/{lacking[0]}")
@@ -313,6 +367,7 @@ def _packings_in(path: Path, file: h5py.File, attributes: Mapping[str, Any], set
     arrays = _Sets(path, file, (scene.replicas,) * (scene.replicas > 1))
 
     def of_contacts(name: str, *parts: int) -> np.ndarray:
+        """Return a data set of the contacts, (R, E, *parts)."""
         return arrays.get(f"contact/{name}", scene.contacts, *parts)
 
     return scene, arrays, of_contacts, (scene.spheres,), () if scene.dimension == 2 else (3,)

@@ -1,6 +1,8 @@
-"""Everything a run can be told, flat: the command line, the TOML file and the stored scene all read this table.
+"""The settings of a run in one flat table, which the command line, TOML files and stored scenes all read.
 
-What belongs to every run is declared here; the options of a method are those that its row in solvers/table.py declares.
+Settings of every run are declared here. The options of a method are declared by its class in solvers/table.py.
+
+key : the name of a setting. row : as a name, the class of a method.
 """
 
 import json
@@ -49,6 +51,10 @@ from taichi_bearings.words import meant, shown
 
 
 def _times(value: Any) -> str:
+    """Return times as a text, such as "0.1,0.2" or "log:1e-4,10,50"; raise ValueError for anything else.
+
+    value : such a text, a number, or a list of numbers.
+    """
     from taichi_bearings.solvers.recording import parse_times
 
     if isinstance(value, bool) or (isinstance(value, list) and any(isinstance(part, bool) for part in value)):
@@ -60,7 +66,10 @@ def _times(value: Any) -> str:
 
 
 def _state(value: Any) -> tuple[float, ...]:
-    """A bearing state as (A_x, A_y, A_z, C), or (A_z,) of discs."""
+    """Return a bearing state as (A_x, A_y, A_z, C), or (A_z,) of discs; raise ValueError for anything else.
+
+    value : a text such as "1,1,0;0.2", or numbers.
+    """
     parts = numbers(REAL.read, (1, 3, 4))(value.replace(";", ",") if isinstance(value, str) else value)
     return (*parts, 0.0) if len(parts) == 3 else parts
 
@@ -73,26 +82,26 @@ THREE_NUMBERS = Kind(numbers(real, (3,)), "three finite numbers such as 1,1,0", 
 TIME_LIST = Kind(_times, "times such as 0.1,0.2,1 or linear:0,10,101 or log:1e-4,10,50 (start,stop,count)", "TIMES")
 
 
-BETWEEN_PLANES = "planes"
+BETWEEN_PLANES = "planes"  # value of `driven` for a lattice between its bottom and its top plane
 SIZES = ("radius", "normal_force")
 OF_DRIVEN = ("shape", "periodic", "spin_top", "spin_bottom", "direction", "top", "bottom", "driven", "coefficients")
-"""Keys of a lattice, with planes or other driven bodies: a packing out of a file uses all but these."""
+"""Keys that describe a lattice and what drives it; a packing from a file does not use them."""
 OF_TABLES, OF_SIDES = ("contacts", "touching"), ("spin_top", "spin_bottom", "direction")
-"""Keys of a table of centres alone, and those of a lattice that such a table uses too."""
-MOST_TOUCHING = 0.05  # as of contacts that are given
+"""Keys that only a table of centres uses; and keys of a lattice that such a table uses too."""
+MOST_TOUCHING = 0.05  # the largest gap at which spheres may touch, the same as that of contacts that are given
 OF_COURSES = ("initial", "iterations", "time_limit")
-"""Keys that say nothing of a packing whose minimum is found at once."""
+"""Keys that a packing does not use if its minimum is found at once."""
 NAMED_FILES = ("coefficients", "packing", "contacts", "initial")  # keys that name files
 DRIVING_KEYS = ("periodic", "top", "bottom", "driven")  # keys that summaries name where they are not the defaults
 
-motion = partial(option, methods=attrgetter("is_dynamics"))
+motion = partial(option, methods=attrgetter("is_dynamics"))  # declares an option of dynamics alone
 
 
 @dataclass(frozen=True, init=False)
 class RunSettings:
-    """One run, fully described. Values are checked when it is built; InputError names the key and what is allowed.
+    """All settings of one run. They are checked when it is made; an InputError names the key and what is allowed.
 
-    The options of methods are attributes too. owned : their names and values.
+    The options of methods are attributes as well. owned : names and values of these options.
     """
 
     shape: tuple[int, ...] = option((32, 32, 32), SHAPE, "Spheres along each axis, height last.")
@@ -246,24 +255,26 @@ class RunSettings:
 
     @classmethod
     def keys(cls) -> tuple[str, ...]:
+        """Return all keys, those of methods included."""
         return tuple(settings_table())
 
     def of_replica(self, seed: int) -> "RunSettings":
-        """Those of one of its replicas, whose seed this is. All else is as it was read."""
+        """Return the settings of one replica, which has this seed; no value is checked again."""
         one = copy(self)
         vars(one).update(seed=seed, replicas=1)
         return one
 
     @property
     def values(self) -> dict[str, Any]:
-        """Every key with its value."""
+        """All keys with their values."""
         return {key: value for key, value in vars(self).items() if key != "owned"}
 
     @classmethod
     def from_mapping(cls, values: Mapping[str, Any], source: str = "the settings") -> "RunSettings":
-        """Settings from key-value pairs; an unknown key is refused, with the nearest known one.
+        """Return the settings that key-value pairs describe.
 
-        Coefficients from a file bring their shape, and their periodic sides unless some are given.
+        source : where the pairs come from, for messages. Raises InputError for an unknown key, with the nearest known
+        one. A file of coefficients determines the shape, and the periodic sides unless some are given.
         """
         for key in values:
             if key not in cls.keys():
@@ -281,48 +292,50 @@ class RunSettings:
         return replace(settings, shape=lattice.shape, periodic=settings.periodic or lattice.periodic_names)
 
     def to_toml(self) -> str:
-        """The same settings as TOML, every key with its resolved value; keys without a value are left out."""
+        """Return the settings as TOML, in which defaults are written out; keys whose value is None are left out."""
         return toml_text({key: value for key, value in self.described.items() if value is not None})
 
     @property
     def seeds(self) -> range:
-        """Of the replicas."""
+        """The seeds of all replicas."""
         return range(self.seed, self.seed + self.replicas)
 
     @property
     def is_packing(self) -> bool:
-        """True for a packing out of a file, and for a lattice with other driven bodies than planes."""
+        """True for a packing from a file, and for a lattice whose driven bodies are no planes."""
         return self.packing is not None or self.driven != BETWEEN_PLANES
 
     @property
     def has_table(self) -> bool:
-        """True for a packing out of a table of centres."""
+        """True for a packing from a table of centres (.csv)."""
         return self.packing is not None and is_table(self.packing)
 
     @property
     def drawn(self) -> dict[str, str]:
-        """What the coefficients of the law are drawn from, by key, unless they are given."""
+        """The distributions from which the coefficients of the law are drawn, unless they are given, by key."""
         return {key: getattr(self, key) for key in ("distribution", "viscosity")[: len(LAWS[self.law].quantities)]}
 
     @property
     def described(self) -> dict[str, Any]:
-        """The keys that say something of the run, with their values: all; of a packing those that are told of it."""
+        """The keys that describe the run, with their values: all of a lattice; for a packing from a file law, seed and
+        those that differ from their defaults."""
         return self.values if self.packing is None else {"law": self.law, "seed": self.seed} | self.given
 
     @property
     def given(self) -> dict[str, Any]:
-        """The keys whose values are not the defaults, with these values."""
+        """The keys whose values differ from their defaults, with these values."""
         table = settings_table()
         return {key: value for key, value in self.values.items() if value != table[key].default}
 
     @property
     def driving(self) -> dict[str, Any]:
-        """What closes and drives the run where that is not as usual, by key, as JSON has it."""
+        """Periodic sides, imposed states and driven bodies, by key, as far as they differ from their defaults."""
         given = self.given
         return {key: list(v) if isinstance(v := given[key], tuple) else v for key in DRIVING_KEYS if key in given}
 
     def unused(self, method: type[MethodOptions]) -> dict[str, str]:
-        """The given keys that this method, the law or the bearing does not use, each with a sentence that says so."""
+        """Return the keys that were given and that method, law or bearing do not use, each with a sentence that says
+        why."""
         table, law, unused = settings_table(), LAWS[self.law], {}
         has_states = self.top is not None or self.bottom is not None
         minimises = self.is_packing and row_of_packing(self.method) is None
@@ -355,7 +368,7 @@ class RunSettings:
         return unused
 
     def fitting(self, method: type[MethodOptions], strict: bool = True) -> "RunSettings":
-        """The settings without what is unused; if `strict` InputError for the first of that instead."""
+        """Return the settings with unused keys at their defaults; with `strict` raise InputError if there are any."""
         unused = self.unused(method)
         if not unused:
             return self
@@ -365,12 +378,12 @@ class RunSettings:
 
 
 def users_of(item: Option) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Names of the methods and of the laws that use an option."""
+    """Return the names of the methods and of the laws that use an option."""
     methods = tuple(name for name, row in METHODS.items() if item.methods is None or item.methods(row))
     return methods, tuple(name for name, law in LAWS.items() if item.laws is None or item.laws(law))
 
 
-WISHES = {  # what a scan may be asked for of every sample, beside the numbers of `run`
+WISHES = {  # options of a scan that apply to every sample
     "analyse": Option(
         None, TRUTH, "Add the numbers of `bearings analyse` for every sample. [default: as the folder was asked before]"
     ),
@@ -386,13 +399,16 @@ WISHES = {  # what a scan may be asked for of every sample, beside the numbers o
 
 
 def settings_table() -> dict[str, Option]:
-    """Every key of a run: what belongs to all, then the options of the methods, in the order of these."""
+    """Return the options of a run by key: those of every run, then those of the methods, in the order of these."""
     return _table(tuple(METHODS.values()))
 
 
 @lru_cache(maxsize=8)
 def _table(rows: tuple[type[MethodOptions], ...]) -> dict[str, Option]:
-    """An option that several methods own with unlike defaults is None unless it is given."""
+    """Return the options by key. rows : the classes of all methods.
+
+    If several methods have an option with different defaults, its default here is None.
+    """
     owners: dict[str, dict[type[MethodOptions], Option]] = {}
     for row in rows:
         for key, item in options_of(row).items():
@@ -406,12 +422,12 @@ def _table(rows: tuple[type[MethodOptions], ...]) -> dict[str, Option]:
 
 
 def toml_text(values: Mapping[str, Any]) -> str:
-    """Keys with their values as TOML, a line each."""
+    """Return keys and values as TOML, one line for each key."""
     return "".join(f"{key} = {toml_value(value)}\n" for key, value in values.items())
 
 
 def toml_value(value: Any) -> str:
-    """A text, number, truth value, list or (inline) table as it is written in TOML."""
+    """Return a text, number, truth value, list or (inline) table as it is written in TOML."""
     if isinstance(value, (list, tuple)):
         return "[" + ", ".join(toml_value(part) for part in value) + "]"
     if isinstance(value, Mapping):
@@ -420,17 +436,18 @@ def toml_value(value: Any) -> str:
     return written.replace("\x7f", "\\u007f")
 
 
-MOST_SETTINGS_TEXT = 2**22  # bytes of a scene or scan file
-MOST_NESTED = 20
-MOST_DOTS = 20_000  # in dotted keys
-PART = r"""(?:[\w-]+|"[^"\n]*"|'[^'\n]*')"""
-DOTTED = re.compile(rf"(?<![\w-]){PART}(?:[ \t]*\.[ \t]*{PART}){{2,}}")  # no number has two dots
+MOST_SETTINGS_TEXT = 2**22  # the largest file of settings, bytes
+MOST_NESTED = 20  # depth of nested lists and tables, and number of dots in a key
+MOST_DOTS = 20_000  # dots in all dotted keys together
+PART = r"""(?:[\w-]+|"[^"\n]*"|'[^'\n]*')"""  # part of a dotted key, bare or quoted
+DOTTED = re.compile(rf"(?<![\w-]){PART}(?:[ \t]*\.[ \t]*{PART}){{2,}}")  # keys of three parts and more; no number has
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """Key-value pairs of a scene file; names of files in it are taken relative to its folder.
+    """Return the key-value pairs of a file of settings; names of files in it are taken relative to its folder.
 
-    path : a TOML file, a run directory (its scene.toml), or a run.h5 (its attribute `scene`).
+    path : a TOML file; a run directory, whose scene.toml is read; or a run.h5, whose attribute `scene` is read.
+    Raises FileError for a file that is missing or cannot be read.
     """
     if path.is_dir():
         path = path / "scene.toml"
@@ -449,9 +466,10 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def parse_assignment(text: str, option: str, allowed: str) -> tuple[str, Any]:
-    """Key and value of ``key=value`` on the command line, the value as in TOML, other words as a text.
+    """Return key and value of a text ``key=value`` from the command line.
 
-    option, allowed : for the InputError, what it was given to and what it must be.
+    The value is read as TOML; what is no TOML is taken as a text. option, allowed : for messages, the option and what
+    its value must be. Raises InputError for other texts.
     """
     key, equals, word = text.partition("=")
     key = key.strip().replace("-", "_")
@@ -464,15 +482,18 @@ def parse_assignment(text: str, option: str, allowed: str) -> tuple[str, Any]:
 
 
 def parse_toml(text: str, path: Path | None = None) -> dict[str, Any]:
-    """Key-value pairs of a scene; names of files in it are taken relative to the folder of `path`, or to it if it is
-    one; without it they stay as they are."""
+    """Return the key-value pairs in a text of TOML; raise FileError if it is not valid.
+
+    path : the file that the text was read from, or a folder: names of files in the text are taken relative to that
+    folder. None to leave them as they are.
+    """
     import sys
 
     if sys.version_info >= (3, 11):
         import tomllib
     else:
         import tomli as tomllib
-    try:  # what would take Python's stack, or memory and time out of all proportion, is refused
+    try:  # texts that would exhaust Python's stack, or take too much memory or time, are refused
         if len(text) > MOST_SETTINGS_TEXT:
             raise ValueError(f"it is longer than {MOST_SETTINGS_TEXT:,} bytes")
         is_deep = text.count("[") + text.count("{") > 5 * MOST_NESTED
@@ -493,14 +514,17 @@ def parse_toml(text: str, path: Path | None = None) -> dict[str, Any]:
 
 
 def placed(value: Any, folder: Path) -> Any:
-    """The name of a file, or a list of them, as it is called from here: one in this folder if it is there."""
+    """Return the name of a file, or a list of names, with the folder before it if such a file is in the folder."""
     if isinstance(value, list):
         return [placed(part, folder) for part in value]
     return str(folder / value) if isinstance(value, str) and (folder / value).is_file() else value
 
 
 def _refuse_unwritable(value: Any, depth: int = 0) -> None:
-    """ValueError for numbers and nests that TOML can hold but nobody can write down again."""
+    """Raise ValueError for integers of more than 64 bits, and for values nested too deeply, which TOML allows.
+
+    depth : how deep the value itself is nested.
+    """
     if isinstance(value, int) and value.bit_length() > 64:
         raise ValueError("whole numbers are limited to 64 bits")
     if depth > MOST_NESTED:
