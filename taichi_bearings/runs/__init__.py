@@ -1,1 +1,1 @@
-"""One run: its settings, its solve, its directory, its analysis."""
+"""Runs: their settings, their solve, their directories and files, and the analysis of their answers."""

@@ -1,4 +1,7 @@
-"""What is drawn of the structure of a sample: as the group /analysis of its run.h5 holds it, or computed anew."""
+"""What figures and exports show of the structure of a sample: read from the group /analysis of its run.h5, or computed.
+
+Letters: N spheres, E contacts, L spheres along a path.
+"""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,16 +20,18 @@ from taichi_bearings.runs.structure_report import IN_FILES, ON_CONTACTS, ON_SPHE
 
 GROUP = "analysis"
 BY_THRESHOLD = "threshold"
-"""What the attribute `states` of the group says where the structure does not go by the contact states of the run."""
+"""Value of the group's attribute `states` if the structure was found with a slip threshold in place of the contact
+states of the run."""
 
 
 @dataclass(frozen=True)
 class Drawn:
-    """What of the structure of a sample is drawn: nothing where it was not analysed.
+    """What figures and exports show of the structure of a sample; empty if the sample was not analysed.
 
-    spheres, contacts : a column (N,) or (E,) each, by name, N spheres in C order and E contacts.
-    domains : the rigid domains of a lattice. path : (L,) spheres along one shortest slipless path.
-    is_known : the sample was analysed.
+    spheres, contacts : columns by name, (N,) over the spheres in C order, and (E,) over the contacts.
+    domains : the rigid domains of a lattice, None for packings.
+    path : (L,) numbers of the spheres along one shortest slipless path, empty if there is none.
+    is_known : True if the sample was analysed.
     """
 
     spheres: dict[str, Finding] = field(default_factory=dict)
@@ -37,18 +42,20 @@ class Drawn:
 
     @classmethod
     def computed(cls, structure: Structure) -> "Drawn":
-        """The structure by the contact states of the run, computed now."""
+        """Return what is shown of a structure, which is computed now."""
         spheres, contacts = columns_of(structure)
         domains = None if structure.whole.lattice is None else structure.rigid_domains
         return cls(spheres, contacts, domains, structure.network.path, True)
 
     @classmethod
     def stored(cls, path: Path, structure: Structure, replica: int | None) -> "Drawn":
-        """The structure that `bearings analyse` has written into the file `path`; nothing where it has not, or by a
-        threshold. FileError for a group that holds something else.
+        """Return the structure that `bearings analyse` has written into a file; nothing if it has not, or if it used a
+        slip threshold.
 
-        structure : of the sample, of which nothing is computed. replica : number of the sample; None if the file has
-        no axis of replicas.
+        path : the run.h5. structure : that of the sample, for its spheres, contacts and spins; nothing else of it is
+        computed. replica : number of the sample; None if the file has no axis of replicas.
+
+        Raises FileError if the group holds something else.
         """
         with open_hdf5(path, "a run") as file:
             group = file.get(GROUP)
@@ -63,13 +70,14 @@ class Drawn:
 
 @dataclass(frozen=True)
 class _Stored:
-    """Reads the group of one sample. Arguments : as of Drawn.stored."""
+    """Reads the structure of one sample. group : /analysis of its file. structure, replica : as of Drawn.stored."""
 
     group: h5py.Group
     structure: Structure
     replica: int | None
 
     def drawn(self) -> Drawn:
+        """Return all that is shown; raise ValueError or KeyError where the group holds something else."""
         spheres, contacts = self._columns()
         domain = spheres["domain"].values
         count = self.structure.whole.spheres
@@ -79,7 +87,7 @@ class _Stored:
         return Drawn(spheres, contacts, domains, self._path(), True)
 
     def get(self, name: str, *shape: int | None) -> np.ndarray:
-        """The numbers of a data set. shape : that they must have, None for any length."""
+        """Return a data set of the sample. shape : the shape that it must have, None for any length."""
         stored = self.group[name]
         found = np.asarray(stored[()] if self.replica is None else stored[self.replica])
         fits = len(found.shape) == len(shape) and all(w in (None, n) for n, w in zip(found.shape, shape, strict=True))
@@ -88,7 +96,7 @@ class _Stored:
         return found
 
     def _columns(self) -> tuple[dict[str, Finding], dict[str, Finding]]:
-        """Columns of the spheres and of the contacts, as structure_report.findings_of has written them."""
+        """Return the columns of the spheres and of the contacts, which `structure_report.findings_of` has written."""
         structure, both = self.structure, {row.name for row in ON_SPHERES} & {row.name for row in ON_CONTACTS}
         if (lattice := structure.whole.lattice) is None:
             names = {row: f"sphere_{row.name}" if row.name in both else row.name for row in ON_SPHERES}
@@ -108,7 +116,7 @@ class _Stored:
         return _findings(spheres), _findings(contacts)
 
     def _domains(self, domain: np.ndarray) -> RigidDomains:
-        """The rigid domains of a lattice. domain : (N,) their labels."""
+        """Return the rigid domains of a lattice. domain : (N,), number of the domain of each sphere."""
         scene, shape, count = self.structure.scene, self.structure.whole.shape, int(domain.max()) + 1
         axes = scene.minimum_spin_axes
         spins = scene.staggered_spin(self.structure.spin[None], axes).reshape(len(axes), *shape)
@@ -124,7 +132,7 @@ class _Stored:
         return RigidDomains(axes, labels, domain.reshape(shape), spheres, mean, 0.0, lock, above[:, first].T)
 
     def _path(self) -> np.ndarray:
-        """Spheres along the stored path, by number."""
+        """Return the numbers (L,) of the spheres along the stored path."""
         structure, count = self.structure, self.structure.whole.spheres
         if "path" not in self.group:
             return np.empty(0, dtype=int)
@@ -142,4 +150,5 @@ class _Stored:
 
 
 def _findings(columns: dict[Quantity, np.ndarray]) -> dict[str, Finding]:
+    """Return columns by name, with the units and descriptions of their quantities."""
     return {row.name: Finding(values, row.unit, row.text) for row, values in columns.items()}

@@ -1,4 +1,8 @@
-"""The structure of one sample as arrays, for /analysis and other programs."""
+"""The structure of one sample as arrays, for the group /analysis of run.h5 and for other programs.
+
+In the tables below the functions take a `Structure`. N is the shape of arrays over the spheres, E the number of
+contacts, C that of spin components. Pairs of a bottom and a top sphere define the shortest paths.
+"""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -30,9 +34,9 @@ ON_CONTACTS = (
              lambda s: s.bottlenecks and s.network.on_contacts(s.bottlenecks.backbone)),
     Quantity("on_path", "1", "on one shortest slipless path from bottom to top", lambda s: s.network.on_path),
 )
-"""Columns of a Structure, shape N and (E,); None where it has none."""
+"""Columns of the spheres, of shape N, and of the contacts, (E,); None where a structure has no such column."""
 IN_FILES = {"above_cut": "minimum_cut/above", "on_cut": "minimum_cut"}
-"""Names that some have in the file of a lattice."""
+"""Names that differ in the file of a lattice, by column."""
 DOMAINS = (
     Quantity("path", "1", "spheres along one shortest slipless path from bottom to top",
              lambda s: s.network.shortest_path),
@@ -44,14 +48,16 @@ DOMAINS = (
              "what ties each component: 0 neither plane, 1 the bottom, 2 the top, 3 both; components {components}",
              lambda s: s.rigid_domains.lock.astype(np.int8)),
 )
-"""Columns of a Structure in the file of a lattice, shape (L, D), (domains,) or (domains, C)."""
+"""Further arrays in the file of a lattice in D dimensions: a path of L spheres, (L, D), and one row for each rigid
+domain, (domains,) or (domains, C)."""
 # fmt: on
 
 
 def columns_of(structure: Structure) -> tuple[dict[str, Finding], dict[str, Finding]]:
-    """What is known of each sphere (N,), in C order, and of each contact (E,), by name."""
+    """Return the columns of the spheres, flat in C order, and those of the contacts, (E,), by name."""
 
     def found(rows: Iterable[Quantity]) -> dict[str, Finding]:
+        """Return the columns that the structure has among these."""
         known = found_in(structure, {row.name: row for row in rows})
         return {row.name: Finding(values.ravel(), row.unit, row.text) for row, values in known}
 
@@ -59,7 +65,10 @@ def columns_of(structure: Structure) -> tuple[dict[str, Finding], dict[str, Find
 
 
 def findings_of(structure: Structure) -> dict[str, Finding]:
-    """The structure of one sample as arrays, by their names in the group /analysis."""
+    """Return the structure of one sample as arrays, by their names in the group /analysis.
+
+    On a lattice arrays over the contacts are split by axis, and arrays over the spheres have its shape.
+    """
     spheres, contacts = columns_of(structure)
     if (lattice := structure.whole.lattice) is None:
         path = Finding(structure.network.path, "1", "numbers of the spheres along one shortest slipless path")

@@ -1,17 +1,19 @@
-"""A plane driven by a torque instead of a spin: whether it holds, and how fast it turns if it does not.
+"""A top that is driven by a torque instead of a spin: whether friction holds it, and how fast it turns if not.
 
-The top turns as a times its state of strength 1, the bottom rests. The motion of strength a dissipates P(a), so the
-torque that keeps it up, the work for a unit of a, is P(a) / a.
+The top has its imposed state times a number a, the strength, and the bottom is at rest. The motion dissipates the power
+P(a). The torque that keeps it going is P(a) / a: its unit is such that a torque times a is a power.
 
-* Friction alone: P(a) = a P(1). A torque below the least P(1) moves nothing; above it no motion holds it back. So
-  what bounds P(1) bounds the torque of yield, and the forces that prove its lower bound are a safe load.
-* Viscosity alone: P(a) = a^2 P(1), and every torque moves the plane.
-* Both: P(a) / a rises without limit from its value for friction alone, and a is found by solving again and again.
+* With friction alone P(a) = a P(1). A torque below the least P(1) moves nothing; a larger one is more than friction
+  can balance. So bounds on P(1) are bounds on the yield torque, and the forces that prove the lower bound are in
+  balance with a torque of that size.
+* With viscosity alone P(a) = a^2 P(1), and every torque moves the plane.
+* With both, P(a) / a grows without limit from its value for friction alone, and a is found by repeated solves.
 
-Of a packing the top is the body of the largest number, which turns as a times its spins, and the bottom all others.
+In a packing the top is the driven body of the largest number, and the bottom is all others.
 
-A bottom that turns loosens the top. With friction the torque for the strength a is then a slope of the potential
-Phi(a), which is convex: beyond (Phi(h) - Phi(0)) / h it turns, and up to there by no more than h.
+If the bottom turns, less torque is needed. With friction the torque at the strength a is the slope of the potential
+Phi(a), which is convex. So for any h > 0 a torque above (Phi(h) - Phi(0)) / h turns the top, and one below turns it by
+no more than h.
 """
 
 from collections.abc import Callable
@@ -27,16 +29,20 @@ from taichi_bearings.scene.law import LAWS
 from taichi_bearings.solvers.table import MethodOptions
 
 Solve = Callable[[Bearing], Solution]
-SURELY = 1 + 1e-13  # factor that makes up for the rounding of the power
-RESOLVED = 10.0  # times what is open of the yield torque, by which a torque exceeds it where an amplitude is sought
-ROUNDED_SUM = 1e-13  # relative, of the power of contacts between driven spheres
-HELD_TURN = 1e-4  # of the spin of the bottom, by which a top that counts as held may turn
-AMPLITUDE_ERROR = 1e-13  # relative, of an amplitude that is found by solving again
+SURELY = 1 + 1e-13  # factor by which a power is raised to be an upper bound in spite of rounding
+# an amplitude is sought if the torque exceeds the yield torque by so many times the difference of the latter's bounds
+RESOLVED = 10.0
+ROUNDED_SUM = 1e-13  # relative rounding error of the power of contacts between driven spheres
+HELD_TURN = 1e-4  # a top counts as held if it turns by no more than this, relative to the spin of the bottom
+AMPLITUDE_ERROR = 1e-13  # relative error of an amplitude that is found by repeated solves
 
 
 def refuse_driven(settings: RunSettings, method: type[MethodOptions]) -> None:
-    """InputError for settings with a torque that also say how fast the top turns, or that the bottom turns where the
-    law viscous needs it at rest. method : the one that the settings stand for."""
+    """Raise InputError for settings with a torque that also impose the spin of the top, or turn the bottom with the law
+    viscous.
+
+    method : class of the method that the settings name.
+    """
     if settings.torque is None or method.is_dynamics:  # dynamics do not use a torque, and say so themselves
         return
     for key in ("spin_top", *(() if any(settings.top or ()) else ("bottom",))):
@@ -48,7 +54,10 @@ def refuse_driven(settings: RunSettings, method: type[MethodOptions]) -> None:
 
 
 def _with_driven(found: Solution) -> Solution:
-    """With what contacts between driven spheres take beside, as on packings they can."""
+    """Return a copy of an answer whose power, objective and lower bound include contacts between driven spheres.
+
+    Such contacts can slip in packings.
+    """
     scene, among, low = found.scene, found.state == ContactState.DRIVEN, found.lower_bound
     beside = float(scene.law.objective(scene.material, found.slip)[among].sum())
     low = (low + beside) * (1 - ROUNDED_SUM) if beside else low
@@ -57,18 +66,25 @@ def _with_driven(found: Solution) -> Solution:
 
 
 def _by_friction(solution: Solution, solve: Solve) -> Solution:
-    """The motion of strength 1 with friction alone, or the same where there is no friction or nothing else."""
+    """Return the answer at strength 1 with friction alone, solved anew only if the law has friction and viscosity."""
     scene = solution.scene
     return solve(scene.with_friction_alone()) if scene.law.holds and scene.law.flows else solution
 
 
 def under_torque(solution: Solution, torque: float, solve: Solve) -> Solution:
-    """The motion of strength 1, with what the torque does beside it. solve : the same for other scenes or packings.
+    """Return the answer at strength 1 with four findings on a torque on the top, (R,) each.
 
-    yields : the torque exceeds `yield_torque`, which friction is proven not to hold. Up to `yield_torque_lower_bound`
-    it is proven to be held; between the two, force*length, neither is proven. amplitude : strength of the motion, 1 for
-    that of the solution; 0 where the torque is proven to be held, NaN, in files and `--json` null, where nothing limits
-    the motion or it is not known.
+    solution : the answer at strength 1. torque : force*length. solve : solves another scene or packing the same way.
+
+    yields : True if the torque exceeds `yield_torque`.
+    yield_torque : force*length; friction is proven not to hold a larger torque.
+    yield_torque_lower_bound : force*length; friction is proven to hold a torque up to this. Between the two neither is
+        proven.
+    amplitude : strength of the motion, with the sign of the torque: 1 for the motion of the solution, 0 where friction
+        is proven to hold the torque, not-a-number (null in `--json`) where nothing limits the motion or the strength is
+        not known.
+
+    Raises InputError if no top turns at strength 1, or if the bottom turns with the law viscous.
     """
     top, others = solution.scene.sides
     if not top:
@@ -80,6 +96,7 @@ def under_torque(solution: Solution, torque: float, solve: Solve) -> Solution:
 
 
 def _found(solution: Solution, torque: float, solve: Solve) -> dict[str, np.ndarray]:
+    """Return the four findings on a torque, as of :func:`under_torque`."""
     scene = solution.scene
     if scene.sides[1]:
         return _beside_driven(scene, torque, solve)
@@ -107,8 +124,11 @@ def _found(solution: Solution, torque: float, solve: Solve) -> dict[str, np.ndar
 
 
 def _beside_driven(scene: Bearing, torque: float, solve: Solve) -> dict[str, np.ndarray]:
-    """The same findings of a top beside a bottom that turns. yield_torque, in the direction of the torque, of either
-    sign: beyond it the top turns; yield_torque_lower_bound : up to it by no more than HELD_TURN of the bottom's spin.
+    """Return the four findings on a torque if the bottom turns.
+
+    yield_torque is that in the direction of the torque, and may be negative: a larger torque turns the top. Up to
+    yield_torque_lower_bound the top turns by no more than HELD_TURN times the spin of the bottom. The amplitude is not
+    known.
     """
     top, bottom = scene.sides
     step = HELD_TURN * bottom / abs(top)
@@ -121,24 +141,26 @@ def _beside_driven(scene: Bearing, torque: float, solve: Solve) -> dict[str, np.
 
 
 def _strength(scene: Bearing, torque: float, least: float, solve: Solve) -> float:
-    """Strength a of the motion of one sample that the torque keeps up, above what friction holds; NaN if a solve falls
-    short of its tolerance.
+    """Return the strength a of the motion that a torque keeps going; NaN if a solve misses its tolerance.
 
-    least : a strength that is too small. P(a) / a is at most P_f + 2 a Q, with P_f the least power of friction and Q
-    what viscosity adds in that motion: the potential is convex and no larger than a P_f + a^2 Q / 2.
+    scene : one sample. torque : its size, force*length, above what friction holds. least : a strength that is smaller.
+
+    The caller takes `least` from a bound: with P_f the least power of friction, and Q the power that viscosity adds in
+    that motion, P(a) / a is at most P_f + 2 a Q, as the potential is convex and at most a P_f + a^2 Q / 2.
     """
     from scipy.optimize import brentq  # a third of a second that other runs do not need
 
     short = False
 
     def excess(strength: float) -> float:
+        """Return the torque that a strength needs, less the given one; 0 once a solve has missed its tolerance."""
         nonlocal short
         found = solve(scene.with_top(strength))
         short |= found.status is not Status.CERTIFIED
         return 0.0 if short else float(found.power[0]) / strength - torque
 
     most = 2 * least
-    if excess(least) >= 0:  # but for the rounding of the power it is too small
+    if excess(least) >= 0:  # only rounding of the power can make it too large
         return float("nan")
     while excess(most) < 0:
         least, most = most, 2 * most

@@ -1,14 +1,17 @@
-"""Is a run file as it was written, and does it prove what it says?
+"""Checks whether a run file is as it was written, and whether its spins and forces prove what it says.
 
-What a run reports is what its judgement proves of its spins and its friction (docs/proofs.md). The file holds both, so
-the same judgement can be made anew at any time, on any machine, and what the file says is held against it:
+What a run reports follows from its spins and its friction by a *judgement*: the proof of bounds and contact states in
+proof/judgement.py (docs/proofs.md). The file holds both, so the judgement can be made anew at any time, on any machine.
+It is compared with what the file says:
 
-* checksums: what is not as it was written;
-* power, bounds, gap, status, counts: the table of quantities of the new judgement, against the attributes;
-* slips, powers and proven states of the contacts, spins of what is driven, and coefficients that are drawn from seeds.
+* checksums tell what was changed after the file was written;
+* power, bounds, gap, status and counts in the attributes are compared with those of the new judgement;
+* so are slips, powers and proven states of the contacts, spins of driven spheres, and coefficients drawn from seeds.
 
-This finds damage and edits. Whether the proofs themselves are right is what the tests ask, with oracles that share no
+This finds damage and edits. Whether the proofs themselves are right is tested elsewhere, with methods that share no
 code with them.
+
+Letters: R samples, E contacts.
 """
 
 import time
@@ -41,25 +44,28 @@ ARITHMETIC = (
     "sums of two doubles with a bound on every error; bounds are rounded outwards; curvature by floating-point "
     "elimination with a bound on its error"
 )
-ROUNDED = 1e-12  # relative difference of numbers that were computed twice, on other machines
+ROUNDED = 1e-12  # relative difference that numbers may have if they were computed on two machines
 OUTWARDS = {
     "power": 1, "potential": 1, "gap": 1, "lower_bound": -1, "yield_torque": 1, "yield_torque_lower_bound": -1,
 }  # fmt: skip
-"""Numbers that are bounds, or follow from them: on which side of the true ones rounding may have put them."""
-OF_FILE = {"version"}  # numbers that are those of the program, not of the answer
-TORQUE_COST = 1e-12  # of the power, that torques left over may cost where friction counts as balanced
+"""Bounds, and numbers that follow from them: 1 if rounding may have made them too large, -1 if too small."""
+OF_FILE = {"version"}  # attributes that say something about the program, not about the answer
+TORQUE_COST = 1e-12  # friction counts as balanced if unbalanced torques lower the bound by no more than this, relative
 PROVEN_STATES = {"slipless": SLIPLESS, "slipping": SLIPPING, "tied": TIED, "unproven": UNDECIDED}
 OF_STATES = {"contacts", "slipping", "slipless", "undecided", "unproven", "states_proven", "minimum_is_unique"}
-"""Numbers that say something else in files of layout 1, whose codes are translated when they are read."""
+"""Numbers that are not compared in files of layout 1, as their states had other codes."""
 UNJUDGED = "a number is not finite, or the scales of the scene are too far from one for any arithmetic"
 
 
 def verify(path: str | Path) -> dict[str, Any]:
-    """Report on a run, as `--json` of `verify` has it.
+    """Check a run, and return the report that `bearings verify --json` prints.
 
-    path : a run directory or its run.h5. Returns what is proven of it, sample by sample where there are several:
-    `power`, `lower_bound` and `upper_bound` of what is least at rest, `gap`, `states_proven`, ...; `contradictions`,
-    sentences on what the file says otherwise; and `verified`, True if there are none.
+    path : a run directory or its run.h5.
+
+    The report has what is proven, in lists if there are several samples: `power`, the `lower_bound` and `upper_bound`
+    of what the stationary state minimises, `gap`, `states_proven` and others. `contradictions` are sentences on what
+    the file says and does not prove, and `verified` is True if there are none.
+
     Raises FileError if the file cannot be read, or for a law that the proofs do not know.
     """
     began, path = time.perf_counter(), Path(path)
@@ -92,6 +98,7 @@ def verify(path: str | Path) -> dict[str, Any]:
 
 
 def _size_of(scene: Bearing) -> dict[str, Any]:
+    """Return the shape of a lattice, or the numbers of spheres and contacts of a packing, by name."""
     network = scene.network
     if network.lattice is not None:
         return {"shape": list(network.lattice.shape)}
@@ -99,7 +106,10 @@ def _size_of(scene: Bearing) -> dict[str, Any]:
 
 
 def _judgements(solution: Solution) -> list[Judgement]:
-    """Of all samples of a lattice side by side, or of each packing; none where no arithmetic can judge the numbers."""
+    """Return one judgement for all samples of a lattice, or one for each sample of a packing.
+
+    The list is empty if numbers are not finite, or too far from 1 for any arithmetic.
+    """
     scene, given = solution.scene, (solution.spin, solution.spin_rounding, solution.friction)
     if scene.network.lattice is not None:
         found = [Judgement(scene, *given)]
@@ -116,20 +126,21 @@ class Anew:
 
     @cached_property
     def judgements(self) -> list[Judgement]:
+        """The judgements of all samples, empty if none can be made."""
         return _judgements(self.run.solution)
 
     def of(self, name: str) -> np.ndarray:
-        """A property of the judgements, sample by sample."""
+        """Return an attribute of the judgements for all samples, (R, ...). name : of the attribute."""
         return np.concatenate([getattr(one, name) for one in self.judgements])
 
     @cached_property
     def known(self) -> np.ndarray:
-        """(R, E), the states that are proven of all minima; DRIVEN where a contact takes no part."""
+        """(R, E) states that are proven for all minima; DRIVEN for absent contacts and those between driven spheres."""
         return np.where(self.of("acts"), self.of("known"), DRIVEN)
 
     @cached_property
     def solution(self) -> Solution:
-        """The answer with all numbers that follow from the judgement."""
+        """The answer in the file, with all numbers that follow from the new judgement in place of those stored."""
         stored, scene, slip = self.run.solution, self.run.solution.scene, self.of("slip")
         ended = np.array(stored.own["status"])
         ended[ended == Status.CERTIFIED] = Status.STALLED  # unless the gap is within the tolerance
@@ -160,16 +171,18 @@ class Anew:
 
     @cached_property
     def report(self) -> dict[str, Any]:
-        """What is proven: lists where there are several samples."""
+        """What is proven, by name; lists if there are several samples."""
         several = self.run.solution.scene.replicas > 1
-        told = self._of_samples if self.judgements else self._nothing
+        found = self._of_samples if self.judgements else self._nothing
         proof = " ".join(dict.fromkeys(one.proof for one in self.judgements)) or None
-        return {name: list(v) if several else v[0] for name, v in told.items()} | {"proof": proof}
+        return {name: list(v) if several else v[0] for name, v in found.items()} | {"proof": proof}
 
     @property
     def _of_samples(self) -> dict[str, Any]:
+        """What the judgements prove, by name, a list with one entry for each sample."""
         states = [states for one in self.judgements for states in one.states]
-        most = 1 + ROUNDED * (self.run.solution.scene.network.lattice is None)  # of the friction that contacts bear
+        # largest force that still counts as within the friction limit, relative to that
+        most = 1 + ROUNDED * (self.run.solution.scene.network.lattice is None)
         numbers = {
             name: [plain(v) for v in self.of(of)]
             for name, of in {"power": "power", "upper_bound": "upper_bound", "lower_bound": "lower_bound",
@@ -188,6 +201,7 @@ class Anew:
 
     @property
     def _nothing(self) -> dict[str, Any]:
+        """The same entries where no judgement can be made: nothing is proven of any sample."""
         acts = (self.run.solution.state != DRIVEN).sum(axis=1).tolist()
         open_ = dict.fromkeys(("power", "upper_bound", "lower_bound", "gap", "largest_balance_residual"))
         return {name: [None] * len(acts) for name in (*open_, "minimum_is_unique")} | {
@@ -198,7 +212,7 @@ class Anew:
         }
 
     def contradictions(self) -> Iterator[str]:
-        """Sentences on what the file says and does not prove."""
+        """Yield sentences on what the file says and does not prove."""
         stored, attributes = self.run.solution, self.run.attributes
         if not self.judgements:
             certain = stored.states_proven.any() or (stored.lower_bound > 0).any()
@@ -213,7 +227,8 @@ class Anew:
         yield from _said_otherwise(attributes, held, stored.scene.replicas)
 
     def _contacts(self) -> Iterator[str]:
-        """Arrays over the contacts that do not follow, or say more than is proven."""
+        """Yield sentences on arrays over the contacts that do not follow from spins and coefficients, or claim more
+        than is proven."""
         stored, new = self.run.solution, dict(found_in(self.solution, HELD))
         wrong = {f"another {row.text} than spins and coefficients give": _differ(row.of(stored), value)
                  for row, value in new.items()}  # fmt: skip
@@ -230,31 +245,36 @@ class Anew:
 
 
 def _of_sample(number: int, count: int) -> str:
-    """How a sentence on one of several samples begins."""
+    """Return the beginning of a sentence on a sample; empty if there is only one. count : number of samples."""
     return f"sample {number}: " if count > 1 else ""
 
 
 HELD = {name: CONTACTS[name] for name in ("slip", "power")}
-"""Rows of the contacts that follow from spins and coefficients."""
+"""Quantities of the contacts that follow from spins and coefficients."""
 
 
 class _NeedsAnother(Exception):
-    """What a torque does is found by another solve."""
+    """Raised where the findings on a torque would need another solve, which verifying does not make."""
 
 
 def _no_other(_: Any) -> Solution:
+    """Raise _NeedsAnother in place of solving."""
     raise _NeedsAnother
 
 
 def _differ(said: np.ndarray, true: np.ndarray, beside: float = 0.0) -> np.ndarray:
-    """Mask of the numbers that differ by more than rounding; not-a-number is like itself alone."""
+    """Return a mask of the numbers that differ by more than rounding.
+
+    said, true : numbers to compare. beside : absolute difference that is allowed in addition. Not-a-number equals only
+    not-a-number.
+    """
     with np.errstate(invalid="ignore"):
         close = np.abs(said - true) <= ROUNDED * np.abs(true) + beside
     return ~(close | (said == true) | (np.isnan(said) & np.isnan(true)))
 
 
 def _not_driven_so(stored: Solution) -> Iterator[str]:
-    """A sentence if driven spheres do not turn as the scene imposes, to the last bit."""
+    """Yield a sentence for each sample whose driven spheres do not have exactly the spins that the scene imposes."""
     network, expected = stored.scene.network, stored.scene.imposed_spins()
     driven = ~network.free.reshape(network.shape)
     pairs = zip(expected, (stored.spin, stored.spin_rounding), strict=True)
@@ -265,8 +285,8 @@ def _not_driven_so(stored: Solution) -> Iterator[str]:
 
 
 def _not_of_their_seeds(run: Result) -> list[str]:
-    """Sentences where the scene has another shape or other seeds than the file, and on coefficients that it says are
-    drawn, and that are not those of their seeds, to the bit."""
+    """Return sentences on shape and seeds that differ between the scene and the file, and on coefficients that are said
+    to be drawn and are not exactly those of their seeds."""
     scene, found = run.solution.scene, list[str]()
     pairs: dict[str, tuple[Sequence[int], Sequence[int]]] = {"seed": (scene.seeds, run.asked.seeds)}
     if scene.network.lattice is not None:
@@ -289,7 +309,10 @@ def _not_of_their_seeds(run: Result) -> list[str]:
 
 
 def _said_otherwise(said: Mapping[str, Any], numbers: Mapping[str, Any], count: int) -> Iterator[str]:
-    """Sentences on attributes that are not the numbers which the file proves. count : of the samples."""
+    """Yield sentences on attributes of the file that are not the numbers which it proves.
+
+    said : the attributes by name. numbers : what is proven, by name. count : number of samples.
+    """
     for name, value in numbers.items():
         if name not in said or name in OF_FILE:
             continue
@@ -306,7 +329,10 @@ def _said_otherwise(said: Mapping[str, Any], numbers: Mapping[str, Any], count: 
 
 
 def _allowed(name: str, said: Any, true: Any) -> bool:
-    """Whether an attribute may say this, where that is true: of its type, and for numbers equal but for rounding."""
+    """Return True if the value of an attribute agrees with the true one: in type, and for numbers up to rounding.
+
+    name : of the attribute. A bound may be off only to the side on which it still holds, see OUTWARDS.
+    """
     said = said.item() if isinstance(said, np.generic) else said
     if isinstance(said, np.ndarray) and not isinstance(true, list):
         return False

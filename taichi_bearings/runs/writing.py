@@ -1,4 +1,4 @@
-"""What a run directory holds of a result, and its figures; `runs/run_layout.py` knows the data sets of its run.h5."""
+"""Writes the files of a run directory and its figures; `runs/run_layout.py` knows the data sets of its run.h5."""
 
 import contextlib
 import json
@@ -26,11 +26,12 @@ from taichi_bearings.stages import stage
 if TYPE_CHECKING:
     from taichi_bearings.runs.result import Result
 
-LED_TO_ARRAYS = {"distribution", "viscosity", *SIZES, *OF_DRIVEN}  # keys that are not kept; run.h5 has what they led to
+# settings of a packing that are left out of its stored scene, as the arrays in run.h5 have their effect
+LED_TO_ARRAYS = {"distribution", "viscosity", *SIZES, *OF_DRIVEN}
 
 
 def versions() -> dict[str, str]:
-    """Versions of what shapes a result."""
+    """Return the versions of Python and of the packages that results depend on, by name."""
     import platform
     from importlib.metadata import version
 
@@ -41,9 +42,11 @@ def versions() -> dict[str, str]:
 def self_contained(
     settings: RunSettings, scene: Bearing, spin: np.ndarray | None, folder: Path, name: str = "run.h5"
 ) -> RunSettings:
-    """Settings whose files lie in the run directory itself, so that it can be moved and run again.
+    """Return settings whose files lie in the run directory itself, so that it can be moved and run again.
 
-    With checkpoints that must be possible while there is no run.h5 yet. name : of what is that otherwise.
+    scene : what is solved. spin : initial spins, or None. folder : the run directory, to which the files are written.
+    name : of the file that will hold coefficients and packing. With checkpoints other files hold these, and are written
+    now, as the run may be resumed before there is a run.h5.
     """
     with_file = settings.checkpoint_every is not None
     if scene.network.lattice is not None:
@@ -71,7 +74,7 @@ def self_contained(
 
 
 def publish(directory: RunDirectory, found: "Result") -> "Result":
-    """Write a run into its directory and give that its name."""
+    """Write a result into a new run directory, give the directory its name, and return the result with that path."""
     found = replace(found, path=directory.path)
     write_run(directory.partial, found)
     directory.publish()
@@ -79,7 +82,7 @@ def publish(directory: RunDirectory, found: "Result") -> "Result":
 
 
 def write_run(folder: Path, found: "Result") -> None:
-    """Write every file of a run but its figures into `folder`, which will be renamed to its path."""
+    """Write all files of a run except its figures. folder : the directory, which may get its final name later."""
     from taichi_bearings.files.histogram_file import write_table
 
     with stage("writing"):
@@ -93,7 +96,10 @@ def write_run(folder: Path, found: "Result") -> None:
 
 
 def write_state(file: Path, found: "Result", stored: RunSettings) -> None:
-    """Write a run in the layout of run.h5. stored : settings that solve it again from where the file is."""
+    """Write a result in the layout of run.h5.
+
+    stored : settings by which it can be solved again, with names of files relative to that of the file.
+    """
     origin = {"command": found.command, "scene": stored.to_toml()}
     numbers = {key: value for key, value in found.summary.items() if key not in DRIVING_KEYS}  # which the scene holds
     write_run_file(file, found.solution, numbers | origin | versions())
@@ -101,7 +107,7 @@ def write_state(file: Path, found: "Result", stored: RunSettings) -> None:
 
 @contextlib.contextmanager
 def _unless_full() -> Iterator[None]:
-    """What is written inside is left out where the disk is full: what was solved is written."""
+    """Turn a WriteError inside the block, as on a full disk, into a warning: the files written before are enough."""
     try:
         yield
     except WriteError as error:
@@ -110,7 +116,10 @@ def _unless_full() -> Iterator[None]:
 
 @contextlib.contextmanager
 def _unless_undrawable() -> Iterator[None]:
-    """Figures that cannot be drawn inside, as where matplotlib cannot be loaded, cost no more than a sentence."""
+    """Turn errors of drawing inside the block, as where matplotlib cannot be loaded, into a warning.
+
+    FileError and MemoryError are raised as they are.
+    """
     try:
         yield
     except (FileError, MemoryError):
@@ -121,7 +130,10 @@ def _unless_undrawable() -> Iterator[None]:
 
 
 def draw_figures(found: "Result", title: bool = True) -> None:
-    """Draw the figures that a run gets into its directory, unless it wants none; title: whether words stand above."""
+    """Draw the figures of a run into its directory, unless its settings ask for none.
+
+    title : whether figures have words above them.
+    """
     if found.asked.figures != "all":
         return
     with _unless_full(), _unless_undrawable(), stage("drawing"):
