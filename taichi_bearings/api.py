@@ -1,4 +1,4 @@
-"""The front door: functions that solve, read and analyse; the commands of `bearings` call the same.
+"""The functions of `taichi_bearings` that solve, read and analyse; the commands of `bearings` use the same code.
 
 import taichi_bearings as tb
 
@@ -35,22 +35,22 @@ from taichi_bearings.words import meant, shown
 
 @dataclass(frozen=True)
 class Check:
-    """What a callback is told at each check of a solve. With several samples R, `power` and `gap` have one number each.
+    """The argument of a callback at each check of a solve. With R samples `power` and `gap` are arrays (R,).
 
     Attributes
     ----------
     iteration : int
         Iterations of the method so far.
     seconds : float
-        Wall time so far.
+        Wall time so far, s.
     time : float or None
         Simulated time of a dynamics, else None.
     power : float or numpy.ndarray
-        What the method brings down, energy/time: the power, for the law coulomb-viscous its potential.
+        What the method minimises, energy/time: the power, or for the law coulomb-viscous the dissipation potential.
     gap : float or numpy.ndarray
-        Proven relative distance to the least value.
+        Proven relative distance of that from its minimum.
     tolerance : float
-        Gap at which the solve is done.
+        Gap at which the solve ends.
     """
 
     iteration: int
@@ -65,7 +65,7 @@ OPTIONS = (
     "torque", "iterations", "time_limit", "duration", "record", "snapshots", "slip_threshold", "arch", "precision",
     "threads",
 )  # fmt: skip
-"""What :func:`solve` takes beside its own arguments: settings of a run that belong to no method and no scene."""
+"""Further arguments of :func:`solve`: settings of a run that belong neither to a method nor to a scene."""
 
 
 def solve(
@@ -83,18 +83,20 @@ def solve(
     Parameters
     ----------
     scene : Scene or Packing
-        What is solved, all of its samples.
+        What is solved, with all of its samples.
     method : str or MethodOptions
-        "auto", the fastest one that certifies the scene, or another name, or a method with its options, such as
-        `CundallStrack(stiffness=1e6)`.
+        "auto", the fastest method that certifies the scene; or the name of a method; or a method with its options, such
+        as `CundallStrack(stiffness=1e6)`.
     tolerance : float
-        Proven relative gap at which the solve is done.
+        Proven relative gap at which the solve ends.
     start : str or numpy.ndarray
-        Spins to start from: "linear", "random", "zero", "minimum-cut", a file, or an array like `Result.spin`.
+        Initial spins: "linear", "random", "zero", "minimum-cut", a file, or an array like `Result.spin`.
     callback : callable, optional
-        It hears of each :class:`Check`; where it returns True the solve ends with what was reached, as by Ctrl-C.
+        Function that is called with a :class:`Check` at each check. If it returns True, the solve ends with what was
+        reached, as after Ctrl-C.
     progress : bool
-        Show on a terminal or below the cell of a notebook how far it is, while it takes longer than a moment.
+        Whether a solve that takes longer than a moment shows its progress on a terminal, or below the cell of a
+        notebook.
     **options
         Settings of a run: `torque` on the top instead of its spin, force*length, of methods that find minima, which
         adds `yields`, `yield_torque`, `yield_torque_lower_bound` and `amplitude` to `findings`; `iterations` at most;
@@ -106,12 +108,12 @@ def solve(
     Returns
     -------
     Result
-        What was found, with what is proven of it.
+        The answer, with what is proven of it.
 
     Raises
     ------
     InputError
-        For what cannot be.
+        For arguments that are not allowed, or that do not fit each other.
 
     Examples
     --------
@@ -137,30 +139,31 @@ def solve_many(
     workers: int = 0,
     **options: Any,
 ) -> Iterator[Result]:
-    """Solve scenes or packings in processes of their own, and give the answers as they come, in whatever order.
+    """Solve scenes or packings in several processes, and yield each answer when it is there, in any order.
 
     Parameters
     ----------
     scenes : iterable of Scene or Packing
-        What is solved. `answer.scene`, or `answer.packing`, is the very one that was given, which tells answers apart.
+        What is solved. `answer.scene`, or `answer.packing`, is the object that was given, so that answers can be told
+        apart.
     method, tolerance, start
-        As those of :func:`solve`.
+        As of :func:`solve`.
     workers : int
-        Processes at most; 0 for one a processor.
+        Largest number of processes; 0 for one process for each processor.
     **options
-        As those of :func:`solve`; each process has one thread unless `threads` says otherwise.
+        As of :func:`solve`; each process has one thread unless `threads` says otherwise.
 
     Returns
     -------
     iterator of Result
-        An answer to each scene.
+        One answer for each scene.
 
     Raises
     ------
     InputError
-        For what cannot be, before anything is computed.
+        For arguments that are not allowed, before anything is computed.
     BearingsError
-        For the first scene that has no answer.
+        For the first scene whose solve fails.
 
     Examples
     --------
@@ -188,17 +191,17 @@ def analyse(result: Result | str | Path, threshold: float | None = None, sample:
     threshold : float, optional
         Slip speed, length/time, up to which contacts count as slipless. Default: the contact states of the answer.
     sample : int
-        Which one of several samples is shown in figures and as `structure`.
+        Number of the sample that is shown in figures and as `structure`.
 
     Returns
     -------
     Analysis
-        The rows that an analysis adds to the numbers of the answer.
+        The structure of each sample, with numbers, arrays and figures.
 
     Raises
     ------
     InputError
-        For a threshold or a sample that cannot be, or an answer that is not finite.
+        For a threshold that is not positive, a sample that does not exist, or an answer that is not finite.
     FileError
         For a file that cannot be read.
 
@@ -251,8 +254,11 @@ def load(path: str | Path) -> Result:
 def _job(
     scene: Scene | Packing, method: str | MethodOptions, options: Mapping[str, Any], start: str | np.ndarray
 ) -> runs.Job:
-    """What solves this scene, with the settings of `bearings run`; InputError for what cannot be. Spins to start from
-    that are an array lie beside the settings."""
+    """Return the job that solves a scene or a packing, with the settings of `bearings run`.
+
+    method, start : as of :func:`solve`. options : its other arguments by name, `tolerance` included. Initial spins that
+    are an array are kept in the job, beside the settings. Raises InputError for arguments that are not allowed.
+    """
     if isinstance(scene, Packing):
         settings = RunSettings(packing="run.h5", law=str(scene.law), seed=scene.seed, **_asked(method, options, start))
         strict = isinstance(method, str)  # else all options of the method are given
@@ -273,7 +279,10 @@ def _job(
 
 
 def _asked(method: str | MethodOptions, options: Mapping[str, Any], start: str | np.ndarray) -> dict[str, Any]:
-    """What is asked for of any bearing, by key."""
+    """Return the settings of a run that the arguments of :func:`solve` amount to, by key, without those of the scene.
+
+    Raises InputError for an option that does not exist.
+    """
     for name in options:
         if name not in ("tolerance", *OPTIONS):
             raise InputError(
@@ -291,16 +300,18 @@ def _asked(method: str | MethodOptions, options: Mapping[str, Any], start: str |
 
 
 def _monitors(callback: Callable[[Check], bool | None] | None) -> list[Monitor]:
-    """A callback of a user as the loop knows it; none where there is no callback."""
+    """Return the callback of a user as a monitor of the solve, in a list; an empty list if there is no callback."""
     if callback is None:
         return []
     if not callable(callback):
         raise InputError(f"callback is {shown(callback)}; it must be a function that takes a Check")
 
     def plain(values: np.ndarray) -> Any:
+        """Return the values of all samples, (R,), or the number of a single one."""
         return values if len(values) > 1 else float(values[0])
 
     def monitor(report: Report) -> bool | None:
+        """Call the callback with what the report of a check says."""
         progress = report.progress
         reached = plain(report.objective), plain(report.gap)
         return callback(Check(progress.iteration, report.seconds, progress.time, *reached, report.stop.tolerance))

@@ -1,10 +1,15 @@
-"""The one table of quantities: what each number of an answer is called, its unit, what it is, and how to get it.
+"""The one table of quantities: name, unit and description of each number of an answer, and how it is computed.
 
-Run files, summaries, columns of scans, the Python results, ParaView files and axes of figures are loops over its rows:
-a new quantity is a row here, its formula in tests/properties/formulas.py and, to be an attribute of `Result` too, a
-line in runs/result.py. Tables by where a quantity lives: `SPHERES`, `CONTACTS`, `CHECK_ROWS`
-(columns of the history, one value a look at the solve), `SAMPLES` (one value a sample, or one for all of them) and
-`STRUCTURE` (of one sample, what its contacts form).
+Run files, summaries, columns of scans, the Python results, ParaView files and axes of figures are loops over its rows.
+A new quantity needs a row here, its formula in tests/properties/formulas.py and, if it is to be an attribute of
+`Result` as well, a line in runs/result.py.
+
+There is a table for each place where quantities belong: `SPHERES`; `CONTACTS`; `CHECK_ROWS`, columns of the history,
+with one value for each check during a solve; `SAMPLES`, with one value for each sample, or one for all; `FINDINGS`, of
+particular methods; and `STRUCTURE`, of what the contacts of one sample form.
+
+Letters: R samples, *N the shape of arrays over the spheres, E contacts. In the functions of the rows s is a solution or
+a structure, and a is an answer.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -27,35 +32,39 @@ class Asked(Protocol):
 
     @property
     def tolerance(self) -> float:
-        """Relative gap at which a sample is done."""
+        """Relative gap at which a sample is certified."""
 
     @property
     def duration(self) -> float | None:
-        """Simulated time that was asked for, of a dynamics."""
+        """Simulated time that a dynamics was asked for, else None."""
 
 
 class Answer(Protocol):
-    """What the rows of samples are asked of: a `Result`."""
+    """What the functions of the rows of samples take: a `Result`."""
 
     @property
     def solution(self) -> Solution:
-        """What was found."""
+        """The solution, with all samples."""
 
     @property
     def asked(self) -> Asked:
-        """What was asked for."""
+        """The settings."""
 
     @property
     def ended(self) -> list[Status]:
-        """How each sample ended, (R,)."""
+        """How each of the R samples ended."""
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """A row. name : as in files, summaries, tables and Python. unit : "1" for pure numbers. text : what it is.
+    """A row of the table.
 
-    of : how to get it; of samples an array or a list with one value a sample, or one value for all of them, and None
-    where there is no such number, or an answer alone does not say. symbol : LaTeX, on axes of figures.
+    name : as in files, summaries, tables and Python.
+    unit : "1" for pure numbers.
+    text : what the quantity is, in words.
+    of : function that returns the value; for a quantity of samples an array or a list with one value for each sample,
+        or one value for all of them. It returns None where there is no such value, or where an answer does not have it.
+    symbol : LaTeX, for axes of figures.
     """
 
     name: str
@@ -68,42 +77,48 @@ class Quantity:
 def _of_lattice(
     of: Callable[[Answer], object], in_lists: Callable[[Answer], object] = lambda _: None
 ) -> Callable[[Answer], object]:
-    """How to get a number that files have of lattices: `of`, and `in_lists` of networks whose contacts are listed."""
+    """Return a function of an answer that calls `of` for a lattice, and `in_lists`, by default without a value, for a
+    packing."""
     return lambda answer: (in_lists if answer.solution.scene.network.lattice is None else of)(answer)
 
 
 def _in_lists(of: Callable[["Network"], int]) -> Callable[[Answer], object]:
-    """How to get a number of networks whose contacts are listed; the shape of a lattice says it already."""
+    """Return a function of an answer that calls `of` with the network of a packing; a lattice has no value."""
     return _of_lattice(lambda _: None, lambda answer: of(answer.solution.scene.network))
 
 
 def _contacts(solution: Solution) -> int | np.ndarray:
-    """Contacts that take part: one number if all samples have as many, else (R,)."""
+    """Return the number of contacts that are present and have a free sphere: one number if all samples have the same,
+    else (R,)."""
     found = (solution.state != ContactState.DRIVEN).sum(axis=1)
     return int(found[0]) if (found == found[0]).all() else found
 
 
 def _separation(answer: Answer) -> Separation:
-    """How far the slips of slipless and of slipping contacts lie apart."""
+    """Return how far the slips of slipless contacts are from those of slipping ones."""
     return separate(answer.solution.scene, answer.solution.slip, answer.solution.state)
 
 
 def _decades(answer: Answer) -> np.ndarray:
-    """(R,) decades of slip between them; not-a-number far from a minimum, where they say nothing."""
+    """Return the decades (R,) between the largest slip of slipless contacts and the smallest of slipping ones.
+
+    They are not-a-number for samples whose gap is above the tolerance, as they mean nothing there.
+    """
     return np.where(answer.solution.gap <= answer.asked.tolerance, _separation(answer).decades, np.nan)
 
 
 def _normalised(solution: Solution) -> np.ndarray | None:
-    """(R,) P / (F_n R |omega_T|) of a lattice; None without that unit."""
+    """Return the power over F_n R |omega_T| of a lattice, (R,); None where that is 0, or with a viscosity."""
     scene = of_lattice(solution.scene)
     unit = scene.normal_force * scene.lattice.radius * abs(scene.imposed[0])
     return solution.power / unit if scene.law.is_rate_independent and unit > 0 else None
 
 
 def _at_end(column: str) -> Callable[[Answer], object]:
-    """How to get the value with which a column of the history ends; None where there is no such column."""
+    """Return a function that gives the last value in a column of the history; None where there is no such column."""
 
     def found(answer: Answer) -> object:
+        """Return the last value."""
         values = answer.solution.history.get(column)
         return None if values is None else values[-1]
 
@@ -111,6 +126,7 @@ def _at_end(column: str) -> Callable[[Answer], object]:
 
 
 def _named(rows: Iterable[Quantity]) -> dict[str, Quantity]:
+    """Return the rows by name."""
     return {row.name: row for row in rows}
 
 
@@ -123,7 +139,8 @@ FRICTION_QUANTITIES = {
     2: "friction on the upper disc, component along z x n: upwards at x-contacts, to the left at y-contacts",
     3: "friction on the upper sphere, laboratory frame",
 }
-"""By dimension. It is in balance and within the friction limits, so the lower bound follows from it."""
+"""Descriptions of the friction on lattices, by dimension. These forces prove the lower bound: they balance, and none
+exceeds the friction limit."""
 
 # fmt: off
 SPHERES = _named(
@@ -133,7 +150,7 @@ SPHERES = _named(
                  lambda s: s.spin_rounding if s.spin_rounding.any() else None),
     ]
 )
-"""Of a Solution: (R, *N) in 2D, (R, *N, 3) in 3D."""
+"""Quantities of the spheres in a Solution: (R, *N) in 2D, (R, *N, 3) in 3D."""
 
 CONTACTS = _named(
     [
@@ -144,7 +161,7 @@ CONTACTS = _named(
         Quantity("proven", "1", PROVEN_CODES, lambda s: s.proven),
     ]
 )
-"""Of a Solution: (R, E)."""
+"""Quantities of the contacts in a Solution: (R, E)."""
 
 CHECK_ROWS = _named(
     [
@@ -163,7 +180,7 @@ CHECK_ROWS = _named(
         Quantity("largest_balance_residual", "force*length", "largest torque left over on a free sphere"),
     ]
 )
-"""Columns of the history."""
+"""Columns of the history, with one value for each check during a solve."""
 
 SAMPLES = _named(
     [
@@ -238,7 +255,7 @@ SAMPLES = _named(
                  _at_end("energy_residual")),
     ]
 )
-"""Of an answer: numbers and words of summaries, of the attributes of run files, and of scans."""
+"""Numbers and words of an answer, as in summaries, attributes of run files, and scans."""
 
 SAID_OF_PACKINGS = ("proof", "driven_power", "slipless_motions")  # findings of every packing
 FINDINGS = _named(
@@ -261,7 +278,7 @@ FINDINGS = _named(
         Quantity("newton_steps", "1", "factorisations of a dynamics in the rigid limit"),
     ]
 )
-"""What methods have found beside the answer (`Solution.findings`): also numbers of samples."""
+"""Further numbers and words of samples, which some methods find (`Solution.findings`)."""
 
 STRUCTURE = {
     "minimum cut": [
@@ -346,8 +363,8 @@ STRUCTURE = {
                  lambda s: s.mean_saturation),
     ],
 }
-"""Of a Structure, section by section: the numbers of `bearings analyse`."""
-ANALYSED = _named(row for rows in STRUCTURE.values() for row in rows)
+"""The numbers of `bearings analyse`, by the title of their section; the functions take a Structure."""
+ANALYSED = _named(row for rows in STRUCTURE.values() for row in rows)  # the same rows by name
 
 OF_SCANS = _named(
     [
@@ -359,45 +376,49 @@ OF_SCANS = _named(
         Quantity("error", "1", "why the sample has no result"),
     ]
 )
-"""What only scans have beside all these."""
+"""Columns that only scans have."""
 
 # fmt: on
 COLUMNS = SAMPLES | FINDINGS | ANALYSED | OF_SCANS
-"""All columns that a scan can have, but for its settings."""
+"""All columns that a scan can have, except its settings."""
 
 
 def found_in(answer: Any, rows: Mapping[str, Quantity]) -> Iterator[tuple[Quantity, Any]]:
-    """The rows that an answer has a value of, each with that."""
+    """Yield the rows of which an answer has a value, each with the value.
+
+    answer : what the functions of the rows take. rows : the rows by name.
+    """
     found = ((row, row.of(answer)) for row in rows.values())
     return ((row, value) for row, value in found if value is not None)
 
 
 def _over(value: float, unit: float) -> float:
-    """Not-a-number where the unit is 0."""
+    """Return value / unit, or not-a-number where the unit is 0."""
     return value / unit if unit > 0 else np.nan
 
 
 def _if_spans(structure: Any, value: float) -> float:
-    """Not-a-number where slipless contacts do not join bottom and top."""
+    """Return the value, or not-a-number where slipless contacts do not join bottom and top."""
     return value if structure.network.spans else np.nan
 
 
 class Whole(list[Any]):
-    """A list that is one value, the same for all samples."""
+    """A list that is a single value for all samples, not one value for each."""
 
 
 def numbers_of(answer: Answer) -> dict[str, Any]:
-    """All quantities of samples by name: one value, or with several samples a list where they may differ.
+    """Return all quantities of samples by name: single values, or with several samples lists where they may differ.
 
-    Numbers that are not finite are None, so that JSON can hold them.
+    Numbers that are not finite become None, so that JSON can hold them.
     """
     several = answer.solution.scene.replicas > 1
-    found = {row.name: _told(value, several) for row, value in found_in(answer, SAMPLES)}
+    found = {row.name: _reported(value, several) for row, value in found_in(answer, SAMPLES)}
     found["shape"] = found.get("shape")  # packings have none
-    return found | {name: _told(values, several) for name, values in answer.solution.findings.items()}
+    return found | {name: _reported(values, several) for name, values in answer.solution.findings.items()}
 
 
-def _told(value: Any, several: bool) -> Any:
+def _reported(value: Any, several: bool) -> Any:
+    """Return a value as Python numbers and texts: of an array or list all entries if `several`, else the first."""
     if isinstance(value, Whole):
         return list(value)
     if isinstance(value, (np.ndarray, list)):
@@ -407,6 +428,6 @@ def _told(value: Any, several: bool) -> Any:
 
 
 def plain(value: Any) -> Any:
-    """A Python number or text; None for a number that is not finite."""
+    """Return a Python number or text; None for a number that is not finite."""
     value = value.item() if isinstance(value, np.generic) else value
     return None if isinstance(value, float) and not np.isfinite(value) else value
