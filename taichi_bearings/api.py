@@ -92,11 +92,9 @@ def solve(
     start : str or numpy.ndarray
         Initial spins: "linear", "random", "zero", "minimum-cut", a file, or an array like `Result.spin`.
     callback : callable, optional
-        Function that is called with a :class:`Check` at each check. If it returns True, the solve ends with what was
-        reached, as after Ctrl-C.
+        Function that takes a :class:`Check`, called at each check; if it returns True the solve ends as by Ctrl-C.
     progress : bool
-        Whether a solve that takes longer than a moment shows its progress on a terminal, or below the cell of a
-        notebook.
+        Whether a solve that takes longer than a moment shows its progress, on a terminal or in a notebook.
     **options
         Settings of a run: `torque` on the top instead of its spin, force*length, of methods that find minima, which
         adds `yields`, `yield_torque`, `yield_torque_lower_bound` and `amplitude` to `findings`; `iterations` at most;

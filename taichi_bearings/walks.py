@@ -84,6 +84,7 @@ class _Kept:
         """Return the method that takes the place of `Kernel.materialize` of Taichi: it repeats a walk, or makes it."""
 
         def materialized(kernel: Any, key: Any = None, args: Any = None, arg_features: Any = None) -> None:
+            """Make the intermediate code of a kernel for these arguments, unless it was made before."""
             kernel.runtime.materialize()
             if key in kernel.compiled_kernels:
                 return

@@ -201,7 +201,7 @@ class Anew:
 
     @property
     def _nothing(self) -> dict[str, Any]:
-        """The same entries where no judgement can be made: nothing is proven of any sample."""
+        """The entries of the report where no judgement can be made: nothing is proven of any sample."""
         acts = (self.run.solution.state != DRIVEN).sum(axis=1).tolist()
         open_ = dict.fromkeys(("power", "upper_bound", "lower_bound", "gap", "largest_balance_residual"))
         return {name: [None] * len(acts) for name in (*open_, "minimum_is_unique")} | {

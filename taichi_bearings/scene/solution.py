@@ -379,6 +379,7 @@ class Solution:
             return replace(one, **ended)
 
         def placed(whole: np.ndarray, value: Any) -> np.ndarray:
+            """Return a copy of `whole`, (R, ...), with the value of this replica replaced."""
             changed = np.array(whole)
             changed[number] = value
             return changed
