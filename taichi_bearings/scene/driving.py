@@ -10,7 +10,7 @@ A method carries x = s l omega - x0 for each component of the spin omega of each
 A bearing state is a staggered spin A + C x, with the position x measured from the centre of sphere (0, 0, 0): no
 contact slips in it, because the ends of a contact differ along the contact alone. A state can therefore be taken from
 all spins, and here that of the bottom is: the bottom is then at rest, and the top carries the *jump*, the difference of
-the two states. Component k of the jump depends on x_k alone, and contacts along k do not feel it: each layer x_k =
+the two states. Component k of the jump depends on x_k alone, and contacts along k do not slip by it: each layer x_k =
 const has a problem of its own in that component. Discs have one component, and no C.
 
 Letters: R samples, N spheres (*N is the shape of arrays over them: that of the lattice, or (N,)), C spin components,

@@ -1,4 +1,7 @@
-"""Spheres of regular lattices that touch: a table of cells, and what they make. Lengths in diameters."""
+"""Packings of spheres on regular lattices, built from a table of cells. Lengths are in diameters.
+
+Letters: N spheres, E contacts, D = 2 or 3 dimensions. step : (D,), whole numbers of cells along the axes.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -16,10 +19,12 @@ from taichi_bearings.words import shown
 
 @dataclass(frozen=True)
 class Cell:
-    """A rectangular cell. size : (D,), diameters. basis : centres of its n spheres, (n, D), shares of the cell.
+    """A rectangular cell of a lattice.
 
-    parity : the sublattice, 0 or 1, of each sphere (n,), and for each axis (D,) 1 if the next cell has them exchanged;
-    None of a lattice with odd loops."""
+    size : (D,), diameters. basis : (n, D), centres of its n spheres as fractions of the size.
+    parity : the sublattice, 0 or 1, of each sphere, (n,); and for each axis, (D,), 1 if sublattices are exchanged in
+    the next cell along it, else 0. None for a lattice with odd loops.
+    """
 
     size: tuple[float, ...]
     basis: tuple[tuple[float, ...], ...]
@@ -46,9 +51,12 @@ Built = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 def built(
     kind: str, cells: tuple[int, ...], periodic: Any
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, set[int]]:
-    """Places (N, D), contacts (E, 2), normals (E, D), signs of the sublattice (N,) and the periodic axes.
+    """Return places (N, D), contacts (E, 2), normals (E, D), signs of the sublattice (N,), and the periodic axes.
 
-    Spheres are in the order of their cells, contacts bond by bond, of a cubic lattice axis by axis as in scenes.
+    kind : key of KINDS. cells : number of cells along each axis. periodic : names of the periodic axes.
+
+    Spheres are in the order of their cells. Contacts are in the order of the bonds of a cell, on a cubic lattice axis
+    by axis as in scenes. Raises InputError for numbers or names that are not allowed.
     """
     cell = KINDS[kind]
     dimension = len(cell.size)
@@ -70,9 +78,10 @@ def built(
 
 
 def driven_bodies(place: np.ndarray, closed: set[int], driven: str) -> np.ndarray:
-    """(N,) 0 at the bottom, 1 on the top, -1 for free spheres. place : (N, D), diameters. closed : periodic axes.
+    """Return the body of each sphere, (N,): 0 for the bottom, 1 for the top, -1 for free spheres.
 
-    driven : "planes", "walls" or "shaft:r", as of `Packing.lattice`. InputError for what is none of these.
+    place : (N, D), diameters. closed : numbers of the periodic axes.
+    driven : "planes", "walls" or "shaft:r", as of `Packing.lattice`; InputError is raised for anything else.
     """
     kind, _, size = driven.partition(":") if isinstance(driven, str) else ("", "", "")
     body = np.full(len(place), -1)
@@ -104,14 +113,17 @@ def driven_bodies(place: np.ndarray, closed: set[int], driven: str) -> np.ndarra
 
 
 def _ends(place: np.ndarray, axis: int, side: int) -> np.ndarray:
-    """True for the spheres (N,) that lie at the end of an axis, or at its beginning, side -1."""
+    """Return a mask (N,) of the spheres at the end of an axis, or at its beginning if `side` is -1 instead of 1."""
     height = side * place[:, axis]
     return np.asarray(height > height.max() - 1e-6)
 
 
 def _bonds(cell: Cell) -> Iterator[tuple[int, int, np.ndarray, np.ndarray]]:
-    """First and second sphere of the cell, steps (D,) to the cell of the second, and the unit vector (D,): those whose
-    last step that is not 0 leads up, nearest cells along x first."""
+    """Yield the bonds of a cell: numbers of the first and the second sphere within their cells, the step to the cell of
+    the second, and the unit vector (D,) from the first to the second.
+
+    Of each bond and its reverse only the one with `_leads_up` is taken.
+    """
     basis, size = np.array(cell.basis), np.array(cell.size)
     steps = [np.array(step[::-1]) for step in product((0, 1, -1), repeat=len(size))]
     for step in steps:
@@ -122,12 +134,13 @@ def _bonds(cell: Cell) -> Iterator[tuple[int, int, np.ndarray, np.ndarray]]:
 
 
 def _leads_up(vector: np.ndarray) -> bool:
-    turned = vector[np.abs(vector) > 1e-9]
-    return bool(turned[-1] > 0)
+    """Return True if the last component that is not 0 is positive."""
+    others = vector[np.abs(vector) > 1e-9]
+    return bool(others[-1] > 0)
 
 
 def _exact(vector: np.ndarray) -> np.ndarray:
-    """The unit vector with components of equal size equal, and small ones 0."""
+    """Return a unit vector without rounding errors: components of equal size become equal, and tiny ones 0."""
     components = np.where(np.abs(vector) < 1e-9, 0.0, np.round(vector, 12))
     return components / np.linalg.norm(components)
 
@@ -142,7 +155,11 @@ def _of_bond(
     step: np.ndarray,
     vector: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Contacts (E, 2) of one bond in all cells."""
+    """Return the contacts (E, 2) that one bond makes in all cells, and its unit vector.
+
+    grid : positions of all cells, in whole numbers. cells : number of cells along each axis. closed : numbers of the
+    periodic axes. each : number of spheres in a cell. first, second, step, vector : the bond, as of :func:`_bonds`.
+    """
     there = grid + step
     for axis in closed:
         there[:, axis] %= cells[axis]

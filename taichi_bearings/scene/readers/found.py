@@ -1,4 +1,7 @@
-"""What is not said of spheres and follows from their places: which of them touch, and which are driven."""
+"""Completes packings whose contacts or driven bodies are not given: both are found from centres and radii.
+
+Letters: N spheres, E contacts, D = 2 or 3 dimensions.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -20,14 +23,21 @@ SIDES = 2  # bodies: the bottom is 0, the top 1
 
 @dataclass(frozen=True)
 class Sides:
-    """How bottom and top are driven: spins, 1/time, about an axis, which discs have no choice of."""
+    """How the bottom, body 0, and the top, body 1, are driven.
+
+    spin_bottom, spin_top : imposed spins, 1/time. direction : their axis, of any length but 0; ignored for discs.
+    """
 
     spin_bottom: float = 0.0
     spin_top: float = 1.0
     direction: Any = (1.0, 1.0, 0.0)
 
     def spins(self, driven: np.ndarray, dimension: int) -> np.ndarray:
-        """(N, 3), of discs (N,); InputError for a body that is neither bottom nor top."""
+        """Return the imposed spins, (N, 3) of spheres or (N,) of discs, 1/time.
+
+        driven : (N,) number of the body of each sphere, -1 for free ones. dimension : D. Raises InputError for a body
+        that is neither bottom nor top.
+        """
         if (beyond := driven >= SIDES).any():
             own = int(np.argmax(beyond))
             words = f"driven of sphere {own} is {driven[own]}"
@@ -43,11 +53,14 @@ class Sides:
 def from_centers(
     center: Any, radius: Any, tolerance: float, given: dict[str, Any], sides: Sides, periodic: Any = None
 ) -> dict[str, np.ndarray]:
-    """Arrays of a packing of spheres that touch where |d - R_i - R_j| <= tolerance (R_i + R_j), d between centres.
+    """Return the arrays of a packing, by name, whose spheres touch where |d - R_i - R_j| <= tolerance (R_i + R_j).
 
-    center : (N, D), length. radius : (N,) or one for all, length. given : `driven` (N,) or `spin`, if they are known;
-    else those within tolerance radii of the lowest and of the highest along the last axis are driven. periodic : (D,),
-    lengths of the periodic sides, 0 or None along others.
+    Here d is the distance of two centres.
+
+    center : (N, D), length. radius : (N,) or one for all, length. tolerance : relative gap or overlap of spheres that
+    touch. given : `driven`, (N,), or `spin`, if they are known; without `driven`, spheres within `tolerance` radii of
+    the lowest and of the highest one along the last axis are driven. sides : their spins, unless `spin` is given.
+    periodic : (D,), lengths of the periodic sides, 0 or None along other axes.
 
     Raises InputError for spheres that overlap by more, and where nothing touches or it is not clear what is driven.
     """
@@ -67,9 +80,10 @@ def from_centers(
 
 
 def completed(found: Mapping[str, Any], tolerance: float, sides: Sides, periodic: Any = None) -> dict[str, np.ndarray]:
-    """Arrays of a packing out of those of tables: contacts are found if there are none, and so is what is driven.
+    """Return the arrays of a packing, by name, from those of tables: contacts and driven bodies are found if missing.
 
-    found : by name, with center and radius. The other arguments are those of :func:`from_centers`.
+    found : arrays of the tables by name, center and radius among them. The other arguments are as of
+    :func:`from_centers`.
     """
     if "contact" not in found:
         rest = {name: values for name, values in found.items() if name not in ("center", "radius")}
@@ -84,7 +98,7 @@ def completed(found: Mapping[str, Any], tolerance: float, sides: Sides, periodic
 
 
 def told(contact: np.ndarray, spheres: int, tolerance: float) -> tuple[str, int]:
-    """A sentence on the contacts (E, 2) that were found, and how many spheres have none."""
+    """Return a sentence on the contacts (E, 2) that were found, and the number of spheres that have none."""
     alone = spheres - len(np.unique(contact))
     of = f"{counted(len(contact), 'contact')} of {counted(spheres, 'sphere')} found within {tolerance:g} of touching"
     none = f"{counted(alone, 'sphere')} touch{'es' if alone == 1 else ''} nothing" if alone else "each touches another"
@@ -92,7 +106,7 @@ def told(contact: np.ndarray, spheres: int, tolerance: float) -> tuple[str, int]
 
 
 def _lengths(periodic: Any, dimension: int, largest: float) -> np.ndarray:
-    """(D,) lengths of the periodic sides, 0 along other axes."""
+    """Return the lengths (D,) of the periodic sides, 0 along other axes; raise InputError for anything else."""
     if periodic is None:
         return np.zeros(dimension)
     values = [0.0 if value is None else value for value in np.atleast_1d(np.array(periodic, dtype=object)).tolist()]
@@ -109,7 +123,10 @@ def _lengths(periodic: Any, dimension: int, largest: float) -> np.ndarray:
 def _contacts(
     center: np.ndarray, radius: np.ndarray, share: float, length: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Contacts (E, 2), ordered by their spheres, and normals (E, D); InputError for a deeper overlap, and for none."""
+    """Return contacts (E, 2), ordered by their spheres, and normals (E, D).
+
+    Raises InputError if spheres overlap more than the tolerance allows, or if none touch.
+    """
     inside, closed = np.array(center), length > 0
     inside[:, closed] = np.mod(inside[:, closed], length[closed])
     number, shift = images(inside, radius, np.diag(length)[closed], 1 + share)
@@ -135,7 +152,10 @@ def _contacts(
 
 
 def _leads_up(shift: np.ndarray) -> np.ndarray:
-    """True for shifts (X, D) whose last component that is not 0 is positive: one of each two images."""
+    """Return a mask (X,) of the shifts (X, D) whose last component that is not 0 is positive.
+
+    Of the two images by which a pair of spheres touches, it picks one.
+    """
     up = np.zeros(len(shift), dtype=bool)
     for component in shift.T:
         up = np.where(component != 0, component > 0, up)
@@ -143,7 +163,11 @@ def _leads_up(shift: np.ndarray) -> np.ndarray:
 
 
 def _ends(center: np.ndarray, radius: np.ndarray, share: float, length: np.ndarray) -> np.ndarray:
-    """Bodies (N,): 0 for the lowest spheres along the last axis, 1 for the highest, -1 for others."""
+    """Return the bodies (N,): 0 for the lowest spheres along the last axis, 1 for the highest, -1 for others.
+
+    share : spheres within so many of their radii of the extreme centres belong to these. length : (D,), lengths of the
+    periodic sides. Raises InputError if the last axis is periodic, or if all spheres are at one height.
+    """
     height, name = center[:, -1], "xyz"[center.shape[1] - 1]
     if length[-1]:
         raise InputError(f"{name} is periodic, so there is no bottom and no top; give a column or an array `driven`")

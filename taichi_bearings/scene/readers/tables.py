@@ -19,14 +19,17 @@ CONTACT_COLUMNS = {
     "friction": "friction", "mu": "friction", "viscosity": "viscosity", "normal_force": "normal_force",
     "fn": "normal_force",
 }  # fmt: skip
-"""Columns that a table may have, and what they are called here."""
-WHOLE_COLUMNS = {"driven", "id", "first", "second"}
+"""Names of columns that a table may have, in lower case, and the names of the arrays that they become."""
+WHOLE_COLUMNS = {"driven", "id", "first", "second"}  # columns of whole numbers
 DELIMITERS = (",", ";", "\t")
 
 
 def read_spheres(path: Path) -> dict[str, np.ndarray]:
-    """Arrays by name of a table with the columns x, y and of spheres z, in any order; of more columns radius (or
-    diameter), driven, spin (of spheres spin_x, spin_y, spin_z), and id. `id` (N,), if there, is what contacts name."""
+    """Return the arrays of a table of spheres by name; raise FileError if it cannot be read.
+
+    The table needs the columns x, y and, for spheres, z. It may have radius or diameter, driven, spin (for spheres
+    spin_x, spin_y and spin_z), and id, the numbers by which a table of contacts refers to spheres.
+    """
     columns = _read(path, SPHERE_COLUMNS, MOST_SPHERES, ("x", "y"))
     axes = [name for name in "xyz" if name in columns]
     found = {"center": np.column_stack([columns.pop(name) for name in axes])}
@@ -51,8 +54,13 @@ def read_spheres(path: Path) -> dict[str, np.ndarray]:
 
 
 def read_contacts(path: Path, ids: np.ndarray | None, spheres: int) -> dict[str, np.ndarray]:
-    """Arrays by name of a table with the columns first and second (or i and j), the ids of the spheres of a contact,
-    or without ids their numbers, from 0; of more columns nx, ny, nz, friction, viscosity and normal_force."""
+    """Return the arrays of a table of contacts by name; raise FileError if it cannot be read.
+
+    ids : (N,) ids of the spheres, or None. spheres : their number N.
+
+    The table needs the columns first and second, or i and j: the ids of the two spheres of a contact, or without ids
+    their numbers from 0. It may have nx, ny, nz, friction, viscosity and normal_force.
+    """
     columns = _read(path, CONTACT_COLUMNS, MOST_CONTACTS, ("first", "second"))
     contact = np.column_stack([columns.pop("first"), columns.pop("second")])
     normal = [columns.pop(name) for name in ("nx", "ny", "nz") if name in columns]
@@ -69,7 +77,11 @@ def read_contacts(path: Path, ids: np.ndarray | None, spheres: int) -> dict[str,
 
 
 def _read(path: Path, names: Mapping[str, str], most: int, needed: Sequence[str]) -> dict[str, np.ndarray]:
-    """The columns (rows,) of a table by name. names : those that it may have, with what they are called here."""
+    """Return the columns (rows,) of a table by name; raise FileError if it cannot be read.
+
+    names : columns that it may have, with the names of the arrays. most : number of rows that it may have. needed :
+    names of arrays that it must have.
+    """
     head, rows, delimiter = None, list[list[float]](), None
     for line, text in enumerate(read_text_lines(path), start=1):
         try:
@@ -98,7 +110,8 @@ def _cells(words: str, delimiter: str | None) -> list[str]:
 
 
 def _head(path: Path, line: int, cells: list[str], names: Mapping[str, str], needed: Sequence[str]) -> list[str]:
-    """What the columns are called here; FileError for one that is not known, or lacks or is there twice."""
+    """Return the names of the arrays for the cells of a header; raise FileError for a column that is unknown, missing
+    or there twice."""
     known = [cell.lower() for cell in cells]
     if strange := [name for name in known if name not in names]:
         allowed = ", ".join(names)
@@ -115,7 +128,7 @@ def _head(path: Path, line: int, cells: list[str], names: Mapping[str, str], nee
 
 
 def _row(path: Path, line: int, cells: list[str], names: Sequence[str]) -> list[float]:
-    """The numbers of a row; FileError names the line and what is wrong in it."""
+    """Return the numbers of a row; raise FileError, with the line and what is wrong in it, for anything else."""
     if len(cells) != len(names):
         raise FileError(f"line {line} of {path} has {len(cells)} cells, and its header {len(names)}")
     numbers = []
