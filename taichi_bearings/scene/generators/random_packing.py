@@ -1,9 +1,12 @@
 """Random packings of two sizes of spheres or discs that touch exactly, deposited one by one.
 
 After Bennett, J. Appl. Phys. 43, 2727 (1972): on a floor of spheres at random places each next one, its size drawn,
-goes into the lowest pocket where it touches D others and overlaps none. So E = D (N - floor): just as many contacts as
-hold every sphere in place, the isostatic number, 2 D a sphere but for floor and surface. None is loose. Sides are
+goes into the lowest pocket where it touches D others and overlaps none. So there are E = D (N - F) contacts of N
+spheres, F of them on the floor: just as many as hold every sphere in place (isostatic). No sphere is loose. Sides are
 periodic.
+
+pocket : a place where a new sphere would touch D others. D is the dimension, 2 or 3. Lengths are in radii of the small
+spheres.
 """
 
 from heapq import heappop, heappush
@@ -17,17 +20,21 @@ from taichi_bearings.scene.generators.lattices import Built
 from taichi_bearings.words import shown
 
 MOST_DEPOSITED = 200_000
-FILLED = {2: 0.78, 3: 0.57}  # share of the box that spheres fill, for the width of one as wide as high
-NARROWEST = 4.0  # width in diameters of the large spheres: no sphere then meets another one around both sides
+FILLED = {2: 0.78, 3: 0.57}  # fraction of the box that spheres fill; with it a box is made about as wide as high
+NARROWEST = 4.0  # least width in diameters of large spheres, so that two spheres do not touch around both sides
 FLOOR_TRIES = 60  # places tried for each sphere that the floor could hold
 FLATTEST = (
     1e-3  # square of the height of a pocket above those that form it, over that of a radius: rounding stays small
 )
-CLAIMED_OVERLAP = 1e-12  # over the sum of the radii, that rounding may claim
+CLAIMED_OVERLAP = 1e-12  # overlap that may be rounding, relative to the sum of the radii
 
 
 class _Heap:
-    """Spheres placed so far, lengths in radii of the small ones, and pockets of each size by height."""
+    """The spheres placed so far, and the pockets for spheres of each size, lowest first.
+
+    place : (N, D), centres. radius : (N,). sides : (D,), lengths of the periodic sides, infinite along the height.
+    count : number of spheres placed so far. made : number of pockets made so far. pockets : by radius of the sphere.
+    """
 
     def __init__(self, count: int, width: float, ratio: float, dimension: int) -> None:
         self.place, self.radius = np.empty((count, dimension)), np.empty(count)
@@ -37,17 +44,18 @@ class _Heap:
         self.pockets: dict[float, list] = {size: [] for size in self.sizes}
 
     def away(self, place: np.ndarray, since: int = 0) -> np.ndarray:
-        """Vectors from a place to the spheres put since, (n, D)."""
+        """Return vectors (n, D) from a place to the nearest images of the spheres with numbers from `since` on."""
         vector = self.place[since : self.count] - place
         vector[:, :-1] -= self.sides[:-1] * np.round(vector[:, :-1] / self.sides[:-1])
         return vector
 
     def is_free(self, place: np.ndarray, size: float, since: int = 0) -> bool:
+        """Return True if a sphere of radius `size` at a place overlaps none of the spheres from number `since` on."""
         reach = (self.radius[since : self.count] + size) * (1 - CLAIMED_OVERLAP)
         return bool(((self.away(place, since) ** 2).sum(axis=1) >= reach**2).all())
 
     def put(self, place: np.ndarray, size: float) -> None:
-        """Place a sphere, and find the pockets that it forms with others."""
+        """Add a sphere of radius `size`, and find the pockets that it forms with others."""
         vector = self.away(place)
         close = (vector**2).sum(axis=1) < (size + self.radius[: self.count] + 2 * self.sizes[1]) ** 2
         near, vector = np.flatnonzero(close), vector[close]
@@ -65,7 +73,10 @@ class _Heap:
                 heappush(pockets, (float(there[-1]), self.made, there, (own, *near[others].tolist()), self.count))
 
     def fill(self, size: float) -> tuple[int, ...] | None:
-        """Put a sphere into the lowest pocket for its size, and return those that it touches; None if none is left."""
+        """Put a sphere of radius `size` into the lowest pocket; return the numbers of the D spheres that it touches.
+
+        None if no pocket is left.
+        """
         while self.pockets[size]:
             _, _, place, held, since = heappop(self.pockets[size])
             if self.is_free(place, size, since):
@@ -75,7 +86,12 @@ class _Heap:
 
 
 def _touching(vector: np.ndarray, first: float, reach: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Places (P, D) at `first` from 0 and at `reach` from D - 1 others at `vector` (n, D); and these (P, D - 1)."""
+    """Return places (P, D) where a new sphere touches a sphere at 0 and D - 1 others, and the numbers (P, D - 1) of
+    these others.
+
+    vector : (n, D), centres of the others. first : distance of the new centre from 0. reach : (n,), its distances from
+    the others.
+    """
     count, dimension = vector.shape
     others = np.arange(count)[:, None] if dimension == 2 else np.column_stack(np.triu_indices(count, 1))
     size = np.linalg.norm(vector, axis=1)
@@ -101,8 +117,12 @@ def _touching(vector: np.ndarray, first: float, reach: np.ndarray) -> tuple[np.n
 def built(
     spheres: int, dimension: int, ratio: float, large: float, width: float | None, rng: np.random.Generator
 ) -> tuple[np.ndarray, Built]:
-    """Radii (N,) of small spheres; places, contacts, normals, signs, all 1, and sides, 0 of the floor, 1 of spheres at
-    the surface, else -1. large : share of large spheres. width : of the box, in diameters of small ones."""
+    """Return radii (N,) and the packing: places, contacts, normals, signs, which are all 1, and bodies, 0 for the
+    floor, 1 for spheres at the surface, -1 for others.
+
+    spheres, dimension, ratio, large, width : as of `Packing.random`. rng : generator of the random numbers.
+    Raises InputError for arguments that are not allowed, or if no pocket is left for a sphere.
+    """
     spheres = whole(10, MOST_DEPOSITED).named("spheres", spheres)
     if dimension not in (2, 3):
         raise InputError(f"dimension is {shown(dimension)}; it must be 2 or 3")

@@ -28,8 +28,12 @@ TANGENT = 1e-9  # gap of discs that touch, over the sum of their radii
 
 
 def built(m: int, n: int, least_radius: float, periods: int) -> tuple[np.ndarray, Built]:
-    """Radii (N,); places (N, 2), contacts (E, 2), normals (E, 2), signs of the two kinds (N,) and sides (N,): 0 of
-    discs on the lower line, 1 on the upper one, else -1. Heights are 0 to 1, x is periodic, large discs come first."""
+    """Return radii (N,) and the bearing: places (N, 2), contacts (E, 2), normals (E, 2), signs (N,) of the two kinds,
+    and bodies (N,), 0 for discs on the lower line, 1 for those on the upper one, -1 for others.
+
+    m, n, least_radius, periods : as of `Packing.space_filling`. Heights are from 0 to 1, x is periodic, and large discs
+    come first. Raises InputError for arguments that are not allowed.
+    """
     m, n = (whole(0, LARGEST_COUNT).named(name, value) for name, value in (("m", m), ("n", n)))
     periods = whole(1, MOST_PERIODS).named("periods", periods)
     least = finite_number("least_radius", least_radius)
@@ -50,7 +54,10 @@ def built(m: int, n: int, least_radius: float, periods: int) -> tuple[np.ndarray
 
 
 def _half_period(m: int, n: int, least: float) -> tuple[np.ndarray, float]:
-    """Discs with centres from x = 0 to a: x, y, radius and kind, +1 or -1, (N, 4); and a."""
+    """Return the discs with centres from x = 0 to a, (N, 4): x, y, radius, and kind, +1 or -1; and a.
+
+    least : radius of the smallest discs that are kept.
+    """
     share_m, share_n = (cos(pi / (count + 3)) ** 2 for count in (m, n))
     square = 1 / (1 / share_m + 1 / share_n - 1)
     a, c, d = sqrt(square), square / (2 * share_m), square / (2 * share_n)
@@ -67,12 +74,13 @@ def _half_period(m: int, n: int, least: float) -> tuple[np.ndarray, float]:
 
 
 def _folded(discs: np.ndarray, a: float) -> np.ndarray:
+    """Return discs moved to x from 0 to a by reflections in x = 0 and x = a."""
     x = np.mod(discs[:, 0], 2 * a)
     return np.column_stack([np.where(x > a, 2 * a - x, x), discs[:, 1:]])
 
 
 def _unlike(found: np.ndarray, new: np.ndarray, tolerance: float) -> np.ndarray:
-    """The new discs, each once, that are not among those found."""
+    """Return the new discs, each once, that are not among those found, up to this distance of centres."""
     from scipy.spatial import cKDTree  # a tenth of a second that runs do not need
 
     once = np.ones(len(new), dtype=bool)
@@ -83,10 +91,13 @@ def _unlike(found: np.ndarray, new: np.ndarray, tolerance: float) -> np.ndarray:
 
 
 def _reflected(discs: np.ndarray, x: float, y: float, size: float, a: float, least: float) -> np.ndarray:
-    """Images, not smaller than `least`, in the circle about (x, y) of all copies of the discs outside that circle.
+    """Return the mirror images, in the circle of radius `size` about (x, y), of all copies of discs outside the circle.
 
-    Discs of a packing that is its own image are orthogonal to the circle, inside or outside; those inside are images of
-    larger ones, so that none is missed.
+    discs : (N, 4), of which copies are made by reflection in x = 0 and by shifts of 2 a. least : radius of the smallest
+    images that are kept.
+
+    Each disc of the bearing is orthogonal to the circle, inside it or outside. Those inside are images of larger ones
+    outside, so none is missed.
     """
     farthest = size * sqrt(discs[:, 2].max(initial=0.0) / least) + 1  # images of those beyond are too small
     turns = 2 * a * np.arange(-ceil(farthest / (2 * a)) - 1, ceil(farthest / (2 * a)) + 2)
@@ -100,7 +111,7 @@ def _reflected(discs: np.ndarray, x: float, y: float, size: float, a: float, lea
 
 
 def _contacts(place: np.ndarray, radius: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
-    """Contacts (E, 2) and normals (E, 2) of discs on a strip that closes on itself after `length`."""
+    """Return contacts (E, 2) and normals (E, 2) of discs on a strip that is periodic along x with this length."""
     from scipy.spatial import cKDTree  # a tenth of a second that runs do not need
 
     count = len(place)

@@ -25,13 +25,16 @@ FLAT = 1e-6  # of the largest radius, by which centres of discs may leave their 
 
 @dataclass(frozen=True)
 class Asked:
-    """What is to be read of dumps, beside the names of the columns of their contacts.
+    """What to read from dumps, in addition to the columns of contacts.
 
-    step : the timestep; if None the last one that is whole in both files.
-    driven : body of driven atoms by id, or (N,) in the order of the ids, -1 for free ones; or driven_types : body of
-    all atoms of a type. spin : of each body, 1/time, a vector, of discs a number; if None columns omegax, omegay,
-    omegaz. dimension : 2 for discs in the plane z = const. radius : of all atoms, length, for dumps without radius and
-    diameter. periodic : axes that close on themselves, for dumps whose box does not say so.
+    step : the timestep; None for the last one that is complete in both files.
+    driven : number of the body of each driven atom, by id; or an array (N,) in the order of the ids, -1 for free atoms.
+    driven_types : in place of `driven`, number of the body of all atoms of a type, by type.
+    spin : imposed spin of each body, 1/time, by number of the body: a vector, or a number for discs. None to read the
+        columns omegax, omegay and omegaz.
+    dimension : 3, or 2 for discs in a plane z = const.
+    radius : radius of all atoms, length, for dumps without a column of radii or diameters.
+    periodic : names of the periodic axes, for dumps whose box does not say which they are.
     """
 
     step: int | None = None
@@ -50,16 +53,16 @@ class Asked:
 
     @property
     def kinds(self) -> list[str]:
-        """The column of types, where it is needed."""
+        """The column of types in a list, empty if types are not needed."""
         return ["type"] if self.driven_types is not None else []
 
     @property
     def rates(self) -> list[str]:
-        """The columns of spins, where they are needed."""
+        """The columns of spins, empty if these are not needed."""
         return [] if self.spin is not None else list(SPIN if self.dimension == 3 else SPIN[2:])
 
     def size(self, names: Sequence[str]) -> list[str]:
-        """The column of radii or diameters, where it is needed."""
+        """Return the column of radii or diameters in a list, empty if it is not needed. names : columns of the dump."""
         return ["radius" if "radius" in names else "diameter"] if self.radius is None else []
 
     def place(self, names: Sequence[str]) -> list[str]:
@@ -69,11 +72,12 @@ class Asked:
         return [name for axis in AXIS_NAMES if (name := kind.format(axis)) in names or axis in needed]
 
     def columns(self, names: Sequence[str]) -> list[str]:
+        """Return all columns of atoms that are read. names : columns of the dump."""
         return ["id", *self.kinds, *self.size(names), *self.place(names), *self.rates]
 
 
 def read_dumps(atoms: Path, contacts: Path, columns: Sequence[str], asked: Asked) -> dict[str, np.ndarray]:
-    """Arrays of a packing by name; spheres in the order of their ids.
+    """Return the arrays of a packing by name, with spheres in the order of their ids.
 
     atoms : has columns id, radius or diameter, and x y z, xu yu zu (unwrapped), xs ys zs or xsu ysu zsu (shares of the
     box). contacts : has the columns named by `columns`: the ids of both atoms of a contact, as ("c_pair[1]",
@@ -143,7 +147,7 @@ def _whole_frame(frames: Frames, step: int, *of: Any) -> Frame:
 
 
 def _refuse_strange_rows(frame: Frame) -> None:
-    """FileError for a number that is not finite or too large."""
+    """Raise FileError for a row with a number that is not finite or too large."""
     strange = ~(np.abs(frame.table) <= MOST_INTEGER_OR_SIZE).all(axis=1)
     if strange.any():
         row = int(np.argmax(strange))
@@ -169,7 +173,7 @@ def _centers(frame: Frame, names: list[str], place: np.ndarray, asked: Asked) ->
 
 
 def _radii(frame: Frame, column: np.ndarray, asked: Asked) -> np.ndarray:
-    """Radii (N,), out of the column of radii or diameters, or the one that is asked for."""
+    """Return the radii (N,) from the column of radii or diameters, or the one radius that `asked` gives."""
     if asked.radius is None:
         return column * (1.0 if "radius" in frame.names else 0.5)
     if own := [name for name in ("radius", "diameter") if name in frame.names]:
@@ -237,7 +241,7 @@ def _normals(
 
 
 def _periods(frame: Frame, asked: Asked) -> np.ndarray:
-    """Vectors (k, D) of the periodic sides."""
+    """Return the vectors (k, D) of the periodic sides."""
     box = frame.box
     if asked.periodic is not None:
         closed = set(axis_numbers(periodic_axes(asked.periodic, AXIS_NAMES[: asked.dimension])))
@@ -272,7 +276,10 @@ def _pressing(rows: Frame, force: np.ndarray, count: int) -> np.ndarray:
 
 
 def _matched(rows: Frame, row: np.ndarray, frame: Frame, number: np.ndarray) -> np.ndarray:
-    """Contacts (E, 2) as places among the numbers (N,) of all atoms. row : (E,), rows of the dump."""
+    """Return contacts (E, 2) as positions in the array of ids of all atoms.
+
+    rows : dump of the contacts. row : (E,), numbers of the rows that are contacts. number : (N,), ids of the atoms.
+    """
     ids = rows.table[row, :2].astype(np.int64)
     keys, place = number, np.arange(len(number))
     if rows.is_rounded and not frame.is_rounded:  # as %g prints them
@@ -300,7 +307,7 @@ def _matched(rows: Frame, row: np.ndarray, frame: Frame, number: np.ndarray) -> 
 
 
 def _bodies(number: np.ndarray, asked: Asked, kind: np.ndarray) -> np.ndarray:
-    """Body of each atom (N,), -1 for free ones."""
+    """Return the body of each atom, (N,), -1 for free ones. number : (N,), ids. kind : (N,), types of the atoms."""
     if asked.driven is not None and not isinstance(asked.driven, Mapping):
         return np.asarray(asked.driven)
     table, keys = (asked.driven_types or {}, kind) if asked.driven is None else (asked.driven, number)
@@ -313,7 +320,7 @@ def _bodies(number: np.ndarray, asked: Asked, kind: np.ndarray) -> np.ndarray:
 
 
 def _imposed(body: np.ndarray, spin: Mapping[int, Any], dimension: int) -> np.ndarray:
-    """Spins (N, 3), of discs (N,), of the driven atoms; 0 for others."""
+    """Return the imposed spins of driven atoms, (N, 3) or (N,) for discs, 1/time; 0 for others. spin : by body."""
     values = np.zeros((len(body), 3) if dimension == 3 else len(body))
     for own in np.unique(body[body >= 0]).tolist():
         if own not in spin:
