@@ -1,11 +1,15 @@
-"""Finds the connected pieces of a graph, and which of them have loops of odd length. SciPy's searches do the work."""
+"""Finds the connected pieces of a graph, and which of them have loops of odd length. SciPy's searches do the work.
+
+SciPy is loaded when they are first called: it takes a third of a second, and scenes on lattices do without them.
+"""
 
 import numpy as np
 
 
 def pieces(nodes: int, first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """Return a label (nodes,) of the connected piece of each node. first, second : the two ends of each edge."""
-    from taichi_bearings.quick_scipy import csgraph, sparse  # only here: a scene without searches does without SciPy
+    from scipy import sparse
+    from scipy.sparse import csgraph
 
     graph = sparse.csr_array((np.ones(len(first), dtype=np.int8), (first, second)), shape=(nodes, nodes))
     return np.asarray(csgraph.connected_components(graph, directed=False)[1])
@@ -20,7 +24,8 @@ def odd_pieces(nodes: int, first: np.ndarray, second: np.ndarray) -> tuple[np.nd
     returns : (nodes,) True for nodes of pieces with odd loops; (nodes,) signs, +1 or -1, that differ between neighbours
         in pieces without odd loops.
     """
-    from taichi_bearings.quick_scipy import csgraph, sparse
+    from scipy import sparse
+    from scipy.sparse import csgraph
 
     ends = np.concatenate([first, second]), np.concatenate([second, first]) + nodes
     cover = sparse.csr_array((np.ones(len(ends[0]), dtype=np.int8), ends), shape=(2 * nodes, 2 * nodes))
