@@ -32,7 +32,7 @@ def test_a_run_names_its_phases_on_one_line_and_says_where_the_time_went(tmp_pat
 
 
 def test_a_packing_says_power_and_gap_on_the_way_and_nothing_in_a_pipe(tmp_path):
-    words = ("run", "--shape", "16,16,14", "--driven", "shaft:2", "--threads", "1", "--figures", "none")
+    words = ("run", "--shape", "22,22,20", "--driven", "shaft:2", "--threads", "1", "--figures", "none")
     session = on_terminal(*words, "--out", tmp_path / "a", columns=140)
     assert session.returncode == 0
     told = [
