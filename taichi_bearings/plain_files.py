@@ -148,6 +148,22 @@ def let_go(file: IO[bytes]) -> None:
         file.close()
 
 
+def replace_file(path: Path, content: bytes | memoryview) -> None:
+    """Replace `path` by a file with this content in one move; WriteError if that cannot be done."""
+    refuse_link_out(path)
+    path = real_path(path)  # a link stays one
+    with writing(path):
+        file, temporary = new_file(path)
+        try:
+            with file:
+                write_all(file, content)
+                let_go(file)
+                os.replace(temporary, path)
+        finally:
+            temporary.unlink(missing_ok=True)
+            leaving.forget_temporary(temporary)
+
+
 def remove(path: Path) -> None:
     """Remove whatever has this name, and nothing that a link leads to."""
     if path.is_dir() and not path.is_symlink():

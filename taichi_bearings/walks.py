@@ -21,9 +21,7 @@ place : of a value, the number by which the calls of a stored walk refer to it.
 import contextlib
 import hashlib
 import marshal
-import os
 import sys
-import tempfile
 import threading
 import types
 from collections.abc import Callable, Iterator
@@ -31,6 +29,8 @@ from functools import cache
 from operator import attrgetter, getitem
 from pathlib import Path
 from typing import Any
+
+from taichi_bearings.plain_files import replace_file
 
 COMPILER = (1, 7, 4)  # version of Taichi whose inner functions are known here
 KERNELS = "taichi_bearings.kernels"  # the package whose functions may be kept
@@ -453,10 +453,7 @@ def _write(place: Path, walk: Walk, guards: list[Guard]) -> None:
     """
     place.parent.mkdir(mode=0o700, exist_ok=True)
     kept = marshal.dumps((walk, guards))
-    handle, name = tempfile.mkstemp(dir=place.parent)
-    with os.fdopen(handle, "wb") as file:
-        file.write(hashlib.sha256(kept).digest() + kept)
-    os.replace(name, place)
+    replace_file(place, hashlib.sha256(kept).digest() + kept)
     files = list(place.parent.iterdir())
     if len(files) > MOST_FILES:
         for old in sorted(files, key=lambda file: file.stat().st_mtime)[: MOST_FILES // 2]:

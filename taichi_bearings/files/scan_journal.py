@@ -17,8 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from taichi_bearings.errors import FileError
-from taichi_bearings.files.whole_file import replace_file
-from taichi_bearings.plain_files import opened, read_lines, refuse_link_out, write_all, writing
+from taichi_bearings.plain_files import opened, read_lines, refuse_link_out, replace_file, write_all, writing
 from taichi_bearings.scene.solution import is_crossed
 
 JOURNAL_NAME = "samples.jsonl"

@@ -3,7 +3,6 @@
 import contextlib
 import csv
 import io
-import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,11 +15,9 @@ import numpy as np
 from taichi_bearings.checksums import open_checked, seal
 from taichi_bearings.errors import FileError, InputError, printable
 from taichi_bearings.hdf5 import LAYOUT
-from taichi_bearings.leaving import forget_temporary
-from taichi_bearings.plain_files import let_go, new_file, real_path, refuse_link_out, write_all, writing
+from taichi_bearings.plain_files import replace_file, writing
 from taichi_bearings.words import shown
 
-Buffer = bytes | memoryview
 NO_ATTRIBUTES: Mapping[str, Any] = MappingProxyType({})
 
 
@@ -42,22 +39,6 @@ def refuse_standing(paths: Iterable[Path], force: bool = False) -> None:
     standing = [] if force else [path for path in paths if path.exists()]
     if standing:
         raise FileError(f"{standing[0]} already exists; choose another --out or add --force")
-
-
-def replace_file(path: Path, content: Buffer) -> None:
-    """Replace `path` by a file with this content in one move; WriteError if that cannot be done."""
-    refuse_link_out(path)
-    path = real_path(path)  # a link stays one
-    with writing(path):
-        file, temporary = new_file(path)
-        try:
-            with file:
-                write_all(file, content)
-                let_go(file)
-                os.replace(temporary, path)
-        finally:
-            temporary.unlink(missing_ok=True)
-            forget_temporary(temporary)
 
 
 def write_text(path: Path, text: str) -> None:

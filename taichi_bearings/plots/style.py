@@ -15,7 +15,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
 
-from taichi_bearings.files.whole_file import replace_file
+from taichi_bearings.plain_files import replace_file
 from taichi_bearings.plots.page import BROAD, PAGE, Page, columns_on
 from taichi_bearings.quantities import COLUMNS
 from taichi_bearings.scene import Bearing

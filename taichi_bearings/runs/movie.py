@@ -18,7 +18,8 @@ from PIL import Image
 
 from taichi_bearings import leaving
 from taichi_bearings.errors import InputError, WriteError
-from taichi_bearings.files.whole_file import refuse_ending, replace_file
+from taichi_bearings.files.whole_file import refuse_ending
+from taichi_bearings.plain_files import replace_file
 from taichi_bearings.plots.page import Page
 from taichi_bearings.plots.style import in_our_style
 from taichi_bearings.runs.figures import draw_snapshot

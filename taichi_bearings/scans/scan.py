@@ -17,9 +17,8 @@ from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.files.scan_file import write_scan
 from taichi_bearings.files.scan_journal import JOURNAL_NAME as JOURNAL
 from taichi_bearings.files.scan_journal import Journal
-from taichi_bearings.files.whole_file import replace_file
 from taichi_bearings.interrupts import awaited
-from taichi_bearings.plain_files import refuse_link_out
+from taichi_bearings.plain_files import refuse_link_out, replace_file
 from taichi_bearings.runs.run import row_of
 from taichi_bearings.runs.run_directory import tidy, writable_folder
 from taichi_bearings.runtime import available_threads, refuse_absent
