@@ -33,10 +33,10 @@ from scipy.spatial import cKDTree
 from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.errors import InputError
 from taichi_bearings.numerics.double_double import exactly
-from taichi_bearings.packing import Packing
-from taichi_bearings.packing.answer import solve_packing
-from taichi_bearings.packing.planar import least_spins
 from taichi_bearings.plots.style import BLUE, GREY, in_our_style, new_figure, shades
+from taichi_bearings.scene.packing import Packing
+from taichi_bearings.solvers.nested_cuts import least_spins
+from taichi_bearings.solvers.packing_answer import solve_packing
 
 from .claims import Effort
 from .drawing import draw_means, name_sizes

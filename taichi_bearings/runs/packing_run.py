@@ -16,7 +16,6 @@ from taichi_bearings import leaving, runtime
 from taichi_bearings.errors import DeviceError, InputError
 from taichi_bearings.lattice import Lattice
 from taichi_bearings.options import options_of
-from taichi_bearings.packing import solve_packing
 from taichi_bearings.proof.contact_state import by_threshold, decided, what_is_proven
 from taichi_bearings.runs.result import Result
 from taichi_bearings.runs.settings import OF_SIDES, SIZES, RunSettings
@@ -26,6 +25,7 @@ from taichi_bearings.scene.array_files import read_arrays, read_coefficients
 from taichi_bearings.scene.initial_spins import STARTS, initial_spin
 from taichi_bearings.scene.packing import Packing
 from taichi_bearings.scene.readers.found import TOLERANCE, Sides, completed
+from taichi_bearings.solvers.packing_answer import solve_packing
 from taichi_bearings.solvers.table import METHODS, InteriorPoint, MethodOptions, row_of_packing
 from taichi_bearings.stages import stage
 from taichi_bearings.words import counted, shown

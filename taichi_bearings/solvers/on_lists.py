@@ -16,8 +16,6 @@ from taichi_bearings.fields.lists import COPY_NUMBERS, Lists, ListSpec
 from taichi_bearings.kernels.contact_list import CundallStrackLists, DescentLists
 from taichi_bearings.kernels.team import Sweeps, Team, made_once
 from taichi_bearings.numerics.blas import one_thread
-from taichi_bearings.packing.answer import judged
-from taichi_bearings.packing.found import Found
 from taichi_bearings.proof.certificate import Forces
 from taichi_bearings.proof.contact_state import classify, decided, what_is_proven
 from taichi_bearings.scene import Bearing, Progress, Solution, Status
@@ -25,6 +23,8 @@ from taichi_bearings.scene.packing import Packing, of_packing
 from taichi_bearings.scene.scene import vector_length
 from taichi_bearings.scene.solution import SLIPLESS, SLIPPING, UNDECIDED
 from taichi_bearings.solvers.contacts import Contacts, Ended, Launch
+from taichi_bearings.solvers.found import Found
+from taichi_bearings.solvers.packing_answer import judged
 from taichi_bearings.solvers.packing_bounds import PackingBounds
 from taichi_bearings.solvers.stopping import ended_as
 

@@ -10,13 +10,13 @@ from taichi_bearings.conic.cones import isotropic
 from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.conic.contraction import order_by_place
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
+from taichi_bearings.conic.rolling import rolled
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
 from taichi_bearings.numerics.double_double import exactly
-from taichi_bearings.packing.answer import forces_of, judgement_of
-from taichi_bearings.packing.found import Found
-from taichi_bearings.packing.rolling import rolled
 from taichi_bearings.proof.judgement import Judgement
 from taichi_bearings.scene.packing import Packing
+from taichi_bearings.solvers.found import Found
+from taichi_bearings.solvers.packing_answer import forces_of, judgement_of
 
 
 class PackingBounds:

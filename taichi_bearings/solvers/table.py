@@ -87,7 +87,7 @@ class MethodOptions:
     """A method and its options. The facts of a method are class variables, its options the fields.
 
     name : for --method. implementation : "module:class", which is called with the options.
-    steps_packings : it also solves packings, step by step. minimises_packings : packing/answer.py finds minima of
+    steps_packings : it also solves packings, step by step. minimises_packings : packing_answer.py finds minima of
     packings by a method of this name.
     is_dynamics : its iterations are steps in time. keeps_checkpoints : it can continue from a checkpoint, unless it
     minimises a packing. needs_taichi : it uses kernels or fields.

@@ -9,13 +9,13 @@ from scipy.optimize import minimize
 
 from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.kernels.contact import FORCES
-from taichi_bearings.packing import Packing
 from taichi_bearings.runs import run as runs
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.runs.verify import verify
 from taichi_bearings.scene import Scene, Status
 from taichi_bearings.scene.initial_spins import initial_spin
 from taichi_bearings.scene.law import LAWS, Law, Quantity
+from taichi_bearings.scene.packing import Packing
 from taichi_bearings.solvers.drive import solve
 from taichi_bearings.solvers.stopping import StopRule
 from taichi_bearings.solvers.table import METHODS, fastest

@@ -9,7 +9,7 @@ import pytest
 from taichi_bearings.analysis import bottlenecks
 from taichi_bearings.analysis.bottlenecks import Bottlenecks, betweenness
 from taichi_bearings.analysis.slipless_network import SliplessNetwork
-from taichi_bearings.packing import Packing
+from taichi_bearings.scene.packing import Packing
 from tests.analysis.networks import (
     APART,
     CHAIN,

@@ -14,13 +14,13 @@ from taichi_bearings.analysis.bottlenecks import Bottlenecks
 from taichi_bearings.analysis.slipless_network import SliplessNetwork
 from taichi_bearings.checksums import ATTRIBUTE
 from taichi_bearings.errors import DeviceError, FileError, InputError
-from taichi_bearings.packing import Packing
 from taichi_bearings.quantities import STRUCTURE
 from taichi_bearings.runs.figures import draw_figure
 from taichi_bearings.runs.verify import verify
 from taichi_bearings.scans.histogram import pooled, read_source
 from taichi_bearings.scene import Solution
 from taichi_bearings.scene.initial_spins import initial_spin
+from taichi_bearings.scene.packing import Packing
 from tests.cli.commands import bearings
 from tests.packing.twins import pair
 

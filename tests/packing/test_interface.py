@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from taichi_bearings.analysis.structure import find_interface
-from taichi_bearings.packing import Packing
 from taichi_bearings.scene.interface import Interface
+from taichi_bearings.scene.packing import Packing
 from tests.scenes import make_scene, some_of
 
 KINDS = [("bcc", (2, 2, 3)), ("honeycomb", (3, 4)), ("square", (4, 5)), ("cubic", (3, 3, 4)), ("diamond", (1, 2, 2))]

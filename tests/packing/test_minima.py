@@ -10,7 +10,8 @@ from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.conic.contraction import order_by_place
 from taichi_bearings.conic.newton_matrix import NewtonMatrix
 from taichi_bearings.numerics.double_double import exactly
-from taichi_bearings.packing import answer, planar
+from taichi_bearings.solvers import nested_cuts
+from taichi_bearings.solvers import packing_answer as answer
 from tests.packing.twins import clarabel_least, random_packing
 from tests.scenes import KNOWN_LAWS, some_of
 
@@ -297,7 +298,7 @@ def test_levels_of_mirror_images_are_those_of_all_cuts(seed, levels):
         own |= dict.fromkeys(smallest, value)
         cover.remove_nodes_from(["source", "sink"])
     middle = [(own[i, 1] - own[i, -1]) / 2 for i in range(packing.spheres)]
-    found, _ = planar.least_power(system, packing)[0]
+    found, _ = nested_cuts.least_power(system, packing)[0]
     spins = packing.spins_of(exactly(system.all_spins(found)))[0]
     assert spins.tolist() == pytest.approx(middle, abs=1e-15)
-    assert (planar.least_spins(system, packing) == found).all()
+    assert (nested_cuts.least_spins(system, packing) == found).all()

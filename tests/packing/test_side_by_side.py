@@ -6,7 +6,7 @@ import pytest
 import taichi_bearings as tb
 from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.conic.shared import system_of
-from taichi_bearings.packing import answer
+from taichi_bearings.solvers import packing_answer as answer
 from tests.packing.twins import random_packing
 
 ARRAYS = ("spin", "spin_rounding", "slip", "force", "friction", "state", "proven", "power", "lower_bound", "iterations")

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from taichi_bearings.packing import Packing
 from taichi_bearings.runs.run import run
 from taichi_bearings.runs.settings import RunSettings
+from taichi_bearings.scene.packing import Packing
 
 
 @pytest.fixture(scope="session")

@@ -15,7 +15,6 @@ import taichi_bearings as tb
 from taichi_bearings.analysis.slipless_network import SliplessNetwork
 from taichi_bearings.analysis.structure import Structure
 from taichi_bearings.lattice import Lattice
-from taichi_bearings.packing import Packing
 from taichi_bearings.plots.bearing import SPIN_COLOURS, Sheet
 from taichi_bearings.plots.page import VIEW
 from taichi_bearings.plots.structure import REACHED_COLOURS, contact_colours, draw_domains, draw_network
@@ -24,6 +23,7 @@ from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.runs.run import run
 from taichi_bearings.runs.settings import RunSettings
 from taichi_bearings.scene.network import Network
+from taichi_bearings.scene.packing import Packing
 from tests.scenes import make_scene
 
 BOTTOM, TOP = colormaps[SPIN_COLOURS](0.0), colormaps[SPIN_COLOURS](1.0)

@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 from taichi_bearings.files.scan_file import read_scan
-from taichi_bearings.packing import Packing, answer
 from taichi_bearings.runs import packing_run
 from taichi_bearings.runs.run_file import read_run
 from taichi_bearings.scans.engine import LocalEngine
 from taichi_bearings.scans.estimate import units_of
 from taichi_bearings.scans.sample import solve_samples, state_path
 from taichi_bearings.scans.scan import scan
+from taichi_bearings.scene.packing import Packing
+from taichi_bearings.solvers import packing_answer as answer
 from tests.scans.scan_faults import Here, die_of_several
 from tests.scans.test_scan import CLOCKS, assert_same_but_for_the_clock
 from tests.scans.test_scan_of_packings import save

@@ -10,7 +10,6 @@ import pytest
 from taichi_bearings.analysis.structure import structure_of
 from taichi_bearings.errors import FileError, InputError
 from taichi_bearings.files.scan_file import read_scan
-from taichi_bearings.packing import Packing
 from taichi_bearings.proof.contact_state import ContactState
 from taichi_bearings.runs.run import run
 from taichi_bearings.runs.run_file import read_run
@@ -22,6 +21,7 @@ from taichi_bearings.scans.histogram import pooled, read_source
 from taichi_bearings.scans.listing import entries
 from taichi_bearings.scans.plan import read_plan
 from taichi_bearings.scans.scan import estimate, scan
+from taichi_bearings.scene.packing import Packing
 from tests.scans.scan_faults import Here, asking
 from tests.scans.test_scan import CLOCKS, assert_same_but_for_the_clock
 

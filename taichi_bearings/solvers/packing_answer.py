@@ -20,13 +20,13 @@ from taichi_bearings.conic.contact_system import ContactSystem
 from taichi_bearings.errors import InputError
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.numerics.double_double import exactly
-from taichi_bearings.packing import planar
-from taichi_bearings.packing.found import Found
 from taichi_bearings.proof.contact_state import SATURATED, decided
 from taichi_bearings.proof.judgement import Judgement
 from taichi_bearings.scene import Bearing, Solution, Status
 from taichi_bearings.scene.packing import Packing
 from taichi_bearings.scene.solution import DRIVEN, SLIPLESS, SLIPPING, UNDECIDED
+from taichi_bearings.solvers import nested_cuts
+from taichi_bearings.solvers.found import Found
 from taichi_bearings.stages import stage
 from taichi_bearings.words import shown
 
@@ -102,7 +102,7 @@ def _without_contrast(system: ContactSystem, packing: Packing, found: Solution, 
     spins of that solution are then corrected so that these contacts roll, to the rounding of sums of two doubles, and
     judged with the whole friction. This is repeated with the new power while it pays.
     """
-    from taichi_bearings.packing.rolling import rolled  # and with it Taichi's kernels
+    from taichi_bearings.conic.rolling import rolled  # and with it Taichi's kernels
 
     held, fastest = system.of_contacts(packing)[0], float(np.abs(system.offset).max(initial=0.0))
     for _ in range(MOST_CAPS):
@@ -162,9 +162,9 @@ def _found(
         still = Found(np.zeros(system.unknowns), np.zeros_like(system.offset), "linear-solver")
         return [still for _ in samples]
     if exact and method != "interior-point":
-        cuts = [planar.least_power(system, sample) for sample in samples]
+        cuts = [nested_cuts.least_power(system, sample) for sample in samples]
         return [Found(high, force, "planar-cut", rest=low) for (high, low), force in cuts]
-    from taichi_bearings.packing.path import Strengths, followed, viscous_spins  # and with it Taichi's kernels
+    from taichi_bearings.solvers.packing_path import Strengths, followed, viscous_spins  # and with it Taichi's kernels
 
     found: dict[int, Found] = {}
     ways: dict[int, Strengths] = {}
@@ -240,7 +240,7 @@ def judgement_of(system: ContactSystem, packing: Packing, found: Found) -> Judge
 
 def _without_slip(system: ContactSystem, packing: Packing, found: Found) -> Found:
     """Return the state in which no contact slips and none bears a force, to the rounding of sums of two doubles."""
-    from taichi_bearings.packing.rolling import rolled  # and with it Taichi's kernels
+    from taichi_bearings.conic.rolling import rolled  # and with it Taichi's kernels
 
     start = exactly(np.zeros(system.unknowns))
     spins, rest = rolled(system, packing, start, np.ones(len(system.numbers), dtype=bool))

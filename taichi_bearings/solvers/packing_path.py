@@ -32,7 +32,7 @@ from taichi_bearings.conic.shared import is_small, surroundings_of
 from taichi_bearings.interrupts import look_up
 from taichi_bearings.numerics.blas import one_thread
 from taichi_bearings.numerics.cholesky import NotPositiveDefinite
-from taichi_bearings.packing.found import Found
+from taichi_bearings.solvers.found import Found
 from taichi_bearings.stages import Step, stage
 
 HOLDS = (1e6, 1e8, 1e10, 1e10)  # stiffnesses of the springs one after the other, in units of friction
