@@ -5,7 +5,8 @@ height. What is left is, for each sine, a chain along the other axis, whose equa
 back. A ring is a chain with one more spring, which takes one more sum (docs/decisions.md, 10 counts the operations).
 Every sum runs in one order, whatever the number of workers or replicas.
 
-Letters: C spin components, R replicas, N the shape of the lattice, m free spheres along the height.
+Letters: C spin components, R replicas (samples solved side by side), N the shape of the lattice, m free spheres along
+the height (all but the driven bottom and top). A *mode* is the amplitude of one sine along the height.
 """
 
 from taichi_bearings.compiler import ti
@@ -21,19 +22,35 @@ AHEAD = 4  # a thread of a GPU reads so many spheres of a chain before it writes
 
 @ti.data_oriented
 class BalanceKernels:
-    """The steps of a solve: sines of the field `pull` in `modes`, chains solved there, sines of that added to
-    `potential`.
+    """Kernels that solve a Poisson problem: which change of the spins cancels given torques on the spheres of a
+    lattice.
 
-    Driven spheres stay as they are.
+    A solve has three steps: transform the torques, field `pull`, by sines along the height into `modes`; solve in each
+    mode a chain of spheres along one side; transform back and add the result to the field `potential`. Driven spheres
+    stay as they are.
 
-    modes : (C, R, *N) and a block more.
-    sines : (m, m), the modes of the m free spheres along the height.
-    chains : (C, longest side, height + block), the factors of each chain; with periodic axes as many numbers follow
-        that close chains to rings. Each row begins once more at its end, for blocks that go on there.
+    The kernels share these arguments (C spin components, R replicas, N the shape of the lattice, m free spheres along
+    the height):
+
+    modes : (C, R, *N) numbers, flat, and a block more; scratch of the solve.
+    sines : (m, m), the matrix of the sines along the height, flat.
+    chains : (C, longest side, height + block), flat: the factors by which the elimination of a chain multiplies, for
+        each component, place along the chain, and mode. With periodic axes as many numbers follow that close chains to
+        rings. Each row is repeated at its end for the length of a block, so that a block may begin at any of its
+        places.
+    count : sites of all replicas.
+    stride_x, stride_y : distance in memory, in sites, from a sphere to its neighbour along x and along y.
+    sites : spheres of one replica.
+    longest : spheres of the longest chain.
+    weight : stiffness of the springs along the chains.
     """
 
     def __init__(self, spec: FieldSpec, stencil: Stencil):
-        """spec : fields, in the order of their rows."""
+        """Set the constants for which the kernels are compiled.
+
+        spec : names and numbers of components of the fields, in the order of their rows.
+        stencil : spin components, dimension and periodic axes of the lattice.
+        """
         slot = first_slots(spec)
         self.pull, self.potential = slot["pull"], slot["potential"]
         self.stencil, self.block, self.components = stencil, stencil.block, stencil.components
@@ -41,22 +58,30 @@ class BalanceKernels:
         self.closed = tuple(side in stencil.periodic for side in stencil.coupled_sides)
 
     def measures(self, layout: Layout, longest: int) -> tuple[int, ...]:
-        """Return what the kernels must know of the lattice. longest : spheres of the longest chain."""
+        """Return the whole numbers by which the kernels find spheres in memory: sites of all replicas, strides along x
+        and y, sites of one replica, and `longest`.
+
+        layout : the order of the spheres in memory.
+        longest : spheres of the longest chain.
+        """
         _, _, _, stride_x, stride_y, sites = layout.measures
         return layout.sites, stride_x, stride_y, sites, longest
 
     @ti.func
     def height(self, stride_x, stride_y):
-        """Return the number of spheres along the height. stride_x, stride_y : sites from a sphere to its neighbour
-        along x, y.
+        """Return the number of spheres along the height, which is the stride of the axis before it.
+
+        stride_x, stride_y : distance in memory, in sites, from a sphere to its neighbour along x and along y.
         """
         return stride_y if ti.static(self.stencil.dimension == 3) else stride_x
 
     @ti.func
     def chain(self, slot: ti.template(), stride_x, stride_y, sites):
-        """Return the number of spheres in a chain of this component, and their distance in memory.
+        """Return the number of spheres in a chain, and their distance in memory, in sites.
 
-        slot : the component. stride_x, stride_y, sites : of the layout of a replica.
+        slot : number of the spin component, which decides whether its chains run along x or along y.
+        stride_x, stride_y : distance in memory from a sphere to its neighbour along x and along y.
+        sites : spheres of one replica.
         """
         side, stride = sites // stride_x, stride_x
         if ti.static(self.stencil.coupled_sides[slot] == 1):
@@ -67,18 +92,26 @@ class BalanceKernels:
     def sines_of_tile(
         self, given: ti.template(), found: ti.template(), sines: ti.template(), source, target, kept, item, rows, height
     ):
-        """Sum TILE rows and columns of the product of `given` with the sines, into `found`.
+        """Compute TILE x TILE entries of the matrix product of `given` with the sines, and write them into `found`.
 
+        given, found : arrays whose rows are the columns of spheres along the height, `height` numbers each; of these
+            the first and last belong to driven spheres and take no part.
+        sines : (m, m) matrix with m = height - 2, flat.
         source, target : index of the first number in `given` and in `found`.
-        kept : 1 to add to what is there, 0 to replace it.
-        item : which tile. rows : rows of the matrix. height : spheres along the height.
+        kept : factor of what `found` holds: 1 to add the product to it, 0 to replace it.
+        item : number of the tile. Its rows are neighbours; its columns are as far apart as there are tiles in a row, so
+            that neighbouring threads read neighbouring numbers.
+        rows : rows of `given`.
+        height : spheres along the height.
         """
+        # which rows and columns the tile has
         free = height - 2
         tile = ti.static(range(TILE))
         lanes = (free + TILE - 1) // TILE
         row, lane = item // lanes * TILE, item % lanes
         at = [ti.min(row + r, rows - 1) * height + 1 for r in tile]
         column = [ti.min(lane + c * lanes, free - 1) for c in tile]
+        # sum over the free spheres along the height, in registers
         total = [[0.0 for _ in tile] for _ in tile]
         for k in range(free):
             left = [given[source + at[r] + k] for r in tile]
@@ -86,6 +119,7 @@ class BalanceKernels:
             for r in ti.static(tile):
                 for c in ti.static(tile):
                     total[r][c] += left[r] * right[c]
+        # write the entries that lie within the matrix
         for r in ti.static(tile):
             for c in ti.static(tile):
                 if row + r < rows and lane + c * lanes < free:
@@ -108,9 +142,16 @@ class BalanceKernels:
         longest: int,
         weight: float,
     ):
-        """Make the whole solve on a GPU: sines, chains and sines, each in one parallel loop.
+        """Make the whole solve on a GPU: sines, chains and inverse sines, each in one parallel loop.
 
-        row, margin : layout of the rows. count : sites of all replicas. weight : of the springs along the chains.
+        values : all fields, flat; `pull` is read and `potential` changed.
+        modes : (C, R, *N) scratch for the amplitudes of the sines, flat.
+        sines, chains : matrix of the sines, and factors of the chains, see the class.
+        row, margin : length of a row of the fields, and numbers of a row before the first sphere.
+        count, sites : spheres of all replicas, and of one.
+        stride_x, stride_y : distance in memory from a sphere to its neighbour along x and along y.
+        longest : spheres of the longest chain.
+        weight : stiffness of the springs along the chains.
         """
         for item in range(self.components * self.tiles(count, stride_x, stride_y)):
             tiles, height = self.tiles(count, stride_x, stride_y), self.height(stride_x, stride_y)
@@ -133,13 +174,22 @@ class BalanceKernels:
 
     @ti.func
     def tiles(self, count, stride_x, stride_y):
-        """Return the number of tiles in the sines of one component. count : sites of all replicas."""
+        """Return into how many tiles of TILE x TILE entries the sine transform of one spin component is divided.
+
+        count : sites of all replicas.
+        stride_x, stride_y : distance in memory from a sphere to its neighbour along x and along y.
+        """
         height = self.height(stride_x, stride_y)
         return (count // height + TILE - 1) // TILE * ((height - 2 + TILE - 1) // TILE)
 
     @ti.func
     def lines(self, count, stride_x, stride_y, sites):
-        """Return the number of chains of all components. count : sites of all replicas."""
+        """Return the number of chains of all spin components and replicas, one for each mode.
+
+        count : sites of all replicas.
+        stride_x, stride_y : distance in memory from a sphere to its neighbour along x and along y.
+        sites : spheres of one replica.
+        """
         total = 0
         for slot in ti.static(range(self.components)):
             side, _ = self.chain(slot, stride_x, stride_y, sites)
@@ -148,7 +198,12 @@ class BalanceKernels:
 
     @ti.func
     def write(self, modes: ti.template(), place, row: ti.template(), rest):
-        """Write the first `rest` numbers of a block to `place`, all in one go if it is whole."""
+        """Write the first `rest` numbers of a block to `modes`; in one go if the block is whole, which is faster.
+
+        place : index of the first number written.
+        row : the numbers of the block: a vector, or one number if a block is one site.
+        rest : how many of them belong to chains; if it is larger than the block, all do.
+        """
         if ti.static(self.block == 1):
             modes[place] = row
         elif rest >= self.block:
@@ -163,19 +218,29 @@ class BalanceKernels:
         self, modes: ti.template(), chains: ti.template(), slot: ti.template(), group, count, stride, side, height,
         longest, weight,
     ):  # fmt: skip
-        """Solve a block of neighbouring chains in place, or as many as are left, from end to end and back.
+        """Solve as many neighbouring chains as a block has sites, in place; fewer at the end of a row.
 
-        The factors are those of :func:`taichi_bearings.lattice.laplacian.chain_factors`; rings take away their share of
-        the pull at both ends (`ring_closures` there).
+        A chain is solved by Gaussian elimination from its first sphere to its last, and by substitution back. The
+        factors are those of :func:`taichi_bearings.lattice.laplacian.chain_factors`. For rings the pull across the ends
+        is summed up on the way (`ring_closures` there), and its share is taken from each sphere on the way back.
 
-        modes, chains : see the class. slot : spin component. group : which block of chains. stride, side : distance and
-            number of the spheres in a chain. longest : spheres of the longest chain.
+        modes : (C, R, *N) pulls, flat, replaced by the solutions.
+        chains : factors, see the class.
+        slot : number of the spin component.
+        group : number of the block of chains.
+        count : sites of all replicas.
+        stride, side : distance in memory of the spheres in a chain, and their number.
+        height : spheres along the height.
+        longest : spheres of the longest chain.
+        weight : stiffness of the springs along the chains.
         """
+        # where the block begins among the modes and in the tables of factors
         across, pitch = (stride + self.block - 1) // self.block, height + self.block
         along = group % across * self.block
         first = slot * count + group // across * stride * side + along
         factors, rest = slot * longest * pitch + along % height, stride - along
         closures = factors + self.components * longest * pitch
+        # forward: each sphere gets its pull and the weighted value of the sphere before, times its factor
         ahead = ti.static(range(self.ahead))
         carried, across_ends = zero(self.block), zero(self.block)
         for begin in range((side + self.ahead - 1) // self.ahead):
@@ -189,6 +254,7 @@ class BalanceKernels:
                     self.write(modes, at[u], carried, rest)
                     if ti.static(self.closed[slot]):
                         across_ends += read[u] * load(chains, in_range(closures + s[u] * pitch), self.block)
+        # back: each value and the weighted value of the sphere after it, times the factor
         carried = zero(self.block)
         for begin in range((side + self.ahead - 1) // self.ahead):
             s = [ti.max(side - 1 - begin * self.ahead - u, 0) for u in ahead]
@@ -216,9 +282,15 @@ class BalanceKernels:
         longest: int,
         weight: float,
     ):
-        """Solve all chains on a CPU; each worker takes an equal share of the blocks of chains.
+        """Solve all chains on a CPU, in place; each worker takes an equal share of the blocks of chains.
 
-        workers : their number. stride_x, stride_y, sites, longest : of the layout, see `measures`.
+        workers : number of threads.
+        modes : (C, R, *N) pulls in each mode, flat, replaced by the solutions.
+        chains : factors of the chains, see the class.
+        count, sites : spheres of all replicas, and of one.
+        stride_x, stride_y : distance in memory from a sphere to its neighbour along x and along y.
+        longest : spheres of the longest chain.
+        weight : stiffness of the springs along the chains.
         """
         for item in range(workers * LEAST_CHUNK):
             if item % LEAST_CHUNK == 0:

@@ -3,16 +3,18 @@
 Every contact has two interior points of a second-order cone, primal (bound, slip difference) and dual (friction, minus
 force), joined by the Nesterov-Todd scaling W with W^-1 primal = W dual (Nesterov & Todd 1997; Vandenberghe, The CVXOPT
 linear and quadratic cone program solvers, 2010). A point has a head, its first number, and a tail, the one or two
-others. A contact that is in no cone, called *smooth* here, obeys the law of friction instead.
+others. The cone holds the points with head >= |tail|. A contact that is in no cone, called *smooth* here, obeys the law
+of friction instead.
 
 Numbers lie in rows, one number of every contact a row, contacts with one slipping component before those with two, each
 kind beginning at a multiple of BLOCK. A contact may have numbers of several samples, one after the other. What a pass
-takes besides, such as the length of a step, is four times BLOCK numbers, one for each place of a block. All is in
-double precision, whatever that of the runtime.
+takes besides, such as the length of a step, is five times BLOCK numbers at most, one for each place of a block. All is
+in double precision, whatever that of the runtime.
 
-Functions that make a pass ("laws") have four arguments: `values`, all rows; `at`, places of the state, of the step that
-is read, an object with as many entries as slipping components, and places of the step that is written; `numbers`; and
-m, the contact within its block. They return the numbers that the pass writes, then those of which it finds the sum.
+Functions that make a pass ("laws") have four arguments: `values`, all rows; `at`, a list: indices of the rows of the
+state, of the rows of the step that is read, an object with as many entries as slipping components, and indices of the
+rows of the step that is written; `numbers`, what the pass takes besides; and m, the contact within its block. They
+return a list: the numbers that the pass writes, then those of which it finds the sum or the least.
 """
 
 from collections.abc import Callable
@@ -25,9 +27,10 @@ BLOCK = 16  # contacts that are worked on together
 LEAST_DIVISOR = 1e-140  # smallest size by which a slip is divided; its square is still a normal double
 ENDLESS_STEP = 1e30  # length of a step that never leaves its cone
 
-# Rows of the iterate, and of what `prepare` makes of it: scaling W = weight * rotation by (head, tail), the scaled
-# point, W^-2 in the blocks head-head and head-tail, and the stiffness that is left once the head is eliminated
+# Rows of the iterate: friction limit, bound of the slip, slip, minus friction force; above 0 for a contact in no cone
 FRICTION_ROW, BOUND, SLIP, DUAL, SMOOTH = 0, 1, 2, 4, 6
+# Rows of what `prepare` makes of it: scaling W = weight * rotation by (head, tail), the scaled point, W^-2 in the
+# blocks head-head and head-tail, and the stiffness that is left once the head is eliminated
 WEIGHT, WEIGHT_HEAD, TAIL, POINT_HEAD, POINT_TAIL, DIAGONAL, OFF, STIFFNESS = 7, 8, 9, 11, 12, 14, 15, 17
 # the iterate before, and rows for forces
 BOUND_BEFORE, SLIP_BEFORE, DUAL_BEFORE, FORCE = 20, 21, 23, 25
@@ -48,7 +51,14 @@ GO_ON, AS_READ, AS_WRITTEN = 0.0, 1.0, 2.0  # recentring does its work, or keeps
 
 @ti.func
 def vector(values: ti.template(), at: ti.template(), row: ti.template(), like: ti.template(), m):
-    """Return the numbers in the rows from `row` on, as many as `like` has entries."""
+    """Return the numbers of one contact in neighbouring rows, as many as `like` has entries.
+
+    values : all rows, flat.
+    at : indices at which the rows have the number of the block's first contact.
+    row : first of the rows that are read.
+    like : any list with as many entries as slipping components of the contact, 1 or 2.
+    m : number of the contact within its block.
+    """
     return [values[at[row + k] + m] for k in ti.static(range(len(like)))]
 
 
@@ -79,7 +89,12 @@ def determinant(head, tail: ti.template()):
 
 @ti.func
 def rotated(by_head, by_tail: ti.template(), head, tail: ti.template(), sign: ti.template()):
-    """Return a point after the hyperbolic rotation (by_head, by_tail), or its inverse for sign -1: head first."""
+    """Return a point of a cone after a hyperbolic rotation, as a list that begins with its head.
+
+    by_head, by_tail : the rotation, with by_head^2 - |by_tail|^2 = 1.
+    head, tail : the point; the tail is a list of one or two numbers.
+    sign : 1 for the rotation, -1 for its inverse.
+    """
     along, share = dot(by_tail, tail), 1.0 / (1.0 + by_head)
     forth = sign * head + along * share
     return [by_head * head + sign * along] + [tail[k] + by_tail[k] * forth for k in ti.static(range(len(tail)))]
@@ -87,7 +102,14 @@ def rotated(by_head, by_tail: ti.template(), head, tail: ti.template(), sign: ti
 
 @ti.func
 def scaled(values: ti.template(), at: ti.template(), head, tail: ti.template(), m, sign: ti.template()):
-    """Return W times a point, or for sign -1 W^-1 times it: head first."""
+    """Return the Nesterov-Todd scaling W of a contact times a point, or W^-1 times it: a list that begins with the
+    head.
+
+    values, at : all rows, and indices of the rows of the state, which hold W as a weight and a rotation.
+    head, tail : the point; the tail is a list of one or two numbers.
+    m : number of the contact within its block.
+    sign : 1 for W, -1 for W^-1.
+    """
     weight = values[at[WEIGHT] + m]
     if ti.static(sign < 0):
         weight = 1.0 / weight
@@ -97,13 +119,25 @@ def scaled(values: ti.template(), at: ti.template(), head, tail: ti.template(), 
 
 @ti.func
 def jordan(a, b: ti.template(), c, d: ti.template()):
-    """Return the Jordan product (a, b) o (c, d) = (a c + b.d, a d + c b): head first."""
+    """Return the Jordan product (a, b) o (c, d) = (a c + b.d, a d + c b) of two points: a list that begins with the
+    head.
+
+    a, c : heads.
+    b, d : tails, lists of one or two numbers.
+    """
     return [a * c + dot(b, d)] + [a * d[k] + c * b[k] for k in ti.static(range(len(b)))]
 
 
 @ti.func
 def divided(values: ti.template(), at: ti.template(), head, tail: ti.template(), m):
-    """Return W^-1 x for the x with (scaled point) o x = (head, tail): head first."""
+    """Return W^-1 x for the point x with (scaled point) o x = (head, tail): a list that begins with the head.
+
+    The scaled point is W^-1 primal = W dual; o is the Jordan product, which is inverted here.
+
+    values, at : all rows, and indices of the rows of the state, which hold W and the scaled point.
+    head, tail : the right-hand side; the tail is a list of one or two numbers.
+    m : number of the contact within its block.
+    """
     by, by_tail = values[at[POINT_HEAD] + m], vector(values, at, POINT_TAIL, tail, m)
     first, share = (by * head - dot(by_tail, tail)) / determinant(by, by_tail), 1.0 / by
     rest = [(tail[k] - by_tail[k] * first) * share for k in ti.static(range(len(tail)))]
@@ -111,8 +145,17 @@ def divided(values: ti.template(), at: ti.template(), head, tail: ti.template(),
 
 
 @ti.func
-def aimed(values: ti.template(), at: ti.template(), head, tail: ti.template(), m):
-    """Return a right-hand side with this head and tail, and the pull of the contact that follows from it."""
+def right_side_and_pull(values: ti.template(), at: ti.template(), head, tail: ti.template(), m):
+    """Return a right-hand side of a Newton step and the pull on the spheres that follows from it: head, tail, pull, in
+    a list.
+
+    The pull is the force, by slipping component, with which the contact enters the equations of the spheres once its
+    bound is eliminated from them.
+
+    values, at : all rows, and indices of the rows of the state.
+    head, tail : the right-hand side; the tail is a list of one or two numbers.
+    m : number of the contact within its block.
+    """
     dual = vector(values, at, DUAL, tail, m)
     off = vector(values, at, OFF, tail, m)
     smooth, share = values[at[SMOOTH] + m] > 0.0, head / values[at[DIAGONAL] + m]
@@ -121,8 +164,14 @@ def aimed(values: ti.template(), at: ti.template(), head, tail: ti.template(), m
 
 
 @ti.func
-def reach(head, tail: ti.template(), head_step, tail_step: ti.template()):
-    """Return the largest a for which (head, tail) + a * (head_step, tail_step) stays in the cone."""
+def step_to_boundary(head, tail: ti.template(), head_step, tail_step: ti.template()):
+    """Return the largest a for which (head, tail) + a * (head_step, tail_step) stays in the cone head >= |tail|.
+
+    head, tail : a point inside the cone; tails are lists of one or two numbers.
+    head_step, tail_step : direction of the step.
+
+    The result is ENDLESS_STEP if the cone is never left.
+    """
     # a is the smallest positive root of quadratic * a^2 + 2 linear * a + constant = 0
     quadratic = head_step * head_step - dot(tail_step, tail_step)
     linear = head * head_step - dot(tail, tail_step)
@@ -136,25 +185,40 @@ def reach(head, tail: ti.template(), head_step, tail_step: ti.template()):
 
 @ti.func
 def prepared(values: ti.template(), at: ti.template(), numbers: ti.template(), m):
-    """Return all that the steps from an iterate share, and the aim of the predictor: all products zero."""
+    """Return for one contact all that the steps from an iterate share, and the right-hand side of the predictor, which
+    aims at products of zero.
+
+    The list has: weight and rotation (head, tail) of the scaling W; the scaled point (head, tail); W^-2 in the blocks
+    head-head and head-tail; the stiffness of the contact, 1 number or 3 of a triangle; right-hand side (head, tail);
+    and pull. A contact that is in no cone (SMOOTH) has a stiffness by the friction law instead.
+
+    values : numbers of all contacts, row by row, flat.
+    at : indices of the contact block in the rows of the iterate; the same in the rows of the step that is read; a list
+        as long as the contact has slipping components, 1 or 2; and indices in the rows of the step that is written.
+    numbers : at m, a small work: where the friction law has no stiffness along the slip, it gets work / slip^2.
+    m : number of the contact within its block.
+    """
     state, like = at[0], at[2]
     friction, bound = values[state[FRICTION_ROW] + m], values[state[BOUND] + m]
     slip = vector(values, state, SLIP, like, m)
     dual = vector(values, state, DUAL, like, m)
     axes = ti.static(range(len(like)))
     smooth = values[state[SMOOTH] + m] > 0.0
-    one, other = ti.sqrt(determinant(bound, slip)), ti.sqrt(determinant(friction, dual))
-    head, dual_head = bound / one, friction / other
-    tail = [slip[k] / one for k in axes]
-    dual_tail = [dual[k] / other for k in axes]
+    # both points divided by the roots of their determinants; half-way between them lies the rotation of W
+    norm, dual_norm = ti.sqrt(determinant(bound, slip)), ti.sqrt(determinant(friction, dual))
+    head, dual_head = bound / norm, friction / dual_norm
+    tail = [slip[k] / norm for k in axes]
+    dual_tail = [dual[k] / dual_norm for k in axes]
     half = ti.sqrt((1.0 + head * dual_head + dot(tail, dual_tail)) / 2.0)
-    weight, by = ti.sqrt(one / other), (head + dual_head) / (2.0 * half)
+    weight, by = ti.sqrt(norm / dual_norm), (head + dual_head) / (2.0 * half)
     by_tail = [(tail[k] - dual_tail[k]) / (2.0 * half) for k in axes]
+    # the scaled point W dual, and W^-2
     point = [weight * x for x in ti.static(rotated(by, by_tail, friction, dual, 1))]
     strength, core = 1.0 / (weight * weight), 2.0 * by * by - 1.0
     diagonal = strength * core
     off = [-2.0 * strength * by * by_tail[k] for k in axes]
-    # the slip of a contact in no cone gives its direction; of one in a cone whose tail vanishes any will do
+    # the stiffness along a direction and across it: that of the slip in no cone, else that of the rotation, or any if
+    # the rotation has none
     slip_size, turn = ti.max(size(slip), LEAST_DIVISOR), size(by_tail)
     known = (turn > 0.0) | smooth
     length = ti.select(known, ti.select(smooth, slip_size, turn), 1.0)
@@ -171,6 +235,7 @@ def prepared(values: ti.template(), at: ti.template(), numbers: ti.template(), m
         if ti.static(len(like) == 2)
         else [along * unit[0] * unit[0]]
     )
+    # the predictor aims at products of zero: minus the dual point
     share = friction / diagonal
     right = [-friction] + [-dual[k] for k in axes] + [ti.select(smooth, dual[k], off[k] * share) for k in axes]
     return [weight, by] + by_tail + point + [diagonal] + off + stiffness + right
@@ -178,8 +243,18 @@ def prepared(values: ti.template(), at: ti.template(), numbers: ti.template(), m
 
 @ti.func
 def expanded(values: ti.template(), at: ti.template(), numbers: ti.template(), m):
-    """Return the steps of bound and dual that belong to the change of the slip, how far they may go, and their
-    products.
+    """Return for one contact the steps of bound and dual that follow from the change of its slip, how far they may go,
+    and their products.
+
+    The list has: step of the bound; steps of the dual (by slipping component); the largest lengths that keep the primal
+    point (bound, slip) and the dual point (friction, minus force) in the cone; and four products, PRODUCT to BY_BOTH. A
+    contact that is in no cone (SMOOTH) has products of 0, and its slip may change by half.
+
+    values : numbers of all contacts, row by row, flat.
+    at : indices of the contact block in the rows of the iterate; the same in the rows of the step that is read; a list
+        as long as the contact has slipping components, 1 or 2; and indices in the rows of the step that is written.
+    numbers : not used; all laws take the same arguments.
+    m : number of the contact within its block.
     """
     state, step, like = at[0], at[1], at[2]
     axes = ti.static(range(len(like)))
@@ -189,6 +264,7 @@ def expanded(values: ti.template(), at: ti.template(), numbers: ti.template(), m
     dual = vector(values, state, DUAL, like, m)
     change = vector(values, step, CHANGE, like, m)
     pull = vector(values, step, PULL, like, m)
+    # what the stiffness resists to the change of the slip, and by it the steps of dual and bound
     mixed = values[state[STIFFNESS + 1] + m]
     last = ti.static(len(like) - 1)
     resisted = (
@@ -205,8 +281,9 @@ def expanded(values: ti.template(), at: ti.template(), numbers: ti.template(), m
     # a law is far from linear once a slip changes by as much as itself
     moved, never = size(change), ti.cast(ENDLESS_STEP, ti.f64)
     half = ti.select(moved > 0.0, 0.5 * size(slip) / moved, never)
-    along = ti.select(smooth, half, reach(bound, slip, bound_step, change))
-    dual_along = ti.select(smooth, never, reach(friction, dual, ti.cast(0.0, ti.f64), dual_step))
+    along = ti.select(smooth, half, step_to_boundary(bound, slip, bound_step, change))
+    dual_along = ti.select(smooth, never, step_to_boundary(friction, dual, ti.cast(0.0, ti.f64), dual_step))
+    # PRODUCT, its derivatives by the primal and by the dual length, and the mixed one
     products = [
         friction * bound + dot(slip, dual),
         friction * bound_step + dot(change, dual),
@@ -219,26 +296,45 @@ def expanded(values: ti.template(), at: ti.template(), numbers: ti.template(), m
 
 @ti.func
 def corrected(values: ti.template(), at: ti.template(), numbers: ti.template(), m):
-    """Return the corrector's right-hand side: aims at a given product, less the predictor's second-order error
-    (Mehrotra 1992).
+    """Return for one contact the right-hand side of the corrector and its pull: head, tail, pull, in a list.
+
+    The corrector aims at a given product, less the second-order error of the predictor (Mehrotra 1992). That error is
+    the Jordan product of the predictor's steps.
+
+    values : numbers of all contacts, row by row, flat.
+    at : indices of the contact block in the rows of the iterate; the same in the rows of the step that is read; a list
+        as long as the contact has slipping components, 1 or 2; and indices in the rows of the step that is written.
+    numbers : at m, the product that is aimed at, which is the head of the Jordan product of the two points.
+    m : number of the contact within its block.
     """
     state, step, like = at[0], at[1], at[2]
     axes = ti.static(range(len(like)))
     zero = ti.cast(0.0, ti.f64)
-    one = scaled(values, state, zero, vector(values, step, DUAL_STEP, like, m), m, 1)
-    other = scaled(values, state, values[step[BOUND_STEP] + m], vector(values, step, CHANGE, like, m), m, -1)
-    found = jordan(one[0], one[1:], other[0], other[1:])
+    # the second-order error: the Jordan product of the predictor's scaled dual and primal steps
+    dual_part = scaled(values, state, zero, vector(values, step, DUAL_STEP, like, m), m, 1)
+    primal_part = scaled(values, state, values[step[BOUND_STEP] + m], vector(values, step, CHANGE, like, m), m, -1)
+    found = jordan(dual_part[0], dual_part[1:], primal_part[0], primal_part[1:])
     mend = divided(values, state, found[0] - numbers[m], found[1:], m)
     dual = vector(values, state, DUAL, like, m)
-    return aimed(values, state, -values[state[FRICTION_ROW] + m] - mend[0], [-dual[k] - mend[1 + k] for k in axes], m)
+    head = -values[state[FRICTION_ROW] + m] - mend[0]
+    return right_side_and_pull(values, state, head, [-dual[k] - mend[1 + k] for k in axes], m)
 
 
 @ti.func
 def recentred(values: ti.template(), at: ti.template(), numbers: ti.template(), m):
-    """Return a right-hand side that brings products outside given limits closer to them (Gondzio 1996).
+    """Return for one contact a right-hand side that brings products outside given limits closer to them (Gondzio 1996),
+    and its pull: head, tail, pull, in a list.
 
-    Products are those after steps of two given lengths; none is lowered by more than the upper limit. Where a step is
-    good enough already, its right-hand side is kept.
+    Products are the eigenvalues of the Jordan product after steps of two given lengths; none is lowered by more than
+    the upper limit.
+
+    values : numbers of all contacts, row by row, flat.
+    at : indices of the contact block in the rows of the iterate; the same in the rows of the step that is read; a list
+        as long as the contact has slipping components, 1 or 2; and indices in the rows of the step that is written.
+    numbers : at m, m + BLOCK, ... : length of the primal step, of the dual step, lower limit, upper limit, and a
+        choice: GO_ON, or, in a sample that needs no further corrector, AS_READ or AS_WRITTEN to keep the right-hand
+        side of the step that is read or that of the step that is written.
+    m : number of the contact within its block.
     """
     state, step, like = at[0], at[1], at[2]
     axes = ti.static(range(len(like)))
@@ -247,19 +343,21 @@ def recentred(values: ti.template(), at: ti.template(), numbers: ti.template(), 
     dual = vector(values, state, DUAL, like, m)
     change = vector(values, step, CHANGE, like, m)
     dual_step = vector(values, step, DUAL_STEP, like, m)
+    # the Jordan product of the scaled points after the steps, and its two eigenvalues
     after = [slip[k] + along * change[k] for k in axes]
     dual_after = [dual[k] + dual_along * dual_step[k] for k in axes]
     bound = values[state[BOUND] + m] + along * values[step[BOUND_STEP] + m]
-    one = scaled(values, state, values[state[FRICTION_ROW] + m], dual_after, m, 1)
-    other = scaled(values, state, bound, after, m, -1)
-    found = jordan(one[0], one[1:], other[0], other[1:])
+    dual_part = scaled(values, state, values[state[FRICTION_ROW] + m], dual_after, m, 1)
+    primal_part = scaled(values, state, bound, after, m, -1)
+    found = jordan(dual_part[0], dual_part[1:], primal_part[0], primal_part[1:])
     tail = found[1:]
     length = size(tail)
-    below, above = found[0] - length, found[0] + length  # the eigenvalues
-    raised = ti.max(ti.min(ti.max(below, low), high) - below, -high)
-    lowered = ti.max(ti.min(ti.max(above, low), high) - above, -high)
-    share = ti.select(length > 0.0, (lowered - raised) * 0.5 / length, 0.0)
-    mend = divided(values, state, (raised + lowered) * 0.5, [share * tail[k] for k in axes], m)
+    smaller, larger = found[0] - length, found[0] + length
+    # what each eigenvalue lacks to be within the limits, and the point that has these eigenvalues along the same tail
+    change_of_smaller = ti.max(ti.min(ti.max(smaller, low), high) - smaller, -high)
+    change_of_larger = ti.max(ti.min(ti.max(larger, low), high) - larger, -high)
+    share = ti.select(length > 0.0, (change_of_larger - change_of_smaller) * 0.5 / length, 0.0)
+    mend = divided(values, state, (change_of_smaller + change_of_larger) * 0.5, [share * tail[k] for k in axes], m)
     choice, written = numbers[4 * BLOCK + m], at[3]
     right = [values[step[RIGHT_HEAD + k] + m] for k in ti.static(range(1 + len(like)))]
     kept = [values[written[RIGHT_HEAD + k] + m] for k in ti.static(range(1 + len(like)))]
@@ -267,12 +365,23 @@ def recentred(values: ti.template(), at: ti.template(), numbers: ti.template(), 
         ti.select(choice == AS_WRITTEN, kept[k], ti.select(choice == AS_READ, right[k], right[k] + mend[k]))
         for k in ti.static(range(1 + len(like)))
     ]
-    return aimed(values, state, aim[0], aim[1:], m)
+    return right_side_and_pull(values, state, aim[0], aim[1:], m)
 
 
 @ti.func
 def taken(values: ti.template(), at: ti.template(), numbers: ti.template(), m):
-    """Return the iterate after steps of two given lengths, the iterate before, and power and excess of the new one."""
+    """Return for one contact its iterate after a step, that before, and its power and excess after the step.
+
+    The list has: bound, slip, dual; the same three before the step; friction * |slip|, of which the sum is the power;
+    and that plus slip . dual, the excess of the power over the work of the forces. A contact that is in no cone
+    (SMOOTH) gets |slip| as its bound, and as its dual minus the friction along the slip.
+
+    values : numbers of all contacts, row by row, flat.
+    at : indices of the contact block in the rows of the iterate; the same in the rows of the step that is read; a list
+        as long as the contact has slipping components, 1 or 2; and indices in the rows of the step that is written.
+    numbers : at m and at m + BLOCK, the lengths of the primal and of the dual step.
+    m : number of the contact within its block.
+    """
     state, step, like = at[0], at[1], at[2]
     axes = ti.static(range(len(like)))
     smooth, friction, bound = values[state[SMOOTH] + m] > 0.0, values[state[FRICTION_ROW] + m], values[state[BOUND] + m]
@@ -293,9 +402,9 @@ def taken(values: ti.template(), at: ti.template(), numbers: ti.template(), m):
 
 
 def _numbered(*rows: tuple[int, tuple[int, int]]) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Return the rows that contacts with one and with two components write.
+    """Return the numbers of the rows that a pass writes: those for contacts with one slipping component, and with two.
 
-    rows : for each quantity the first row, and how many rows either kind of contact has.
+    rows : for each quantity its first row, and how many rows contacts with one and with two components have of it.
     """
     one, two = (tuple(first + k for first, counts in rows for k in range(counts[kind])) for kind in (0, 1))
     return one, two
@@ -320,14 +429,22 @@ def walk(
     values: ti.template(), blocks: ti.template(), found: ti.template(), law: ti.template(), length, block,
     slots: ti.template(), writes: ti.template(), finds: ti.template(), like: ti.template(), numbers: ti.template(),
 ):  # fmt: skip
-    """Apply a law to a block of contacts.
+    """Apply a law to a block of contacts: write what it returns into rows, and add up or take the least of the rest.
 
-    slots : of the step that is read, and of the step that is written.
-    writes : rows of the iterate, and of the step, that the law writes.
-    finds : numbers, after those that are written, of which the least or the sum is found, in the same order whatever
-        the samples.
-    like : an object with as many entries as slipping components.
+    values, blocks : all rows, flat, and the same memory in blocks.
+    found : (FOUND, n) blocks, flat: sums and least numbers for each place of a block. Blocks of contacts take turns
+        among the n, so that each sample has sums of its own, in the same order however many samples there are.
+    law : function of one contact that returns a list of numbers, such as `prepared`.
+    length : length of a row.
+    block : number of the block.
+    slots : which of the two steps is read, and which is written, 0 or 1.
+    writes : rows of the iterate, and rows of the step, that the law writes.
+    finds : for each number that the law returns after those that are written, its place in `found`; below LEAST_FOUND
+        the least is taken, else the sum.
+    like : a list with as many entries as slipping components.
+    numbers : what the law takes besides, such as the length of a step.
     """
+    # where the numbers of the block's first contact stand, in the rows of the iterate and of the two steps
     first = block * BLOCK
     state = places(ti.static(tuple(range(STATE_ROWS))), length, first)
     step = ti.static(tuple(range(STEP_ROWS)))
@@ -338,6 +455,7 @@ def walk(
     fill(rows, values, BLOCK, law, [state, old, like, new], numbers)
     for k in ti.static(range(len(to))):
         blocks[to[k] // BLOCK] = rows[k]
+    # of blocks that take the same turn, sums are added up in the order of the blocks
     turns = found.shape[0] // FOUND
     for k in ti.static(range(len(finds))):
         at, more = finds[k] * turns + block % turns, rows[ti.static(len(to) + k)]
@@ -350,26 +468,39 @@ def walk(
 def _pass(
     law: Callable, iterate: tuple = NO_NUMBERS, step: tuple = NO_NUMBERS, finds: tuple = ()
 ) -> tuple[Callable, Callable]:
-    """Return kernels that walk a law over contacts with one slipping component, and with two.
+    """Return two kernels that apply a law to contacts: to those with one slipping component, and to those with two.
 
     Each is compiled only where there are such contacts.
 
-    iterate, step : rows that the law writes, of contacts with one and with two components.
-    finds : see :func:`walk`.
+    law : function of one contact that returns a list of numbers, such as `prepared`.
+    iterate, step : rows of the iterate, and of the step, that the law writes, as a pair for either kind of contact.
+    finds : for each number that the law returns after those that are written, where it goes among the sums and least
+        numbers.
     """
     return _walked(law, (iterate[0], step[0]), finds, (0,)), _walked(law, (iterate[1], step[1]), finds, (0, 1))
 
 
 def _walked(law: Callable, writes: tuple, finds: tuple, like: tuple) -> Callable:
-    """Return a kernel that applies a law to blocks of contacts. For the arguments see :func:`walk`."""
+    """Return a kernel that applies a law to blocks of contacts of one kind.
+
+    law : function of one contact that returns a list of numbers, such as `prepared`.
+    writes : rows of the iterate, and rows of the step, that the law writes.
+    finds : for each further number that the law returns, where it goes among the sums and least numbers.
+    like : a list with as many entries as these contacts have slipping components, 1 or 2.
+    """
 
     @ti.kernel
     def run(
         values: NUMBERS, blocks: BLOCKS, found: BLOCKS, numbers: NUMBERS, length: int, first: int, end: int,
         read_slot: int, write_slot: int,
     ):  # fmt: skip
-        """Apply the law to the blocks first ... end-1. length : of a row. read_slot, write_slot : steps that are
-        read and written.
+        """Apply the law to the blocks first ... end-1.
+
+        values, blocks : all rows, flat, and the same memory in blocks.
+        found : sums and least numbers, see :func:`walk`.
+        numbers : what the law takes besides.
+        length : length of a row.
+        read_slot, write_slot : which of the two steps is read, and which is written, 0 or 1.
         """
         ti.loop_config(serialize=True)
         for block in range(first, end):
@@ -389,26 +520,29 @@ take = _pass(taken, TAKEN, finds=(POWER_FOUND, EXCESS))
 
 
 @ti.func
-def nothing(together: ti.template()):
-    """Return zero: a vector for several samples together, else a number."""
+def zero_of(together: ti.template()):
+    """Return zero in double precision: a vector of LANES if several samples are worked on together, else a number."""
     if ti.static(together):
         return ti.Vector.zero(ti.f64, LANES)
     return ti.cast(0.0, ti.f64)
 
 
 def _sums(together: bool) -> Callable:
-    """Return a kernel that adds numbers up, those of LANES samples together or of a sample alone."""
+    """Return a kernel that adds numbers up. together : of LANES samples at a time, whose numbers form vectors."""
     kind = VECTORS if together else NUMBERS
 
     @ti.kernel
     def run(begins: INTEGERS, places: INTEGERS, values: kind, found: kind, first: int, to: int):
-        """Set found[to + i] to the sum of values[first + places[k]] over k from begins[i] on; ~place : subtracted."""
+        """Set found[to + i] to the sum of values[first + places[k]] over k = begins[i] ... begins[i + 1] - 1.
+
+        A place that is stored as ~place, a negative number, is subtracted instead of added.
+        """
         ti.loop_config(serialize=True)
         for i in range(begins.shape[0] - 1):
-            total = nothing(together)
+            total = zero_of(together)
             for k in range(begins[i], begins[i + 1]):
-                off = places[k] >> 31  # -1 for what is taken off, 0 for the rest
-                total = total + ti.cast(1 | off, ti.f64) * values[first + (places[k] ^ off)]
+                minus = places[k] >> 31  # -1 for what is subtracted, 0 for the rest
+                total = total + ti.cast(1 | minus, ti.f64) * values[first + (places[k] ^ minus)]
             found[to + i] = total
 
     return run

@@ -1,11 +1,11 @@
 """The physics of one contact, for any lattice and any set of spin components.
 
-In staggered spins (equations.md) the slip velocity of paper Eq. (2) has the length R |D|, where R is the radius and D
-the difference of the spins of the upper and the lower sphere without its component along the contact. Slip and friction
-force are parallel to D rotated by 90 degrees about the contact; that rotation drops out of every power and torque. So a
-contact works on D: only the components across it take part, e.g. both for a z-contact driven along x + y, one for an
-x-contact, and the one component there is in 2D. Kernels hold D as a list, of numbers of one site or of vectors for a
-block of sites.
+In staggered spins (spins with signs by which neighbours differ, docs/equations.md) the slip velocity of paper Eq. (2)
+has the length R |D|, where R is the radius and D the difference of the spins of the upper and the lower sphere without
+its component along the contact. Slip and friction force are parallel to D rotated by 90 degrees about the contact; that
+rotation drops out of every power and torque. So a contact works on D: only the components across it take part, e.g.
+both for a z-contact driven along x + y, one for an x-contact, and the one component there is in 2D. Kernels hold D as a
+list with an entry for each component; an entry is a number for one site, or a vector for a block of sites.
 """
 
 from taichi_bearings.compiler import ti
@@ -13,7 +13,10 @@ from taichi_bearings.compiler import ti
 
 @ti.func
 def length(components: ti.template()):
-    """Euclidean length of one or two components; one needs no square root. (Taichi's abs and minus take no vectors.)"""
+    """Return the Euclidean length of a list of one or two components, each a number or a vector of sites.
+
+    One component needs no square root. Its sign is changed by `0.0 - x`, as Taichi's abs and minus take no vectors.
+    """
     if ti.static(len(components) == 1):
         return ti.select(components[0] < 0.0, 0.0 - components[0], components[0])
     return ti.sqrt(components[0] * components[0] + components[1] * components[1])
@@ -21,7 +24,7 @@ def length(components: ti.template()):
 
 @ti.func
 def smaller(a, b):
-    """Return min(a, b) as one machine instruction; unlike ti.min it makes no promise about NaN."""
+    """Return the smaller of two numbers as one machine instruction; unlike ti.min it makes no promise about NaN."""
     return ti.select(a < b, a, b)
 
 
@@ -34,13 +37,14 @@ def clamp(value, low, high):
 
 @ti.func
 def coulomb_force(spin_difference: ti.template(), coefficients: ti.template(), sharpness):
-    """Return the friction force along D: its full size where |D| sharpness >= 1, where the contact slips, and linear
-    below.
+    """Return the friction force along D, a list with an entry for each component.
 
-    That is paper Eq. (3) with its cases in the right order.
+    Where the contact slips, |D| sharpness >= 1, its size is the friction limit; below that it grows in proportion to D,
+    which replaces the jump of paper Eq. (3) (with its two cases in the right order) by a steep line.
 
-    coefficients : friction mu F_n first.
-    sharpness : 1 over the largest |D| that is taken for no slip.
+    spin_difference : D, a list of one or two components, 1/time.
+    coefficients : a list that begins with the friction limit mu F_n, force.
+    sharpness : 1 over the largest |D| that counts as no slip, time.
     """
     friction = coefficients[0]
     if ti.static(len(spin_difference) == 1):
@@ -51,16 +55,24 @@ def coulomb_force(spin_difference: ti.template(), coefficients: ti.template(), s
 
 @ti.func
 def viscous_force(spin_difference: ti.template(), coefficients: ti.template(), sharpness):
-    """Return the force of paper Eq. (1), divided by the radius: the damping, which is the last coefficient, times D.
+    """Return the force of paper Eq. (1) divided by the radius, viscosity times D: a list with an entry for each
+    component.
 
-    spin_difference : D. sharpness : not used here.
+    spin_difference : D, a list of one or two components, 1/time.
+    coefficients : a list that ends with the viscosity.
+    sharpness : not used; all force laws take the same arguments.
     """
     return [d * coefficients[ti.static(len(coefficients) - 1)] for d in ti.static(spin_difference)]
 
 
 @ti.func
 def coulomb_viscous_force(spin_difference: ti.template(), coefficients: ti.template(), sharpness):
-    """Return the sum of friction and viscous force; arguments as in both."""
+    """Return the sum of friction and viscous force along D: a list with an entry for each component.
+
+    spin_difference : D, a list of one or two components, 1/time.
+    coefficients : friction limit and viscosity.
+    sharpness : 1 over the largest |D| at which the contact counts as sticking.
+    """
     held = coulomb_force(spin_difference, coefficients, sharpness)
     flowing = viscous_force(spin_difference, coefficients, sharpness)
     return [held[t] + flowing[t] for t in ti.static(range(len(held)))]

@@ -3,10 +3,10 @@
 With u = R omega (radius times spin) and two unit tangents T of a contact its slip is y = T (u_i + u_j), and its
 friction f pulls both spheres by -T f: no side, no sign. A pass over the contacts writes T f. A pass over the spheres
 sums it over the contacts of each, in the order of a list: no atomics, and the same bits on any number of threads. Both
-passes walk in blocks, row by row as on lattices; what they read from elsewhere is near, by the order of the lists
-(fields/lists.py).
+passes go through blocks of neighbours in memory, row by row as on lattices; what they read from elsewhere is near, by
+the order of the lists (fields/lists.py).
 
-Letters: d tangents of a contact, C components of a spin.
+Letters: d unit tangents of a contact (1 of discs, 2 of spheres), C components of a spin (1 or 3).
 """
 
 from taichi_bearings.compiler import ti
@@ -21,21 +21,31 @@ from taichi_bearings.kernels.team import Sweeps
 
 @ti.data_oriented
 class ListSweeps(Sweeps):
-    """A sweep in two parts: part 0 walks over the contacts, part 1 over the spheres.
+    """A sweep over any network in two parts: part 0 at the contacts, part 1 at the spheres.
 
     Subclasses say what is done with a block: `at_contacts`, and for each spin component `at_spheres`.
 
-    Copies of the network, which are samples, stand one after another, each with constants of its own (`COPY_NUMBERS`).
+    Samples of the same network, called copies, stand one after another, each with COPY_NUMBERS constants of its own.
 
-    Fields that all have, each of contacts: `across`, the tangents (d C), but for discs; `coefficient`; `viscosity`, if
-    the law has one; `force`, T f (C). Measures, `size` : lengths of the rows of spheres and of contacts, of all
-    copies and then of one, and of the rows of constants; in `tables` the lists of `Lists` follow them.
+    Fields of contacts that all subclasses have (C components of a spin, d tangents):
+
+    across : (d C), the unit tangents T; none for discs.
+    coefficient : the friction coefficient of the law. viscosity : only if the law has one besides.
+    force : (C), T f, the friction force as a vector.
+
+    Measures, which kernels get as `size`: lengths of the rows of spheres and of contacts of all copies, the same of one
+    copy, and the length of a row of constants. In `tables` they are followed by the lists of `Lists`.
     """
 
     parts, measures, numbers = 2, 5, 1
 
     def __init__(self, spec: ListSpec, law: str, corrector: tuple[float, ...]):
-        """spec : fields of spheres and of contacts. corrector : of Gear's method, empty for a descent."""
+        """Set the constants for which the kernel is compiled.
+
+        spec : names and numbers of components of the fields of spheres, and of those of contacts.
+        law : name of a force law in `contact.FORCES`.
+        corrector : coefficients of Gear's corrector; empty for gradient descent.
+        """
         super().__init__(block_size())
         self.rows, end = dict[str, tuple[int, ...]](), 0
         for name, count in (*spec[0], *spec[1]):
@@ -57,7 +67,10 @@ class ListSweeps(Sweeps):
 
     @ti.func
     def count(self, part: ti.template(), size: ti.template()):
-        """Return the number of blocks of contacts (part 0) or of spheres (part 1)."""
+        """Return the number of blocks of contacts (part 0) or of spheres (part 1).
+
+        size : lengths of the rows of spheres and of contacts first.
+        """
         return size[1 - part] // self.block
 
     @ti.func
@@ -65,8 +78,15 @@ class ListSweeps(Sweeps):
         self, part: ti.template(), values: ti.template(), blocks: ti.template(), tables: ti.template(),
         size: ti.template(), number, numbers: ti.template(), sweep, carried: ti.template(),
     ):  # fmt: skip
-        """Work on the block of contacts, or of spheres, of this number. Of what all copies of the lists are given,
-        `numbers`, it takes nothing: each copy has constants of its own."""
+        """Do one part of a sweep for one block: of contacts (part 0) or of spheres (part 1).
+
+        values, blocks : all fields, flat, and the same memory in blocks.
+        tables, size : lists of the network, and lengths of rows, see the class.
+        number : number of the block.
+        numbers : not used, as each copy of the network has constants of its own among `values`.
+        sweep : number of the sweep.
+        carried : not used.
+        """
         first = in_range(number * self.block)
         place = self.sphere_rows * size[0] + self.contact_rows * size[1] + first // size[3 - part] * self.block
         own = [values[in_range(place + k * size[4])] for k in ti.static(range(COPY_NUMBERS))]
@@ -81,7 +101,12 @@ class ListSweeps(Sweeps):
 
     @ti.func
     def on(self, name: ti.template(), size: ti.template(), first):
-        """Return where the numbers of the field `name` stand for the block of contacts that begins at `first`."""
+        """Return a list of the indices at which the rows of a field of contacts hold the first number of a block.
+
+        name : of the field.
+        size : lengths of rows, see the class.
+        first : number of the block's first contact.
+        """
         return places(self.rows[name], size[1], self.sphere_rows * size[0] + first)
 
     @ti.func
@@ -89,8 +114,13 @@ class ListSweeps(Sweeps):
         self, values: ti.template(), name: ti.template(), across: ti.template(), tables: ti.template(),
         size: ti.template(), first,
     ):  # fmt: skip
-        """Return T (u_i + u_j) for a block of contacts, where u is the field `name` of the spheres. across : the
-        tangents T.
+        """Return the slips T (u_i + u_j) of a block of contacts: a list with an entry for each tangent.
+
+        values : all fields, flat.
+        name : name of the field of spheres that holds u.
+        across : unit tangents T, a list of the 6 components of both; not used for discs.
+        tables, size : lists of the network, and lengths of rows, see the class.
+        first : number of the block's first contact.
         """
         both = [zero(self.block) for _ in self.rows[name]]
         for k in ti.static(range(len(both))):
@@ -102,7 +132,12 @@ class ListSweeps(Sweeps):
 
     @ti.func
     def gathered(self, values: ti.template(), row, tables: ti.template(), first):
-        """Return the numbers, in the row that begins at `row`, of the spheres that `tables` lists from `first` on."""
+        """Return `block` numbers of spheres in the order of a list: a vector, or one number if a block is one site.
+
+        values : all fields, flat.
+        row : index at which the row of the numbers begins.
+        tables : integers, of which those from `first` on are the numbers of the spheres.
+        """
         if ti.static(self.block == 1):
             return values[in_range(row + tables[first])]
         result = ti.Vector.zero(float, self.block)
@@ -115,7 +150,13 @@ class ListSweeps(Sweeps):
         self, values: ti.template(), blocks: ti.template(), rows: ti.template(), across: ti.template(),
         force: ti.template(),
     ):  # fmt: skip
-        """Write T f for a block of contacts. force : f, by tangent."""
+        """Write the friction forces of a block of contacts as vectors, T f.
+
+        values, blocks : all fields, flat, and the same memory in blocks.
+        rows : list of the indices where the components of the force stand.
+        across : unit tangents T, a list of the 6 components of both; not used for discs.
+        force : f, a list with an entry for each tangent.
+        """
         if ti.static(self.components == 1):
             store_each(values, blocks, rows, self.block, force)
         else:
@@ -124,7 +165,14 @@ class ListSweeps(Sweeps):
 
     @ti.func
     def pull(self, values: ti.template(), row, tables: ti.template(), size: ti.template(), first):
-        """Return one component of the sum of the contact forces on each sphere of a block."""
+        """Return one component of the force on each sphere of a block, minus the sum of T f over its contacts: a
+        vector.
+
+        values : all fields, flat.
+        row : index at which the row of that component of T f begins.
+        tables, size : lists of the network, and lengths of rows, see the class.
+        first : number of the block's first sphere.
+        """
         if ti.static(self.block == 1):
             return self.pull_on(values, row, tables, size, first)
         result = ti.Vector.zero(float, self.block)
@@ -134,7 +182,13 @@ class ListSweeps(Sweeps):
 
     @ti.func
     def pull_on(self, values: ti.template(), row, tables: ti.template(), size: ti.template(), sphere):
-        """Return one component of the sum of the contact forces on one sphere."""
+        """Return one component of the force on a sphere, minus the sum of T f over its contacts.
+
+        values : all fields, flat.
+        row : index at which the row of that component of T f begins.
+        tables, size : lists of the network, and lengths of rows, see the class.
+        sphere : number of the sphere.
+        """
         total, start = 0.0, self.measures + 2 * size[1]
         incident = start + size[0] + 1
         for n in range(incident + tables[start + sphere], incident + tables[start + sphere + 1]):
@@ -144,6 +198,7 @@ class ListSweeps(Sweeps):
 
 @ti.func
 def dot(a: ti.template(), b: ti.template()):
+    """Return the scalar product of two lists of three numbers or vectors of sites."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
@@ -151,7 +206,7 @@ def dot(a: ti.template(), b: ti.template()):
 class CundallStrackLists(SpringsAndSpins, ListSweeps):
     """Cundall-Strack steps over lists: fields and constants as in `CundallStrackSteps`, with two differences.
 
-    `is_free` holds 1 / inertia of each sphere, 0 of driven ones; `work` is that of each contact.
+    `is_free` holds 1 / inertia of each sphere, 0 of driven ones. `work` is that of each contact.
     """
 
     @ti.func
@@ -159,7 +214,15 @@ class CundallStrackLists(SpringsAndSpins, ListSweeps):
         self, values: ti.template(), blocks: ti.template(), tables: ti.template(), first, size: ti.template(),
         across: ti.template(), numbers: ti.template(),
     ):  # fmt: skip
-        """Add up the work of the last step, then stretch the springs and write the forces, for a block of contacts."""
+        """Stretch the springs and write the forces of a block of contacts; before, add the work of the last step to its
+        sum.
+
+        values, blocks : all fields, flat, and the same memory in blocks.
+        tables, size : lists of the network, and lengths of rows, see `ListSweeps`.
+        first : number of the block's first contact.
+        across : unit tangents T, a list of the 6 components of both; empty for discs.
+        numbers : constants of the step, see `SpringsAndSpins.spring`.
+        """
         force = self.on("force", size, first)
         if ti.static(self.tally):
             speed = self.slip(values, "gear_0", across, tables, size, first)
@@ -187,7 +250,16 @@ class CundallStrackLists(SpringsAndSpins, ListSweeps):
         self, values: ti.template(), blocks: ti.template(), c: ti.template(), pull, first, size: ti.template(),
         numbers: ti.template(), sweep,
     ):  # fmt: skip
-        """Step one spin component of a block of spheres. pull : sum of the contact forces on each."""
+        """Make Gear's step of one spin component for a block of spheres.
+
+        values, blocks : all fields, flat, and the same memory in blocks.
+        c : number of the spin component.
+        pull : force on each sphere by its contacts, this component.
+        first : number of the block's first sphere.
+        size : lengths of rows, see `ListSweeps`.
+        numbers : constants of the step, of which the one at place 7 is the response, time step * radius / inertia.
+        sweep : not used.
+        """
         is_free = load(values, in_range(self.rows["is_free"][0] * size[0] + first), self.block)
         old = load_each(values, places(self.gear[c], size[0], first), self.block)
         new = self.motion(old, pull, is_free, numbers[7])
@@ -199,9 +271,9 @@ class CundallStrackLists(SpringsAndSpins, ListSweeps):
 
 @ti.data_oriented
 class DescentLists(ListSweeps):
-    """Descent sweeps over lists: fields and constants as in `DescentSweeps`.
+    """Sweeps of gradient descent over lists: fields and constants as in `DescentSweeps`.
 
-    Spins are kept in no box, which would be wrong where normals are oblique.
+    Spins are not kept within a box, which would be wrong where the normals of contacts are oblique.
     """
 
     repeats = 2
@@ -211,8 +283,15 @@ class DescentLists(ListSweeps):
         self, values: ti.template(), blocks: ti.template(), tables: ti.template(), first, size: ti.template(),
         across: ti.template(), numbers: ti.template(),
     ):  # fmt: skip
-        """Write the friction forces of a block of contacts; add them to the averages if the last constant asks for
-        it.
+        """Write the friction forces of a block of contacts at the spins in the field `point`.
+
+        They are also added to the field `force_sum` if there is one and the constant numbers[8] is above 0.
+
+        values, blocks : all fields, flat, and the same memory in blocks.
+        tables, size : lists of the network, and lengths of rows, see `ListSweeps`.
+        first : number of the block's first contact.
+        across : unit tangents T, a list of the 6 components of both; empty for discs.
+        numbers : constants of the sweep, of which the one at place 1 is the sharpness, see `DescentSweeps`.
         """
         own = load_each(values, self.on("coefficients", size, first), self.block)
         force = self.force_law(self.slip(values, "point", across, tables, size, first), own, numbers[1])
@@ -228,7 +307,14 @@ class DescentLists(ListSweeps):
     ):  # fmt: skip
         """Move one spin component of a block of spheres down the gradient, and on by its momentum.
 
-        pull : sum of the contact forces on each. sweep : number of the sweep since the last restart.
+        values, blocks : all fields, flat, and the same memory in blocks.
+        c : number of the spin component.
+        pull : force on each sphere by its contacts, this component.
+        first : number of the block's first sphere.
+        size : lengths of rows, see `ListSweeps`.
+        numbers : constants of the sweep: the step at place 0, 1 at place 8 to add the spins to their sums, and at place
+            9 how many sweeps were made before this launch since the momentum was last set to zero.
+        sweep : number of the sweep within the launch.
         """
         at = places([self.rows["point"][c], self.rows["inverse_weight"][c]], size[0], first)
         point, weight = load(values, at[0], self.block), load(values, at[1], self.block)

@@ -1,8 +1,8 @@
 """Cundall–Strack steps: springs at the contacts (paper Eqs. 7-9) and Gear's integration of the spins (Eq. 10).
 
-A step is two passes. The contact pass stretches the springs by the predicted slip and caps the force by friction; the
-sphere pass gathers the torques, corrects the spins and predicts the next step, so that every field is read and written
-once a pass.
+A step has two parts. At the contacts it stretches the springs by the predicted slip and caps the force by friction; at
+the spheres it adds up the torques, corrects the spins and predicts the next step. So every field is read and written
+once a part.
 """
 
 from math import comb
@@ -27,9 +27,10 @@ from taichi_bearings.kernels.team import Sweeps
 
 
 class SpringsAndSpins:
-    """The law of one contact, and Gear's step of one spin.
+    """The law of one contact, and Gear's step of one spin; lattices and lists of contacts share them.
 
-    order : spin and derivatives that Gear's method keeps. corrector : its coefficients, one for each of them.
+    order : how many numbers Gear's method keeps of a spin: the spin and its time derivatives.
+    corrector : coefficients of Gear's corrector, one for each of these numbers.
     """
 
     order: int
@@ -44,23 +45,26 @@ class SpringsAndSpins:
         coefficients: ti.template(),
         numbers: ti.template(),
     ):
-        """Return elongation and force of contacts with friction, after one step.
+        """Return the elongation and the force of contacts with friction after one step: a list of the components of the
+        first, then of the second.
 
-        A spring and a damper slip together; the viscosity, if there is one, acts beside them.
+        The spring and its damper bear a trial force, K stretch + A speed. If that exceeds static friction the contact
+        slips: its force is cut off at kinetic friction, and its spring is set back. A viscosity adds a force to either.
+        A component is a vector with an entry for each contact of a block.
 
-        moved, speed : differences of the spins, integrated over the step and at its end.
-        before : elongation before the step.
-        coefficients : normal force, and viscosity if there is one.
-        numbers : in this order
+        moved, speed : differences of the spins by component, 1/time: mean over the step, and at its end.
+        before : elongation before the step by component, length.
+        coefficients : friction of each contact in a unit that they share, and viscosity if there is one.
+        numbers : constants, in this order:
 
-        * reach, radius * time step;
-        * stiffness of the spring, and damping, A_t * radius;
-        * kinetic and static friction coefficient, by which the normal force is multiplied;
+        * radius * time step;
+        * stiffness K of the spring, and damping, A * radius;
+        * kinetic and static friction of a contact whose coefficient is 1, force;
         * compliance and memory: after a slip the elongation is compliance * force + memory * elongation before.
         """
-        reach, stiffness, damping, kinetic, static, compliance, memory = numbers[:7]
+        radius_step, stiffness, damping, kinetic, static, compliance, memory = numbers[:7]
         friction = coefficients[0]
-        stretch = [reach * moved[t] + before[t] for t in ti.static(range(len(moved)))]
+        stretch = [radius_step * moved[t] + before[t] for t in ti.static(range(len(moved)))]
         trial = [stiffness * stretch[t] + damping * speed[t] for t in ti.static(range(len(moved)))]
         size = length(trial)
         slips = size > static * friction
@@ -75,19 +79,27 @@ class SpringsAndSpins:
 
     @ti.func
     def motion(self, old: ti.template(), pull, is_free, response):
-        """Return one component of the spheres' motion: corrected spin and derivatives, the prediction, and its mean.
+        """Return one spin component after a step of Gear's method: the list `[x_0, ..., x_{order-1}, end, mean]`.
 
-        old : the spin and its derivatives. pull : torque over the radius. is_free : 0 for driven spheres.
-        response : time step * radius / inertia.
+        x_n is the n-th time derivative of the spin times (time step)^n / n!, at the end of this step. `end` is the spin
+        that is predicted for the end of the next step. `mean` is the mean spin predicted for the next step, plus Gear's
+        correction of the mean of this step.
+
+        old : the numbers x_n before the step, a list.
+        pull : sum of the contact forces on the sphere, torque over radius.
+        is_free : 0 for driven spheres, whose spin stays; else the factor 1, or 1 / inertia where spheres differ.
+        response : time step * radius / inertia, which turns a force into the change of a spin.
         """
+        # the predicted derivative at the end of the step, and how far the torque's differs from it
         derivative = old[1]
         for k in ti.static(range(2, self.order)):
             derivative += ti.static(float(k)) * old[k]
         error = response * is_free * pull - derivative
         corrected = [self.corrector[n] * error for n in ti.static(range(self.order))]
         for n in ti.static(range(self.order)):
-            for k in ti.static(range(n, self.order)):  # the Taylor series one step on
+            for k in ti.static(range(n, self.order)):  # add the prediction, a Taylor series one step on
                 corrected[n] += ti.static(float(comb(k, n))) * old[k]
+        # predict the end and the mean of the next step by the Taylor series of the corrected numbers
         end, mean = corrected[0], corrected[0]
         for n in ti.static(range(1, self.order)):
             end += corrected[n]
@@ -98,28 +110,36 @@ class SpringsAndSpins:
 
 @ti.data_oriented
 class CundallStrackSteps(SpringsAndSpins, Sweeps):
-    """Cundall-Strack steps on a lattice.
+    """Cundall-Strack steps on a lattice: part 0 of a step is made at the contacts, part 1 at the spheres.
 
-    Fields: `gear_0` ... `gear_q`, `predicted`, `is_free`, `force`, `coefficient`; with friction also `integral` and
-    `elongation`; with damping beside it `viscosity`.
+    Fields, with one number for each spin component of a sphere, or for each component of a contact's force:
 
-    gear_n : the n-th derivative of the staggered spin times (time step)^n / n!.
-    predicted, integral : the spin extrapolated to the end of the step, and its mean over the step.
-    elongation, force : spring stretch and tangential force of each contact, along the difference of the spins. The
-        spins stand at the end of the last step; the force is that at its predicted end.
+    gear_n : for n = 0 ... q, the n-th time derivative of the staggered spin times (time step)^n / n!.
+    predicted, integral : the spin extrapolated to the end of the next step, and its mean over that step; the second
+        only with friction.
+    is_free : one number a sphere, 0 for driven ones and 1 for others.
+    coefficient, viscosity : normal force of each contact; viscosity only where it acts beside friction.
+    elongation, force : stretch of the spring and tangential force of each contact, along the difference of the spins;
+        the first only with friction. Spins in `gear_n` stand at the end of the last step; the force is that at its
+        predicted end.
 
     With fields `work` and `impulse` an energy balance is kept too, in sums over the steps:
 
     work : of each sphere's upper contacts, force times spin difference, without the last step.
     impulse : forces that pull on a driven sphere, with the last step.
 
-    Its constants are the numbers of :meth:`spring`, and response, time step * radius / inertia.
+    Its constants, `numbers`, are those of :meth:`spring`, and response, time step * radius / inertia.
     """
 
     parts, numbers = 2, 8
 
     def __init__(self, spec: FieldSpec, stencil: Stencil, corrector: tuple[float, ...]):
-        """spec : fields, in the order of their rows. corrector : coefficients of Gear's method."""
+        """Set the constants for which the kernel is compiled.
+
+        spec : names and numbers of components of the fields, in the order of their rows.
+        stencil : spin components, dimension and periodic axes of the lattice.
+        corrector : coefficients of Gear's corrector, that of the spin first.
+        """
         super().__init__(stencil.block, stencil.periodic)
         slot, axes, self.stencil = first_slots(spec), range(stencil.dimension), stencil
         self.slot, self.corrector, self.order, self.tally = slot, corrector, len(corrector), "work" in slot
@@ -134,16 +154,22 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
         # rows of the first component that a step writes; those of the others follow
         moved = [*(f"gear_{n}" for n in range(self.order)), "predicted", "integral"]
         self.moved = tuple(slot[name] for name in moved if name in slot)
-        # felt: for each component the two axes whose contacts it makes slip, and the rows of their forces
-        felt = [
+        # for each component the two axes whose contacts it makes slip, with the rows of the forces that so pull on it
+        pulling = [
             [(a, self.force[a][kept.index(c)]) for a, kept in enumerate(stencil.kept) if c in kept]
             for c in range(stencil.components)
         ]
-        self.felt = tuple(zip(*felt, strict=True))
+        self.pulling = tuple(zip(*pulling, strict=True))
 
     @ti.func
     def difference(self, values: ti.template(), rows: ti.template(), row, first, side: ti.template()):
-        """Return the numbers of these rows at the upper neighbours, minus those at the block of sites itself."""
+        """Return for some rows the number of the upper neighbour minus that of the site itself: a list of vectors.
+
+        values : all fields, flat.
+        rows : numbers of the rows.
+        row, first : length of a row, and index of the first site of the block.
+        side : stride of the axis and, with periodic axes, its ring; see `load_neighbours`.
+        """
         up = load_neighbours(values, rows, row, first, side, 1, self.block)
         return minus(up, load_each(values, places(rows, row, first), self.block))
 
@@ -157,8 +183,12 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
         strides: ti.template(),
         numbers: ti.template(),
     ):
-        """Write the forces of the contacts above the block of sites from `first` on. row : length of a row of
-        numbers.
+        """Stretch the springs and write the forces of the contacts above the block of sites from `first` on.
+
+        values, blocks : all fields, flat, and the same memory in blocks.
+        row : length of a row.
+        strides : distance to the upper neighbour along each axis; more with periodic axes, see `with_rings`.
+        numbers : constants of the step, see the class.
         """
         if ti.static(self.tally):
             self.add_work(values, blocks, row, first, strides)
@@ -178,7 +208,13 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
 
     @ti.func
     def add_work(self, values: ti.template(), blocks: ti.template(), row, first, strides: ti.template()):
-        """Add the power at the end of the last step to the work of the contacts above a block of spheres."""
+        """Add force times spin difference at the end of the last step to the field `work`, for the contacts above a
+        block of spheres.
+
+        values, blocks : all fields, flat, and the same memory in blocks.
+        row, first : length of a row, and index of the first site of the block.
+        strides : distance to the upper neighbour along each axis; more with periodic axes, see `with_rings`.
+        """
         work = in_range(self.slot["work"] * row + first)
         total = load(values, work, self.block)
         for axis in ti.static(self.stencil.slipping_axes):
@@ -190,11 +226,20 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
 
     @ti.func
     def sphere_pass(self, values: ti.template(), blocks: ti.template(), row, first, strides: ti.template(), response):
-        """Step the spins of one block. A loop over the components at run time is compiled and read once."""
+        """Make Gear's step for the spins of the block of spheres from `first` on.
+
+        The loop over the spin components is one at run time, so that its body is compiled once.
+
+        values, blocks : all fields, flat, and the same memory in blocks.
+        row : length of a row.
+        strides : distance to the upper neighbour along each axis; more with periodic axes, see `with_rings`.
+        response : time step * radius / inertia.
+        """
         is_free = load(values, in_range(self.slot["is_free"] * row + first), self.block)
         for c in range(self.stencil.components):
+            # the force on each sphere: that of its upper contact less that of its lower one, along each axis
             pull = zero(self.block)
-            for of_components in ti.static(self.felt):
+            for of_components in ti.static(self.pulling):
                 place = in_range(chosen([force for _, force in ti.static(of_components)], c) * row + first)
                 sides = [strides[axis::3] for axis, _ in ti.static(of_components)]
                 side = [chosen([of[n] for of in sides], c) for n in ti.static(range(len(sides[0])))]
@@ -211,7 +256,14 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
         self, part: ti.template(), values: ti.template(), blocks: ti.template(), row, first, strides: ti.template(),
         numbers: ti.template(), sweep, carried: ti.template(),
     ):  # fmt: skip
-        """Work on the contacts above a block of sites in the first part of a step, on its spheres in the second."""
+        """Do one part of a step for a block of sites: 0, the contacts above them; 1, their spheres.
+
+        values, blocks : all fields, flat, and the same memory in blocks.
+        row, first : length of a row, and index of the first site of the block.
+        strides : distance to the upper neighbour along each axis; more with periodic axes, see `with_rings`.
+        numbers : constants of the step, see the class.
+        sweep, carried : not used; `walk` takes the same arguments in all sweeps.
+        """
         if ti.static(part == 0):
             self.contact_pass(values, blocks, row, first, strides, numbers)
         else:
@@ -220,7 +272,7 @@ class CundallStrackSteps(SpringsAndSpins, Sweeps):
 
 @ti.func
 def chosen(options: ti.template(), number):
-    """Return options[number], for a number that is known only at run time."""
+    """Return options[number], for a number that is known only at run time, while the list is known to the compiler."""
     result = options[0]
     for other in ti.static(range(1, len(options))):
         result = ti.select(number == other, options[other], result)

@@ -21,28 +21,37 @@ from taichi_bearings.kernels.team import Sweeps
 
 @ti.data_oriented
 class DescentSweeps(Sweeps):
-    """Descent sweeps on a lattice.
+    """Sweeps of gradient descent on a lattice: each moves all free spins down the gradient of the dissipated power.
 
-    Fields: `point`, `point_next`, `coefficient`, `inverse_weight`; for a law with two coefficients `viscosity`; with
-    momentum `spin`; for averages `spin_sum` and `force_sum`.
+    The k-th sweep since the momentum was last set to zero makes, with beta = k / (k + 3), or 0 without momentum,
 
-    The k-th sweep since the last restart, with beta = k / (k + 3), or 0 without momentum:
-
-        spin_new = clip(point + step * inverse_weight * (sum of the forces that pull on the sphere at `point`), box)
+        spin_new = clip(point + step * inverse_weight * (sum of the contact forces on the sphere at `point`), box)
         point    = spin_new + beta (spin_new - spin)
 
-    inverse_weight is 1 / (sum over the sphere's contacts of what bounds their curvature), for each component; 0 for
-    driven spheres, which therefore stay. On request the points and the contact forces at the points are summed up in
-    `spin_sum` and `force_sum`. Without momentum `spin` is not used: `point` is the spin.
+    Fields, with one number a site and spin component where nothing else is said:
 
-    Its constants: step, sharpness, three lower and three upper ends of the box, and 1 to sum up or 0 not to. Sweeps
-    come in pairs, numbered by k.
+    * `point`, `point_next` : spins at which forces are computed; even sweeps go from the first to the second, odd ones
+      back.
+    * `spin` : spins before the momentum is added; only with momentum, else `point` is the spin.
+    * `inverse_weight` : 1 / (sum over the sphere's contacts of a bound on their curvature); 0 for driven spheres, which
+      therefore stay.
+    * `coefficient`, and `viscosity` for a law with two coefficients : of the contact above the site along each axis.
+    * `spin_sum`, `force_sum` : sums of the points, and of the contact forces there, over sweeps; only for averages.
+
+    Its constants, `numbers`: step; sharpness (1 over the spin difference up to which friction grows); three lower and
+    three upper ends of the box, the interval in which spins stay; and 1 to add to the sums in this launch or 0 not to.
+    Sweeps come in pairs, numbered by k.
     """
 
     repeats, numbers = 2, 9
 
     def __init__(self, spec: FieldSpec, stencil: Stencil, law: str):
-        """spec : fields, in the order of their rows. law : name of a force in `contact.FORCES`."""
+        """Set the constants for which the kernel is compiled.
+
+        spec : names and numbers of components of the fields, in the order of their rows.
+        stencil : spin components, dimension and periodic axes of the lattice.
+        law : name of a force law in `contact.FORCES`.
+        """
         super().__init__(stencil.block, stencil.periodic)
         self.slot = slot = first_slots(spec)
         self.stencil, self.force_law = stencil, FORCES[law]
@@ -52,6 +61,7 @@ class DescentSweeps(Sweeps):
         self.coefficients = tuple(tuple(row + axis for row in first) for axis in range(stencil.dimension))
 
         def of_sites(name: str) -> tuple[int, ...]:
+            """Return the rows of a field that has a number for each spin component."""
             return tuple(slot[name] + c for c in self.components)
 
         # sweeps of even parity go from `point` to `point_next`, which begins `apart` rows further, the others back
@@ -64,7 +74,17 @@ class DescentSweeps(Sweeps):
 
     @ti.func
     def enter(self, values: ti.template(), size: ti.template(), low, numbers: ti.template(), sweep):
-        """Return the force of the contact below the first site of a worker along the height. low : its first block."""
+        """Return the force of the contact below the first site of a worker, along the height: a list with an entry for
+        each component that makes it slip.
+
+        Along the height a block takes this force from the block before; the first block of a worker has none before it.
+
+        values : all fields, flat.
+        size : row length and margin first, see `Layout.measures`.
+        low : number of the worker's first block.
+        numbers : constants of the sweep, see the class.
+        sweep : number of the sweep, whose parity says which of the two fields of points is read.
+        """
         height = ti.static(self.stencil.height)
         row, first = size[0], in_range(size[1] + low * self.block)
         source = first + (sweep & 1) * self.apart * row
@@ -75,17 +95,25 @@ class DescentSweeps(Sweeps):
 
     @ti.func
     def add(self, total: ti.template(), axis: ti.template(), above: ti.template(), below: ti.template()):
-        """Add the forces of the contacts of one axis to the components that make them slip.
+        """Add the forces of the contacts along one axis to the force on each sphere, in place.
 
-        above, below : force of the contact with the upper neighbour, and with the lower one.
+        total : force on the spheres of a block, a list with an entry for each spin component.
+        axis : number of the axis.
+        above, below : force of the contact with the upper neighbour, which pulls the sphere up, and with the lower one;
+            lists with an entry for each component that makes these contacts slip.
         """
         for t in ti.static(range(len(self.stencil.kept[axis]))):
             total[self.stencil.kept[axis][t]] += above[t] - below[t]
 
     @ti.func
     def add_along_the_height(self, total: ti.template(), above: ti.template(), carried: ti.template()):
-        """Add the forces of the contacts along the height. carried : force of the contact below the block, from the
-        block before.
+        """Add the forces of the contacts along the height to the force on each sphere, in place.
+
+        In memory the height runs along the block, so the force below a site is the force above the site before.
+
+        total : force on the spheres of a block, a list with an entry for each spin component.
+        above : force of the contact above each site of the block, a list with an entry for each component.
+        carried : force of the contact below the block; replaced by that above its last site, for the next block.
         """
         below = [pushed(above[t], carried[t], self.block) for t in ti.static(range(len(above)))]
         self.add(total, self.stencil.height, above, below)
@@ -97,7 +125,16 @@ class DescentSweeps(Sweeps):
         self, part: ti.template(), values: ti.template(), blocks: ti.template(), row, first, strides: ti.template(),
         numbers: ti.template(), sweep, carried: ti.template(),
     ):  # fmt: skip
-        """Update the block of sites from `first` on."""
+        """Make one sweep for the block of sites from `first` on.
+
+        part : not used, as a sweep has one part.
+        values, blocks : all fields, flat, and the same memory in blocks.
+        row : length of a row.
+        strides : distance to the upper neighbour along each axis; more with periodic axes, see `with_rings`.
+        numbers : constants of the sweep, see the class.
+        sweep : number of the sweep since the momentum was last set to zero.
+        carried : force of the contact below the block along the height, see `add_along_the_height`.
+        """
         step, sharpness, low, high, averaging = numbers[0], numbers[1], numbers[2:5], numbers[5:8], numbers[8] > 0.0
         parity, beta = sweep & 1, momentum(sweep)
         source, target = first + parity * self.apart * row, first + (1 - parity) * self.apart * row
@@ -105,6 +142,7 @@ class DescentSweeps(Sweeps):
         if ti.static(self.averages):  # noqa: SIM102 (Taichi needs the statement to drop the branch)
             if averaging:
                 self.sum_up(values, blocks, places(self.spin_sum, row, first), point)
+        # the force on each sphere: that of its upper contact less that of its lower one, along each axis
         pulled = [zero(self.block) for _ in self.components]
         for axis in ti.static(self.stencil.slipping_axes):
             here, side = [point[c] for c in ti.static(self.stencil.kept[axis])], strides[axis::3]
@@ -120,6 +158,7 @@ class DescentSweeps(Sweeps):
                 down = load_neighbours(values, self.kept[axis], row, source, side, -1, self.block)
                 lower = load_neighbours(values, self.coefficients[axis], row, first, side, -1, self.block)
                 self.add(pulled, axis, above, self.force_law(minus(here, down), lower, sharpness))
+        # the step down the gradient, within the box, and on by the momentum
         weight, to = places(self.weight, row, first), places(self.point, row, target)
         for c in ti.static(self.components):
             new = clamp(point[c] + step * load(values, weight[c], self.block) * pulled[c], low[c], high[c])
@@ -133,5 +172,8 @@ class DescentSweeps(Sweeps):
 
 @ti.func
 def momentum(age):
-    """Return beta for a sweep that is the `age`-th since the last restart."""
+    """Return beta = k / (k + 3), the factor of Nesterov's momentum.
+
+    age : k, number of the sweep since the momentum was last set to zero.
+    """
     return ti.cast(age, float) / ti.cast(age + 3, float)

@@ -1,11 +1,18 @@
-"""Cholesky factors of one matrix, or of several of one pattern side by side: then each number is a vector, one lane
-each.
+"""Cholesky factors of one sparse matrix, or of several of one pattern at a time: then each number is a vector with a
+lane for each matrix.
 
-The fronts of the elimination tree are worked on children before parents; numerics/cholesky/layout.py says where they
-lie. A front is stored column by column: m columns of own unknowns with all their n rows, then the update that it leaves
-for its border, b columns in panels of SHEET columns, each from its diagonal down; only lower triangles are used. Small
-matrices are eliminated here, in one launch; fronts of large ones are assembled here, and eliminated by BLAS. A number
-goes through the same operations in the same order whether its matrix is alone or not.
+The factorisation is multifrontal. A *front* is a dense matrix for a group of unknowns that are eliminated together, its
+*own* unknowns, and for the later unknowns that they are coupled to, its *border*. What the elimination leaves for the
+border, the *update*, is added to the front of the parent in the elimination tree. So fronts are worked on children
+before parents; numerics/cholesky/layout.py says where they lie.
+
+A front is stored column by column: m columns of own unknowns with all their n rows, then the update, b columns in
+panels of SHEET columns, each from its diagonal down; only lower triangles are used. Small matrices are eliminated here,
+in one launch; fronts of large ones are assembled here, and eliminated by BLAS. A number goes through the same
+operations in the same order whether its matrix is alone or not.
+
+The functions share these arguments: `tables`, the array of integers that says where everything stands; `at`, where the
+row of a front begins in it; `numbers`, the entries of all fronts; `unit`, how many rows make a vector.
 
 The innermost loops, and those of `gather`, step by a number that stands in the tables, although it is 1: if LLVM knew
 the step it would unroll the loops eight times over, which takes every process seconds and makes none of them faster.
@@ -36,7 +43,12 @@ HEIGHT, UPDATE_HEIGHT, SKIP, REST_HEIGHT, WIDTH = 10, 11, 12, 13, 14
 
 @ti.func
 def clear(alone: ti.template(), numbers: ti.template(), begin, end, step):
-    """Set the numbers begin ... end-1 to zero."""
+    """Set the numbers begin ... end-1 to zero.
+
+    alone : True if each is a number of one matrix, False if it is a vector of LANES matrices.
+    numbers : the array.
+    step : 1, hidden from the compiler (see the module).
+    """
     i = begin
     while i < end:
         if ti.static(alone):
@@ -48,7 +60,11 @@ def clear(alone: ti.template(), numbers: ti.template(), begin, end, step):
 
 @ti.func
 def sheets_before(tables: ti.template(), at, column):
-    """Return how many columns of the update stand in the panels before that of a column of the front."""
+    """Return how many columns of the update stand in the panels before the one that holds a column.
+
+    tables, at : integers of the layout, and where the row of the front begins among them.
+    column : number of a column of the front; below that of the first column of the update the result is 0.
+    """
     before, width = 0, tables[SHEET]
     if column - tables[at + OWN] >= width:  # hardly ever: no division in small fronts
         before = (column - tables[at + OWN]) // width * width
@@ -57,7 +73,12 @@ def sheets_before(tables: ti.template(), at, column):
 
 @ti.func
 def column_of(tables: ti.template(), at, column):
-    """Return where row 0 of a column of a front would stand."""
+    """Return the index at which row 0 of a column of a front would stand; columns of the update are stored from the
+    diagonal.
+
+    tables, at : integers of the layout, and where the row of the front begins among them.
+    column : number of the column within the front, own columns first.
+    """
     own, start = tables[at + OWN], tables[at + OWN_COLUMNS] + column * tables[at + HEIGHT]
     if column >= own:
         before, pitch = sheets_before(tables, at, column), tables[at + UPDATE_HEIGHT]
@@ -72,22 +93,30 @@ def gather(
     alone: ti.template(), unit: ti.template(), tables: ti.template(), at, first, end, entries: ti.template(),
     numbers: ti.template(),
 ):  # fmt: skip
-    """Fill the columns first ... end-1 of a front with its entries and with what its children leave.
+    """Fill some columns of a front with the entries of the matrix, and add the updates of its children.
 
-    alone : one matrix, not LANES. unit : rows that make a vector. at : where the front stands in the tables.
+    alone : True for one matrix, False for LANES of them.
+    unit : rows that make a vector; columns are cleared from a multiple of it on.
+    tables, at : integers of the layout, and where the row of the front begins among them.
+    first, end : the columns first ... end-1 are filled.
+    entries : entries of the matrix.
+    numbers : entries of all fronts, which are read and written.
     """
+    # set the columns to zero, from the diagonal down
     columns, height, step = tables[at + OWN_COLUMNS], tables[at + HEIGHT], tables[STEP]
     column = first
     while column < end:
         begin = column_of(tables, at, column)
         clear(alone, numbers, begin + column - column % unit, begin + height, step)
         column += step
+    # put the entries of the matrix where the table of places says
     entry, entries_end = tables[at + ENTRIES], tables[at + ENTRIES_END]
     while entry < entries_end:
         place = tables[tables[PLACES] + entry]
         if first * height <= place and place < end * height:
             numbers[columns + place] = entries[entry]
         entry += step
+    # add the update of each child; its column j belongs to the column places[j] here
     next_child = tables[at + CHILD]
     while next_child >= 0:
         child = HEADER + next_child * WIDTH
@@ -108,19 +137,25 @@ def gather(
 
 @ti.func
 def corner(numbers: ti.template(), shape: ti.template(), j, wide: ti.template()):
-    """Return the lower triangle where `wide` columns from j on meet the diagonal, row by row.
+    """Return the lower triangle where `wide` neighbouring columns meet the diagonal, row by row in a list.
 
-    What the columns before contribute is taken off. If these are own columns the triangle is factorised, with inverse
-    pivots, which is what the substitutions need. shape : see :func:`panel`.
+    What the columns before contribute is subtracted. If these are own columns the triangle is factorised; its diagonal
+    then holds the inverse pivots, which the substitutions need.
+
+    numbers : entries of all fronts.
+    shape : where the columns stand, see :func:`panel`.
+    j : the first of the columns.
     """
     source, end, height, start, pitch, own = shape
     found = [numbers[start + c * pitch + j + r] for r in ti.static(range(wide)) for c in ti.static(range(r + 1))]
+    # subtract what the own columns before contribute, one after the other
     while source < end:
         left = [numbers[source + j + r] for r in ti.static(range(wide))]
         for r in ti.static(range(wide)):
             for c in ti.static(range(r + 1)):
                 found[r * (r + 1) // 2 + c] = found[r * (r + 1) // 2 + c] - left[r] * left[c]
         source += height
+    # factorise row by row; entry (r, c) of the triangle stands at r (r + 1) / 2 + c
     if own:
         for r in ti.static(range(wide)):
             row = ti.static(r * (r + 1) // 2)
@@ -139,13 +174,20 @@ def block(
     numbers: ti.template(), vectors: ti.template(), unit: ti.template(), shape: ti.template(), j, i,
     first: ti.template(), wide: ti.template(), tall: ti.template(),
 ):  # fmt: skip
-    """Work on `wide` columns from j on in `tall` vectors of rows from the i-th on, below their corner.
+    """Finish `wide` columns, from j on, in `tall` vectors of rows below their triangle at the diagonal, in place.
 
-    What the columns before contribute is taken off; own columns are divided by their corner, `first`.
+    What the columns before contribute is subtracted; own columns are also divided by their triangle.
+
+    numbers, vectors : entries of all fronts, one by one and as vectors of `unit` rows.
+    shape : where the columns stand, see :func:`panel`.
+    j : the first of the columns.
+    i : the first vector of rows.
+    first : triangle of these columns at the diagonal, from :func:`corner`.
     """
     source, end, height, start, pitch, own = shape
     to = [(start + c * pitch) // unit + i for c in ti.static(range(wide))]
     found = [vectors[to[c] + r] for c in ti.static(range(wide)) for r in ti.static(range(tall))]
+    # subtract what the own columns before contribute, one after the other
     while source < end:
         left = [vectors[source // unit + i + r] for r in ti.static(range(tall))]
         for c in ti.static(range(wide)):
@@ -153,6 +195,7 @@ def block(
             for r in ti.static(range(tall)):
                 found[c * tall + r] = found[c * tall + r] - left[r] * factor
         source += height
+    # solve with the triangle of these columns, whose diagonal holds inverse pivots
     if own:
         for c in ti.static(range(wide)):
             for r in ti.static(range(tall)):
@@ -169,15 +212,21 @@ def panel(
     tables: ti.template(), at, numbers: ti.template(), vectors: ti.template(), unit: ti.template(), j,
     wide: ti.template(),
 ):  # fmt: skip
-    """Eliminate `wide` columns from j on, or update them: either all are own, or none.
+    """Eliminate `wide` columns of a front from j on if they are own columns, or subtract from them what the own columns
+    contribute if they belong to the update. Either all are own, or none.
 
-    shape : index where the own columns before begin and end, and the distance between them; index where row 0 of these
-        columns would stand, and the distance between them; True if they are own.
+    tables, at : integers of the layout, and where the row of the front begins among them.
+    numbers, vectors : entries of all fronts, one by one and as vectors of `unit` rows.
+
+    `shape` holds, for the functions called here: index where the own columns before these begin, where they end, and
+    the distance between them; index where row 0 of these columns would stand, and the distance between them; True if
+    they are own.
     """
     own, height, begin = tables[at + OWN], tables[at + HEIGHT], tables[at + OWN_COLUMNS]
     pitch = height if j < own else tables[at + UPDATE_HEIGHT] - sheets_before(tables, at, j)
     start = column_of(tables, at, j)
     shape = [begin, begin + ti.min(j, own) * height, height, start, pitch, j < own]
+    # the triangle at the diagonal first, then the rows below it, PANEL vectors at a time
     first = corner(numbers, shape, j, wide)
     i, end = (j + wide) // unit, (own + tables[at + BORDER] + unit - 1) // unit
     while i + PANEL <= end:
@@ -193,10 +242,11 @@ def panel(
 
 @ti.func
 def reduce(tables: ti.template(), at, numbers: ti.template(), vectors: ti.template(), unit: ti.template()):
-    """Eliminate the own unknowns of a front, PANEL columns at a time.
+    """Eliminate the own unknowns of a front, PANEL columns at a time, and compute its update.
 
-    vectors : the numbers, either each a vector, or `unit` rows in one vector; those above the diagonal hold something
-        that nobody reads.
+    tables, at : integers of the layout, and where the row of the front begins among them.
+    numbers, vectors : entries of all fronts, one by one, and as vectors: the same array if each is a vector of LANES
+        matrices; else `unit` rows of one matrix make a vector. What stands above the diagonal has no meaning.
     """
     own, rows, j = tables[at + OWN], tables[at + OWN] + tables[at + BORDER], 0
     while j < rows:
@@ -210,8 +260,13 @@ def reduce(tables: ti.template(), at, numbers: ti.template(), vectors: ti.templa
 
 @ti.kernel
 def eliminate(tables: INTEGERS, entries: VECTORS, numbers: VECTORS):
-    """Factorise LANES matrices. A pivot that is not positive leaves an inverse that is not finite, in its matrix
-    alone.
+    """Factorise LANES matrices of one pattern, one lane each.
+
+    A pivot that is not positive leaves an inverse that is not finite, in its matrix alone.
+
+    tables : integers of the layout.
+    entries : entries of the matrices, in the order of the layout.
+    numbers : entries of all fronts, the result.
     """
     ti.loop_config(serialize=True)
     for front in range(tables[FRONTS]):
@@ -222,7 +277,12 @@ def eliminate(tables: INTEGERS, entries: VECTORS, numbers: VECTORS):
 
 @ti.kernel
 def eliminate_alone(tables: INTEGERS, entries: NUMBERS, numbers: NUMBERS, vectors: VECTORS):
-    """Factorise one matrix. vectors : the numbers, LANES rows in one vector."""
+    """Factorise one matrix.
+
+    tables : integers of the layout.
+    entries : entries of the matrix, in the order of the layout.
+    numbers, vectors : entries of all fronts, the result, one by one and as vectors of LANES rows in the same memory.
+    """
     ti.loop_config(serialize=True)
     for front in range(tables[FRONTS]):
         at = HEADER + front * WIDTH
@@ -231,12 +291,18 @@ def eliminate_alone(tables: INTEGERS, entries: NUMBERS, numbers: NUMBERS, vector
 
 
 def _assembly(serial: bool) -> Callable:
-    """Return a kernel that fills fronts of one matrix, on one thread (`serial`) or on several."""
+    """Return a kernel that fills fronts of one matrix. serial : on one thread, else on several."""
     chunk = 1 if serial else LEAST_CHUNK
 
     @ti.kernel
     def run(tables: INTEGERS, entries: NUMBERS, numbers: NUMBERS, begin: int, end: int):
-        """Fill the items begin ... end-1 of the work: each is a front, its first and its last column."""
+        """Fill the columns of fronts that the items begin ... end-1 of the table of work name; each is a front, its
+        first column, and the end of its columns.
+
+        tables : integers of the layout.
+        entries : entries of the matrix.
+        numbers : entries of all fronts, which are written.
+        """
         if ti.static(serial):
             ti.loop_config(serialize=True)
         for turn in range(begin * chunk, end * chunk):

@@ -1,5 +1,5 @@
-"""The elimination tree of a Cholesky factor: the parent of each column, its length, and which columns make up a
-part.
+"""The elimination tree of a Cholesky factor: the parent of each column, its length, and which columns are joined into a
+front, a group of columns that is eliminated as a dense matrix.
 """
 
 from taichi_bearings.compiler import ti
@@ -8,12 +8,14 @@ from taichi_bearings.kernels.memory import INTEGERS
 
 @ti.kernel
 def grow(starts: INTEGERS, rows: INTEGERS, parent: INTEGERS, count: INTEGERS, mark: INTEGERS):
-    """Find the elimination tree (Liu, SIMAX 1990): row k of the factor has entries in the columns on the paths up the
-    tree from the columns in which row k of the matrix has entries.
+    """Find the elimination tree of a symmetric matrix and the length of each column of its factor (Liu, SIMAX 1990).
 
-    starts, rows : the symmetric pattern, compressed.
-    parent : (n,) result: the first row below the diagonal of each column, -1 for none.
-    count : (n,) result: numbers in each column, from the diagonal down.
+    Row k of the factor has entries in the columns on the paths up the tree, from the columns in which row k of the
+    matrix has entries.
+
+    starts, rows : pattern of the matrix: column k has entries in rows[starts[k] : starts[k + 1]].
+    parent : (n,) result: the first row below the diagonal in which each column of the factor has an entry; -1 for none.
+    count : (n,) result: entries of each column of the factor, the diagonal included.
     mark : (n,) scratch.
     """
     ti.loop_config(serialize=True)
@@ -31,10 +33,13 @@ def grow(starts: INTEGERS, rows: INTEGERS, parent: INTEGERS, count: INTEGERS, ma
 
 @ti.func
 def price(own, border, part, column, update):
-    """Return operations that a part costs: arithmetic, and what numerics/cholesky/tuning.py adds for part, columns and
-    update.
+    """Return what the elimination of a front costs, in operations.
 
-    own, border : columns and later rows of the part. part, column, update : a `Price`.
+    It is the arithmetic, plus costs of handling that numerics/cholesky/tuning.py has measured.
+
+    own, border : columns of the front, and rows below its diagonal block.
+    part, column, update : cost in operations of a front, of each entry of its own columns, and of each entry of its
+        update.
     """
     m, b = ti.cast(own, ti.f64), ti.cast(border, ti.f64)
     return m * (b * (b + m) + m * m / 3.0) + part + column * m * (m + b) + update * b * b / 2.0
@@ -45,20 +50,22 @@ def join(
     part: ti.f64, column: ti.f64, update: ti.f64, parent: INTEGERS, count: INTEGERS,
     home: INTEGERS, own: INTEGERS, child: INTEGERS, sibling: INTEGERS,
 ):  # fmt: skip
-    """Join columns with parts below them in the tree where that lowers the price.
+    """Join each column with fronts below it in the tree, one after the other, where that makes the elimination cheaper.
 
-    part, column, update : a `Price`. parent, count : see :func:`grow`.
-    home : (n,) result: the last column of the part that each column is in.
-    own, child, sibling : (n,) results, for last columns: columns in the part, the last column of its first child, and
-        that of the next child of its parent; -1 for none.
+    part, column, update : costs, see :func:`price`.
+    parent, count : (n,), the tree and the lengths of the columns, see :func:`grow`.
+    home : (n,) result: the last column of the front that each column is in.
+    own, child, sibling : (n,) results, of use for last columns of fronts: columns in the front; last column of its
+        first child; last column of the next child of its parent. -1 for none.
     """
+    # at first each column is a front of its own; children are listed by their links, the smallest first
     ti.loop_config(serialize=True)
     for back in range(parent.shape[0]):
         k = parent.shape[0] - 1 - back
         home[k], own[k], child[k], sibling[k] = k, 1, -1, -1
         if parent[k] >= 0:
             sibling[k], child[parent[k]] = child[parent[k]], k
-    # from the leaves up: a column takes in one part below it after the other, if both together cost less than apart
+    # from the leaves up: a column takes in one front below it after the other, if both together cost less than apart
     ti.loop_config(serialize=True)
     for k in range(parent.shape[0]):
         alone, below, before = price(1, count[k] - 1, part, column, update), child[k], -1
@@ -66,7 +73,7 @@ def join(
             after, together = sibling[below], price(own[k] + own[below], count[k] - 1, part, column, update)
             if together < alone + price(own[below], count[below] - 1, part, column, update):
                 own[k], alone, home[below] = own[k] + own[below], together, k
-                if child[below] >= 0:  # what is below takes its place
+                if child[below] >= 0:  # the children of the front that was taken in follow in its place
                     last = child[below]
                     while sibling[last] >= 0:
                         last = sibling[last]
@@ -78,6 +85,7 @@ def join(
             else:
                 before = below
             below = after
+    # a front that was taken in may have been taken on: from the last column down, each finds the last home
     ti.loop_config(serialize=True)
     for back in range(parent.shape[0]):
         home[parent.shape[0] - 1 - back] = home[home[parent.shape[0] - 1 - back]]

@@ -3,9 +3,9 @@
 Sweeps, splitting and Cundall-Strack steps work with vectors: they `load` a block, apply a law to it, and `store` the
 result. On a GPU a block is one site, and a vector its number. (Taichi's vectors have no unary minus, and no abs.)
 
-The laws of Newton steps are functions of one site; :func:`fill` walks them over a block. The results go to local
-vectors, which are written as a whole: the compiler cannot tell a loop that writes to memory from one that changes its
-own input, or even the address of the array, so it would not turn it into SIMD instructions (docs/decisions.md, 2).
+The laws of Newton steps are functions of one site; :func:`fill` applies them to each site of a block. The results go to
+local vectors, which are written as a whole: the compiler cannot tell a loop that writes to memory from one that changes
+its own input, or even the address of the array, so it would not turn it into SIMD instructions (docs/decisions.md, 2).
 """
 
 from taichi_bearings.compiler import ti
@@ -28,8 +28,11 @@ def in_range(index):
 
 @ti.func
 def places(rows: ti.template(), length, site):
-    """Return where the numbers of a site stand, one in each of the rows; those of the site m further on stand m
-    further on.
+    """Return for each of some rows the index of the number that a site has there, as a list.
+
+    rows : numbers of the rows, known when the kernel is compiled.
+    length : length of a row.
+    site : index of the site within a row. The numbers of the site m further on stand m further on.
     """
     # as `in_range`, without a call for each row: those would take a sixth of the time to read a pass of a Newton step
     return [(row * length + site) & INDEX_MASK for row in ti.static(rows)]
@@ -37,8 +40,9 @@ def places(rows: ti.template(), length, site):
 
 @ti.func
 def load(values: ti.template(), place, block: ti.template()):
-    """Return the numbers of a block of neighbouring sites from any place on: a vector, or one number if a block is one
-    site.
+    """Return `block` neighbouring numbers of `values` as a vector; one number if `block` is 1.
+
+    place : index of the first of them. It need not be a multiple of the block.
 
     LLVM knows the loop for a copy, and loads the vector with few instructions.
     """
@@ -52,7 +56,13 @@ def load(values: ti.template(), place, block: ti.template()):
 
 @ti.func
 def store(values: ti.template(), blocks: ti.template(), place, block: ti.template(), new):
-    """Write `new`, the numbers of a whole block of sites, from `place` on."""
+    """Write the numbers of a whole block of sites.
+
+    values, blocks : the flat array, and the same memory as vectors of a block; the second is written unless block is 1.
+    place : index of the first number, a multiple of the block.
+    block : sites of a block.
+    new : a vector, or one number if block is 1.
+    """
     if ti.static(block == 1):
         values[place] = new
     else:
@@ -61,7 +71,12 @@ def store(values: ti.template(), blocks: ti.template(), place, block: ti.templat
 
 @ti.func
 def load_each(values: ti.template(), at: ti.template(), block: ti.template()):
-    """Return the numbers of a block of sites from each of the places `at` on."""
+    """Return a list with an entry for each place: the `block` numbers from there on as a vector, one number if block is
+    1.
+
+    values : the flat array.
+    at : list of indices, e.g. of one block of sites in several rows.
+    """
     return [load(values, place, block) for place in ti.static(at)]
 
 
@@ -69,18 +84,30 @@ def load_each(values: ti.template(), at: ti.template(), block: ti.template()):
 def store_each(
     values: ti.template(), blocks: ti.template(), to: ti.template(), block: ti.template(), new: ti.template()
 ):
-    """Write new[k] from the place to[k] on."""
+    """Write a list of blocks of numbers: new[k] from the index to[k] on.
+
+    values, blocks : the flat array, and the same memory as vectors of a block.
+    to : list of indices, each a multiple of the block.
+    block : sites of a block.
+    new : list of vectors, of numbers if block is 1.
+    """
     for k in ti.static(range(len(to))):
         store(values, blocks, to[k], block, new[k])
 
 
 @ti.func
 def with_rings(strides: ti.template(), site, ring, periodic: ti.template()):
-    """Return the strides along the three axes; with periodic axes followed by the length of the ring along each axis,
-    and by where in its ring a site is.
+    """Return a list with the strides along three axes and, with periodic axes, where the site is in the ring along each
+    axis.
 
-    :func:`load_neighbours` takes every third of these numbers for an axis. ring : sites of a replica, which are those
-    of a ring along x.
+    With periodic axes the list has nine entries: three strides, three lengths of rings, and three positions in them.
+    :func:`load_neighbours` takes every third entry for an axis. An axis that is not periodic has a ring so long that it
+    never closes.
+
+    strides : distance to the upper neighbour along each axis.
+    site : number of the site among all.
+    ring : sites of a replica, which are those of a ring along x.
+    periodic : axes that close on themselves.
     """
     if ti.static(len(periodic) == 0):
         return strides
@@ -95,11 +122,16 @@ def load_neighbours(
     values: ti.template(), rows: ti.template(), row, first, side: ti.template(), way: ti.template(),
     block: ti.template(),
 ):  # fmt: skip
-    """Return the numbers of the neighbours of a block of sites along an axis: the upper ones (way 1) or the lower ones
-    (-1).
+    """Return the numbers of the neighbours of a block of sites along an axis: a list of vectors, one for each row.
 
-    side : stride of the axis; on lattices with periodic axes also the sites of a ring, and where in its ring `first`
-        is.
+    values : the flat array.
+    rows : numbers of the rows that are read.
+    row : length of a row.
+    first : index of the first site of the block within a row.
+    side : list with the stride of the axis; on lattices with periodic axes also with the sites of a ring, and with the
+        position of `first` in its ring.
+    way : 1 for upper neighbours, -1 for lower ones.
+    block : sites of a block.
     """
     if ti.static(len(side) == 1):
         return load_each(values, places(rows, row, first + way * side[0]), block)
@@ -108,11 +140,14 @@ def load_neighbours(
 
 @ti.func
 def load_neighbour(values: ti.template(), place, side: ti.template(), way: ti.template(), block: ti.template()):
-    """Return the number of one neighbour of each site of a block, of one row.
+    """Return, for a block of sites, a number of the neighbour of each along an axis: a vector.
 
-    place : where that of the block itself is.
-
-    side, way : see :func:`load_neighbours`.
+    values : the flat array.
+    place : index of that number of the block's first site.
+    side : list with the stride of the axis; on lattices with periodic axes also with the sites of a ring, and with the
+        position of the first site in its ring.
+    way : 1 for upper neighbours, -1 for lower ones.
+    block : sites of a block.
     """
     if ti.static(len(side) == 1):
         return load(values, in_range(place + way * side[0]), block)
@@ -121,13 +156,19 @@ def load_neighbour(values: ti.template(), place, side: ti.template(), way: ti.te
 
 @ti.func
 def load_around(values: ti.template(), place, step, ring, position, block: ti.template()):
-    """Return the numbers `step` further on around rings of length `ring`, for the block of sites from `place` on.
+    """Return, for a block of sites, the number of the site that is `step` further on in the same ring: a vector.
 
-    position : where in its ring the block begins.
+    values : the flat array.
+    place : index of the number of the block's first site.
+    step : distance in sites, negative for lower neighbours.
+    ring : sites of a ring, after which it begins again.
+    position : place of the block's first site in its ring.
+    block : sites of a block.
     """
     if ti.static(block == 1):
         return values[place + (position + step) % ring - position]
     result = load(values, in_range(place + step), block)
+    # where the ring closes within the block or its neighbours, site by site
     if ti.min(position, position + step) < 0 or ti.max(position, position + step) + block > ring:
         at, end = position, values.shape[0] - 1  # a block may go on behind the last site
         for m in range(block):
@@ -139,13 +180,13 @@ def load_around(values: ti.template(), place, step, ring, position, block: ti.te
 
 @ti.func
 def minus(upper: ti.template(), lower: ti.template()):
-    """Return the differences upper - lower of two lists of vectors."""
+    """Return the list of the differences upper[k] - lower[k], numbers or vectors."""
     return [upper[k] - lower[k] for k in ti.static(range(len(upper)))]
 
 
 @ti.func
 def zero(block: ti.template()):
-    """Return 0 for each site of a block."""
+    """Return zeros for a block of sites: a vector, or 0.0 if block is 1."""
     if ti.static(block == 1):
         return 0.0
     return ti.Vector.zero(float, block)
@@ -153,7 +194,11 @@ def zero(block: ti.template()):
 
 @ti.func
 def pushed(vector, first, block: ti.template()):
-    """Return `first`, and then the numbers of a block without the last: those of the sites below, along the height."""
+    """Return a block of numbers moved up by one site: `first`, then all numbers of `vector` but the last.
+
+    The result holds at each site the number of the site below it along the height; `first` is that of the site below
+    the block. If block is 1 it is `first` alone.
+    """
     if ti.static(block == 1):
         return first
     return ti.Vector([first] + [vector[m] for m in ti.static(range(block - 1))])
@@ -161,7 +206,7 @@ def pushed(vector, first, block: ti.template()):
 
 @ti.func
 def last(vector, block: ti.template()):
-    """Return the number of the last site of a block."""
+    """Return the last number of a vector; if block is 1, the vector is itself a number."""
     if ti.static(block == 1):
         return vector
     return vector[block - 1]
@@ -176,9 +221,14 @@ def fill(
     at: ti.template(),
     numbers: ti.template(),
 ):
-    """Set rows[k][m] to the k-th number that ``law(values, at, numbers, m)`` says of the m-th site of a block.
+    """Set rows[k][m] to the k-th number that a law returns for the m-th site of a block.
 
-    law : a function of one site that returns a list of numbers. at, numbers : what it reads, and constants.
+    rows : list of vectors of the length of a block, the result.
+    values : the flat array that the law reads.
+    block : sites of a block.
+    law : function ``law(values, at, numbers, m)`` of one site that returns a list as long as `rows`.
+    at : indices of the block's first numbers, as the law takes them.
+    numbers : array of constants that the law takes.
     """
     for m in range(block):
         new = law(values, at, numbers, m)

@@ -1,6 +1,4 @@
-"""The contact step of operator splitting: friction limits the force of each contact, then springs pull on the
-spheres.
-"""
+"""The contact step of operator splitting: friction limits the force of contacts; then springs pull on the spheres."""
 
 from taichi_bearings.compiler import ti
 from taichi_bearings.fields import FieldSpec, first_slots
@@ -14,23 +12,31 @@ ABSENT_FRICTION = -1.0  # friction where the lattice has no contact
 
 @ti.data_oriented
 class ContactStep(Sweeps):
-    """A step over the fields of :class:`taichi_bearings.solvers.operator_splitting.OperatorSplittingMethod`.
+    """The pass over all contacts of an iteration of operator splitting: first at the contacts, then the sum at each
+    sphere.
 
-    friction : mu F_n of the contact above each site along each axis, ABSENT_FRICTION where the lattice has none.
-    trial : the force that each contact would need, before friction limits it; as many numbers a site as
-        `Stencil.force_components`.
-    spring : the force of each spring, weight D(potential) - (trial - 2 limited(trial)), D the difference across
-        contacts.
-    potential : the spins in units of force, penalty * spin; the penalty is part of it, so kernels need not know it.
-    pull : sum of the spring forces on each sphere.
+    Its fields are those of :class:`taichi_bearings.solvers.operator_splitting.OperatorSplittingMethod`. A contact has a
+    number for each spin component that makes it slip, D is the difference of spins across it, and f is the trial force
+    cut off at the friction limit.
 
-    Its constants: weights of the springs sideways and along the height, relaxation.
+    friction : friction limit mu F_n of the contact above each site along each axis, ABSENT_FRICTION where there is
+        none.
+    trial : v, the force that each contact would need, before friction limits it.
+    spring : the force of each spring, weight D(potential) - (trial - 2 f).
+    potential : the spins in units of force, stiffness * spin; the stiffness is part of it, so kernels need not know it.
+    pull : sum of the spring forces on each sphere, for each spin component.
+
+    Its constants, `numbers`: weight (relative stiffness) of the springs sideways, weight along the height, relaxation.
     """
 
     parts, numbers = 2, 3
 
     def __init__(self, spec: FieldSpec, stencil: Stencil):
-        """spec : fields, in the order of their rows."""
+        """Set the constants for which the kernel is compiled.
+
+        spec : names and numbers of components of the fields, in the order of their rows.
+        stencil : spin components, dimension and periodic axes of the lattice.
+        """
         super().__init__(stencil.block, stencil.periodic)
         self.together = 1  # solving for the spins comes between two of these steps
         self.slot, self.stencil = first_slots(spec), stencil
@@ -40,7 +46,11 @@ class ContactStep(Sweeps):
 
     @ti.func
     def limited(self, force: ti.template(), friction):
-        """Return the force itself, bit by bit, if friction can bear it, else the nearest one that it can."""
+        """Return the force itself, bit by bit, if friction can bear it; else the nearest force that it can bear.
+
+        force : a list of one or two components, each a vector of the contacts of a block.
+        friction : friction limit of each contact, 0 or more.
+        """
         if ti.static(len(force) == 1):
             return [clamp(force[0], 0.0 - friction, friction)]
         size = length(force)
@@ -49,11 +59,18 @@ class ContactStep(Sweeps):
 
     @ti.func
     def limit(self, difference: ti.template(), old: ti.template(), own: ti.template(), weight, relaxation):
-        """Return trial and spring forces of a block of contacts.
+        """Return new trial and spring forces of a block of contacts: a list with the components of the first, then of
+        the second.
 
-        With f the limited old force: trial = f + (1 - relaxation) (trial - f) + relaxation weight D(potential).
+        With f the old trial force cut off at the friction limit, the new trial force is f + (1 - relaxation) (old - f)
+        + relaxation * weight * difference. The spring force is weight * difference - (new - 2 * new cut off). Both are
+        0 where the lattice has no contact.
 
-        difference : D(potential). old : trial forces before. own : friction.
+        difference : D(potential), a list with an entry for each component.
+        old : trial forces before, a list of the same length.
+        own : friction limit of each contact, negative where there is none.
+        weight : relative stiffness of these springs.
+        relaxation : factor alpha of the over-relaxation; with 0 the trial forces stay.
         """
         is_inside, friction = own >= 0.0, ti.max(own, 0.0)
         force = self.limited(old, friction)
@@ -69,7 +86,13 @@ class ContactStep(Sweeps):
     def limit_block(
         self, values: ti.template(), blocks: ti.template(), row, first, strides: ti.template(), numbers: ti.template()
     ):
-        """Write new trial forces and springs of the contacts above the block of sites from `first` on."""
+        """Write new trial and spring forces of the contacts above the block of sites from `first` on.
+
+        values, blocks : all fields, flat, and the same memory in blocks.
+        row : length of a row.
+        strides : distance to the upper neighbour along each axis; more with periodic axes, see `with_rings`.
+        numbers : constants, see the class.
+        """
         for axis in ti.static(self.stencil.slipping_axes):
             here = load_each(values, places(self.potential[axis], row, first), self.block)
             up = load_neighbours(values, self.potential[axis], row, first, strides[axis::3], 1, self.block)
@@ -82,7 +105,12 @@ class ContactStep(Sweeps):
 
     @ti.func
     def gather_block(self, values: ti.template(), blocks: ti.template(), row, first, strides: ti.template()):
-        """Write the sum of the spring forces on the spheres of the block."""
+        """Write the sum of the spring forces on each sphere of the block from `first` on into the field `pull`.
+
+        values, blocks : all fields, flat, and the same memory in blocks.
+        row : length of a row.
+        strides : distance to the upper neighbour along each axis; more with periodic axes, see `with_rings`.
+        """
         pulls = [zero(self.block) for _ in ti.static(range(self.stencil.components))]
         for axis in ti.static(self.stencil.slipping_axes):
             above = load_each(values, places(self.spring[axis], row, first), self.block)
@@ -96,7 +124,15 @@ class ContactStep(Sweeps):
         self, part: ti.template(), values: ti.template(), blocks: ti.template(), row, first, strides: ti.template(),
         numbers: ti.template(), sweep, carried: ti.template(),
     ):  # fmt: skip
-        """Work on the contacts above a block of sites in the first part, on its spheres in the second."""
+        """Do the first part of the pass, at the contacts above a block of sites, or the second, at its spheres.
+
+        part : 0 for the contacts, 1 for the spheres.
+        values, blocks : all fields, flat, and the same memory in blocks.
+        row, first : length of a row, and index of the first site of the block.
+        strides : distance to the upper neighbour along each axis; more with periodic axes, see `with_rings`.
+        numbers : constants, see the class.
+        sweep, carried : not used; `walk` takes the same arguments in all sweeps.
+        """
         if ti.static(part == 0):
             self.limit_block(values, blocks, row, first, strides, numbers)
         else:

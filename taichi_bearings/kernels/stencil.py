@@ -1,6 +1,7 @@
 """Constants that kernels are compiled for: spin components of each contact direction, and sites of a block.
 
-Letters: C spin components, R replicas, N the shape of the lattice, E contacts, V force components of a site.
+Letters: C spin components, R replicas (samples solved side by side), N the shape of the lattice, E contacts, V force
+components of a site.
 """
 
 from dataclasses import dataclass
@@ -16,7 +17,8 @@ from taichi_bearings.lattice.layout import Layout
 class Stencil:
     """Constants that a kernel is compiled for.
 
-    spin_axes : spin components that are computed, e.g. (2,) in 2D or (0, 1) in 3D driven in the xy plane.
+    spin_axes : spin components that are computed, by number of their axis, e.g. (2,) in 2D or (0, 1) in 3D driven in
+        the xy plane.
     dimension : 2 or 3; the height is the last axis and runs along memory.
     block : sites that are updated together (see Layout).
     periodic : axes that close on themselves.
@@ -29,54 +31,79 @@ class Stencil:
 
     @property
     def components(self) -> int:
+        """C, the number of spin components that are computed."""
         return len(self.spin_axes)
 
     @property
     def height(self) -> int:
+        """Number of the axis along the height: the last one."""
         return self.dimension - 1
 
     @property
     def kept(self) -> tuple[tuple[int, ...], ...]:
-        """For each axis, the positions in `spin_axes` of the components that make its contacts slip."""
+        """For each axis, the positions in `spin_axes` of the components that make its contacts slip.
+
+        A spin about the axis of a contact does not slide it, so that for each axis those about the other axes are left.
+        """
         return tuple(tangential(axis, self.spin_axes) for axis in range(self.dimension))
 
     @property
     def slipping_axes(self) -> tuple[int, ...]:
-        """Axes whose contacts can slip at all; with a single component, those along it cannot."""
+        """Axes whose contacts can slip at all: with one spin component, all axes but the one it turns about."""
         return tuple(axis for axis in range(self.dimension) if self.kept[axis])
 
     @property
     def coupled_sides(self) -> tuple[int, ...]:
-        """For each component, the sideways axis whose contacts couple it; not for one about the height."""
+        """For each spin component the horizontal axis whose contacts couple it, 0 for x or 1 for y.
+
+        It is not asked for if spins about the height are computed, which are coupled along both.
+        """
         sides = range(self.height)
         return tuple(next(axis for axis in sides if axis != component) for component in self.spin_axes)
 
     @property
     def force_components(self) -> int:
-        """V, the numbers that hold the forces of all contacts above a site: the sum of what each axis keeps."""
+        """V, how many numbers the forces of all contacts above a site have: for each axis, one for each component that
+        makes its contacts slip.
+        """
         return sum(map(len, self.kept))
 
     def spin_rows(self, first: int) -> tuple[tuple[int, ...], ...]:
-        """Return for each axis the rows of the components that make its contacts slip. first : row at which the
-        spins begin.
+        """Return for each axis the rows of the spin components that make its contacts slip.
+
+        first : row of the first spin component.
         """
         return tuple(tuple(first + slot for slot in slots) for slots in self.kept)
 
     def force_rows(self, first: int) -> tuple[tuple[int, ...], ...]:
-        """Return for each axis the rows of the forces of its contacts. first : row at which all forces begin."""
+        """Return for each axis the rows of the components of its contact forces.
+
+        first : row of the first component of the first axis; those of the other axes follow.
+        """
         ends = list(accumulate(map(len, self.kept), initial=first))
         return tuple(tuple(range(begin, end)) for begin, end in pairwise(ends))
 
     def forces_of_contacts(self, stored: np.ndarray, layout: Layout) -> np.ndarray:
-        """Return forces by contact (C, R, E) from those stored at the lower spheres (V, R, *N)."""
+        """Return forces by contact, (C, R, E), from forces by site.
+
+        stored : (V, R, *N), at each site the forces of the contacts to its upper neighbours, one entry for each axis
+            and component that makes its contacts slip.
+        layout : the order of the sites in memory.
+
+        Components that do not make a contact slip are 0.
+        """
         force = np.zeros((self.components, stored.shape[1], layout.lattice.all_contacts))
         for axis, (values, rows) in enumerate(zip(layout.lattice.by_axis(force), self.force_rows(0), strict=True)):
             values[list(self.kept[axis])] = layout.from_lower_sphere(stored[list(rows)], axis)
         return force
 
     def forces_at_lower_sphere(self, force: np.ndarray, layout: Layout) -> np.ndarray:
-        """Return forces stored at the lower spheres (V, R, *N), 0 where there is no contact, from those by contact
-        (C, R, E).
+        """Return forces by site, (V, R, *N): those of each contact at its lower sphere, 0 where there is no upper
+        neighbour.
+
+        force : (C, R, E), forces by contact.
+        layout : the order of the sites in memory. V has an entry for each axis and component that makes its contacts
+            slip.
         """
         stored = np.zeros((self.force_components, force.shape[1], *layout.shape))
         for axis, (values, rows) in enumerate(zip(layout.lattice.by_axis(force), self.force_rows(0), strict=True)):

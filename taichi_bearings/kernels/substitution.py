@@ -1,8 +1,10 @@
-"""Solves with the factor of an elimination tree, for one matrix or for several side by side.
+"""Solves with the Cholesky factor of an elimination tree, for one matrix or for several of one pattern at a time.
 
-A vector holds the unknowns in the order of elimination and then, front after front, what each leaves for its border:
-its parent takes that, and no front writes where another one does. So fronts of which none is above another can be
-solved at once, and neither their order nor the number of threads or of matrices changes a bit of the result.
+A *front* is a group of unknowns that are eliminated together, its own ones, with the later unknowns to which they are
+coupled, its border (kernels/elimination.py). A vector holds the unknowns in the order of elimination and then, front
+after front, what each leaves for its border: its parent takes that, and no front writes where another one does. So
+fronts of which none is above another can be solved at once, and neither their order nor the number of threads or of
+matrices changes a bit of the result.
 """
 
 from collections.abc import Callable
@@ -38,16 +40,21 @@ from taichi_bearings.kernels.team import LEAST_CHUNK
 def forward(numbers: ti.template(), vector: ti.template(), where: ti.template(), wide: ti.template()):
     """Solve for `wide` own unknowns of a front, and subtract their contribution from its later unknowns and its border.
 
-    where : index of their first pivot, and from one column to the next; index of the first unknown, and of the end of
-        the front's own ones; where the border begins, and its length; 1.
+    numbers : the factor.
+    vector : right-hand sides, replaced by the solution.
+    where : list of indices: in `numbers`, the first pivot, and the distance from one column to the next; in `vector`,
+        the first of these unknowns, the end of the front's own ones, and the begin of what is left for the border; the
+        length of the border; and 1, hidden from the compiler so that it does not unroll the loops.
     """
     start, height, row, end, rest, border, step = where
+    # the triangle at the diagonal, with inverse pivots
     value = [vector[row + c] for c in ti.static(range(wide))]
     for c in ti.static(range(wide)):
         for p in ti.static(range(c)):
             value[c] = value[c] - numbers[start + p * height + c] * value[p]
         value[c] = value[c] * numbers[start + c * height + c]
         vector[row + c] = value[c]
+    # the later own unknowns, then the border
     i = wide
     while i < end - row:
         left = vector[row + i]
@@ -66,10 +73,14 @@ def forward(numbers: ti.template(), vector: ti.template(), where: ti.template(),
 
 @ti.func
 def backward(numbers: ti.template(), vector: ti.template(), where: ti.template(), wide: ti.template()):
-    """Solve for `wide` own unknowns of a front, once its later unknowns and its border are known. where : see
-    `forward`.
+    """Solve for `wide` own unknowns of a front, once its later unknowns and its border are known.
+
+    numbers : the factor.
+    vector : what the forward solve has left, replaced by the solution.
+    where : indices as for `forward`.
     """
     start, height, row, end, rest, border, step = where
+    # subtract what the border and the later own unknowns contribute
     left = [vector[row + c] for c in ti.static(range(wide))]
     i = 0
     while i < border:
@@ -83,6 +94,7 @@ def backward(numbers: ti.template(), vector: ti.template(), where: ti.template()
         for c in ti.static(range(wide)):
             left[c] = left[c] - numbers[start + c * height + i] * known
         i += step
+    # the triangle at the diagonal, from its last row up
     for back in ti.static(range(wide)):
         c = ti.static(wide - 1 - back)
         for p in ti.static(range(c + 1, wide)):
@@ -96,12 +108,17 @@ def down(
     alone: ti.template(), tables: ti.template(), at, numbers: ti.template(), vector: ti.template(),
     wide: ti.template(),
 ):  # fmt: skip
-    """Solve forward for one front, once its children are done: `wide` unknowns at a time, which changes no bit.
+    """Solve forward for one front, once its children are done.
 
-    alone : one matrix, not LANES. at : where the front stands in the tables.
+    alone : True for one matrix, False for LANES of them.
+    tables, at : integers of the layout, and where the row of the front begins among them.
+    numbers : the factor.
+    vector : right-hand sides, replaced by the solution.
+    wide : unknowns that are solved for at a time, which changes no bit of the result.
     """
     own, border, first, rest = tables[at + OWN], tables[at + BORDER], tables[at + FIRST_ROW], tables[at + REST_HEIGHT]
     height, step = tables[at + HEIGHT], tables[STEP]
+    # begin with nothing for the border, and take what the children have left for theirs
     clear(alone, vector, rest, rest + border, step)
     next_child = tables[at + CHILD]
     while next_child >= 0:
@@ -112,6 +129,7 @@ def down(
             vector[to] = vector[to] + vector[left + i]
             i += step
         next_child = tables[child + SIBLING]
+    # eliminate the own unknowns
     k = 0
     while k < own:
         start = tables[at + OWN_COLUMNS] + k * (height + 1)
@@ -125,13 +143,20 @@ def down(
 
 @ti.func
 def up(tables: ti.template(), at, numbers: ti.template(), vector: ti.template()):
-    """Solve backward for one front, once its parent is done. at : where the front stands in the tables."""
+    """Solve backward for one front, once its parent is done.
+
+    tables, at : integers of the layout, and where the row of the front begins among them.
+    numbers : the factor.
+    vector : what the forward solve has left, replaced by the solution.
+    """
     own, border, first, rest = tables[at + OWN], tables[at + BORDER], tables[at + FIRST_ROW], tables[at + REST_HEIGHT]
     height, step, slots = tables[at + HEIGHT], tables[STEP], tables[SLOTS] + tables[at + BATCH_SHARE]
+    # copy the border, which the parent has solved
     i = 0
     while i < border:
         vector[rest + i] = vector[tables[slots + i]]
         i += step
+    # solve for the own unknowns from the last to the first
     k = own
     while k > 0:
         if k % PANEL == 0:
@@ -147,13 +172,18 @@ def up(tables: ti.template(), at, numbers: ti.template(), vector: ti.template())
 def _substitution(together: bool) -> Callable:
     """Return a kernel that solves in place, forward and backward, on one thread.
 
-    together : for LANES matrices, not one.
+    together : for LANES matrices of one pattern; else for one matrix.
     """
     kind = VECTORS if together else NUMBERS
 
     @ti.kernel
     def run(tables: INTEGERS, numbers: kind, vector: kind):
-        """Solve in place. vector : right-hand sides, then solutions."""
+        """Solve in place.
+
+        tables : integers of the layout.
+        numbers : the factor.
+        vector : right-hand sides, then solutions.
+        """
         ti.loop_config(serialize=True)
         for turn in range(2 * tables[FRONTS]):
             if turn < tables[FRONTS]:
@@ -169,9 +199,12 @@ substitute, substitute_alone = _substitution(True), _substitution(False)
 
 @ti.kernel
 def substitute_branches(tables: INTEGERS, numbers: NUMBERS, vector: NUMBERS, forth: int, begin: int, end: int):
-    """Solve forward (`forth`) or backward for one matrix on several threads.
+    """Solve forward (`forth` is 1) or backward (0) for one matrix, in some branches of the tree, each on a thread.
 
-    begin, end : branches of the tree; the table of branches holds the first front of each and its end.
+    tables : integers of the layout; its table of branches holds for each the first front and the end of its fronts.
+    numbers : the factor.
+    vector : right-hand sides, replaced by the solution.
+    begin, end : the branches begin ... end-1 are solved.
     """
     for item in range(begin * LEAST_CHUNK, end * LEAST_CHUNK):
         if item % LEAST_CHUNK == 0:

@@ -1,15 +1,18 @@
-"""CPU workers that stay together for many sweeps, meeting at a barrier in memory.
+"""Threads of the CPU that stay together for many steps, and wait for each other at a barrier in memory.
 
 Waking Taichi's thread pool for every loop costs 50 to 100 microseconds, as much as a whole sweep of 32^3 spheres. So a
-launch wakes it once: each worker keeps its share of the blocks, and they wait for each other by counting arrivals
-(docs/decisions.md, 3). The shares only decide who computes a value, never the value: any number of workers gives the
-same bits, and one kernel serves them all. On a GPU the same kernel makes a few steps a launch, a thread for each site.
+launch wakes it once: each worker keeps its share of the blocks of sites, and they wait for each other by counting
+arrivals (docs/decisions.md, 3). The shares only decide who computes a value, never the value: any number of workers
+gives the same bits, and one kernel serves them all. On a GPU the same kernel makes a few steps a launch, a thread for
+each site.
 
-Polling is wasteful when other programs want the cores: a worker that is taken off its core makes the others wait. So
-many steps are made in several launches, and a team that got less processor time than its size goes on for a while with
-as many workers as it got processors, before a short launch tries the whole team again.
+To wait by reading a counter again and again is wasteful when other programs want the cores: a worker that is taken off
+its core makes the others wait. So many steps are made in several launches, and a team that got less processor time than
+its size goes on for a while with as many workers as it got processors, before a short launch tries the whole team
+again.
 
-A *turn* is one step of a method over all sites; it makes one or more *sweeps*, each of one or more *parts*.
+A *turn* is one step of a method over all sites; it makes one or more *sweeps*, each of one or more *parts*. A *block*
+is a group of neighbouring sites that are worked on together.
 """
 
 import math
@@ -30,37 +33,47 @@ from taichi_bearings.kernels.memory import BLOCKS, INTEGERS, VALUES, in_range, l
 # turns a launch, steps would be a third faster and take twice as long to compile (docs/methods.md)
 TURNS_A_LAUNCH = {"cuda": 8}
 LEAST_CHUNK = 512  # Taichi hands loop iterations to threads in chunks of at least this many
-# processors; a team that got so much less processor time than its size shares the cores with other programs
-MISSED_PROCESSORS = 0.2
+MISSED_PROCESSORS = 0.2  # a team that got so many processors less than its size shares them with other programs
 # seconds that a launch should take: the first launch of a team, and the longest after launches went well
 TRIAL_SECONDS, PIECE_SECONDS = 0.01, 0.3
 SHORT_SECONDS = 0.004  # launches that take less are too short to judge by
 FIRST_REST, LONGEST_REST = 1.0, 20.0  # seconds for which a smaller team goes on, at first and at most
-MOST_POLLS = (
-    2**30
-)  # polls, about ten seconds: a partner that never comes means that the threads do not run side by side
+# how often a worker reads the counter, about ten seconds long, before it knows that the threads do not run side by side
+MOST_POLLS = 2**30
 
 
 Made = TypeVar("Made")
 
 
 class Team:
-    """Workers for the launches of one solve.
+    """The threads (workers) that make the launches of one solve together.
 
-    size : their number; 0 stands for a GPU, which needs none and gets a launch for a few steps.
+    size : number of workers; 0 stands for a GPU, which needs none and gets a launch for a few steps.
+    arrived : array with one number: how often workers have arrived at the barrier in this launch.
+    workers : how many workers the next launch has; less than `size` while other programs take the cores.
+    piece : seconds that the next launch should take.
+    seconds : seconds that a step took in the last launch; infinity before the first.
+    rest_until : time of the clock at which the whole team is tried again.
+    rest : seconds for which the team is made smaller the next time that it gets too few cores.
     """
 
     def __init__(self, size: int) -> None:
+        """Begin with all workers. size : their number, 0 on a GPU."""
         self.size, self.arrived = size, np.zeros(1, np.int32) if size else ti.ndarray(ti.i32, 1)
         self.workers, self.piece = size, TRIAL_SECONDS if size > 1 else PIECE_SECONDS
         self.rest_until, self.rest = 0.0, FIRST_REST
-        self.seconds = math.inf  # that a step took lately
+        self.seconds = math.inf
 
     def launch(self, kernel: Any, count: int, *arguments: Any, first: int = 0, together: int = 1) -> None:
-        """Call ``kernel(arrived, workers, begin, end, *arguments)`` for `count` steps from the number `first` on.
+        """Call ``kernel(arrived, workers, begin, end, *arguments)`` so often that it makes `count` steps.
 
-        It takes one or more launches, with as many workers as there are processors to be had. A count of 0 compiles the
-        kernel. together : steps of one launch on a GPU.
+        On a CPU a call has as many steps as take about `piece` seconds, and as many workers as there are processors to
+        be had; on a GPU it has `together` steps.
+
+        kernel : a kernel that makes the steps begin ... end - 1.
+        count : steps; 0 compiles the kernel without a step.
+        first : number of the first step.
+        together : steps of one call on a GPU.
 
         Raises DeviceError if the threads do not run side by side.
         """
@@ -87,8 +100,12 @@ class Team:
                 self._judge(processor / wall)
 
     def _judge(self, processors: float) -> None:
-        """Reduce the team to as many workers as it got processors, if it did not get all. processors : their mean
-        number.
+        """Choose how many workers the next launches have, and how long these are, by the processor time that the last
+        one got.
+
+        processors : processor time over wall time of that launch, the mean number of processors at work. If it is much
+            less than the number of workers, the team goes on for `rest` seconds with as many workers as it got
+            processors, and each time twice as long; else the launches become longer.
         """
         if processors >= self.size - MISSED_PROCESSORS:
             self.piece, self.rest = min(2 * self.piece, PIECE_SECONDS), FIRST_REST
@@ -99,7 +116,11 @@ class Team:
 
 @ti.func
 def meet(arrived: ti.template(), target):
-    """Wait until there were `target` arrivals since the launch: all workers, for the target/workers-th time."""
+    """Wait at a barrier until `target` arrivals have been counted since the launch, one's own included.
+
+    arrived : array with the count of arrivals, which the caller's arrival raises by 1.
+    target : number of workers times how often they have met, this time included.
+    """
     ti.atomic_add(arrived[0], 1)
     polls = 0
     while polls < MOST_POLLS and ti.atomic_or(arrived[0], 0) < target:
@@ -116,50 +137,71 @@ def made_once(kind: Callable[..., Made], *configuration: Any) -> Made:
 
 @lru_cache(maxsize=16)
 def _constants(numbers: tuple[float, ...]) -> Any:
-    """Return numbers that all sites share in memory that kernels read."""
+    """Return an array on the device with numbers that are the same for all sites, kept for the next call with equal
+    numbers.
+    """
     return on_device(np.array(numbers, dtype=np.float64))
 
 
 @ti.data_oriented
 class Sweeps:
-    """A kernel that makes turns over all sites; subclasses say in `walk` what is done with one block of sites.
+    """A kernel that repeats one step of a method over all sites; subclasses say in `walk` what is done with a block of
+    sites.
 
-    A turn is `repeats` sweeps, each of the same `parts` one after the other. A part reads nothing that it writes at
-    other sites.
+    A step, called a turn, is `repeats` sweeps, each made of the same `parts` one after the other. A part reads nothing
+    that it writes at other sites, so that the order of the sites does not matter.
 
-    numbers : how many constants it takes.
+    parts : parts of a sweep; all workers wait for each other after each.
+    repeats : sweeps of a turn.
+    numbers : how many constants the kernel takes.
     measures : how many integers at the begin of `Fields.tables` say where the sites are; see `Layout.measures`.
     """
 
     parts, repeats, numbers, measures = 1, 1, 1, 6
 
     def __init__(self, block: int, periodic: tuple[int, ...] = ()) -> None:
-        """block : sites that are worked on together. periodic : axes that close on themselves."""
+        """Set the constants for which the kernel is compiled.
+
+        block : sites that are worked on together.
+        periodic : axes of the lattice that close on themselves.
+        """
         self.block, self.periodic, self.on_gpu = block, periodic, runtime.current().is_gpu
         self.together = TURNS_A_LAUNCH.get(runtime.current().arch, 1)
 
     def run(self, fields: Fields, team: Team, turns: int, numbers: tuple[float, ...], first: int = 0) -> None:
-        """Make `turns` turns, numbered from `first` on: in one launch, or on a GPU in one for a few of them.
+        """Make `turns` turns: in one launch or, where launches have to be short, in several.
 
-        numbers : constants of the kernel.
+        fields : the fields that are read and changed.
+        team : threads that make them.
+        numbers : constants of the kernel, as many as `Sweeps.numbers` says.
+        first : number of the first turn, for kernels in which turns differ.
         """
         arguments = fields.values, fields.blocks, fields.tables, _constants(tuple(map(float, numbers)))
         team.launch(self.turns, turns, *arguments, first=first, together=self.together)
 
     def compile(self, fields: Fields, team: Team) -> None:
-        """Compile the kernel, without a turn."""
+        """Compile the kernel for these fields, without a turn. team : threads that will run it."""
         self.run(fields, team, 0, (0.0,) * self.numbers)
 
     @ti.func
     def enter(self, values: ti.template(), size: ti.template(), low, numbers: ti.template(), sweep):
-        """Return what a worker carries from block to block, at its first block, which is number `low`. size : the
-        measures.
+        """Return what a worker hands from block to block in a part: here a list with a 0, which nothing uses.
+
+        values : all fields, flat.
+        size : integers that say where the sites are, see `Layout.measures`.
+        low : number of the worker's first block.
+        numbers : constants of the kernel.
+        sweep : number of the sweep.
         """
         return [0.0]
 
     @ti.func
     def count(self, part: ti.template(), size: ti.template()):
-        """Return the number of blocks of a part."""
+        """Return the number of blocks in a part: on lattices the same for all parts.
+
+        part : number of the part.
+        size : integers that say where the sites are, see `Layout.measures`.
+        """
         return size[2]
 
     @ti.func
@@ -167,10 +209,19 @@ class Sweeps:
         self, part: ti.template(), values: ti.template(), blocks: ti.template(), tables: ti.template(),
         size: ti.template(), number, numbers: ti.template(), sweep, carried: ti.template(),
     ):  # fmt: skip
-        """Do one part of a sweep for the block of this number.
+        """Do one part of a sweep for one block: find its sites, and call `walk`, which subclasses define.
 
-        Subclasses define `walk`, which works on the sites from `first` on; row : length of a row of numbers; strides :
-        see `with_rings`.
+        part : number of the part.
+        values, blocks : all fields, flat, and the same memory in blocks.
+        tables : integers of the layout, not used here.
+        size : the first of them, which say where the sites are, see `Layout.measures`.
+        number : number of the block.
+        numbers : constants of the kernel.
+        sweep : number of the sweep.
+        carried : what `enter` returned, or the block before has left.
+
+        `walk` gets instead of `tables`, `size` and `number` the length of a row, the index of the block's first site,
+        and the strides (see `with_rings`).
         """
         sides = [in_range(size[3]), in_range(size[4]), 1]
         strides = with_rings(sides, number * self.block, size[5], self.periodic)
@@ -179,7 +230,12 @@ class Sweeps:
 
     @ti.func
     def sum_up(self, values: ti.template(), blocks: ti.template(), sums: ti.template(), new: ti.template()):
-        """Add numbers of a block of sites to those at the places `sums`."""
+        """Add numbers of a block of sites to sums that the fields hold.
+
+        values, blocks : all fields, flat, and the same memory in blocks.
+        sums : list of indices at which the sums of the block's first site stand.
+        new : list of what is added, a vector for each.
+        """
         for k in ti.static(range(len(sums))):
             store(values, blocks, sums[k], self.block, load(values, sums[k], self.block) + new[k])
 
@@ -190,10 +246,12 @@ class Sweeps:
     ):  # fmt: skip
         """Make the turns `begin` ... `end` - 1 over all blocks.
 
-        arrived, workers : counter of the barrier, and number of workers. values, blocks, tables : see `Fields`.
-            constants : see the class.
+        arrived : counter of the barrier.
+        workers : number of threads on a CPU; each takes an equal share of the blocks.
+        values, blocks, tables : all fields, flat; the same memory in blocks; and where the sites are. See `Fields`.
+        constants : constants of the kernel.
         """
-        if ti.static(self.on_gpu):
+        if ti.static(self.on_gpu):  # one loop over all blocks for each part, a thread for each block
             for turn, again, part in ti.static(ti.ndrange(self.together, self.repeats, self.parts)):
                 for b in range(self.count(part, tables) * (begin + turn < end)):
                     numbers = [constants[k] for k in ti.static(range(self.numbers))]
@@ -201,7 +259,7 @@ class Sweeps:
                     sweep = (begin + turn) * self.repeats + again
                     carried = self.enter(values, size, b, numbers, sweep)
                     self.visit(part, values, values, tables, size, b, numbers, sweep, carried)
-        else:
+        else:  # one loop over the workers, which meet at the barrier after each part
             for item in range(workers * LEAST_CHUNK):
                 if item % LEAST_CHUNK == 0:
                     worker, met = item // LEAST_CHUNK, 0
