@@ -34,10 +34,15 @@ CONSTANT = ("is_free", "across", "coefficient", "viscosity", "numbers")
 
 @dataclass(frozen=True)
 class Ended:
-    """How a run of a method ended.
+    """How a run of a method ended, with the best that it has reached.
 
-    best : the best state that was reached. bound : (R,), the best proven lower bound. proof : forces (C, R, E) from
-    which that bound follows. iterations : how many were made. stop, options : what the run was asked to do.
+    status : why the run ended.
+    best : the best state that was reached.
+    bound : (R,), the best proven lower bound on the objective of each sample.
+    proof : (C, R, E), contact forces from which that bound follows.
+    iterations : how many iterations were made.
+    stop : the limits and the tolerance that the run was given.
+    options : the method and its options.
     """
 
     status: Status
@@ -51,9 +56,11 @@ class Ended:
 
 @dataclass(frozen=True)
 class Launch:
-    """A number of repeated calls of the kernels (`turns`) with the same constants.
+    """A number of repeated calls of a kernel with the same constants.
 
-    numbers : the constants. first : number of the first of these turns, for kernels whose constants depend on it.
+    turns : how many.
+    numbers : the constants.
+    first : number of the first of these turns, for kernels in which turns differ.
     """
 
     turns: int
@@ -62,12 +69,14 @@ class Launch:
 
 
 class Contacts(ABC):
-    """The contacts of a scene as a method steps them.
+    """The contacts of a scene as a method steps them: their fields, kernels and bounds.
 
-    scene : what is stepped; for a packing without the contacts that take no part. spin_axes : the spin components that
-    are carried. points, forces : names of the fields that hold the spins of a gradient descent (on spheres) and its
-    forces (on contacts). fields : the numbers on the device, once `use` was called. spec : names and sizes of these
-    fields.
+    scene : what is stepped; for a packing without the contacts that take no part.
+    spin_axes : numbers of the axes of the C spin components that are computed.
+    points, forces : names of the fields that hold the spins of a gradient descent (on spheres), and its forces (on
+        contacts).
+    fields : the numbers on the device, once `allocate` was called.
+    spec : names and sizes of these fields.
     """
 
     scene: Bearing
@@ -85,42 +94,50 @@ class Contacts(ABC):
         return ["coefficient", *(["viscosity"] if self.scene.viscosity_beside_friction is not None else [])]
 
     @abstractmethod
-    def specified(self, spheres: dict[str, int], contacts: list[str]) -> AnySpec:
+    def field_spec(self, spheres: dict[str, int], contacts: list[str]) -> AnySpec:
         """Return the names and sizes of all fields that a method needs, those of the law included.
 
-        spheres : how many numbers each sphere has in the field of each name. contacts : names of fields on contacts.
+        spheres : how many numbers each sphere has in the field of each name.
+        contacts : names of the method's fields on contacts.
         """
 
     @abstractmethod
-    def use(self, spec: AnySpec, viscosity: np.ndarray | None) -> None:
-        """Allocate the fields of `spec`, and load the coefficients into them.
+    def allocate(self, spec: AnySpec, viscosity: np.ndarray | None) -> None:
+        """Allocate the fields, and load the coefficients of the law into them.
 
-        viscosity : (R, E), the viscosities of a law with friction and viscosity, in the units of the kernels; None for
-        other laws.
+        spec : names and sizes of the fields, as from `field_spec`.
+        viscosity : (R, E), viscosity of each contact of a law with friction and viscosity, in the unit of the kernels;
+            None for other laws.
         """
 
     @abstractmethod
     def read_forces(self, name: str) -> np.ndarray:
-        """Return the forces or elongations (C, R, E) that the field of this name holds."""
+        """Return the forces, or elongations of springs, that a field holds: (C, R, E) by component of the contact.
 
-    @abstractmethod
-    def load_force(self, force: np.ndarray) -> None:
-        """Write forces (C, R, E) into the field `force`."""
-
-    @abstractmethod
-    def springs(self, corrector: tuple[float, ...]) -> "tuple[Team, Sweeps]":
-        """Return the threads and the kernels for the dynamics of Cundall and Strack.
-
-        corrector : coefficients of Gear's corrector, that of the 0th derivative first.
+        name : of the field.
         """
 
     @abstractmethod
-    def descents(self) -> "tuple[Team, Sweeps]":
-        """Return the threads and the kernels for gradient descent."""
+    def load_force(self, force: np.ndarray) -> None:
+        """Write contact forces, (C, R, E) by component of the contact, into the field `force`."""
+
+    @abstractmethod
+    def spring_kernel(self, corrector: tuple[float, ...]) -> "tuple[Team, Sweeps]":
+        """Return the threads and the kernel for the dynamics of Cundall and Strack.
+
+        corrector : coefficients of Gear's corrector, that of the spin itself (0th derivative) first.
+        """
+
+    @abstractmethod
+    def descent_kernel(self) -> "tuple[Team, Sweeps]":
+        """Return the threads and the kernel for gradient descent."""
 
     @abstractmethod
     def run(self, team: "Team", sweeps: "Sweeps", launch: Launch) -> None:
-        """Call the kernels as often and with the constants that `launch` says."""
+        """Call a kernel as often, and with the constants, as a launch says.
+
+        team : threads. sweeps : the kernel.
+        """
 
     @abstractmethod
     def weights(self, bounds: np.ndarray) -> np.ndarray:
@@ -133,64 +150,79 @@ class Contacts(ABC):
     def inertias(self, options: Any, density: Any) -> Any:
         """Return the moments of inertia of the free spheres: one number, or (N,).
 
-        options : options of a method with `mass` and `inertia`. density : that of the spheres of a packing, as for
-        `Packing.inertias`; lattices have no use for it. The unknowns of a packing are u = R omega, so that its moments
-        are divided by the square of the radius; those of a lattice are not.
+        On a lattice they are mass * length^2. The unknowns of a packing are u = radius * spin, so that its moments are
+        divided by the square of the radius.
+
+        options : options of a method, with `mass` and `inertia`.
+        density : of the spheres of a packing, as for `Packing.inertias`; not used by lattices.
         """
 
     @abstractmethod
-    def unit_inertia(self, inertia: Any) -> float:
-        """Return the moment of inertia of a sphere whose entry of the field `is_free` is 1; others have it scaled."""
+    def common_inertia(self, inertia: Any) -> float:
+        """Return the moment of inertia by which the kernels divide torques where the field `is_free` is 1.
+
+        A sphere of another moment I has this one over I in `is_free`. inertia : as from `inertias`.
+        """
 
     @abstractmethod
     def fastest_modes(self, inertia: Any) -> tuple[float, float]:
-        """Return upper bounds on what the fastest modes of the network have.
+        """Return upper bounds on what the fastest modes of the network have: decay rate, and R^2 lambda / I.
 
-        The first is the decay rate by viscosity, 1/time. The second is R^2 lambda / I, 1/mass, if all contacts stick,
-        with eigenvalues lambda of the network's Laplacian. inertia : as from `inertias`.
+        The first is the decay rate by viscosity, 1/time, 0 without. The second, 1/mass, is that of contacts that all
+        stick, with the largest eigenvalue lambda of the network's Laplacian, radius R and moment of inertia I.
+
+        inertia : as from `inertias`.
         """
 
     @abstractmethod
     def unknowns(self, spin_axes: tuple[int, ...], unit: float, inertia: Any) -> "Unknowns":
         """Return the unknowns that an implicit step of the rigid-limit dynamics solves for.
 
-        spin_axes : the components that move. unit : of spins, 1/time. inertia : as from `inertias`.
+        spin_axes : numbers of the axes of the spin components that move.
+        unit : unit of the unknowns in the solve: 1/time on a lattice, length/time in a packing.
+        inertia : as from `inertias`.
         """
 
-    def died_out(self, component: int, spins: np.ndarray) -> np.ndarray | None:
-        """Return what the spins (R, *N) of a component are once friction has stopped it.
+    def stopped_spins(self, component: int, spins: np.ndarray) -> np.ndarray | None:
+        """Return what the spins of a component are once friction has stopped it, (R, *N); None if it does not stop, or
+        if that is not known.
 
-        component : number of the spin component. spins : its spins now, 1/time. None for one that never stops.
+        component : number of the axis of the spin component.
+        spins : (R, *N), its spins now.
         """
         return None
 
     @property
     def has_no_bound(self) -> bool:
-        """Whether no positive lower bound is known, so that rest has to be believed without one."""
+        """True if no positive lower bound on the objective can be used yet; on a lattice there always is one."""
         return False
 
     def best_bound(self, bound: np.ndarray) -> np.ndarray:
-        """Return the best lower bound (R,) so far. bound : (R,), the one that was computed last."""
+        """Return the best lower bound (R,) so far, given the one of this moment; on a lattice that is this one."""
         return bound
 
     @abstractmethod
     def proven_by(self, force: Forces) -> np.ndarray:
-        """Return the lower bound (R,) that follows from the forces (C, R, E) of a checkpoint."""
+        """Return the lower bound (R,) on the objective that contact forces (C, R, E), of a checkpoint, prove."""
 
     @abstractmethod
     def judged(self, staggered: np.ndarray, force: Forces, proof: Forces | None, **more: Any) -> Progress:
-        """Return the progress of spins and forces, with the bounds that follow from them.
+        """Return the progress of a method with given spins and forces: their objective, lower bound, and largest torque
+        left.
 
-        staggered : (C, R, *N), spins with signs by which neighbours differ. force : (C, R, E). proof : forces from
-        which the lower bound is taken, or None for `force`. more : further entries of the `Progress`.
+        staggered : (C, R, *N), spins as methods carry them (on lattices with alternating signs), 1/time; in a packing
+            radius * spin.
+        force : (C, R, E), contact forces at these spins.
+        proof : (C, R, E), forces from which the lower bound is computed; None for `force`.
+        more : further fields of :class:`Progress`, by name.
         """
 
     def answered(self, ended: Ended) -> Solution | None:
-        """Return the answer of a run on a packing that ended; None for a lattice, whose answer drive.py computes."""
+        """Return the solution of a run on a packing that ended; None for a lattice: that is computed in drive.py."""
         return None
 
     def state(self) -> dict[str, np.ndarray]:
-        """Return what the further run depends on, by name, beside what a method keeps itself."""
+        """Return by name the arrays that a checkpoint needs of the contacts, beside those of the method."""
         return {}
 
     def restore(self, state: Mapping[str, np.ndarray]) -> None:

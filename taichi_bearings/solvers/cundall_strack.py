@@ -37,32 +37,41 @@ SAME_STEP = 1e-12  # relative distance of two times that counts as none
 
 
 class CundallStrackMethod(Swept, SpringDynamics):
-    """The dynamics of Cundall and Strack (see the module docstring). An iteration is one time step.
+    """The dynamics of Cundall and Strack: springs and dampers at the contacts, and Gear's method for the spins.
 
-    All steps are equally long, but for the last one, which may be shorter so that the run ends at its duration.
+    An iteration is one time step. All steps are equally long, but for the last one, which may be shorter so that the
+    run ends at its duration.
 
-    before_last : the state before such a shorter last step; None if none was made. books_before : the energy balance
-    then.
+    time_step : length of a step, time.
+    stability_bound : largest stable step, time.
+    start_spin : largest spin at the start, 1/time.
+    team, sweeps : threads and kernel.
+    before_last : the state, by name, before a shorter last step; None if none was made.
+    balance_before : (R,) work of the contacts, (R,) energy injected, (R,) power and (C, R, *N) forces on spheres before
+        such a step; None without.
     """
 
-    kept = WATCH_NAMES
+    state_names = WATCH_NAMES
     same_force, checks = 1e-12, (100, 16, 0.0)
     resumable = False
     before_last: dict[str, np.ndarray] | None = None
-    books_before: tuple[np.ndarray, ...] | None = None  # work, injected, power and pull of contacts before that step
+    balance_before: tuple[np.ndarray, ...] | None = None  # work, injected, power and pull of contacts before that step
 
     def begin(self, scene: Bearing, spin: np.ndarray) -> None:
         """Prepare the dynamics: choose the time step, and load spins, derivatives and inertias.
 
-        Raises InputError for a `time_step` that is not stable. spin : laboratory spins to start from, 1/time.
+        scene : what to solve.
+        spin : (R, *N, 3), in 2D (R, *N), laboratory spins to start from, 1/time.
+
+        Raises InputError for an option `time_step` that is not stable.
         """
         super().begin(scene, spin)
         scene = self.scene
         options, beside, replicas = self.options, scene.viscosity_beside_friction, scene.replicas
         # the kernels multiply viscosities by spin differences, hence the radius
-        self.contacts.use(self.needed(), None if beside is None else scene.slip_radius * beside)
+        self.contacts.allocate(self.needed(), None if beside is None else scene.slip_radius * beside)
         bound = largest_step(options, scene.law.holds, *self.contacts.fastest_modes(self.inertia))
-        self.unit_inertia = self.contacts.unit_inertia(self.inertia)
+        self.common_inertia = self.contacts.common_inertia(self.inertia)
         self.stability_bound = bound if np.isfinite(bound) else 1.0  # without contacts any step is stable
         if (options.time_step or 0.0) > self.stability_bound:
             given, most = options.time_step, self.stability_bound
@@ -70,9 +79,9 @@ class CundallStrackMethod(Swept, SpringDynamics):
         self.time_step = options.time_step or DEFAULT_STEP * self.stability_bound
         self.start_spin = float(np.abs(spin).max())
         self._load_gear(scene.staggered_spin(spin, self.spin_axes))
-        is_free = np.where(scene.is_driven, 0.0, self.unit_inertia / self.inertia)
+        is_free = np.where(scene.is_driven, 0.0, self.common_inertia / self.inertia)
         self.fields.load("is_free", np.broadcast_to(is_free, (1, replicas, *scene.network.shape)))
-        self.team, self.sweeps = self.contacts.springs(GEAR_COEFFICIENTS[options.gear_order])
+        self.team, self.sweeps = self.contacts.spring_kernel(GEAR_COEFFICIENTS[options.gear_order])
         self.sweeps.compile(self.fields, self.team)
 
     def needed(self) -> AnySpec:
@@ -80,13 +89,16 @@ class CundallStrackMethod(Swept, SpringDynamics):
         energy, holds, order = self.options.energy, self.scene.law.holds, self.options.gear_order
         moved = [*(f"gear_{n}" for n in range(order + 1)), "predicted", *["integral"] * holds, *["impulse"] * energy]
         spheres = dict.fromkeys(moved, len(self.spin_axes)) | {"is_free": 1}
-        return self.contacts.specified(spheres, ["force", *["elongation"] * holds, *["work"] * energy])
+        return self.contacts.field_spec(spheres, ["force", *["elongation"] * holds, *["work"] * energy])
 
     def _load_gear(self, staggered: np.ndarray) -> None:
         """Load the spins at the start and their scaled derivatives, which follow from the equation of motion.
 
-        staggered : spins (C, R, *N). The derivatives include those of the spring forces of sticking contacts; without
-        them the error of the first step would lower the order of the whole run.
+        The n-th scaled derivative is the n-th time derivative times (time step)^n / n!. The derivatives include those
+        of the spring forces of sticking contacts; without them the error of the first step would lower the order of the
+        whole run.
+
+        staggered : (C, R, *N), spins with alternating signs as methods carry them, 1/time.
         """
         scene, options = self.scene, self.options
         derivatives, forces = [staggered], list[np.ndarray]()
@@ -99,20 +111,22 @@ class CundallStrackMethod(Swept, SpringDynamics):
             self.fields.load(f"gear_{n}", values)
         self.fields.load("predicted", np.sum(derivatives, axis=0))
         if scene.law.holds:
-            self.fields.load("integral", _mean_of(derivatives))
+            self.fields.load("integral", _mean_over_step(derivatives))
         if options.energy:
             self.contacts.load_force(forces[0])
-            self.open_books(staggered)
+            self.start_energy_balance(staggered)
             self.power_at_start = self._contact_power(forces[0], staggered)
             self.pull_at_start = self.pulls(forces[0])
 
     def _force_derivative(self, derivatives: list[np.ndarray]) -> np.ndarray:
-        """Return the scaled derivative (C, R, E) of the contact forces at the start.
+        """Return a scaled derivative (C, R, E) of the contact forces at the start.
+
+        The n-th scaled derivative is the n-th time derivative times (time step)^n / n!. The force of a sticking contact
+        changes by its damper and by the spring that the slip stretches from the start on. That of a slipping contact
+        stays; in contacts with two components its direction could change, which is left out.
 
         derivatives : scaled derivatives (C, R, *N) of the spins, the 0th first; the result has the order of the last
-        one. The force of a sticking contact changes by its damper and by the spring that the slip stretches from the
-        start on. That of a slipping contact stays; in contacts with two components its direction could change, which
-        is left out.
+            one.
         """
         scene, options, order = self.scene, self.options, len(derivatives) - 1
         if order == 0 or not scene.law.holds:
@@ -126,27 +140,34 @@ class CundallStrackMethod(Swept, SpringDynamics):
         return self.with_viscosity(force, self.differences(derivatives[-1]))
 
     def end_at(self, time: float, resumable: bool) -> None:
-        """Set the simulated time at which the run ends. resumable : keep the state before a shorter last step."""
+        """Set the simulated time at which the run ends.
+
+        resumable : keep the state before a shorter last step, so that the run can be continued with the same bits.
+        """
         super().end_at(time, resumable)
         self.resumable = resumable
 
     def next_check(self, iteration: int) -> int:
-        """Return the iteration of the next look: that of the check for rest, or the first that reaches the aim."""
+        """Return the iteration at which to read the progress next: that of the next check for rest, or the first that
+        reaches the time `aim`, whichever comes first.
+
+        iteration : the one at which it is read now.
+        """
         return int(min(self.rest.next_check, max(self._steps_to(self.aim), iteration + 1)))
 
     def _steps_to(self, time: float) -> float:
-        """Return the number of steps after which a simulated time is reached; infinity for a time without end."""
+        """Return the number of steps after which a simulated time is reached; infinity if the time is infinite."""
         return float(np.ceil(time / self.time_step * (1 - SAME_STEP))) if np.isfinite(time) else np.inf
 
     def state(self) -> dict[str, np.ndarray]:
-        """Return the state for a checkpoint: that before a shorter last step, if there was one.
+        """Return the state for a checkpoint, by name: that before a shorter last step, if there was one.
 
         A run that is continued for longer thereby has the same bits as one that never ended.
         """
         return self._state() if self.before_last is None else self.before_last
 
     def _state(self) -> dict[str, np.ndarray]:
-        """Return the state now: the fields that steps change, the time step, and what all dynamics keep."""
+        """Return the state now, by name: the fields that steps change, the time step, and what all dynamics keep."""
         fields = {name: self.fields.read(name) for name in self._changing}
         return super().state() | fields | {"time_step": np.array(self.time_step)}
 
@@ -156,7 +177,7 @@ class CundallStrackMethod(Swept, SpringDynamics):
         return [name for name in self.fields.names if name not in CONSTANT]
 
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
-        """Continue from a checkpoint; raise InputError if it has another time step."""
+        """Continue from a checkpoint, by what `state` returned; raise InputError if it has another time step."""
         if float(state["time_step"]) != self.time_step:
             raise InputError(
                 f"time_step is {self.time_step!r}, but the run to be resumed has {float(state['time_step'])!r}; "
@@ -167,7 +188,10 @@ class CundallStrackMethod(Swept, SpringDynamics):
             self.fields.load(name, state[name])
 
     def numbers(self, span: float) -> tuple[float, ...]:
-        """Return the constants that the kernels take for a step of length `span`, time."""
+        """Return the constants that the kernel takes for a step, in its order.
+
+        span : length of the step, time.
+        """
         scene, options = self.scene, self.options
         radius = scene.slip_radius
         return (
@@ -177,11 +201,14 @@ class CundallStrackMethod(Swept, SpringDynamics):
             scene.strength,
             scene.strength * options.static_ratio,
             *options.after_slip(span),
-            span * radius / self.unit_inertia,
+            span * radius / self.common_inertia,
         )
 
     def launches(self, steps: int) -> Iterator[Launch]:
-        """Yield the launches that make `steps` steps; the step that reaches the end of the run is shortened to it."""
+        """Yield the launches of the kernel that make `steps` steps, and count the time.
+
+        The step that reaches the end of the run is shortened so that it ends there.
+        """
         ends = self.iteration + steps == self._steps_to(self.end)
         shorter = ends and (self.iteration + steps) * self.time_step > self.end * (1 + SAME_STEP)
         if whole := steps - int(shorter):
@@ -198,17 +225,19 @@ class CundallStrackMethod(Swept, SpringDynamics):
             self.time = self.end
 
     def _prepare_last_step(self, span: float) -> None:
-        """Rescale the fields for one shorter step, of length `span`, time.
+        """Rescale the fields for one step of another length, and keep the state before it if the run can be resumed.
 
         The n-th scaled derivative is proportional to the n-th power of the step. The field `integral` is the mean spin
-        of the next step as predicted, plus Gear's correction of the mean of the step before. That correction stands for
-        a length, mean times step, which stays the same, so that it is divided by the ratio of the steps.
+        of the next step as predicted, plus a correction c: the error of the mean that was predicted for the step
+        before. c * step is an angle that must stay the same, so c is divided by the ratio of the steps.
+
+        span : length of the step, time.
         """
         if self.resumable:
             self.before_last = self._state()
         if self.options.energy:
             staggered, force, _ = self.motion()
-            self.books_before = (
+            self.balance_before = (
                 *self._work(staggered, force),
                 self._contact_power(force, staggered),
                 self.pulls(force),
@@ -220,25 +249,30 @@ class CundallStrackMethod(Swept, SpringDynamics):
             self.fields.load(f"gear_{n}", values)
         self.fields.load("predicted", np.sum(new, axis=0))
         if self.scene.law.holds:
-            corrected = self.fields.read("integral") - _mean_of(old)
-            self.fields.load("integral", _mean_of(new) + corrected / share)
+            corrected = self.fields.read("integral") - _mean_over_step(old)
+            self.fields.load("integral", _mean_over_step(new) + corrected / share)
 
     def spins(self) -> np.ndarray:
-        """Return the staggered spins (C, R, *N) now."""
+        """Return the spins now as methods carry them (staggered), (C, R, *N), 1/time."""
         return self.scene.impose_driving(self.fields.read("gear_0"), self.spin_axes)
 
     def motion(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the staggered spins (C, R, *N), the contact forces and the elongations (C, R, E) now."""
+        """Return the staggered spins (C, R, *N), the contact forces (C, R, E) and the elongations of the springs (C, R,
+        E) now.
+        """
         staggered = self.spins()
         force = self.contacts.read_forces("force") if self.iteration else self.damping_force(staggered)
         stretch = self.contacts.read_forces("elongation") if self.scene.law.holds else np.zeros_like(force)
         return staggered, force, stretch
 
     def findings(self, last: Progress) -> dict[str, np.ndarray]:
-        """Return the elastic share and, for lattices, the error of the time step and a step that is accurate.
+        """Return further results at the end, by name, (R,) each: share of the elastic slip, error of the time step, and
+        a step that is accurate.
 
-        last : the state at the end. The error is that of the spins, relative to the largest one, estimated from the
-        modes of sticking contacts (gear.py); (R,) each.
+        The error is that of the spins, relative to the largest one, estimated from the modes of sticking contacts
+        (gear.py). It is known for lattices only.
+
+        last : the progress at the end.
         """
         if self.scene.network.lattice is None:  # whose modes are not known
             return super().findings(last)
@@ -251,16 +285,20 @@ class CundallStrackMethod(Swept, SpringDynamics):
     def _contact_power(self, force: np.ndarray, staggered: np.ndarray) -> np.ndarray:
         """Return the power (R,) that the contacts take from the spins, divided by the radius.
 
-        force : (C, R, E). staggered : spins (C, R, *N).
+        force : (C, R, E), contact forces.
+        staggered : (C, R, *N), spins as methods carry them.
         """
         return replica_sum(force * self.differences(staggered))
 
-    def books(self, staggered: np.ndarray, force: np.ndarray, spring: np.ndarray) -> Energy | None:
+    def energy_balance(self, staggered: np.ndarray, force: np.ndarray, spring: np.ndarray) -> Energy | None:
         """Return the energy balance at the end of the last step, or None if none is asked for.
 
-        staggered : spins (C, R, *N). force : (C, R, E). spring : energy (R,) in the springs. The powers of contacts and
-        drive are integrated over time by the trapezoidal rule, so that the residual of the balance is the error of
-        Gear's method and of this rule.
+        The powers of contacts and drive are integrated over time by the trapezoidal rule, so that the residual of the
+        balance is the error of Gear's method and of this rule.
+
+        staggered : (C, R, *N), spins as methods carry them.
+        force : (C, R, E), contact forces.
+        spring : (R,), energy in the springs.
         """
         if not self.options.energy:
             return None
@@ -268,13 +306,14 @@ class CundallStrackMethod(Swept, SpringDynamics):
         return self.balance(staggered, spring)
 
     def _work(self, staggered: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the energies (R,) since the start that contacts took from the spins, and that driven spheres gave.
+        """Return the energies (R,) since the start that contacts took from the spins, and (R,) that driven spheres
+        gave.
 
         staggered, force : spins (C, R, *N) and contact forces (C, R, E) at the end of the last step.
         """
         driven, power = self.absolute(staggered) * self.scene.is_driven, self._contact_power(force, staggered)
-        if self.books_before is not None:  # the trapezoidal rule over the last step alone
-            work, injected, power_before, pull_before = self.books_before
+        if self.balance_before is not None:  # the trapezoidal rule over the last step alone
+            work, injected, power_before, pull_before = self.balance_before
             length = self.scene.slip_radius * self.last_span / 2
             pull = replica_sum((pull_before + self.pulls(force)) * driven)
             return work + length * (power_before + power), injected - length * pull
@@ -284,36 +323,46 @@ class CundallStrackMethod(Swept, SpringDynamics):
         work = replica_sum(self.fields.read("work")) + (power - self.power_at_start) / 2
         return length * work, -length * replica_sum(pull * driven)
 
-    def is_believed(self, found: Progress) -> bool:
-        """Return whether a state without change may be called rest.
+    def may_be_at_rest(self, found: Progress) -> bool:
+        """Return True if a state without change may be called rest, as its gap to the best lower bound so far is small.
 
-        That is judged by the best lower bound so far. Two cases have no bound to go by: a packing of which none can be
-        proven, and mu_s > mu_k, where the motion may end above the least power. There rest is believed once the driven
-        spheres have had the time to stretch the springs until they slip.
+        Two cases have no bound to go by: a packing of which none can be proven, and static friction above kinetic
+        friction, where the motion may end above the least power. There rest is believed once the driven spheres have
+        had the time to stretch the springs until they slip.
+
+        found : the progress now.
         """
         if self.contacts.has_no_bound and not self.scene.network.contacts:
             return True
         if self.contacts.has_no_bound or self.options.static_ratio > 1:
             return self.time >= self._loading_time()
-        return super().is_believed(replace(found, lower_bound=self.contacts.best_bound(found.lower_bound)))
+        return super().may_be_at_rest(replace(found, lower_bound=self.contacts.best_bound(found.lower_bound)))
 
     def _loading_time(self) -> float:
-        """Return the time in which the driving stretches a spring ten times as far as the strongest contact holds."""
+        """Return the time in which the driving stretches a spring ten times as far as the strongest contact holds; 0
+        without drive.
+        """
         scene = self.scene
         strongest = float(scene.acting_coefficient.max()) * self.options.static_ratio
         speed = scene.slip_radius * scene.jump
         return 10 * scene.strength * strongest / (self.options.stiffness * speed) if speed > 0 else 0.0
 
 
-def _mean_of(derivatives: list[np.ndarray]) -> np.ndarray:
-    """Return the mean of a quantity over the next step, from its scaled derivatives, the 0th first."""
+def _mean_over_step(derivatives: list[np.ndarray]) -> np.ndarray:
+    """Return the mean of a quantity over the next step of Gear's method.
+
+    derivatives : its scaled derivatives (n-th time derivative times (time step)^n / n!), the 0th first.
+    """
     return np.asarray(np.sum([values / (n + 1) for n, values in enumerate(derivatives)], axis=0))
 
 
 def stability_bound(scene: Scene, spin_axes: tuple[int, ...], options: CundallStrack) -> float:
     """Return the largest stable time step while all contacts stick, from the stiffest mode of a lattice.
 
-    Slipping contacts are softer and do not reduce it. spin_axes : the spin components that are carried.
+    Slipping contacts are softer and do not reduce it.
+
+    spin_axes : numbers of the axes of the spin components that are computed.
+    options : stiffness, damping, mass and order of Gear's method.
     """
     return largest_step(options, scene.law.holds, *fastest_modes(scene, spin_axes, inertia_of(scene, options)))
 
@@ -321,8 +370,11 @@ def stability_bound(scene: Scene, spin_axes: tuple[int, ...], options: CundallSt
 def largest_step(options: CundallStrack, holds: bool, decay: float, stiffest: float) -> float:
     """Return the largest stable time step of the stiffest mode.
 
-    holds : the law has friction, and so springs and dampers. decay : decay rate of the mode by viscosity, 1/time.
-    stiffest : R^2 lambda / I of the mode, 1/mass.
+    options : stiffness, damping and order of Gear's method.
+    holds : True if the law has friction, and so springs and dampers.
+    decay : decay rate of the mode by viscosity, 1/time.
+    stiffest : R^2 lambda / I of the mode, 1/mass: radius, eigenvalue of the Laplacian of the contacts, moment of
+        inertia.
     """
     damping, stiffness = (options.damping, options.stiffness) if holds else (0.0, 0.0)
     return largest_stable_step(options.gear_order, damping * stiffest + decay, stiffness * stiffest)
@@ -333,8 +385,10 @@ def sticking_modes(
 ) -> Modes:
     """Return the modes of a lattice whose contacts stick, from which the error of a time step follows.
 
-    spin_axes : the spin components that are carried. largest_spin : largest spin at the start, 1/time; the driven
-    spins are taken into account too. stable : largest stable time step.
+    spin_axes : numbers of the axes of the spin components that are computed.
+    options : stiffness, damping, mass and order of Gear's method.
+    largest_spin : largest spin at the start, 1/time; the driven spins are taken into account too.
+    stable : largest stable time step.
     """
     radius = scene.slip_radius
     over = radius**2 / inertia_of(scene, options)

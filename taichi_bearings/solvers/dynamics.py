@@ -26,17 +26,22 @@ ENERGY_NAMES = ("work", "injected", "energy_at_start")
 
 
 def replica_sum(values: np.ndarray) -> np.ndarray:
-    """Return the sum (R,) of values (T, R, ...) over all axes but that of the samples."""
+    """Return the sum (R,) of values (T, R, ...) over all axes but that of the R samples."""
     return values.sum(axis=(0, *range(2, values.ndim)))
 
 
-def saturated(scene: Bearing, force: np.ndarray, slip: np.ndarray, tolerance: float) -> tuple[np.ndarray, float]:
-    """Return how many contacts (R,) slip, as they bear all the friction that they can; and the slip speed resolved.
+def slipping_contacts(
+    scene: Bearing, force: np.ndarray, slip: np.ndarray, tolerance: float
+) -> tuple[np.ndarray, float]:
+    """Return how many contacts of each sample slip, (R,), and the slip speed that can be resolved, length/time.
 
-    force : (C, R, E). slip : (R, E), length/time. tolerance : relative distance from the friction limit that counts as
-    none. The slip speed that can be resolved is the largest slip of a contact that holds, length/time, as a slower
-    contact is not known to slip. It is cut off at REST_SLIP, so that fast contacts count as slipping from the first
+    A contact slips if it bears all the friction that it can. A slip is resolved if it is faster than the largest one of
+    a contact that does not slip; this is cut off at REST_SLIP, so that fast contacts count as slipping from the first
     step on.
+
+    force : (C, R, E), contact forces.
+    slip : (R, E), slip speeds, length/time.
+    tolerance : relative distance from the friction limit that counts as none.
     """
     limit, coarsest = scene.law.holding_force(scene.material), REST_SLIP * scene.slip_radius * scene.jump
     if limit is None:
@@ -47,12 +52,15 @@ def saturated(scene: Bearing, force: np.ndarray, slip: np.ndarray, tolerance: fl
 
 @dataclass
 class RestWatch:
-    """Counts the checks in a row at which a dynamics has been stationary.
+    """Counts the checks in a row at which a dynamics has not changed.
 
-    least, share : two checks are `least` + iteration // `share` iterations apart. later : a check counts if the
-    simulated time has grown by this fraction since the last one that counted. last_objective : (R,), the objective at
-    that one. last_slipping : number of slipping contacts then, of all samples. quiet_checks : how many checks in a row
-    found no change. iteration : of the last check. time : simulated time of the last check that counted.
+    least, share : the next check is `least` + iteration // `share` iterations after the last one.
+    later : a check counts if the simulated time has grown by this fraction since the last one that counted.
+    last_objective : (R,), the objective at the last check that counted.
+    last_slipping : number of slipping contacts then, of all samples.
+    quiet_checks : how many checks in a row found no change.
+    iteration : iteration of the last check.
+    time : simulated time of the last check that counted.
     """
 
     least: int
@@ -71,15 +79,20 @@ class RestWatch:
 
     @property
     def at_rest(self) -> bool:
-        """Whether enough checks in a row have found no change."""
+        """True if enough checks in a row have found no change."""
         return self.quiet_checks >= REST_CHECKS
 
     def look(self, found: Progress, time: float, radius: float, tolerance: float, believed: bool) -> None:
         """Check whether the dynamics has changed since the last check, if one is due.
 
-        found : the state now. time : simulated time. radius : of spheres. tolerance : largest relative change of the
-        objective; the largest torque left may be 1000 x tolerance x the typical torque. believed : False while springs
-        may still have to load, which looks stationary too.
+        No change means: the objective has changed by at most `tolerance`, as many contacts slip, and the largest torque
+        left on a sphere is at most 1000 * tolerance times radius times largest contact force.
+
+        found : the progress now.
+        time : simulated time now.
+        radius : of spheres, length.
+        tolerance : largest relative change of the objective.
+        believed : False while springs may still have to load, which looks like rest too.
         """
         if found.iteration < self.next_check:
             return
@@ -99,22 +112,28 @@ class RestWatch:
 class Dynamics(Method):
     """A method whose iterations are steps in time, which can be interrupted and resumed with the same bits.
 
-    kept : names of the attributes that the further steps depend on, beside time and iteration; WATCH_NAMES if it has a
-    `RestWatch`, ENERGY_NAMES if it keeps an energy balance. rest_gap : proven gap up to which a state without change is
-    believed to be at rest.
-    time : simulated time. aim : the next time at which a state is recorded. end : the time at which the run ends;
-    infinity if there is none. halted : no further step can be made. density : that of the spheres of a packing, as for
-    `Packing.inertias`; it is set before the method begins. inertia : moments of inertia, as from `Contacts.inertias`.
+    state_names : names of the attributes that the further steps depend on, beside time and iteration; WATCH_NAMES are
+        among them if it has a `RestWatch`, ENERGY_NAMES if it keeps an energy balance.
+    rest_gap : relative gap to the proven lower bound up to which a state without change may be called rest.
+    time : simulated time.
+    aim : the next simulated time at which a state is recorded; infinity for none.
+    end : the simulated time at which the run ends; infinity if there is none.
+    halted : True if no further step can be made.
+    density : of the spheres of a packing, as for `Packing.inertias`; it is set before the method begins.
+    inertia : moments of inertia, as from `Contacts.inertias`.
     """
 
     resumes = True
-    kept: ClassVar[tuple[str, ...]] = ()
+    state_names: ClassVar[tuple[str, ...]] = ()
     rest_gap: ClassVar = 1e-4
     aim = end = np.inf
     density: Any = None
 
     def begin(self, scene: Bearing, spin: np.ndarray) -> None:
-        """Prepare to solve a scene, at time 0. spin : laboratory spins to start from, 1/time."""
+        """Prepare to solve a scene, at time 0.
+
+        spin : (R, *N, 3), in 2D (R, *N), laboratory spins to start from, 1/time.
+        """
         super().begin(scene, spin)
         self.inertia = self.contacts.inertias(self.options, self.density)
         self.iteration, self.time, self.halted = 0, 0.0, False
@@ -127,29 +146,35 @@ class Dynamics(Method):
         self.aim = time
 
     def end_at(self, time: float, resumable: bool) -> None:
-        """Set the simulated time at which the run ends. resumable : `state` will be asked for after the last step."""
+        """Set the simulated time at which the run ends.
+
+        resumable : True if `state` will be asked for after the last step.
+        """
         self.end = time
 
     def state(self) -> dict[str, np.ndarray]:
-        """Return all that the further steps depend on, by name."""
-        values = ((name, attrgetter(name)(self)) for name in ("iteration", "time", *self.kept))
+        """Return by name all that the further steps depend on, for a checkpoint."""
+        values = ((name, attrgetter(name)(self)) for name in ("iteration", "time", *self.state_names))
         own = {name: np.array(value, np.int64 if isinstance(value, tuple) else None) for name, value in values}
         return own | self.contacts.state()
 
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
         """Continue from what `state` returned in an earlier call; called after `begin`."""
-        for name in ("iteration", "time", *self.kept):
+        for name in ("iteration", "time", *self.state_names):
             *path, last = name.split(".")
             owner: Any = reduce(getattr, path, self)
-            setattr(owner, last, _like(getattr(owner, last), state[name]))
+            setattr(owner, last, _with_type_of(getattr(owner, last), state[name]))
         self.contacts.restore(state)
 
     def findings(self, last: Progress) -> dict[str, np.ndarray]:
-        """Return further results at the end, by name, (R,) each. last : the state at the end."""
+        """Return further results at the end by name, (R,) each; here none. last : the progress at the end."""
         return {}
 
-    def is_believed(self, found: Progress) -> bool:
-        """Return whether a state without change may be called rest: whether its proven gap is small enough."""
+    def may_be_at_rest(self, found: Progress) -> bool:
+        """Return True if a state without change may be called rest, as its proven gap is small enough.
+
+        found : the progress now, with objective and lower bound.
+        """
         return bool((relative_gap(self.scene, found.objective, found.lower_bound) <= self.rest_gap).all())
 
     def advance(self, steps: int) -> None:
@@ -162,19 +187,23 @@ class Dynamics(Method):
                 self.iteration += 1
 
     def _step(self) -> None:
-        """Make one step in time; `halted` is set if it could not be made."""
+        """Make one step in time; set `halted` if it cannot be made."""
         raise NotImplementedError
 
-    def open_books(self, staggered: np.ndarray) -> None:
-        """Begin the energy balance. staggered : spins (C, R, *N) at the start, when no spring is stretched."""
+    def start_energy_balance(self, staggered: np.ndarray) -> None:
+        """Begin the energy balance, when no spring is stretched.
+
+        staggered : (C, R, *N), spins at the start as methods carry them.
+        """
         self.injected, self.work = np.zeros((2, self.scene.replicas))
         self.energy_at_start = self.kinetic_energy(staggered)
         self.imposed = self.differences(self.absolute(staggered) * self.scene.is_driven)
 
-    def book(self, before: np.ndarray, after: np.ndarray, force: np.ndarray, duration: float) -> None:
+    def add_energies(self, before: np.ndarray, after: np.ndarray, force: np.ndarray, duration: float) -> None:
         """Add the energies of one step to the balance: the work of the contacts, and that of the driven spheres.
 
-        before, after : spins (C, R, *N) at the two ends of the step. force : mean contact forces (C, R, E) of the step.
+        before, after : (C, R, *N), staggered spins at the two ends of the step, 1/time.
+        force : (C, R, E), mean contact forces of the step.
         duration : length of the step, time.
         """
         length, mean = duration * self.scene.slip_radius, (before + after) / 2
@@ -182,16 +211,27 @@ class Dynamics(Method):
         self.injected = self.injected + length * replica_sum(force * self.imposed)
 
     def kinetic_energy(self, staggered: np.ndarray) -> np.ndarray:
-        """Return the kinetic energy (R,) of the free spheres, from staggered spins (C, R, *N)."""
+        """Return the kinetic energy (R,) of the free spheres.
+
+        staggered : (C, R, *N), spins as methods carry them, 1/time.
+        """
         return replica_sum(self.inertia / 2 * ~self.scene.is_driven * self.absolute(staggered) ** 2)
 
     def balance(self, staggered: np.ndarray, spring: np.ndarray) -> Energy:
-        """Return the energy balance now. staggered : spins (C, R, *N). spring : energy (R,) stored in the springs."""
+        """Return the energy balance now: kinetic, spring, injected and dissipated energy.
+
+        staggered : (C, R, *N), spins as methods carry them.
+        spring : (R,), energy stored in the springs.
+        """
         return Energy(self.kinetic_energy(staggered), spring, self.injected, self.work - spring, self.energy_at_start)
 
 
-def _like(now: Any, stored: np.ndarray) -> Any:
-    """Return a value of a checkpoint with the type of the value `now` that it replaces."""
+def _with_type_of(now: Any, stored: np.ndarray) -> Any:
+    """Return a value of a checkpoint with the type of the value that it replaces: whole numbers, a number, or an array.
+
+    now : the value that is replaced.
+    stored : the array in the checkpoint.
+    """
     if isinstance(now, tuple):
         return tuple(int(number) for number in stored)
     return type(now)(stored) if isinstance(now, int | float) else np.array(stored)
@@ -200,26 +240,34 @@ def _like(now: Any, stored: np.ndarray) -> Any:
 class SpringDynamics(Dynamics):
     """A dynamics whose contacts have springs: its progress, and when it is at rest.
 
-    same_force : relative distance from the friction limit below which a contact counts as slipping. checks : `least`,
-    `share` and `later` of `RestWatch`. rest : that watch.
+    same_force : relative distance from the friction limit below which a contact counts as slipping.
+    checks : `least`, `share` and `later` of `RestWatch`.
+    rest : the `RestWatch` that tells when nothing changes any more.
     """
 
     same_force: ClassVar[float]
     checks: ClassVar[tuple[int, int, float]]
 
     def begin(self, scene: Bearing, spin: np.ndarray) -> None:
-        """Prepare to solve a scene, and watch for rest. spin : laboratory spins to start from, 1/time."""
+        """Prepare to solve a scene, and to watch for rest.
+
+        spin : (R, *N, 3), in 2D (R, *N), laboratory spins to start from, 1/time.
+        """
         super().begin(scene, spin)
         self.rest = RestWatch(*self.checks, np.full(scene.replicas, np.inf))
 
     def motion(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the staggered spins (C, R, *N), the contact forces and the elongations (C, R, E) now."""
+        """Return the staggered spins (C, R, *N), the contact forces (C, R, E) and the elongations of the springs (C, R,
+        E) now.
+        """
         raise NotImplementedError
 
     def damping_force(self, staggered: np.ndarray) -> np.ndarray:
-        """Return the forces (C, R, E) of contacts whose springs are not stretched, at spins (C, R, *N).
+        """Return the forces (C, R, E) of contacts whose springs are not stretched.
 
-        These are the force of the damper, cut off at the friction limit, and that of the viscosity.
+        They are that of the damper, cut off at the friction limit, and that of the viscosity.
+
+        staggered : (C, R, *N), spins as methods carry them, 1/time.
         """
         scene, difference = self.scene, self.differences(staggered)
         force = self.options.damping * scene.slip_radius * difference
@@ -228,23 +276,32 @@ class SpringDynamics(Dynamics):
         force = force * np.divide(limit, size, out=np.ones_like(size), where=slips)
         return self.with_viscosity(force if scene.law.holds else np.zeros_like(force), difference)
 
-    def books(self, staggered: np.ndarray, force: np.ndarray, spring: np.ndarray) -> Energy | None:
-        """Return the energy balance now, or None if none is kept; arguments as of `balance`, force (C, R, E)."""
+    def energy_balance(self, staggered: np.ndarray, force: np.ndarray, spring: np.ndarray) -> Energy | None:
+        """Return the energy balance now; a subclass may return None if none is kept.
+
+        staggered : (C, R, *N), spins as methods carry them.
+        force : (C, R, E), contact forces.
+        spring : (R,), energy stored in the springs.
+        """
         return self.balance(staggered, spring)
 
     def findings(self, last: Progress) -> dict[str, np.ndarray]:
-        """Return the elongation of the longest spring over the distance that the driven planes have slid so far."""
+        """Return as `elastic_share`, (R,), the elongation of the longest spring over the distance that the driven
+        planes have slid; nothing if they have not.
+
+        last : the progress at the end.
+        """
         slid = self.scene.slip_radius * self.scene.jump * self.time if self.scene.law.holds else 0.0
         return {"elastic_share": vector_length(self.motion()[2]).max(axis=1) / slid} if slid > 0 else {}
 
     def progress(self) -> Progress:
-        """Return the state now with its bounds, energies and slipping contacts, and whether it is at rest."""
+        """Return the progress now, with bounds, energies and slipping contacts, and whether the dynamics is at rest."""
         scene, stiffness = self.scene, self.options.stiffness
         staggered, force, stretch = self.motion()
         springs = force
         if scene.law.holds:
             springs = self.with_viscosity(stiffness * stretch, self.differences(staggered))
-        slipping, creep = saturated(scene, force, scene.slips(staggered, self.spin_axes), self.same_force)
+        slipping, creep = slipping_contacts(scene, force, scene.slips(staggered, self.spin_axes), self.same_force)
         found = self.judged(
             staggered,
             force,
@@ -252,9 +309,9 @@ class SpringDynamics(Dynamics):
             iteration=self.iteration,
             resolution=creep,
             time=self.time,
-            energy=self.books(staggered, force, stiffness / 2 * replica_sum(stretch**2)),
+            energy=self.energy_balance(staggered, force, stiffness / 2 * replica_sum(stretch**2)),
             slipping=slipping,
             halted=self.halted,
         )
-        self.rest.look(found, self.time, scene.slip_radius, self.options.rest_tolerance, self.is_believed(found))
+        self.rest.look(found, self.time, scene.slip_radius, self.options.rest_tolerance, self.may_be_at_rest(found))
         return replace(found, at_rest=self.rest.at_rest)

@@ -44,12 +44,15 @@ HALVINGS = 12  # how often a step is halved in search of an accurate one
 
 
 def amplification(corrector: tuple[float, ...], decay: np.ndarray, oscillation: np.ndarray) -> np.ndarray:
-    """Return the matrices (..., q + 3, q + 3) that carry the state of a mode over one step.
+    """Return the matrices (..., q + 3, q + 3) that carry the state of a mode over one step of Gear's method of order q.
 
-    corrector : coefficients (q + 1) of the method. decay, oscillation : damping rate of the mode times the time step,
-    and its squared frequency times the squared time step: h A R^2 lambda / I and h^2 K R^2 lambda / I. The state has
-    the scaled derivatives 0 ... q of the spin, the stretch of the spring (in units of radius * time step), and the last
-    corrector error.
+    The state has the scaled derivatives 0 ... q of the spin (n-th time derivative times h^n / n!, time step h), the
+    stretch of the spring (in units of radius * h), and the last corrector error.
+
+    corrector : (q + 1) coefficients of the method.
+    decay, oscillation : (...), damping rate of the mode times h, and its squared frequency times h^2: h A R^2 lambda /
+        I and h^2 K R^2 lambda / I, with damping A and stiffness K of a contact, radius R, moment of inertia I and
+        eigenvalue lambda.
     """
     # Taylor series one step on (Pascal's triangle); then the corrector adds its coefficients times the error
     values = len(corrector)
@@ -70,11 +73,11 @@ def amplification(corrector: tuple[float, ...], decay: np.ndarray, oscillation: 
 
 
 def largest_stable_step(order: int, decay_rate: float, frequency_squared: float) -> float:
-    """Return the largest time step at which the stiffest mode and all softer modes are stable.
+    """Return the largest time step at which the stiffest mode and all softer modes are stable; infinity if any step is.
 
-    order : of Gear's method. decay_rate, frequency_squared : A R^2 lambda / I, 1/time, and K R^2 lambda / I, 1/time^2,
-    of the stiffest mode (largest lambda); softer modes have the same ratio of the two. One of them may be 0; if both
-    are, any step is stable and the result is infinity.
+    order : of Gear's method.
+    decay_rate, frequency_squared : A R^2 lambda / I, 1/time, and K R^2 lambda / I, 1/time^2, of the stiffest mode
+        (largest lambda), as in `amplification`. Softer modes have the same ratio of the two. Either may be 0.
     """
     # first the step is bracketed on a grid, then the bracket is halved 40 times
     rates = [r for r in (decay_rate, np.sqrt(frequency_squared)) if r > 0]
@@ -98,9 +101,13 @@ def largest_stable_step(order: int, decay_rate: float, frequency_squared: float)
 
 
 def _spectral_radius(order: int, decay_rate: float, frequency_squared: float, steps: np.ndarray) -> np.ndarray:
-    """Return the largest modulus of the eigenvalues of all modes, for each time step of `steps`.
+    """Return for each time step the largest modulus of the eigenvalues of the amplification matrices of all modes,
+    (steps,).
 
-    order : of Gear's method. decay_rate, frequency_squared : of the stiffest mode, as for `largest_stable_step`.
+    order : of Gear's method.
+    decay_rate, frequency_squared : of the stiffest mode, as for `largest_stable_step`; the softer modes are
+        SOFTER_MODES times as stiff.
+    steps : (steps,), time steps.
     """
     h = steps[:, None]
     matrices = amplification(
@@ -112,16 +119,19 @@ def _spectral_radius(order: int, decay_rate: float, frequency_squared: float, st
 def largest_laplacian_eigenvalue(lattice: Lattice, spin_axes: tuple[int, ...]) -> float:
     """Return the largest eigenvalue of the unweighted lattice Laplacian with the driven planes held, exactly.
 
-    spin_axes : the spin components that are carried; the largest one of all of them is returned.
+    spin_axes : numbers of the axes of the spin components that are computed; the largest one of all of them is
+        returned.
     """
     return max(float(eigenvalues(lattice, component).max()) for component in spin_axes)
 
 
 def largest_weighted_eigenvalue(scene: Scene, spin_axes: tuple[int, ...]) -> float:
-    """Return an upper estimate of the largest eigenvalue of the Laplacians weighted by the viscosities.
+    """Return an upper estimate of the largest eigenvalue of the Laplacians of a lattice weighted by the viscosities.
 
-    The largest of all samples and carried spin components is returned; 0 for a law without viscosity. It is found by
-    Lanczos' method to a relative 1e-3, and raised by as much.
+    The largest of all samples and spin components is returned; 0 for a law without viscosity. It is found by Lanczos'
+    method to a relative 1e-3, and raised by as much.
+
+    spin_axes : numbers of the axes of the spin components that are computed.
     """
     lattice, largest, viscosities = scene.lattice, 0.0, scene.viscosities
     if viscosities is None:
@@ -144,8 +154,10 @@ def largest_weighted_eigenvalue(scene: Scene, spin_axes: tuple[int, ...]) -> flo
 def laplacian_spectrum(lattice: Lattice, spin_axes: tuple[int, ...]) -> np.ndarray:
     """Return eigenvalues (SAMPLE_MODES,) that represent the unweighted lattice Laplacian with the driven planes held.
 
-    All eigenvalues of the carried spin components are sorted and split into SAMPLE_MODES equal groups; the median of
-    each group is returned.
+    All eigenvalues of the computed spin components are sorted and split into SAMPLE_MODES equal groups; the median of
+    each group is returned. An eigenvalue 0 is replaced by LEAST_EIGENVALUE.
+
+    spin_axes : numbers of the axes of the spin components.
     """
     found = [np.broadcast_to(eigenvalues(lattice, component), lattice.free_shape) for component in spin_axes]
     return np.maximum(np.quantile(found, (np.arange(SAMPLE_MODES) + 0.5) / SAMPLE_MODES), LEAST_EIGENVALUE)
@@ -155,8 +167,13 @@ def laplacian_spectrum(lattice: Lattice, spin_axes: tuple[int, ...]) -> np.ndarr
 class Modes:
     """M modes of a lattice whose contacts stick, and the errors that Gear's method makes in them.
 
-    decay, oscillation : (M,), A R^2 lambda / I, 1/time, and K R^2 lambda / I, 1/time^2. damping, stiffness : A and K.
-    limit : mu F_n / R over the largest spin, force * time / length; infinite for contacts without a friction limit.
+    A contact has damping A and stiffness K; R is the radius, I the moment of inertia, lambda the eigenvalue of a mode.
+
+    decay : (M,), A R^2 lambda / I, 1/time.
+    oscillation : (M,), K R^2 lambda / I, 1/time^2.
+    damping, stiffness : A and K.
+    limit : friction limit mu F_n of a contact over R and over the largest spin, force * time / length; infinite for
+        contacts without a friction limit.
     """
 
     decay: np.ndarray
@@ -167,9 +184,10 @@ class Modes:
 
     @cached_property
     def roots(self) -> tuple[np.ndarray, np.ndarray]:
-        """The two complex rates p and q of each mode, 1/time, the faster one first.
+        """The two complex rates (M,) of each mode, 1/time, the faster one first.
 
-        They are the roots of s^2 + decay s + oscillation = 0; a double root is split by a relative 1e-6.
+        They are the roots s of s^2 + decay s + oscillation = 0; a double root is split by a relative 1e-6, so that
+        solutions can be divided by the difference of the roots.
         """
         root = np.sqrt((self.decay**2 - 4 * self.oscillation).astype(complex))
         root = np.where(np.abs(root) < 1e-6 * self.decay, 1e-6 * self.decay, root)
@@ -177,14 +195,21 @@ class Modes:
 
     @cached_property
     def amplitude(self) -> np.ndarray:
-        """(M,), the largest spin that a mode can have while its contacts stick, over the largest spin of all."""
+        """(M,), the largest spin that a mode can have while its contacts stick, over the largest spin of all; at most
+        1.
+        """
         resistance = np.abs(self.damping + self.stiffness / self.roots[0])
         return np.minimum(1.0, self.limit / np.maximum(resistance, np.finfo(float).tiny))
 
     def errors(self, order: int, time_step: float) -> np.ndarray:
-        """Return the relative error of the spins for runs of TIMES_IN_STEPS steps: the largest one on the way.
+        """Return the relative error of the spins after 1 ... 1e12 steps (TIMES_IN_STEPS): for each the largest error on
+        the way.
 
-        order : of Gear's method. time_step : its step.
+        The error is the difference between the exact decay of the modes and that by Gear's method, root mean square
+        over modes.
+
+        order : of Gear's method.
+        time_step : length of its steps.
         """
         matrices = amplification(GEAR_COEFFICIENTS[order], time_step * self.decay, time_step**2 * self.oscillation)
         values, (p, q) = np.linalg.eigvals(matrices), self.roots
@@ -201,14 +226,21 @@ class Modes:
         return np.maximum.accumulate(np.sqrt(np.mean(size**2, axis=0)))
 
     def error(self, order: int, time_step: float, steps: float) -> float:
-        """Return the relative error of the spins in a run of `steps` steps; arguments as of `errors`."""
+        """Return the relative error of the spins in a run of `steps` steps, the largest on the way.
+
+        order : of Gear's method.
+        time_step : length of its steps.
+        """
         reached = int(np.searchsorted(TIMES_IN_STEPS, steps, side="right"))
         return float(self.errors(order, time_step)[reached - 1]) if reached else 0.0
 
     def accurate_step(self, order: int, time_step: float, steps: int) -> float:
-        """Return a time step whose error stays within ACCURATE_ERROR over a run of `steps` steps of `time_step`.
+        """Return a time step whose error stays within ACCURATE_ERROR over a run as long as `steps` steps of
+        `time_step`.
 
         The step is halved until that holds, also for a run of up to twice the length; NaN if HALVINGS do not suffice.
+
+        order : of Gear's method.
         """
         longest = 2.0 ** max(steps, 1).bit_length()
         for parts in 2.0 ** np.arange(HALVINGS + 1):

@@ -42,25 +42,44 @@ CHECKS_AN_EPOCH = 8  # without momentum; the first half of them before the avera
 
 
 class GradientDescentMethod(Swept):
-    """Gradient descent (see the module docstring). An iteration is one sweep over all contacts, made in pairs.
+    """Gradient descent on the dissipated power. An iteration is one sweep, in which all spins move; sweeps are made in
+    pairs.
 
-    width : regularisation of friction with momentum, 1/time. step_length : of the steps without momentum, 1/time.
-    age : sweeps since the momentum was started anew. epoch_start, epoch_length : iterations, without momentum.
-    averaged : sweeps that are in the averages of this epoch. last_smooth : (R,), the regularised objective at the last
-    look.
+    The gradient is divided by a diagonal metric, which bounds the curvature of the power at each sphere.
+
+    momentum : True to accelerate the descent.
+    viscosity : (R, E), viscosity of each contact beside friction, in the unit of the coefficients, or None.
+    box : interval in which spins stay, lower ends of three components and then upper ends, 1/time.
+
+    With momentum:
+
+    width : slip below which friction is smoothed to a force in proportion to it, as a spin difference, 1/time.
+    least_width : width below which rounding rules, 1/time.
+    age : sweeps since the momentum was last set to zero.
+    last_smooth : (R,), the objective with smoothed friction when the progress was last read.
+
+    Without, a run is divided into epochs of constant step length, over whose second halves spins and forces are
+    averaged:
+
+    step_length : largest change of a spin in a sweep, 1/time.
+    epoch_start, epoch_length : iteration at which the epoch began, and how many iterations it has.
+    averaged : sweeps that are in the averages of this epoch.
     """
 
     resumes = True
-    numbers_kept = ("iteration", "age", "width", "step_length", "epoch_start", "epoch_length", "averaged")
+    state_numbers = ("iteration", "age", "width", "step_length", "epoch_start", "epoch_length", "averaged")
 
     def __init__(self, options: GradientDescent) -> None:
+        """Take the options of the method, among them `momentum`."""
         super().__init__(options)
         self.momentum = options.momentum
 
     def begin(self, scene: Bearing, spin: np.ndarray) -> None:
-        """Prepare the descent: load the start and the metric, and compile the kernels.
+        """Prepare the descent: load the spins at the start and the metric, and compile the kernels.
 
-        spin : laboratory spins to start from, 1/time; they are clipped to the box.
+        scene : what to solve.
+        spin : (R, *N, 3), in 2D (R, *N), laboratory spins to start from, 1/time; they are clipped to the interval
+            between the driven spins where a minimum is known to lie in it.
         """
         super().begin(scene, spin)
         scene, contacts = self.scene, self.contacts
@@ -70,12 +89,12 @@ class GradientDescentMethod(Swept):
         names = [*contacts.points, "inverse_weight"] + self.momentum * ["spin"] + self.averages * ["spin_sum"]
         spheres = dict.fromkeys(names, len(self.spin_axes))
         of_contacts = [*contacts.forces, *(["force_sum"] if self.averages else [])]
-        contacts.use(contacts.specified(spheres, of_contacts), self.viscosity)
+        contacts.allocate(contacts.field_spec(spheres, of_contacts), self.viscosity)
         self._load_spins(scene.clip_to_box(scene.staggered_spin(spin, self.spin_axes), self.spin_axes))
         box = np.zeros((2, 3))  # lower and upper ends
         box[:, : len(self.spin_axes)] = scene.box(self.spin_axes)
         self.box = box.ravel().tolist()
-        self.team, self.sweeps = contacts.descents()
+        self.team, self.sweeps = contacts.descent_kernel()
         self.sweeps.compile(self.fields, self.team)
         jump = scene.jump or 1.0
         precision = np.float64 if runtime.current().precision == "f64" else np.float32
@@ -88,10 +107,12 @@ class GradientDescentMethod(Swept):
         self._begin_epoch(FIRST_EPOCH)
 
     def _load_weights(self) -> None:
-        """Load the inverse of the diagonal metric, which bounds the curvature of the objective at this stage.
+        """Load the inverse of the diagonal metric, which bounds the curvature of the objective at the present width or
+        step.
 
-        With friction and viscosity the latter is weighted by the spin difference over which friction is smoothed, so
-        that one step length is right for both.
+        The coefficients of friction bound the curvature once they are divided by the spin difference over which
+        friction is smoothed; that division is left to the step length. So a viscosity is multiplied by that spin
+        difference, and one step length is right for both.
         """
         scene = self.scene
         smoothed = self.width if self.momentum else 2 * self.step_length
@@ -118,25 +139,34 @@ class GradientDescentMethod(Swept):
         return 3 * self.scene.slip_radius * float(np.linalg.norm(np.subtract(high, low)))
 
     def _load_spins(self, staggered: np.ndarray) -> None:
-        """Write staggered spins (C, R, *N) into all fields that hold spins."""
+        """Write spins into all fields that hold spins.
+
+        staggered : (C, R, *N), spins with alternating signs as methods carry them, 1/time.
+        """
         for name in self.contacts.points + (("spin",) if self.momentum else ()):
             self.fields.load(name, staggered)
 
     def _begin_epoch(self, length: int) -> None:
-        """Begin an epoch of `length` iterations with empty averages."""
+        """Begin an epoch with empty averages. length : its iterations."""
         self.epoch_start, self.epoch_length, self.averaged = self.iteration, length, 0
         if self.averages:
             self.fields.clear("spin_sum")
             self.fields.clear("force_sum")
 
     def next_check(self, iteration: int) -> int:
-        """Return the iteration of the next look: an eighth of an epoch on, or about an eighth of the run."""
+        """Return the iteration at which to read the progress next: an eighth of an epoch later, or about an eighth of
+        the run.
+
+        iteration : the one at which it is read now.
+        """
         if self.averages:
             return iteration + self.epoch_length // CHECKS_AN_EPOCH
         return iteration + 2 * (16 + iteration // 16)
 
     def launches(self, steps: int) -> Iterator[Launch]:
-        """Yield one launch of `steps` sweeps; an odd number is rounded up, since sweeps come in pairs."""
+        """Yield one launch of the kernel with `steps` sweeps; one more if the number is odd, since they come in
+        pairs.
+        """
         pairs = -(-steps // 2)
         averaging = self.averages and self.iteration >= self.epoch_start + self.epoch_length // 2
         step, sharpness = self._step_and_sharpness()
@@ -150,12 +180,12 @@ class GradientDescentMethod(Swept):
 
     @property
     def _changing(self) -> list[str]:
-        """Names of the fields that sweeps and looks change."""
+        """Names of the fields that the descent changes."""
         return [name for name in self.fields.names if name not in CONSTANT]
 
     def state(self) -> dict[str, np.ndarray]:
         """Return the fields and numbers that the further sweeps depend on, by name."""
-        numbers = {name: np.array(getattr(self, name)) for name in self.numbers_kept}
+        numbers = {name: np.array(getattr(self, name)) for name in self.state_numbers}
         fields = {name: self.fields.read(name) for name in self._changing}
         return fields | numbers | {"last_smooth": self.last_smooth} | self.contacts.state()
 
@@ -163,25 +193,27 @@ class GradientDescentMethod(Swept):
         """Continue from what `state` returned in an earlier call."""
         for name in self._changing:
             self.fields.load(name, state[name])
-        for name in self.numbers_kept:
+        for name in self.state_numbers:
             setattr(self, name, type(getattr(self, name))(state[name]))
         self.last_smooth = np.array(state["last_smooth"])
         self.contacts.restore(state)
 
     def _step_and_sharpness(self) -> tuple[float, float]:
-        """Return the step length that the kernels take, and the last argument of the force of the law on the device.
+        """Return the step length that the kernel takes, and the last argument of the force of the law on the device.
 
-        That is the inverse of the spin difference up to which friction grows, or the radius for laws without friction
-        (FORCES in kernels/contact.py).
+        That argument is the inverse of the spin difference up to which friction grows, or the radius for laws without
+        friction (FORCES in kernels/contact.py).
         """
         if not self.scene.law.holds:
             return 0.5, self.scene.slip_radius
         return (self.width / 2 if self.momentum else self.step_length), 1.0 / self.width
 
     def progress(self) -> Progress:
-        """Return the state now, or the average of the epoch, with its bounds; then steer the next sweeps.
+        """Return the progress now, with the bounds on the objective, and choose width or step length of the next
+        sweeps.
 
-        With momentum that is `_steer`; without, an epoch that has ended is followed by one of twice the length.
+        Without momentum it is that of the average of the epoch; an epoch that has ended is followed by one of twice the
+        length and a step shorter by a factor sqrt(2). With momentum see `_adapt`.
         """
         scene = self.scene
         if self.averaged:
@@ -194,7 +226,7 @@ class GradientDescentMethod(Swept):
         resolution = scene.slip_radius * min(creep, LARGE_SLIP * scene.jump)  # slower slips may be rest
         found = self.judged(staggered, force, iteration=self.iteration, resolution=resolution)
         if self.momentum:
-            self._steer(staggered, found.objective, self.contacts.best_bound(found.lower_bound))
+            self._adapt(staggered, found.objective, self.contacts.best_bound(found.lower_bound))
         elif self.averages and self.iteration >= self.epoch_start + self.epoch_length:
             self._load_spins(staggered)
             self.step_length /= math.sqrt(2)
@@ -203,10 +235,12 @@ class GradientDescentMethod(Swept):
             self._begin_epoch(2 * self.epoch_length)
         return found
 
-    def _steer(self, staggered: np.ndarray, objective: np.ndarray, bound: np.ndarray) -> None:
-        """Restart the momentum if it has overshot; halve the width if it causes half the gap or more.
+    def _adapt(self, staggered: np.ndarray, objective: np.ndarray, bound: np.ndarray) -> None:
+        """Set the momentum to zero if it has overshot; halve the width of the smoothing if it causes half the gap or
+        more.
 
-        staggered : spins (C, R, *N) now. objective, bound : (R,), what is minimised, and its best lower bound.
+        staggered : (C, R, *N), spins now.
+        objective, bound : (R,), what is minimised, and its best lower bound.
         """
         shorten, smooth, scene = False, objective, self.scene
         # the regularised objective is less than the true one, by at most radius * width / 2 times friction a contact

@@ -32,14 +32,19 @@ NOTHING = (0.0,)  # passed for constants that all copies of the lists share, as 
 
 
 class OnLists(Contacts):
-    """The contacts of one sample of a packing.
+    """The contacts of one sample of a packing, as methods step them: in lists, on which kernels work.
 
     The field `force` holds the force on each contact as a vector; other fields of contacts hold components along its
     tangents T.
 
-    scene : the packing with the contacts that take part alone. bounds : what is proven of the packing. lists : the
-    order of spheres and contacts in memory. fields : the numbers on the device, which may be a part of the fields of
-    several samples that are stepped together.
+    scene : the packing, with those contacts alone that take part (that can dissipate).
+    spin_axes : numbers of the axes of the C spin components that are computed.
+    spec : names and sizes of the fields of spheres, and of those of contacts.
+    points, forces : names of the fields that hold the spins of a gradient descent, and its contact forces.
+    bounds : the lower bounds on the objective that are proven so far.
+    lists : the order of spheres and contacts in memory, once `allocate` was called.
+    fields : the numbers on the device, likewise; they may be a part of the fields of several samples that are stepped
+        together.
     """
 
     scene: Packing
@@ -49,7 +54,8 @@ class OnLists(Contacts):
     def __init__(self, bearing: Bearing, spin: np.ndarray) -> None:
         """Take a packing of one sample, and find out whether it has a state without slip.
 
-        bearing : the packing. spin : laboratory spins to start from, 1/time.
+        bearing : the packing.
+        spin : (1, N, 3), of discs (1, N), spins to start from, 1/time.
         """
         packing = of_packing(bearing)
         self.spin_axes = packing.minimum_spin_axes
@@ -60,19 +66,31 @@ class OnLists(Contacts):
 
     @property
     def across(self) -> np.ndarray:
-        """The unit tangents T of the contacts, (d, E, C)."""
+        """(d, E, C), the unit tangents T of the contacts: d of them, 1 for discs and 2 for spheres, with C components
+        each.
+        """
         return self.scene.network.tangents
 
-    def specified(self, spheres: dict[str, int], contacts: list[str]) -> ListSpec:
-        """Return the fields of spheres and those of contacts, each as pairs of name and count; as of `Contacts`."""
+    def field_spec(self, spheres: dict[str, int], contacts: list[str]) -> ListSpec:
+        """Return the fields that a method needs: those of spheres and those of contacts, each as pairs of name and
+        numbers.
+
+        spheres : numbers a sphere in each field of spheres, by name.
+        contacts : names of the fields of contacts.
+        """
         tangents, _, components = self.across.shape
         counts: dict[str, int] = {"force": components, "coefficient": 1, "viscosity": 1, "work": 1}
         counts["across"] = 6 if components == 3 else 0
         names = (*contacts, *self.of_law, "across")
         return tuple(spheres.items()), tuple((name, counts.get(name, int(tangents))) for name in names)
 
-    def use(self, spec: Any, viscosity: np.ndarray | None) -> None:
-        """Allocate the fields of `spec`, and load tangents and coefficients; as of `Contacts`."""
+    def allocate(self, spec: Any, viscosity: np.ndarray | None) -> None:
+        """Allocate the fields, and load the tangents and the coefficients of the law into them.
+
+        spec : names and sizes of the fields of spheres, and of those of contacts.
+        viscosity : (1, E), viscosity of each contact beside its friction, in the unit of the kernels; None for laws
+            without.
+        """
         network = self.scene.network
         self._numbers = np.zeros(COPY_NUMBERS)
         self.lists = Lists.of(network.spheres, network.contact.T)
@@ -84,24 +102,37 @@ class OnLists(Contacts):
             self.fields.load("viscosity", viscosity[None])
 
     def _sweeps(self, kind: Callable[..., Sweeps], corrector: tuple[float, ...]) -> tuple[Team, Sweeps]:
-        """Return the threads, and kernels of class `kind`. corrector : of Gear's method; empty for a descent."""
+        """Return the threads and a kernel for all steps.
+
+        kind : class of the kernel.
+        corrector : coefficients of Gear's corrector; empty for gradient descent.
+        """
         return team_of(self.fields, self.spec), made_once(kind, self.spec, self.scene.law.name, corrector)
 
-    def springs(self, corrector: tuple[float, ...]) -> tuple[Team, Sweeps]:
-        """Return the threads and the kernels for the dynamics of Cundall and Strack; as of `Contacts`."""
+    def spring_kernel(self, corrector: tuple[float, ...]) -> tuple[Team, Sweeps]:
+        """Return the threads and the kernel for the dynamics of Cundall and Strack.
+
+        corrector : coefficients of Gear's corrector, that of the spin itself first.
+        """
         return self._sweeps(CundallStrackLists, corrector)
 
-    def descents(self) -> tuple[Team, Sweeps]:
-        """Return the threads and the kernels for gradient descent."""
+    def descent_kernel(self) -> tuple[Team, Sweeps]:
+        """Return the threads and the kernel for gradient descent."""
         return self._sweeps(DescentLists, ())
 
     def run(self, team: Team, sweeps: Sweeps, launch: Launch) -> None:
-        """Load the constants of a launch, and call the kernels as often as it says."""
+        """Call a kernel as often, and with the constants, as a launch says.
+
+        team : threads. sweeps : the kernel.
+        """
         self.load_numbers(launch)
         sweeps.run(self.fields, team, launch.turns, NOTHING)
 
     def load_numbers(self, launch: Launch) -> None:
-        """Load the constants of a launch for the kernels, unless they are those of the last one."""
+        """Load the constants of a launch where the kernel reads them, unless they are those of the last launch.
+
+        The last constant is how many sweeps were made before this launch; a turn of the kernel is two.
+        """
         given = np.zeros(COPY_NUMBERS)
         given[: len(launch.numbers)] = launch.numbers
         given[-1] = 2 * launch.first  # in sweeps, which come in pairs
@@ -110,19 +141,24 @@ class OnLists(Contacts):
             self._numbers = given
 
     def read_forces(self, name: str) -> np.ndarray:
-        """Return the forces or elongations (d, 1, E) along the tangents that a field holds."""
+        """Return the forces (or elongations of springs) of the contacts along their tangents, (d, 1, E).
+
+        name : of the field that holds them; in the field `force` they are vectors, which are projected.
+        """
         found = self.fields.read(name)
         return np.einsum("kre,tek->tre", found, self.across) if name == "force" else found
 
     def load_force(self, force: np.ndarray) -> None:
-        """Write forces (d, 1, E) along the tangents into the field `force`, as vectors."""
+        """Write contact forces along the tangents, (d, 1, E), into the field `force`, as vectors."""
         self.fields.load("force", np.einsum("tre,tek->kre", force, self.across))
 
     def weights(self, bounds: np.ndarray) -> np.ndarray:
-        """Return upper bounds (C, 1, N) on the curvature at each sphere. bounds : (1, E), on that of each contact.
+        """Return upper bounds (C, 1, N) on the curvature of the objective along each spin component of each sphere.
 
-        The curvature of a sphere is the matrix of the sum of b_e T^T T over its contacts. It is no larger than the
+        The curvature at a sphere is the matrix of the sum of b_e T^T T over its contacts. It is no larger than the
         diagonal matrix that has the sums of the absolute entries of its rows.
+
+        bounds : (1, E), upper bounds b_e on the curvature of what each contact adds.
         """
         network = self.scene.network
         rows = np.abs(np.einsum("tek,tel->ekl", self.across, self.across)).sum(axis=2) * bounds[0][:, None]
@@ -132,42 +168,68 @@ class OnLists(Contacts):
         return total.T[:, None]
 
     def inertias(self, options: Any, density: Any) -> np.ndarray:
-        """Return the moments of inertia (N,) over the square of the radius; arguments as of `Contacts`."""
+        """Return the moments of inertia of the spheres over the squares of their radii, (N,), mass.
+
+        options : options of a method, with `mass` and `inertia`.
+        density : of the spheres, as for `Packing.inertias`.
+        """
         return self.scene.inertias(options.mass, options.inertia, density)
 
-    def unit_inertia(self, inertia: Any) -> float:
-        """Return 1: `is_free` holds the inverse moment of inertia of each sphere."""
+    def common_inertia(self, inertia: Any) -> float:
+        """Return 1: the field `is_free` of a packing holds the inverse moment of inertia of each sphere, relative to
+        nothing.
+
+        inertia : not used.
+        """
         return 1.0
 
     def fastest_modes(self, inertia: Any) -> tuple[float, float]:
-        """Return R^2 lambda / I of the fastest modes, as of `Contacts`, bounded rigorously by Collatz and Wielandt."""
+        """Return upper bounds on the decay rate by viscosity, 1/time, and on the largest eigenvalue of the contacts
+        over the inertia, 1/mass, if all stick.
+
+        They are rigorous, by the theorem of Collatz and Wielandt on matrices without negative entries. The first is 0
+        without viscosity.
+
+        inertia : (N,), as from `inertias`, mass.
+        """
         network, viscosities = self.scene.network, self.scene.viscosities
         decay = 0.0 if viscosities is None else network.largest_eigenvalue(viscosities[0], inertia)
         return decay, network.largest_eigenvalue(np.ones(network.contacts), inertia)
 
     def unknowns(self, spin_axes: tuple[int, ...], unit: float, inertia: Any) -> Unknowns:
-        """Return all unknowns of the packing, for rigid-limit steps; arguments as of `Contacts`."""
+        """Return all unknowns u of the packing, as an implicit step solves for them.
+
+        spin_axes : not used, as all components of a packing move.
+        unit : unit of the unknowns in the solve, length/time.
+        inertia : (N,), as from `inertias`, mass.
+        """
         return OfNetwork(self.scene, unit, inertia)
 
     @property
     def has_no_bound(self) -> bool:
-        """Whether no positive lower bound is proven yet."""
+        """True if no positive lower bound on the objective is proven yet."""
         return not self.bounds.proven > 0
 
     def best_bound(self, bound: np.ndarray) -> np.ndarray:
-        """Return the best lower bound (1,) so far, this one or an earlier one."""
+        """Return the larger of a lower bound (1,) and the best one that was proven before."""
         return np.maximum(bound, self.bounds.proven)
 
     def proven_by(self, force: Forces) -> np.ndarray:
-        """Return the lower bound (1,) that the forces (d, 1, E) of a checkpoint prove."""
+        """Return the lower bound (1,) on the objective that contact forces (d, 1, E), of a checkpoint, prove."""
         with one_thread():
             return np.array([self.bounds.again(force)])
 
     def judged(self, staggered: np.ndarray, force: Forces, proof: Forces | None, **more: Any) -> Progress:
-        """Return the progress of spins and forces; arguments as of `Contacts`.
+        """Return the progress of a method with given spins and forces: their objective, lower bound, and largest torque
+        left.
 
         The bound that costs a factorisation is computed only if the iterations have grown by a factor `look_again`
-        since the last one.
+        since the last one; otherwise a cheaper one.
+
+        staggered : (C, 1, N), the unknowns u = radius * spin, length/time.
+        force : (d, 1, E), contact forces at these spins.
+        proof : (d, 1, E), forces from which the lower bound is computed; None for `force`.
+        more : further fields of :class:`Progress`, by name; `iteration` among them.
         """
         scene, bounds, axes = self.scene, self.bounds, self.spin_axes
         objective = scene.objective(staggered, axes)
@@ -184,7 +246,9 @@ class OnLists(Contacts):
         )  # fmt: skip
 
     def state(self) -> dict[str, np.ndarray]:
-        """Return the best bound, the spins with which it was proven, and the iteration of the last factorisation."""
+        """Return by name what a checkpoint needs of the bounds: the best one, the spins with which it was proven, and
+        the iteration at which a factorisation was last made for one.
+        """
         bounds = self.bounds
         return {
             "bounds.proven": np.array(bounds.proven),
@@ -199,10 +263,11 @@ class OnLists(Contacts):
         bounds.witness = np.array(state["bounds.witness"])
 
     def answered(self, ended: Ended) -> Solution:
-        """Return the answer from the best state and the best forces of a run that ended.
+        """Return the solution from the best spins and the best forces of a run that ended.
 
-        In three places it has the values of the last state, not those that are proven of the minima: in `force`, in
-        the states of a dynamics, and in those of contacts in parts that nothing drives.
+        It is judged as a minimum found directly would be. In three places it has the values of the last state, not
+        those that are proven of the minima: in `force`, in the states (slipping or not) of a dynamics, and in those of
+        contacts in parts of the packing that nothing drives.
         """
         scene, bounds, row, stop, last = self.scene, self.bounds, ended.options, ended.stop, ended.best
         system, acting = bounds.system, bounds.acting
@@ -232,5 +297,8 @@ class OnLists(Contacts):
 
 
 def team_of(fields: Fields, spec: ListSpec) -> Team:
-    """Return the threads for sweeps over these fields. spec : their names and sizes."""
+    """Return the threads for sweeps over these fields, as many as pay.
+
+    spec : names and sizes of the fields of spheres, and of those of contacts.
+    """
     return Team(team_size(fields.layout, sum(count for _, count in spec[0])))

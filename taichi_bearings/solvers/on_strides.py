@@ -25,34 +25,64 @@ if TYPE_CHECKING:
 
 
 class OnStrides(Contacts):
-    """The contacts of all samples of a lattice, side by side."""
+    """The contacts of all samples of a lattice, as methods step them: neighbours are a constant stride apart in memory.
+
+    scene : the lattice, with its R samples.
+    spec : names of the fields, with the numbers that each sphere has in them.
+    spin_axes : numbers of the axes of the C spin components that are computed.
+    points, forces : names of the fields that hold the spins of a gradient descent, and its forces (none, as its sweeps
+        compute forces anew).
+    fields : the numbers on the device, once `allocate` was called. stencil : constants for which kernels are compiled,
+        likewise.
+    """
 
     scene: Scene
     spec: FieldSpec
     points, forces = ("point", "point_next"), ()
 
     def __init__(self, scene: Bearing, spin: np.ndarray, moves: bool) -> None:
-        """Take a lattice. spin : laboratory spins at the start. moves : a dynamics is solved."""
+        """Take a lattice, and choose the spin components that are computed.
+
+        scene : the lattice.
+        spin : (R, *N, 3), in 2D (R, *N), spins to start from, 1/time.
+        moves : True for a dynamics, which needs all components that turn at the start; False for a minimum.
+        """
         self.scene = of_lattice(scene)
         self.spin_axes = _moving_axes(self.scene, spin) if moves else scene.minimum_spin_axes
 
-    def specified(self, spheres: dict[str, int], contacts: list[str]) -> FieldSpec:
-        """Return the fields as pairs of name and numbers a sphere; arguments as of `Contacts`."""
+    def field_spec(self, spheres: dict[str, int], contacts: list[str]) -> FieldSpec:
+        """Return the fields that a method needs, as pairs of name and numbers a sphere.
+
+        spheres : numbers a sphere in each field of spheres, by name.
+        contacts : names of the fields of contacts. Their numbers stand at the lower sphere of each contact: one for
+            each axis, or for each component of a force.
+        """
         dimension, forces = self.scene.lattice.dimension, self.stencil_of(1).force_components
         counts = {"coefficient": dimension, "viscosity": dimension, "work": 1}
         return (*spheres.items(), *((name, counts.get(name, forces)) for name in (*contacts, *self.of_law)))
 
     def stencil_of(self, block: int) -> Stencil:
-        """Return the constants for which kernels are compiled. block : spheres that a kernel works on together."""
+        """Return the constants for which kernels of this lattice are compiled.
+
+        block : spheres that a kernel works on together.
+        """
         return Stencil(self.spin_axes, self.scene.lattice.dimension, block, self.scene.lattice.periodic)
 
     def on_device(self, spec: FieldSpec) -> Fields:
-        """Return new fields on the device. spec : their names, with the numbers that each sphere has in them."""
+        """Return new fields on the device, all 0.
+
+        spec : names of the fields, with the numbers that each sphere has in them.
+        """
         lattice = self.scene.lattice
         return Fields(Layout(self.scene.replicas, lattice.shape, block_size(), lattice.periodic), spec)
 
-    def use(self, spec: Any, viscosity: np.ndarray | None) -> None:
-        """Allocate the fields of `spec`, and load the coefficients; as of `Contacts`."""
+    def allocate(self, spec: Any, viscosity: np.ndarray | None) -> None:
+        """Allocate the fields, and load the coefficients of the law into them.
+
+        spec : names of the fields, with the numbers that each sphere has in them.
+        viscosity : (R, E), viscosity of each contact beside its friction, in the unit of the kernels; None for laws
+            without.
+        """
         self.spec, self.fields = spec, self.on_device(spec)
         layout = self.fields.layout
         self.stencil = self.stencil_of(layout.block)
@@ -61,23 +91,29 @@ class OnStrides(Contacts):
             self.fields.load("viscosity", layout.at_lower_sphere(viscosity))
 
     def read_forces(self, name: str) -> np.ndarray:
-        """Return the forces or elongations (C, R, E) that a field holds."""
+        """Return the forces (or elongations of springs) of the contacts, (C, R, E), by spin component.
+
+        name : of the field that holds them.
+        """
         return self.stencil.forces_of_contacts(self.fields.read(name), self.fields.layout)
 
     def load_force(self, force: np.ndarray) -> None:
-        """Write forces (C, R, E) into the field `force`."""
+        """Write contact forces, (C, R, E) by spin component, into the field `force`."""
         self.fields.load("force", self.stencil.forces_at_lower_sphere(force, self.fields.layout))
 
-    def springs(self, corrector: tuple[float, ...]) -> "tuple[Team, Sweeps]":
-        """Return the threads and the kernels for the dynamics of Cundall and Strack; as of `Contacts`."""
+    def spring_kernel(self, corrector: tuple[float, ...]) -> "tuple[Team, Sweeps]":
+        """Return the threads and the kernel for the dynamics of Cundall and Strack.
+
+        corrector : coefficients of Gear's corrector, that of the spin itself first.
+        """
         from taichi_bearings.kernels.cundall_strack import CundallStrackSteps  # methods without sweeps need no Taichi
         from taichi_bearings.kernels.team import Team, made_once
 
         team = Team(team_size(self.fields.layout, self.stencil.components + self.stencil.force_components))
         return team, made_once(CundallStrackSteps, self.spec, self.stencil, corrector)
 
-    def descents(self) -> "tuple[Team, Sweeps]":
-        """Return the threads and the kernels for gradient descent; as of `Contacts`.
+    def descent_kernel(self) -> "tuple[Team, Sweeps]":
+        """Return the threads and the kernel for gradient descent.
 
         Raises InputError for a law whose force is not known on the device.
         """
@@ -94,35 +130,65 @@ class OnStrides(Contacts):
         return team, made_once(DescentSweeps, self.spec, self.stencil, law)
 
     def run(self, team: "Team", sweeps: "Sweeps", launch: Launch) -> None:
-        """Call the kernels as often and with the constants that a launch says."""
+        """Call a kernel as often, and with the constants, as a launch says.
+
+        team : threads. sweeps : the kernel.
+        """
         sweeps.run(self.fields, team, launch.turns, launch.numbers, first=launch.first)
 
     def weights(self, bounds: np.ndarray) -> np.ndarray:
-        """Return the sums (C, R, *N) of `bounds`, (R, E), over the contacts that couple each spin component."""
+        """Return for each spin component of each sphere the sum of `bounds` over the contacts that slip by it: (C, R,
+        *N).
+
+        bounds : (R, E), a number for each contact, such as a bound on its curvature.
+        """
         return weights(bounds, self.scene.lattice, self.spin_axes)
 
     def inertias(self, options: Any, density: Any) -> float:
-        """Return the moment of inertia of every sphere, mass * length^2, as `inertia_of` says."""
+        """Return the moment of inertia, mass * length^2, which all spheres have.
+
+        options : options of a method, with `mass` and `inertia`.
+        density : not used by lattices.
+        """
         return inertia_of(self.scene, options)
 
-    def unit_inertia(self, inertia: Any) -> float:
-        """Return the moment of inertia, which all spheres of a lattice have."""
+    def common_inertia(self, inertia: Any) -> float:
+        """Return the moment of inertia that the kernel divides by; other spheres would have theirs relative to it.
+
+        On a lattice it is the one that all spheres have. inertia : as from `inertias`, mass * length^2.
+        """
         return float(inertia)
 
     def fastest_modes(self, inertia: Any) -> tuple[float, float]:
-        """Return the decay rate and R^2 lambda / I of the fastest modes; as of `Contacts`."""
+        """Return the decay rate by viscosity, 1/time, and R^2 lambda / I, 1/mass, of the fastest modes.
+
+        R is the radius, I the moment of inertia, lambda the largest eigenvalue of the Laplacian of the contacts if all
+        stick.
+
+        inertia : I, mass * length^2.
+        """
         return fastest_modes(self.scene, self.spin_axes, inertia)
 
     def unknowns(self, spin_axes: tuple[int, ...], unit: float, inertia: Any) -> "Unknowns":
-        """Return the free spins of the components that move, for rigid-limit steps; arguments as of `Contacts`."""
+        """Return the free spins of the spin components that move, as the unknowns of an implicit step.
+
+        spin_axes : the components that move.
+        unit : unit of the spins in the solve, 1/time.
+        inertia : not used; all spheres of a lattice have the same.
+        """
         from taichi_bearings.conic.proximal import OfLattice
 
         return OfLattice(self.scene, spin_axes, unit)
 
-    def died_out(self, component: int, spins: np.ndarray) -> np.ndarray | None:
-        """Return spins (R, *N) of a component that friction has stopped; None for one in which the top is driven.
+    def stopped_spins(self, component: int, spins: np.ndarray) -> np.ndarray | None:
+        """Return what the spins of a component are once friction has stopped it: (R, *N), 1/time; None if the top is
+        driven in it.
 
-        About the height they are the mean of each layer, which no contact changes; in other components they are 0.
+        Without drive a component ends at 0. But about the height each layer keeps its mean spin, which no contact
+        changes.
+
+        component : number of the axis of the spin component.
+        spins : (R, *N), its spins now, staggered.
         """
         rest, free = spins.copy(), spins[..., 1:-1]
         if component == self.scene.lattice.height_axis:
@@ -134,11 +200,18 @@ class OnStrides(Contacts):
         return rest
 
     def proven_by(self, force: Forces) -> np.ndarray:
-        """Return the lower bound (R,) that the forces (C, R, E) of a checkpoint prove."""
+        """Return the lower bound (R,) on the objective that contact forces (C, R, E), of a checkpoint, prove."""
         return lower_bound(self.scene, force, self.spin_axes)
 
     def judged(self, staggered: np.ndarray, force: Forces, proof: Forces | None, **more: Any) -> Progress:
-        """Return the progress of spins and forces, with the bounds of the certificate; arguments as of `Contacts`."""
+        """Return the progress of a method with given spins and forces: their objective, lower bound, and largest torque
+        left.
+
+        staggered : (C, R, *N), spins with alternating signs as methods carry them, 1/time.
+        force : (C, R, E), contact forces at these spins.
+        proof : (C, R, E), forces from which the lower bound is computed; None for `force`.
+        more : further fields of :class:`Progress`, by name.
+        """
         scene, axes = self.scene, self.spin_axes
         return Progress(
             staggered=staggered,
@@ -153,7 +226,12 @@ class OnStrides(Contacts):
 
 
 def inertia_of(scene: Scene, options: Any) -> float:
-    """Return the moment of inertia that is given, or m R^2 / 2 of a disc or 2 m R^2 / 5 of a sphere."""
+    """Return the moment of inertia of every sphere of a lattice, mass * length^2.
+
+    It is the option `inertia` if given, else m R^2 / 2 of a disc or 2 m R^2 / 5 of a sphere.
+
+    options : options of a method, with `mass` (m) and `inertia` (None if not given).
+    """
     usual = options.mass * scene.slip_radius**2 * (0.5 if scene.lattice.dimension == 2 else 0.4)
     return float(options.inertia or usual)
 
@@ -161,8 +239,12 @@ def inertia_of(scene: Scene, options: Any) -> float:
 def fastest_modes(scene: Scene, spin_axes: tuple[int, ...], inertia: float) -> tuple[float, float]:
     """Return the decay rate by viscosity, 1/time, and R^2 lambda / I, 1/mass, of the fastest modes of a lattice.
 
-    The first follows from the largest eigenvalue of the weighted Laplacian, raised by what Lanczos' method may miss.
-    The second is that of contacts that all stick, whose largest eigenvalue is known. inertia : mass * length^2.
+    The first follows from the largest eigenvalue of the Laplacian weighted by the viscosities, raised by what Lanczos'
+    method may miss; it is 0 without viscosity. The second has the largest eigenvalue lambda of the Laplacian of
+    contacts that all stick, which is known in closed form.
+
+    spin_axes : numbers of the axes of the spin components that are computed.
+    inertia : I, mass * length^2; R is the radius.
     """
     over = scene.slip_radius**2 / inertia
     decay = over * largest_weighted_eigenvalue(scene, spin_axes) if scene.law.flows else 0.0
@@ -170,10 +252,12 @@ def fastest_modes(scene: Scene, spin_axes: tuple[int, ...], inertia: float) -> t
 
 
 def _moving_axes(scene: Scene, spin: np.ndarray) -> tuple[int, ...]:
-    """Return the spin components that a motion needs: those of the minimum, and others that are not at rest at first.
+    """Return the axes of the spin components that a motion needs: those that the minimum has, and others that turn at
+    first.
 
-    spin : laboratory spins (R, *N, 3) at the start. A component is needed if some sphere has another staggered spin
-    than the bottom plane.
+    A component turns if some sphere has another staggered spin in it than the bottom plane.
+
+    spin : (R, *N, 3), in 2D (R, *N), spins at the start, 1/time.
     """
     needed, every = scene.minimum_spin_axes, scene.lattice.all_spin_axes
     if scene.lattice.dimension == 2:

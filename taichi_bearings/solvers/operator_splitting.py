@@ -75,12 +75,24 @@ Planes = list[tuple[np.ndarray, np.ndarray]]  # some planes of a field, and the 
 
 
 class OperatorSplittingMethod(Method):
-    """Operator splitting (see the module docstring).
+    """Operator splitting: the least power of friction by a pass over all contacts and a Poisson solve, repeated.
 
-    An iteration is one pass over all contacts and one Poisson solve for each spin component. The fields are `friction`,
-    mu F_n; `trial`, v; `spring`, rho D Omega - (v - 2 f); `potential`, rho Omega; and `pull`, the sum of the spring
-    forces on each sphere before the Poisson step. stiffness : (R,), rho. weights, weight : stiffness of the springs
-    over rho, by lattice axis and by contact.
+    The power is the sum over contacts of radius * mu F_n |D Omega|, with spins Omega and their differences D Omega
+    across contacts. Each contact bears a trial force v; f is v cut off at the friction limit; springs of stiffness rho
+    tie the slip (v - f) / rho of the contact to D Omega. An iteration is one pass over all contacts and one Poisson
+    solve for each spin component.
+
+    The fields, C spin components or V force components at each site:
+
+    friction : mu F_n of the contact above a site, by axis.
+    trial : (V), v.
+    spring : (V), rho D Omega - (v - 2 f), the forces of the springs.
+    potential : (C), rho Omega.
+    pull : (C), the sum of the spring forces on each sphere before the Poisson step.
+
+    stiffness : (R,), rho of each sample.
+    weights, weight : stiffness of the springs over rho, by lattice axis, and by contact (E,).
+    changing : names of the fields that the iteration changes.
     """
 
     scene: Scene
@@ -89,9 +101,13 @@ class OperatorSplittingMethod(Method):
     changing = ("trial", "spring", "potential", "pull")  # fields that iterations and looks change
 
     def begin(self, scene: Bearing, spin: np.ndarray) -> None:
-        """Prepare the iteration: allocate the fields, build the Poisson solver, compile, and load the start.
+        """Prepare the iteration: allocate the fields, build the Poisson solver, compile the kernels, and load the
+        start.
 
-        Raises an error if the memory does not suffice. spin : laboratory spins to start from, 1/time.
+        spin : (R, *N, 3), in 2D (R, *N), laboratory spins to start from, 1/time; clipped to the interval of the driven
+            ones.
+
+        Raises an error if the memory does not suffice.
         """
         super().begin(scene, spin)
         scene = self.scene
@@ -113,9 +129,11 @@ class OperatorSplittingMethod(Method):
         self._load(scene.clip_to_box(scene.staggered_spin(spin, self.spin_axes), self.spin_axes))
 
     def _load(self, staggered: np.ndarray) -> None:
-        """Load the start: staggered spins (C, R, *N), and the forces that springs of the first stiffness would bear.
+        """Load the first iterate: the friction limits, the spins, and the forces that the springs bear at these spins.
 
         The first stiffness follows from the power of spins that change linearly with the height.
+
+        staggered : (C, R, *N), spins with alternating signs as methods carry them, 1/time.
         """
         scene = self.scene
         friction = np.full((scene.lattice.dimension, scene.replicas, *scene.lattice.shape), ABSENT_FRICTION)
@@ -125,16 +143,16 @@ class OperatorSplittingMethod(Method):
         linear = scene.staggered_spin(linear_spin(scene), self.spin_axes)
         self.stiffness = self._usual_stiffness(scene.power(linear, self.spin_axes))
         self.iteration = 0
-        stiffness = self._by_replica(self.stiffness)
+        stiffness = self._along_lattice(self.stiffness)
         self.fields.load("potential", stiffness * staggered)
-        self._load_trial(self.weight * self.stiffness[:, None] * self.differences(staggered))
+        self._load_trial_forces(self.weight * self.stiffness[:, None] * self.differences(staggered))
 
-    def _load_trial(self, trial: Forces) -> None:
-        """Write trial forces v (C, R, E) into their field."""
+    def _load_trial_forces(self, trial: Forces) -> None:
+        """Write trial forces v, (C, R, E), into their field."""
         self.fields.load("trial", self.stencil.forces_at_lower_sphere(trial, self.layout))
 
     def state(self) -> dict[str, np.ndarray]:
-        """Return the fields and numbers that the further iterations depend on, by name."""
+        """Return by name the fields and numbers that the further iterations depend on, for a checkpoint."""
         fields = {name: self.fields.read(name) for name in self.changing}
         return fields | {"iteration": np.array(self.iteration), "stiffness": self.stiffness}
 
@@ -144,16 +162,19 @@ class OperatorSplittingMethod(Method):
             self.fields.load(name, state[name])
         self.iteration, self.stiffness = int(state["iteration"]), np.array(state["stiffness"])
 
-    def _by_replica(self, values: np.ndarray) -> np.ndarray:
-        """Return values (R,) with axes of length 1 for those of the lattice."""
+    def _along_lattice(self, values: np.ndarray) -> np.ndarray:
+        """Return values (R,), one a sample, with an axis of length 1 for each axis of the lattice."""
         return values.reshape(-1, *(1,) * self.scene.lattice.dimension)
 
     def next_check(self, iteration: int) -> int:
-        """Return the iteration of the next look: FIRST_CHECK iterations or a sixth of the run on."""
+        """Return the iteration at which to read the progress next: FIRST_CHECK iterations or a sixth of the run later.
+
+        iteration : the one at which it is read now.
+        """
         return iteration + max(FIRST_CHECK, iteration // CHECKS_A_RUN)
 
     def advance(self, steps: int) -> None:
-        """Make `steps` iterations: a pass over the contacts, then a Poisson solve."""
+        """Make `steps` iterations, each a pass over the contacts and a Poisson solve."""
         with self.balance.begin():
             for _ in range(steps):
                 look_up()
@@ -162,17 +183,21 @@ class OperatorSplittingMethod(Method):
                 self.iteration += 1
 
     def _step_contacts(self, relaxation: float) -> None:
-        """Make the pass over the contacts: limit the trial forces, update v, and sum the spring forces on spheres.
+        """Make the pass over the contacts: cut off trial forces at friction, update them, and sum the spring forces on
+        spheres.
 
-        relaxation : alpha; with 0 the trial forces stay, and only the spring forces are computed anew.
+        relaxation : alpha, the factor of the over-relaxation; with 0 the trial forces stay, and only the spring forces
+            are computed anew.
         """
         self.contact_step.run(self.fields, self.team, 1, (self.weights[0], self.weights[-1], relaxation))
 
     def progress(self) -> Progress:
-        """Return spins, the limited friction f, and the bound that the balanced spring forces prove.
+        """Return the progress now: the spins, the friction forces f, and the lower bound that the balanced spring
+        forces prove.
 
-        The friction f leaves a torque on the spheres, which is reported and vanishes with the gap. The stiffness is
-        steered here, so that looks are part of the iteration.
+        The trial force v is cut off at the friction limit to give f; f leaves a torque on the spheres, which is
+        reported and vanishes with the gap. The stiffness rho is adapted here too, so that when this is called
+        influences the iteration.
         """
         scene, axes = self.scene, self.spin_axes
         if self.balance.is_rough and self.iteration:  # balance once more, for the torques that its rounding has left
@@ -180,7 +205,7 @@ class OperatorSplittingMethod(Method):
             self.balance.solve()
         potential = self.fields.read("potential")
         # upper bound: the power of the spins rho Omega / rho
-        staggered = scene.impose_driving(potential / self._by_replica(self.stiffness), axes)
+        staggered = scene.impose_driving(potential / self._along_lattice(self.stiffness), axes)
         trial = self.stencil.forces_of_contacts(self.fields.read("trial"), self.layout)
         friction = capped(trial, saturation(scene, trial))
         slips = scene.slips(staggered, axes)
@@ -188,12 +213,12 @@ class OperatorSplittingMethod(Method):
         # lower bound: the spring forces are balanced, and are scaled or capped into the friction limits
         balanced = self._spring_force(potential, trial, friction)
         work, bound = work_and_bound(scene, balanced, axes)
-        change = self._steered(power, work, bound)
+        change = self._stiffness_factors(power, work, bound)
         if (change != 1).any():  # rho z and rho Omega are scaled; spins and friction f stay
             self.stiffness = change * self.stiffness
-            self.fields.load("potential", self._by_replica(change) * potential)
-            limited = self._limited(trial)
-            self._load_trial(limited + change[:, None] * (trial - limited))
+            self.fields.load("potential", self._along_lattice(change) * potential)
+            limited = self._cut_off(trial)
+            self._load_trial_forces(limited + change[:, None] * (trial - limited))
         # slips of contacts with z = 0 exactly, which are slipless: how far the two steps still disagree
         creep = float((slips * ((trial == friction).all(axis=0) & (scene.acting_coefficient > 0))).max())
         return Progress(
@@ -209,8 +234,10 @@ class OperatorSplittingMethod(Method):
             falls_as=GAP_FALLS_AS,
         )
 
-    def _limited(self, trial: Forces) -> Forces:
-        """Return the friction f of trial forces (C, R, E), with the same bits as in the pass over the contacts."""
+    def _cut_off(self, trial: Forces) -> Forces:
+        """Return trial forces (C, R, E) cut off at the friction limit, with the same bits as in the pass over the
+        contacts.
+        """
         scene, alone = self.scene, self.scene.lattice.tangential_mask(self.spin_axes).sum(axis=0) == 1
         limit, size = scene.strength * scene.acting_coefficient, np.sqrt((trial**2).sum(axis=0))
         share = np.divide(limit, size, out=np.ones_like(size), where=size > limit)
@@ -219,8 +246,12 @@ class OperatorSplittingMethod(Method):
     def _spring_force(self, potential: np.ndarray, trial: Forces, friction: Forces) -> Forces:
         """Return the spring forces rho D Omega - (v - 2 f), (C, R, E), balanced to double precision.
 
-        potential : rho Omega, (C, R, *N). trial : v. friction : f. After a Poisson step they leave no torque but
-        round-off on free spheres; some exceed their friction limits. In single precision they are balanced once more.
+        After a Poisson step they leave no torque but round-off on free spheres; some exceed their friction limits. In
+        single precision they are balanced once more.
+
+        potential : (C, R, *N), rho Omega, stiffness times spins.
+        trial : (C, R, E), trial forces v.
+        friction : (C, R, E), f, the trial forces cut off at the friction limit.
         """
         differences = self.differences(potential)
         force = self.weight * differences - (trial - 2 * friction)
@@ -228,9 +259,12 @@ class OperatorSplittingMethod(Method):
         return force if exact else balance(self.scene, force, self.spin_axes)
 
     def _usual_stiffness(self, power: np.ndarray) -> np.ndarray:
-        """Return the usual stiffness (R,): USUAL_STIFFNESS times the force of a column over the jump.
+        """Return the usual stiffness (R,): USUAL_STIFFNESS times the force of a column of spheres over the imposed spin
+        difference.
 
-        power : (R,). A column of spheres transmits the force power / (radius * jump * number of columns).
+        A column transmits the force power / (radius * spin difference * number of columns).
+
+        power : (R,), energy/time.
         """
         scene = self.scene
         jump, columns = scene.jump or 1.0, scene.lattice.sites // scene.lattice.shape[-1]
@@ -238,12 +272,18 @@ class OperatorSplittingMethod(Method):
             USUAL_STIFFNESS * np.maximum(power, np.finfo(np.float32).tiny) / (scene.lattice.radius * columns * jump**2)
         )
 
-    def _steered(self, power: np.ndarray, balanced_power: np.ndarray, bound: np.ndarray) -> np.ndarray:
-        """Return factors (R,) by which the stiffness is to change, from the two parts of the gap; 1 for small changes.
+    def _stiffness_factors(self, power: np.ndarray, balanced_power: np.ndarray, bound: np.ndarray) -> np.ndarray:
+        """Return factors (R,) by which the stiffness is to change, so that the two parts of the gap keep their ratio; 1
+        for none.
 
-        power : P. balanced_power : W, the work against the balanced forces. bound : the lower bound; (R,) each. The
-        stiffness may be off its usual value by a ratio that grows only slowly with the iterations. Without that limit a
-        scene whose two parts shrink in proportion would change the stiffness without end.
+        The part power - balanced_power is large if springs are too soft, balanced_power - bound if they are too hard.
+        The stiffness may be off its usual value by a ratio that grows only slowly with the iterations: without that
+        limit a scene whose two parts shrink in proportion would change the stiffness without end. Small changes are not
+        made.
+
+        power : (R,), power of the spins.
+        balanced_power : (R,), work of the driven spheres against the balanced forces.
+        bound : (R,), lower bound on the least power.
         """
         if not 0 < self.iteration < STEERED_ITERATIONS:
             return np.ones(len(power))
@@ -259,25 +299,32 @@ class OperatorSplittingMethod(Method):
 
 
 class TorqueBalance:
-    """Solves the Poisson problem of a step, and adds its solution u to the field `potential`.
+    """Solves the Poisson problem of an iteration, and adds its solution u to the field `potential`.
 
     The problem is: sum over axes a of weight_a (-Laplace_a) u = `pull`, with u = 0 on the driven planes. A spin
     component is coupled along the height and one other axis only. A sine transform along the height separates the
     modes; each of them is a chain, or a ring, along the other axis, and is solved with factors that are computed once.
 
-    u is small once the springs nearly balance, and so is its rounding error. On a GPU all of it is one launch. On a CPU
-    the products with sines are those of the BLAS library, plane by plane, so that no number depends on what else is
-    solved at the time, nor on how many threads share the planes. They are in single precision, which is twice as fast:
-    u is only a change, and the next one makes up for the rounding.
+    On a GPU the solve is one launch. On a CPU the products with the sines are made by the BLAS library (see `solve`).
 
-    weights : stiffness of the springs along each axis, equal along the sides. is_rough : the products are less precise
-    than the fields.
+    fields : the fields of the method. kernels : the kernels of the solve.
+    weight : stiffness of the springs sideways.
+    products : type of the numbers in the products on a CPU: single precision, or that of the fields if that is less.
+    sines, chains, modes : matrix of the sines, factors of the chains, and scratch, as `BalanceKernels` takes them.
+    measures : whole numbers by which kernels find spheres.
+    workers, each : number of threads, 0 on a GPU; and a function like `map` that shares calls among them.
+    pulls, potentials : for each thread, planes of `pull` and of `potential` with the same planes of the modes.
+    is_rough : True if the products are less precise than the fields.
+    is_small : True if the BLAS library would use no threads of its own.
     """
 
     def __init__(self, spec: FieldSpec, stencil: Stencil, weights: tuple[float, ...], fields: Fields) -> None:
-        """Compute the factors of all chains, and share the planes among the threads.
+        """Compute the factors of all chains, and share the planes of the lattice among the threads.
 
-        spec, fields : names and sizes of the fields, and their numbers. stencil : constants of the kernels.
+        spec : names and sizes of the fields.
+        stencil : constants of the kernels.
+        weights : stiffness of the springs along each axis of the lattice; that of all axes but the height is the same.
+        fields : the numbers of the fields.
         """
         self.fields, self.kernels, self.weight = fields, made_once(BalanceKernels, spec, stencil), weights[0]
         shape, layout = fields.layout.shape, fields.layout
@@ -307,7 +354,9 @@ class TorqueBalance:
             self.pulls, self.potentials = self._shares("pull"), self._shares("potential")
 
     def _numbers(self, values: np.ndarray) -> Any:
-        """Return an array of constants where the kernels read it: on the GPU as precise as fields, else as products."""
+        """Return an array of constants where the kernels read it: on a GPU as precise as fields, else as precise as
+        products.
+        """
         return on_device(values) if runtime.current().is_gpu else values.astype(self.products)
 
     def begin(self) -> AbstractContextManager[None]:
@@ -315,7 +364,13 @@ class TorqueBalance:
         return nullcontext() if self.workers == 0 or self.is_small else one_thread()
 
     def solve(self) -> None:
-        """Change the spins of the free spheres so that the springs balance."""
+        """Change the spins of the free spheres so that the springs balance.
+
+        On a CPU the sines of each plane are one product of the BLAS library, so that no number depends on what else is
+        solved at the time, nor on how many threads share the planes. The products are in single precision, which is
+        twice as fast: the solution is only a change of the spins, small in the end, and the next one makes up for the
+        rounding.
+        """
         layout = self.fields.layout
         if self.workers == 0:
             values, places = self.fields.values, (layout.length, layout.margin)
@@ -326,9 +381,13 @@ class TorqueBalance:
         list(self.each(_from_modes, self.potentials, repeat(self.sines)))
 
     def _shares(self, name: str) -> list[Planes]:
-        """Return for each thread its share of a field: a few planes at a time, with the same planes of the modes.
+        """Divide a field among the threads: for each a list of pairs (planes of the field, the same planes of the
+        modes).
 
-        name : of the field. The axes of a plane are the last side of the lattice and the height.
+        A plane is spanned by the last side of the lattice and the height; a pair has so few planes that they fit into
+        the cache.
+
+        name : of the field.
         """
         layout = self.fields.layout
         planes, of_modes = (-1, *layout.shape[-2:]), self.modes[: -layout.block].reshape(-1, layout.sites)
@@ -345,12 +404,20 @@ class TorqueBalance:
 
 
 def _to_modes(planes: Planes, sines: np.ndarray) -> None:
-    """Write the sine transform along the height of some planes of `pull` into their modes. sines : its matrix."""
+    """Write the sine transform along the height of some planes of `pull` into the modes, in place.
+
+    planes : pairs (planes of `pull`, the same planes of the modes).
+    sines : matrix of the transform.
+    """
     for pull, modes in planes:
         np.matmul(pull.astype(sines.dtype, copy=False), sines, out=modes)
 
 
 def _from_modes(planes: Planes, sines: np.ndarray) -> None:
-    """Add the inverse sine transform of some modes to the planes of `potential`. sines : the matrix of it."""
+    """Add the inverse sine transform of some planes of the modes to `potential`, in place.
+
+    planes : pairs (planes of `potential`, the same planes of the modes).
+    sines : matrix of the transform, which is its own inverse.
+    """
     for potential, modes in planes:
         potential += np.matmul(modes, sines)

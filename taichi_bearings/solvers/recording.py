@@ -20,9 +20,11 @@ SAME_TIME = 1e-9  # relative distance below which two simulated times are the sa
 class Recording:
     """The simulated times at which a run is recorded.
 
-    history : times of the rows of the history; empty for a row at every look. snapshots : times at which all spins are
-    kept. A state is recorded at the end of the first step that reaches a time; methods that choose their own steps end
-    one exactly there.
+    A state is recorded at the end of the first step that reaches a time; methods that choose their own steps end one
+    exactly there.
+
+    history : times of the rows of the history; empty for a row whenever the progress is read.
+    snapshots : times at which all spins are kept.
     """
 
     history: np.ndarray = field(default_factory=lambda: np.zeros(0))
@@ -30,11 +32,13 @@ class Recording:
 
     @classmethod
     def of(cls, settings: Any) -> "Recording":
-        """Return what the settings of a run ask for, in `record` and `snapshots`."""
+        """Return the times that the settings of a run ask for. settings : with texts `record` and `snapshots`, see
+        `parse_times`.
+        """
         return cls(*(parse_times(text) if text else np.zeros(0) for text in (settings.record, settings.snapshots)))
 
     def next_time(self, now: float) -> float:
-        """Return the first time after `now` at which something is recorded; infinity if there is none."""
+        """Return the first simulated time after `now` at which something is recorded; infinity if there is none."""
         wanted = np.concatenate([self.history, self.snapshots])
         return float(wanted[wanted > now * (1 + SAME_TIME)].min(initial=np.inf))
 
@@ -45,7 +49,10 @@ _SPACING: dict[str, Callable[..., np.ndarray]] = {"linear": np.linspace, "log": 
 def parse_times(text: str) -> np.ndarray:
     """Return ascending times from "linear:start,stop,count", "log:start,stop,count" or "t1,t2,...".
 
-    Raises ValueError or KeyError for anything else, negative times, and more than a million of them.
+    Raises ValueError for anything else, negative times, and more than a million of them; KeyError for another word
+    before the colon.
+
+    >>> parse_times("linear:0,1,3") array([0. , 0.5, 1. ])
     """
     kind, colon, rest = text.partition(":")
     numbers = [float(word) for word in (rest if colon else text).split(",")]
@@ -64,10 +71,16 @@ def parse_times(text: str) -> np.ndarray:
 
 
 class Recorder:
-    """The history and the snapshots of a run, as they grow."""
+    """The history and the snapshots of a run, as they grow. recording : the simulated times at which something is
+    recorded.
+    """
 
     def __init__(self, scene: Bearing, recording: Recording) -> None:
-        """Begin with an empty record. recording : the simulated times that are asked for."""
+        """Begin with an empty record.
+
+        scene : what is solved.
+        recording : the simulated times that are asked for.
+        """
         self._scene, self.recording = scene, recording
         self._columns: dict[str, list] = {}
         self._snapshot_times: list[float] = []
@@ -75,9 +88,11 @@ class Recorder:
         self._last_time = -np.inf
 
     def take(self, progress: Progress, bound: np.ndarray, seconds: float) -> None:
-        """Record what is due at a look.
+        """Add a row to the history and a snapshot of the spins, each if it is due.
 
-        progress : the state now. bound : (R,), the best lower bound so far. seconds : wall time so far.
+        progress : the state now.
+        bound : (R,), the best lower bound so far.
+        seconds : wall time so far.
         """
         if len(self.recording.history) == 0 or self._is_due(progress, self.recording.history):
             self.add_row(progress, bound, seconds)
@@ -91,7 +106,11 @@ class Recorder:
     def add_row(self, progress: Progress, bound: np.ndarray, seconds: float) -> None:
         """Add a row to the history, unless its last row is of the same iteration already.
 
-        Arguments as of `take`. Raises FileError if a history that was restored has other columns.
+        progress : the state now.
+        bound : (R,), the best lower bound so far.
+        seconds : wall time so far.
+
+        Raises FileError if a history that was restored has other columns.
         """
         row = self._row(progress, bound, seconds)
         shapes = {name: np.asarray(values[-1]).shape for name, values in self._columns.items()}
@@ -102,14 +121,19 @@ class Recorder:
                 self._columns.setdefault(name, []).append(value)
 
     def _is_due(self, progress: Progress, times: np.ndarray) -> bool:
-        """Return whether one of some simulated times was reached since the last look."""
+        """Return True if one of some simulated times was reached since the progress was last read."""
         if progress.time is None:
             return False
         reached = progress.time * (1 + SAME_TIME)
         return bool(((times > self._last_time * (1 + SAME_TIME)) & (times <= reached)).any())
 
     def _row(self, progress: Progress, bound: np.ndarray, seconds: float) -> dict[str, Any]:
-        """Return the entries of a row of the history by column; arguments as of `take`."""
+        """Return the entries of a row of the history, by name of the column.
+
+        progress : the state now.
+        bound : (R,), the best lower bound so far.
+        seconds : wall time so far.
+        """
         scene, minimises_power = self._scene, self._scene.law.minimises == "power"
         row = {
             "iteration": progress.iteration,
@@ -132,7 +156,9 @@ class Recorder:
         return {**row, **progress.columns}
 
     def history(self) -> dict[str, np.ndarray]:
-        """Return the columns of the history by name, of equal length; one value a sample makes (rows, R)."""
+        """Return the columns of the history by name, of equal length: (rows,), or (rows, R) with a value for each
+        sample.
+        """
         return {name: np.asarray(values) for name, values in self._columns.items()}
 
     def snapshots(self) -> Snapshots | None:
@@ -150,7 +176,10 @@ class Recorder:
         return found | {"last_time": np.array(self._last_time)}
 
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
-        """Take the record from a checkpoint; raise ValueError where its arrays do not fit the scene."""
+        """Take the record from a checkpoint; raise ValueError where its arrays do not fit the scene.
+
+        state : the arrays by name, as `state` returned them.
+        """
         self._columns = {name[8:]: list(values) for name, values in state.items() if name.startswith("history/")}
         self._snapshot_times = [float(t) for t in state.get("snapshots/time", ())]
         self._snapshot_spins = list(state.get("snapshots/spin", ()))

@@ -38,15 +38,21 @@ REST_STEPS, STUCK_STEPS = 2, 20
 
 
 class RigidLimitMethod(Dynamics):
-    """The rigid-limit dynamics (see the module docstring). An iteration is one time step of all samples together.
+    """The rigid-limit dynamics: friction acts without springs, in implicit Euler steps. An iteration is one step of all
+    R samples together.
 
-    length, last_length : of the next and of the last step, time. unit, largest : spread of the spins and largest spin
-    at the start, 1/time. creep : spin difference, 1/time, up to which a contact may be slipless. moving : spin
-    components that have not died out. slipping : (R,), slipping contacts of the last step. rest_time : (R,), time of
-    the last step in which the power fell. still : steps in a row in which no power fell.
+    length, last_length : length of the next and of the last step, time.
+    unit, largest : spread of the spins and largest spin at the start, 1/time.
+    creep : spin difference, 1/time, up to which a contact may have no slip.
+    staggered, force : spins (C, R, *N) and contact forces (C, R, E) of the last step.
+    moving : axes of the spin components that friction has not stopped.
+    slipping : (R,), number of contacts that slip in the last step.
+    rest_time : (R,), time of the last step in which the power fell.
+    still : number of steps in a row in which no power fell.
+    newton_steps : number of Newton steps so far.
     """
 
-    kept = (
+    state_names = (
         "length", "last_length", "unit", "largest", "creep", "staggered", "force", "moving", "slipping", "rest_time",
         "newton_steps", "still", *ENERGY_NAMES,
     )  # fmt: skip
@@ -54,9 +60,10 @@ class RigidLimitMethod(Dynamics):
     rest_gap = 1e-9
 
     def begin(self, scene: Bearing, spin: np.ndarray) -> None:
-        """Prepare the dynamics: set up the steps, choose the first length, and begin the energy balance.
+        """Prepare the dynamics: set up the steps, choose the length of the first, and begin the energy balance.
 
-        spin : laboratory spins to start from, 1/time.
+        scene : what to solve.
+        spin : (R, *N, 3), in 2D (R, *N), laboratory spins to start from, 1/time.
         """
         super().begin(scene, spin)
         scene, self.contacts.look_again = self.scene, 1.0
@@ -65,22 +72,22 @@ class RigidLimitMethod(Dynamics):
         self.unit = max(spread) or 1.0
         self.largest = float(np.abs(self.staggered).max()) or 1.0
         self.moving = self.spin_axes
-        self._prepare()
+        self._set_up_steps()
         self.creep = FIRST_RESOLVED_SLIP * self.unit
         self.force = self.forces_at(self.staggered, self.creep)
         self.newton_steps = self.still = 0
         self.length = self.options.time_step or FIRST_ERROR_SHARE * self.options.error_tolerance * self.relaxation_time
         self.last_length = self.length
-        self.open_books(self.staggered)
+        self.start_energy_balance(self.staggered)
         self.rest_time = np.zeros(scene.replicas)
         slips = scene.slips(self.staggered, self.spin_axes)
         self.slipping = (slips > scene.slip_radius * self.creep).sum(axis=1)
 
-    def _prepare(self) -> None:
-        """Set up the steps of the components that move.
+    def _set_up_steps(self) -> None:
+        """Set up the solver of steps for the spin components that still move (`moving`).
 
-        slots : their places among the carried components. rows : places of the force components that these steps have.
-        steps : what makes a step; None where nothing can move.
+        It sets: slots, the place of each moving component among all components; rows, the places of the force
+        components that the solver returns; and steps, the solver, None if no sphere is free to move.
         """
         self.slots = [self.spin_axes.index(component) for component in self.moving]
         self.steps: ProximalSteps | None = None
@@ -117,7 +124,7 @@ class RigidLimitMethod(Dynamics):
         while True:
             aimed = self.time < self.aim <= self.time + length * (1 + 1e-9)
             duration = self.aim - self.time if aimed else length
-            step = self._tried(duration)
+            step = self._trial_step(duration)
             error = self._error(step, duration) / self.options.error_tolerance
             # a rejected step is repeated at half its length at most
             if chosen or duration <= least or (step.solved and error <= ACCEPTED_ERROR):
@@ -125,14 +132,17 @@ class RigidLimitMethod(Dynamics):
             factor = STEP_SAFETY / error if step.solved else MOST_SHRINKAGE
             length = max(least, duration * max(MOST_SHRINKAGE, min(factor, 0.5)))
         self.length = length
-        self._take(step, duration, self.aim if aimed else self.time + duration)
+        self._accept_step(step, duration, self.aim if aimed else self.time + duration)
         # the error is proportional to the square of the step, which gives the length of the next one
         factor = min(MOST_GROWTH, STEP_SAFETY / np.sqrt(max(error, 1e-30)))
         if not chosen and (not aimed or factor < 1):
             self.length = min(max(duration * factor, least), most)
 
-    def _tried(self, duration: float) -> Step:
-        """Return the result of a step of length `duration` for all components, those at rest included."""
+    def _trial_step(self, duration: float) -> Step:
+        """Return the result of a step, not yet accepted, for all spin components, those that have stopped included.
+
+        duration : length of the step, time.
+        """
         scene, force = self.scene, np.zeros_like(self.force)
         if self.steps is None:
             return Step(self.staggered, force, np.zeros(scene.replicas, dtype=int), 0.0, 0, True)
@@ -145,10 +155,13 @@ class RigidLimitMethod(Dynamics):
     def _error(self, step: Step, duration: float) -> float:
         """Return the error of the spins in a step, root mean square in the worst sample, over the largest spin.
 
-        step : its result. duration : its length h, time. The error of implicit Euler is h^2 / 2 times the second
-        derivative of the spins. The mean forces of this step and of the one before, of length h', belong to times that
-        are (h + h') / 2 apart. So the difference between this step and one made with the forces of the step before is
-        h (h + h') / 2 times that derivative, and the error is h / (h + h') of this difference.
+        The error of implicit Euler is h^2 / 2 times the second derivative of the spins. The mean forces of this step
+        and of the one before, of length h', belong to times that are (h + h') / 2 apart. So the difference between this
+        step and one made with the forces of the step before is h (h + h') / 2 times that derivative, and the error is h
+        / (h + h') of this difference.
+
+        step : result of the step.
+        duration : its length h, time.
         """
         scene = self.scene
         impulse = duration * scene.slip_radius / self.inertia
@@ -157,16 +170,18 @@ class RigidLimitMethod(Dynamics):
         mean_square = (missed**2).mean(axis=(0, 2)).max()
         return duration / (duration + self.last_length) * float(np.sqrt(mean_square)) / self.largest
 
-    def _take(self, step: Step, duration: float, time: float) -> None:
+    def _accept_step(self, step: Step, duration: float, time: float) -> None:
         """Accept a step: its spins and forces, the energies that it moved, and whether the power fell in it.
 
-        duration : length of the step. time : simulated time at its end.
+        step : result of the step.
+        duration : its length, time.
+        time : simulated time at its end.
         """
         scene = self.scene
         before, objective_before = self.staggered, scene.objective(self.staggered, self.spin_axes)
         self.staggered, self.force = step.staggered, step.force
-        self.book(before, self.staggered, self.force, duration)
-        self._lay_to_rest()
+        self.add_energies(before, self.staggered, self.force, duration)
+        self._stop_components()
         self.time, self.last_length = time, duration
         self.slipping, self.creep = step.slipping, step.creep
         self.newton_steps += step.newton_steps
@@ -175,17 +190,17 @@ class RigidLimitMethod(Dynamics):
         self.rest_time = np.where(falls, time, self.rest_time)
         self.still = 0 if falls.any() else self.still + 1
 
-    def _lay_to_rest(self) -> None:
-        """Set to rest the spin components that the driving does not move and that no longer vary.
+    def _stop_components(self) -> None:
+        """Stop the spin components that the driving does not move and that hardly vary any more.
 
-        One is set to rest if no spin changes thereby by more than STOPPED_SPREAD, and the kinetic energy by no more
-        than STOPPED_ENERGY.
+        One is stopped if no spin changes thereby by more than STOPPED_SPREAD, and the kinetic energy by no more than
+        STOPPED_ENERGY of that at the start. From then on it costs nothing.
         """
         moving, bottom = [], self.absolute(np.zeros_like(self.staggered))
         for component in self.moving:
             slot = self.spin_axes.index(component)
             spins = self.staggered[slot]
-            rest = self.contacts.died_out(component, spins)
+            rest = self.contacts.stopped_spins(component, spins)
             if rest is None:
                 moving.append(component)
                 continue
@@ -197,10 +212,12 @@ class RigidLimitMethod(Dynamics):
                 moving.append(component)
         if tuple(moving) != self.moving:
             self.moving = tuple(moving)
-            self._prepare()
+            self._set_up_steps()
 
     def progress(self) -> Progress:
-        """Return the state now with its bounds and energies, whether it is at rest, and whether it is stuck."""
+        """Return the progress now with its bounds and energies, whether it is at rest, and whether it can come no
+        closer.
+        """
         scene = self.scene
         found = self.judged(
             self.staggered.copy(),
@@ -211,25 +228,31 @@ class RigidLimitMethod(Dynamics):
             energy=self.balance(self.staggered, np.zeros(scene.replicas)),
             slipping=self.slipping,
         )
-        believed = self.is_believed(found)
+        believed = self.may_be_at_rest(found)
         at_rest, stuck = self.still >= REST_STEPS and believed, self.still >= STUCK_STEPS and not believed
         return replace(found, at_rest=at_rest, exhausted=stuck)
 
-    def is_believed(self, found: Progress) -> bool:
-        """Return whether a state without change may be called rest: if its gap to the best lower bound is small.
+    def may_be_at_rest(self, found: Progress) -> bool:
+        """Return True if a state without change may be called rest, as its gap to the best lower bound is small.
 
-        Where no bound can be proven it is believed at once, as there are no springs that would have to load.
+        Where no bound can be proven it may at once, as there are no springs that would have to load.
+
+        found : the progress now.
         """
         if self.contacts.has_no_bound:
             return True
-        return super().is_believed(replace(found, lower_bound=self.contacts.best_bound(found.lower_bound)))
+        return super().may_be_at_rest(replace(found, lower_bound=self.contacts.best_bound(found.lower_bound)))
 
     def findings(self, last: Progress) -> dict[str, np.ndarray]:
-        """Return the time since which the power has not fallen, NaN without rest, and the number of Newton steps."""
-        rest_time = np.where(self.is_believed(last), self.rest_time, np.nan)
+        """Return by name, (R,) each: the time since which the power has not fallen, NaN without rest, and the Newton
+        steps made.
+
+        last : the progress at the end.
+        """
+        rest_time = np.where(self.may_be_at_rest(last), self.rest_time, np.nan)
         return {"rest_time": rest_time, "newton_steps": np.full(self.scene.replicas, self.newton_steps)}
 
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
         """Continue from what `state` returned in an earlier call."""
         super().restore(state)
-        self._prepare()
+        self._set_up_steps()

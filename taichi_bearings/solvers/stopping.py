@@ -13,9 +13,9 @@ UNLIMITED = 2**62  # iterations
 
 @dataclass(frozen=True)
 class StopRule:
-    """Stop at a proven relative gap, at rest, or at a limit.
+    """When a run stops: at a proven relative gap, at rest, or at a limit.
 
-    tolerance : (objective - lower bound) / objective at which every replica counts as done, in (0, 1).
+    tolerance : (objective - lower bound) / objective at which every sample counts as done, in (0, 1).
     iterations : limit on iterations of the method.
     seconds : limit on wall time without compilation, infinity for none; a resumed run has the whole limit again.
     duration : simulated time after which a dynamics ends, whatever it has reached; infinity to run until it is done.
@@ -28,7 +28,10 @@ class StopRule:
 
     @classmethod
     def of(cls, settings: Any) -> "StopRule":
-        """Return the rule that the settings of a run ask for; a run with a duration has no default limit of steps."""
+        """Return the rule that the settings of a run ask for: `tolerance`, `iterations`, `time_limit` and `duration`.
+
+        A run with a duration has no limit of steps unless one is given.
+        """
         unlimited = cls.iterations if settings.duration is None else UNLIMITED
         iterations = unlimited if settings.iterations is None else settings.iterations
         seconds, duration = (value or float("inf") for value in (settings.time_limit, settings.duration))
@@ -45,8 +48,10 @@ class StopRule:
     ) -> Status | None:
         """Return the status with which the run should end now, or None if it should go on.
 
-        progress : the state now. objective, bound : (R,), the best objective and the best lower bound so far.
-        elapsed : seconds of wall time in this call. stalled : the method makes no more progress.
+        progress : the state now.
+        objective, bound : (R,), the best objective and the best lower bound so far.
+        elapsed : seconds of wall time in this call.
+        stalled : True if the method makes no more progress.
         """
         if not np.isfinite(progress.objective).all():
             return Status.NOT_FINITE
@@ -71,14 +76,17 @@ class StopRule:
 
 
 def ended_as(status: Status, found: Solution, stop: StopRule, is_dynamics: bool) -> Status:
-    """Return the status of an answer, from the status with which its loop ended and from what its judgement proves.
+    """Return the status of an answer, from the status with which its loop ended and from what its proof has shown.
 
-    status : of the loop. found : the answer with its proven gap. stop : the rule with the tolerance.
+    An answer whose gap is within the tolerance is CERTIFIED, even where the loop knew less; but a run that ended at a
+    limit before its duration, was interrupted, or came to numbers that are not finite keeps its status. Where the loop
+    was certified but the proof shows less, the answer is STALLED; that of a dynamics is STATIONARY if a lower bound is
+    0, as no relative gap to a least power of 0 can be small.
 
-    * An answer whose gap is within the tolerance is CERTIFIED, even where the loop knew less. A run that ended at a
-      limit before its duration, was interrupted, or came to numbers that are not finite keeps its status.
-    * Where the loop was certified but the judgement proves less, the answer is STALLED; that of a dynamics is
-      STATIONARY if a lower bound is 0, as no relative gap to a least power of 0 can be small.
+    status : of the loop.
+    found : the answer with its proven gap.
+    stop : the rule with the tolerance.
+    is_dynamics : True if the method is a dynamics.
     """
     cut_short = stop.duration < float("inf") and status in (Status.STEP_LIMIT, Status.TIME_LIMIT)
     stays = cut_short or status in (Status.INTERRUPTED, Status.NOT_FINITE)

@@ -39,17 +39,18 @@ SPLITTING_TOLERANCE = 3e-5  # from this tolerance on operator splitting is faste
 
 
 def _laws(condition: Callable[[Law], bool] = lambda law: True) -> "staticmethod[[Law], bool]":
-    """Return a function that is True for laws with friction, viscosity or both that fulfil a condition.
+    """Return a function that is True for the laws which a method solves: friction, viscosity or both, if a condition
+    holds.
 
-    condition : function of the law. Laws that users have defined are excluded.
+    condition : function of the law that returns True or False. Laws that users have defined are excluded.
     """
     return staticmethod(lambda law: law.is_sum and condition(law))
 
 
 def _descends(law: Law) -> bool:
-    """Return whether gradient descent solves a law: one with friction, viscosity or both, or a suitable one of a user.
+    """Return True if gradient descent solves a law: friction, viscosity or both, or a suitable one of a user.
 
-    Such a law has a force that grows with the slip, holds no force without slip, and defines `steepest`, the slope of
+    A suitable law has a force that grows with the slip, has no force without slip, and defines `steepest`, the slope of
     its force.
     """
     return law.is_sum or (law.flows and not law.holds and type(law).steepest is not Law.steepest)
@@ -68,7 +69,10 @@ FACTORISING_BYTES = {2: 2800.0, 3: 5500.0}
 def _factorising_bytes(shape: Sequence[int], periodic: Sequence[int]) -> float:
     """Return the most memory, bytes, that a method takes which factorises a Laplacian of the free spins of a lattice.
 
-    shape : of the lattice. periodic : its periodic axes. The result is infinite if the factor is too large to index.
+    The result is infinite if the factor is too large to index.
+
+    shape : of the lattice.
+    periodic : its periodic axes.
     """
     from taichi_bearings.lattice import Lattice
     from taichi_bearings.numerics.cholesky.size import factor_numbers
@@ -84,17 +88,21 @@ material = partial(option, laws=attrgetter("holds"))  # of contacts that bear a 
 
 @dataclass(frozen=True, kw_only=True)
 class MethodOptions:
-    """A method and its options. The facts of a method are class variables, its options the fields.
+    """A method and its options. What is known of the method are class variables; its options are the fields of
+    subclasses.
 
-    name : for --method. implementation : "module:class", which is called with the options.
-    steps_packings : it also solves packings, step by step. minimises_packings : packing_answer.py finds minima of
-    packings by a method of this name.
-    is_dynamics : its iterations are steps in time. keeps_checkpoints : it can continue from a checkpoint, unless it
-    minimises a packing. needs_taichi : it uses kernels or fields.
-    cpu_only : it works in the memory of the CPU, in double precision whatever is asked.
+    name : its name, for --method.
+    implementation : "module:class" of what does the work; the class is called with the options.
+    steps_packings : True if it also solves packings, step by step.
+    minimises_packings : True if packing_answer.py finds minima of packings by a method of this name.
+    is_dynamics : True if its iterations are steps in time.
+    keeps_checkpoints : True if it can continue from a checkpoint, unless it minimises a packing.
+    needs_taichi : True if it uses kernels or fields.
+    cpu_only : True if it works in the memory of the CPU, in double precision whatever is asked.
     alike_in_a_block : number of spheres up to which solving several seeds at once is faster, and gives each seed the
-    same bits as solving it alone.
-    colour, marker : of its curves in figures. solves : a function that is True for the laws that it solves.
+        same bits as solving it alone.
+    colour, marker : of its curves in figures.
+    solves : function that is True for the laws that it solves.
     """
 
     name: ClassVar[str]
@@ -111,6 +119,7 @@ class MethodOptions:
     solves: ClassVar["staticmethod[[Law], bool]"] = staticmethod(lambda law: True)
 
     def __post_init__(self) -> None:
+        """Check each option and convert it to its type; raise InputError for a value that is not allowed."""
         for name, item in options_of(self).items():
             object.__setattr__(self, name, item.read(name, getattr(self, name)))
 
@@ -123,7 +132,7 @@ class MethodOptions:
 
     @classmethod
     def refusal(cls, scene: "Scene") -> str:
-        """Return why the method cannot solve this scene, as a sentence; empty if it can."""
+        """Return why the method cannot solve a scene, as a sentence; empty if it can."""
         if cls.solves(scene.law):
             return ""
         laws = " or ".join(name for name, law in LAWS.items() if cls.solves(law))
@@ -131,31 +140,41 @@ class MethodOptions:
 
     @classmethod
     def suits(cls, scene: "Scene", tolerance: float, on_gpu: bool) -> bool:
-        """Return whether `auto` may take the method; it takes the first one of the table that may be taken.
+        """Return True if `--method auto` may take the method; it takes the first one of the table that it may.
 
-        tolerance : relative gap that is asked for. on_gpu : the run has a GPU.
+        tolerance : relative gap that is asked for.
+        on_gpu : True if the run has a GPU.
         """
         return not cls.is_dynamics and not (cls.cpu_only and on_gpu) and not cls.refusal(scene)
 
     @classmethod
     def seconds(cls, shape: Sequence[int], tolerance: float) -> float | None:
-        """Return the seconds to solve one sample on one core of a common server, within a factor of three.
+        """Return the seconds to solve one sample of a lattice on one core of a common server, right within a factor of
+        three; None if that is not known.
 
-        shape : of the lattice. tolerance : relative gap that is asked for. None if the time is not known.
+        shape : of the lattice.
+        tolerance : relative gap that is asked for.
         """
         return None
 
     @classmethod
     def step_seconds(cls, shape: Sequence[int]) -> float | None:
-        """Return the seconds of a step, if all steps of the method take the same time; else None."""
+        """Return the seconds of a step, if all steps of the method on a lattice take the same time; else None.
+
+        shape : of the lattice.
+        """
         return None
 
     @classmethod
     def bytes(cls, shape: Sequence[int], periodic: Sequence[int] = ()) -> float:
-        """Return the most memory, bytes, that one sample takes until its answer is written, within a factor of 1.3.
+        """Return the most memory, bytes, that one sample takes until its answer is written, right within a factor of
+        1.3.
 
         The memory of the interpreter itself comes on top. Judging the answer takes the most, unless a method overrides
-        this because it keeps more itself. shape : of the lattice. periodic : its periodic axes.
+        this because it needs more itself.
+
+        shape : of the lattice.
+        periodic : its periodic axes.
         """
         return JUDGED_BYTES[len(shape)] * prod(shape)
 
@@ -166,7 +185,10 @@ Row = TypeVar("Row", bound=type[MethodOptions])
 
 
 def register(row: Row) -> Row:
-    """Add a method to the table and return it, as a decorator does; raise InputError if its name is taken."""
+    """Add a method to the table and return it, as a decorator does; raise InputError if its name is taken.
+
+    row : class with the options of the method.
+    """
     if row.name in METHODS or row.name == "auto":
         raise InputError(f"method is {row.name!r}; there is one of that name already")
     METHODS[row.name] = row
@@ -188,7 +210,7 @@ class PlanarCut(MethodOptions):
 
     @classmethod
     def refusal(cls, scene: "Scene") -> str:
-        """Return why the method cannot solve this scene, such as imposed spins about two axes; empty if it can."""
+        """Return why the method cannot solve a scene, such as imposed spins about two axes; empty if it can."""
         if reason := super().refusal(scene):
             return reason
         if len(scene.minimum_spin_axes) == 1:
@@ -201,6 +223,11 @@ class PlanarCut(MethodOptions):
 
     @classmethod
     def seconds(cls, shape: Sequence[int], tolerance: float) -> float | None:
+        """Return the seconds to solve one lattice, fitted to measured times: about a power of the number of spheres.
+
+        shape : of the lattice.
+        tolerance : not used, as the minimum is exact.
+        """
         return 1e-6 * prod(shape) if len(shape) == 2 else 2e-6 * prod(shape) ** 1.15
 
 
@@ -222,16 +249,32 @@ class InteriorPoint(MethodOptions):
 
     @classmethod
     def suits(cls, scene: "Scene", tolerance: float, on_gpu: bool) -> bool:
+        """Return True if `--method auto` may take the method: where operator splitting is slower, and the factor fits.
+
+        tolerance : relative gap that is asked for.
+        on_gpu : True if the run has a GPU.
+        """
         pays = (tolerance < SPLITTING_TOLERANCE or scene.law.flows) and scene.lattice.sites <= MOST_FACTORISED
         return pays and super().suits(scene, tolerance, on_gpu)
 
     @classmethod
     def seconds(cls, shape: Sequence[int], tolerance: float) -> float | None:
+        """Return the seconds to solve one lattice, fitted to measured times.
+
+        shape : of the lattice.
+        tolerance : not used, as a tighter one costs few steps more.
+        """
         sites = prod(shape)
         return 3e-6 * sites**1.3 if len(shape) == 2 else 1.5e-4 * sites + 1e-8 * sites**2
 
     @classmethod
     def bytes(cls, shape: Sequence[int], periodic: Sequence[int] = ()) -> float:
+        """Return the memory, bytes, that one sample takes: the larger of that of the factorisation and that of its
+        answer.
+
+        shape : of the lattice.
+        periodic : its periodic axes.
+        """
         return max(_factorising_bytes(shape, periodic), super().bytes(shape))
 
 
@@ -248,6 +291,11 @@ class OperatorSplitting(MethodOptions):
 
     @classmethod
     def seconds(cls, shape: Sequence[int], tolerance: float) -> float | None:
+        """Return the seconds to solve one lattice, fitted to measured times: number of iterations times seconds of one.
+
+        shape : of the lattice.
+        tolerance : relative gap that is asked for.
+        """
         iterations = 300 * (1e-4 / tolerance) ** 0.55 * max(prod(shape) / 4096, 1) ** 0.25
         return 0.02 + iterations * (2e-4 + 3.6e-8 * prod(shape))
 
@@ -266,6 +314,11 @@ class LinearSolver(MethodOptions):
 
     @classmethod
     def seconds(cls, shape: Sequence[int], tolerance: float) -> float | None:
+        """Return the seconds to solve one lattice, fitted to measured times.
+
+        shape : of the lattice.
+        tolerance : not used, as the solution is exact to round-off.
+        """
         return 0.003 + 4e-6 * prod(shape)
 
 
@@ -283,6 +336,7 @@ class GradientDescent(MethodOptions):
 
     @classmethod
     def step_seconds(cls, shape: Sequence[int]) -> float | None:
+        """Return the seconds of a sweep over a lattice of this shape, fitted to measured times."""
         return 5e-6 + 2e-8 * prod(shape)
 
     momentum: bool = how(
@@ -291,12 +345,15 @@ class GradientDescent(MethodOptions):
 
 
 def _rest_tolerance(default: float) -> float:
-    """Return the option by which a dynamics counts as being at rest."""
+    """Return the option `rest_tolerance`, the change of the power below which a dynamics counts as being at rest.
+
+    default : its value if not given.
+    """
     return how(default, POSITIVE, "Relative change of P that counts as rest.", unset=True, rare=True)
 
 
 def _error_tolerance() -> float:
-    """Return the option for the error of a time step that a method chooses itself."""
+    """Return the option `error_tolerance`, the error of a time step whose length a method chooses itself."""
     help = "Steps chosen by error: root mean square error of the spins in a step, relative to the largest spin."
     return how(1e-3, POSITIVE, help, unset=True, rare=True)
 
@@ -340,6 +397,12 @@ class RigidLimit(Motion):
 
     @classmethod
     def bytes(cls, shape: Sequence[int], periodic: Sequence[int] = ()) -> float:
+        """Return the memory, bytes, that one sample takes: the larger of that of the factorisation and that of its
+        answer.
+
+        shape : of the lattice.
+        periodic : its periodic axes.
+        """
         return max(_factorising_bytes(shape, periodic), super().bytes(shape))
 
     error_tolerance: float = _error_tolerance()
@@ -365,6 +428,7 @@ class CundallStrack(Motion):
 
     @classmethod
     def step_seconds(cls, shape: Sequence[int]) -> float | None:
+        """Return the seconds of a time step of a lattice of this shape, fitted to measured times."""
         return 5e-6 + 2.5e-8 * prod(shape)
 
     stiffness: float = material(1e5, POSITIVE, "Tangential stiffness K_t.", unit="force/length")
@@ -384,11 +448,15 @@ class CundallStrack(Motion):
     energy: bool = how(False, TRUTH, "Keep an energy balance; a step takes a third longer.", rare=True)
 
     def after_slip(self, span: float) -> tuple[float, float]:
-        """Return how the elongation of a slipping contact follows from its force, after a time `span`.
+        """Return how the elongation of a slipping contact follows from its force after a step: two numbers a and b in
 
-        The two numbers are the factor of the force, length/force, and that of the elongation before. With `reset` the
-        elongation is F / K (paper Eq. 9, with a unit vector); with `relax` it obeys A d(delta)/dt = F - K delta, solved
-        by implicit Euler.
+            elongation = a * force + b * elongation before the step.
+
+        a is in length/force. With the option `reset` a = 1 / K, b = 0 (paper Eq. 9, with a unit vector). With `relax`
+        the elongation obeys A d(elongation)/dt = force - K elongation, solved by implicit Euler. K is the stiffness, A
+        the damping.
+
+        span : length of the step, time.
         """
         if self.slipping_spring == "reset":
             return 1 / self.stiffness, 0.0
@@ -397,9 +465,10 @@ class CundallStrack(Motion):
 
 
 def fastest(scene: "Scene", tolerance: float, on_gpu: bool) -> type[MethodOptions]:
-    """Return the fastest method that certifies a scene, for which `auto` stands.
+    """Return the fastest method that certifies a scene, for which `auto` stands; raise InputError if there is none.
 
-    tolerance : relative gap that is asked for. on_gpu : the run has a GPU. Raises InputError if there is none.
+    tolerance : relative gap that is asked for.
+    on_gpu : True if the run has a GPU.
     """
     for row in METHODS.values():
         if row.suits(scene, tolerance, on_gpu):
@@ -410,7 +479,9 @@ def fastest(scene: "Scene", tolerance: float, on_gpu: bool) -> type[MethodOption
 def row_of_packing(method: str) -> type[MethodOptions] | None:
     """Return the row of a method that steps packings, or None for one that finds their minima directly.
 
-    method : its name, or "auto". Raises InputError for a method that does not solve packings.
+    method : its name, or "auto".
+
+    Raises InputError for a method that does not solve packings.
     """
     row = METHODS.get(method)
     able = [name for name, built in METHODS.items() if built.steps_packings or built.minimises_packings]

@@ -21,7 +21,9 @@ MOST_ON_CPU, MOST_ON_GPU = 4_000, 4_000_000
 
 
 def samples_at_once(scene: Bearing) -> int:
-    """Return how many samples of a scene to solve at a time."""
+    """Return how many samples of a scene to solve at a time: so many that the device is busy and caches hold their
+    numbers.
+    """
     most = MOST_ON_GPU if runtime.current().is_gpu else MOST_ON_CPU
     return max(1, min(scene.replicas, most // max(scene.network.spheres, 1)))
 
@@ -29,12 +31,14 @@ def samples_at_once(scene: Bearing) -> int:
 class Together:
     """Methods that have begun, each with a sample of one packing, and that advance by the same numbers of steps.
 
-    going : the methods that have not ended. joined : the methods whose fields lie in one memory. It is empty, and each
-    method is advanced alone, where the samples have different contacts or a method does not step by sweeps.
+    going : the methods that have not ended.
+    joined : the methods whose fields lie in one memory, so that one call of a kernel steps them all. It is empty, and
+        each method is advanced alone, where the samples have different contacts or a method does not step by sweeps.
+    fields, team, sweeps : the common fields, and the threads and the kernel for them.
     """
 
     def __init__(self, methods: Sequence[Method]) -> None:
-        """Join the fields of the methods if their samples have the same contacts and they step by sweeps."""
+        """Join the fields of the methods if their samples have the same contacts and all step by sweeps."""
         self.going = list(methods)
         self.joined = [
             method for method in methods if isinstance(method, Swept) and isinstance(method.contacts, OnLists)
@@ -47,7 +51,7 @@ class Together:
             self.joined = []
 
     def _join(self) -> None:
-        """Move the fields of all joined methods into one memory, one after the other."""
+        """Copy the fields of all joined methods into one memory, one sample after the other."""
         first = _contacts(self.joined[0])
         self.fields = Fields(first.lists.several(len(self.joined)), first.spec)
         for number, method in enumerate(self.joined):
@@ -60,8 +64,8 @@ class Together:
     def advance(self, steps: int) -> None:
         """Let each method make `steps` steps.
 
-        Each plans its launches. All of them are made together for as many turns as the shortest one has; then each goes
-        on with the rest of its launch, or with its next one.
+        Each method plans its launches (calls of the kernel with the same constants). All of them are made together for
+        as many turns as the shortest one has; then each goes on with the rest of its launch, or with its next one.
         """
         if not self.joined:
             for method in self.going:
@@ -74,7 +78,7 @@ class Together:
                 if launch is not None:
                     contacts.load_numbers(launch)
             self.sweeps.run(self.fields, self.team, turns, NOTHING)
-            launches = [_rest(launch, turns, plan) for launch, (_, plan) in zip(launches, plans, strict=True)]
+            launches = [_rest_of_plan(launch, turns, plan) for launch, (_, plan) in zip(launches, plans, strict=True)]
 
     def drop(self, ended: Method) -> None:
         """Take out a method that has ended. Its fields are still stepped until half of the methods have ended."""
@@ -90,8 +94,8 @@ def _contacts(method: "Swept") -> OnLists:
     return method.contacts
 
 
-def _rest(launch: Launch | None, turns: int, plan: Iterator[Launch]) -> Launch | None:
-    """Return what is left of a launch after `turns` turns, or the next launch of the plan; None at the end of it."""
+def _rest_of_plan(launch: Launch | None, turns: int, plan: Iterator[Launch]) -> Launch | None:
+    """Return what is left of a launch after `turns` turns, else the next launch of the plan; None at its end."""
     if launch is None or launch.turns == turns:
         return next(plan, None)
     return replace(launch, turns=launch.turns - turns, first=launch.first + turns)

@@ -12,9 +12,12 @@ from taichi_bearings.scene import Progress, Scene
 def without_slip(scene: Scene, final: Progress) -> Progress:
     """Return the end of a minimisation with the slipless state in all samples whose least objective is 0.
 
-    scene : the lattice. final : what the method has reached. The least objective is 0 in a sample whose driven planes
-    have the same spins, or are not joined by contacts. In its slipless state spheres that contacts join to the top
-    plane have the spin of the top, all others that of the bottom, and no contact bears a force. Other samples stay.
+    The least objective is 0 in a sample whose driven planes have the same spins, or are not joined by contacts. In its
+    slipless state spheres that contacts join to the top plane have the spin of the top, all others that of the bottom,
+    and no contact bears a force. Other samples stay.
+
+    scene : the lattice.
+    final : the progress that the method has reached at its end.
     """
     idle = np.flatnonzero(scene.is_cut_off | (scene.jump == 0))
     if not len(idle):
@@ -37,9 +40,9 @@ def without_slip(scene: Scene, final: Progress) -> Progress:
 
 
 def _joined_to_top(scene: Scene, contacts: np.ndarray) -> np.ndarray:
-    """Return the mask (*N,) of the top plane and of all spheres that contacts join to it.
+    """Return the mask (*N,) of the top plane and of all spheres that contacts join to it, *N the shape of the lattice.
 
-    contacts : (E,) mask of the contacts that join.
+    contacts : (E,), mask of the contacts that join.
     """
     sites = scene.lattice.sites
     sphere = np.arange(sites).reshape(scene.lattice.shape)
